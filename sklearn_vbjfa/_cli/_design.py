@@ -6,10 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
+from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _gravity, _input
 from sklearn_vbjfa._cli._parser import Refused, spelled
 from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa._core._progress import stage
+from sklearn_vbjfa.design import (
+    KnownRobot,
+    MotionLimits,
+    MotionRefused,
+    _summary,
+    design_motion,
+    read_report,
+)
+from sklearn_vbjfa.model import NoShapes, load_shapes
 
 # Sample period of a motion where none is known [s].
 _PERIOD = 0.01
@@ -40,8 +50,6 @@ def design(arguments, folder):
     """Design a motion, print what it decides, and write it."""
     if arguments.purpose == "gravity":
         return _gravity.design_poses(arguments, folder)
-    from sklearn_vbjfa.design import _summary, read_report
-
     if arguments.urdf is None and arguments.report is None:
         raise ValueError(
             "give --urdf FILE, the description of the robot, or --report FOLDER, what "
@@ -81,8 +89,6 @@ def design(arguments, folder):
 
 def _motion(arguments, robot, found):
     """Design the motion, refused if it goes beyond the limits."""
-    from sklearn_vbjfa.design import _summary, design_motion
-
     names = robot.known.joint_names
     limits = _limits(arguments, robot)
     task = f"designing {arguments.duration:g} s for {len(names)} joints"
@@ -108,8 +114,6 @@ def _motion(arguments, robot, found):
 
 def _has_shapes(robot):
     """Whether shapes of the links are known, which keep them apart."""
-    from sklearn_vbjfa.model import NoShapes, load_shapes
-
     try:
         load_shapes(robot.known.description, robot.known.features.model_)
     except NoShapes:
@@ -152,8 +156,6 @@ def _robot(arguments, report, found, folder):
 
 def _described(arguments, found, folder):
     """Take a robot of which only the description is known."""
-    from sklearn_vbjfa.design import KnownRobot
-
     given, joints = _input.expanded(arguments.urdf), arguments.joints
     if not joints and found is not None:
         # Those that identify held have no place in its report.
@@ -170,7 +172,6 @@ def _described(arguments, found, folder):
 
 def _identified(arguments, path, found, folder):
     """Take a robot from the file that identify wrote."""
-    from sklearn_vbjfa import load_identified
     from sklearn_vbjfa.design import KnownRobot
 
     for name in {"urdf", "base_orientation"} & set(arguments.typed):
@@ -222,7 +223,6 @@ def _period(robot, found):
 
 def _limits(arguments, robot):
     """Collect the limits, joints in the order of the robot."""
-    from sklearn_vbjfa.design import MotionLimits, MotionRefused
     from sklearn_vbjfa.model import joint_names
 
     # Limits of the description are in its own order.

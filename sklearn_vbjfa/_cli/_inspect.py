@@ -1,19 +1,18 @@
 """The commands ``inspect`` and ``effects``."""
 
 import numpy as np
+from tabulate import tabulate
 
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._run import Done, rendered
+from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.inspection import motion_of
 
 _TOO_SHORT = "too short to examine the motion"
 
 
 def list_effects(arguments, folder):
     """List the library of effects."""
-    from tabulate import tabulate
-
-    from sklearn_vbjfa.effects import resolve
-
     rows = [
         [one.name, type(one).__doc__.splitlines()[0].rstrip("."), one.record]
         for one in resolve("all")
@@ -24,8 +23,6 @@ def list_effects(arguments, folder):
 
 def inspect(arguments, folder):
     """Read a recording and describe it."""
-    from sklearn_vbjfa.inspection import motion_of
-
     # A current is as good as a torque here: nothing is identified.
     loaded = _input.load(arguments, folder, assumed="unknown")
     loaded.signals(arguments.signals)

@@ -6,10 +6,19 @@ import warnings
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from sklearn.base import clone
 
+from sklearn_vbjfa import RobotIdentifier, load_identified
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._parser import Refused, spelled
 from sklearn_vbjfa._cli._run import Done, rendered
+from sklearn_vbjfa._core._progress import counted
+from sklearn_vbjfa.diagnosis import simulate_windows
+from sklearn_vbjfa.diagnosis.explain import parameter_values
+from sklearn_vbjfa.effects import CommandDelay
+from sklearn_vbjfa.fit import signed
+from sklearn_vbjfa.inspection import refusal
+from sklearn_vbjfa.recording import OfferedSignals, take_rows
 
 _TABLE = "simulation.csv"
 # Share of every recording that is identified; the rest is simulated.
@@ -110,8 +119,6 @@ def _check(arguments):
 
 def _saved(arguments, folder):
     """Take a saved robot and the whole recording."""
-    from sklearn_vbjfa import load_identified
-
     robot = load_identified(_input.expanded(arguments.model))
     joints = arguments.joints
     names, source = robot.joint_names_, _input.named(arguments)
@@ -175,7 +182,6 @@ def _saved_gains(arguments, robot):
 
 def _check_channels(loaded):
     """Refuse channels that are not what they are called; warn of doubtful ones."""
-    from sklearn_vbjfa.inspection import refusal
     from sklearn_vbjfa.model import DoubtWarning
 
     findings = loaded.findings()
@@ -190,8 +196,6 @@ def _check_channels(loaded):
 
 def _identified(arguments, folder):
     """Identify the first part of every recording, for the rest."""
-    from sklearn_vbjfa import RobotIdentifier
-
     settings, loaded = _input.settings(arguments), _input.load(arguments, folder)
     _check_channels(loaded)
     signals, recording = loaded.signals(arguments.signals), loaded.recording
@@ -231,15 +235,11 @@ def _identified(arguments, folder):
 
 def _rows_of(recording, rows):
     """Return a recording of some rows of a recording."""
-    from sklearn_vbjfa.recording import take_rows
-
     return take_rows(recording, rows, recording.groups[rows])
 
 
 def _at(signals, rows):
     """Return signals at some rows."""
-    from sklearn_vbjfa.recording import OfferedSignals
-
     if signals is None:
         return None
     if isinstance(signals, OfferedSignals):
@@ -254,9 +254,6 @@ def _at(signals, rows):
 def _commanded(drive, robot, recording):
     """Return a recording for a simulation, and the drive that follows its commands."""
     # The drive is None where the torques of the recording take its place.
-    from sklearn.base import clone
-
-    from sklearn_vbjfa.fit import signed
 
     if drive is not None and drive.of_positions:
         if _command_delay(robot) is not None:
@@ -270,15 +267,12 @@ def _commanded(drive, robot, recording):
 
 def _command_delay(robot):
     """Return the delay of the commands of a fitted robot [s], None if not found."""
-    from sklearn_vbjfa.effects import CommandDelay
-
     late = [x.delay for x in robot.effects_ if isinstance(x, CommandDelay)]
     return late[0] if late else None
 
 
 def _said_delay(robot):
     """Return a sentence on the delay of the commands, "" for nothing found."""
-    from sklearn_vbjfa.diagnosis.explain import parameter_values
     from sklearn_vbjfa.diagnosis.report import sentence
 
     rows = [one for one in parameter_values(robot) if one.name == "drive:delay"]
@@ -290,8 +284,6 @@ def _said_delay(robot):
 
 def _drive(task, seconds):
     """Simulate windows of the rows from torques."""
-    from sklearn_vbjfa.diagnosis import simulate_windows
-
     part = _rows_of(task.recording, task.rows)
     task.windows[_ROBOT] = simulate_windows(
         task.robot,
@@ -306,7 +298,6 @@ def _drive(task, seconds):
 
 def _follow(task, seconds):
     """Simulate whole recordings and windows from commands alone."""
-    from sklearn_vbjfa._core._progress import counted
     from sklearn_vbjfa.robot import follow_windows
 
     robot, part = task.robot.robot_, _rows_of(task.recording, task.rows)

@@ -114,21 +114,13 @@ class Split:
         there = self.amount.of(self.stretches)
         least = np.minimum(np.maximum(self.amount.need, 0.5 * there), there)
         for share in _GUARDS:
-            found = self._without(rows, share)
-            if (self.amount.of(found.stretches) >= least).all():
+            kept = []
+            for own, (before, after) in zip(self.stretches, self.borders):
+                guard = int(share * min(rows, _MOST_GUARD * (own.stop - own.start)))
+                kept.append(slice(own.start + before * guard, own.stop - after * guard))
+            if (self.amount.of(kept) >= least).all():
                 break
-        return found
-
-    def _without(self, rows, share):
-        """Return the split without a share of the guard that a stretch may have."""
-        stretches = []
-        for stretch, (before, after) in zip(self.stretches, self.borders):
-            most = _MOST_GUARD * (stretch.stop - stretch.start)
-            guard = int(share * min(rows, most))
-            stretches.append(
-                slice(stretch.start + before * guard, stretch.stop - after * guard)
-            )
-        return replace(self, stretches=tuple(stretches))
+        return replace(self, stretches=tuple(kept))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,14 +132,13 @@ class Amount:
     need: float  # moving rows behind it that a verdict needs
 
     @property
-    def length(self):
-        """Minimum rows of a stretch, or of the rest between two."""
-        return max(int(_FILTER_LENGTHS * 2 * self.half), _FEWEST_SAMPLES)
-
-    @property
-    def length_of_more(self):
-        """The same, where there is more than one stretch in a recording."""
-        return max(int(_LENGTHS_OF_MORE * 2 * self.half), _FEWEST_SAMPLES)
+    def lengths(self):
+        """Minimum rows of a stretch, and where a recording has more than one."""
+        # Or of the rest between two.
+        return [
+            max(int(times * 2 * self.half), _FEWEST_SAMPLES)
+            for times in (_FILTER_LENGTHS, _LENGTHS_OF_MORE)
+        ]
 
     def of(self, stretches):
         """Count the moving rows of each joint after the low-pass, (nv,)."""
@@ -224,11 +215,10 @@ def _divide(amount, parts, share):
 
 def _best_count(amount, parts, share):
     """Return the stretches by which all joints are judged best, and if well enough."""
-    moving, length = amount.moving, amount.length
+    moving, (length, more) = amount.moving, amount.lengths
     total, weight = counted_rows(moving), even_weight(moving)
     if not total.any():
         weight = np.ones(weight.shape)
-    more = amount.length_of_more
     most = [_most_stretches(weight[part], share, length, more) for part in parts]
     wanted = _STRETCHES if len(parts) == 1 else 1
     can = _LARGEST * total > amount.need
@@ -254,16 +244,10 @@ def _most_stretches(weight, share, length, more):
         return 0
     count = 1
     while count < _MOST_STRETCHES:
-        pieces = _cells(weight, count + 1, share)
-        if min(b - a for cell in pieces for a, b in _pairs(cell)) < more:
+        if np.diff(_cells(weight, count + 1, share)).min() < more:
             break
         count += 1
     return count
-
-
-def _pairs(cell):
-    start, border, stop = cell
-    return (start, border), (border, stop)
 
 
 def _cells(weight, count, share):

@@ -400,7 +400,7 @@ def test_a_run_that_is_interrupted_writes_nothing(folder, here, capsys, monkeypa
         # What Ctrl-C does, in a process that may ignore the signal.
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("sklearn_vbjfa.design.design_motion", stopped)
+    monkeypatch.setattr("sklearn_vbjfa._cli._design.design_motion", stopped)
     argv = ["--urdf", "arm.urdf", "--out", f"{folder}/motion.csv"]
     assert main(["design", *argv]) == 130
     assert capsys.readouterr().err == "sklearn-vbjfa: interrupted\n"
@@ -412,7 +412,7 @@ def test_a_motion_outside_its_limits_is_not_written(here, capsys, monkeypatch):
     margins = {name: np.full(2, 0.1) for name in names}
     margins["velocity"] = np.array([0.5, -0.031])
     found = SimpleNamespace(within_limits=False, margins=margins, joint_names=JOINTS)
-    monkeypatch.setattr("sklearn_vbjfa.design.design_motion", lambda *_, **__: found)
+    monkeypatch.setattr("sklearn_vbjfa._cli._design.design_motion", lambda *_, **__: found)
     line = refusal(capsys, "--urdf", "arm.urdf", *QUICK)
     assert "speed of joint 2 (elbow) is exceeded by 3.1 %" in line
     assert "--seed" in line

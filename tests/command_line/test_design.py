@@ -412,7 +412,9 @@ def test_a_motion_outside_its_limits_is_not_written(here, capsys, monkeypatch):
     margins = {name: np.full(2, 0.1) for name in names}
     margins["velocity"] = np.array([0.5, -0.031])
     found = SimpleNamespace(within_limits=False, margins=margins, joint_names=JOINTS)
-    monkeypatch.setattr("sklearn_vbjfa._cli._design.design_motion", lambda *_, **__: found)
+    monkeypatch.setattr(
+        "sklearn_vbjfa._cli._design.design_motion", lambda *_, **__: found
+    )
     line = refusal(capsys, "--urdf", "arm.urdf", *QUICK)
     assert "speed of joint 2 (elbow) is exceeded by 3.1 %" in line
     assert "--seed" in line

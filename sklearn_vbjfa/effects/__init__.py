@@ -60,12 +60,11 @@ from sklearn_vbjfa.effects._library import (
 )
 from sklearn_vbjfa.effects._memory import Backlash, MaxwellSlip, play, stops
 from sklearn_vbjfa.effects._motion import (
-    CURVED,
     FAST,
     HELD,
+    MARGIN,
     OUTLIERS,
     ROUNDING,
-    STRAIGHT,
     EffectRange,
     Floats,
     Motion,

@@ -79,9 +79,8 @@ class Effect(TransformerMixin, BaseEstimator):
     depends : tuple of {"position", "speed", "load", "direction"}
         Quantities of its joint with which its columns grow: beyond a margin outside the
         range of the fit, predictions hold the torque constant.
-    growth : {"straight", "curved", "bounded"}
-        Growth of the columns: linear, nonlinear (half the margin), or bounded
-        (extrapolated).
+    bounded : bool
+        Whether its columns do not grow: predictions follow its law everywhere.
     record : str
         What a recording must contain for the effect to be identifiable, and to be
         distinguished from its rivals.
@@ -144,7 +143,7 @@ class Effect(TransformerMixin, BaseEstimator):
     needs: tuple[str, ...] = ()
     recorded: tuple[str, ...] = ()  # names of the recorded signals that it uses
     depends: tuple[str, ...] = ()
-    growth = "straight"
+    bounded = False
     # In simulations and in files of other programs.
     terms: tuple = ()
     not_simulated = ""

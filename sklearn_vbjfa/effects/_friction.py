@@ -190,7 +190,6 @@ class ViscousQuadratic(Effect):
     negative = (("F2", "friction that flattens at high speed"),)
     contains = ("viscous", "coulomb")
     depends = ("speed",)
-    growth = "curved"
     seen_over = "speed"
     record = "slow and fast motion"
     files = InFiles(

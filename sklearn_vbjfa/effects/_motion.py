@@ -255,10 +255,9 @@ def rows_of(motion):
 # -- ranges of a fit -------------------------------------------------------------------
 
 # A prediction is outside where it leaves the range of the fit by more than this share
-# of its width. The standard deviation of a straight line through evenly spread data is
-# 1.31 times that at the end of the range there, that of a parabola 1.46 times (Legendre
-# polynomials), and both grow from there on, the latter with the square.
-STRAIGHT, CURVED = 0.2, 0.1
+# of its width: there the standard deviation of a straight line through evenly spread
+# data is 1.31 times that at the end of the range (Legendre polynomials).
+MARGIN = 0.2
 # Share of the rows that may be farther out: peaks of a random motion, and outliers.
 OUTLIERS = 0.005
 # Share of a value by which two computations of the same motion may differ.
@@ -280,7 +279,6 @@ class EffectRange:
     load: tuple[float, float]
     direction: tuple[float, float] = (-1.0, 1.0)
     depends: tuple[str, ...] = ()
-    curved: bool = False
 
     def ends(self, quantity):
         """Between which velocities, positions or loads the effect follows a signal."""
@@ -316,10 +314,9 @@ class EffectRange:
     def margin(self, quantity):
         """How far outside a range a prediction follows the law; nan if unknown."""
         low, high = getattr(self, quantity)
-        share = CURVED if self.curved else STRAIGHT
         # A range of speeds counts twice, for both directions.
         sides = 2.0 if quantity == "speed" else 1.0
-        return share * sides * (high - low) + ROUNDING * max(abs(low), abs(high))
+        return MARGIN * sides * (high - low) + ROUNDING * max(abs(low), abs(high))
 
 
 def own_motions(effects, ranges, motion):

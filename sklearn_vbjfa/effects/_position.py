@@ -121,7 +121,7 @@ class Counterbalance(Shaped):
     contains = ("offset", "spring")
     cyclic = ("angle",)
     depends = ("position",)
-    growth = "bounded"
+    bounded = True
     seen_over = "position"
     record = "a range of positions of 60 degrees or more"
     files = InFiles.nowhere("a torque that is not linear in the position")
@@ -232,7 +232,7 @@ class Ripple(Shaped):
     contains = ("offset",)
     continuous = positive = ("period",)
     depends = ("position",)
-    growth = "bounded"
+    bounded = True
     seen_over = "position"
     record = "slow motion across several periods"
     terms = (("ripple", "c", "s", "period"),)

@@ -80,7 +80,6 @@ def effect_ranges(friction, effects, motion, load=None):
             load=loads[joint],
             direction=directions[joint],
             depends=effect.depends,
-            curved=effect.growth != "straight",
         )
         for effect, joint in used
     )

@@ -367,9 +367,9 @@ class IdentifiedRobot:
         -----
         UserWarning
             If the motion leaves the range of an effect (`effect_ranges_`) by more than
-            a fifth of its width (a tenth for curved effects) in more than 0.5 % of the
-            rows, if it leaves the time of the fit by more than a tenth of its duration
-            and effects vary with time, or if signals leave their range.
+            a fifth of its width in more than 0.5 % of the rows, if it leaves the time
+            of the fit by more than a tenth of its duration and effects vary with time,
+            or if signals leave their range.
 
         Notes
         -----
@@ -988,8 +988,7 @@ class IdentifiedRobot:
         """Ranges that the effects in use are held within, None where they are not."""
         own = self.effect_ranges_[len(self.effect_ranges_) - len(self.effects_) :]
         return tuple(
-            None if effect.growth == "bounded" else one
-            for effect, one in zip(self.effects_, own)
+            None if effect.bounded else one for effect, one in zip(self.effects_, own)
         )
 
     @property

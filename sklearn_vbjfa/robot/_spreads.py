@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa.effects import (
+    MARGIN,
     OUTLIERS,
     POSITION,
     ROUNDING,
     SPEED,
-    STRAIGHT,
     TORQUE,
 )
 from sklearn_vbjfa.model._dynamics import rounding_entries
@@ -186,7 +186,7 @@ def signals_outside_text(fitted, signals):
     said = []
     for name, (low, high) in fitted.items():
         values = signals[name]
-        margin = STRAIGHT * (high - low) + ROUNDING * max(abs(low), abs(high))
+        margin = MARGIN * (high - low) + ROUNDING * max(abs(low), abs(high))
         excess = np.maximum(low - values, values - high)
         share = float((excess > margin).mean())
         if share > OUTLIERS:

@@ -8,8 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.effects import (
-    CURVED,
-    STRAIGHT,
+    MARGIN,
     EffectRange,
     OutsideRange,
     outside,
@@ -39,7 +38,6 @@ def judged(ranges, values, quantity="position", joint=1, counts=None, held=None)
     return outside(ranges, signals, held)
 
 
-@pytest.mark.parametrize("curved", [False, True])
 @pytest.mark.parametrize(
     ("depends", "name", "low", "high", "width"),
     [
@@ -48,15 +46,13 @@ def judged(ranges, values, quantity="position", joint=1, counts=None, held=None)
         (("load", "direction"), "load", -6.0, 6.0, 10.0),
     ],
 )
-def test_a_motion_is_held_within_range_and_margin(
-    depends, name, low, high, width, curved
-):
-    margin = (0.1 if curved else 0.2) * width
+def test_a_motion_is_held_within_range_and_margin(depends, name, low, high, width):
+    margin = 0.2 * width
     inside = [low - 0.99 * margin, 0.5, high + 0.99 * margin]
     x = np.repeat([[-19.0], *([value] for value in inside), [19.0]], 2, axis=1)
     given = x.copy()
     motion = effects.Motion(q=x, v=x, a=x, load=x, torque=x)
-    own = dataclasses.replace(SPRING, depends=depends, curved=curved)
+    own = dataclasses.replace(SPRING, depends=depends)
     held = own.within(motion)
     for other in ("q", "v", "a", "load", "torque"):
         values = getattr(held, other)
@@ -70,16 +66,13 @@ def test_a_motion_is_held_within_range_and_margin(
     assert held.speed(1) == np.quantile(np.abs(held.v[:, 1]), 0.995)
 
 
-@pytest.mark.parametrize(
-    ("degree", "share", "factor"), [(1, STRAIGHT, 1.31), (2, CURVED, 1.46)]
-)
-def test_margin_is_where_polynomials_are_known_that_much_worse(degree, share, factor):
+def test_margin_is_where_a_line_is_known_that_much_worse():
     x = np.linspace(-1, 1, 100_001)
-    covariance = np.linalg.inv(np.vander(x, degree + 1).T @ np.vander(x, degree + 1))
+    covariance = np.linalg.inv(np.vander(x, 2).T @ np.vander(x, 2))
     # The range is 2 wide.
-    ends = np.vander([1.0, 1.0 + 2 * share], degree + 1)
+    ends = np.vander([1.0, 1.0 + 2 * MARGIN], 2)
     deviation = np.sqrt(np.einsum("ij,jk,ik->i", ends, covariance, ends))
-    assert deviation[1] / deviation[0] == pytest.approx(factor, abs=0.01)
+    assert deviation[1] / deviation[0] == pytest.approx(1.31, abs=0.01)
 
 
 def test_what_is_outside_is_told_with_its_size():
@@ -160,17 +153,6 @@ def test_columns_that_go_on_changing_are_declared(name, quantity):
     assert grows == (quantity in effect.depends)
 
 
-def test_straight_lines_are_straight_and_others_are_not():
-    for name in NAMES:
-        effect = library_effect(name)
-        for quantity in set(effect.depends) - {"direction"}:
-            # A hysteresis is no function of the position.
-            if name != "backlash":
-                one, two, three = (far_out(name, quantity, f) for f in (1.0, 2.0, 3.0))
-                straight = np.allclose(three - two, two - one, atol=1e-9)
-                assert straight == (effect.growth == "straight"), name
-
-
 def motion_over(x):
     """Motion of two joints with positions, speeds and loads of the same size."""
     x = np.column_stack([x, x])
@@ -197,15 +179,15 @@ LARGEST = {
 def test_what_depends_on_the_motion_is_bounded_or_held(name):
     (effect,) = effects.resolve(name)
     moves = set(effect.depends) & set(QUANTITIES)
-    assert (effect.growth == "bounded") == (name in LARGEST)
-    assert moves or effect.growth != "bounded"
+    assert effect.bounded == (name in LARGEST)
+    assert moves or not effect.bounded
     if not moves:
         return
     for shape, largest in LARGEST.get(name, [({}, None)]):
         own = effect.set_params(joint=0, **shape)
         # A hundred times wider, and not on the same angles.
         turn, wide = (own.columns(motion_over(x)) for x in (TURN, 100.3 * TURN))
-        if effect.growth == "bounded":
+        if effect.bounded:
             assert_allclose(abs(turn).max(axis=0), largest, rtol=0.01)
             assert (abs(wide).max(axis=0) <= np.array(largest) + 1e-9).all()
             continue
@@ -218,10 +200,8 @@ def test_what_depends_on_the_motion_is_bounded_or_held(name):
             load=ends,
             speed=(0.0, np.pi),
             depends=effect.depends,
-            curved=effect.growth != "straight",
         )
         held = own.columns(known.within(motion_over(100.3 * TURN)))
-        # A fifth or a tenth of two widths from zero on either side.
-        widths = 1.4 if effect.growth == "straight" else 1.2
-        most = own.columns(motion_over(widths * TURN))
+        # A fifth of two widths from zero on either side.
+        most = own.columns(motion_over(1.4 * TURN))
         assert_allclose(abs(held).max(axis=0), abs(most).max(axis=0), rtol=1e-8)

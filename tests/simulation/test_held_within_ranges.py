@@ -35,14 +35,14 @@ DEPENDENT = [
     if set(effects.resolve([name])[0].depends) - {"direction"}
     and not effects.resolve([name])[0].not_simulated
 ]
-BOUNDED = [name for name in DEPENDENT if effects.resolve([name])[0].growth == "bounded"]
+BOUNDED = [name for name in DEPENDENT if effects.resolve([name])[0].bounded]
 
 
 class Cubic(Effect):
     """Stiffness that grows with the square of the position."""
 
     name, coefficients, units = "cubic", ("k3",), (("N m/rad^3", "N/m^3"),)
-    depends, growth = ("position",), "curved"
+    depends = ("position",)
 
     def columns(self, motion):
         """Cube of the position."""
@@ -57,7 +57,6 @@ def range_of(effect, position=(-0.2, 0.25), speed=(0.05, 0.7), load=(-1.5, 2.0))
         speed=speed,
         load=load,
         depends=effect.depends,
-        curved=effect.growth != "straight",
     )
 
 
@@ -111,11 +110,11 @@ def load_of(predictor, X):
 # the sign of the velocity. Speeds have both directions, and twice the width.
 LAWS = [
     (Spring(1), [3.0, 0.4], 0.2, lambda x, ends, s: 3.0 * np.clip(x, *ends) + 0.4),
-    (Cubic(1), [3.0], 0.1, lambda x, ends, s: 3.0 * np.clip(x, *ends) ** 3),
+    (Cubic(1), [3.0], 0.2, lambda x, ends, s: 3.0 * np.clip(x, *ends) ** 3),
     (
         ViscousQuadratic(1),
         [0.8],
-        2 * 0.1,
+        2 * 0.2,
         lambda x, ends, s: 0.8 * s * np.minimum(abs(x), ends[1]) ** 2,
     ),
     (

@@ -220,9 +220,10 @@ class LoadFriction(Effect):
     alike = True
     label = "load-dependent friction"
     formula = r"\mu\,|\tau_\mathrm{load}|\,\mathrm{sign}(v)"
-    coefficients = nonnegative = ("mu",)
-    units = (RATIO,)
-    contains = ("coulomb", "viscous")
+    coefficients: tuple[str, ...] = ("mu",)
+    nonnegative: tuple[str, ...] = coefficients
+    units: tuple[tuple[str, str], ...] = (RATIO,)
+    contains: tuple[str, ...] = ("coulomb", "viscous")
     needs = ("load",)
     depends = ("load", "direction")
     seen_over = "load"

@@ -231,7 +231,7 @@ class Ripple(Shaped):
     shape_units = (("period", POSITION),)
     contains = ("offset",)
     continuous = positive = ("period",)
-    depends = ("position",)
+    depends: tuple[str, ...] = ("position",)
     bounded = True
     seen_over = "position"
     record = "slow motion across several periods"

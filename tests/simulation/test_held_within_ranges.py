@@ -135,7 +135,7 @@ def test_a_prediction_is_the_torque_at_the_end(effect, coef, share, law):
     load = load_of(free, X)[:, 1]
     values = {"position": X[:, 1], "speed": X[:, 4], "load": load}[quantity]
     own = abs(values) if quantity == "speed" else values
-    ends = np.quantile(own, [0.3, 0.7])
+    ends = np.quantile(own, [0.45, 0.6])
     own = held(free, **{quantity: tuple(ends)})
     ends = widened(*ends, share)
     bare = replace(own, theta_=np.r_[own.theta_[: -len(coef)], np.zeros(len(coef))])

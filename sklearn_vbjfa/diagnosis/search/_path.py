@@ -168,9 +168,6 @@ class Path:
         """Discount the evidence of a candidate by its scatter in time."""
         if candidate.tempered:
             return candidate
-        candidate = self._exact(fit, candidate)
-        if candidate is None:
-            return None
         family, best, coef = candidate.family, candidate.best, candidate.coef
         if isinstance(candidate.effect, Shaped) and candidate.effect.jumping:
             # Beside its instant a jump leaves a residual of its own size.
@@ -188,12 +185,19 @@ class Path:
             return None
         return replace(strict, tempered=True, order=usual.order)
 
-    def _exact(self, fit, candidate):
-        """Return a candidate with its evidence where it has an upper bound."""
-        if not candidate.effect.bank:
-            return candidate
-        taken = self._taken(fit)
-        return self._candidate(fit, candidate.family, taken, Overdispersion())
+    def _most_probable(self, fit, candidates):
+        """Return the most probable candidate, None if there is none."""
+        # Banks have an upper bound, which is made exact where it leads.
+        best = None
+        for candidate in sorted(candidates, key=lambda o: -o.log_odds):
+            if best is not None and candidate.log_odds <= best.log_odds:
+                break
+            if candidate.effect.bank and not candidate.tempered:
+                known = candidate.family, self._taken(fit), Overdispersion()
+                candidate = self._candidate(fit, *known)
+            if best is None or (candidate and candidate.log_odds > best.log_odds):
+                best = candidate
+        return best
 
     def _surest(self, fit, candidates, margin=0.0):
         """Return tempered candidates within a margin of the best, the best first."""
@@ -770,10 +774,7 @@ class Path:
                 if self.view.repetition:
                     # What comes again with each phase would all be taken for effects.
                     candidates = self._surest(fit, candidates)
-                else:
-                    found = (self._exact(fit, o) for o in candidates)
-                    candidates = [o for o in found if o is not None]
-                best = max(candidates, key=lambda o: o.log_odds, default=None)
+                best = self._most_probable(fit, candidates)
                 if best is not None and best.log_odds > least:
                     found = best.family.member(best.best, self.settings.scale)
                     jumps = isinstance(best.effect, Shaped) and best.effect.jumping

@@ -349,7 +349,7 @@ def named_beside(effect, chosen, names):
     """Name an effect beside another, with its joint where that is a different one."""
     name, apart = effect.name, effect.split_by if isinstance(effect, Shaped) else ()
     if apart:
-        name += ": " + ", ".join(str(getattr(effect, key)) for key in apart)
+        name += f": {getattr(effect, apart[0])}"
     if effect.joint == chosen.joint or effect.scope == "robot":
         return name
     return f"{name} on {names[effect.joint]}"

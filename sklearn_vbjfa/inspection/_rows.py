@@ -70,10 +70,11 @@ def inspect_rows(names, q, tau, dt, parts, rows, revolute):
     log = Rows(names, q, tau, dt, parts, rows)
     log.findings += findings
     _rest(log)
-    _repeated_rows(log)
     held = [_held(log, what, x) for what, x in (("position", q), ("torque", tau))]
     if ((held[0] > 0) | log.still).all() and not log.still.all():
         log.every = round(float(np.median(held[0][~log.still])))
+    else:
+        _repeated_rows(log)
     constant = _constant(log)
     switched = two_values(names, ~log.still, tau)
     log.findings += switched

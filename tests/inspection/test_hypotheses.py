@@ -111,10 +111,19 @@ def test_a_copied_joint(log):
     assert grave(log, q=q, tau=tau)[0] == ["copied_position", "copied_torque"]
 
 
-def test_velocities_as_torques(log):
-    recording = log[0]
-    speed = np.gradient(recording.q, recording.dt, axis=0)
-    assert grave(log, tau=speed)[0] == ["motion_as_torque"]
+@pytest.mark.parametrize("order", [0, 1])
+def test_the_motion_as_torques(log, order):
+    tau = log[0].q
+    for _ in range(order):
+        tau = np.gradient(tau, log[0].dt, axis=0)
+    assert grave(log, tau=tau)[0] == ["motion_as_torque"]
+
+
+@pytest.mark.slow
+def test_positions_that_are_held_are_compared_at_their_rate(log):
+    rows = 5 * (np.arange(len(log[0].q)) // 5)
+    kinds, _ = grave(log, q=log[0].q[rows], tau=log[0].tau[rows])
+    assert kinds == ["held_position", "held_torque"]
 
 
 def test_a_torque_that_is_noise(log):
@@ -168,6 +177,23 @@ def test_a_contact_is_named_with_its_time(log):
     assert [float(x) for x in told] == pytest.approx([6.0, 9.0], abs=0.5)
 
 
+@pytest.mark.slow
+def test_a_force_on_a_link_is_named_with_its_time(log):
+    """Its torques vary with the pose and are those of the Jacobian."""
+    recording, model, _ = log
+    rows = slice(*(round(t / recording.dt) for t in (6.0, 9.0)))
+    data, tau = model.createData(), recording.tau.copy()
+    for row in range(rows.start, rows.stop):
+        pin.computeJointJacobians(model, data, recording.q[row])
+        frame = pin.LOCAL_WORLD_ALIGNED
+        jacobian = pin.getJointJacobian(model, data, model.nv, frame)
+        tau[row] += 40.0 * jacobian[2]
+    kinds, found = grave(log, tau=tau)
+    assert kinds == ["external_force"]
+    told = found[0].message.split("From ")[1].split(" s after")[0].split(" to ")
+    assert [float(x) for x in told] == pytest.approx([6.0, 9.0], abs=0.5)
+
+
 def test_torques_of_the_description(log):
     recording, model, _ = log
     data = model.createData()
@@ -175,6 +201,43 @@ def test_torques_of_the_description(log):
     states = zip(recording.q, v, np.gradient(v, recording.dt, axis=0))
     tau = np.array([pin.rnea(model, data, *row).copy() for row in states])
     assert grave(log, tau=tau)[0] == ["computed_torque"]
+
+
+def chain(*joints):
+    """Return a robot of joints, each a name, a type and the joint before it."""
+    model = pin.Model()
+    for name, kind, parent in joints:
+        place = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.1]) * parent)
+        number = model.addJoint(
+            parent, getattr(pin, f"JointModel{kind}")(), place, name
+        )
+        body = pin.Inertia.FromBox(2.0, 0.1, 0.1, 0.1)
+        centre = pin.SE3(np.eye(3), np.array([0.2, 0.02, 0.05]))
+        model.appendBodyToJoint(number, body, centre)
+    return model
+
+
+def simulated(model):
+    made = make_robot_recording(model, duration=10.0, dt=0.01, random_state=0)
+    return made.q, made.tau, made.dt
+
+
+def test_torques_far_beyond_the_limits_of_axes_that_show_no_mass():
+    model = chain(("x", "PX", 0), ("y", "PY", 1))
+    model.effortLimit = np.array([300.0, 200.0])
+    q, tau, dt = simulated(model)
+    (finding,) = inspect_channels(model, q, tau, dt)
+    assert (finding.kind, finding.severity) == ("unverified", "warning")
+    tau = tau * 3000.0 / np.abs(tau).max(axis=0)
+    assert "torque_unit" in {x.kind for x in inspect_channels(model, q, tau, dt)}
+
+
+def test_the_order_of_branches_that_are_alike_is_assumed():
+    arms = (("right", "RY", 0), ("right_2", "RX", 1))
+    model = chain(*arms, ("left", "RY", 0), ("left_2", "RX", 3))
+    (finding,) = inspect_channels(model, *simulated(model))
+    assert (finding.kind, finding.severity) == ("unverified", "warning")
+    assert "assumed to be in the order of the description" in finding.message
 
 
 def test_a_robot_without_load_by_gravity_cannot_be_verified():

@@ -236,7 +236,11 @@ def judge(law, seed):
         path.write_text(arm.urdf(arm.described(rng)))
         start = time.process_time()
         loop = EffectDiscovery(RobotIdentifier(path, dt=DT), random_state=0)
-        loop.fit(q[:n], tau[:n])
+        try:
+            loop.fit(q[:n], tau[:n])
+        except ValueError as error:
+            print(f"  {law} {seed} is refused: {error}")
+            return np.inf, [("refused", j)], [("refused", j)], 0.0
         seconds = time.process_time() - start
     robot = loop.identifier_
     # The same rows and filter for the residual and the noise.

@@ -127,7 +127,7 @@ def warn_of_disorder(names, positions, parts, groups):
     if not found:
         found = position_jumps(names, positions, parts)
     for finding in found:
-        warnings.warn(finding.message, UserWarning, stacklevel=5)
+        warnings.warn(finding.message, DoubtWarning, stacklevel=5)
 
 
 def check_length(parts, lowpass, cutoff):

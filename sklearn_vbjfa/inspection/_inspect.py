@@ -149,9 +149,9 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
     if _names(log.findings, "motion_as_torque", "copied_position"):
         return in_order(log.findings)
     # Positions that were held are compared at the rate that they have.
-    rows, parts, dt = *thinned(parts, log.every), dt * log.every
-    channels = (x[rows] for x in (log.q, tau, log.usable))
-    q, tau, usable = channels
+    rows, parts = thinned(parts, log.every)
+    q, tau, usable = (x[rows] for x in (log.q, tau, log.usable))
+    dt *= log.every
     reading = Reading(model, names, q, tau, dt, parts, usable, drive=drive)
     found = _compared(reading)
     if any(one.severity != "warning" for one in log.findings):

@@ -23,8 +23,7 @@ from sklearn_vbjfa.equations._joint_moments import (
     piece_moments,
     sum_moments,
 )
-from sklearn_vbjfa.equations._parallel import run
-from sklearn_vbjfa.equations._plan import effect_places
+from sklearn_vbjfa.equations._plan import effect_places, in_parallel
 from sklearn_vbjfa.equations._ranges import SignalRanges
 from sklearn_vbjfa.model import is_prismatic, rounding_entries
 from sklearn_vbjfa.physical import one_blas_thread
@@ -353,7 +352,7 @@ class RegressorRows:
         )
         made = (_plain_torques(*task) for task in tasks)
         if n_jobs != 1 and len(spans) > 1:
-            made = run(_plain_torques, tasks, n_jobs)
+            made = in_parallel(_plain_torques, tasks, n_jobs)
         for rows, own in zip(spans, made):
             torque[rows] = own
             self._add_effects(torque[rows], rows, coefs)
@@ -721,7 +720,7 @@ def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
         for outputs in segment.pieces(lowpass)
     ]
     rows = [lowpass.step * (outputs.stop - outputs.start) for _, _, outputs, _ in tasks]
-    done = run(_piece_moments, tasks, n_jobs)
+    done = in_parallel(_piece_moments, tasks, n_jobs)
     return sum_moments(counted(done, "equations", "rows", rows))
 
 

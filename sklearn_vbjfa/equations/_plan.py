@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._progress import counted
@@ -16,7 +17,6 @@ from sklearn_vbjfa.effects import (
     TorqueLag,
     resolve,
 )
-from sklearn_vbjfa.equations._parallel import run
 from sklearn_vbjfa.equations._states import (
     RecordingStates,
     SplineStates,
@@ -25,7 +25,22 @@ from sklearn_vbjfa.equations._states import (
     smooth_segment,
 )
 from sklearn_vbjfa.model import is_prismatic, joint_names
+from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import check_cutoff, check_dt
+
+# Tasks dispatched at a time: their results are in memory together.
+_BATCH = 32
+
+
+def in_parallel(function, tasks, n_jobs):
+    # Uses threads unless a `joblib.parallel_config` says otherwise: nearly all time is
+    # spent in compiled code, and nothing has to be copied. Each has one BLAS thread:
+    # matrices are small, and sums must not depend on the number of threads.
+    tasks = iter(tasks)
+    with one_blas_thread(), Parallel(n_jobs=n_jobs, prefer="threads") as parallel:
+        while batch := list(itertools.islice(tasks, _BATCH)):
+            yield from parallel(delayed(function)(*task) for task in batch)
+
 
 # Quantile that defines a joint's top speed: the fastest, without outliers.
 _FAST = 0.995
@@ -337,7 +352,7 @@ def smooth(recording, estimator, halves, keep, n_jobs):
         for part in parts
         for n in np.diff((part.stop - part.start) * ends // len(shares))
     ]
-    done = run(smooth_with_facts, tasks, n_jobs)
+    done = in_parallel(smooth_with_facts, tasks, n_jobs)
     done = iter(counted(done, "states", "rows", rows))
     own, both, facts = [], ([], []), None
     for _ in parts:

@@ -16,7 +16,7 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import stops
-from sklearn_vbjfa.equations._parallel import run
+from sklearn_vbjfa.equations._plan import in_parallel
 
 _ORDER = 5
 # The median of abs(x) is 0.6745 standard deviations of a normal variable, and the
@@ -92,7 +92,7 @@ def noise_facts(residual, torque, states, dt, cutoff, n_jobs=None):
     # states (n, 3 nv); dt [s]; cutoff: of the fit [Hz].
     n, nv = residual.shape
     columns = zip(residual.T, torque.T, states[:, :nv].T, states[:, nv : 2 * nv].T)
-    found = run(_of_joint, ((*own, dt, cutoff) for own in columns), n_jobs)
+    found = in_parallel(_of_joint, ((*own, dt, cutoff) for own in columns), n_jobs)
     hold, scales, gap = map(np.array, zip(*found))
     return NoiseFacts(n=n, hold=hold, scales=scales, gap=gap)
 

@@ -6,9 +6,9 @@ from sklearn_vbjfa import _lazily
 
 # What type checkers see of names that are imported when they are asked for.
 if TYPE_CHECKING:
+    from sklearn_vbjfa.fit._arguments import FitOptions
     from sklearn_vbjfa.fit._identifier import RobotIdentifier
     from sklearn_vbjfa.fit._joint_torque import JointTorqueRegressor
-    from sklearn_vbjfa.fit._options import FitOptions
 
 __all__ = ["FitOptions", "JointTorqueRegressor", "RobotIdentifier"]
 
@@ -19,7 +19,7 @@ _MODULES = {
     "_fit": ("ModelValues",),
     "_identifier": ("RobotIdentifier",),
     "_joint_torque": ("JointTorqueRegressor",),
-    "_options": ("FitOptions",),
+    "_arguments": ("FitOptions",),
     "_output_error": ("slopes",),
     "_signs": ("signed",),
 }

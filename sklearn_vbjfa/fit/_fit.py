@@ -27,8 +27,7 @@ from sklearn_vbjfa.equations._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.equations._recording_checks import check_count
 from sklearn_vbjfa.equations._states import RecordingStates
 from sklearn_vbjfa.equations._torque_noise import filtered_noise
-from sklearn_vbjfa.fit._alike import beside_each_other
-from sklearn_vbjfa.fit._armature import with_positive_rotors
+from sklearn_vbjfa.fit._alike import beside_each_other, with_positive_rotors
 from sklearn_vbjfa.fit._between import between_recordings, places_between
 from sklearn_vbjfa.fit._bodies import DESCRIBED
 from sklearn_vbjfa.fit._estimate import (

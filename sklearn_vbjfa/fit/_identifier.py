@@ -34,12 +34,15 @@ from sklearn_vbjfa.equations._recording_checks import (
 from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.equations._torque_noise import given_noise
 from sklearn_vbjfa.fit._alike import alike_joints
+from sklearn_vbjfa.fit._arguments import (
+    FitOptions,
+    checked_recording,
+    recording_of_arguments,
+)
 from sklearn_vbjfa.fit._bodies import described_bodies
 from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems_late
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
-from sklearn_vbjfa.fit._input import checked_recording, recording_of_arguments
 from sklearn_vbjfa.fit._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.fit._options import FitOptions
 from sklearn_vbjfa.fit._output_error import check_criterion
 from sklearn_vbjfa.fit._signs import signed, with_signs
 from sklearn_vbjfa.inspection import _numbers as number

@@ -22,8 +22,7 @@ from sklearn_vbjfa.effects import (
     resolve,
 )
 from sklearn_vbjfa.equations._equations import is_plain
-from sklearn_vbjfa.equations._features import RigidBodyFeatures
-from sklearn_vbjfa.equations._followers import Follower
+from sklearn_vbjfa.equations._features import Follower, RigidBodyFeatures
 from sklearn_vbjfa.equations._states import StateEstimator
 from sklearn_vbjfa.model._loading import load_text
 from sklearn_vbjfa.model._trees import in_order

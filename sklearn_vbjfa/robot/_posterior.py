@@ -9,7 +9,7 @@ from scipy.special import log_ndtr, logsumexp, ndtri_exp, softmax
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.effects import declared
-from sklearn_vbjfa.equations._followers import Follower
+from sklearn_vbjfa.equations._features import Follower
 from sklearn_vbjfa.equations._plan import effect_places
 from sklearn_vbjfa.physical import Options, PhysicalProjector
 

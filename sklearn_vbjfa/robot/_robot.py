@@ -19,8 +19,11 @@ from sklearn_vbjfa.equations._equations import (
     make_motion,
     regressor_rows,
 )
-from sklearn_vbjfa.equations._features import RigidBodyFeatures, nominal_followers
-from sklearn_vbjfa.equations._followers import Follower
+from sklearn_vbjfa.equations._features import (
+    Follower,
+    RigidBodyFeatures,
+    nominal_followers,
+)
 from sklearn_vbjfa.equations._plan import Plan, effect_names
 from sklearn_vbjfa.equations._recording_checks import (
     check_length,
@@ -57,9 +60,11 @@ from sklearn_vbjfa.robot._exports import (
     as_pinocchio,
     friction_of_file,
     plain_totals,
+    refitted,
     servo_of,
     to_mjcf,
     to_urdf,
+    warn_of_motion,
 )
 from sklearn_vbjfa.robot._posterior import (
     BetweenRecordings,
@@ -67,7 +72,6 @@ from sklearn_vbjfa.robot._posterior import (
     check_number,
     seed_of,
 )
-from sklearn_vbjfa.robot._refitted import refitted, warn_of_motion
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
 from sklearn_vbjfa.robot._spreads import (
     TorqueSpread,

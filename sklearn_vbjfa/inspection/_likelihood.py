@@ -430,7 +430,7 @@ def _solved(A, b):
     if failed:
         # Columns of wrong units may be so large that rounding exceeds the prior.
         values, vectors = np.linalg.eigh(A)
-        values = np.maximum(values, 1.0)
+        values = np.maximum(values, max(1.0, 1e-13 * values[-1]))
         inverse = (vectors / values) @ vectors.T
         return inverse @ b, inverse, np.log(values).sum()
     inverse, _ = scipy.linalg.lapack.dpotri(root, lower=True)

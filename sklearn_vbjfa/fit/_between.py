@@ -121,9 +121,12 @@ class _RecordingEffects:
         return weights
 
     def _groups(self, typical):
-        # in units of the scales, where no eigenvalue is below one
-        both, one = np.outer(typical, typical), np.eye(typical.size)
-        own = np.linalg.inv(self._inner * both + one) * both
+        # in units of the scales, where no eigenvalue of the sum with the prior is below
+        # one, however large the others are
+        both = np.outer(typical, typical)
+        values, vectors = np.linalg.eigh(self._inner * both)
+        shares = vectors / (1.0 + np.maximum(values, 0.0))[:, None, :]
+        own = shares @ vectors.transpose(0, 2, 1) * both
         gain = own @ self._cross
         rest = self._total - np.tensordot(self._cross, gain, ((0, 1), (0, 1)))
         shared = scaled_eigen(0.5 * (rest + rest.T), _ROUNDING)

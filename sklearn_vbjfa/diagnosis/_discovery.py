@@ -32,7 +32,7 @@ from sklearn_vbjfa.equations._plan import check_effects
 from sklearn_vbjfa.equations._recording_checks import check_weight, check_widths
 from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels, refusal
-from sklearn_vbjfa.model import joint_names, load_model
+from sklearn_vbjfa.model import DoubtWarning, joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
     OfferedSignals,
@@ -244,6 +244,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             a channel is faulty (constant, of the wrong sign, swapped, in degrees), or
             one of `signals` is (constant, not finite, a position, velocity, torque or
             time by another name).
+
+        Warns
+        -----
+        DoubtWarning
+            If a channel makes the result doubtful, such as torques of another unit.
         """
         library = self._check_parameters()
         model = load_model(self.identifier.model)
@@ -253,7 +258,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             told, signals = drive.taken(whole.tau, signals)
             whole = drive.driven(replace(whole, signals=told))
         beside = columns_beside(X, self.joint_names_)
-        return self._fit(model, whole, library, signals, beside, _names(whole, groups))
+        self._fit(model, whole, library, signals, beside, _names(whole, groups))
+        for found in self.report_.outcome.channels:
+            if found.severity == "doubt":
+                warnings.warn(found.message, DoubtWarning, stacklevel=3)
+        return self
 
     @one_blas_thread()
     def fit_recording(self, recording, signals=None):

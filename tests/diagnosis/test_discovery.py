@@ -13,8 +13,10 @@ from sklearn.preprocessing import FunctionTransformer
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, effects
+from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.effects import Effect, Shaped
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot import FitOptions
 from tests._quick import one_in
@@ -729,3 +731,12 @@ def test_channels_that_a_drive_has_not_are_not_looked_for():
         made.fit_recording(recording)
     assert made.effects_ + made.possible_ == ()
     assert max(made.unexplained_, key=lambda one: one.rms).joint == 1
+
+
+def test_a_doubtful_channel_is_a_warning():
+    made = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
+    tau = made.tau * np.where(np.arange(6) == 3, 1000.0, 1.0)
+    search = EffectDiscovery(RobotIdentifier(made.urdf, dt=made.dt), effects=[])
+    with pytest.warns(DoubtWarning, match="joint_4"):
+        search.fit(made.q, tau)
+    assert [one.kind for one in search.report_.outcome.channels] == ["gear_factor"]

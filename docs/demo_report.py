@@ -8,6 +8,7 @@ from pathlib import Path
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
+from sklearn_vbjfa.robot import FitOptions
 
 PAGE = Path(__file__).with_name("demo-report.html")
 
@@ -15,7 +16,8 @@ PAGE = Path(__file__).with_name("demo-report.html")
 def page():
     """Return the page of the report that ``python -m sklearn_vbjfa`` prints."""
     recording = load_demo_recording()
-    declared = RobotIdentifier(recording.urdf, dt=recording.dt)
+    options = FitOptions(torque_noise=recording.torque_noise)
+    declared = RobotIdentifier(recording.urdf, dt=recording.dt, options=options)
     loop = EffectDiscovery(declared, random_state=0)
     loop.fit(recording.q, recording.tau, groups=recording.groups)
     return loop.report_.to_html()

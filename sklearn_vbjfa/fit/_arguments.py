@@ -62,7 +62,7 @@ class FitOptions:
     Examples
     --------
     >>> from sklearn_vbjfa import RobotIdentifier
-    >>> from sklearn_vbjfa.fit import FitOptions
+    >>> from sklearn_vbjfa.robot import FitOptions
     >>> options = FitOptions(standstill=0.01, alike=None)
     >>> robot = RobotIdentifier("arm.urdf", dt=0.01, options=options)
     """

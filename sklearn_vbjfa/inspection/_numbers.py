@@ -90,9 +90,8 @@ LARGEST_TURN, FAR_BEYOND = 25.0, 5.0
 # Encoder counts are whole numbers that span at least this range.
 FEWEST_COUNTS = 25.0
 # Signs must lower the squared error of a torque of one sign by this factor, and both
-# must be had by this share of the rows. A joint turns round between speeds of at least
-# this share of its fastest.
-SIGN_GAIN, RARE, STANDS = 2.0, 0.02, 0.05
+# must be had by this share of the rows.
+SIGN_GAIN, RARE = 2.0, 0.02
 # Rows with which signs are looked for, most rounds, and dry friction to begin with, in
 # root mean squares of the rigid bodies' torque.
 LOOKED_AT, SIGN_ROUNDS = 20_000, 50

@@ -193,7 +193,7 @@ class Posterior:
         rngs = [np.random.default_rng([seed, int(k)]) for k in numbers]
         p, cut = self.theta.size, np.flatnonzero(self.nonnegative & (self.within > 0))
         x = np.array([rng.standard_normal(p) for rng in rngs]) @ _root(self.covariance)
-        off = _Off.drawn(self.between, cut, rngs, p)
+        off = _Off.drawn(self.between, rngs, p)
         _into(x, self.covariance, self.centre, cut, off, rngs)
         bodies = self.bodies.ravel()
         if self.covariance[bodies, bodies].any():
@@ -324,7 +324,7 @@ class _Off:
     places: np.ndarray  # (p,): the parameters
 
     @classmethod
-    def drawn(cls, between, cut, rngs, p):
+    def drawn(cls, between, rngs, p):
         off = cls(between, np.zeros((len(rngs), p)), None, np.arange(p))
         if between is None:
             return off

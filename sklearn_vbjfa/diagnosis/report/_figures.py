@@ -125,7 +125,7 @@ def about_effect(effect):
     told = [*explanation(type(effect)), shown_by, source_of(type(effect))]
     return About(
         formula=added_torque(effect.formula) if effect.formula else "",
-        paragraphs=tuple(_without_markup(one) for one in told if one),
+        paragraphs=tuple(words.without_markup(one) for one in told if one),
         link=documentation_of(effect.name),
     )
 
@@ -142,13 +142,6 @@ def source_of(kind):
     text = inspect.getdoc(kind) or ""
     listed = text.partition("\nReferences\n----------\n")[2].partition("\n\n")[0]
     return re.sub(r"^\.\. ", "", " ".join(listed.split()))
-
-
-def _without_markup(text):
-    """Return a sentence of a docstring without the marks of reStructuredText."""
-    text = re.sub(r":(\w+):`([^`]*)`", r"\1:\2", text)
-    text = re.sub(r"(\[\d+\])_", r"\1", text)
-    return re.sub(r"`+([^`]*)`+", r"\1", text)
 
 
 def added_torque(formula):

@@ -1,4 +1,4 @@
-"""Linear models with noisy inputs and outputs, made for robot identification."""
+"""Identify robots from logs and find effects missing from their dynamics models."""
 
 import importlib
 import sys

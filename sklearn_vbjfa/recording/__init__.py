@@ -48,16 +48,8 @@ _MODULES = {
         "take_rows",
     ),
     "_repetition": ("commands_among", "find_repetition"),
-    "_clock": (
-        "Log",
-        "check_time_stamps",
-        "inspect_time_stamps",
-        "interpolate",
-        "join",
-        "median_period",
-        "prediction_errors",
-        "resample_uniform",
-    ),
+    "_clock": ("check_time_stamps", "inspect_time_stamps"),
+    "_grid": ("Log", "interpolate", "join", "median_period"),
     "_table": ("RecordingRefused", "listed", "quoted"),
     "formats": ("expanded", "recordings_in", "tables_in"),
 }

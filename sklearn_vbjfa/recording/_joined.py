@@ -28,7 +28,7 @@ class _Part:
     """A file that is joined with others."""
 
     table: Table
-    time: Role | None = None  # of its stamps
+    time: Role | None  # of its stamps
     kind: str = ""  # of its columns, by the name of the file
 
     @property
@@ -37,31 +37,17 @@ class _Part:
         return self.table.path.name
 
     @property
-    def kinds(self):
-        """Kinds of the channels in it, a set."""
-        return set(by_names(self.table).channels) | {self.kind} - {"", "t"}
+    def has_positions(self):
+        """Whether its columns are positions, by their names or that of the file."""
+        return self.kind == "q" or "q" in by_names(self.table).kinds
 
 
 def joined(tables, joints, path) -> Table:
     """Put tables of one recording side by side."""
     # joints: names of the robot's, empty if unknown; path: as messages name the whole.
-    parts, left_out = _parts(tables, joints, path)
-    stamped = [x for x in parts if x.time is not None]
-    base = next((x for x in stamped if "q" in x.kinds), (stamped or parts)[0])
-    others = [x for x in parts if x is not base]
-    rows, notes = [], []
-    for part in others:
-        at = _rows(part, base)
-        rows.append(at)
-        if not np.array_equal(at, np.arange(part.table.n_rows)):
-            between = int((np.isfinite(at) & (at % 1 != 0)).sum())
-            how = "rows taken by their stamps."
-            if between:
-                how = (
-                    f"interpolated by straight lines at {between} of the {at.size} "
-                    f"stamps of {base.name}."
-                )
-            notes.append(f"{part.name}: {how}")
+    base, others, left_out = _parts(tables, joints, path)
+    rows = [_rows(part, base) for part in others]
+    notes = list(filter(None, map(_how, others, rows, [base] * len(rows))))
     keep = np.flatnonzero(np.isfinite(rows).all(axis=0))
     if not keep.size:
         raise ValueError(
@@ -79,7 +65,7 @@ def joined(tables, joints, path) -> Table:
             values = _at(part.table.values(name), at[keep])
             if name in columns and not np.array_equal(columns[name], values):
                 one = replace(part.table, frame=part.table.frame[[name]])
-                if by_names(one, joints).channels:
+                if by_names(one, joints).roles:
                     raise ValueError(
                         f"{path}: column {name!r} is in {of[name]} and in {part.name}, "
                         "with other values; leave one of the files out, or rename the "
@@ -88,11 +74,12 @@ def joined(tables, joints, path) -> Table:
                 name = f"{part.table.path.stem}.{name}"
             columns[name], of[name] = values, part.name
     how = f"at the stamps of {base.name}" if notes else "row by row"
+    parts = [base, *others]
     what = sorted(x.name + (f" ({x.kind})" if x.kind else "") for x in parts)
     notes.insert(0, f"{len(parts)} files of one recording, {how}: {listed(what)}.")
     if left_out:
         notes.insert(1, f"{listed(left_out)}: not needed, left out.")
-    tables = [part.table for part in (base, *others)]
+    tables = [part.table for part in parts]
     return Table(
         path=path,
         frame=pandas_of(path).DataFrame(columns, index=frame.index),
@@ -108,7 +95,7 @@ def joined(tables, joints, path) -> Table:
 
 
 def _parts(tables, joints, path):
-    """Return the files that can stand side by side, and names of those left out."""
+    """Return the file at whose rows others stand, these, and names of those left."""
     parts, left_out = [], []
     for table in tables:
         kind = _kind_of_file(table)
@@ -126,7 +113,9 @@ def _parts(tables, joints, path):
             "than two can stand side by side; expected files called after what they "
             "hold: positions, velocities, torques, currents or time."
         )
-    return parts, left_out
+    stamped = [x for x in parts if x.time is not None] or parts[:1]
+    base = next((x for x in stamped if x.time and x.has_positions), stamped[0])
+    return base, [x for x in parts if x is not base], left_out
 
 
 def _kind_of_file(table):
@@ -138,16 +127,16 @@ def _kind_of_file(table):
 
 
 def _part(table: Table, kind, joints):
-    """Return a file with the channels that its columns are, by its own name."""
+    """Return a file, its columns called after the file if they have no other names."""
     plain = by_names(table, joints)
-    time = plain.times[0] if plain.times else None
+    time = next(iter(plain.of("t")), None)
+    stamps = () if time is None else time.columns
     if table.nameless:
         names = _names_of_places(table, kind, joints)
-        time = Role(column="t") if "t" in names.values() else None
-    elif plain.channels or not kind or kind == "t":
+        time = Role(kind="t", column="t") if "t" in names.values() else None
+    elif kind in ("", "t") or plain.kinds - {"t", "segment"}:
         return _Part(table=table, time=time)
     else:
-        stamps = () if time is None else time.columns
         names = _names([x for x in table.names if x not in stamps], kind, joints)
     units = {names.get(key, key): x for key, x in table.units.items()}
     if is_current(table.path.stem):
@@ -197,9 +186,8 @@ def _rows(part, base):
                 "both to the same rows, or give each a column t."
             )
         return np.arange(float(n))
-    if np.array_equal(*(x.table.values(x.time.column) for x in (part, base))) and not (
-        part.time.nanoseconds
-    ):
+    same_column = (x.table.values(x.time.column) for x in (part, base))
+    if np.array_equal(*same_column) and not part.time.nanoseconds:
         return np.arange(float(n))
     t, at = _seconds(part), _seconds(base)
     if (np.diff(t) <= 0).any():
@@ -231,11 +219,24 @@ def _seconds(part):
             f"{part.table.path}: has other dates than the other files; write the time "
             "of all in seconds."
         )
-    unit = channel_unit(part.table, "t", part.time)
+    unit = channel_unit(part.table, part.time)
     seconds = stamps.astype(float) * (1.0 if unit is None else unit.factor)
     if part.time.nanoseconds:
         seconds += 1e-9 * part.table.values(part.time.nanoseconds)
     return seconds
+
+
+def _how(part, rows, base):
+    """Return a note on how a file was joined, "" if it was row by row."""
+    if np.array_equal(rows, np.arange(part.table.n_rows)):
+        return ""
+    between = int((np.isfinite(rows) & (rows % 1 != 0)).sum())
+    if not between:
+        return f"{part.name}: rows taken by their stamps."
+    return (
+        f"{part.name}: interpolated by straight lines at {between} of the {rows.size} "
+        f"stamps of {base.name}."
+    )
 
 
 def _at(values, rows):

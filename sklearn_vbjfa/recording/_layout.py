@@ -3,14 +3,12 @@
 import functools
 import re
 import unicodedata
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from os import PathLike
 
 import numpy as np
 
-from sklearn_vbjfa.recording._drives import Drive
-from sklearn_vbjfa.recording._presets import PRESETS, KnownLog
+from sklearn_vbjfa.recording._options import COMMAND_NAMES, split_key
+from sklearn_vbjfa.recording._presets import PRESETS
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed
 from sklearn_vbjfa.recording._units import (
     EXPECTED,
@@ -22,22 +20,8 @@ from sklearn_vbjfa.recording._units import (
     unit_of,
 )
 
-# Commands of joints, and further names that logs have for them. qd is in neither list:
-# some mean a desired position, others a velocity.
-_COMMANDS = {
-    "q_desired": ("q_des", "q_cmd", "q_target", "q_ref")
-    + ("target_position", "goal_position", "position_command"),
-    "v_desired": ("v_des", "dq_des", "dq_cmd", "target_velocity"),
-    "tau_ff": ("tau_feedforward",),
-    "kp": (),
-    "kd": (),
-    "supply": (),
-}
 # A motor's own estimate of its torque, where there is no other.
 ESTIMATES, _ESTIMATED = ("tau_est", "tauest"), "estimate"
-_KEY = re.compile(
-    rf"({'|'.join((*_COMMANDS, *KINDS))})(\d+|[_.\[(].+)?|t|segment", re.IGNORECASE
-)
 # Columns that can only be time, where none is called t.
 _TIMES = {"t", "time", "timestamp", "stamp", "__time", "%time"}
 # How the parts of a ROS stamp are called.
@@ -56,9 +40,12 @@ _NUMBER = re.compile(r"0*(\d{1,6})", re.ASCII)
 class Role:
     """A column of a channel."""
 
+    kind: str  # q, tau, t, segment, ...
+    key: int | str = 1  # number or name of the joint
     column: str  # its name
     unit: str = ""  # empty if nothing tells
     nanoseconds: str = ""  # column of those within the seconds of this one
+    prefix: str = ""  # text that * stands for in the pattern
 
     @property
     def columns(self):
@@ -70,125 +57,32 @@ class Role:
 class Layout:
     """The channels of a file and their columns."""
 
-    # by kind, such as q, then by number (int) or joint (str), lists of `Role`
-    channels: dict
-    times: tuple[Role, ...] = ()  # the best first
-    segments: tuple[str, ...] = ()  # columns of labels
+    roles: tuple[Role, ...] = ()
     # columns that are known not to be conditions of the robot
     no_signals: frozenset = frozenset()
     what: str = ""  # the kind of log that was recognised
     # whether a mapping, a preset or the format says which columns are channels
     certain: bool = False
 
-    def roles(self, kind):
-        """Return all columns of a kind, list of `Role`."""
-        return [
-            role for roles in self.channels.get(kind, {}).values() for role in roles
-        ]
+    def of(self, *kinds):
+        """Return the roles of some kinds, tuple of Role; of time the best first."""
+        return tuple(role for role in self.roles if role.kind in kinds)
+
+    @property
+    def kinds(self):
+        """All kinds that there are, a set."""
+        return {role.kind for role in self.roles}
 
     @property
     def joints(self):
         """Joints that the columns are called after, tuple of str."""
-        found = self.channels.get("q", {}) if self.certain else ()
-        return tuple(key for key in found if isinstance(key, str))
+        keys = dict.fromkeys(role.key for role in self.of("q") if self.certain)
+        return tuple(key for key in keys if isinstance(key, str))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Robot:
-    """The joints that columns are looked for of."""
-
-    names: tuple[str, ...] = ()  # in the order of the columns
-    chosen: bool = False  # whether the user, or the file, names them
-    in_model: tuple[str, ...] = ()  # those of the description, in its order
-    slides: tuple[bool, ...] = ()  # which of these are prismatic
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReadOptions:
-    """The checked arguments of `read_recording`."""
-
-    mapping: dict
-    preset: str | None
-    dt: float | None
-    urdf: str | PathLike | None
-    joint_names: tuple[str, ...] | None
-    topic: str | None
-    gains: tuple[float, ...] | str | None
-    time_unit: str | None
-    drive: Drive | None  # its channels stand in place of torques
-
-    @functools.cached_property
-    def _movable(self):
-        if self.urdf is None:
-            return ()
-        from sklearn_vbjfa.model import movable_joints
-
-        return movable_joints(self.urdf)
-
-    @functools.cached_property
-    def joints(self):
-        """Joints of the robot as far as they are known, tuple of str."""
-        return _distinct(self.joint_names) or self._movable
-
-    def robot(self, table):
-        """Return the robot of a file, which may name its joints."""
-        names = _distinct(self.joint_names)
-        if self.joint_names is None and "joint_names" in table.scalars:
-            known = np.atleast_1d(table.scalars["joint_names"])
-            names = _distinct([str(x) for x in known])
-        if self.urdf is None:
-            return Robot(names=names, chosen=bool(names))
-        from sklearn_vbjfa import model as models
-
-        robot = models.load_reduced if names else models.load_model
-        model = robot(self.urdf, *[names] * bool(names))
-        in_model = models.joint_names(model)
-        # Columns with numbers are in the order of the file, which may name what a joint
-        # carries before the joint.
-        in_file = tuple(name for name in self._movable if name in in_model)
-        return Robot(
-            names=names or in_file,
-            chosen=bool(names),
-            in_model=in_model,
-            slides=models.is_prismatic(model),
-        )
-
-    @property
-    def recorded(self):
-        """Channels of torques or of the drive, the one that must be there first."""
-        drive = self.drive
-        if drive is None:
-            return ("tau",)
-        return ("tau" if drive.spelled else drive.told, *drive.beside)
-
-    @property
-    def kinds(self):
-        """All kinds of channels, in order; the first two must be there."""
-        return "q", *self.recorded, "v", "a"
-
-
-def _distinct(joint_names):
-    """Return joint names as a tuple of str, empty for None."""
-    if isinstance(joint_names, str):
-        raise ValueError(
-            f"joint_names must be several names, one per column, got {joint_names!r}."
-        )
-    names = tuple(str(x) for x in joint_names or ())
-    if len(set(names)) < len(names):
-        raise ValueError(f"joint_names must differ from one another, got {names}.")
-    return names
-
-
-def laid_out(table: Table, options: ReadOptions, robot: Robot) -> Layout:
+def laid_out(table: Table, options, robot) -> Layout:
     """Assign columns to channels: by a mapping, by names, else by a preset."""
-    if options.preset is not None and options.mapping:
-        raise RecordingRefused(
-            "give columns or a preset, not both: a preset is a mapping.",
-            {"preset": None},
-        )
-    names = (*robot.names, *table.joints)
-    kinds = dict.fromkeys((*options.kinds, *KINDS))
-    plain = by_names(table, names, kinds, options.drive)
+    plain = by_names(table, (*robot.names, *table.joints), options.kinds, options.drive)
     if options.mapping:
         if options.drive is not None:
             rest = list(_by_preset(table, options, robot, plain).values())
@@ -204,8 +98,7 @@ def laid_out(table: Table, options: ReadOptions, robot: Robot) -> Layout:
         )
     if table.joints:
         return replace(plain, certain=True)
-    by_name = any(kind in plain.channels for kind in options.kinds[:2])
-    if by_name and options.preset is None:
+    if options.preset is None and plain.kinds & set(options.kinds[:2]):
         return plain
     fitted = _by_preset(table, options, robot, plain)
     if len(fitted) > 1:
@@ -223,10 +116,6 @@ def laid_out(table: Table, options: ReadOptions, robot: Robot) -> Layout:
     return next(iter(fitted.values()), plain)
 
 
-def _add(channels, kind, key, role):
-    channels.setdefault(kind, {}).setdefault(key, []).append(role)
-
-
 # -- by names --------------------------------------------------------------------------
 
 
@@ -239,75 +128,78 @@ def name_and_unit(table: Table, column: str) -> tuple[str, str]:
 def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
     """Lay out columns by their own names, units in them removed."""
     # drive: what is recorded in place of torques.
-    begins = [(one, kind) for kind in kinds for one in (kind, *_COMMANDS.get(kind, ()))]
+    kinds = dict.fromkeys((*kinds, *KINDS))
+    begins = [(x, kind) for kind in kinds for x in (kind, *COMMAND_NAMES.get(kind, ()))]
     if drive is None:
-        begins += [(one, _ESTIMATED) for one in ESTIMATES]
+        begins += [(x, _ESTIMATED) for x in ESTIMATES]
     else:
-        begins += [("dq", "v")] + [(x, "tau") for x in drive.spelled]
+        begins += [("dq", "v"), *((x, "tau") for x in drive.spelled)]
     # The longest first: q_desired is no q.
     begins.sort(key=lambda x: -len(x[0]))
     clocks = _clocks_of_two(table)
     parts = {name for clock in clocks for name in clock.columns}
-    channels: dict[str, dict] = {}
-    times, segments = [], []
-    for name in table.names:
-        if name in parts:
-            continue
-        bare, unit = (_in_letters(x) for x in name_and_unit(table, name))
-        stem, last = split_last_part(bare, "t")
-        if bare.lower() in _TIMES:
-            times.append(Role(column=name, unit=unit))
-        elif last and not unit and stem.lower() in _TIMES:
-            times.append(Role(column=name, unit=last))
-        elif bare.lower() == "segment":
-            segments.append(name)
-        else:
-            kind, key, unit = _channel(_in_letters(name), bare, unit, begins, joints)
-            if kind:
-                _add(channels, kind, key, Role(column=name, unit=unit))
-    estimates = channels.pop(_ESTIMATED, None)
-    if estimates is not None:
-        channels.setdefault("tau", estimates)
-    exact = [x for x in times if is_exact(table, x)]
-    if not times and len(clocks) == 1:
-        times = clocks
-    return Layout(
-        channels=channels, times=tuple(exact or times), segments=tuple(segments)
-    )
+    found = [_named(table, x, begins, joints) for x in table.names if x not in parts]
+    roles = [role for role in found if role is not None]
+    times = [role for role in roles if role.kind == "t"]
+    exact = [role for role in times if is_exact(table, role)]
+    if exact:
+        roles = [role for role in roles if role.kind != "t" or role in exact]
+    elif not times and len(clocks) == 1:
+        roles += clocks
+    if any(role.kind == "tau" for role in roles):
+        roles = [role for role in roles if role.kind != _ESTIMATED]
+    roles = [replace(x, kind="tau") if x.kind == _ESTIMATED else x for x in roles]
+    return Layout(roles=tuple(roles))
 
 
 def is_exact(table, role):
-    """Whether a column of time is called t."""
+    """Return whether a column of time is called t."""
     return name_and_unit(table, role.column)[0].lower() == "t"
 
 
-def _channel(name, bare, unit, begins, joints):
-    """Return the kind of a column, its number or joint, and unit; "" for no kind."""
+def _named(table, column, begins, joints):
+    """Return the role that the name of a column says, None for none."""
+    # begins: pairs of the beginning of a name and a kind.
+    name = _in_letters(column)
+    bare, unit = (_in_letters(x) for x in name_and_unit(table, column))
+    forms = [(bare, unit), *[split_last_part(bare, "t")] * (not unit)]
+    for text, in_text in forms:
+        if text.lower() in _TIMES:
+            return Role(kind="t", column=column, unit=in_text)
+    if bare.lower() == "segment":
+        return Role(kind="segment", column=column)
     for begin, kind in begins:
         if not name.lower().startswith(begin):
             continue
         measured = "tau" if kind == _ESTIMATED else kind
-        stem, last = (bare, unit) if unit else split_last_part(bare, measured)
         # The whole name may end with a joint that is called like a unit.
-        for text, in_text in ((name, ""), (bare, unit), (stem, last)):
-            match = re.fullmatch(
-                rf"{begin}[_.\[(]?(.*?)[\])]?", text, re.IGNORECASE | re.DOTALL
-            )
-            key = match[1] if match else ""
-            if key and key in joints:
-                return kind, key, unit if text == bare else in_text
-            number = _NUMBER.fullmatch(key)
-            if number:
-                return kind, int(number[1]), in_text or unit
-            if text.lower() == begin and (not in_text or unit_of(measured, in_text)):
-                return kind, 1, in_text or unit
-    return "", "", ""
+        forms = [(name, unit if bare == name else ""), (bare, unit)]
+        forms += [split_last_part(bare, measured)] * (not unit)
+        for text, in_text in forms:
+            key = _key_of(text, begin, joints)
+            if not key and text.lower() == begin:
+                key = 1 if not in_text or unit_of(measured, in_text) else None
+            if key not in (None, ""):
+                return Role(kind=kind, key=key, column=column, unit=in_text)
+    return None
+
+
+def _key_of(text, begin, joints):
+    """Return the joint or number after the beginning of a name, "" for none."""
+    match = re.fullmatch(
+        rf"{begin}[_.\[(]?(.*?)[\])]?", text, re.IGNORECASE | re.DOTALL
+    )
+    key = match[1] if match else ""
+    number = _NUMBER.fullmatch(key)
+    if key in joints:
+        return key
+    return int(number[1]) if number else ""
 
 
 def _clocks_of_two(table):
     """Return the clocks that have a column of seconds and one of nanoseconds."""
     return [
-        Role(column=name, unit="s", nanoseconds=other)
+        Role(kind="t", column=name, unit="s", nanoseconds=other)
         for name in table.names
         for seconds, nanoseconds in _CLOCK_PARTS
         if name.lower().endswith(seconds)
@@ -320,73 +212,31 @@ def _in_letters(name):
     return unicodedata.normalize("NFKC", name).replace("τ", "tau")
 
 
-def channel_unit(table: Table, kind: str, role: Role) -> Unit | None:
+def channel_unit(table: Table, role: Role) -> Unit | None:
     """Return the unit of a channel, None if nothing tells; refuse one not known."""
-    unit = unit_of(kind, role.unit) if role.unit else None
+    unit = unit_of(role.kind, role.unit) if role.unit else None
     if role.unit and unit is None:
         raise ValueError(
             f"{table.path}: column {role.column!r} is in {role.unit!r}, which is not a "
-            f"known unit of {kind}; expected {EXPECTED[MEASURED.get(kind, kind)]}. "
-            "Convert it, or correct the name."
+            f"known unit of {role.kind}; expected "
+            f"{EXPECTED[MEASURED.get(role.kind, role.kind)]}. Convert it, or correct "
+            "the name."
         )
     return unit
 
 
-# -- by a mapping ----------------------------------------------------------------------
+# -- by patterns -----------------------------------------------------------------------
 
 
-def parse_mapping(text) -> dict[str, str]:
-    """Return patterns by names of channels, out of "q=actual_q_{i},t=timestamp"."""
-    if isinstance(text, Mapping):
-        pairs = [(str(key), str(value)) for key, value in text.items()]
-    else:
-        parts = [part.partition("=") for part in str(text).split(",")]
-        pairs = [(key.strip(), value.strip()) for key, _, value in parts]
-    found: dict[str, str] = {}
-    for key, value in pairs:
-        if not key or not value:
-            raise ValueError(
-                f"columns has {key or value!r}; expected "
-                "pairs CHANNEL=NAME with commas between them, such as "
-                '"q=position_{i},tau=effort_{i},t=time".'
-            )
-        if _KEY.fullmatch(key) is None:
-            raise ValueError(
-                f"columns does not know the channel {key!r}; expected q, tau, v, a, t "
-                "or segment (or one joint's: q1, tau_elbow), with a drive also "
-                f"{', '.join(_COMMANDS)}, then = and a name in the file, in which "
-                "{i} stands for the joint's number and {joint} for its name."
-            )
-        if key in found:
-            raise ValueError(
-                f"columns has the channel {key!r} twice ({found[key]!r} and "
-                f"{value!r}); keep one."
-            )
-        found[key] = value
-    if not found:
-        raise ValueError('columns is empty; expected e.g. "q=position_{i},t=time".')
-    return found
-
-
-@dataclass(frozen=True)
-class Match:
-    """A column that fits a pattern: text of *, number or joint, and its unit."""
-
-    prefix: str
-    key: int | str
-    column: str
-    unit: str
-
-
-def matches(pattern: str, table: Table, kind="") -> list[Match]:
+def matches(pattern: str, table: Table, kind: str, *, unit_in_name=True) -> list[Role]:
     """Return the columns that fit a pattern."""
     # {i} is a number, {joint} and * are anything. A unit at the end of the name counts
-    # with it or without, one before the number where a kind is given.
+    # with it or without, one before the number too where `unit_in_name`.
     bare, unit = split_unit(pattern)
     if table.nameless:
-        return _in_places(bare, unit, table)
+        return _in_places(bare, unit, table, kind)
     written = unit
-    if kind and not unit and bare.endswith("_{i}"):
+    if unit_in_name and not unit and bare.endswith("_{i}"):
         unit = split_last_part(bare.removesuffix("_{i}"), kind)[1]
     expression, without = _expression(pattern), _expression(bare)
     found = []
@@ -396,12 +246,19 @@ def matches(pattern: str, table: Table, kind="") -> list[Match]:
         if match is None or (in_name and written and in_name != written):
             continue
         groups = match.groupdict()
-        key = groups.get("joint") or int(groups.get("i", 1))
-        found.append(Match(groups.get("any", ""), key, name, in_name or unit))
+        found.append(
+            Role(
+                kind=kind,
+                key=groups.get("joint") or int(groups.get("i", 1)),
+                column=name,
+                unit=in_name or unit,
+                prefix=groups.get("any", ""),
+            )
+        )
     return found
 
 
-def _in_places(places, unit, table):
+def _in_places(places, unit, table, kind):
     """Return the columns of a table without names that are in places such as 2-7."""
     match = re.fullmatch(r"0*(\d{1,6})(?:-0*(\d{1,6}))?", places.strip())
     if match is None:
@@ -409,12 +266,15 @@ def _in_places(places, unit, table):
     columns = [str(k) for k in range(int(match[1]), int(match[2] or match[1]) + 1)]
     if not all(x in table.frame for x in columns):
         return []
-    return [Match("", k, x, unit) for k, x in enumerate(columns, start=1)]
+    return [
+        Role(kind=kind, key=k, column=x, unit=unit)
+        for k, x in enumerate(columns, start=1)
+    ]
 
 
 @functools.cache
 def _expression(pattern):
-    """Turn a pattern into a regular expression; what comes twice is the same."""
+    """Turn a pattern into a regular expression; equal marks stand for equal texts."""
     text = re.escape(pattern)
     for mark, name, anything in _MARKS:
         text = text.replace(mark, f"(?P<{name}>{anything})", 1)
@@ -424,48 +284,34 @@ def _expression(pattern):
 
 def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     """Lay out the columns by a mapping, and the other kinds as in another layout."""
-    known = {key: _KEY.fullmatch(key) for key in mapping}
-    kinds = {key: (x[1] if x and x[1] else key).lower() for key, x in known.items()}
-    found = {x: matches(mapping[x], table, kinds[x]) for x in mapping}
-    missing = [mapping[key] for key, matched in found.items() if not matched]
+    found = {key: matches(x, table, split_key(key)[0]) for key, x in mapping.items()}
+    missing = [mapping[key] for key, roles in found.items() if not roles]
     if missing:
         raise RecordingRefused(
             f"{table.path}: has no column {', '.join(missing)}, which columns asks "
             f"for; found {listed(table.names)}"
         )
     owner = _owners(table, mapping, found)
-    channels: dict[str, dict] = {}
-    for key, matched in found.items():
-        kind = kinds[key]
-        own = channels.setdefault(kind, {})
-        suffix = key[len(kind) :].strip("_.[]()")
-        for match in matched:
-            name = int(suffix) if suffix.isdecimal() else suffix or match.key
-            if owner[match.column] != key:
-                continue
-            if name in own and kind not in ("t", "segment"):
-                raise RecordingRefused(
-                    f"{table.path}: columns {own[name][0].column!r} and "
-                    f"{match.column!r} both fit {key}={mapping[key]}; say which one"
-                )
-            _add(channels, kind, name, Role(column=match.column, unit=match.unit))
-    given = Layout(channels=channels)
-    times, segments = given.roles("t"), given.roles("segment")
-    channels = {k: x for k, x in channels.items() if k not in ("t", "segment")}
-    for kind in () if table.nameless else plain.channels:
-        if kind not in channels and not any(
-            x.column in owner for x in plain.roles(kind)
-        ):
-            channels[kind] = plain.channels[kind]
-    return replace(
-        plain,
-        channels=channels,
-        times=tuple(times) or tuple(x for x in plain.times if x.column not in owner),
-        segments=tuple(x.column for x in segments) or plain.segments,
-        # What nobody has named is no signal.
-        no_signals=frozenset(table.names if table.nameless else plain.no_signals),
-        certain=True,
-    )
+    roles = [
+        replace(role, key=split_key(key)[1] or role.key)
+        for key, matched in found.items()
+        for role in matched
+        if owner[role.column] == key
+    ]
+    kinds = {role.kind for role in roles}
+    taken = {role.kind for role in plain.roles if role.column in owner}
+    # Of a channel some of whose columns are another's nothing is left, of times some.
+    roles += [
+        role
+        for role in plain.roles
+        if role.kind not in kinds
+        and not table.nameless
+        and (role.kind not in taken or role.kind == "t")
+        and role.column not in owner
+    ]
+    # What nobody has named is no signal.
+    no_signals = frozenset(table.names) if table.nameless else plain.no_signals
+    return replace(plain, roles=tuple(roles), no_signals=no_signals, certain=True)
 
 
 def _owners(table, mapping, found):
@@ -475,14 +321,14 @@ def _owners(table, mapping, found):
     spelled = {key: len(marks.sub("", x)) for key, x in mapping.items()}
     owner: dict[str, str] = {}
     for key, matched in found.items():
-        for match in matched:
-            other = owner.setdefault(match.column, key)
+        for role in matched:
+            other = owner.setdefault(role.column, key)
             if other != key and spelled[other] == spelled[key]:
                 raise RecordingRefused(
-                    f"{table.path}: columns names {match.column!r} twice, for {other} "
+                    f"{table.path}: columns names {role.column!r} twice, for {other} "
                     f"and {key}; each column is one channel"
                 )
-            owner[match.column] = max(other, key, key=spelled.get)
+            owner[role.column] = max(other, key, key=spelled.get)
     return owner
 
 
@@ -501,50 +347,53 @@ def _by_preset(table: Table, options, robot, plain):
     return found
 
 
-def _fitted(table, log: KnownLog, plain, robot, kinds):
+def _fitted(table, log, plain, robot, recorded):
     """Lay out columns as in a known log; None if they are not those."""
     patterns = {"q": log.q, "tau": log.tau, "v": log.v, **log.commands}
-    used = [kind for kind in ("q", "v", *kinds) if patterns.get(kind)]
-    found = {kind: matches(patterns[kind], table) for kind in used}
-    if kinds[0] not in found:
+    found = {
+        kind: matches(patterns[kind], table, kind, unit_in_name=False)
+        for kind in ("q", "v", *recorded)
+        if patterns.get(kind)
+    }
+    first = recorded[0]
+    if first not in found:
         return None
-    states = {match.prefix for match in found["q"]}
+    states = {role.prefix for role in found["q"]}
     for kind in log.commands.keys() & found.keys():
         # Commands are messages of a different name.
-        if len(states) == 1 == len({match.prefix for match in found[kind]}):
+        if len(states) == 1 == len({role.prefix for role in found[kind]}):
             found[kind] = [replace(x, prefix=min(states)) for x in found[kind]]
     if log.motors:
         found = _moving(table, found, len(robot.names))
-    pairs = {kind: {(x.prefix, x.key) for x in own} for kind, own in found.items()}
-    shared = pairs["q"] & pairs[kinds[0]]
+    pairs = {kind: {(x.prefix, x.key) for x in roles} for kind, roles in found.items()}
+    shared = pairs["q"] & pairs[first]
     if len({prefix for prefix, _ in shared}) != 1:
         return None
-    keys, prefix = {key for _, key in shared}, min(shared)[0]
+    prefix, keys = min(shared)[0], {key for _, key in shared}
     if "{joint}" in log.q and robot.names and not keys & set(robot.names):
         return None
-    times = _times(table, log, prefix) or plain.times
+    times = _times(table, log, prefix) or plain.of("t")
     if not times and not log.commands:
         return None
-    # Numbers count from 0 or 1; the file may have the names of the joints.
-    names = _names_in(table, log)
-    motors = [[x for x in robot.names if part in x] for part in log.motors]
-    known = len(motors) == len(robot.names) and all(len(x) == 1 for x in motors)
-    if not names and known and not robot.chosen:
-        names = [x for (x,) in motors]
-    first = int(not any(x.key == 0 for own in found.values() for x in own))
-    names = dict(enumerate(names, start=first))
-    channels: dict[str, dict] = {}
-    for kind, own in found.items():
-        for match in own if kind in ("q", kinds[0]) or pairs[kind] >= shared else ():
-            if match.prefix == prefix:
-                unit = match.unit or (log.motor_unit if kind == "tau" else "")
-                role = Role(column=match.column, unit=unit)
-                _add(channels, kind, names.get(match.key, match.key), role)
+    names = _joint_names(table, log, robot)
+    from_zero = any(x.key == 0 for roles in found.values() for x in roles)
+    names = dict(enumerate(names, start=0 if from_zero else 1))
+    roles = [
+        replace(
+            role,
+            key=names.get(role.key, role.key),
+            unit=role.unit or (log.motor_unit if kind == "tau" else ""),
+        )
+        for kind, matched in found.items()
+        if kind in ("q", first) or pairs[kind] >= shared
+        for role in matched
+        if role.prefix == prefix
+    ]
+    if log.segment in table.frame:
+        roles.append(Role(kind="segment", column=log.segment))
     others = re.compile("|".join(log.no_signals) or "$.")
     return Layout(
-        channels=channels,
-        times=tuple(times),
-        segments=(log.segment,) if log.segment in table.frame else (),
+        roles=(*roles, *times),
         no_signals=frozenset(filter(others.fullmatch, table.names)),
         what=log.what,
         certain=True,
@@ -558,7 +407,9 @@ def _moving(table, found, count):
     still = {x.key for x in found["q"] if not np.any(table.values(x.column))}
     while numbers and numbers[-1] in still and len(numbers) > max(count, 1):
         numbers.pop()
-    return {kind: [x for x in own if x.key in numbers] for kind, own in found.items()}
+    return {
+        kind: [x for x in roles if x.key in numbers] for kind, roles in found.items()
+    }
 
 
 def _times(table, log, prefix):
@@ -568,16 +419,24 @@ def _times(table, log, prefix):
         bare, unit = split_unit(name)
         parts = [part.replace("*", prefix) for part in bare.split("+")]
         if all(part in table.frame for part in parts):
-            rest = "".join(parts[1:])
-            found.append(Role(column=parts[0], unit=unit or "s", nanoseconds=rest))
-    return found
+            found.append(
+                Role(
+                    kind="t",
+                    column=parts[0],
+                    unit=unit or "s",
+                    nanoseconds="".join(parts[1:]),
+                )
+            )
+    return tuple(found)
 
 
-def _names_in(table, log):
-    """Return the names of the joints that stand in the rows, in order."""
+def _joint_names(table, log, robot):
+    """Return the names of the numbered joints: in the rows, or of known motors."""
     columns = [x for x in map(re.compile(log.joints).fullmatch, table.names) if x]
     if not log.joints or not columns:
-        return ()
+        motors = [[x for x in robot.names if part in x] for part in log.motors]
+        known = len(motors) == len(robot.names) and all(len(x) == 1 for x in motors)
+        return [x for (x,) in motors] if known and not robot.chosen else ()
     columns.sort(key=lambda match: int(match[1] or 0))
     names = table.frame[[match[0] for match in columns]].astype(str)
     first = list(names.iloc[0])
@@ -589,36 +448,30 @@ def _names_in(table, log):
         )
     # A list in one cell is as Python writes it.
     is_list = not columns[0][1]
-    return tuple(re.findall(r"[^\s\[\](),'\"]+", first[0]) if is_list else first)
+    return re.findall(r"[^\s\[\](),'\"]+", first[0]) if is_list else first
 
 
 # -- in the order of the joints --------------------------------------------------------
 
 
-def known_channels(layout, options, robot):
-    """Return the channels of the robot's joints, and what is missing, with "t"."""
+def channels_of(layout, options, robot):
+    """Return the roles of the robot's joints by kind, and kinds that are missing."""
     # Certain names of joints that the robot lacks are no channels of it.
     names = robot.names or layout.joints
-    channels = {
-        kind: {
-            key: roles
-            for key, roles in layout.channels[kind].items()
-            if isinstance(key, int) or key in names
-        }
-        for kind in options.kinds
-        if kind in layout.channels
-    }
-    missing = [kind for kind in options.kinds[:2] if not channels.get(kind)]
-    return channels, missing + ["t"] * (not (options.dt or layout.times))
+    channels: dict[str, list] = {}
+    for role in layout.of(*options.kinds):
+        if isinstance(role.key, int) or role.key in names:
+            channels.setdefault(role.kind, []).append(role)
+    missing = [kind for kind in options.kinds[:2] if kind not in channels]
+    return channels, missing + ["t"] * (not (options.dt or layout.of("t")))
 
 
 def in_order(table: Table, layout, options, robot, notes):
-    """Return the roles of each kind in the order of the joints, and these."""
+    """Return the roles of each kind in the order of the joints, and the robot."""
     robot = replace(robot, names=robot.names or layout.joints)
-    channels, _ = known_channels(layout, options, robot)
-    having = {key for own in channels.values() for key in own}
-    for own in channels.values():
-        _refuse_both(table, own, robot.names)
+    channels, _ = channels_of(layout, options, robot)
+    by_key = {k: _by_key(table, x, robot.names) for k, x in channels.items()}
+    having = {key for roles in by_key.values() for key in roles}
     if any(isinstance(key, str) for key in having):
         others = [x for x in layout.joints if x not in robot.names]
         if others:
@@ -632,31 +485,33 @@ def in_order(table: Table, layout, options, robot, notes):
             names = tuple(x for x in robot.names if x in having)
             robot = replace(robot, names=names)
     found = {kind: [] for kind in options.kinds}
-    for kind, own in channels.items():
-        named = any(isinstance(key, str) for key in own)
-        first = 0 if 0 in own else 1
-        for key in robot.names if named else range(first, first + len(own)):
-            if key not in own:
-                others = listed([role.column for (role, *_) in own.values()])
+    for kind, roles in by_key.items():
+        named = any(isinstance(key, str) for key in roles)
+        first = 0 if 0 in roles else 1
+        for key in robot.names if named else range(first, first + len(roles)):
+            if key not in roles:
+                others = listed([role.column for role in roles.values()])
                 raise ValueError(
                     f"{table.path}: column '{kind}{'_' * named}{key}' is missing "
                     f"beside {others}; every joint needs one, in order."
                 )
-            found[kind].append(own[key][0])
+            found[kind].append(roles[key])
     return found, robot
 
 
-def _refuse_both(table, channel, names):
-    """Refuse several columns for one joint, or numbers and names."""
-    for first, *others in channel.values():
-        for other in others:
-            refuse_two(table, first.column, other.column)
-    named = [key for key in channel if isinstance(key, str)]
-    numbers = [key for key in channel if isinstance(key, int)]
+def _by_key(table, roles, names):
+    """Return the roles of a channel by number or joint; refuse two for one joint."""
+    found: dict = {}
+    for role in roles:
+        other = found.setdefault(role.key, role)
+        refuse_two(table, other.column, role.column)
+    named = [key for key in found if isinstance(key, str)]
+    numbers = [key for key in found if isinstance(key, int)]
     if named and numbers:
         number = names.index(named[0]) + 1
-        other = channel.get(number, channel[numbers[0]])[0]
-        refuse_two(table, channel[named[0]][0].column, other.column)
+        other = found.get(number, found[numbers[0]])
+        refuse_two(table, found[named[0]].column, other.column)
+    return found
 
 
 def refuse_two(table, one, other):

@@ -9,8 +9,8 @@ import numpy as np
 
 from sklearn_vbjfa.recording._drives import UNSIGNED, PDDrive
 from sklearn_vbjfa.recording._layout import (
+    channels_of,
     in_order,
-    known_channels,
     laid_out,
     matches,
     name_and_unit,
@@ -40,6 +40,7 @@ _WORDS = {
     | {"control", "con", "feedforward", "ff"},
 }
 _KIND_OF = {word: kind for kind, words in _WORDS.items() for word in words}
+_OF_TIME = {"time", "stamp", "timestamp", "clock", "t", "ts"}
 # Words of a name that is preferred to others of its kind.
 _MEASURED = {"measured", "meas", "actual", "act"}
 # The least similarity of a word to one of these, and the shortest word that has any.
@@ -51,17 +52,16 @@ _WHAT = {"q": "positions", "tau": "torques", "q_desired": "desired positions"}
 def refusal(table, layout, options, robot, missing):
     """Return the refusal that lists everything that is missing."""
     near = {kind: _nearest(table, kind, robot.names) for kind in missing}
-    kinds = [kind for kind in missing if kind != "t"]
-    parts = []
-    if kinds and layout.joints and layout.joints != robot.names:
-        parts.append(
-            f"its joints {listed(layout.joints)} are not those of the robot, "
-            f"{listed(robot.names)}"
-        )
     nearest = {k: f" (nearest: {listed(x)})" if x else "" for k, x in near.items()}
-    for kind in kinds:
-        what = f"no {_WHAT.get(kind, kind)}: expected columns {kind}1, {kind}2, ..."
-        parts.append(what + nearest[kind])
+    kinds = [kind for kind in missing if kind != "t"]
+    parts = [
+        f"no {_WHAT.get(kind, kind)}: expected columns {kind}1, {kind}2, ..."
+        f"{nearest[kind]}"
+        for kind in kinds
+    ]
+    if kinds and layout.joints and layout.joints != robot.names:
+        joints = f"its joints {listed(layout.joints)} are not those of the robot"
+        parts.insert(0, f"{joints}, {listed(robot.names)}")
     if "t" in missing:
         parts.append(
             f"no column t and no dt{nearest['t']}; add time stamps [s] as column t, or "
@@ -74,8 +74,8 @@ def refusal(table, layout, options, robot, missing):
             '--drive "pd kp=... kd=...")'
         )
         driven = laid_out(table, replace(options, drive=PDDrive()), robot)
-        known = {*driven.channels, *table.scalars}
-        offered = {"drive": "pd"} if known >= {"q_desired", "kp", "kd"} else offered
+        if driven.kinds | {*table.scalars} >= {"q_desired", "kp", "kd"}:
+            offered = {"drive": "pd"}
     if kinds:
         parts.append(f"found {listed(table.names)}")
     if kinds and not offered:
@@ -91,42 +91,50 @@ def _offered(table, options, robot, near):
     # near: the nearest patterns by kind; of several nobody knows which is meant.
     products = itertools.islice(itertools.product(*near.values()), _MOST_TRIED)
     found = [options.mapping | dict(zip(near, patterns)) for patterns in products]
-    tried = (replace(options, mapping=mapping, preset=None) for mapping in found)
-    found = [x.mapping for x in tried if _works(table, x, robot)]
+    found = [
+        mapping
+        for mapping in found
+        if _works(table, replace(options, mapping=mapping, preset=None), robot)
+    ]
     if len(found) != 1:
         return {}
-    (mapping,), more = found, {}
+    (mapping,) = found
+    offered = {"columns": ",".join(f"{key}={x}" for key, x in mapping.items())}
     columns = matches(mapping["q"], table, "q") if "q" in mapping else []
     numbered = columns and all(isinstance(x.key, int) for x in columns)
     if numbered and len(columns) < len(robot.names) and not robot.chosen:
-        more["joint_names"] = robot.names[: len(columns)]
+        offered["joint_names"] = robot.names[: len(columns)]
     if "t" in near and not split_unit(mapping["t"])[1]:
         unit = unit_of_steps(usual_step(table.values(mapping["t"]).astype(float)))
-        more |= {} if unit in ("", "s") else {"time_unit": unit}
+        offered |= {} if unit in ("", "s") else {"time_unit": unit}
     if "tau" in near and options.gains is None:
-        columns = matches(mapping["tau"], table, "tau")
-        bases = {unit.base for x in columns if (unit := unit_of("tau", x.unit))}
-        if not bases and is_current(mapping["tau"]):
-            signed = any((table.values(x.column) < 0).any() for x in columns)
-            more |= {"gains": "unknown"} if signed else {"drive": UNSIGNED}
-        elif bases - {"N m", "N"}:
-            more |= {"gains": "unknown"}
-    return {"columns": ",".join(f"{key}={x}" for key, x in mapping.items()), **more}
+        offered |= _gains_for(table, mapping["tau"])
+    return offered
+
+
+def _gains_for(table, pattern):
+    """Return the option that takes columns of currents or the like, {} for torques."""
+    columns = matches(pattern, table, "tau")
+    bases = {unit.base for x in columns if (unit := unit_of("tau", x.unit))}
+    if not bases and is_current(pattern):
+        signed = any((table.values(x.column) < 0).any() for x in columns)
+        return {"gains": "unknown"} if signed else {"drive": UNSIGNED}
+    return {"gains": "unknown"} if bases - {"N m", "N"} else {}
 
 
 def _works(table, options, robot):
-    """Whether columns are found for all that is needed, with some options."""
+    """Return whether columns are found for all that is needed, with some options."""
     if any("," in x or "=" in x for x in options.mapping.values()):
         return False
     try:
         layout = laid_out(table, options, robot)
-        if known_channels(layout, options, robot)[1]:
+        if channels_of(layout, options, robot)[1]:
             return False
-        found, own = in_order(table, layout, options, robot, [])
+        found, robot = in_order(table, layout, options, robot, [])
     except ValueError:
         return False
     counts = {len(found[kind]) for kind in options.kinds[:2]}
-    return len(counts) == 1 and max(counts) <= (len(own.names) or max(counts))
+    return len(counts) == 1 and max(counts) <= (len(robot.names) or max(counts))
 
 
 # -- the nearest names -----------------------------------------------------------------
@@ -140,7 +148,7 @@ def words(pattern):
 
 
 def is_current(name):
-    """Whether a column's name says that it is a motor's current, and no torque."""
+    """Return whether a column's name says that it is a motor's current, no torque."""
     found = {word.rstrip("s") for word in words(name)}
     return bool(_CURRENT & found) and not _TORQUE & found
 
@@ -152,12 +160,14 @@ def _nearest(table, kind, joints):
     wanted = {"q_desired": {"q", "command"}}.get(kind, {kind})
     found: dict[tuple, list] = {}
     for pattern, columns in _families(table, joints).items():
-        kinds = set()
-        for word in words(pattern):
-            near = [word] if word in _KIND_OF else []
-            if not near and len(word) >= _LONG:
-                near = difflib.get_close_matches(word, _KIND_OF, 1, _SIMILAR)
-            kinds |= {_KIND_OF[x] for x in near}
+        near = (
+            [x]
+            if x in _KIND_OF
+            else difflib.get_close_matches(x, _KIND_OF, 1, _SIMILAR)
+            for x in words(pattern)
+            if x in _KIND_OF or len(x) >= _LONG
+        )
+        kinds = {_KIND_OF[x] for found_words in near for x in found_words}
         # A unit tells the kind of what has words of another language.
         unit = name_and_unit(table, next(iter(columns.values())))[1]
         if (kinds or {x for x in KINDS if unit and unit_of(x, unit)}) == wanted:
@@ -170,9 +180,7 @@ def _nearest(table, kind, joints):
 def _families(table, joints):
     """Return columns of numbers by their names without a number or a joint."""
     groups: dict[str, dict] = {}
-    for column in table.names:
-        if table.frame[column].dtype.kind not in "iuf":
-            continue
+    for column in table.frame.select_dtypes("number"):
         name = split_unit(column)[0]
         joint = max((x for x in joints if x in name), key=len, default=None)
         if joint is not None:
@@ -192,22 +200,18 @@ def _families(table, joints):
 
 
 def _counts(numbers, joints):
-    """Whether numbers count from 0 or 1 without a hole."""
+    """Return whether numbers count from 0 or 1 without a hole."""
     alone = len(numbers) > 1 or len(joints) == 1
     return alone and min(numbers) in (0, 1) and np.ptp([*numbers]) == len(numbers) - 1
 
 
 def _clocks(table):
     """Return the column whose name has to do with time and that rises like a clock."""
-    # What goes up by one counts rows.
+    # A column that goes up by one counts rows.
     found = [
         name
         for name in table.names
-        for unit in [unit_of("t", split_unit(name)[1] or name)]
-        if (
-            {"time", "stamp", "timestamp", "clock", "t", "ts"} & set(words(name))
-            or unit
-        )
+        if (_OF_TIME & set(words(name)) or unit_of("t", split_unit(name)[1] or name))
         and is_clock(table.values(name))
         and usual_step(table.values(name)) != 1
     ]

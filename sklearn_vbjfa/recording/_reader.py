@@ -11,15 +11,13 @@ import numpy as np
 
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.recording._clock import distinct, on_one_grid
 from sklearn_vbjfa.recording._conversion import is_recording, recording_of
-from sklearn_vbjfa.recording._drives import Drive, parse_drive
+from sklearn_vbjfa.recording._drives import Drive
+from sklearn_vbjfa.recording._grid import distinct, on_one_grid
 from sklearn_vbjfa.recording._joined import joined
-from sklearn_vbjfa.recording._layout import ReadOptions, parse_mapping
-from sklearn_vbjfa.recording._presets import PRESETS
-from sklearn_vbjfa.recording._recording import Recording, check_dt
+from sklearn_vbjfa.recording._options import checked
+from sklearn_vbjfa.recording._recording import Recording
 from sklearn_vbjfa.recording._table import Loss, NotATable, RecordingRefused, listed
-from sklearn_vbjfa.recording._units import TIME_UNITS
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
 # Relative difference between the periods of two files that is refused: accelerations
@@ -139,37 +137,19 @@ def read_recording(
     ...     read_recording(files).group_names
     ('slow', 'fast')
     """
-    if dt is not None:
-        check_dt(dt)
-    if time_unit is not None and time_unit not in TIME_UNITS:
-        raise ValueError(
-            f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
-        )
-    if preset is not None and preset not in PRESETS:
-        raise ValueError(
-            f"preset must be one of {', '.join(PRESETS)}; got {preset!r}. For other "
-            'names give columns, such as "q=position_{i},tau=effort_{i},t=time".'
-        )
-    if drive is not None and gains is not None:
-        raise RecordingRefused(
-            "gains are factors of columns of torques, and a drive has its own: leave "
-            "gains out (command line: --gain), or the drive.",
-            {"gains": None},
-        )
-    options = ReadOptions(
-        mapping={} if columns is None else parse_mapping(columns),
+    options = checked(
+        columns=columns,
         preset=preset,
         dt=dt,
         urdf=urdf,
         joint_names=joint_names,
         topic=topic,
-        gains=_checked_gains(gains),
+        gains=gains,
         time_unit=time_unit,
-        drive=parse_drive(drive) if isinstance(drive, str) else drive,
+        drive=drive,
     )
     is_one = isinstance(path, (str, PathLike))
-    given = [path] if isinstance(path, (str, PathLike)) else [Path(x) for x in path]
-    paths = list(dict.fromkeys(given))
+    paths = [path] if is_one else list(dict.fromkeys(Path(x) for x in path))
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []
@@ -191,22 +171,6 @@ def read_recording(
     return recording
 
 
-def _checked_gains(gains):
-    """Return gains as a tuple of float, "unknown" or None."""
-    if gains is None or (isinstance(gains, str) and gains == "unknown"):
-        return gains
-    try:
-        found = tuple(float(x) for x in np.atleast_1d(gains))
-    except (TypeError, ValueError):
-        found = (0.0,)
-    if isinstance(gains, str) or not all(np.isfinite(x) and x != 0 for x in found):
-        raise ValueError(
-            f"gains must be a factor for each joint, finite and not 0, or 'unknown'; "
-            f"got {gains!r}."
-        )
-    return found
-
-
 def _driven(recording, drive, files):
     """Return a recording with the torques that a drive makes of its channels."""
     # The noise of a torque is that of the positions that it is made of.
@@ -220,7 +184,7 @@ def _driven(recording, drive, files):
     try:
         return drive.driven(recording)
     except ValueError as error:
-        raise ValueError(f"{_shortly([x.path for x in files])}: {error}") from error
+        raise ValueError(f"{_shortly(x.path for x in files)}: {error}") from error
 
 
 # -- files and folders -----------------------------------------------------------------
@@ -350,7 +314,7 @@ def _shortly(paths):
     """Name files; of many the first."""
     shown = [str(path) for path in paths]
     more = len(shown) - _NAMED
-    return ", ".join(shown[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(shown[:_NAMED]) + f" and {more} more" * (more > 0)
 
 
 def _concatenated(files, notes):

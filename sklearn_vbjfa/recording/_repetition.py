@@ -1,6 +1,5 @@
 """Motion that repeats, within a recording and between recordings."""
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,24 +43,19 @@ class Repetition:
 
     def motions(self):
         """Return the repeated motions, a tuple of `RepeatedMotion`."""
-        return self._motions
-
-    @functools.cached_property
-    def _motions(self):
         found = []
         for k, period in enumerate(self.period):
-            own = np.flatnonzero(self.motion == k)
-            first, last = self.delay[own], (self.delay + self.seconds)[own]
-            length = min(period, last.max() - first.min())
-            count = self.seconds[own].sum() / length if length else 0.0
+            rows = np.flatnonzero(self.motion == k)
+            delay, seconds = self.delay[rows], self.seconds[rows]
+            length = min(period, (delay + seconds).max() - delay.min())
+            count = seconds.sum() / length if length else 0.0
             if count > _AGAIN:
-                found.append(
-                    RepeatedMotion(float(length), float(count), (*own.tolist(),))
-                )
+                recordings = tuple(rows.tolist())
+                found.append(RepeatedMotion(float(length), float(count), recordings))
         return tuple(found)
 
     def __bool__(self):
-        return bool(self._motions)
+        return bool(self.motions())
 
     def phase(self, recording, t):
         """Return the motion (n,) and the time in it (n,) [s] of rows."""
@@ -75,7 +69,7 @@ class Repetition:
 
 
 def commands_among(signals, q):
-    """Return the signals (n, m) that follow a position (n, nv): what was commanded."""
+    """Return the signals (n, m) that follow a position (n, nv), as commands do."""
     found = []
     away = q - q.mean(axis=0)
     for x in signals.values():
@@ -98,21 +92,18 @@ def find_repetition(q, t, parts):
     power = np.array([(v**2).sum(axis=0) for v in speeds]).sum(axis=0)
     moves = power > _MOVES**2 * power.max(initial=0.0)
     speeds = [v[:, moves] for v in speeds]
-    motion, delay, period, first = [], [], [], []
+    first, motion, delay, period = [], [], [], []
     for k, v in enumerate(speeds):
-        own = step * _own_period(v)
-        for m, other in enumerate(first):
-            shift = _shift(speeds[other], v)
-            if shift is not None:
-                motion.append(m)
-                delay.append(delay[other] + step * shift)
-                period[m] = min(period[m], own)
-                break
-        else:
-            motion.append(len(first))
-            delay.append(0.0)
-            period.append(own)
+        shifts = [_shift(speeds[other], v) for other in first]
+        m = next((m for m, x in enumerate(shifts) if x is not None), len(first))
+        if m == len(first):
             first.append(k)
+            period.append(np.inf)
+            delay.append(0.0)
+        else:
+            delay.append(delay[first[m]] + step * shifts[m])
+        motion.append(m)
+        period[m] = min(period[m], step * _own_period(v))
     return Repetition(
         begins=np.array([t[part.start] for part in parts]),
         seconds=seconds,
@@ -123,7 +114,7 @@ def find_repetition(q, t, parts):
 
 
 def _speeds(q, t, step):
-    """Mean velocities (m, nv) in intervals of a length."""
+    """Return mean velocities (m, nv) in intervals of a length."""
     if len(q) < 2:
         return np.zeros((0, q.shape[1]))
     edges = np.arange(t[0], t[-1], step)
@@ -131,7 +122,7 @@ def _speeds(q, t, step):
 
 
 def _differences(a, b):
-    """Lags, overlaps, and the largest share in which a(i) and b(i + lag) differ."""
+    """Return lags, overlaps, and the largest share in which a(i), b(i + lag) differ."""
     n, m = len(a), len(b)
     size = 1 << int(np.ceil(np.log2(n + m)))
 
@@ -150,7 +141,7 @@ def _differences(a, b):
 
 
 def _own_period(v):
-    """Smallest lag, in rows, after which a motion repeats; infinite without any."""
+    """Return the smallest lag, in rows, after which a motion repeats, or infinity."""
     n = len(v)
     if n < 4 or not v.size:
         return np.inf
@@ -167,7 +158,7 @@ def _own_period(v):
 
 
 def _shift(a, b):
-    """Row of a motion at which another recording of it begins; None for none."""
+    """Return the row of a motion at which another recording begins, None for none."""
     if min(len(a), len(b)) < 4 or not a.size:
         return None
     lags, overlap, share = _differences(a, b)
@@ -177,7 +168,7 @@ def _shift(a, b):
 
 
 def _dip(share, best):
-    """Place and value of a minimum between rows, by the parabola around it."""
+    """Return place and value of a minimum between rows, by the parabola around it."""
     left, middle, right = np.nan, share[best], np.nan
     if 0 < best < share.size - 1:
         left, right = share[best - 1], share[best + 1]

@@ -81,6 +81,25 @@ class Table:
         """Return a column: numbers, dates, or text as objects."""
         return self.frame[name].to_numpy()
 
+    def numbers(self, name) -> np.ndarray:
+        """Return a column as finite floats; an error names the wrong cell."""
+        values = self.values(name)
+        if values.dtype.kind not in "biuf":
+            raise ValueError(
+                f"{self.path}: column {name!r} holds {quoted(str(values[0]))} and not "
+                "numbers; correct or rename it."
+            )
+        with np.errstate(over="ignore"):
+            values = values.astype(float)
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise ValueError(
+                f"{self.path}: {values[bad[0]]} or nothing in {self.where(bad[0])}, "
+                f"column {name!r} ({bad.size} such cells in it); interpolate them or "
+                "remove those rows."
+            )
+        return values
+
     def where(self, row) -> str:
         """Name a row in words."""
         return self.place.format(self.frame.index[row])

@@ -2,13 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
-from sklearn_vbjfa.recording import (
-    Log,
-    join,
-    median_period,
-    resample_uniform,
-)
+from sklearn_vbjfa.recording import Log, interpolate, join, median_period
 
 
 @pytest.fixture
@@ -27,7 +23,7 @@ def test_cubic_reproduces_a_cubic_and_linear_a_line(make_stamps):
         "tau": np.column_stack([3 * t, 1 - t]),
         "temperature": 20 + t,
     }
-    ((grid, part),) = resample_uniform(t, channels, dt=0.01)
+    grid, part = interpolate(t - t[0], channels, 0.01, CubicSpline)
     np.testing.assert_allclose(np.diff(grid), 0.01)
     assert grid[0] == 0
     assert 0 <= (t[-1] - t[0]) - grid[-1] < 0.01
@@ -40,7 +36,7 @@ def test_cubic_reproduces_a_cubic_and_linear_a_line(make_stamps):
 def test_a_joint_that_stands_does_not_move_by_rounding(make_stamps):
     t = make_stamps(500)
     channels = {"q": np.column_stack([np.sin(t), np.full(t.size, 0.1038)])}
-    ((_, part),) = resample_uniform(t, channels, dt=0.01)
+    _, part = interpolate(t - t[0], channels, 0.01)
     assert (part["q"][:, 1] == 0.1038).all()
 
 

@@ -18,8 +18,18 @@ from sklearn_vbjfa.recording._table import (
     no_rows,
     parsing,
 )
-from sklearn_vbjfa.recording.formats import _arrays
+from sklearn_vbjfa.recording.formats._arrays import (
+    read_json,
+    read_mat,
+    read_npy,
+    read_npz,
+)
 from sklearn_vbjfa.recording.formats._bags import BAGS, bag_files, read_bag
+from sklearn_vbjfa.recording.formats._parquet import (
+    PARQUET,
+    read_lerobot,
+    read_parquet,
+)
 from sklearn_vbjfa.recording.formats._text import read_sheet, read_text
 
 # What a file may be, for the help of commands.
@@ -35,11 +45,11 @@ _TEXT = (".csv", ".tsv", ".txt", ".dat")
 _READERS = {
     **dict.fromkeys(_TEXT, read_text),
     **dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"), read_sheet),
-    ".npz": _arrays.read_npz,
-    ".npy": _arrays.read_npy,
-    ".mat": _arrays.read_mat,
-    **dict.fromkeys(_arrays.PARQUET, _arrays.read_parquet),
-    **dict.fromkeys((".json", ".jsonl", ".ndjson"), _arrays.read_json),
+    ".npz": read_npz,
+    ".npy": read_npy,
+    ".mat": read_mat,
+    **dict.fromkeys(PARQUET, read_parquet),
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json),
 }
 # Modules by which packed files are opened.
 _OPEN = {".gz": gzip, ".bz2": bz2, ".xz": lzma, ".lzma": lzma, ".zst": None}
@@ -131,7 +141,7 @@ def _read_folder(stack, path, topic, joints):
         return read_bag(files, path, topic, joints())
     if (path / "meta" / "info.json").is_file():
         _check_topic(path, "", topic)
-        return _arrays.read_lerobot(path)
+        return read_lerobot(path)
     names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
     raise ValueError(
         f"{path}: is a folder; give a file, or the folder of a bag (.db3, .mcap) or of "

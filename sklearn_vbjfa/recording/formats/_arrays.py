@@ -1,4 +1,4 @@
-"""Arrays and records by their names: npz, npy, MATLAB, JSON, parquet and LeRobot."""
+"""Arrays and records by their names: npz, npy, MATLAB and JSON."""
 
 import json
 import re
@@ -7,7 +7,6 @@ import zipfile
 import zlib
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from sklearn_vbjfa.recording._table import (
     check_names,
     check_size,
     listed,
-    missing,
     no_rows,
     pandas_of,
     parsing,
@@ -34,6 +32,16 @@ _CHANNEL = re.compile(r"t|segment|(q|tau|v|a)([_.\[(]?\d+[\])]?)?", re.IGNORECAS
 
 
 # -- arrays and records as tables ------------------------------------------------------
+
+
+def table_of(path: Source, columns, **known) -> Table:
+    """Make a table of columns by name, or of a matrix whose columns have no names."""
+    frame = pandas_of(path).DataFrame(columns)
+    if isinstance(columns, np.ndarray):
+        frame.columns = [str(k + 1) for k in frame]
+        known["nameless"] = True
+    frame.index += 1
+    return Table(path=path.shown, frame=frame, **known)
 
 
 def _flattened(values, keep=lambda value: True, depth=0):
@@ -53,16 +61,16 @@ def _flattened(values, keep=lambda value: True, depth=0):
     return found
 
 
-def _is_list_of(kind, value):
-    is_list = isinstance(value, list) and len(value) > 0
-    return is_list and all(isinstance(x, kind) for x in value)
-
-
 def _without_common_part(found):
     """Remove the name of the only structure from the names inside it."""
     if len({name.rpartition(".")[0] for name in found}) == 1:
         return {name.rpartition(".")[2]: x for name, x in found.items()}
     return found
+
+
+def _is_list_of(kind, value):
+    is_list = isinstance(value, list) and len(value) > 0
+    return is_list and all(isinstance(x, kind) for x in value)
 
 
 def _table_of_records(path: Source, records) -> Table:
@@ -92,7 +100,7 @@ def _table_of_arrays(path: Source, arrays) -> Table:
             )
     (name, only), *others = rows.items()
     if not (others or only.ndim == 1 or only.shape[1] == 1 or _CHANNEL.fullmatch(name)):
-        return _nameless(path, only, scalars=scalars)
+        return table_of(path, only, scalars=scalars)
     columns = []
     for name, x in rows.items():
         matrix = x.reshape(n_rows, -1).T
@@ -102,20 +110,7 @@ def _table_of_arrays(path: Source, arrays) -> Table:
     left = [name for name, x in scalars.items() if x.ndim and len(x) > n_rows // 2]
     if left:
         notes += (f"array(s) {listed(left)} have not {n_rows} rows: left out.",)
-    return _table_of(path, dict(columns), scalars=scalars, notes=notes)
-
-
-def _table_of(path, columns, **known):
-    frame = pandas_of(path).DataFrame(columns)
-    frame.index += 1
-    return Table(path=path.shown, frame=frame, **known)
-
-
-def _nameless(path, matrix, **known):
-    """Make columns of a matrix (n_rows, n) without names, called by their places."""
-    frame = pandas_of(path).DataFrame(matrix)
-    frame.columns, frame.index = [str(k + 1) for k in frame], frame.index + 1
-    return Table(path=path.shown, frame=frame, nameless=True, **known)
+    return table_of(path, dict(columns), scalars=scalars, notes=notes)
 
 
 def _upright(arrays):
@@ -206,7 +201,7 @@ def read_npy(path: Source) -> Table:
     with parsing(path, "npy file", "save it again with numpy.save."):
         array = np.lib.format.open_memmap(path.file, mode="r")
     if array.ndim == 2 and array.dtype.kind in "biuf":
-        return _nameless(path, np.array(array))
+        return table_of(path, np.array(array))
     if array.dtype.names is None:
         raise ValueError(
             f"{path}: holds an array of shape {array.shape} without names; expected "
@@ -301,20 +296,21 @@ def read_json(path: Source) -> Table:
         found, notes = _parsed(path.file.read_text(encoding="utf-8-sig"))
     if found is None:
         raise no_rows(path)
-    if isinstance(found, dict):
-        table, more = _table_of_object(path, found)
-        return replace(table, notes=(*table.notes, *notes, *more))
     rows = found if isinstance(found, list) and found else [found]
-    if _is_list_of(list, rows):
-        return replace(_nameless(path, _array(path, "the list", rows)), notes=notes)
-    if not _is_list_of(dict, rows):
+    if isinstance(found, dict):
+        table = _table_of_object(path, found)
+    elif _is_list_of(list, rows):
+        table = table_of(path, _array(path, "the list", rows))
+    elif _is_list_of(dict, rows):
+        table = _table_of_records(path, rows)
+    else:
         odd = next(x for x in rows if not isinstance(x, dict))
         raise NotATable(
             f"{path}: holds {quoted(odd)}; expected objects such as "
             '{"t": 0.0, "q": [0.1, 0.2], "tau": [1.5, 0.4]}, rows of numbers, or '
             "arrays by their names."
         )
-    return replace(_table_of_records(path, rows), notes=notes)
+    return replace(table, notes=(*table.notes, *notes))
 
 
 def _parsed(text):
@@ -339,26 +335,27 @@ def _parsed(text):
 
 
 def _table_of_object(path, found):
-    """Return the table of an object and notes: records in it, trials, or arrays."""
+    """Return the table of an object: records in it, recordings, or arrays."""
     lists = [x for x, one in found.items() if _is_list_of(dict, one)]
     # The records are those of the only list, unless they have arrays, as joints do.
     if len(lists) == 1 and _longest(found[lists[0]][0]) <= len(found[lists[0]]):
+        table = _table_of_records(path, found[lists[0]])
         note = f"the records are those of {lists[0]!r}."
-        return _table_of_records(path, found[lists[0]]), (note,)
+        return replace(table, notes=(*table.notes, note))
     for name in lists:
         lengths = {_longest(one) for one in found[name]}
         if len(lengths) > 1 and _longest(found) < max(lengths):
-            arrays = _one_after_another(path, name, found[name])
+            table = _table_of_arrays(path, _end_to_end(path, name, found[name]))
             note = f"the {len(found[name])} entries of {name!r} are one recording each."
-            return _table_of_arrays(path, arrays), (note,)
-    return _table_of_arrays(path, _without_common_part(_flattened(found))), ()
+            return replace(table, notes=(*table.notes, note))
+    return _table_of_arrays(path, _without_common_part(_flattened(found)))
 
 
 def _longest(record):
     return max((len(x) for x in record.values() if isinstance(x, list)), default=0)
 
 
-def _one_after_another(path, name, records):
+def _end_to_end(path, name, records):
     """Return the arrays of recordings end to end, with a column segment."""
     arrays = [{k: x for k, x in one.items() if isinstance(x, list)} for one in records]
     counts = [{len(x) for x in one.values()} for one in arrays]
@@ -370,89 +367,3 @@ def _one_after_another(path, name, records):
     found = {key: [x for one in arrays for x in one[key]] for key in arrays[0]}
     segment = np.repeat(np.arange(len(records)), [count.pop() for count in counts])
     return {**found, "segment": segment}
-
-
-# -- parquet and feather, LeRobot data sets --------------------------------------------
-
-PARQUET = (".parquet", ".pq", ".feather", ".arrow")
-_INFO = Path("meta") / "info.json"
-
-
-def read_parquet(path: Source) -> Table:
-    """Read a parquet or feather file; lists become columns with numbers."""
-    return _table_of(path, _columns(path, _lerobot_info(path.file)))
-
-
-def read_lerobot(folder: Path) -> Table:
-    """Read all episodes of a LeRobot data set."""
-    files = sorted((folder / "data").rglob("*.parquet"))
-    if not files:
-        raise ValueError(
-            f"{folder}: is a LeRobot data set without parquet files in its folder data;"
-            " expected data/chunk-000/*.parquet (is it downloaded completely?)."
-        )
-    size = sum(file.stat().st_size for file in files)
-    check_size(folder, size, f"give one of them, such as {files[0]}", "of files")
-    info = _lerobot_info(files[0])
-    parts = [_columns(Source(x, x), info) for x in files]
-    shared = [x for x in parts[0] if all(x in part for part in parts)]
-    columns = {x: np.concatenate([part[x] for part in parts]) for x in shared}
-    return _table_of(Source(folder, folder), columns)
-
-
-def _columns(path, info):
-    """Return the columns of a file as arrays, lists of numbers as columns each."""
-    try:
-        import pyarrow
-        from pyarrow import ipc, parquet
-    except ImportError as error:
-        raise missing(path, "pyarrow", "parquet files need", "parquet") from error
-    with parsing(path, "parquet file of plain columns", "write it again."):
-        if path.file.suffix.lower() in PARQUET[:2]:
-            with parquet.ParquetFile(path.file) as file:
-                groups = map(file.metadata.row_group, range(file.num_row_groups))
-                check_size(path, sum(group.total_byte_size for group in groups))
-                read = file.read()
-        else:
-            with ipc.open_file(path.file) as file:
-                batches = []
-                for k in range(file.num_record_batches):
-                    batches.append(file.get_batch(k))
-                    check_size(path, sum(one.nbytes for one in batches))
-                read = pyarrow.Table.from_batches(batches, file.schema)
-        arrays = [column.to_numpy() for column in read.columns]
-    check_names(path, read.column_names or [""], "has")
-    found = {}
-    for name, values in zip(read.column_names, arrays):
-        lists = values.dtype.kind == "O" and values.size and values[0] is not None
-        if lists and {np.shape(x) for x in values} == {(np.size(values[0]),)}:
-            matrix = np.stack(list(values))
-            motors = _motors(info, name)
-            if len(motors) != matrix.shape[1]:
-                motors = range(matrix.shape[1])
-            found |= {f"{name}.{motor}": x for motor, x in zip(motors, matrix.T)}
-        else:
-            found[name] = values
-    return found
-
-
-def _lerobot_info(file):
-    """Return what meta/info.json above a parquet file says, a dict."""
-    for path in (folder / _INFO for folder in list(file.resolve().parents)[:4]):
-        if path.is_file():
-            with parsing(path, "JSON file", "download the data set again."):
-                info = json.loads(path.read_text(encoding="utf-8"))
-            return info if isinstance(info, dict) else {}
-    return {}
-
-
-def _motors(info, name):
-    """Return the names of the motors in a column of lists, [] if unknown."""
-    names = info
-    for key in ("features", name, "names"):
-        names = names.get(key) if isinstance(names, dict) else None
-    if isinstance(names, dict):
-        names = next(iter(names.values()), None)
-    if not isinstance(names, list):
-        return []
-    return [str(motor).removesuffix(".pos") for motor in names]

@@ -1,9 +1,7 @@
-"""Tables out of text and spreadsheets: encoding, separator, names, cells; pandas."""
+"""Tables out of text and spreadsheets: checks of damage before pandas reads them."""
 
-import codecs
 import contextlib
 import csv
-import datetime
 import io
 import itertools
 import re
@@ -40,102 +38,135 @@ _LIST = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
 _NUMBER = re.compile(
     r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
 )
-# A longer line is not a row of a table; bytes that are checked at once.
-_LONGEST_LINE, _BLOCK = 1 << 25, 1 << 24
+# A longer line is not a row of a table.
+_LONGEST_LINE = 1 << 25
 # Of fewer rows the last is not said to be cut; rows that show the usual decimals.
 _FEWEST, _TAIL = 10, 500
 _NO_BRACKETS = bytes.maketrans(b"()[]", b"    ")
-_ANY = re.compile(r"[;,|\s]+")
 # This line is the separator for Excel.
 _EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
 # A row of numbers some of which stand in brackets, as YARP prints its ports.
 _BRACKETED = re.compile(r"[-+\d.eE\s,;]*[(\[][-+\d.eE\s,;()\[\]]*")
-# A mark at the beginning settles the encoding. Text without one is UTF-8, or a CSV file
-# that Excel saved in Western Europe, code page 1252.
-_MARKS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
-# The bytes of that code page that are no control characters.
+# The bytes of code page 1252, in which Excel saves in Western Europe, that are no
+# control characters.
 _WINDOWS = bytes({*b"\t\n\r\f", *range(32, 256)} - {*b"\x7f\x81\x8d\x8f\x90\x9d"})
 
 
 def read_text(path: Source) -> Table:
     """Read text with a header line; blank lines and comments (#) are skipped."""
-    text = _text_of(path)
-    lines = text.first_lines()
-    content = [line for line in map(_content, lines) if line]
-    if not content:
+    content, notes = _decoded(path)
+    lines = _first_lines(content)
+    filled = [line for line in map(_without_comment, lines) if line]
+    if not filled:
         raise no_rows(path)
+    if _BRACKETED.fullmatch(filled[0]):
+        content = content.translate(_NO_BRACKETS)
+        lines = _first_lines(content)
     try:
-        if _BRACKETED.fullmatch(content[0]):
-            text = _Text(path, text.read().translate(_NO_BRACKETS), text.notes)
-            lines = text.first_lines()
-        return _read(text, lines)
+        return _read_lines(path, content, lines, notes)
     except csv.Error as error:
         raise ValueError(
             f"{path}: is not a table of numbers ({error}); save it as CSV in UTF-8."
         ) from error
     except ValueError as error:
         # An empty log is one, and broken.
-        if len(content) < 2 or any(_is_data(re.split(_ANY, x)) for x in content):
+        rows = (re.split(r"[;,|\s]+", line) for line in filled)
+        if len(filled) < 2 or any(map(_is_data, rows)):
             raise
         raise NotATable(str(error)) from error
 
 
-def _content(line):
+def _decoded(path):
+    """Return the text of a file in UTF-8, lines ended as on Unix, and notes."""
+    # A mark at the beginning settles the encoding. Text without one is UTF-8, or a CSV
+    # file that Excel saved in Western Europe, code page 1252.
+    check_size(path, path.file.stat().st_size, what="of text")
+    content, notes = path.file.read_bytes(), ()
+    encoding = "utf-8"
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        encoding = "utf-16"
+    try:
+        text = content.decode(encoding)
+    except UnicodeDecodeError as error:
+        if encoding != "utf-8" or content.translate(None, _WINDOWS):
+            raise ValueError(
+                f"{path}: is not {encoding.upper()} ({error.reason}); save it as CSV "
+                "in UTF-8."
+            ) from error
+        text = content.decode("cp1252")
+        notes = ("is not UTF-8, read as Windows text (cp1252), as Excel saves CSV.",)
+    if "\0" in text:
+        raise ValueError(f"{path}: is binary, not text; save it as CSV in UTF-8.")
+    if encoding == "utf-16" or notes or ("\r" in text and "\r\n" not in text):
+        content = text.replace("\r\n", "\n").replace("\r", "\n").encode()
+    return content.removeprefix(b"\xef\xbb\xbf"), notes
+
+
+def _first_lines(content):
+    """Return the lines that may come before the data, without their ends."""
+    lines = itertools.islice(io.BytesIO(content), 2 * _LONGEST_PREAMBLE)
+    return [line.decode().rstrip("\r\n") for line in lines]
+
+
+def _without_comment(line):
     """Return a line without its comment, "" for one that tells Excel the separator."""
-    line = line.split("#", 1)[0].strip()
-    return "" if _EXCEL_SEPARATOR.fullmatch(line) else line
+    line = line.split("#", 1)[0].strip(" \r\n")
+    return "" if not line.strip() or _EXCEL_SEPARATOR.fullmatch(line) else line
 
 
-def _read(text, lines):
-    path, pandas = text.path, pandas_of(text.path)
-    names, start, separator, units, notes = _head(path, lines)
-    columns = names or _places(lines[start], separator)
-    numbers, is_cut = _rows(text, start, columns, separator)
+def _read_lines(path, content, lines, notes=()):
+    """Return the table of a text in UTF-8, of which these are the first lines."""
+    pandas, head = pandas_of(path), _head(path, lines)
+    numbers, is_cut = _checked_rows(path, content, head)
     if not numbers.size:
         raise ValueError(f"{path}: only a header and no rows of data.")
     with parsing(path, "table of numbers", "save it as CSV in UTF-8."):
-        with text.open() as file:
-            frame = pandas.read_csv(
-                file,
-                sep=separator or r"\s+",
-                header=None,
-                names=columns,
-                index_col=False,
-                skiprows=start,
-                nrows=len(numbers),
-                comment="#",
-                keep_default_na=False,
-                na_values=[y for x in _NOTHING for y in (x, x.upper(), x.capitalize())],
-                encoding="utf-8-sig",
-                decimal="," if separator != "," and "," in lines[start] else ".",
-            )
+        frame = pandas.read_csv(
+            io.BytesIO(content),
+            sep=head.separator or r"\s+",
+            header=None,
+            names=head.columns,
+            index_col=False,
+            skiprows=head.start,
+            nrows=len(numbers),
+            comment="#",
+            keep_default_na=False,
+            na_values=[y for x in _NOTHING for y in (x, x.upper(), x.capitalize())],
+            decimal="," if head.separator != "," and "," in lines[head.start] else ".",
+        )
     if len(frame) != len(numbers):
         raise ValueError(
             f"{path}: has {len(numbers)} lines and {len(frame)} rows; write each row "
             "in one line."
         )
     frame.index = numbers
-    return _table_of_cells(
-        path,
-        frame,
-        comma=separator != ",",
-        notes=(*notes, *[CUT] * is_cut, *text.notes),
-        units=dict(units),
-        nameless=not names,
-    )
+    notes = (*head.notes, *[CUT] * is_cut, *notes)
+    return _table_of_cells(path, frame, head, notes)
 
 
 # -- names -----------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Head:
+    """How the rows of a text are to be read."""
+
+    columns: list  # names, or places from "1" on
+    start: int  # lines before the first row
+    separator: str | None  # None is white space
+    nameless: bool = False
+    units: tuple = ()  # pairs of a name and a unit
+    notes: tuple = ()
+
+
 def _head(path, lines):
-    """Return the names, the first line of data, the separator, units and notes."""
-    content = [(k, x) for k, x in enumerate(map(_content, lines)) if x]
+    """Return what the first lines say."""
+    content = [(k, x) for k, x in enumerate(map(_without_comment, lines)) if x]
     first, line = content[0]
     echo = _echo_names(line)
     if echo:
-        return echo, first, ",", (), []
-    at, names, start, units = _names_and_start(_cells(x) for _, x in content)
+        return _Head(columns=echo, start=first, separator=",")
+    at, names, start, units = _names_and_start([_cells(x) for _, x in content])
     # Of a file with a header alone the data begin after it.
     start = content[start][0] if start < len(content) else len(lines)
     if at is not None:
@@ -147,17 +178,21 @@ def _head(path, lines):
         found = found.split("#")[0].strip()
         names = _without_blank_ends(_cells(found))
         separator = _separator_of(line)
-        if len(names) != len(_places(line, separator)) or any(map(_is_number, names)):
-            return [], start, separator, (), []
+        width = len(_without_blank_ends(_cells(line, separator)))
+        if len(names) != width or any(map(_is_number, names)):
+            places = [str(k + 1) for k in range(width)]
+            return _Head(
+                columns=places, start=start, separator=separator, nameless=True
+            )
     _check_header(path, names, header + 1)
-    notes = [f"the names of the columns are in line {header + 1}."] if at else []
-    return list(names), start, _separator_of(found), units, notes
-
-
-def _places(line, separator):
-    """Return names for the columns of a table that has none, by a row."""
-    count = len(_without_blank_ends(_cells(line, separator)))
-    return [str(k + 1) for k in range(count)]
+    notes = (f"the names of the columns are in line {header + 1}.",) if at else ()
+    return _Head(
+        columns=list(names),
+        start=start,
+        separator=_separator_of(found),
+        units=units,
+        notes=notes,
+    )
 
 
 def _echo_names(line):
@@ -169,9 +204,8 @@ def _echo_names(line):
     n, rest = divmod(len(cells) - 3, 4)
     if n < 1 or rest or not all(re.fullmatch(r"\d+", x) for x in cells[:2]):
         return []
-    if any(map(_is_number, cells[3 : 3 + n])) or not all(
-        map(_is_number, cells[3 + n :])
-    ):
+    numbers = [_is_number(x) for x in cells[3:]]
+    if any(numbers[:n]) or not all(numbers[n:]):
         return []
     names = ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id"]
     for what in ("name", "position", "velocity", "effort"):
@@ -196,12 +230,12 @@ def _cells(line, *separator):
 
 
 def _is_number(cell: str) -> bool:
-    """Whether a cell is a number as loggers write them."""
+    """Return whether a cell is a number as loggers write them."""
     return _NUMBER.fullmatch(cell) is not None
 
 
 def _is_data(cells):
-    """Whether most of the cells that are filled are numbers."""
+    """Return whether most of the cells that are filled are numbers."""
     numbers = [_is_number(x.replace(",", ".", 1)) for x in cells if x]
     return 2 * sum(numbers) > len(cells)
 
@@ -212,15 +246,11 @@ def _names_and_start(lines):
     Returns the position of the names, None without any, the names, the position of the
     first row of data, and (name, unit) of columns out of a row of units.
     """
-    rows = []
-    for cells in itertools.islice(lines, _LONGEST_PREAMBLE):
-        rows.append(_without_blank_ends(cells))
-        if _is_data(rows[-1]):
-            break
+    rows = [_without_blank_ends(cells) for cells in lines[:_LONGEST_PREAMBLE]]
+    data = next((k for k, row in enumerate(rows) if _is_data(row)), None)
     # Without a row of numbers, as with one column of text, the names come first.
-    found = _is_data(rows[-1])
-    width = len(rows[-1]) if found else len(rows[0])
-    above = rows[:-1] if found else rows[:2]
+    width = len(rows[0] if data is None else rows[data])
+    above = rows[:2] if data is None else rows[:data]
     if not above:
         # Data frames without names have a header that counts them.
         counts = rows[0] == [str(k) for k in range(width)] and width > 2
@@ -231,10 +261,9 @@ def _names_and_start(lines):
     names = above[at]
     if at and len(set(names)) < len(names):
         # Groups of columns stand above their names.
-        groups = itertools.accumulate(above[at - 1][:width], lambda x, y: y or x)
-        pairs = itertools.zip_longest(groups, names)
-        last = _without_blank_ends(above[at - 1])[-1]
-        names = [f"{last if x is None else x} {name}".strip() for x, name in pairs]
+        groups = list(itertools.accumulate(above[at - 1], lambda x, y: y or x))
+        groups += groups[-1:] * (width - len(groups))
+        names = [f"{group} {name}".strip() for group, name in zip(groups, names)]
     units = _units(above[at + 1], names) if at + 1 < len(above) else ()
     return at, names, at + 1 + bool(units), units
 
@@ -267,111 +296,41 @@ def _check_header(path, names, line):
     check_names(path, names, f"line {line} names")
 
 
-# -- encoding --------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Text:
-    """A text in UTF-8: a file, or its converted text."""
-
-    path: Source
-    content: bytes | None = None
-    notes: tuple[str, ...] = ()
-
-    def open(self):
-        """Open the text as bytes."""
-        if self.content is None:
-            return self.path.file.open("rb")
-        return io.BytesIO(self.content)
-
-    def read(self):
-        """Return all of it."""
-        with self.open() as file:
-            return file.read()
-
-    def first_lines(self):
-        """Return the lines that may come before the data, without their ends."""
-        with io.TextIOWrapper(self.open(), encoding="utf-8-sig") as file:
-            lines = zip(range(2 * _LONGEST_PREAMBLE), file)
-            return [line.rstrip("\n") for _, line in lines]
-
-
-def _text_of(path):
-    """Return the text of a file; refuse what is not text in any known encoding."""
-    with path.file.open("rb") as file:
-        begin = file.read(2)
-        file.seek(0)
-        encoding = _MARKS.get(begin, "utf-8")
-        decoder = codecs.getincrementaldecoder(encoding)()
-        binary, carriage, length = False, False, 0
-        try:
-            while block := file.read(_BLOCK):
-                binary |= "\0" in decoder.decode(block)
-                ended = b"\n" in block or b"\r" in block
-                carriage |= b"\r" in block and b"\n" not in block
-                length = 0 if ended else length + len(block)
-                if length >= _LONGEST_LINE:
-                    raise ValueError(
-                        f"{path}: has a line of more than {_LONGEST_LINE} characters; "
-                        "expected one row per sample."
-                    )
-            decoder.decode(b"", final=True)
-        except UnicodeDecodeError as error:
-            odd = path.file.read_bytes().translate(None, _WINDOWS)
-            if odd or encoding != "utf-8":
-                raise ValueError(
-                    f"{path}: is not {encoding.upper()} ({error.reason}); save it as "
-                    "CSV in UTF-8."
-                ) from error
-            note = "is not UTF-8, read as Windows text (cp1252), as Excel saves CSV."
-            return _converted(path, "cp1252", note)
-    if binary:
-        raise ValueError(f"{path}: is binary, not text; save it as CSV in UTF-8.")
-    if encoding == "utf-8" and not carriage:
-        return _Text(path)
-    return _converted(path, encoding)
-
-
-def _converted(path, encoding, *notes):
-    """Return text in UTF-8, with the ends of lines of Unix."""
-    content = path.file.read_bytes().decode(encoding).encode()
-    content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return _Text(path, content, notes)
-
-
 # -- cells of each row -----------------------------------------------------------------
 
 
-def _rows(text, start, names, separator):
+def _checked_rows(path, content, head):
     """Return the numbers of the lines with rows, and whether a cut one was left out."""
     # Refuses a row that has not as many cells as there are names.
-    width, number, numbers, last = len(names), 0, [], []
-    mark = None if separator is None else separator.encode()
-    with text.open() as file:
-        while lines := file.readlines(_BLOCK):
-            skipped = max(start - number, 0)
-            number += len(lines)
-            lines = lines[skipped:]
-            first, ended = number - len(lines) + 1, bool(lines) and lines[-1][-1:]
-            if any(b"#" in line for line in lines):
-                lines = [line.partition(b"#")[0] for line in lines]
-            data = np.array([not x.isspace() and bool(x) for x in lines], dtype=bool)
-            cells = [x.count(mark) + 1 if mark else len(x.split()) for x in lines]
-            odd = np.array(cells) != width
-            odd |= width == 1 or any(b'"' in line for line in lines)
-            for k in np.flatnonzero(odd & data):
-                wrong = _wrong(lines[k].decode(), names, separator)
-                # The last line may be one that was cut.
-                whole = k + 1 < len(lines) or ended == b"\n"
-                if wrong and (whole or sum(map(len, numbers)) + k < _FEWEST):
-                    raise ValueError(f"{text.path}: line {first + k} {wrong}.")
-            rows = np.flatnonzero(data)
-            numbers.append(rows + first)
-            last = [*last, *(lines[k].decode() for k in rows[-_TAIL:])][-_TAIL:]
-    found = np.concatenate([np.zeros(0, dtype=int), *numbers])
+    width, numbers, tail = len(head.columns), [], []
+    mark = None if head.separator is None else head.separator.encode()
+    comments, quotes = b"#" in content, b'"' in content or width == 1
+    ended, rows = content.endswith(b"\n"), io.BytesIO(content)
+    last = content.count(b"\n") + (not ended)
+    for number, line in enumerate(rows, start=1):
+        if number <= head.start:
+            continue
+        if comments:
+            line = line.partition(b"#")[0]
+        if not line or line.isspace():
+            continue
+        if len(line) > _LONGEST_LINE:
+            raise ValueError(
+                f"{path}: has a line of more than {_LONGEST_LINE} characters; "
+                "expected one row per sample."
+            )
+        cells = line.count(mark) + 1 if mark else len(line.split())
+        if cells != width or quotes:
+            wrong = _wrong(line.decode(), head.columns, head.separator)
+            # The last line may be one that was cut.
+            if wrong and (number < last or ended or len(numbers) < _FEWEST):
+                raise ValueError(f"{path}: line {number} {wrong}.")
+        numbers.append(number)
+        tail = [*tail[1 - _TAIL :], line] if last - number < _TAIL else tail
+    found = np.array(numbers, dtype=int)
     # Whole files may lack the end of the last line, too.
-    may_be_cut = found.size >= _FEWEST and ended != b"\n" and found[-1] == number
-    if may_be_cut and _is_cut(last, width, separator):
+    may_be_cut = found.size >= _FEWEST and not ended and found[-1] == last
+    if may_be_cut and _is_cut([x.decode() for x in tail], width, head.separator):
         return found[:-1], True
     return found, False
 
@@ -392,7 +351,7 @@ def _wrong(line, names, separator):
 
 
 def _is_cut(lines, width, separator):
-    """Whether the last of some lines is not whole: cells or decimals are missing."""
+    """Return whether the last line is not whole: cells or decimals are missing."""
     last, usual = (_cells(line, separator) for line in (lines[-1], lines[-2]))
     whole = len(last) >= width and bool(last[-1]) >= bool(usual[-1])
     if usual[-1].startswith(("[", "(")):
@@ -409,16 +368,22 @@ def _decimals(line, separator):
 # -- columns ---------------------------------------------------------------------------
 
 
-def _table_of_cells(path, frame, *, place="line {}", comma=False, notes=(), **known):
+def _table_of_cells(path, frame, head, notes):
     """Return a table of columns whose cells are numbers, dates, text or lists."""
-    # comma: whether numbers may have decimal commas.
     frame, notes = _without_headers(frame, notes)
-    table = Table(path=path.shown, frame=frame, place=place)
+    table = Table(
+        path=path.shown,
+        frame=frame,
+        place="line {}",
+        units=dict(head.units),
+        nameless=head.nameless,
+        notes=notes,
+    )
     if "" not in frame and all(kind.kind in "iuf" for kind in frame.dtypes):
-        return replace(table, notes=notes, **known)
+        return table
     columns = {}
     for name in frame:
-        values = _column(table, name, comma)
+        values = _column(table, name, comma=head.separator != ",")
         spread = _spread(table, name, values) or {name: values}
         check_names(path, [*columns, *spread], "as an entry of a list has")
         columns |= spread
@@ -430,7 +395,7 @@ def _table_of_cells(path, frame, *, place="line {}", comma=False, notes=(), **kn
         note = "the first column has no name and counts the rows: it is left out."
         notes = (*notes, note)
     frame = pandas_of(path).DataFrame(columns, index=frame.index)
-    return replace(table, frame=frame, notes=notes, **known)
+    return replace(table, frame=frame, notes=notes)
 
 
 def _without_headers(frame, notes):
@@ -448,7 +413,7 @@ def _without_headers(frame, notes):
 
 
 def _column(table, name, comma):
-    """Return cells as numbers, dates or text; a column is what its first cell is."""
+    """Return cells as numbers or text; a column is what its first cell is."""
     values = table.frame[name]
     if values.dtype.kind in "iuf":
         return values.to_numpy(dtype=float)
@@ -456,15 +421,11 @@ def _column(table, name, comma):
     blank = (values.isna() | text.str.lower().isin(_NOTHING)).to_numpy()
     if blank.all():
         return np.full(len(values), np.nan)
-    first = int(np.argmin(blank))
-    if isinstance(values.iloc[first], datetime.date):
-        dates = pandas_of(table.path).to_datetime(values, errors="coerce")
-        return dates.to_numpy("datetime64[ns]")
     numbers = text
     if comma:
         points = text.str.contains(".", regex=False)
         numbers = text.where(points, text.str.replace(",", ".", n=1, regex=False))
-    if not _is_number(numbers.iloc[first]):
+    if not _is_number(numbers.iloc[int(np.argmin(blank))]):
         return text.mask(blank, "").to_numpy(dtype=object)
     wrong = np.flatnonzero(~numbers.str.fullmatch(_NUMBER).to_numpy(bool) & ~blank)
     if wrong.size:
@@ -505,61 +466,44 @@ def _entries(cell):
 
 
 def read_sheet(path: Source) -> Table:
-    """Read the first sheet with a table of numbers, below the names of its columns."""
+    """Read the first sheet with a table of numbers, as text with tabs."""
     pandas = pandas_of(path)
     if find_spec("python_calamine") is None:
         raise missing(path, "python-calamine", "spreadsheets need", "excel")
     check_size(path, _unpacked_size(path), "save a shorter recording, or CSV")
-    with (
-        parsing(path, "spreadsheet", "save it as CSV."),
-        pandas.ExcelFile(path.file, engine="calamine") as book,
-    ):
-        sheets = {
-            name: pandas.read_excel(
-                book,
-                name,
-                dtype=object,
-                header=None,
-                keep_default_na=False,
-                na_values=[],
-            )
-            for name in book.sheet_names
-        }
-    count = len(sheets)
-    sheets = {name: frame for name, frame in sheets.items() if len(frame)}
+    with parsing(path, "spreadsheet", "save it as CSV."):
+        sheets = pandas.read_excel(
+            path.file,
+            sheet_name=None,
+            engine="calamine",
+            dtype=object,
+            header=None,
+            keep_default_na=False,
+            na_values=[],
+        )
+    texts = {name: _lines_of(frame) for name, frame in sheets.items()}
+    texts = {name: lines for name, lines in texts.items() if any(lines)}
     filled = [
-        name for name, frame in sheets.items() if any(map(_is_data, _texts_in(frame)))
+        name
+        for name, lines in texts.items()
+        if any(_is_data(line.split("\t")) for line in lines)
     ]
-    name = (filled or list(sheets) or [""])[0]
-    frame = sheets.get(name)
-    if frame is None:
+    if not texts:
         raise no_rows(path)
-    frame.index += 1
-    frame = frame[(frame != "").any(axis=1)]
-    if len(frame) < 2:
-        raise no_rows(path)
-    at, names, start, units = _names_and_start(_texts_in(frame))
-    if at is None:
-        names = [str(k + 1) for k in range(frame.shape[1])]
-    else:
-        _check_header(path, [x for x in names if x], frame.index[at])
-    used = [k for k, one in enumerate(names) if one]
-    frame = frame.iloc[start:, used]
-    frame.columns = [names[k] for k in used]
-    if not len(frame):
-        raise ValueError(f"{path}: only a header and no rows of data.")
-    return _table_of_cells(
-        path,
-        frame,
-        place="line {} of sheet " + repr(name).replace("{", "{{").replace("}", "}}"),
-        notes=(f"sheet {name!r} of {count} was read.",) * (count > 1),
-        units=dict(units),
-        nameless=at is None,
-    )
+    name = (filled or list(texts))[0]
+    content = "\n".join([*texts[name], ""]).encode()
+    table = _read_lines(path, content, texts[name][: 2 * _LONGEST_PREAMBLE])
+    place = "line {} of sheet " + repr(name).replace("{", "{{").replace("}", "}}")
+    notes = (f"sheet {name!r} of {len(sheets)} was read.",) * (len(sheets) > 1)
+    return replace(table, place=place, notes=(*table.notes, *notes))
 
 
-def _texts_in(frame):
-    return ([str(x).strip() for x in row] for row in frame.itertuples(index=False))
+def _lines_of(frame):
+    """Return the rows of a sheet as lines with tabs, without columns that are empty."""
+    cells = frame.astype(str).replace(r'[\s"#;]+', " ", regex=True)
+    cells = cells.loc[:, (cells != "").any()]
+    lines = ["\t".join(row) for row in cells.itertuples(index=False)]
+    return [line if line.strip() else "" for line in lines]
 
 
 def _unpacked_size(path):

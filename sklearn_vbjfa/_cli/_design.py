@@ -214,7 +214,7 @@ def _without_torque_limits(model):
 
 def _period(robot, found):
     """Sample period of the recordings so far, or a usual one [s]."""
-    rate = ((found or {}).get("recorded") or {}).get("rate")
+    rate = ((found or {}).get("provenance") or {}).get("rate")
     return robot.dt or (1.0 / rate if rate else _PERIOD)
 
 

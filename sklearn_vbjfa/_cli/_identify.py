@@ -19,7 +19,6 @@ def identify(arguments, folder):
     if arguments.purpose == "gravity":
         return _gravity.correct(arguments, folder)
     from sklearn_vbjfa.diagnosis import Report
-    from sklearn_vbjfa.diagnosis.explain import Provenance
 
     library = "all" if arguments.effects is None else arguments.effects
     if arguments.no_search and arguments.effects:
@@ -46,24 +45,24 @@ def identify(arguments, folder):
 
     def write(folder, notes):
         lacking = write_robot(loop.identifier_, folder)
-        outcome, command = loop.report_.outcome, ""
+        outcome, more = loop.report_.outcome, {}
         if loop.report_.has_open_questions:
             words = ["python", "-m", "sklearn_vbjfa", "design", "--report", str(out)]
-            command = shlex.join(words)
-        provenance = Provenance(
-            file=files[0] if len(files) == 1 else files,
-            description=str(_input.expanded(arguments.urdf)),
-            held=loaded.held,
-            warnings=(*notes, *lacking),
-            files=_FILES[1:],
-            date=time.strftime("%Y-%m-%d"),
-            command=command,
-        )
+            more["command"] = shlex.join(words)
+        more |= {
+            "file": files[0] if len(files) == 1 else files,
+            "description": str(_input.expanded(arguments.urdf)),
+            "held": loaded.held,
+            "warnings": (*notes, *lacking),
+            "files": _FILES[1:],
+            "date": time.strftime("%Y-%m-%d"),
+        }
+        provenance = outcome.provenance | more
         report = Report(replace(outcome, provenance=provenance))
         text = json.dumps(report.to_dict(), indent=1, allow_nan=False)
         folder.joinpath("report.html").write_text(report.to_html(), encoding="utf-8")
         folder.joinpath("report.json").write_text(text, encoding="utf-8")
-        lines = [f"The motion for it: {command}"] if command else []
+        lines = [f"The motion for it: {more['command']}"] if "command" in more else []
         if lacking:
             lines.append("only identified.json has every effect (page)")
         if ranges:

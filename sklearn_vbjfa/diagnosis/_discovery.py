@@ -104,8 +104,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     error_before_, error_plain_, error_after_ : ndarray of shape (nv,)
         RMS of the torque residual on the held-out data over `torque_spread_`, of the
         declared model, with the four friction terms, and with the effects. The
-        intervals ``report_.outcome.intervals`` contain the errors over the next 50 s of
-        the same motion in 90 % of cases.
+        ``intervals`` of ``report_.outcome.errors`` contain the errors over the next
+        50 s of the same motion in 90 % of cases.
     torque_spread_ : ndarray of shape (nv,)
         Standard deviation of the low-pass filtered torque of each joint while the robot
         moves [N m or N].
@@ -259,7 +259,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             whole = drive.driven(replace(whole, signals=told))
         beside = columns_beside(X, self.joint_names_)
         self._fit(model, whole, library, signals, beside, _names(whole, groups))
-        for found in self.report_.outcome.channels:
+        for found in self.report_.outcome.findings["channels"]:
             if found.severity == "doubt":
                 warnings.warn(found.message, DoubtWarning, stacklevel=3)
         return self
@@ -307,13 +307,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         told = replace(whole, signals={**signals, **whole.signals})
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
-            outcome = self._close(model, whole, told, offered, library, unusable, names)
-        return self._set(outcome)
+            found = self._close(model, whole, told, offered, library, unusable, names)
+        return self._set(*found)
 
     # -- stages ---------------------------------------------------------------------
 
     def _close(self, model, whole, told, offered, library, unusable, names):
-        """Close the loop on a checked recording; returns its `Outcome`."""
+        """Close the loop on a checked recording; return what `make_outcome` does."""
         with stage("channels"):
             channels, silent = self._check_channels(model, whole)
             for found in (x.value for x in channels if x.kind == "delay"):
@@ -355,7 +355,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             del part, seen
             judged = judge(models, found, split, near, whole, told)
         with stage("final model"):
-            asked = whole, split.amount.moving, silent, known
+            asked = whole, split.moving, silent, known
             final = self._hand_over(found, unnamed, *asked)
         asked = self.get_params(deep=False)
         with stage("explaining"):
@@ -518,18 +518,18 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         share = seen.n_samples / whole.n_samples
         return FinalFit(self.baseline_, self.identifier_, view, effects, share)
 
-    def _set(self, outcome):
+    def _set(self, outcome, expectation):
         """Set the results and the report."""
-        self.effects_, self.possible_ = outcome.effects, outcome.possible
-        self.added_ = outcome.added
-        self.error_before_ = outcome.error_before
-        self.error_plain_ = outcome.error_plain
-        self.error_after_ = outcome.error_after
-        self.torque_spread_ = outcome.spread
-        self.consistency_cost_ = np.full(outcome.spread.size, np.nan)
-        if outcome.projection is not None:
-            self.consistency_cost_ = outcome.projection.cost
-        self.unexplained_, self.hidden_ = outcome.unexplained, outcome.hidden
+        findings = outcome.findings
+        self.effects_, self.possible_ = findings["effects"], findings["possible"]
+        self.unexplained_, self.hidden_ = findings["unexplained"], findings["hidden"]
+        self.added_ = outcome.robot["added"]
+        self.error_before_ = outcome.column("before")
+        self.error_plain_ = outcome.column("plain")
+        self.error_after_ = outcome.column("after")
+        self.torque_spread_ = outcome.column("spread")
+        self.consistency_cost_ = outcome.column("consistency_cost")
+        self._expectation = expectation
         self.report_ = Report(outcome)
         return self
 
@@ -568,8 +568,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
         It is what is left on held-out data, larger for speeds, accelerations and loads
         beyond those of the fit, and what parameters (friction, gains, offsets, the
-        load) differ by between recordings. ``report_.outcome.next_recording`` has the
-        same for motion like the fitted, and where the differences are from.
+        load) differ by between recordings. The report has the same for motion like the
+        fitted, and where the differences are from.
 
         Parameters
         ----------
@@ -589,8 +589,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         predicted = robot.predict(X, groups, t, signals)
         states = robot.robot_.states(positions_in_order(X, self.joint_names_), groups)
         motion = given_motion(robot, np.asarray(states), predicted, spread)
-        found = self.report_.outcome.expectation.of(motion)
-        return found.error, found.interval
+        error, low, high = self._expectation.of(motion)[:, :-1]
+        return error, np.stack([low, high])
 
 
 def _asked_again(identifier):

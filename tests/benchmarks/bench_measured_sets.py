@@ -94,9 +94,9 @@ def split_of(loop, q, tau, groups):
     effects = loop.judged_.effects_
     shaped = [e for e in effects if isinstance(e, Shaped)]
     instants = [getattr(e, name) for e in shaped for name in e.jumping]
-    guard = round(loop.report_.outcome.settings["guard_seconds"] / dt)
+    guard = round(loop.report_.outcome.provenance["settings"]["guard_seconds"] / dt)
     split = split.decided(whole.t, instants).guarded(guard)
-    parts = (split.searched(whole), split.untouched(whole))
+    parts = (split.searched(whole), split.held_out(whole))
     return tuple((part.q, part.tau, part.groups) for part in parts)
 
 

@@ -40,22 +40,21 @@ def judge(task):
         loop = EffectDiscovery(identifier, random_state=0, **effects)
         loop.fit(fit.q, fit.tau, groups=fit.groups)
         left = loop.identifier_.residuals(unseen.q, unseen.tau, groups=unseen.groups)
-    promised = loop.report_.outcome.next_recording
+    promised = loop.report_.outcome.facts_of("next recording")
+    median = np.array([one.value for one in promised[:-1]])
+    low, high = np.array([one.interval for one in promised[:-1]]).T
     error = left.rms() / loop.torque_spread_
-    known = np.isfinite(promised.error) & np.isfinite(error)
-    low, high = promised.interval
+    known = np.isfinite(median) & np.isfinite(error)
     return {
         **{key: task[key] for key in KEYS},
-        "source": promised.source,
-        "promised": float(promised.error[known].mean()),
+        "source": promised[-1].source,
+        "promised": float(median[known].mean()),
         "true": float(error[known].mean()),
         "untouched": float(loop.error_after_[known].mean()),
         "inside": int(((error >= low) & (error <= high))[known].sum()),
         "joints": int(known.sum()),
         "mean_inside": bool(
-            promised.mean_interval[0]
-            <= error[known].mean()
-            <= promised.mean_interval[1]
+            promised[-1].interval[0] <= error[known].mean() <= promised[-1].interval[1]
         ),
         "seconds": time.process_time() - started,
     }

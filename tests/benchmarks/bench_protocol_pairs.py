@@ -113,15 +113,16 @@ def judge(recording, identifier, scale, label, fitted, judged):
     declared = clone(identifier).fit(fit.q, fit.tau, groups=fit.groups)
     models = declared, loop.identifier_
     found = [m.residuals(unseen.q, unseen.tau, groups=unseen.groups) for m in models]
-    spread, intervals = loop.torque_spread_, loop.report_.outcome.intervals
+    spread, outcome = loop.torque_spread_, loop.report_.outcome
+    low, high = outcome.intervals("after")
     return Verdict(
         judged=label,
         before=found[0].rms(),
         after=found[1].rms(),
         reported_before=spread * loop.error_before_,
         reported_after=spread * loop.error_after_,
-        difference=spread * intervals["difference"],
-        width=_divide(intervals["after"][1], intervals["after"][0]),
+        difference=spread * outcome.intervals("difference"),
+        width=_divide(high, low),
         overlap=scale.overlap(fitted, judged),
         effects=tuple(f"{e.name} {e.joint + 1}" for e in loop.effects_),
         perhaps=tuple(f"{e.name} {e.joint + 1}" for e in loop.possible_),

@@ -202,7 +202,7 @@ def run(task):
         "found": bool(found) and all(found),
         "names": stated(loop.effects_, wrong),
         "perhaps": stated(loop.possible_, wrong_perhaps),
-        "repeats": bool(loop.report_.outcome.repeated),
+        "repeats": bool(loop.report_.outcome.findings["repeated"]),
         "seconds": time.process_time() - started,
     }
 

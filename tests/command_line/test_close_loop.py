@@ -126,7 +126,7 @@ def test_files_are_written(urdf, recording, tmp_path, monkeypatch, capsys):
     assert page.count('<figure class="wide"') == 1 + 3 * 2
     assert re.search(r'class="x-name">position of [^<]*shoulder[^<]* \[rad\]<', page)
     assert report["provenance"]["file"] == str(source)
-    assert report["recorded"]["rate"] == pytest.approx(200.0)
+    assert report["provenance"]["rate"] == pytest.approx(200.0)
     for matrix in identified(folder / "identified.urdf"):
         assert np.linalg.eigvalsh(matrix).min() > 0
     # The robot without its data, its spring included.
@@ -473,7 +473,7 @@ def test_columns_of_a_file_are_candidates(warm, urdf, tmp_path, capsys):
     low, high = effect["intervals"]["k"]
     assert low < SLOPE / factor < high
     assert [x for x in effect["rivals"] if x in {"signal: gain", "signal: temperature"}]
-    assert report["settings"]["signals"] == ["temperature", "gain"]
+    assert report["provenance"]["settings"]["signals"] == ["temperature", "gain"]
     said = " ".join(capsys.readouterr().out.split())
     # A terminal names two channels, the page all.
     assert said.count("is not used as a signal.") == 2
@@ -490,7 +490,7 @@ def test_columns_of_a_file_are_candidates(warm, urdf, tmp_path, capsys):
 
 def test_signals_are_chosen_by_name(warm, urdf, tmp_path, capsys):
     report = closed(warm, urdf, tmp_path / "one", "--signals", "temperature")
-    assert report["settings"]["signals"] == ["temperature"]
+    assert report["provenance"]["settings"]["signals"] == ["temperature"]
     (effect,) = report["effects"]
     assert effect["parameters"]["signal"] == "temperature"
     assert report["channels"] == []

@@ -93,7 +93,7 @@ def test_the_loop_is_closed_on_commands(run, tmp_path):
     assert "No torque was measured: torques are computed from the commands" in page
     assert page.count("no desired velocities (v_desired): taken as zero") == 1
     report = json.loads((tmp_path / "arm-report/report.json").read_text())
-    assert report["declared"]["drive"] == {
+    assert report["robot"]["drive"] == {
         "kind": "PDDrive",
         "delay": None,
         "saturated": [0.0, 0.0],

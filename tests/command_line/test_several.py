@@ -91,7 +91,7 @@ def test_the_report_is_of_all_recordings(closed):
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     assert report["provenance"]["file"] == list(RUNS)
     assert report["recordings"] == ["a", "b", "c"]
-    assert report["recorded"]["samples"] == 2400
+    assert report["provenance"]["samples"] == 2400
     assert [effect["name"] for effect in report["effects"]] == ["spring"]
     page = (folder / "report.html").read_text(encoding="utf-8")
     text = page[page.index("Provenance</h2>") :]

@@ -158,7 +158,7 @@ def test_no_false_alarm(complete):
     assert complete.effects_ == complete.unexplained_ == ()
     assert complete.judged_ is complete.baseline_
     assert_array_equal(complete.error_after_, complete.error_plain_)
-    low, high = complete.report_.outcome.intervals["after"]
+    low, high = complete.report_.outcome.intervals("after")
     assert np.all((low < complete.error_after_) & (complete.error_after_ < high))
     assert (complete.consistency_cost_ == 0).all()
     assert "cost" not in str(complete.report_)
@@ -220,7 +220,7 @@ def test_effects_carry_the_ranges_that_they_were_fitted_on(springy):
         width = np.ptp(values)
         assert_allclose([low, high], [values.min(), values.max()], atol=0.1 * width)
     # A quarter of the motion, in stretches, does not leave the rest of it.
-    assert springy.report_.outcome.outside == ()
+    assert springy.report_.outcome.findings["outside"] == ()
 
 
 def test_untouched_data_outside_of_the_fit_are_told():
@@ -234,7 +234,9 @@ def test_untouched_data_outside_of_the_fit_are_told():
     weight[far & searched, 0] = 0.0
     loop = EffectDiscovery(ARM.robot(), effects=PLAIN)
     loop.fit(position, GOOD, sample_weight=weight)
-    found = [f for f in loop.report_.outcome.outside if f.quantity == "position"]
+    found = [
+        f for f in loop.report_.outcome.findings["outside"] if f.quantity == "position"
+    ]
     (one,) = found
     assert (one.names, one.joint) == (("spring",), 0)
     low, high = loop.judged_.effect_ranges_[-1].position
@@ -263,10 +265,10 @@ def test_the_error_is_that_of_the_untouched_part(springy):
     search = split.searched(whole)
     again = ARM.robot().fit(search.q, search.tau, groups=search.groups)
     assert_allclose(again.theta_, springy.declared_.theta_, rtol=1e-9)
-    guard = springy.report_.outcome.settings["guard_seconds"]
+    guard = springy.report_.outcome.provenance["settings"]["guard_seconds"]
     rest = split.guarded(round(guard / ARM.robot().dt))
     assert 0 < held_out(rest).size <= held_out(split).size
-    rest = rest.untouched(whole)
+    rest = rest.held_out(whole)
     weight = []
     for model, error in (
         (springy.declared_, springy.error_before_),
@@ -277,7 +279,7 @@ def test_the_error_is_that_of_the_untouched_part(springy):
         weight.append(found.weight)
     # The joints hardly ever rest.
     total = weight[0].shape[0] * np.diff(found.index[:2])[0] * ARM.robot().dt
-    seconds = springy.report_.outcome.seconds
+    seconds = springy.report_.outcome.column("seconds")
     assert np.all((seconds > 0.7 * total) & (seconds <= total))
 
 
@@ -291,9 +293,9 @@ def test_the_spread_is_that_of_the_whole_recording(springy):
 
 def test_errors_in_a_wider_band_hold_more_noise(springy):
     outcome = springy.report_.outcome
-    assert outcome.wide_cutoff > 2 * springy.judged_.cutoff_
-    assert np.all(outcome.wide_after > outcome.error_after)
-    assert np.all(outcome.wide_after < 4 * outcome.error_after)
+    assert outcome.robot["wide_cutoff"] > 2 * springy.judged_.cutoff_
+    assert np.all(outcome.column("wide") > outcome.column("after"))
+    assert np.all(outcome.column("wide") < 4 * outcome.column("after"))
 
 
 def test_the_model_that_is_handed_over_knows_all_data(springy):
@@ -363,9 +365,9 @@ def test_recordings_are_used_together():
     loop.fit(position, torque, groups=groups)
     assert named(loop) == [("maxwell_slip", 1)]
     assert loop.effects_[0].parameters["Fc"] == pytest.approx(1.2, rel=0.15)
-    rows = loop.report_.to_dict()["settings"]["search_rows"]
+    rows = loop.report_.to_dict()["provenance"]["settings"]["search_rows"]
     assert rows == pytest.approx(0.75 * groups.size, rel=0.05)
-    assert loop.report_.outcome.settings["untouched_stretches"] == 3
+    assert loop.report_.outcome.provenance["settings"]["untouched_stretches"] == 3
     assert loop.predict(position, groups=groups).shape == torque.shape
 
 
@@ -739,4 +741,6 @@ def test_a_doubtful_channel_is_a_warning():
     search = EffectDiscovery(RobotIdentifier(made.urdf, dt=made.dt), effects=[])
     with pytest.warns(DoubtWarning, match="joint_4"):
         search.fit(made.q, tau)
-    assert [one.kind for one in search.report_.outcome.channels] == ["gear_factor"]
+    assert [one.kind for one in search.report_.outcome.findings["channels"]] == [
+        "gear_factor"
+    ]

@@ -86,7 +86,7 @@ def test_coarse_torques_are_told_and_name_nothing(step):
         return
     assert loop.effects_ == ()
     assert loop.report_.status == "unsearched"
-    assert loop.report_.outcome.unsearched == (0, 1)
+    assert not loop.report_.outcome.column("searched").any()
     assert "steps of" in text_of(loop.report_)
     assert np.isfinite(loop.error_after_).all()
 
@@ -113,7 +113,7 @@ def test_joints_that_move_one_at_a_time():
     t = seconds(80.0)
     loop = close(*measure(t, pauses(t, [(1, 40)], [(41, 79)])))
     true_of_a_complete_robot(loop)
-    assert np.all(loop.report_.outcome.seconds > 5.0)
+    assert np.all(loop.report_.outcome.column("seconds") > 5.0)
 
 
 def test_two_seconds_of_motion_in_sixty():
@@ -133,7 +133,7 @@ def test_two_seconds_of_motion_in_sixty():
 
 
 def named_of(report):
-    return sorted((e.name, e.joint) for e in report.outcome.effects)
+    return sorted((e.name, e.joint) for e in report.outcome.findings["effects"])
 
 
 def groups_of(t):
@@ -175,7 +175,7 @@ def test_a_torque_in_another_unit_is_told_before_anything(two_motions):
     assert report.status == "faulty"
     assert report.headline.startswith("Fix the recording first. ")
     # The masses of the description say which of the two is right.
-    (one,) = report.outcome.channels
+    (one,) = report.outcome.findings["channels"]
     assert (one.kind, one.joints) == ("gear_factor", (1,))
 
 

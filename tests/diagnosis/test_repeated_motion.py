@@ -62,7 +62,7 @@ def test_a_curve_of_the_phase_has_no_name(case):
     groups = np.arange(len(q)) * recordings // len(q)
     loop = closed(q, tau, groups)
     assert loop.effects_ == ()
-    (motion,) = loop.report_.outcome.repeated
+    (motion,) = loop.report_.outcome.findings["repeated"]
     assert motion.seconds == pytest.approx(PERIOD, abs=0.05)
     assert motion.count == pytest.approx(TIMES, rel=0.01)
     assert "Repeated motion: one of" in text_of(loop.report_)
@@ -85,6 +85,6 @@ def test_commands_tell_of_a_motion_that_the_positions_do_not_show():
     push = 0.15 * np.sin(2 * np.pi * 0.73 * t) * np.sin(2 * np.pi * 0.011 * t)
     pushed = pandas.DataFrame({"joint_1": q[:, 0] + push, "goal": q[:, 0]})
     loop = closed(pushed, tau)
-    (motion,) = loop.report_.outcome.repeated
+    (motion,) = loop.report_.outcome.findings["repeated"]
     assert motion.seconds == pytest.approx(PERIOD, abs=0.05)
-    assert closed(pushed[["joint_1"]], tau).report_.outcome.repeated == ()
+    assert closed(pushed[["joint_1"]], tau).report_.outcome.findings["repeated"] == ()

@@ -68,7 +68,7 @@ def test_friction_that_falls_with_temperature_is_named(warm):
 
 
 def test_the_friction_is_that_of_the_reference(warm):
-    values = warm.report_.outcome.parameters
+    values = warm.report_.outcome.facts_of("parameter")
     (coulomb,) = (one for one in values if one.name == "joint_1:coulomb")
     reference = the_signal(warm).parameters["reference"]
     low, high = coulomb.interval
@@ -160,7 +160,7 @@ def test_a_prediction_needs_the_signal(warm):
 
 def test_the_report_names_the_signals(both, warm):
     outcome = both.report_.to_dict()
-    assert outcome["settings"]["signals"] == ["temperature", "kp"]
+    assert outcome["provenance"]["settings"]["signals"] == ["temperature", "kp"]
     assert "temperature, kp" in text_of(both.report_)
     said = text_of(warm.report_)
     assert "Coulomb friction that varies with temperature" in said
@@ -196,7 +196,9 @@ def test_columns_of_a_frame_are_candidates_and_the_report_says_which_are_not(war
     )
     loop = close(heated(CYCLES), None, X=X)
     assert the_signal(loop).parameters == the_signal(warm).parameters
-    found = {c.message.split("'")[1]: c for c in loop.report_.outcome.channels}
+    found = {
+        c.message.split("'")[1]: c for c in loop.report_.outcome.findings["channels"]
+    }
     assert set(found) == {"gaps", "fixed", "operator", "reference", "clock", "t"}
     assert {c.kind for c in found.values()} == {"unusable_signal"}
     assert {c.severity for c in found.values()} == {"warning"}

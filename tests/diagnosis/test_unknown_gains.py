@@ -67,7 +67,7 @@ def test_effects_are_found_beside_unknown_gains(recording):
     assert_allclose(found.parameters["k"], STIFFNESS, rtol=0.05)
     assert_allclose(loop.identifier_.gains_.gain, GAINS, rtol=0.03)
     assert np.all(loop.error_after_ < 0.02)
-    assert loop.report_.outcome.gains is loop.identifier_.gains_
+    assert loop.report_.outcome.robot["gains"] is loop.identifier_.gains_
 
 
 @pytest.mark.slow
@@ -92,7 +92,7 @@ def test_the_reference_stays_and_gains_are_not_searched(recording):
         for robot in (loop.declared_, loop.judged_, loop.identifier_)
     }
     assert len(references) == 1
-    assert "torque_gain" not in loop.report_.outcome.library
+    assert "torque_gain" not in loop.report_.outcome.robot["library"]
     (first,) = references.pop()
     assert_allclose(loop.identifier_.gains_.gain, GAINS / GAINS[first], rtol=0.03)
     (found,) = loop.effects_
@@ -105,7 +105,7 @@ def test_the_reference_stays_and_gains_are_not_searched(recording):
 def test_a_doubt_about_the_unit_of_torques_is_none(recording):
     model, X, y = recording
     loop = close((model, X[:, :NV], 40.0 * y), None, ["spring"])
-    kinds = {one.kind for one in loop.report_.outcome.channels}
+    kinds = {one.kind for one in loop.report_.outcome.findings["channels"]}
     assert "gear_factor" not in kinds
 
 

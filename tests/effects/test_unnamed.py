@@ -85,7 +85,7 @@ def test_a_search_adds_it_only_where_something_is_left():
         loop = EffectDiscovery(robot, random_state=0, max_effects=0)
         loop.fit(Q, recorded(torque))
         assert loop.effects_ == ()
-        assert bool(loop.report_.outcome.unnamed) == wanted
+        assert bool(loop.report_.outcome.findings["unnamed"]) == wanted
         assert ("unnamed" in loop.report_.to_html().lower()) == wanted
         if wanted:
             assert loop.error_after_[0] < 0.8 * loop.error_plain_[0]

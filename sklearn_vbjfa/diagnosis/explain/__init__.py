@@ -1,41 +1,26 @@
-"""Results of a finished search, each a function and a finding."""
+"""Results of a finished search, as plain data."""
 
 from sklearn_vbjfa import _lazily
 
-# Nothing of it is for users but what `EffectDiscovery` hands on.
+# For the report, the command line and tests; users get them from `EffectDiscovery`.
 _MODULES = {
-    "_contradictions": """
-        Contradiction Contradictions Deviation Parts contradictions
-    """,
+    "_commands": "commands_alone",
     "_curves": """
-        FrictionCurves ResidualCurves TimeLine TorqueCurves cloud_size
+        EffectCurves FrictionCurves ResidualCurves TimeLine TorqueCurves cloud_size
         curve_size curves_over effect_curves extremes time_line
     """,
+    "_effects": "DiscoveredEffect named_values",
+    "_errors": "Models NEXT_SECONDS error_intervals judge",
+    "_final": "EffectEstimate FinalFit added_effects",
     "_gaps": """
-        ABOVE_FLOOR Dependence Hidden Unexplained dependences
-        inseparable motion_signals p_value
+        ABOVE_FLOOR Dependence Hidden Unexplained dependences inseparable
+        motion_signals p_value
     """,
-    "_identified": """
-        ParameterValue RecordedMotion parameter_values
-    """,
-    "_intervals": """
-        EffectEstimate FinalFit NEXT_SECONDS added_effects error_intervals
-    """,
-    "_judgement": """
-        CommandsAlone ConsistencyCost Models commands_alone judge
-    """,
-    "_next": """
-        Expectation Motions NextRecording given_motion
-    """,
-    "_outcome": """
-        DiscoveredEffect Outcome Provenance make_outcome named_values
-    """,
-    "_split": """
-        split_in_time
-    """,
-    "_unnamed": """
-        unnamed_torques
-    """,
+    "_next": "Expectation Motions given_motion",
+    "_outcome": "Fact JointErrors Outcome make_outcome parameter_values",
+    "_recordings": "Contradiction Parts contradictions",
+    "_split": "split_in_time",
+    "_unnamed": "unnamed_torques",
 }
 __all__ = []
 __getattr__, __dir__ = _lazily(

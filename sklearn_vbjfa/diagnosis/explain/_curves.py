@@ -1,4 +1,4 @@
-"""What pictures of a finished search need of the recording, thinned."""
+"""Curves for the pictures of a finished search, thinned."""
 
 import itertools
 from dataclasses import dataclass
@@ -7,8 +7,7 @@ import numpy as np
 
 from sklearn_vbjfa.effects import RotorInertia
 
-# Most points of a cloud, and of a curve over time (lowest and highest of each
-# interval), and of all of them together, which have to fit into one page.
+# Most points of a cloud, of a curve over time, and of all of them together on a page.
 _CLOUD, _CURVE, _TOGETHER = 1500, 2000, 20_000
 # Bins that may be needed to follow a law, the fewest first, and rows in one to count.
 _BINS, _FEWEST = (24, 48, 96, 192), 8
@@ -18,11 +17,9 @@ _LOST = 0.05
 _ENDS = (0.001, 0.999)
 # Rows that are farther apart than this many usual steps have something between them.
 _GAP = 2.5
-# Most points of a friction curve.
-_DOTS = 400
-# Rows of an autocorrelation.
-_LAGS = 40
-# Kinds of a signal that the state of a joint has.
+# Most points of a friction or residual curve, and rows of an autocorrelation.
+_DOTS, _LAGS = 400, 40
+# Signals of a joint by their kind, and units of kinds on joints that turn and slide.
 _OF_STATE = {"position": "q", "speed": "v", "acceleration": "a", "load": "load"}
 _UNITS = {
     "position": ("rad", "m"),
@@ -37,22 +34,20 @@ _UNITS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EffectCurves:
-    """Torques of a joint without and with an effect, over the effect's own signal."""
-
-    # The other parameters are those of the completed model.
+    """Torques of a joint without and with an effect, over the effect's signal."""
 
     joint: int  # whose torque is shown, from zero
     kind: str  # what is on the horizontal axis, as in `Effect.seen_over`
     signal: str  # name of the recorded one; empty for others
     unit: str  # of the horizontal axis; empty where it is not known
     with_motion: bool  # whether torques count in the direction of the motion
-    # (k,): points of the cloud, x rising: what the model leaves without and with the
-    # effect [N m or N]
+    # (k,): points of a cloud, x rising: residuals of the completed model without and
+    # with the effect, and its torque [N m or N]
     x: np.ndarray
     without: np.ndarray
     after: np.ndarray
-    law: np.ndarray  # (k,): torque of the effect there
-    center: np.ndarray  # (n_bins,): middle of the bins in which there is something
+    law: np.ndarray
+    center: np.ndarray  # (n_bins,): middle of the bins that hold enough rows
     # (2, n_bins): weighted mean and deviation there, without and with the effect
     mean: np.ndarray
     deviation: np.ndarray
@@ -60,27 +55,10 @@ class EffectCurves:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TorqueCurves:
-    """Measured and predicted torque, or position, of a joint over time."""
-
-    joint: int  # from zero
-    seconds: np.ndarray  # (k,): or the number of the row where time is not known
-    # (k,): behind the low-pass; predicted by the declared and by the completed model,
-    # both fitted to the search part [N m or N; rad or m]. They are nan where rows are
-    # missing
-    measured: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    counts: np.ndarray  # (k,): whether the joint moves, so that errors count there
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class FrictionCurves:
-    """Friction of a joint over its speed, measured and of both models."""
+    """Friction of a joint over its speed, of both models: it is the effect there."""
 
     joint: int  # from zero
-    # over speed, with what all else of the completed model leaves of the measured
-    # torque as what is "without the effect": the effect is the friction of each model
     before: EffectCurves | None
     after: EffectCurves
 
@@ -90,7 +68,7 @@ class ResidualCurves:
     """Residual of a joint on the held-out part, over its torque and its own past."""
 
     joint: int  # from zero
-    # (k,): predicted by the completed model, and what it leaves [N m or N]
+    # (k,): torque predicted by the completed model, and the residual [N m or N]
     predicted: np.ndarray
     residual: np.ndarray
     lags: np.ndarray  # (l,): [s], or rows
@@ -99,12 +77,26 @@ class ResidualCurves:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class TorqueCurves:
+    """Measured and predicted torque, or position, of a joint over time."""
+
+    joint: int  # from zero
+    seconds: np.ndarray  # (k,): or numbers of rows
+    # (k,): filtered; predicted by the declared and by the completed model, both fitted
+    # to the search part [N m or N; rad or m]; nan where rows are missing
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    counts: np.ndarray  # (k,): whether the joint moves, so that errors count there
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TimeLine:
     """The recording from its beginning to its end."""
 
     torques: tuple  # of each joint
     borders: tuple  # where recordings after the first begin [s]
-    untouched: tuple  # stretches that the search did not look at [s]
+    held_out: tuple  # stretches that the search did not look at [s]
     in_seconds: bool  # whether times are known; else they count rows
 
 
@@ -118,13 +110,18 @@ def curve_size(count):
     return min(_CURVE, _TOGETHER // max(count, 1))
 
 
+def _evenly(rows, most):
+    """At most so many of some rows, evenly."""
+    return rows[np.linspace(0, rows.size - 1, min(rows.size, most)).astype(int)]
+
+
+# -- effects and friction --------------------------------------------------------------
+
+
 def effect_curves(final):
     """Curves of each effect that a final fit has, a tuple of EffectCurves or None."""
     # None where there are too few rows to draw.
-    torques = final.effect_torques()
-    if not torques:
-        return ()
-    after = final.residuals()[1]
+    torques, after = final.effect_torques(), final.residuals()[1]
     return tuple(
         _of_effect(final, effect, own, after, cloud_size(len(torques)))
         for effect, own in zip(final.effects, torques)
@@ -132,12 +129,14 @@ def effect_curves(final):
 
 
 def _of_effect(final, effect, own, after, most):
-    """Curves of one effect with its torque (m, nv); a cloud of at most `most`."""
+    """Curves of one effect with its torque (m, nv)."""
     view, motion = final.view, final.motion
-    residual, weight = after.residual, after.weight
-    joint = effect.joint
+    residual, weight, joint = after.residual, after.weight, effect.joint
     if effect.scope == "robot":
-        joint = _most_of(own, residual, weight)
+        # Where it is largest relative to the residual.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (weight * own**2).sum(axis=0) / (weight * residual**2).sum(axis=0)
+        joint = int(np.argmax(np.where(np.isfinite(share), share, 0.0)))
     kind = effect.seen_over
     if kind in _OF_STATE:
         x = view.filtered(getattr(motion, _OF_STATE[kind])[:, [joint]])[:, 0]
@@ -166,13 +165,6 @@ def _of_effect(final, effect, own, after, most):
     )
 
 
-def _most_of(own, residual, weight):
-    """Joint on which a torque (m, nv) is largest relative to the residual."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = (weight * own**2).sum(axis=0) / (weight * residual**2).sum(axis=0)
-    return int(np.argmax(np.where(np.isfinite(share), share, 0.0)))
-
-
 def curves_over(x, after, law, weight, *, most=_CLOUD, **named):
     """Curves of an effect from rows (m,); None of too few."""
     if x.size < _BINS[0] or not np.ptp(x) > 0:
@@ -181,25 +173,20 @@ def curves_over(x, after, law, weight, *, most=_CLOUD, **named):
     if not high > low:
         low, high = x.min(), x.max()
     label, n = _bins(x, law, weight, low, high)
-    count = np.bincount(label, minlength=n)
-    kept = count >= _FEWEST
+    kept = np.bincount(label, minlength=n) >= _FEWEST
     if not kept.any():
         return None
-    edges = np.linspace(low, high, n + 1)
+    edges, without = np.linspace(low, high, n + 1), after + law
 
     def mean(values):
-        total = np.bincount(label, weight, n)
-        sums = np.bincount(label, weight * values, n)
-        return (sums / np.where(total > 0, total, 1.0))[kept]
+        return _bin_means(label, weight, values, n)[kept]
 
-    pair = after + law, after
-    means = np.array([mean(values) for values in pair])
-    squares = np.array([mean(values**2) for values in pair])
-    rows = np.argsort(x, kind="stable")
-    rows = rows[np.linspace(0, x.size - 1, min(x.size, most)).astype(int)]
+    means = np.array([mean(without), mean(after)])
+    squares = np.array([mean(without**2), mean(after**2)])
+    rows = _evenly(np.argsort(x, kind="stable"), most)
     return EffectCurves(
         x=x[rows],
-        without=pair[0][rows],
+        without=without[rows],
         after=after[rows],
         law=law[rows],
         center=(0.5 * (edges[1:] + edges[:-1]))[kept],
@@ -210,19 +197,25 @@ def curves_over(x, after, law, weight, *, most=_CLOUD, **named):
     )
 
 
+def _bin_means(label, weight, values, n):
+    """Weighted means of values in n bins; zero in an empty one."""
+    total = np.bincount(label, weight, n)
+    sums = np.bincount(label, weight * values, n)
+    return sums / np.where(total > 0, total, 1.0)
+
+
 def _bins(x, law, weight, low, high):
     """Bin of each row, and how many there are: no more than the law needs."""
-    lost = []
+    labels, lost = [], []
     for n in _BINS:
         label = np.clip((n * (x - low) / (high - low)).astype(int), 0, n - 1)
-        total = np.bincount(label, weight, n)
-        sums = np.bincount(label, weight * law, n)
-        inside = law - (sums / np.where(total > 0, total, 1.0))[label]
+        inside = law - _bin_means(label, weight, law, n)[label]
+        labels.append(label)
         lost.append((weight * inside**2).sum())
     # What even the finest bins lose is no function of the signal.
     spare = _LOST * (weight * (law - np.average(law, weights=weight)) ** 2).sum()
-    n = next(k for k, left in zip(_BINS, lost) if left <= lost[-1] + spare)
-    return np.clip((n * (x - low) / (high - low)).astype(int), 0, n - 1), n
+    k = next(k for k, left in enumerate(lost) if left <= lost[-1] + spare)
+    return labels[k], _BINS[k]
 
 
 def friction_curves(declared, final):
@@ -233,18 +226,18 @@ def friction_curves(declared, final):
     before = np.array([given.get(name, 0.0) for name in names])
     torques = zip(final.effects, final.effect_torques())
     own = [torque for effect, torque in torques if is_friction(effect)]
-    most = min(_DOTS, cloud_size(after.weight.shape[1]))
-    found = []
+    most, found = min(_DOTS, cloud_size(after.weight.shape[1])), []
     for j, columns in enumerate(friction_columns(final.declared)):
         Phi = view.equations.Phi[:, j, columns]
-        law = Phi @ theta[columns] + sum(torque[:, j] for torque in own)
+        laws = [Phi @ theta[columns] + sum(torque[:, j] for torque in own)]
+        laws.append(Phi @ before[columns])
         x = view.filtered(motion.v[:, [j]])[:, 0]
         used = (after.weight[:, j] > 0) & np.isfinite(x)
         completed, simple = (
             curves_over(
                 x[used],
                 after.residual[used, j],
-                values[used],
+                law[used],
                 after.weight[used, j],
                 joint=j,
                 kind="speed",
@@ -253,7 +246,7 @@ def friction_curves(declared, final):
                 with_motion=False,
                 most=most,
             )
-            for values in (law, Phi @ before[columns])
+            for law in laws
         )
         if completed is not None:
             found.append(FrictionCurves(joint=j, before=simple, after=completed))
@@ -277,12 +270,12 @@ def friction_columns(identifier):
 
 
 def is_friction(effect):
-    """Whether the torque of an effect is against the motion."""
-    return (
-        effect.with_motion
-        or effect.seen_over == "speed"
-        or "direction" in effect.depends
-    )
+    """Whether the torque of an effect opposes the motion."""
+    of_speed = effect.seen_over == "speed" or "direction" in effect.depends
+    return effect.with_motion or of_speed
+
+
+# -- residuals -------------------------------------------------------------------------
 
 
 def residual_curves(after, dt):
@@ -297,8 +290,7 @@ def residual_curves(after, dt):
         line = np.zeros(2 ** int(np.ceil(np.log2(2 * (grid[-1] + 1)))))
         line[grid[rows]] = after.residual[rows, j]
         power = np.fft.irfft(np.abs(np.fft.rfft(line)) ** 2)
-        lags = np.arange(min(_LAGS, rows.size))
-        shown = rows[np.linspace(0, rows.size - 1, min(rows.size, _DOTS)).astype(int)]
+        lags, shown = np.arange(min(_LAGS, rows.size)), _evenly(rows, _DOTS)
         found.append(
             ResidualCurves(
                 joint=j,
@@ -312,18 +304,21 @@ def residual_curves(after, dt):
     return tuple(found)
 
 
-def time_line(searched, untouched, clock, begins):
+# -- torques over time -----------------------------------------------------------------
+
+
+def time_line(searched, held_out, clock, begins):
     """Torques over time of two models before and after, `TimeLine`."""
-    # searched, untouched: pairs of their residuals on the two parts of the recording
-    index = np.concatenate([searched[0].index, untouched[0].index])
+    # searched, held_out: pairs of their residuals on the two parts of the recording
+    index = np.concatenate([searched[0].index, held_out[0].index])
     order = np.argsort(index, kind="stable")
-    fresh = np.repeat([False, True], [x[0].index.size for x in (searched, untouched)])
+    fresh = np.repeat([False, True], [x[0].index.size for x in (searched, held_out)])
     index, fresh = index[order], fresh[order]
     seconds = np.arange(index[-1] + 1) if clock is None else clock
     seconds = seconds[index].astype(float)
 
     def series(which, name):
-        pair = searched[which], untouched[which]
+        pair = searched[which], held_out[which]
         return np.concatenate([getattr(part, name) for part in pair])[order]
 
     step = float(np.median(np.diff(seconds))) if seconds.size > 1 else 1.0
@@ -331,13 +326,22 @@ def time_line(searched, untouched, clock, begins):
     starts = starts[starts < index.size]
     # Nothing is known between recordings, and between search and held-out part.
     gaps = np.union1d(np.flatnonzero(np.diff(seconds) > _GAP * step) + 1, starts)
-    before, after = series(0, "predicted"), series(1, "predicted")
-    counts = series(0, "weight") > 0
-    known = series(0, "torque"), before, after, counts
+    change = np.diff(np.r_[False, fresh, False].astype(int))
+    ends = zip(np.flatnonzero(change > 0), np.flatnonzero(change < 0))
     return TimeLine(
-        torques=over_time(seconds, gaps, *known, step),
+        torques=over_time(
+            seconds,
+            gaps,
+            series(0, "torque"),
+            series(0, "predicted"),
+            series(1, "predicted"),
+            series(0, "weight") > 0,
+            step,
+        ),
         borders=tuple(seconds[starts].tolist()),
-        untouched=_stretches(seconds, fresh, step),
+        held_out=tuple(
+            (float(seconds[a]), float(seconds[b - 1] + step)) for a, b in ends
+        ),
         in_seconds=clock is not None,
     )
 
@@ -349,14 +353,12 @@ def over_time(seconds, gaps, measured, before, after, counts, step):
     )
     counts = np.insert(counts, gaps, False, axis=0)
     seconds = np.insert(seconds, gaps, seconds[gaps] - 0.5 * step)
-    # A model of which nothing is known leaves no gap.
+    # Unknown predictions leave no gap.
     left = np.where(counts & np.isfinite(after), measured - after, 0.0)
-    torques = []
+    # Half of the points are those of the residual.
+    half, torques = curve_size(measured.shape[1]) // 2, []
     for j in range(measured.shape[1]):
-        # Half of them are those of the residual; rows that do not count are no gaps.
-        own = measured[:, j], left[:, j]
-        half = curve_size(measured.shape[1]) // 2
-        rows = np.union1d(*(extremes(values, half) for values in own))
+        rows = np.union1d(extremes(measured[:, j], half), extremes(left[:, j], half))
         torques.append(
             TorqueCurves(
                 joint=j,
@@ -385,12 +387,3 @@ def extremes(values, most):
         for at in (a + np.argmin(low[a:b]), a + np.argmax(high[a:b]))
     ]
     return np.union1d(rows, np.flatnonzero(~known))
-
-
-def _stretches(seconds, chosen, step):
-    """Intervals of time in which rows are chosen, a tuple of (begin, end)."""
-    change = np.diff(np.r_[False, chosen, False].astype(int))
-    return tuple(
-        (float(seconds[a]), float(seconds[b - 1] + step))
-        for a, b in zip(np.flatnonzero(change > 0), np.flatnonzero(change < 0))
-    )

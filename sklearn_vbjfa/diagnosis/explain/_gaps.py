@@ -7,20 +7,20 @@ import numpy as np
 from scipy import special
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.explain._effects import named_beside
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST, fit_memory
-from sklearn_vbjfa.effects import Shaped, closure
+from sklearn_vbjfa.effects import closure
 from sklearn_vbjfa.equations._equations import make_motion
 
 # What takes less than this off a joint's squared error is not worth reporting.
 SMALLEST_GAIN = 0.02
-# A joint whose residual is this far above its noise floor has something unexplained:
-# by the first factor if it varies with a signal, by the second in any case. (What
-# smoothing takes from the motion leaves some per cent above the floor.)
+# A residual this far above its noise floor is unexplained: by the first factor if it
+# varies with a signal, by the second in any case. (What smoothing takes from the motion
+# leaves some per cent above the floor.)
 ABOVE_FLOOR = (1.1, 1.5)
-# Bins of a signal: coarse enough to be filled, fine enough to bend.
-_BINS = 12
-# Level of a dependence, shared out among the signals (Bonferroni).
-_LEVEL = 0.01
+# Bins of a signal, the level of a dependence, shared out among the signals
+# (Bonferroni), and how many of these are reported.
+_BINS, _LEVEL, _SIGNALS = 12, 0.01, 4
 # Share of a column's power outside the span of the others below which it cannot be
 # seen in this recording, and below which no motion can show it.
 _UNSEEN, _IN_SPAN = 1e-3, 1e-6
@@ -40,8 +40,7 @@ class Dependence:
     """How much of a joint's residual a signal explains out of sample."""
 
     signal: str  # such as "speed of joint 2" or "time"
-    # share of the mean square that a step function of it explains in other blocks
-    share: float
+    share: float  # of the mean square, by a step function fitted to other blocks
     p_value: float  # from the blocks of time, see `p_value`
 
 
@@ -97,35 +96,33 @@ def motion_signals(motion, names):
     }
     if motion.t is not None:
         signals["time"] = motion.t
-    # What does not vary has no bins.
+    # A constant has no bins.
     return signals | {k: x for k, x in motion.signals.items() if np.ptp(x) > 0}
 
 
-# -- what is above the noise floor -----------------------------------------------------
+# -- residuals above the noise floor ---------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Unexplained:
-    """Residual of a joint above the noise that is unexplained."""
+    """Residual of a joint above its noise floor."""
 
     joint: int  # from zero
     joint_name: str
     # out-of-sample residual and noise floor [N m or N]; the floor is nan if unknown
     rms: float
     floor: float
-    share: float  # share of the residual's mean square above the floor
-    # root mean square of what is above the floor over the spread of the torque, on the
-    # held-out part (on the search part where the held-out one shows nothing above the
-    # floor, or is too short); of the whole residual, if the floor is unknown
+    # root mean square above the floor over the deviation of the torque, on the held-out
+    # part (on the search part where the held-out one shows nothing above the floor, or
+    # is too short); of the whole residual if the floor is unknown
     of_torque: float
-    # signals that it varies with, the strongest first
-    signals: tuple[Dependence, ...] = ()
+    signals: tuple[Dependence, ...] = ()  # that it varies with, the strongest first
 
 
 def unexplained(model, names, spread, floors, errors):
-    """Joints above their floor, with the signals that the rest varies with."""
-    # Of a `FoundModel`; spread and noise floors (nv,) in N m or N, nan where unknown,
-    # and the errors on the held-out part over the spread, nan where there is none.
+    """Joints of a `FoundModel` above their floor, with signals they vary with."""
+    # spread, floors (nv,): [N m or N]; errors (nv,): on the held-out part, over the
+    # spread. They are nan where unknown.
     view = model.view
     residual = model.residual / np.where(view.root.T > 0, view.root.T, np.inf)
     signals = motion_signals(model.motion, names)
@@ -137,7 +134,7 @@ def unexplained(model, names, spread, floors, errors):
         known = not np.isnan(floor)
         if known and rms <= ABOVE_FLOOR[0] * floor:
             continue
-        signs = dependences(residual[j], weight, seen, view.blocks)[:4]
+        signs = dependences(residual[j], weight, seen, view.blocks)[:_SIGNALS]
         if known and not signs and rms <= ABOVE_FLOOR[1] * floor:
             continue
         low, searched = np.nan_to_num(floor / spread[j]), rms / spread[j]
@@ -148,7 +145,6 @@ def unexplained(model, names, spread, floors, errors):
                 joint_name=names[j],
                 rms=rms,
                 floor=floor,
-                share=float(1 - (floor / rms) ** 2) if known else 1.0,
                 of_torque=float(np.sqrt(max(error**2 - low**2, 0.0))),
                 signals=signs,
             )
@@ -159,24 +155,24 @@ def unexplained(model, names, spread, floors, errors):
 def memory_seconds(model):
     """How long the residual of each joint of a model stays correlated, list [s]."""
     view, seconds = model.view, []
-    # Rows further apart than half a period of the cut-off are as good as not
-    # correlated by the low-pass.
+    # The low-pass hardly correlates rows further apart than half a period of its
+    # cut-off.
     stride = max(1, int(np.ceil(0.5 / (view.robot.cutoff_ * view.step) - 1e-9)))
     for residual, root in zip(model.residual, view.root.T):
         used = root > 0
         values = np.where(used, residual / np.where(used, root, 1.0), 0.0)
-        memory = fit_memory(values, used, view.starts, view.step, stride)
-        seconds.append(memory.time)
+        seconds.append(fit_memory(values, used, view.starts, view.step, stride).time)
     return seconds
 
 
-def too_short(model, seconds):
+def too_short(model):
     """Joints whose residual is too few independent values, with its memory [s]."""
-    blocks = model.view.spans
-    total = blocks.length * blocks.n_blocks
-    for j, time in enumerate(seconds):
-        if model.view.precision[j] > 0 and FEWEST * time > total:
-            yield j, float(time)
+    spans, precision = model.view.spans, model.view.precision
+    total = spans.length * spans.n_blocks
+    pairs = enumerate(memory_seconds(model))
+    return tuple(
+        (j, float(x)) for j, x in pairs if precision[j] > 0 and FEWEST * x > total
+    )
 
 
 # -- effects that are not identifiable -------------------------------------------------
@@ -190,27 +186,26 @@ class Hidden:
     joint: int  # from zero
     joint_name: str
     # "span": of the declared columns whatever the motion; "excitation": in this
-    # recording; "signal": it needs one that is not there; "together": it shows, but
-    # only together with another effect
+    # recording; "signal": it needs one that is missing; "together": only its sum with
+    # another effect is identifiable
     reason: str
     remedy: str = ""  # what to record; the name of the other effect
 
 
 def hidden(found, names):
     """Effects of the library that this robot or this recording cannot show."""
-    told = []
     # A robot that was searched branch by branch is asked branch by branch.
+    listed = [] if found.branches else _hidden(found, names)
     for branch, own in found.branches:
         part = _hidden(own, [names[j] for j in branch.joints])
-        told += [replace(one, joint=branch.joints[one.joint]) for one in part]
-    told = told if found.branches else _hidden(found, names)
-    return tuple(sorted(told, key=lambda one: one.joint))
+        listed += [replace(one, joint=branch.joints[one.joint]) for one in part]
+    return tuple(sorted(listed, key=lambda one: one.joint))
 
 
 def _hidden(found, names):
-    """Effects that a robot or a branch that was searched as a whole cannot show."""
+    """List what a robot or a branch that was searched as a whole cannot show."""
     model = found.model
-    probe, told, in_model = _probe(model), [], []
+    probe, listed, in_model = _probe(model), [], []
     declared = {effect.key() for effect in model.view.robot.effects_}
     for joint in np.flatnonzero(model.view.precision > 0).tolist():
         present, hides = _on(joint, found)
@@ -220,15 +215,15 @@ def _hidden(found, names):
                 continue
             lacks = one.applies(model.motion)
             if lacks:
-                told += [(one, "signal", lacks)] if lacks.startswith("needs") else []
+                listed += [(one, "signal", lacks)] if lacks.startswith("needs") else []
             elif not hides(one):
                 in_model += [one] if one.in_model else []
             elif _in_span(one, *probe):
-                told.append((one, "span", ""))
+                listed.append((one, "span", ""))
             else:
-                told.append((one, "excitation", one.record))
+                listed.append((one, "excitation", one.record))
     for one, other in inseparable(found, in_model):
-        told.append((one, "together", named_beside(other, one, names)))
+        listed.append((one, "together", named_beside(other, one, names)))
     return [
         Hidden(
             name=one.name,
@@ -237,12 +232,12 @@ def _hidden(found, names):
             reason=reason,
             remedy=remedy,
         )
-        for one, reason, remedy in told
+        for one, reason, remedy in listed
     ]
 
 
 def _on(joint, found):
-    """Effects that a joint has, by name, and whether it hides one that it has not."""
+    """Names of the effects of a joint, and whether it hides one that it has not."""
     model, library = found.model, found.library
     held = [e for e in model.effects if e.joint == joint]
     present = set(model.view.declared).union(
@@ -252,11 +247,11 @@ def _on(joint, found):
     missing = [e for e in own if e.name not in present and not e.applies(model.motion)]
 
     @functools.cache
-    def beside(places):
+    def extended(places):
         """Fit of the model with simpler effects that the joint lacks."""
         if not places:
             return model.fit
-        fit, family = beside(places[:-1]), _family(model, missing[places[-1]])
+        fit, family = extended(places[:-1]), _family(model, missing[places[-1]])
         return fit if family is None else fit.beside(family.member(0, _LOOSE))
 
     def hides(effect):
@@ -265,13 +260,13 @@ def _on(joint, found):
         if family is None:
             return False
         if effect.in_model:
-            # At its largest plausible value it would not be named.
+            # At its largest plausible value it would not be reported.
             away = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
             worth = 0.5 * np.diagonal(model.fit.groups(family).H[0]) * away**2
             needed = found.needed + np.log(max(found.n_candidates, 1))
             return bool(not (worth > needed + _OCCAM).any())
-        plain = (i for i, e in enumerate(missing) if e.name in effect.contains)
-        groups = beside(tuple(plain)).groups(family)
+        simpler = (i for i, e in enumerate(missing) if e.name in effect.contains)
+        groups = extended(tuple(simpler)).groups(family)
         left = np.diagonal(groups.H, axis1=1, axis2=2)
         share = left / np.where(groups.own > 0, groups.own, np.inf)
         return not share.max() > _UNSEEN
@@ -280,16 +275,15 @@ def _on(joint, found):
 
 
 def inseparable(found, effects):
-    """Pairs of effects in the model that are only jointly identifiable."""
-    # Nothing is left of the columns of the first beside those of the second, which
-    # comes before it in precedence or in the list.
+    """Pairs of effects in the model of which only the sum is identifiable."""
+    # Nothing is left of the columns of the first when those of the second are fitted,
+    # which comes before it in precedence or in the list.
     model, before = found.model, []
     for one in sorted(effects, key=lambda one: one.precedence if one.in_model else 0):
         own = _family(model, one)
-        alone = model.fit.groups(own).H[0]
+        alone = np.diagonal(model.fit.groups(own).H[0])
         for other, fit in before:
-            beside = fit.groups(own).H[0]
-            if (np.diagonal(beside) <= _EQUAL * np.diagonal(alone)).all():
+            if (np.diagonal(fit.groups(own).H[0]) <= _EQUAL * alone).all():
                 yield one, other
                 break
         before.append((one, model.fit.beside(own.member(0, _LOOSE))))
@@ -301,18 +295,17 @@ def _family(model, effect):
 
 
 def _probe(model):
-    """Regressor and signals of random states, which excite everything there is."""
+    """Regressor and signals of random states, which excite everything."""
     view = model.view
     features, nv = view.robot.features_, view.nv
-    rng = np.random.default_rng(0)
     n = 20 * features.n_parameters_ // nv + 200
     # Whole turns, whatever the recording did: what a small motion hides is no property
     # of the robot.
     scale = np.repeat([np.pi, 2.0, 10.0], nv)
-    states = rng.uniform(-1, 1, size=(n, 3 * nv)) * scale
+    states = np.random.default_rng(0).uniform(-1, 1, size=(n, 3 * nv)) * scale
     inertial = (view.back @ model.fit.theta)[: features.n_parameters_]
     motion = make_motion(features, states, None, [slice(0, n)], inertial)
-    # What corrects the robot already is fitted beside its parameters.
+    # Corrections of the robot are fitted together with its parameters.
     found = [
         _in_all_joints(effect, motion)
         for effect in (*view.robot.effects_, *model.effects)
@@ -343,13 +336,3 @@ def _in_span(effect, Phi, motion):
     solution, *_ = np.linalg.lstsq(flat, target, rcond=1e-10)
     rest = target - flat @ solution
     return bool(np.all((rest**2).sum(0) <= _IN_SPAN * (target**2).sum(0)))
-
-
-def named_beside(effect, chosen, names):
-    """Name an effect beside another, with its joint where that is a different one."""
-    name, apart = effect.name, effect.split_by if isinstance(effect, Shaped) else ()
-    if apart:
-        name += f": {getattr(effect, apart[0])}"
-    if effect.joint == chosen.joint or effect.scope == "robot":
-        return name
-    return f"{name} on {names[effect.joint]}"

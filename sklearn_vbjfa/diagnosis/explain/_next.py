@@ -1,7 +1,5 @@
 """The error on the next recording: what is left here, and what differs between them."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import special
 
@@ -26,22 +24,6 @@ _ENDS = (0.5, 0.05, 0.95)
 _DRAWS, _SLACK = 4000, 0.2
 # Rows of which the size of torques is taken.
 _ROWS = 4000
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class NextRecording:
-    """Error of the completed model on a recording that was not fitted."""
-
-    # (nv,): median, over the spread of the torque; nan for a joint that was not judged
-    error: np.ndarray
-    interval: np.ndarray  # (2, nv): its ends in nine of ten recordings
-    # (2,): the same of the mean of the joints
-    mean: float
-    mean_interval: np.ndarray
-    recordings: int  # recordings that were left out in turns; zero with a single one
-    # where the differences between recordings are from: "assumed" from other robots,
-    # "partly measured" or "measured" in these
-    source: str
 
 
 class Expectation:
@@ -98,8 +80,19 @@ class Expectation:
         # Joints differ alike.
         return (0.5 * (self.recordings - 1) * (np.log(ratio) - ratio)).mean(axis=1)
 
+    @property
+    def source(self):
+        """Source of the differences between recordings: these, or other robots."""
+        if self.recordings >= _MEASURED:
+            return "measured"
+        return "partly measured" if self.recordings == 2 else "assumed"
+
     def of(self, motion=None):
-        """Return the `NextRecording` for a motion, by default one like the fitted."""
+        """Expect errors for a motion, by default one like the fitted, (3, nv + 1).
+
+        Median and ends in nine of ten recordings of the error of each joint, nan for
+        one that was not judged, and of the mean of the joints.
+        """
         motion = motion or self._motion
         count = max(self.recordings, 1)
         differ, again, motions = _robots(count)
@@ -113,22 +106,12 @@ class Expectation:
         shifts = differ[:, :, None] * motion.sizes * values
         errors = np.sqrt(squares + (1 + 1 / count) * (shifts**2).sum(axis=1))
         judged = np.isfinite(self._left)
-        of_joints = np.full((len(_ENDS), judged.size), np.nan)
-        of_mean = np.full(len(_ENDS), np.nan)
+        found = np.full((len(_ENDS), nv + 1), np.nan)
         if judged.any():
-            of_joints[:, judged] = self._quantiles(errors[:, judged])
-            of_mean = self._quantiles(errors[:, judged].mean(axis=1)[:, None])[:, 0]
-        sources = "assumed", "assumed", "partly measured"
-        return NextRecording(
-            error=of_joints[0],
-            interval=of_joints[1:],
-            mean=float(of_mean[0]),
-            mean_interval=of_mean[1:],
-            recordings=self.recordings,
-            source="measured"
-            if self.recordings >= _MEASURED
-            else sources[self.recordings],
-        )
+            errors = errors[:, judged]
+            errors = np.column_stack([errors, errors.mean(axis=1)])
+            found[:, np.r_[judged, True]] = self._quantiles(errors)
+        return found
 
     def _quantiles(self, draws):
         """Quantiles of weighted draws (n, k), (3, k)."""

@@ -1,4 +1,4 @@
-"""What a page has to say beyond the outcome itself: groups, values, remedies, rows."""
+"""Groups and rows of an outcome, as the page and the terminal show them."""
 
 import math
 from dataclasses import dataclass
@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._verdict import interval
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # One of a SI unit in the unit that is read off an instrument.
 _FINE = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}
+# Units of errors of positions, with factors to them.
+FINE = {"rad": (1e3, "mrad"), "m": (1e3, "mm")}
 # Masses of which one is less than this share of the other do not agree.
 _OTHER_MASS = 0.5
 # Share of the largest value of a body that rounding leaves of a zero.
@@ -23,14 +24,26 @@ _FAR = 8.0
 _SLOW, _ZERO = 0.1, 1e-3
 _UNITS = {"position": ("rad", "m"), "speed": ("rad/s", "m/s"), "load": ("N m", "N")}
 _WHERE = {"position": "positions", "speed": "speeds", "load": "loads"}
+# Time that decides most questions [s], and the slowest of its speeds over the fastest.
+_SECONDS, _SLOWEST = 60, 0.1
+# Joints that a terminal has room for; of more, so many that gain most and that lose.
+_ROWS, _FIRST, _LAST = 8, 3, 2
 
 
-# -- effects of the robot model -----------------------------------------------------
+def grouped(items, key):
+    """Group items by a key, a list of (key, items) in order."""
+    found = {}
+    for one in items:
+        found.setdefault(key(one), []).append(one)
+    return list(found.items())
+
+
+# -- effects of the robot model --------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plain:
-    """A parameter in a plain unit."""
+    """A parameter in the unit of an instrument."""
 
     value: float
     interval: tuple | None  # 90 %
@@ -51,8 +64,8 @@ class Plain:
 
 
 def in_model(outcome, effect):
-    """Whether an effect, or what is hidden, is part of the robot model."""
-    known = outcome.library.get(effect.name)
+    """Whether an effect, or a hidden one, is part of the robot model."""
+    known = outcome.robot["library"].get(effect.name)
     return known is not None and known.in_model
 
 
@@ -76,15 +89,16 @@ def plain_values(effect):
 def statement(outcome, effect):
     """State an effect of the robot model by the text of its class."""
     values = plain_values(effect)
-    joint = words.joint_label(outcome.joint_names, effect.joint)
-    text = outcome.library[effect.name].text
+    joint = words.joint_label(outcome.robot["joints"], effect.joint)
+    text = outcome.robot["library"][effect.name].text
     if not text:
-        # A class of the user's.
+        # A custom class.
         label = words.effect_label(outcome, effect.name, effect.parameters)
         parts = [f"{name} = {one.text} {one.unit}" for name, one in values.items()]
-        told = ", ".join([label, *parts])
-        return told if effect.scope == "robot" else f"{joint}: {told}"
-    turned = [x.about for x in outcome.corrections.axes if x.joint == effect.joint]
+        stated = ", ".join([label, *parts])
+        return stated if effect.scope == "robot" else f"{joint}: {stated}"
+    axes = outcome.robot["corrections"].axes
+    turned = [x.about for x in axes if x.joint == effect.joint]
     first, second = turned[0] if turned else ("first cross axis", "second cross axis")
     texts = {k: x.excess if k == "gain" else x.text for k, x in values.items()}
     unit = next(iter(values.values())).unit
@@ -103,8 +117,8 @@ def value_cells(effect):
 
 def remedies(outcome):
     """Return corrections of the robot model, (name, joint) -> correction."""
-    # Those that were declared are among them.
-    given = outcome.corrections
+    # Those that were declared are among them; insignificant ones are not.
+    given = outcome.robot["corrections"]
     found = {(BaseTilt.name, 0): given.tilt} if given.tilt else {}
     for name, own in (
         (JointZero.name, given.zeros),
@@ -112,8 +126,7 @@ def remedies(outcome):
         (TorqueGain.name, given.gains),
     ):
         found |= {(name, one.joint): one for one in own}
-    # Correct reported effects only, and not insignificant ones.
-    possible = {(one.name, one.joint) for one in outcome.possible}
+    possible = {(one.name, one.joint) for one in outcome.findings["possible"]}
     return {
         key: one
         for key, one in found.items()
@@ -123,8 +136,9 @@ def remedies(outcome):
 
 def _is_insignificant(outcome, name, joint):
     """Whether all intervals of the values of a correction contain no fault."""
-    begins = f"{outcome.joint_names[joint]}:{name}:", f"{name}:"
-    known = [one for one in outcome.parameters if one.name.startswith(begins)]
+    begins = f"{outcome.robot['joints'][joint]}:{name}:", f"{name}:"
+    facts = outcome.facts_of("parameter")
+    known = [one for one in facts if one.name.startswith(begins)]
     return bool(known) and all(
         one.interval[0]
         <= (1.0 if one.name.endswith(":gain") else 0.0)
@@ -138,7 +152,7 @@ def _is_insignificant(outcome, name, joint):
 
 def range_text(outcome, joint, quantity, pair):
     """Write a range with its unit, "-1.2 to 1.3 rad"."""
-    unit = _UNITS[quantity][int(outcome.torque_units[joint] == "N")]
+    unit = _UNITS[quantity][int(outcome.errors[joint].unit == "N")]
     width = max(map(abs, pair))
     low, high = (words.number(0.0 if abs(x) < _ZERO * width else x) for x in pair)
     if quantity == "speed" and pair[0] < _SLOW * pair[1]:
@@ -151,12 +165,11 @@ def fitted_on(outcome, effect):
     known = effect.ranges
     if known is None:
         return []
+    pairs = [(x, getattr(known, x)) for x in known.depends if x in _UNITS]
     found = [
-        f"{_WHERE[quantity]} of "
-        f"{range_text(outcome, effect.joint, quantity, getattr(known, quantity))}"
-        for quantity in known.depends
-        if quantity in _UNITS
-        if getattr(known, quantity)[0] <= getattr(known, quantity)[1]
+        f"{_WHERE[quantity]} of {range_text(outcome, effect.joint, quantity, pair)}"
+        for quantity, pair in pairs
+        if pair[0] <= pair[1]
     ]
     if "direction" in known.depends:
         low, high = known.direction
@@ -165,20 +178,56 @@ def fitted_on(outcome, effect):
     return found
 
 
-# -- groups of which the same is said --------------------------------------------------
+def motion_plan(outcome, joints):
+    """Rows of joints that are to move: range, speeds and seconds."""
+    limits, motion = outcome.robot.get("limits"), outcome.robot["motion"]
+    rows = []
+    for j in sorted(set(joints)) if motion and limits is not None else ():
+        one, (low, high, fastest) = motion[j], limits[j]
+        ends = low, high
+        if not np.isfinite(ends).all():
+            ends = one.lowest, one.highest
+        fastest = fastest if math.isfinite(fastest) else one.fastest
+        rows.append(
+            (
+                words.joint_label(outcome.robot["joints"], j),
+                range_text(outcome, j, "position", ends),
+                range_text(outcome, j, "speed", (_SLOWEST * fastest, fastest)),
+                f"{_SECONDS} s",
+            )
+        )
+    return rows
 
 
-def grouped(items, key):
-    """Group items by a key, a list of (key, items) in order."""
-    found = {}
-    for one in items:
-        found.setdefault(key(one), []).append(one)
-    return list(found.items())
+def motion_rows(outcome):
+    """Rows of the motion of each joint."""
+    return [
+        (
+            words.joint_label(outcome.robot["joints"], j),
+            range_text(outcome, j, "position", (one.lowest, one.highest)),
+            f"{words.number(one.fastest)} {_UNITS['speed'][int(one.slides)]}",
+            str(one.reversals),
+            words.whole_percent(one.resting),
+        )
+        for j, one in enumerate(outcome.robot["motion"])
+    ]
+
+
+def poorly_shown(outcome):
+    """Group joints by what their motion does not show, with the reason."""
+    motion = enumerate(outcome.robot["motion"])
+    pairs = [(x, j) for j, one in motion for x in one.hides]
+    return [(x, [j for _, j in own]) for x, own in grouped(pairs, lambda p: p[0])]
+
+
+# -- findings --------------------------------------------------------------------------
 
 
 def unexplained_groups(outcome):
     """Group residuals above the floor, those with signals joint by joint."""
-    order = sorted(outcome.unexplained, key=lambda u: (not u.floor > 0, -u.of_torque))
+    order = sorted(
+        outcome.findings["unexplained"], key=lambda u: (not u.floor > 0, -u.of_torque)
+    )
     groups = grouped(order, lambda u: (u.floor > 0, u.joint if u.signals else None))
     return [own for _, own in groups]
 
@@ -186,7 +235,7 @@ def unexplained_groups(outcome):
 def hidden_groups(outcome):
     """Group effects that are not identifiable by whether they are in the model, why."""
     model, others = [], {"excitation": [], "signal": [], "span": [], "together": []}
-    for one in outcome.hidden:
+    for one in outcome.findings["hidden"]:
         if in_model(outcome, one) and one.reason != "span":
             model.append(one)
         else:
@@ -206,75 +255,48 @@ def hidden_groups(outcome):
     }
 
 
-def joints_of(outcome, effect):
-    """Joint of an effect, in a list; empty for what belongs to none."""
-    return [] if words.of_robot(outcome, effect.name) else [effect.joint]
-
-
 def to_record(outcome, signal_advice, no_period):
     """Return what to record next, the most important first, advice -> joints."""
-    wanted = {no_period: []} if outcome.repeated else {}
-    for rest in outcome.unexplained:
+    findings, wanted = outcome.findings, {}
+
+    def add(advice, one):
+        joints = wanted.setdefault(advice, []) if advice else []
+        joints += (
+            [] if words.of_robot(outcome, getattr(one, "name", "")) else [one.joint]
+        )
+
+    if findings["repeated"]:
+        wanted[no_period] = []
+    for rest in findings["unexplained"]:
         for signal in rest.signals:
-            advice = signal_advice.get(signal.signal.split(" of ")[0], "")
-            wanted.setdefault(advice, []).append(rest.joint)
-    for effect in outcome.effects:
+            add(signal_advice.get(signal.signal.split(" of ")[0], ""), rest)
+    for effect in findings["effects"]:
         for name in (effect.name, *effect.rivals) if effect.rivals else ():
-            advice = words.record_for(outcome, name)
-            wanted.setdefault(advice, []).extend(joints_of(outcome, effect))
-    for h in outcome.hidden:
-        if h.reason == "excitation":
-            advice = words.record_for(outcome, h.name) or h.remedy
-            wanted.setdefault(advice, []).extend(joints_of(outcome, h))
-    wanted.pop("", None)
+            add(words.record_for(outcome, name), effect)
+    for one in findings["hidden"]:
+        if one.reason == "excitation":
+            add(words.record_for(outcome, one.name) or one.remedy, one)
     return wanted
 
 
-# Time that decides most questions [s], and the slowest of its speeds over the fastest.
-_SECONDS, _SLOWEST = 60, 0.1
+def saturated(outcome):
+    """List the joints whose drive saturates, and how often."""
+    shares = outcome.robot["drive"].get("saturated", ())
+    return [(j, share) for j, share in enumerate(shares) if share > 0]
 
 
-def motion_plan(outcome, joints):
-    """Rows of joints that are to move: range, speeds and seconds."""
-    limits, rows = outcome.declared.get("limits"), []
-    for j in sorted(set(joints)) if outcome.motion and limits is not None else ():
-        one, (low, high, fastest) = outcome.motion[j], limits[j]
-        ends = low, high
-        if not np.isfinite(ends).all():
-            ends = one.lowest, one.highest
-        fastest = fastest if math.isfinite(fastest) else one.fastest
-        rows.append(
-            (
-                words.joint_label(outcome.joint_names, j),
-                range_text(outcome, j, "position", ends),
-                range_text(outcome, j, "speed", (_SLOWEST * fastest, fastest)),
-                f"{_SECONDS} s",
-            )
-        )
-    return rows
+def position_errors(outcome, name):
+    """Write the mean errors of simulated positions, of joints that turn and slide."""
+    one, texts = outcome.findings["commands_alone"], []
+    for unit in dict.fromkeys(one["units"]):
+        own = [x for x, other in zip(one[name], one["units"]) if other == unit]
+        factor, fine = FINE[unit]
+        text = f"{words.sized(factor * np.mean(own))} {fine}"
+        texts.append(text if np.isfinite(own).all() else "an unknown distance")
+    return words.join(texts)
 
 
-def motion_rows(outcome):
-    """Rows of what each joint does."""
-    return [
-        (
-            words.joint_label(outcome.joint_names, j),
-            range_text(outcome, j, "position", (one.lowest, one.highest)),
-            f"{words.number(one.fastest)} {_UNITS['speed'][int(one.slides)]}",
-            str(one.reversals),
-            words.whole_percent(one.resting),
-        )
-        for j, one in enumerate(outcome.motion)
-    ]
-
-
-def poorly_shown(outcome):
-    """Group joints by what their motion does not show, with the reason."""
-    pairs = [(x, j) for j, one in enumerate(outcome.motion) for x in one.hides]
-    return [(x, [j for _, j in own]) for x, own in grouped(pairs, lambda p: p[0])]
-
-
-# -- masses ----------------------------------------------------------------------------
+# -- masses and parameters -------------------------------------------------------------
 
 
 def agrees(mass, nominal):
@@ -284,15 +306,15 @@ def agrees(mass, nominal):
 
 def masses(outcome):
     """Sort the bodies by how they are known, and those that are heavier or lighter."""
-    bodies, gains = outcome.bodies, outcome.gains
+    bodies, gains = outcome.facts_of("mass"), outcome.robot["gains"]
     # Relative masses are in another unit than those of the description.
-    compared = gains is None or gains.absolute
-    groups = dict(grouped(bodies, lambda b: b.known))
-    odd = [b for b in bodies if compared and b.known != "yes"]
-    odd = [b for b in odd if not agrees(b.mass, b.nominal)]
-    odd.sort(key=lambda b: min(b.mass, b.nominal) / max(b.mass, b.nominal))
-    sure = [b for b in groups.get("yes", ()) if compared]
-    sure = [b for b in sure if abs(b.mass - b.nominal) > HALF_WIDTH * b.std]
+    compared = bodies if gains is None or gains.absolute else ()
+    groups = dict(grouped(bodies, lambda b: b.source))
+    odd = [
+        b for b in compared if b.source != "yes" and not agrees(b.value, b.described)
+    ]
+    odd.sort(key=lambda b: min(b.value, b.described) / max(b.value, b.described))
+    sure = [b for b in compared if b.source == "yes"]
     return {
         "unknown": [
             ([b.name for b in groups[known]], known)
@@ -301,28 +323,27 @@ def masses(outcome):
         ],
         "count": len(bodies),
         "odd": odd,
-        "heavier": [b for b in sure if b.mass > b.nominal],
-        "lighter": [b for b in sure if b.mass < b.nominal],
+        "heavier": [b for b in sure if b.described < b.interval[0]],
+        "lighter": [b for b in sure if b.described > b.interval[1]],
     }
 
 
 def forest(outcome):
     """Place identified masses on a scale from zero to twice the described ones."""
-    if outcome.gains is not None and not outcome.gains.absolute:
+    gains, rows = outcome.robot["gains"], []
+    if gains is not None and not gains.absolute:
         return []
-    rows = []
-    for body in (one for one in outcome.bodies if one.nominal > 0):
-        half, scale = HALF_WIDTH * body.std, 50.0 / body.nominal
-        ends = np.clip([body.mass - half, body.mass + half], 0.0, 2.0 * body.nominal)
-        is_known = body.known != "in combination" and np.isfinite(half)
-        low, high = scale * ends if is_known else (0.0, 0.0)
+    for body in (one for one in outcome.facts_of("mass") if one.described > 0):
+        scale = 50.0 / body.described
+        known = body.source != "in combination" and np.isfinite(body.interval).all()
+        low, high = np.clip(scale * np.array(body.interval), 0.0, 100.0)
         rows.append(
             {
                 "name": body.name,
-                "value": with_half(body.mass, body.std if is_known else np.nan),
-                "nominal": body.nominal,
-                "place": float(np.clip(scale * body.mass, 0.0, 100.0)),
-                "reach": (low, high - low) if is_known else (),
+                "value": words.with_error(body.value, body.interval if known else None),
+                "nominal": body.described,
+                "place": float(np.clip(scale * body.value, 0.0, 100.0)),
+                "reach": (low, high - low) if known else (),
             }
         )
     return rows
@@ -334,21 +355,12 @@ def with_half(value, std, unit=""):
     return words.with_error(value, (value - half, value + half), unit)
 
 
-# -- parameters ------------------------------------------------------------------------
-
-
 def parameter_groups(outcome):
     """Group the parameters by joint, a list of dict."""
-    names = outcome.joint_names
-
-    def joint_of(one):
-        found = [j for j, name in enumerate(names) if one.name.startswith(f"{name}:")]
-        return max(found, key=lambda j: len(names[j]), default=None)
-
-    groups = []
-    for joint, own in grouped(outcome.parameters, joint_of):
+    names, groups = outcome.robot["joints"], []
+    for joint, own in grouped(outcome.facts_of("parameter"), lambda one: one.joint):
         # A prior leaves each parameter of a joint an interval of its own.
-        prior = any(np.isfinite(p.before) for p in own)
+        prior = any(np.isfinite(p.described_std) for p in own)
         largest = {}
         for one in own:
             largest[one.unit] = max(largest.get(one.unit, 0.0), abs(one.value))
@@ -356,61 +368,59 @@ def parameter_groups(outcome):
         for one in own:
             begin = "" if joint is None else f"{names[joint]}:"
             zero = abs(one.value) < _ROUNDING * largest[one.unit]
-            ends = one.interval if one.known == "yes" or prior else None
+            ends = one.interval if one.source == "yes" or prior else None
+            described, learned = np.isfinite([one.described, one.learned])
             rows.append(
                 {
                     "name": one.name.removeprefix(begin),
                     "value": words.with_error(0.0 if zero else one.value, ends),
-                    "nominal": with_half(one.nominal, one.before)
-                    if np.isfinite(one.nominal)
+                    "nominal": with_half(one.described, one.described_std)
+                    if described
                     else "",
                     "unit": one.unit,
-                    "known": one.known,
-                    "learned": words.whole_percent(one.learned)
-                    if np.isfinite(one.learned)
-                    else "",
+                    "known": one.source,
+                    "learned": words.whole_percent(one.learned) if learned else "",
                 }
             )
-        groups.append({"joint": joint, "rows": rows, "parameters": own})
+        groups.append({"joint": joint, "rows": rows})
     return groups
 
 
 # -- errors ----------------------------------------------------------------------------
 
-# Joints that a terminal has room for; of more, so many that gain most and that lose.
-_ROWS, _FIRST, _LAST = 8, 3, 2
-
 
 def error_rows(outcome):
     """Cells of the errors of each joint, the largest gain first, a list of dict."""
-    before, after = outcome.error_before, outcome.error_after
-    gain = np.nan_to_num(100 * (before - after))
     percent, rows = words.bare_percent, []
-    for j in np.argsort(-np.round(gain, 1), kind="stable").tolist():
-        low, high = interval(outcome, "after", j)
-        known = np.isfinite(low) and np.isfinite(high)
-        reach = f" [{percent(low)}, {percent(high)}]" if known else ""
+    left_out = [] if outcome.robot["added"] else ["four terms"]
+    left_out += [] if np.isfinite(outcome.robot["wide_cutoff"]) else ["wide"]
+
+    def gain(one):
+        return np.round(np.nan_to_num(100 * (one.before - one.after)), 1)
+
+    for one in sorted(outcome.errors, key=lambda one: -gain(one)):
+        ends = one.intervals.get("after", (np.nan, np.nan))
+        known = np.isfinite(ends).all()
+        reach = f" [{percent(ends[0])}, {percent(ends[1])}]" if known else ""
         cells = {
-            "before": percent(before[j]),
-            "four terms": percent(outcome.error_plain[j]),
-            "after [90 %]": f"{percent(after[j])}{reach}",
+            "before": percent(one.before),
+            "four terms": percent(one.plain),
+            "after [90 %]": f"{percent(one.after)}{reach}",
             # Without the sign of a zero.
-            "reduction": percent(np.round(before[j] - after[j], 3) + 0.0),
-            "size": words.number(after[j] * outcome.spread[j], 2),
-            "noise": percent(outcome.floor[j]),
-            "wide": percent(outcome.wide_after[j]),
+            "reduction": percent(np.round(one.before - one.after, 3) + 0.0),
+            "size": words.number(one.after * one.spread, 2),
+            "noise": percent(one.floor),
+            "wide": percent(one.wide),
         }
-        left_out = [] if outcome.added else ["four terms"]
-        left_out += [] if np.isfinite(outcome.wide_cutoff) else ["wide"]
         cells = {key: text for key, text in cells.items() if key not in left_out}
-        rows.append({"joint": j, "cells": list(cells.values()), "named": cells})
+        rows.append({"joint": one.joint, "cells": list(cells.values()), "named": cells})
     return rows
 
 
 def short_errors(outcome, verdicts):
     """Heads and rows of the errors for a terminal, without the middle of many."""
     # A line has room for the size in N m, or for a third error.
-    left_out = ["reduction", "wide", *(["size"] if outcome.added else [])]
+    left_out = ["reduction", "wide", *(["size"] if outcome.robot["added"] else [])]
     if not np.isfinite(outcome.floor).any():
         left_out.append("noise")
     # The headline says what is unknown of all joints.
@@ -423,7 +433,7 @@ def short_errors(outcome, verdicts):
         rows.append(
             [verdict.label, *cells.values(), *([] if silent else [verdict.text])]
         )
-    units = "/".join(dict.fromkeys(outcome.torque_units))
+    units = "/".join(dict.fromkeys(one.unit for one in outcome.errors))
     heads = [units if head == "size" else head for head in heads]
     if len(rows) > _ROWS:
         more = f"{len(rows) - _FIRST - _LAST} more (page)"
@@ -434,11 +444,11 @@ def short_errors(outcome, verdicts):
 
 def effects_by_label(outcome, label):
     """Rows of a terminal, the same effect on several joints in one line."""
-    rows = []
-    for text, same in grouped(outcome.effects, lambda e: label(e.name, e.parameters)):
+    rows, effects = [], outcome.findings["effects"]
+    for text, same in grouped(effects, lambda e: label(e.name, e.parameters)):
         places = [words.place_label(outcome, e.name, e.joint) for e in same]
-        evidence = "saves "
-        evidence += words.join(words.whole_percent(e.evidence.gain) for e in same)
+        gains = (words.whole_percent(e.evidence.gain) for e in same)
+        evidence = f"saves {words.join(gains)}"
         if len(same) == 1:
             odds = words.odds_text(same[0].log_odds).removesuffix(" : 1")
             evidence += f", odds {odds}"
@@ -447,8 +457,8 @@ def effects_by_label(outcome, label):
     return rows
 
 
-def bars(outcome, joint):
-    """Bars of the errors of a joint; places in per cent of the scale."""
+def bars(outcome):
+    """Bars of the errors of the joints; places in per cent of the scale."""
     # bars: kind, length or None, whether it is cut; reach: where the interval of the
     # error after begins and how long it is, or empty.
     longest = _longest(outcome)
@@ -457,27 +467,27 @@ def bars(outcome, joint):
         share = 100 * float(np.clip(value / longest, 0.0, 1.0))
         return share if np.isfinite(share) else None
 
-    kinds = {"before": outcome.error_before}
-    if outcome.added:
-        kinds["plain"] = outcome.error_plain
-    kinds["after"] = outcome.error_after
-    low, high = interval(outcome, "after", joint)
-    known = np.isfinite(low) and np.isfinite(high)
-    return {
-        "bars": [
-            (kind, place(x[joint]), bool(x[joint] > longest))
-            for kind, x in kinds.items()
-        ],
-        "reach": (place(low), place(high) - place(low)) if known else (),
-        "floor": place(outcome.floor[joint]),
-    }
+    kinds = ("before", *(["plain"] if outcome.robot["added"] else []), "after")
+    found = []
+    for one in outcome.errors:
+        values = [(kind, getattr(one, kind)) for kind in kinds]
+        ends = one.intervals.get("after", (np.nan, np.nan))
+        low, high = map(place, ends)
+        found.append(
+            {
+                "bars": [(kind, place(x), bool(x > longest)) for kind, x in values],
+                "reach": (low, high - low) if np.isfinite(ends).all() else (),
+                "floor": place(one.floor),
+            }
+        )
+    return found
 
 
 def _longest(outcome):
     """Error at the end of the bars: a few joints far above the others are cut off."""
-    sizes = np.fmax.reduce([outcome.error_before, outcome.error_after, outcome.floor])
-    ends = np.ravel(outcome.intervals.get("after", []))
-    everything = np.r_[sizes, ends]
+    sizes = np.fmax.reduce([outcome.column(x) for x in ("before", "after", "floor")])
+    ends = [one.intervals.get("after", ()) for one in outcome.errors]
+    everything = np.concatenate([sizes, *ends])
     longest = np.max(everything, where=np.isfinite(everything), initial=0.0)
     sizes = np.sort(sizes[np.isfinite(sizes) & (sizes > 0)])
     if sizes.size:
@@ -485,53 +495,12 @@ def _longest(outcome):
     return longest or 1.0
 
 
-# -- further parts ---------------------------------------------------------------------
-
-# Units of errors of positions, with factors to them.
-FINE = {"rad": (1e3, "mrad"), "m": (1e3, "mm")}
-
-
-def any_cut(outcome):
-    """Whether the bar of a joint is longer than its scale."""
-    joints = range(len(outcome.joint_names))
-    return any(cut for j in joints for *_, cut in bars(outcome, j)["bars"])
-
-
-def worst_contradiction(outcome):
-    """Return the contradiction that raises an error most."""
-    return max(outcome.contradictions.found, key=lambda one: one.together / one.alone)
-
-
-def sizes(outcome, errors):
-    """Write the mean errors of the joints that turn and of those that slide."""
-    texts, units = [], outcome.commands_alone.units
-    for unit in dict.fromkeys(units):
-        own = np.array([x for x, other in zip(errors, units) if other == unit])
-        known = np.isfinite(own).all()
-        text = f"{words.sized(FINE[unit][0] * own.mean())} {FINE[unit][1]}"
-        texts.append(text if known else "an unknown distance")
-    return words.join(texts)
-
-
-def saturated(outcome):
-    """List the joints whose drive saturates, and how often."""
-    shares = outcome.declared["drive"].get("saturated", ())
-    return [(j, share) for j, share in enumerate(shares) if share > 0]
-
-
-def culprits(outcome):
-    """Return recordings that contradict the others; empty if it may be one."""
-    causes = outcome.contradictions.deviations
-    alone = all(len(one.recordings) == 1 for one in causes)
-    return sorted({one.recordings[0] for one in causes}) if alone else []
-
-
 def anchors(outcome):
     """Where each effect is drawn or explained on a page; empty if it is not."""
-    drawn = outcome.curves.get("effects", ())
+    effects, drawn = outcome.findings["effects"], outcome.curves.get("effects", ())
     if not drawn:
-        return [""] * len(outcome.effects)
+        return [""] * len(effects)
     return [
         "" if curves is None and effect.effect is None else f"effect-{k}"
-        for k, (effect, curves) in enumerate(zip(outcome.effects, drawn), 1)
+        for k, (effect, curves) in enumerate(zip(effects, drawn), 1)
     ]

@@ -24,7 +24,9 @@ def effects(outcome):
     # One with too few rows for a picture has the words alone.
     found = []
     drawn = outcome.curves.get("effects", ())
-    for effect, curves, anchor in zip(outcome.effects, drawn, anchors(outcome)):
+    for effect, curves, anchor in zip(
+        outcome.findings["effects"], drawn, anchors(outcome)
+    ):
         if not anchor:
             continue
         kind = effect.effect
@@ -35,7 +37,7 @@ def effects(outcome):
             more = {"about": about, "anchor": anchor}
             found.append(Figure(title=title, charts=(), keys=(), **more))
             continue
-        joint = words.joint_label(outcome.joint_names, curves.joint)
+        joint = words.joint_label(outcome.robot["joints"], curves.joint)
         if curves.joint != effect.joint or (kind is not None and kind.whole_robot):
             title += f", seen on {joint}"
         label = curves.signal
@@ -48,7 +50,7 @@ def effects(outcome):
                 curves,
                 title=title,
                 x_label=label,
-                y_label=f"residual [{outcome.torque_units[curves.joint]}]",
+                y_label=f"residual [{outcome.errors[curves.joint].unit}]",
                 about=about,
                 anchor=anchor,
             )
@@ -59,11 +61,11 @@ def effects(outcome):
 def torques(outcome):
     """Draw the torque of each joint over time, and both residuals below."""
     line = outcome.curves.get("line")
-    floor, found = outcome.floor * outcome.spread, []
+    floor, found = outcome.floor * outcome.column("spread"), []
     for one in () if line is None else line.torques:
-        unit = outcome.torque_units[one.joint]
+        unit = outcome.errors[one.joint].unit
         what = "torque" if unit == "N m" else "force"
-        title = words.joint_label(outcome.joint_names, one.joint)
+        title = words.joint_label(outcome.robot["joints"], one.joint)
         labels = f"{what} [{unit}]", f"residual [{unit}]"
         drawn = torque_figure(one, line, floor[one.joint], title=title, y_labels=labels)
         found.append(drawn)
@@ -74,14 +76,14 @@ def positions(outcome):
     """Draw the positions of each joint over held-out time, from commands alone."""
     line, found = outcome.curves.get("positions"), []
     for one in () if line is None else line.torques:
-        unit = outcome.commands_alone.units[one.joint]
+        unit = outcome.findings["commands_alone"]["units"][one.joint]
         factor, fine = FINE[unit]
         found.append(
             torque_figure(
                 one,
                 line,
                 np.nan,
-                title=words.joint_label(outcome.joint_names, one.joint),
+                title=words.joint_label(outcome.robot["joints"], one.joint),
                 y_labels=(f"position [{unit}]", f"error [{fine}]"),
                 x_label="held-out time, its stretches joined [s]",
                 border="next stretch",
@@ -97,8 +99,8 @@ def friction(outcome):
     return [
         friction_figure(
             one,
-            title=words.joint_label(outcome.joint_names, one.joint),
-            y_label=f"friction [{outcome.torque_units[one.joint]}]",
+            title=words.joint_label(outcome.robot["joints"], one.joint),
+            y_label=f"friction [{outcome.errors[one.joint].unit}]",
         )
         for one in outcome.curves.get("friction", ())
     ]
@@ -109,8 +111,8 @@ def residuals(outcome):
     return [
         residual_figure(
             one,
-            title=words.joint_label(outcome.joint_names, one.joint),
-            unit=outcome.torque_units[one.joint],
+            title=words.joint_label(outcome.robot["joints"], one.joint),
+            unit=outcome.errors[one.joint].unit,
         )
         for one in outcome.curves.get("residuals", ())
     ]

@@ -170,7 +170,7 @@ def torque_figure(
         zero = from_zero or own is left
         frame = _Frame(x=x, y=_range(np.concatenate(own), zero))
         beyond.append(_beyond(frame, own))
-        shapes = [Shape(kind="held-out", path=_spans(frame, line.untouched))]
+        shapes = [Shape(kind="held-out", path=_spans(frame, line.held_out))]
         if own is left and floor > 0:
             edges = frame.down([floor, -floor])
             path = f"M0 {edges[0]:.1f}H{WIDTH}V{edges[1]:.1f}H0Z"
@@ -185,7 +185,7 @@ def torque_figure(
         charts.append(_chart(frame, "", x_label, y_label, shapes))
     names = ("measured", "completed model", "declared model")
     keys = list(zip(kinds, names))
-    if line.untouched:
+    if line.held_out:
         keys.append(("held-out", "held-out part"))
     if floor > 0:
         keys.append(("floor", "noise floor, one standard deviation"))

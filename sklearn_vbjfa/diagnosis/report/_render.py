@@ -110,44 +110,44 @@ def sentence(name, *values):
 
 
 class Voice:
-    """What a report says of an outcome, by names of macros in the templates."""
+    """The sentences of a report on an outcome, by names of macros in the templates."""
 
     def __init__(self, outcome, verdict):
-        self._outcome, names = outcome, outcome.joint_names
-        rest = [
-            u for u in outcome.unexplained if u.joint in verdict.having("unexplained")
-        ]
+        self._outcome = outcome
+        above = verdict.having("unexplained")
+        rest = [u for u in outcome.findings["unexplained"] if u.joint in above]
+        names, label = outcome.robot["joints"], partial(words.effect_label, outcome)
         self._values = {
             "o": outcome,
+            "findings": outcome.findings,
+            "robot": outcome.robot,
+            "source": outcome.provenance,
+            "settings": outcome.provenance.get("settings", {}),
             "v": verdict,
             "rest": sorted(rest, key=lambda u: -u.of_torque),
             "facts": partial(self._bound, _facts),
             "figures": partial(self._bound, _figures),
             "joint": partial(words.joint_label, names),
             "joints": partial(words.joint_list, names),
-            "held": held_text(outcome.outside, partial(words.effect_label, outcome)),
+            "held": held_text(outcome.findings["outside"], label),
             "say": self,
             "short_label": partial(self, "short_label"),
             "rivals_of": self._rivals,
             "partner": lambda h: words.other_label(outcome, h.remedy, h.name),
-            "recording": lambda k: outcome.recordings[k],
             "signals_of": self._signals,
             "effect_at": lambda e: words.effect_at(
                 outcome, e.name, e.joint, e.parameters
             ),
+            "effect": label,
+            "place": partial(words.place_label, outcome),
+            "in_model": partial(_facts.in_model, outcome),
+            "statement": partial(_facts.statement, outcome),
+            "fitted_on": partial(_facts.fitted_on, outcome),
+            "range_text": partial(_facts.range_text, outcome),
         }
-        for name, function in (
-            ("effect", words.effect_label),
-            ("place", words.place_label),
-            ("in_model", _facts.in_model),
-            ("statement", _facts.statement),
-            ("fitted_on", _facts.fitted_on),
-            ("range_text", _facts.range_text),
-        ):
-            self._values[name] = partial(function, outcome)
         self._module = self._made("sentences.j2", is_page=False)
 
-    def tell(self, **values):
+    def add(self, **values):
         """Add values that the templates of the page and of a terminal show."""
         self._values |= values
 
@@ -163,7 +163,7 @@ class Voice:
         return [words.other_label(self._outcome, x, effect.name) for x in own]
 
     def _signals(self, rest):
-        names = self._outcome.joint_names
+        names = self._outcome.robot["joints"]
         return [
             f"{words.signal_label(s.signal, names, rest.joint)} "
             f"({words.whole_percent(s.share)})"

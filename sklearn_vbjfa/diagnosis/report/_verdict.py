@@ -25,6 +25,7 @@ _UNTRUSTED = ("failed", "worse", "few", "no data", "unsearched")
 _ABOVE_NOISE = ("unexplained", "above", "unknown")
 # Verdicts on a joint that forbid a use.
 NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")
+_NO_ENDS = (np.nan, np.nan)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,14 +40,14 @@ class JointVerdict:
     joint: int  # from zero
     label: str
     status: str
-    n_effects: int  # accepted ones
+    n_effects: int  # reported ones
     detail: str = ""  # "near" the floor, or gain within "chance"
     text: str = ""  # the same in words
 
 
 @dataclass(frozen=True, kw_only=True)
-class Errors:
-    """Mean errors of the joints that are judged, over the spread; nan if unknown."""
+class MeanErrors:
+    """Mean errors of the joints that are judged, over the deviation; nan if unknown."""
 
     before: float
     plain: float
@@ -71,7 +72,7 @@ class Verdict:
 
     status: str
     joints: tuple[JointVerdict, ...]
-    errors: Errors
+    errors: MeanErrors
     uses: tuple[Use, ...]
     faults: tuple = ()  # messages on faulty channels
     fell: bool = True  # whether effects lowered the mean error
@@ -85,35 +86,36 @@ class Verdict:
 
 def judge(outcome, label):
     """Judge an outcome, as a `Verdict`; label: joint -> its name in a sentence."""
-    joints = tuple(
-        JointVerdict(
-            joint=j,
-            label=label(j),
-            n_effects=sum(_belongs(e, j) for e in outcome.effects),
-            **dict(zip(("status", "detail"), _of_joint(outcome, j))),
-        )
-        for j in range(len(outcome.joint_names))
-    )
-    faults = tuple(c.message for c in outcome.channels if c.severity == "doubt")
+    findings = outcome.findings
+    joints = tuple(_judge_joint(outcome, own, label) for own in outcome.errors)
+    faults = tuple(c.message for c in findings["channels"] if c.severity == "doubt")
     status, errors = _status(outcome, joints, faults), mean_errors(outcome)
-    worse = [one.joint for one in joints if one.status == "worse"]
+    worse = [outcome.errors[one.joint] for one in joints if one.status == "worse"]
+    fell = errors.after < min(errors.before, errors.plain)
     return Verdict(
         status=status,
         joints=joints,
         errors=errors,
         uses=_uses(outcome, status, joints),
         faults=faults,
-        fell=not outcome.effects or errors.after < min(errors.before, errors.plain),
-        than_declared=any(next(_is_worse(outcome, j)) for j in worse),
+        fell=not findings["effects"] or fell,
+        than_declared=any(_is_worse(own, "before", "difference") for own in worse),
     )
 
 
-def interval(outcome, key, joint):
-    """Interval of a joint's error, (low, high); nan where there is none."""
-    values = outcome.intervals.get(key)
-    if values is None:
-        return np.nan, np.nan
-    return tuple(float(x) for x in np.asarray(values, dtype=float)[:, joint])
+def _judge_joint(outcome, own, label):
+    """Judge a joint by its errors."""
+    j = own.joint
+    effects = [e for e in outcome.findings["effects"] if _belongs(e, j)]
+    rest = [u for u in outcome.findings["unexplained"] if u.joint == j]
+    status, *detail = _of_joint(own, rest, effects)
+    return JointVerdict(
+        joint=j,
+        label=label(j),
+        status=status,
+        n_effects=len(effects),
+        detail=detail[0] if detail else "",
+    )
 
 
 def _belongs(effect, j):
@@ -121,49 +123,45 @@ def _belongs(effect, j):
     return effect.joint == j and effect.scope == "joint"
 
 
-def _of_joint(outcome, j):
+def _of_joint(own, rest, effects):
     """Status of a joint, and its detail if there is one."""
-    after, floor = outcome.error_after[j], outcome.floor[j]
+    after, floor = own.after, own.floor
     if not np.isfinite(after):
         return ("no data",)
-    if not outcome.enough[j]:
+    if not own.enough:
         return ("few",)
     if after >= _MEAN_TORQUE:
         return ("failed",)
-    if any(_is_worse(outcome, j)):
+    if _is_worse(own, "before", "difference") or _is_worse(own, "plain", "added"):
         return ("worse",)
-    if j in outcome.unsearched:
+    if not own.searched:
         return ("unsearched",)
-    for rest in outcome.unexplained:
-        if rest.joint == j:
-            return ("unexplained" if np.isfinite(rest.floor) else "unknown",)
+    if rest:
+        return ("unexplained" if np.isfinite(rest[0].floor) else "unknown",)
     if not np.isfinite(floor):
         return ("unknown",)
-    least = np.nan_to_num(interval(outcome, "after", j)[0], nan=np.inf)
+    least = np.nan_to_num(own.intervals.get("after", _NO_ENDS)[0], nan=np.inf)
     near, far = (factor * floor for factor in ABOVE_FLOOR)
     # The floor does not know the error of the parameters, which held-out data shows.
     if after > far and least > near:
         return ("above",)
     if after > near and least > floor:
         return "floor", "near"
-    high = interval(outcome, "added", j)[1]
-    chance = any(_belongs(e, j) for e in outcome.effects) and 0 <= high < np.inf
-    return "floor", "chance" if chance else ""
+    high = own.intervals.get("added", _NO_ENDS)[1]
+    return "floor", "chance" if effects and 0 <= high < np.inf else ""
 
 
-def _is_worse(outcome, j):
-    """Yield whether a joint is worse than declared, and than with the plain terms."""
-    after = outcome.error_after[j]
-    # At its noise floor no joint is worse; an unknown floor excuses nothing.
-    harmless = after <= outcome.floor[j]
-    for error, key in (
-        (outcome.error_before, "difference"),
-        (outcome.error_plain, "added"),
-    ):
-        low = interval(outcome, key, j)[0]
-        # Without an interval the errors themselves decide.
-        surely = not np.isfinite(low) or low > 0
-        yield surely and not harmless and after > _WORSE * error[j]
+def _is_worse(own, error, difference):
+    """Whether a joint is worse than with another model, beyond chance."""
+    low = own.intervals.get(difference, _NO_ENDS)[0]
+    # Without an interval the errors themselves decide. At its noise floor no joint is
+    # worse; an unknown floor excuses nothing.
+    surely = not np.isfinite(low) or low > 0
+    return (
+        surely
+        and own.after > _WORSE * getattr(own, error)
+        and not own.after <= own.floor
+    )
 
 
 def _status(outcome, joints, faults):
@@ -175,7 +173,7 @@ def _status(outcome, joints, faults):
         return "no data"
     if kinds <= {"no data", "few", "unsearched"}:
         return "unsearched"
-    nothing = not outcome.effects
+    nothing = not outcome.findings["effects"]
     for kind, both in _STATUS.items():
         if kind in kinds:
             return both[nothing]
@@ -183,22 +181,21 @@ def _status(outcome, joints, faults):
 
 
 def mean_errors(outcome):
-    """Return the mean errors of the joints that move enough, as `Errors`."""
-    enough = np.asarray(outcome.enough)
-    used = np.isfinite(outcome.error_before) & np.isfinite(outcome.error_after) & enough
-    floor = np.asarray(outcome.floor, dtype=float)[used]
+    """Return the mean errors of the joints that move enough, as `MeanErrors`."""
+    enough = [one for one in outcome.errors if one.enough]
+    used = [one for one in enough if np.isfinite([one.before, one.after]).all()]
 
-    def mean(values, counts=used):
-        known = np.asarray(values, dtype=float)[counts]
-        known = known[np.isfinite(known)]
-        return float(known.mean()) if known.size else np.nan
+    def mean(name, rows=used):
+        known = [getattr(one, name) for one in rows]
+        known = [value for value in known if np.isfinite(value)]
+        return float(np.mean(known)) if known else np.nan
 
-    return Errors(
-        before=mean(outcome.error_before),
-        plain=mean(outcome.error_plain),
-        after=mean(outcome.error_after),
-        wide=mean(outcome.wide_after, enough),
-        floor=mean(outcome.floor) if np.isfinite(floor).all() else np.nan,
+    return MeanErrors(
+        before=mean("before"),
+        plain=mean("plain"),
+        after=mean("after"),
+        wide=mean("wide", enough),
+        floor=mean("floor") if all(np.isfinite(x.floor) for x in used) else np.nan,
     )
 
 
@@ -208,7 +205,7 @@ def mean_errors(outcome):
 def _uses(outcome, status, joints):
     """Judge the uses of an outcome, a tuple of `Use`; reasons are codes."""
     whole = "faulty" if status == "faulty" else ""
-    whole = whole or ("contradiction" if outcome.contradictions.found else "")
+    whole = whole or ("contradiction" if outcome.findings["contradictions"] else "")
     found = []
     for name, forbidden in (
         ("feedforward", _UNTRUSTED),
@@ -232,12 +229,11 @@ def _uses(outcome, status, joints):
 
 def _masses(outcome, whole):
     """Judge the link masses, those that are identified apart from the others."""
-    if not outcome.bodies:
-        return ()
-    if outcome.gains is not None and not outcome.gains.absolute:
+    bodies, gains = outcome.facts_of("mass"), outcome.robot["gains"]
+    if gains is not None and not gains.absolute:
         whole = whole or "relative"
-    known = [b.name for b in outcome.bodies if b.known == "yes" and not whole]
-    others = [b.name for b in outcome.bodies if b.name not in known]
+    known = [b.name for b in bodies if b.source == "yes" and not whole]
+    others = [b.name for b in bodies if b.name not in known]
     split = bool(known and others)
     found = []
     for names, reason in ((known, ""), (others, whole or "masses")):

@@ -47,17 +47,17 @@ def signal_label(signal, names, joint):
 
 def effect_label(outcome, name, shape=None):
     """Plain English for an effect of an outcome, with what matters of its shape."""
-    found = outcome.library.get(name)
+    found = outcome.robot["library"].get(name)
     if found is None:
         # What follows a colon is the user's own name, such as that of a column.
         return name if ": " in name else name.replace("_", " ")
-    joint = functools.partial(joint_label, outcome.joint_names)
+    joint = functools.partial(joint_label, outcome.robot["joints"])
     return found.describe(shape or {}, joint)
 
 
 def of_robot(outcome, name):
     """Whether an effect belongs to the robot as a whole."""
-    found = outcome.library.get(name)
+    found = outcome.robot["library"].get(name)
     return found is not None and found.scope == "robot"
 
 
@@ -65,7 +65,7 @@ def place_label(outcome, name, joint):
     """Where an effect is: its joint, or the robot for one that belongs to none."""
     if of_robot(outcome, name):
         return "robot"
-    return joint_label(outcome.joint_names, joint)
+    return joint_label(outcome.robot["joints"], joint)
 
 
 def effect_at(outcome, name, joint, shape=None):
@@ -88,9 +88,9 @@ def other_label(outcome, other, name):
 def _joint_of(outcome, other):
     """Joint behind the " on " of a name, from zero; None if there is none."""
     _, _, joint = other.rpartition(" on ")
-    if other in outcome.library or joint not in outcome.joint_names:
+    if other in outcome.robot["library"] or joint not in outcome.robot["joints"]:
         return None
-    return list(outcome.joint_names).index(joint)
+    return list(outcome.robot["joints"]).index(joint)
 
 
 def _name_of(outcome, other):
@@ -100,7 +100,7 @@ def _name_of(outcome, other):
 
 def record_for(outcome, name):
     """Return what to record to see an effect; empty if its class does not say."""
-    found = outcome.library.get(_name_of(outcome, name))
+    found = outcome.robot["library"].get(_name_of(outcome, name))
     return "" if found is None else found.record
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.explain import Models, _judgement, commands_alone
+from sklearn_vbjfa.diagnosis.explain import Models, _commands, commands_alone
 from sklearn_vbjfa.simulation import SimulationError
 from tests.robot.test_drives import DT, KD, KP, PDDrive, identify, told
 
@@ -45,17 +45,17 @@ def test_errors_are_those_of_follow_on_the_held_out_rows_alone(
     one, _ = found
     rows = np.concatenate([np.arange(x.start, x.stop) for x in STRETCHES])
     aim = recording.signals["q_desired"]
-    assert_allclose(one.told, size((aim - recording.q)[rows]))
-    for robot, errors in ((models.declared, one.before), (models.judged, one.after)):
+    assert_allclose(one["commands"], size((aim - recording.q)[rows]))
+    for robot, name in ((models.declared, "before"), (models.judged, "after")):
         # begins at every 100th row
         states = robot.follow(recording, window=100 * DT)
-        assert_allclose(errors, size((states[:, :3] - recording.q)[rows]), rtol=1e-6)
-    assert_allclose(one.plain, one.after)
-    assert (one.after < 0.02 * one.told).all()
-    assert one.before.mean() > 3 * one.after.mean()
-    assert (one.n_stretches, one.units) == (2, ("rad", "rad", "rad"))
-    assert one.seconds == pytest.approx(160 * DT)
-    assert (one.failed, one.left_out) == ({}, ())
+        assert_allclose(one[name], size((states[:, :3] - recording.q)[rows]), rtol=1e-6)
+    assert_allclose(one["plain"], one["after"])
+    assert (one["after"] < 0.02 * one["commands"]).all()
+    assert one["before"].mean() > 3 * one["after"].mean()
+    assert (one["n_stretches"], one["units"]) == (2, ("rad", "rad", "rad"))
+    assert one["seconds"] == pytest.approx(160 * DT)
+    assert (one["failed"], one["left_out"]) == ({}, ())
 
 
 def test_curves_have_the_stretches_one_after_the_other(found, recording):
@@ -71,18 +71,18 @@ def test_curves_have_the_stretches_one_after_the_other(found, recording):
 
 
 def test_of_long_stretches_the_beginnings_are_simulated(models, recording, monkeypatch):
-    monkeypatch.setattr(_judgement, "_SIMULATED", 40 * DT)
+    monkeypatch.setattr(_commands, "_SIMULATED", 40 * DT)
     one, _ = commands_alone(models, STRETCHES, recording)
-    assert one.seconds == pytest.approx(40 * DT)
+    assert one["seconds"] == pytest.approx(40 * DT)
     rows = np.r_[300:320, 700:720]
     aim = recording.signals["q_desired"]
-    assert_allclose(one.told, size((aim - recording.q)[rows]))
+    assert_allclose(one["commands"], size((aim - recording.q)[rows]))
 
 
 def test_a_model_that_diverges_has_no_error_and_a_reason(
     models, recording, monkeypatch
 ):
-    run, simple = _judgement.CommandFollower.run, models.declared.robot_.theta_
+    run, simple = _commands.CommandFollower.run, models.declared.robot_.theta_
 
     def diverges(self, rows, start, t):
         if self._model.friction.shape[1] < 2:
@@ -90,11 +90,11 @@ def test_a_model_that_diverges_has_no_error_and_a_reason(
         return run(self, rows, start, t)
 
     assert simple.size < models.judged.theta_.size
-    monkeypatch.setattr(_judgement.CommandFollower, "run", diverges)
+    monkeypatch.setattr(_commands.CommandFollower, "run", diverges)
     one, line = commands_alone(models, STRETCHES, recording)
-    assert one.failed == {"before": "It diverges."}
-    assert np.isnan(one.before).all()
-    assert np.isfinite(one.after).all()
+    assert one["failed"] == {"before": "It diverges."}
+    assert np.isnan(one["before"]).all()
+    assert np.isfinite(one["after"]).all()
     assert np.isnan(line.torques[0].before).all()
     # thinned as before
     assert line.torques[0].seconds.size == 161

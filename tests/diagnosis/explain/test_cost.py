@@ -1,9 +1,6 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.diagnosis import Report
 from tests.diagnosis._recordings import record
 from tests.diagnosis.report._pages import section_of
 
@@ -32,32 +29,24 @@ def fixture_driven():
 
 def test_errors_are_those_of_models_with_and_without_constraints(gain):
     torque, loop = gain
-    cost = loop.report_.outcome.projection
-    assert cost.held == pytest.approx(loop.error_after_)
+    unconstrained = loop.report_.outcome.column("unconstrained")
     # A model that was never projected, fitted anew to the same rows.
     free = ARM.discover(torque, robot=ARM.robot(projector=None), **CLOSED)
-    assert free.report_.outcome.projection is None
+    assert np.isnan(free.report_.outcome.column("unconstrained")).all()
     assert np.isnan(free.consistency_cost_).all()
     assert [e.name for e in free.effects_] == [e.name for e in loop.effects_]
-    assert cost.free == pytest.approx(free.error_after_, rel=1e-6)
+    assert unconstrained == pytest.approx(free.error_after_, rel=1e-6)
 
 
 def test_only_the_channel_with_the_wrong_gain_costs(gain):
     _, loop = gain
-    cost = loop.report_.outcome.projection
-    assert cost.costs.tolist() == [False, True, False]
-    assert cost.cost[1] == cost.held[1] - cost.free[1]
-    assert (cost.interval[0] > 0).tolist() == [False, True, False]
+    outcome, cost = loop.report_.outcome, loop.consistency_cost_
+    assert (cost > 0).tolist() == [False, True, False]
+    rise = outcome.column("after") - outcome.column("unconstrained")
+    assert cost[1] == rise[1]
 
 
-def test_the_dict_has_the_cost(driven):
-    data = driven.report_.to_dict()["projection"]
-    assert data["cost"] == driven.consistency_cost_.tolist()
-
-
-def test_a_cost_within_chance_is_not_mentioned(driven):
-    outcome = driven.report_.outcome
-    nothing = replace(outcome.projection, cost=np.zeros(2))
-    heading = "Cost of physical consistency"
-    assert section_of(driven.report_, heading)
-    assert not section_of(Report(replace(outcome, projection=nothing)), heading)
+def test_a_cost_is_in_the_data_and_on_the_page(driven):
+    rows = driven.report_.to_dict()["errors"]
+    assert [x["consistency_cost"] for x in rows] == driven.consistency_cost_.tolist()
+    assert section_of(driven.report_, "Cost of physical consistency")

@@ -95,18 +95,18 @@ def test_the_time_line_has_borders_gaps_and_the_held_out_part():
     # two recordings of 60 rows; rows 20 to 39 and 100 to 119 are held out, and 15 to
     # 19 are left out beside them
     clock = np.r_[0.1 * np.arange(60), 10.0 + 0.1 * np.arange(60)]
-    untouched = np.r_[20:40, 100:120]
+    held_out = np.r_[20:40, 100:120]
     searched = np.r_[0:15, 40:100]
 
     def given(rows):
         torque = np.column_stack([rows, -rows]).astype(float)
         return part(rows, torque, torque + 1.0, torque + 2.0)
 
-    parts = given(searched), given(untouched)
+    parts = given(searched), given(held_out)
     line = time_line(*parts, clock, [0, 60])
     assert line.in_seconds
     assert line.borders == (10.0,)
-    np.testing.assert_allclose(line.untouched, [(2.0, 4.0), (14.0, 16.0)])
+    np.testing.assert_allclose(line.held_out, [(2.0, 4.0), (14.0, 16.0)])
     one, other = line.torques
     assert (one.joint, other.joint) == (0, 1)
     gaps = one.seconds[np.isnan(one.measured)]

@@ -1,6 +1,7 @@
 """What the next recording will show, by what differs between recordings."""
 
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,11 +21,22 @@ def motion(fast=1.0, friction=0.8, seed=0, nv=1):
     return Motions(v, a, load, friction * np.sign(v), ones, np.ones(nv))
 
 
+def described(expectation, of=None):
+    found = expectation.of(of)
+    return SimpleNamespace(
+        error=found[0, :-1],
+        interval=found[1:, :-1],
+        mean=found[0, -1],
+        source=expectation.source,
+        recordings=expectation.recordings,
+    )
+
+
 def expected(left_out=(), left=LEFT, floor=FLOOR, of=None, friction=0.8):
     left_out = np.reshape(left_out, (-1, 1)).astype(float)
     fitted = motion(friction=friction)
     known = np.array([left]), np.array([floor]), np.array([SCATTER])
-    return Expectation(*known, left_out, fitted).of(of)
+    return described(Expectation(*known, left_out, fitted), of)
 
 
 @pytest.mark.parametrize(
@@ -88,16 +100,16 @@ def test_it_grows_with_the_distance_from_what_was_fitted():
 def test_a_joint_that_was_not_judged_has_none():
     known = np.array([0.1, np.nan]), np.array([0.05, 0.05]), np.full(2, SCATTER)
     left_out = np.array([[0.1, np.nan], [0.2, np.nan], [0.1, np.nan]])
-    found = Expectation(*known, left_out, motion(nv=2)).of()
+    found = described(Expectation(*known, left_out, motion(nv=2)))
     assert np.isnan(found.error[1])
     assert np.isnan(found.interval[:, 1]).all()
     assert found.error[0] == pytest.approx(found.mean)
 
 
 def test_a_search_expects_more_of_faster_motion(springy):
-    fitted = springy.report_.outcome.next_recording
+    fitted = springy.report_.outcome.facts_of("next recording")
     like, interval = springy.expected_error(SPRINGY.position)
-    assert like == pytest.approx(fitted.error, rel=0.3)
+    assert like == pytest.approx([one.value for one in fitted[:2]], rel=0.3)
     assert (interval[0] < like).all()
     assert (like < interval[1]).all()
     # The same path three times as fast.

@@ -129,7 +129,7 @@ def test_a_short_recording_gives_more_for_a_verdict():
     split = divided(robot(cutoff=2.2), q, None, 0.15)
     share = rows_of(split.stretches).size / len(q)
     assert 0.16 < share < 0.41
-    assert np.all(split.amount.of(split.stretches) >= split.amount.need)
+    assert np.all(split.counted(split.stretches) >= split.need)
     # Not in vain, where even that is too little.
     short = divided(robot(cutoff=2.2), q[:400], None, 0.15)
     assert rows_of(short.stretches).size == pytest.approx(0.15 * 400, rel=0.6)

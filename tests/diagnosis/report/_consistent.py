@@ -9,26 +9,27 @@ from tests.diagnosis.report._pages import section_of, text_of
 def assert_consistent(report):
     """Odds, intervals, savings, verdict and remedies of a report say the same."""
     outcome = report.outcome
-    settings, own = outcome.settings, outcome.settings["search"]
-    for effect in outcome.effects:
+    effects, possible = (outcome.findings[k] for k in ("effects", "possible"))
+    settings = outcome.provenance["settings"]
+    own = settings["search"]
+    for effect in effects:
         told = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
         assert effect.warning == "", told
         assert effect.probability >= 1 - settings["alpha"] - 1e-12, told
         assert effect.evidence.errors > own["chance"], told
         assert effect.evidence.gain > own["worth"], told
         assert _is_known(effect), f"{told}, {effect.intervals}"
-    for effect in outcome.possible:
+    for effect in possible:
         told = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
         assert effect.warning, told
         assert effect.probability >= own["undecided"], told
-    for effect in (*outcome.effects, *outcome.possible):
+    for effect in (*effects, *possible):
         _assert_values(effect)
         assert settings["n_candidates"] > 0
-    named = {_key(effect) for effect in outcome.effects}
-    possible = {_key(effect) for effect in outcome.possible}
-    assert len(named | possible) == len(outcome.effects) + len(outcome.possible)
+    keys = {_key(effect) for effect in (*effects, *possible)}
+    assert len(keys) == len(effects) + len(possible)
     told = set(_facts.remedies(outcome))
-    without = {(e.name, e.joint) for e in outcome.possible}
+    without = {(e.name, e.joint) for e in possible}
     assert not told & without, f"to be corrected on a possible: {told & without}"
     _assert_words(report)
 
@@ -62,30 +63,31 @@ def _assert_values(effect):
 
 def _assert_words(report):
     """Compare what is printed with what was computed."""
-    outcome, data = report.outcome, report.to_dict()
+    findings, data = report.outcome.findings, report.to_dict()
     page = text_of(report)
-    for key, effects in (("effects", outcome.effects), ("possible", outcome.possible)):
+    for key in ("effects", "possible"):
+        effects = findings[key]
         for told, effect in zip(data[key], effects, strict=True):
             assert told["log_odds"] == effect.log_odds
             assert told["probability"] == effect.probability
-    for effect in outcome.effects:
+    for effect in findings["effects"]:
         odds = words.odds_text(effect.log_odds)
         gain = words.whole_percent(effect.evidence.gain)
         assert not odds.startswith(("1 :", "<")), odds
         assert odds in page
         assert gain in page
-    for effect in outcome.possible:
+    for effect in findings["possible"]:
         assert words.probability_text(effect.probability) in page
         assert effect.warning in page
-    assert bool(section_of(report, "Possible effects")) == bool(outcome.possible)
+    assert bool(section_of(report, "Possible effects")) == bool(findings["possible"])
     missing = section_of(report, r"Effects that were \w+")
-    assert bool(missing) == bool(outcome.effects)
+    assert bool(missing) == bool(findings["effects"])
     headline = report.headline
-    if outcome.effects or outcome.possible:
+    if findings["effects"] or findings["possible"]:
         assert "othing is missing" not in headline, headline
     if report.status in ("complete", "partial"):
-        assert outcome.effects, headline
+        assert findings["effects"], headline
         fell = "missing" in headline
         assert fell != ("though the held-out error did not fall" in headline), headline
     if report.status in ("nothing", "exhausted"):
-        assert not outcome.effects, headline
+        assert not findings["effects"], headline

@@ -9,12 +9,14 @@ from sklearn_vbjfa.diagnosis.explain import (
     Dependence,
     DiscoveredEffect,
     Hidden,
+    JointErrors,
     Outcome,
     Unexplained,
 )
 from sklearn_vbjfa.diagnosis.search import UNDECIDED, Evidence
 from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.inspection import ChannelFinding
+from sklearn_vbjfa.robot import Corrections
 
 EVIDENCE = Evidence(log_odds=8.2, gain=0.46, gain_std=0.04, errors=11.0, n_blocks=52)
 # Of probability 80 %, and of one that is sure and chance on other stretches.
@@ -76,110 +78,143 @@ def make_range(name, joint, depends=("position",)):
     )
 
 
+COLUMNS = ("before", "plain", "after", "floor", "wide", "spread", "seconds", "enough")
+COLUMNS += ("searched", "unconstrained", "consistency_cost")
+FINDINGS = ("unnamed", "contradictions", "repeated", "outside", "departures", "alike")
+SETTINGS = {
+    "test_size": 0.25,
+    "untouched_stretches": 3,
+    "untouched_seconds": 21.4,
+    "guard_seconds": 0.13,
+    "alpha": 0.05,
+    "search": dataclasses.asdict(SearchSettings()),
+    "effects": ("coulomb", "ripple"),
+    "n_blocks": 52,
+    "block_seconds": 1.3,
+    "n_folds": 8,
+    "correlation_seconds": 0.13,
+    "too_short": (),
+    "random_state": 0,
+    "versions": {"numpy": "2.0"},
+}
+
+
 def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
+    """Make an outcome; changes: columns of the errors, parts of the other fields."""
     names = names or tuple(f"joint{j + 1}" for j in range(nv))
-    rng = np.random.default_rng(0)
     effects = tuple(make_effect(i, (i + 1) % nv, names) for i in range(n_effects))
+    effects = changes.pop("effects", effects)
     floor = np.linspace(0.03, 0.08, nv)
     after = floor * 1.02
     after[list(unexplained)] *= 2.0
     before = after.copy()
-    before[[e.joint for e in effects]] += 0.1
-    signals = (
-        Dependence(signal=f"speed of {names[-1]}", share=0.31, p_value=1e-7),
-        Dependence(signal="time", share=0.08, p_value=1e-4),
+    before[[(i + 1) % nv for i in range(n_effects)]] += 0.1
+    columns = {"before": before, "after": after, "floor": floor, "wide": 1.4 * after}
+    columns |= {"spread": np.linspace(50.0, 5.0, nv), "seconds": np.full(nv, 9.0)}
+    intervals = {
+        "before": np.array([0.9 * before, 1.1 * before]),
+        "after": np.array([0.9 * after, 1.1 * after]),
+        "difference": np.array([after - before - 0.01, (after - before) * 0.9]),
+    }
+    columns |= {k: changes.pop(k) for k in COLUMNS if k in changes}
+    intervals = changes.pop("intervals", intervals)
+    if not changes.get("added"):
+        # All plain terms were declared.
+        columns["plain"] = columns["before"]
+        same = {"plain": "before", "added": "difference"}
+        intervals |= {k: intervals[v] for k, v in same.items() if v in intervals}
+    units = changes.pop("units", nv * ("N m",))
+    errors = tuple(
+        JointErrors(
+            joint=j,
+            name=names[j],
+            unit=units[j],
+            intervals={k: tuple(x[:, j].tolist()) for k, x in intervals.items()},
+            **{k: np.asarray(x)[j].item() for k, x in columns.items()},
+        )
+        for j in range(nv)
     )
-    m = 1500
-    residual = rng.standard_normal((m, nv)) * floor
-    values = {
-        "declared": {
-            "robot": "arm",
-            "joints": names,
-            "friction": ("viscous",),
-            "n_parameters": 11 * nv,
-            "cutoff": 10.0,
-        },
+    findings = dict.fromkeys(FINDINGS, ()) | {
         "effects": effects,
         "possible": (),
-        "unexplained": tuple(
-            Unexplained(
-                joint=j,
-                joint_name=names[j],
-                rms=0.5,
-                floor=0.25,
-                share=0.75,
-                of_torque=0.043,
-                signals=signals,
-            )
-            for j in unexplained
-        ),
-        "hidden": tuple(
-            Hidden(
-                name=name,
-                joint=j,
-                joint_name=names[j],
-                reason=reason,
-                remedy="needs time stamps" if reason == "signal" else "",
-            )
-            for j in range(nv)
-            for name, reason in (
-                ("rotor_inertia", "span"),
-                ("counterbalance", "excitation"),
-                ("drift", "signal"),
-            )
-        ),
+        "unexplained": tuple(make_unexplained(j, names) for j in unexplained),
+        "hidden": tuple(make_hidden(names)),
         "channels": (
             finding("Torque of joint 1 is coarse, 3 steps."),
             finding("Joint 2 stands still."),
         ),
-        "joint_names": names,
-        "torque_units": ("N m",) * nv,
-        "error_before": before,
-        "error_after": after,
-        "spread": np.linspace(50.0, 5.0, nv),
-        "unsearched": (),
-        "added": (),
-        "wide_after": 1.4 * after,
-        "wide_cutoff": 40.0,
-        "seconds": np.full(nv, 9.0),
-        "enough": np.ones(nv, dtype=bool),
-        "intervals": {
-            "before": np.array([0.9 * before, 1.1 * before]),
-            "after": np.array([0.9 * after, 1.1 * after]),
-            "difference": np.array([after - before - 0.01, (after - before) * 0.9]),
-        },
-        "floor": floor,
-        "library": {effect.name: effect for effect in resolve("all")},
-        "settings": {
-            "test_size": 0.25,
-            "untouched_stretches": 3,
-            "untouched_seconds": 21.4,
-            "guard_seconds": 0.13,
-            "alpha": 0.05,
-            "n_candidates": 18 * nv,
-            "search": dataclasses.asdict(SearchSettings()),
-            "effects": ("coulomb", "ripple"),
-            "n_blocks": 52,
-            "block_seconds": 1.3,
-            "n_folds": 8,
-            "correlation_seconds": 0.13,
-            "too_short": (),
-            "random_state": 0,
-            "versions": {"numpy": "2.0"},
-        },
-        "curves": {
-            "index": np.arange(m),
-            "before": residual + 0.1 * np.sin(np.arange(m) / 40)[:, None],
-            "after": residual,
-            "weight": (np.arange(m)[:, None] % 700 > 60) * np.ones((m, nv)),
-            "torque": rng.standard_normal((m, nv)),
-        },
+        "commands_alone": None,
     }
-    values |= changes
-    if not values["added"]:
-        # All plain terms were declared.
-        values["error_plain"] = values["error_before"]
-        same = {"plain": "before", "added": "difference"}
-        own = values["intervals"]
-        values["intervals"] = own | {k: own[v] for k, v in same.items() if v in own}
-    return Outcome(**values)
+    robot = {
+        "name": "arm",
+        "joints": names,
+        "friction": ("viscous",),
+        "added": (),
+        "n_parameters": 11 * nv,
+        "cutoff": 10.0,
+        "wide_cutoff": 40.0,
+        "drive": None,
+        "motion": (),
+        "limits": None,
+        "gains": None,
+        "corrections": Corrections(),
+        "common_size": 1.0,
+        "library": {effect.name: effect for effect in resolve("all")},
+    }
+    provenance = {
+        "recordings": ("1",),
+        "samples": 4000,
+        "seconds": 20.0,
+        "rate": 200.0,
+        "looked_at": 0,
+        "left_out": 0,
+        "settings": SETTINGS | {"n_candidates": 18 * nv},
+    }
+    facts, curves = changes.pop("facts", ()), changes.pop("curves", {})
+    for part in (findings, robot, provenance):
+        part |= {key: changes.pop(key) for key in set(part) & set(changes)}
+    assert not changes, changes
+    return Outcome(
+        errors=errors,
+        findings=findings,
+        facts=facts,
+        robot=robot,
+        curves=curves,
+        provenance=provenance,
+    )
+
+
+def make_unexplained(j, names):
+    signals = (
+        Dependence(signal=f"speed of {names[-1]}", share=0.31, p_value=1e-7),
+        Dependence(signal="time", share=0.08, p_value=1e-4),
+    )
+    known = {"joint": j, "joint_name": names[j], "signals": signals}
+    return Unexplained(rms=0.5, floor=0.25, of_torque=0.043, **known)
+
+
+def make_hidden(names):
+    for j, joint_name in enumerate(names):
+        for name, reason, remedy in (
+            ("rotor_inertia", "span", ""),
+            ("counterbalance", "excitation", ""),
+            ("drift", "signal", "needs time stamps"),
+        ):
+            known = {"name": name, "joint": j, "joint_name": joint_name}
+            yield Hidden(reason=reason, remedy=remedy, **known)
+
+
+def changed(outcome, **changes):
+    """Replace columns of the errors, findings, and entries of the other fields."""
+    errors, fields = list(outcome.errors), {}
+    for name in ("findings", "robot", "provenance"):
+        own = changes.pop(name, getattr(outcome, name))
+        new = {k: changes.pop(k) for k in set(own) & set(changes)}
+        fields[name] = own | new
+    for name in set(changes) & set(COLUMNS):
+        values = np.broadcast_to(changes.pop(name), len(errors)).tolist()
+        errors = [dataclasses.replace(e, **{name: x}) for e, x in zip(errors, values)]
+    if "intervals" in changes:
+        ends = changes.pop("intervals")
+        errors = [dataclasses.replace(e, intervals=ends) for e in errors]
+    return dataclasses.replace(outcome, errors=tuple(errors), **fields, **changes)

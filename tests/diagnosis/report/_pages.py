@@ -8,11 +8,8 @@ from html.parser import HTMLParser
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain import (
-    CommandsAlone,
+    Fact,
     FrictionCurves,
-    ParameterValue,
-    Provenance,
-    RecordedMotion,
     ResidualCurves,
     TimeLine,
     TorqueCurves,
@@ -21,8 +18,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     curves_over,
 )
 from sklearn_vbjfa.effects import Ripple
-from sklearn_vbjfa.robot import BodyMass
-from tests.diagnosis.report._outcomes import make_outcome
+from tests.diagnosis.report._outcomes import changed, make_outcome
 
 FILES = ("report.json", "parameters.csv", "identified.urdf")
 
@@ -30,10 +26,10 @@ FILES = ("report.json", "parameters.csv", "identified.urdf")
 def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
     """Make an outcome with all that a page draws."""
     outcome = make_outcome(nv=nv, names=names, n_effects=n_effects)
-    names = outcome.joint_names
+    names, effects = outcome.robot["joints"], outcome.findings["effects"]
     rng = np.random.default_rng(0)
     curves = []
-    for effect in outcome.effects:
+    for effect in effects:
         x, noise = rng.standard_normal((2, rows))
         curves.append(
             curves_over(
@@ -95,65 +91,80 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
         for j in range(nv)
     )
     line = TimeLine(
-        torques=torques, borders=(12.0,), untouched=((3.0, 5.0),), in_seconds=True
+        torques=torques, borders=(12.0,), held_out=((3.0, 5.0),), in_seconds=True
     )
     drawn = {"effects": tuple(curves), "line": line}
     drawn |= {"friction": friction, "residuals": residuals}
+    parameters = (
+        Fact(
+            kind="parameter",
+            name=f"{name}:{symbol}",
+            joint=j,
+            value=1.5,
+            interval=(1.25, 1.75),
+            unit="kg",
+            described=described,
+            source=source,
+        )
+        for j, name in enumerate(names)
+        for symbol, described, source in (
+            ("m", 1.25, "yes"),
+            ("viscous", np.nan, "in combination"),
+        )
+    )
+    masses = (make_mass(n, 1.5, 1.2, KNOWN[j % 2], 0.1) for j, n in enumerate(names))
     values = {
-        "effects": tuple(
-            replace(e, effect=Ripple(joint=e.joint)) for e in outcome.effects
-        ),
-        "curves": outcome.curves | drawn,
-        "parameters": tuple(
-            ParameterValue(
-                name=f"{name}:{symbol}",
-                value=1.5,
-                interval=(1.25, 1.75),
-                unit="kg",
-                nominal=nominal,
-                known=known,
-            )
-            for name in names
-            for symbol, nominal, known in (
-                ("m", 1.25, "yes"),
-                ("viscous", np.nan, "in combination"),
-            )
-        ),
-        "bodies": tuple(
-            BodyMass(joint=j, name=name, mass=1.5, std=0.1, nominal=1.2, known=known)
-            for j, name in enumerate(names)
-            for known in (("yes", "in combination")[j % 2],)
-        ),
-        "recorded": RecordedMotion(samples=4000, seconds=20.0, rate=200.0),
-        "recordings": ("slow", "fast"),
-        "provenance": Provenance(
-            file="logs/arm.csv",
-            description="arm.urdf",
-            held=("finger_left",),
-            warnings=("Torque of joint 1 is coarse.", "Another warning."),
-            files=FILES,
-        ),
+        "effects": tuple(replace(e, effect=Ripple(joint=e.joint)) for e in effects),
+        "curves": drawn,
+        "facts": (*parameters, *masses),
+        "provenance": outcome.provenance
+        | {
+            "recordings": ("slow", "fast"),
+            "file": "logs/arm.csv",
+            "description": "arm.urdf",
+            "held": ("finger_left",),
+            "warnings": ("Torque of joint 1 is coarse.", "Another warning."),
+            "files": FILES,
+        },
     }
-    return replace(outcome, **(values | changes))
+    return changed(changed(outcome, **values), **changes)
+
+
+KNOWN = ("yes", "in combination")
+
+
+def make_mass(name, mass, described, source, std=np.inf):
+    half = 1.645 * std if np.isfinite(std) else np.nan
+    return Fact(
+        kind="mass",
+        name=name,
+        joint=0,
+        value=mass,
+        interval=(mass - half, mass + half),
+        unit="kg",
+        source=source,
+        described=described,
+    )
 
 
 def alone(nv=3, **changes):
     """Make an outcome of a robot that was told positions, its last joint slides."""
     outcome = made(nv=nv, n_effects=0)
     before = np.linspace(0.02, 0.04, nv)
-    found = CommandsAlone(
-        before=before,
-        plain=0.5 * before,
-        after=0.1 * before,
-        told=10 * before,
-        units=(*(nv - 1) * ("rad",), "m"),
-        seconds=12.34,
-        n_stretches=3,
-    )
-    found = replace(found, **changes)
-    line = replace(outcome.curves["line"], untouched=())
+    found = {
+        "before": before,
+        "plain": 0.5 * before,
+        "after": 0.1 * before,
+        "commands": 10 * before,
+        "units": (*(nv - 1) * ("rad",), "m"),
+        "seconds": 12.34,
+        "n_stretches": 3,
+        "failed": {},
+        "left_out": (),
+    }
+    line = replace(outcome.curves["line"], held_out=())
     curves = outcome.curves | {"positions": line}
-    return replace(outcome, commands_alone=found, curves=curves)
+    return changed(outcome, commands_alone=found | changes, curves=curves)
 
 
 def figures(html):

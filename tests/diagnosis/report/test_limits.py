@@ -6,19 +6,12 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.diagnosis.explain import (
-    ConsistencyCost,
-    Contradiction,
-    Contradictions,
-    Deviation,
-    Hidden,
-    NextRecording,
-)
+from sklearn_vbjfa.diagnosis.explain import Contradiction, Fact, Hidden
 from sklearn_vbjfa.fit import AlikeValue, Departure
 from sklearn_vbjfa.inspection import JointMotion
-from sklearn_vbjfa.robot import BodyMass, ChannelGains, CommonGain, KnownMass
-from tests.diagnosis.report._outcomes import make_outcome
-from tests.diagnosis.report._pages import section_of, text_of
+from sklearn_vbjfa.robot import ChannelGains, CommonGain, KnownMass
+from tests.diagnosis.report._outcomes import changed, make_outcome
+from tests.diagnosis.report._pages import make_mass, section_of, text_of
 
 ALL = (0, 1, 2)
 
@@ -35,44 +28,29 @@ def assert_said(text, *facts):
 # -- the cost of physical consistency
 
 
-def cost(**changes):
-    found = ConsistencyCost(
-        free=np.array([0.05, 0.19, 0.08]),
-        held=np.array([0.05, 0.241, 0.09]),
-        interval=np.array([[-0.01, 0.02, 0.001], [0.01, 0.07, 0.02]]),
-        cost=np.array([0.0, 0.051, 0.01]),
-    )
-    found = replace(found, **changes)
-    return shown("Cost of physical consistency", projection=found)
-
-
 def test_the_cost_has_the_errors_of_the_joints_it_concerns():
-    text = cost()
+    heading = "Cost of physical consistency"
+    known = {"after": [0.05, 0.241, 0.09], "unconstrained": [0.05, 0.19, 0.08]}
+    text = shown(heading, consistency_cost=[0.0, 0.051, 0.01], **known)
     assert_said(text, "joint 2 from 19.0 to 24.1 %", "joint 3 from 8.0 to 9.0 %")
     assert "joint 1" not in text
     for nothing in (np.zeros(3), np.full(3, np.nan)):
-        assert cost(cost=nothing) == ""
+        assert shown(heading, consistency_cost=nothing, **known) == ""
 
 
 # -- masses
 
 
-def body(name, mass, nominal, known, std=np.inf):
-    return BodyMass(
-        joint=0, name=name, mass=mass, std=std, nominal=nominal, known=known
-    )
-
-
 def test_masses_that_are_measured_and_that_are_not():
     text = shown(
         "Masses",
-        bodies=(
-            body("base", 9.0, 10.0, "no"),
-            body("upper", 257.0, 339.0, "in combination", std=80.0),
-            body("fore", 902.0, 339.0, "in combination", std=300.0),
-            body("slide", 94.3, 95.1, "yes", std=0.175),
-            body("tool", 3.0, 2.0, "yes", std=0.1),
-            body("same", 5.0, 5.1, "yes", std=0.1),
+        facts=(
+            make_mass("base", 9.0, 10.0, "no"),
+            make_mass("upper", 257.0, 339.0, "in combination", 80.0),
+            make_mass("fore", 902.0, 339.0, "in combination", 300.0),
+            make_mass("slide", 94.3, 95.1, "yes", 0.175),
+            make_mass("tool", 3.0, 2.0, "yes", 0.1),
+            make_mass("same", 5.0, 5.1, "yes", 0.1),
         ),
     )
     assert_said(text, "base (not at all)", "upper and fore (in combination only)")
@@ -139,8 +117,7 @@ def test_the_motion_of_each_joint_and_what_it_does_not_show():
     hidden = Hidden(
         name="spring", joint=0, joint_name="joint1", reason="excitation", remedy="x"
     )
-    given = make_outcome(nv=2, hidden=(hidden,), motion=(one, one))
-    given.declared["limits"] = limits
+    given = make_outcome(nv=2, hidden=(hidden,), motion=(one, one), limits=limits)
     report = Report(given)
     text = section_of(report, "Excitation")
     assert_said(text, "all joints", "it reverses 3 times", "-1 to 1.5 rad", "25 %")
@@ -148,35 +125,27 @@ def test_the_motion_of_each_joint_and_what_it_does_not_show():
     assert_said(steps, "a wide range of positions (joint 1)", "-2 to 2 rad")
     assert_said(steps, "0.3 to 3 rad/s", "60 s")
     # Without limits: what was recorded.
-    free = Report(replace(given, hidden=(replace(hidden, joint=1),)))
+    free = Report(changed(given, hidden=(replace(hidden, joint=1),)))
     assert_said(section_of(free, "Next steps"), "-1 to 1.5 rad", "0.08 to 0.8 rad/s")
 
 
-def contradicted(*deviations):
-    one = Contradiction(recording=0, joint=1, alone=0.011, together=0.072)
-    made = Contradictions(found=(one,), deviations=deviations)
-    outcome = make_outcome(nv=3, contradictions=made, recordings=("1", "2", "3"))
-    report = Report(outcome)
-    assert "contradict" in report.headline[:60]
-    return section_of(report, "Limits of the recordings")
-
-
 @pytest.mark.parametrize(
-    ("changes", "facts"),
+    ("cause", "value", "said"),
     [
-        ({"name": "offset", "value": -0.5}, ("offset of -0.5 N m", "recording 1")),
-        ({"name": "gain", "value": 1.2}, ("1.2 times", "joint 2")),
-        ({"name": "friction"}, ("friction of joint 2", "recording 1")),
-        ({"name": "payload", "joints": ALL}, ("load", "recording 1")),
-        ({"name": "model", "joints": ALL}, ("More than a gain",)),
-        ({"name": "gain", "recordings": ALL}, ("recording 1 (or", "2 or 3")),
-        ({"name": "gain", "rivals": ("friction",)}, ("friction",)),
+        ("offset", -0.5, "An offset of -0.5 N m on joint 2"),
+        ("gain", 1.2, "A torque of joint 2 that is 1.2 times as large"),
+        ("friction", np.nan, "Different friction of joint 2"),
+        ("model", np.nan, "such as a load"),
     ],
 )
-def test_recordings_that_contradict_each_other(changes, facts):
-    given = {"recordings": (0,), "joints": (1,), "p_value": 1e-5}
-    text = contradicted(Deviation(**(given | changes)))
-    assert_said(text, "1.1 %", "7.2 %", "p = 0.00001", *facts)
+def test_recordings_that_contradict_each_other(cause, value, said):
+    errors = {"alone": 0.011, "together": 0.072, "p_value": 1e-5}
+    one = Contradiction(recording=0, joint=1, cause=cause, value=value, **errors)
+    names = ("slow", "fast", "last")
+    report = Report(make_outcome(nv=3, contradictions=(one,), recordings=names))
+    assert "Recording slow contradicts the others" in report.headline
+    text = section_of(report, "Limits of the recordings")
+    assert_said(text, "1.1 %", "7.2 %", "p = 0.00001", "in recording slow", said)
 
 
 def test_sound_recordings_need_no_words():
@@ -192,15 +161,10 @@ def test_sound_recordings_need_no_words():
     ],
 )
 def test_the_next_recording_says_what_it_rests_on(source, said):
-    one = NextRecording(
-        error=np.array([0.05]),
-        interval=np.array([[0.03], [0.09]]),
-        mean=0.05,
-        mean_interval=np.array([0.03, 0.09]),
-        recordings=4,
-        source=source,
-    )
-    report = Report(make_outcome(next_recording=one))
+    known = {"kind": "next recording", "name": "", "joint": None, "source": source}
+    one = Fact(value=0.05, interval=(0.03, 0.09), **known)
+    left_out = 0 if source == "assumed" else 4
+    report = Report(make_outcome(facts=(one,), left_out=left_out))
     text = section_of(report, "Next steps")
     expected = "5.0 %, in 9 of 10 recordings between 3.0 and 9.0 %"
     assert_said(text, expected, said)
@@ -242,7 +206,7 @@ def test_gains_are_relative_to_a_channel():
     (line,) = (x for x in str(hidden).splitlines() if "relative to" in x)
     assert "joint 3" in line
     assert len(line) <= 80
-    assert Report(make_outcome()).to_dict()["gains"] is None
+    assert Report(make_outcome()).to_dict()["robot"]["gains"] is None
 
 
 def test_a_known_mass_fixes_the_common_gain():

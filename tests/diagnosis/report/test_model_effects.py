@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.diagnosis.explain import DiscoveredEffect, Hidden, ParameterValue
+from sklearn_vbjfa.diagnosis.explain import DiscoveredEffect, Fact, Hidden
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.robot import (
     AxisCorrection,
@@ -138,7 +138,7 @@ def test_effects_have_values_and_remedies(effect, values, remedy):
         assert value in text_of(report)
     assert remedy in section_of(report, "Next steps")
     # One that was declared is to be corrected as well, and is not missing.
-    declared = report_of(effects=(), corrections=report.outcome.corrections)
+    declared = report_of(effects=(), corrections=report.outcome.robot["corrections"])
     assert remedy in section_of(declared, "Next steps")
     assert section_of(declared, MISSING) == ""
     # One that is only possible is not corrected.
@@ -153,17 +153,16 @@ def test_nothing_is_to_be_corrected_that_may_be_nothing(declared):
 
     def shown(reach):
         values = tuple(
-            ParameterValue(
+            Fact(
+                kind="parameter",
                 name=f"{joint}{declared.name}:{name}",
+                joint=declared.joint,
                 value=value,
                 interval=(value - reach, value + reach),
-                unit="",
-                nominal=np.nan,
-                known="yes",
             )
             for name, value in declared.parameters.items()
         )
-        return str(report_of(declared, effects=(), parameters=values))
+        return str(report_of(declared, effects=(), facts=values))
 
     assert "To correct: " in shown(0.001)
     assert "To correct: " not in shown(1.0)
@@ -200,21 +199,14 @@ def test_values_in_both_units():
     assert "roll 4.00 +- 0.02 degrees" in shown
     assert "roll = 0.0698 +- 0.0003 rad" in shown
     data = report.to_dict()
-    tilt, zero, axis, gain = data["effects"]
+    tilt = data["effects"][0]
     assert tilt["parameters"]["roll"] == np.deg2rad(4.0)
     assert tilt["scope"] == "robot"
-    assert tilt["plain"]["roll"]["unit"] == "degrees"
-    assert tilt["plain"]["roll"]["interval"] == pytest.approx([3.98, 4.02])
-    assert zero["plain"]["zero"]["interval"] == pytest.approx([3.98, 4.10])
-    assert axis["plain"]["about_y"]["value"] == pytest.approx(-0.5)
-    assert gain["plain"]["gain"]["value"] == pytest.approx(14.8)
-    assert gain["plain"]["gain"]["unit"] == "%"
-    told = data["corrections"]
-    assert told["tilt"]["lean_rpy_degrees"] == [-4.0, -1.995, 0.14]
-    assert told["zeros"][0]["subtract"] == ZERO.parameters["zero"]
-    assert told["axes"][0]["new_rpy"] == [0.05, 1.5, 0.1]
-    assert told["gains"][0]["gain"] == 1.148
-    assert not any("plain" in e for e in Report(make_outcome()).to_dict()["effects"])
+    listed = data["robot"]["corrections"]
+    assert listed["tilt"]["lean_rpy_degrees"] == [-4.0, -1.995, 0.14]
+    assert listed["zeros"][0]["subtract"] == ZERO.parameters["zero"]
+    assert listed["axes"][0]["new_rpy"] == [0.05, 1.5, 0.1]
+    assert listed["gains"][0]["gain"] == 1.148
 
 
 # -- what is hidden

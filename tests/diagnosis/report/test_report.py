@@ -13,6 +13,7 @@ from sklearn_vbjfa.diagnosis.search import SMALL
 from sklearn_vbjfa.effects import Coulomb, Effect, OutsideRange, available
 from tests.diagnosis.report._outcomes import (
     EVIDENCE,
+    changed,
     finding,
     make_effect,
     make_outcome,
@@ -33,7 +34,7 @@ CASES = {
         "unexplained": (0, 3),
         "names": tuple(f"left\narm {'x' * 70} joint_{j}" for j in range(7)),
     },
-    "no settings": {"settings": {}, "declared": {}, "curves": {}},
+    "no settings": {"settings": {}},
 }
 
 
@@ -57,14 +58,14 @@ STATUS = {
     "exhausted": {"n_effects": 0, "unexplained": (1,)},
     "unknown": {"floor": UNKNOWN},
     "unsettled": {
-        "error_before": 3 * FLOOR,
-        "error_after": 2 * FLOOR,
+        "before": 3 * FLOOR,
+        "after": 2 * FLOOR,
         "intervals": {"after": np.array([1.9 * FLOOR, 2.1 * FLOOR])},
     },
-    "worse": {"error_before": 0.5 * FLOOR, "intervals": {}},
-    "failed": {"error_after": np.full(6, 1.0)},
-    "no data": {"error_before": UNKNOWN, "error_after": UNKNOWN},
-    "unsearched": {"n_effects": 0, "unsearched": tuple(range(6))},
+    "worse": {"before": 0.5 * FLOOR, "intervals": {}},
+    "failed": {"after": np.full(6, 1.0)},
+    "no data": {"before": UNKNOWN, "after": UNKNOWN},
+    "unsearched": {"n_effects": 0, "searched": np.zeros(6, dtype=bool)},
     "faulty": {"channels": (finding("Joint 2 is swapped.", "doubt"),)},
 }
 
@@ -85,15 +86,14 @@ def test_status(status):
 def test_what_is_no_change_of_status():
     # An interval that reaches below the floor is no sign of more.
     unsure = {"after": np.array([0.8 * FLOOR, 3.0 * FLOOR])}
-    double = {"error_before": 3 * FLOOR, "error_after": 2 * FLOOR}
+    double = {"before": 3 * FLOOR, "after": 2 * FLOOR}
     assert Report(make_outcome(**double, intervals=unsure)).status == "complete"
     # A refit moves the errors of all joints a little, and paired blocks notice.
-    outcome = make_outcome(n_effects=1)
-    sure = {"difference": np.array([0.005, 0.015])[:, None] * outcome.error_before}
-    after = 1.01 * outcome.error_before
-    report = Report(make_outcome(n_effects=1, error_after=after, intervals=sure))
+    before = make_outcome(n_effects=1).column("before")
+    sure = {"difference": np.array([0.005, 0.015])[:, None] * before}
+    report = Report(make_outcome(n_effects=1, after=1.01 * before, intervals=sure))
     assert report.status != "worse"
-    almost = make_outcome(nv=1, n_effects=0, error_after=np.array([0.999]))
+    almost = make_outcome(nv=1, n_effects=0, after=np.array([0.999]))
     assert Report(almost).status != "failed"
 
 
@@ -105,10 +105,10 @@ def test_each_joint_has_a_verdict():
             n_effects=0,
             enough=np.array([True, True, False, True]),
             seconds=np.array([9.0, 9.0, 0.31, 9.0]),
-            error_before=after,
-            error_after=after,
+            before=after,
+            after=after,
             floor=np.full(4, 0.05),
-            unsearched=(3,),
+            searched=np.array([True, True, True, False]),
             intervals={},
         )
     )
@@ -133,17 +133,16 @@ def test_a_faulty_channel_comes_first():
 
 def test_plain_terms_have_an_error_of_their_own():
     outcome = make_outcome(nv=2, n_effects=1)
-    plain = np.sqrt(outcome.error_before * outcome.error_after)
+    plain = np.sqrt(outcome.column("before") * outcome.column("after"))
     added = ("offset", "rotor_inertia")
-    more = {"added": added, "error_plain": plain}
-    report = Report(make_outcome(nv=2, n_effects=1, **more))
-    errors = [outcome.error_before, plain, outcome.error_after]
+    report = Report(changed(outcome, added=added, plain=plain))
+    errors = [outcome.column("before"), plain, outcome.column("after")]
     for error in errors:
         assert words.percent(error.mean()) in report.verdict
         assert words.bare_percent(error[1]) in line_of(report)
         assert words.bare_percent(error[1]) in text_of(report)
     assert report.to_html().count('class="fill plain"') == 2
-    assert report.to_dict()["added"] == list(added)
+    assert report.to_dict()["robot"]["added"] == list(added)
     assert "four plain" not in text_of(Report(outcome))
 
 
@@ -196,13 +195,13 @@ def test_an_effect_has_value_gain_odds_and_rivals(shown):
 
 def test_rows_of_the_error_table():
     outcome = make_outcome(nv=3, n_effects=0)
-    before = outcome.error_after + np.array([0.01, 0.05, 0.0])
-    report = Report(replace(outcome, error_before=before))
+    before = outcome.column("after") + np.array([0.01, 0.05, 0.0])
+    report = Report(changed(outcome, before=before))
     # The largest gain comes first.
     first = [x[:7] for x in str(report).splitlines() if x.startswith("joint ")]
     assert first == ["joint 2", "joint 1", "joint 3"]
     # In N m as well, and in a wider band.
-    size = f"{outcome.error_after[0] * outcome.spread[0]:.2g}"
+    size = f"{outcome.errors[0].after * outcome.errors[0].spread:.2g}"
     assert size in line_of(report)
     assert "up to 40 Hz" in text_of(report)
 
@@ -222,7 +221,7 @@ def fixture_open_question():
 
 def test_possible_effects_have_their_probability_and_no_name(open_question):
     report = Report(open_question)
-    without = Report(replace(open_question, possible=()))
+    without = Report(changed(open_question, possible=()))
     assert report.headline == without.headline
     assert report.status == without.status
     assert [v.n_effects for v in report.joints] == [0, 1, 0, 0, 0, 0]
@@ -240,15 +239,15 @@ def test_possible_effects_have_their_probability_and_no_name(open_question):
 
 def test_with_possible_effects_nothing_is_not_said_to_be_missing():
     outcome = make_outcome(n_effects=0, possible=(make_possible(2, 3, NAMES),))
-    after = outcome.error_after
-    report = Report(replace(outcome, error_before=3 * after, error_plain=3 * after))
+    after = outcome.column("after")
+    report = Report(changed(outcome, before=3 * after, plain=3 * after))
     assert report.status == "nothing"
     assert "othing is missing" not in report.headline
     assert "torque ripple on joint 4" in report.headline
     # The errors are those of the models with and without it.
     for error in (after, 3 * after):
         assert words.percent(error.mean()) in report.verdict
-    worse = Report(replace(outcome, error_before=0.5 * after, intervals={}))
+    worse = Report(changed(outcome, before=0.5 * after, intervals={}))
     assert worse.status == "worse"
 
 
@@ -263,8 +262,7 @@ def test_effects_say_what_they_were_fitted_on():
         assert text.count("fitted on positions of -1.25 to 1.5 rad") == 1
         assert "up to 2 rad/s" not in text
     assert report.to_dict()["effects"][0]["ranges"]["position"] == [-1.25, 1.5]
-    slider = make_outcome(nv=1, effects=effects[1:], torque_units=("N",))
-    slider = replace(slider, effects=(make_effect(2, 0, NAMES),))
+    slider = make_outcome(nv=1, effects=(make_effect(2, 0, NAMES),), units=("N",))
     assert "-1.25 to 1.5 m" in line_of(Report(slider))
     for ranges in (None, replace(effects[0].ranges, position=(np.nan,) * 2)):
         one = replace(effects[0], ranges=ranges)
@@ -337,11 +335,12 @@ def test_every_effect_has_a_name_and_what_to_record():
 def test_the_dictionary_is_json(outcome):
     data = Report(outcome).to_dict()
     assert json.loads(json.dumps(data, allow_nan=False)) == data
-    assert not {"curves", "library"} & set(data)
-    assert len(data["effects"]) == len(outcome.effects)
-    assert [one["joint"] for one in data["errors"]] == list(outcome.joint_names)
+    assert "curves" not in data
+    assert "library" not in data["robot"]
+    assert len(data["effects"]) == len(outcome.findings["effects"])
+    assert [one["name"] for one in data["errors"]] == list(outcome.robot["joints"])
     for j, one in enumerate(data["errors"]):
-        assert one["before"] == outcome.error_before[j]
+        assert one["before"] == outcome.errors[j].before
         assert one["intervals"]["after"][1] == pytest.approx(1.1 * one["after"])
 
 

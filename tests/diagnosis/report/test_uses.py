@@ -1,24 +1,14 @@
 """What a result can be used for agrees with the verdicts on the joints."""
 
-from types import SimpleNamespace
-
 import numpy as np
 
 from sklearn_vbjfa.diagnosis import Report
 from tests.diagnosis.report._outcomes import finding, make_outcome
+from tests.diagnosis.report._pages import make_mass
 
 
 def of(report):
     return {one.name: one.allowed for one in report.uses}
-
-
-def bodies(*known):
-    return tuple(
-        SimpleNamespace(
-            name=f"link{k + 1}", mass=1.0, nominal=1.0, std=0.1, known=value
-        )
-        for k, value in enumerate(known)
-    )
 
 
 def test_at_the_noise_floor_torques_can_be_used_for_everything():
@@ -40,10 +30,9 @@ def test_a_residual_above_the_noise_forbids_collision_detection_alone():
 
 
 def test_a_joint_that_got_worse_forbids_feedforward():
-    outcome = make_outcome(channels=())
-    outcome.error_after[1] = 3 * outcome.error_before[1]
-    outcome.intervals.clear()
-    report = Report(outcome)
+    after = make_outcome().column("before")
+    after[1] *= 3.0
+    report = Report(make_outcome(channels=(), after=after, intervals={}))
     assert report.joints[1].status == "worse"
     assert not of(report)["feedforward"]
     assert "held-out error rose" in report.uses[0].reason
@@ -56,10 +45,9 @@ def test_a_faulty_channel_forbids_every_use():
 
 
 def test_masses_are_split_by_what_the_motion_determines():
-    outcome = make_outcome(
-        channels=(), bodies=bodies("yes", "yes", "in combination", "no")
-    )
-    report = Report(outcome)
+    known = enumerate(("yes", "yes", "in combination", "no"), 1)
+    masses = tuple(make_mass(f"link{k}", 1.0, 1.0, x, 0.1) for k, x in known)
+    report = Report(make_outcome(channels=(), facts=masses))
     found = {one.name: one for one in report.uses}
     assert found["link masses of link1 and link2"].allowed
     other = found["link masses of link3 and link4"]
@@ -70,9 +58,8 @@ def test_masses_are_split_by_what_the_motion_determines():
 
 
 def test_uses_do_not_depend_on_the_size_of_errors():
-    small, large = make_outcome(channels=()), make_outcome(channels=())
-    for values in (large.error_before, large.error_after, large.floor):
-        values *= 3.0
-    large.intervals.clear()
+    small = make_outcome(channels=())
+    more = {k: 3.0 * small.column(k) for k in ("before", "after", "floor")}
+    large = make_outcome(channels=(), intervals={}, **more)
     assert of(Report(small)) == of(Report(large))
     assert np.isfinite(large.floor).all()

@@ -154,13 +154,13 @@ def test_the_report_says_where_a_recording_is_too_short(complete):
     walk = 0.03 * np.cumsum(rng.normal(size=ONE.t.size))
     loop = close(lambda r: walk, ["offset", "drift"])
     assert names(loop) == []
-    settings = loop.report_.to_dict()["settings"]
+    settings = loop.report_.to_dict()["provenance"]["settings"]
     ((joint, seconds),) = settings["too_short"]
     assert joint == 0
     assert seconds is None or seconds > SEARCHED / 12
     said = text_of(loop.report_)
     assert "Too short for the residual of joint 1, which stays correlated" in said
-    assert complete.report_.to_dict()["settings"]["too_short"] == []
+    assert complete.report_.to_dict()["provenance"]["settings"]["too_short"] == []
     assert "Too short" not in text_of(complete.report_)
 
 

@@ -67,11 +67,13 @@ def test_a_clone_keeps_them(springy):
     assert loop.get_params(deep=False)["settings"] == own
     assert clone(springy).settings is None
     # The defaults are those of None.
-    assert springy.report_.outcome.settings["search"] == asdict(SearchSettings())
+    assert springy.report_.outcome.provenance["settings"]["search"] == asdict(
+        SearchSettings()
+    )
 
 
 def test_the_report_prints_what_was_applied(springy):
-    settings = springy.report_.to_dict()["settings"]
+    settings = springy.report_.to_dict()["provenance"]["settings"]
     assert settings["n_candidates"] == 4
     assert settings["search"]["expected"] == 1.0
     assert settings["search"]["worth"] == 0.02
@@ -86,7 +88,7 @@ def test_half_the_expected_effects_are_half_the_odds(springy):
     (one,), (other,) = springy.effects_, half.effects_
     assert other.log_odds == pytest.approx(one.log_odds - np.log(2.0), abs=1e-6)
     assert other.parameters == one.parameters
-    assert half.report_.to_dict()["settings"]["search"]["expected"] == 0.5
+    assert half.report_.to_dict()["provenance"]["settings"]["search"]["expected"] == 0.5
     said = text_of(half.report_)
     assert "candidates, of which 0.5 is expected a priori" in said
 

@@ -1,0 +1,231 @@
+"""Errors on the held-out part, which is looked at here and only once."""
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis.explain._commands import commands_alone
+from sklearn_vbjfa.diagnosis.explain._curves import residual_curves, time_line
+from sklearn_vbjfa.diagnosis.explain._final import FinalFit, added_effects, quantile
+from sklearn_vbjfa.diagnosis.explain._gaps import SMALLEST_GAIN, memory_seconds
+from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
+from sklearn_vbjfa.effects import Shaped
+from sklearn_vbjfa.equations._equations import torque_spread
+from sklearn_vbjfa.fit._identifier import RobotIdentifier
+
+# The wider band reaches this many times as far as that of the fit, and at least to the
+# frequency [Hz] at which controllers act; up to a share of the sample rate.
+_WIDER, _CONTROL, _HIGHEST = 4.0, 10.0, 0.4
+# Time for which errors are predicted [s].
+NEXT_SECONDS = 50.0
+# Slowest cosines of time whose mean square is the long-run variance. Few of them leave
+# residuals that are slow their full variance, and Student's t knows how few they are
+# (equal-weighted cosines with fixed-b critical values: Lazarus, Lewis, Stock, Watson,
+# "HAR inference: recommendations for practice", J. Bus. Econ. Stat. 36(4), 2018).
+_COSINES = 10
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Models:
+    """The models of a discovery, fitted to the rows of the search."""
+
+    # as declared, with the four plain terms, and with the effects as well
+    declared: RobotIdentifier
+    plain: RobotIdentifier
+    judged: RobotIdentifier
+
+
+def judge(models, found, split, near, whole, commanded):
+    """Measure the errors of `Models` on the held-out part; returns plain data."""
+    # found: result of the search; near: the split with the rows that the search looked
+    # at; commanded: the recording with the channels of its drive. Arrays (nv,) and
+    # (2, nv) are over the deviation of the torque.
+    completed, view = models.judged, found.model.view
+    dt, step = completed.dt, view.step
+    memory = max(memory_seconds(found.model), default=0.0)
+    # No guard is long enough for a memory without end.
+    guard = int(min(memory / dt, whole.n_samples))
+    shaped = [e for e in found.effects if isinstance(e, Shaped)]
+    instants = [getattr(e, name) for e in shaped for name in e.jumping]
+    kept = split.decided(whole.t, instants).guarded(guard)
+    rest = kept.held_out(whole)
+    (before, plain, after), wide, wide_cutoff = _held_out(models, kept, rest, whole)
+    added = added_effects(
+        completed, len(completed.effects_) - len(models.plain.effects_)
+    )
+    fit = FinalFit(models.plain, completed, view.corrected(()), added)
+    of_plain, of_after = (_numbered(x, near.searched_parts) for x in fit.residuals())
+    of_before, fitted = of_plain, of_plain
+    if models.declared is not models.plain:
+        own = models.declared.robot_.residuals_of(near.searched(whole))
+        own = _numbered(own, near.searched_parts)
+        of_before = replace(own, weight=of_plain.weight)
+    if near is not split:
+        fitted = models.plain.robot_.measured(split.searched(whole))
+        # A joint whose channel carries no information counts nowhere here.
+        fitted = replace(fitted, weight=fitted.weight * view.root.any(axis=0))
+    spread = torque_spread(fitted, before)
+    searched = of_before, of_after
+    intervals = error_intervals((before, after), searched, spread, step)
+    beyond = error_intervals((plain, after), (of_plain, of_after), spread, step)
+    intervals |= {"plain": beyond["before"], "added": beyond["difference"]}
+    columns = {
+        "before": before.relative_error(spread),
+        "plain": plain.relative_error(spread),
+        "after": after.relative_error(spread),
+        "wide": _over(wide, spread),
+        "spread": spread,
+    }
+    # Rows in which a joint moves throughout have its largest weight.
+    full = np.maximum(before.weight.max(axis=0), np.finfo(float).tiny)
+    seconds = (before.weight / full).sum(axis=0) * step
+    values = 2.0 * min(completed.cutoff_, 0.5 / dt) * seconds
+    columns |= {"seconds": seconds, "enough": values >= FEWEST_VALUES}
+    if completed.projector_ is not None:
+        free = without_constraints(completed).robot_.residuals_of(rest)
+        of_free = fit.residuals_of(completed.theta_unconstrained_)
+        pairs = (
+            (_numbered(free, kept.stretches), after),
+            (_numbered(of_free, near.searched_parts), of_after),
+        )
+        columns |= consistency_cost(*pairs, spread, step)
+    commands, positions = commands_alone(models, kept.stretches, commanded)
+    begins = [part.start for part in whole.segments]
+    return {
+        "columns": columns,
+        "intervals": intervals,
+        "wide_cutoff": wide_cutoff,
+        "commands_alone": commands,
+        "outside": completed.robot_.outside(completed.robot_.prepare_recording(rest)),
+        "looked_at": _looked_at(view, split),
+        "settings": {
+            "untouched_stretches": len(kept.stretches),
+            "undecided_stretches": len(split.stretches) - len(kept.stretches),
+            "untouched_seconds": before.weight.shape[0] * float(step),
+            "guard_seconds": float(guard * dt),
+            "correlation_seconds": memory,
+        },
+        "curves": {
+            "index": before.index,
+            "residuals": residual_curves(after, dt),
+            "positions": positions,
+            "line": time_line(searched, (before, after), whole.t, begins),
+        },
+    }
+
+
+def _over(values, spread):
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return values / spread
+
+
+def _looked_at(view, split):
+    """Count the samples that a view has of the rows of the search; 0 if all."""
+    there = sum(part.stop - part.start for part in split.searched_parts)
+    seen = view.states.shape[0]
+    return seen if seen < there else 0
+
+
+def _held_out(models, kept, rest, whole):
+    """Residuals of the models on held-out rows, and the error in a wider band."""
+    completed = models.judged
+    cutoff, dt = completed.cutoff_, completed.dt
+    end = min(max(_WIDER * cutoff, _CONTROL), _HIGHEST / dt)
+    if not (np.isfinite(cutoff) and end > 1.1 * cutoff):
+        end = np.nan
+    found, wide = {}, np.full(whole.nv, np.nan)
+    three = models.declared, models.plain, completed
+    for one in dict.fromkeys(three):
+        bands = ["fit", end] if one is completed and np.isfinite(end) else ["fit"]
+        narrow, *more = one.robot_.residuals_behind(rest, bands)
+        found[one] = _numbered(narrow, kept.stretches)
+        # Of the wide band, as large as a long recording, only sums are kept.
+        for part in more:
+            wide = part.rms()
+        del more
+    return [found[one] for one in three], wide, end
+
+
+def _numbered(part, slices):
+    """Count the rows of residuals of some slices in the whole recording."""
+    edges = np.cumsum([0, *(s.stop - s.start for s in slices)])
+    own = np.searchsorted(edges, part.index, side="right") - 1
+    starts = np.array([s.start for s in slices])
+    return replace(part, index=part.index - edges[own] + starts[own])
+
+
+# -- intervals -------------------------------------------------------------------------
+
+
+def error_intervals(held_out, searched, spread, step):
+    """Return 90 % intervals (2, nv) of errors over the next seconds of such motion."""
+    # held_out, searched: residuals before and after, whose indices count the rows of
+    # the whole recording; spread (nv,) counts as given. An error is a mean over time,
+    # of the next stretch as of the held-out one, and both scatter: the slow variation
+    # of the squared residual in both parts of the recording shows by how much.
+    index = np.concatenate([searched[0].index, held_out[0].index])
+    order = np.argsort(index, kind="stable")
+    weight, *residuals = (
+        np.concatenate([getattr(pair[k], name) for pair in (searched, held_out)])[order]
+        for k, name in ((0, "weight"), (0, "residual"), (1, "residual"))
+    )
+    m, nv = weight.shape
+    errors = [part.relative_error(spread) for part in held_out]
+    total = weight.sum(axis=0)
+    freedom = min(_COSINES, m // 4)
+    if freedom < 1:
+        return dict.fromkeys(
+            ("before", "after", "difference"), np.full((2, nv), np.nan)
+        )
+    time = (np.arange(m) + 0.5) / m
+    cosines = np.cos(np.pi * np.outer(np.arange(1, freedom + 1), time))
+    cosines *= np.sqrt(2.0 / m)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # Of the logarithm of an error, about its mean over the rows that count.
+        parts = [0.5 * (_shares(weight, r, total) - weight) for r in residuals]
+        parts.append(errors[1] * parts[1] - errors[0] * parts[0])
+        # The variance of a mean over rows that count as in the whole recording.
+        rows = held_out[0].weight
+        reach = rows.shape[0] / rows.sum(axis=0) ** 2
+        reach = reach + (m / total) ** 2 * step / NEXT_SECONDS
+        half = [
+            quantile(freedom) * np.sqrt(((cosines @ part) ** 2).mean(axis=0) * reach)
+            for part in parts
+        ]
+        difference = errors[1] - errors[0]
+        return {
+            "before": errors[0] * np.exp([-half[0], half[0]]),
+            "after": errors[1] * np.exp([-half[1], half[1]]),
+            "difference": difference + np.array([-half[2], half[2]]),
+        }
+
+
+def _shares(weight, values, total):
+    """Weighted squares over their mean; zero where all are."""
+    squares = weight * values**2
+    mean = squares.sum(axis=0) / total
+    return np.where(mean > 0, squares / np.where(mean > 0, mean, 1.0), 0.0)
+
+
+# -- cost of physical consistency ------------------------------------------------------
+
+
+def without_constraints(robot):
+    """Copy a fitted identifier, which predicts with its unconstrained parameters."""
+    other = copy.copy(robot)
+    other.theta_ = robot.theta_unconstrained_
+    return other
+
+
+def consistency_cost(held_out, searched, spread, step):
+    """Errors without the constraints, and how much these raise them, (nv,)."""
+    # The rise counts where it is above 0 by more than its interval, and as large as
+    # what an effect has to save to be reported.
+    free, held = (part.relative_error(spread) for part in held_out)
+    low, _ = error_intervals(held_out, searched, spread, step)["difference"]
+    with np.errstate(invalid="ignore"):
+        material = free**2 < (1.0 - SMALLEST_GAIN) * held**2
+        cost = np.where((low > 0) & material, held - free, 0.0)
+    cost[~np.isfinite(held - free)] = np.nan
+    return {"unconstrained": free, "consistency_cost": cost}

@@ -1,0 +1,259 @@
+"""The completed model on the rows it was fitted to, with the scatter of its values."""
+
+import functools
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+from sklearn.base import clone
+
+from sklearn_vbjfa._core._linear_systems import block_variance, scaled_eigen
+from sklearn_vbjfa.effects import Shaped
+from sklearn_vbjfa.equations._equations import (
+    TorqueResiduals,
+    held_columns,
+    make_motion,
+)
+from sklearn_vbjfa.equations._joint_moments import BlockAssignment
+
+# Relative step of the derivative by a shape parameter.
+_STEP = 1e-3
+# Shape parameters that are tried for another form of an effect, over that of this one;
+# and the smallest eigenvalue of the other columns, over the largest.
+_WAYS, _RANK = tuple(np.geomspace(1 / 3, 3.0, 21).tolist()), 1e-10
+
+
+def quantile(freedom):
+    """Half width of a 90 % interval in standard deviations (Student's t)."""
+    return float(special.stdtrit(freedom, 0.95))
+
+
+def added_effects(identifier, count):
+    """Return the last effects of a fitted identifier, with the values it found."""
+    return identifier.effects_[len(identifier.effects_) - count :]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EffectEstimate:
+    """Coefficients of an effect, with the covariance of these and of its shape."""
+
+    coef: np.ndarray  # (k,)
+    shape: tuple  # names of the shape parameters that were tuned
+    covariance: np.ndarray  # (k + n_shape, k + n_shape)
+    freedom: float  # of the covariance
+    # probabilities and parameters of other forms of the effect, see `Shaped.averaged`
+    forms: tuple = ()
+
+
+class FinalFit:
+    """A completed model, and the equations it was fitted to."""
+
+    # declared, identifier: the declared and the completed model; view: of the search,
+    # and then of the robot as effects correct it; effects: those that were added, in
+    # the order of the model's last parameters; share: of the fitted rows, those that
+    # the view holds.
+
+    def __init__(self, declared, identifier, view, effects, share=1.0):
+        self.declared, self.identifier = declared, identifier
+        self.effects, self.share, self.nominal = list(effects), share, view
+        # Other effects change the values of the declared ones.
+        values = (*identifier.effects_[: len(declared.effects_)], *self.effects)
+        held = held_columns(identifier.features_, identifier.effects_)
+        at = declared.theta_.size
+        self.view = view.corrected(values).without([i for i in held if i < at])
+        self.motion = make_motion(
+            identifier.features_,
+            view.states,
+            view.clock,
+            view.parts,
+            identifier.robot_.load_parameters,
+            view.robot.cutoff_,
+            rest=view.robot.plan.turning,
+            effects=effects,
+            signals=view.signals,
+            before=view.before,
+        )
+        self._columns = [self.in_equations(e) for e in self.effects]
+        for own in self._columns:
+            own[:, :, [i - at for i in held if 0 <= i - at < own.shape[2]]] = 0.0
+            at += own.shape[2]
+
+    def in_equations(self, effect):
+        """Columns of any effect, (m, nv, k), with the load of the completed model."""
+        return self.view.in_equations(effect, self.motion)
+
+    def columns(self):
+        """Columns of the completed model, (m, nv, p)."""
+        return np.concatenate([self.view.equations.Phi, *self._columns], axis=2)
+
+    def _split(self, theta):
+        """Coefficients of each effect in the parameters of the completed model."""
+        widths = [own.shape[2] for own in self._columns]
+        theta = theta[self.declared.theta_.size :]
+        return np.split(theta, np.cumsum(widths)[:-1]) if widths else []
+
+    def _predicted(self, theta):
+        """Torques of the completed model with some parameters, (m, nv)."""
+        Phi, theta = self.view.equations.Phi, self.identifier.robot_.linear_part(theta)
+        predicted = Phi @ theta[: Phi.shape[2]]
+        for own, coef in zip(self._columns, self._split(theta)):
+            predicted = predicted + own @ coef
+        return predicted
+
+    def effect_torques(self):
+        """Torque that each effect adds, a list of ndarray (m, nv) [N m or N]."""
+        # To first order for an effect in the robot model.
+        coefs = self._split(self.identifier.theta_)
+        nominal = [np.asarray(e.nominal if e.in_model else 0.0) for e in self.effects]
+        return [own @ (c - x) for own, c, x in zip(self._columns, coefs, nominal)]
+
+    def residuals(self):
+        """Residuals before and after, a pair of TorqueResiduals."""
+        theta = self.declared.robot_.linear_part(self.declared.theta_)
+        before = self._compared(self.nominal.equations.Phi @ theta)
+        return before, self.residuals_of(self.identifier.theta_)
+
+    def residuals_of(self, theta):
+        """Residuals of the completed model with some parameters, TorqueResiduals."""
+        return self._compared(self._predicted(theta))
+
+    def _compared(self, predicted):
+        equations = self.view.equations
+        return TorqueResiduals(
+            index=self.view.recorded,
+            torque=equations.tau,
+            predicted=predicted,
+            weight=equations.weight,
+        )
+
+    @functools.cached_property
+    def effect_estimates(self):
+        """Estimate of each effect, list of EffectEstimate."""
+        # Coefficients are those of the completed model. Their covariance is that of the
+        # same equations before the projection, with derivatives by the shape parameters
+        # as columns, from the scatter between blocks of time.
+        if not self.effects:
+            return []
+        coefs = self._split(self.identifier.theta_)
+        shapes = [_tuned(effect) for effect in self.effects]
+        extra, places, at = [], [], self.view.Z.shape[2]
+        for effect, own, coef, shape in zip(self.effects, self._columns, coefs, shapes):
+            # Elements at the bound of their sizes, zero, do not exist.
+            own = own * (coef > 0) if effect.bank else own
+            slopes = [self._slope(effect, name, coef) for name in shape]
+            made = np.concatenate([own, *slopes], axis=2)
+            places.append(slice(at, at + made.shape[2]))
+            at += made.shape[2]
+            extra.append(made * self.view.root[:, :, None])
+        found = self._variance(np.concatenate(extra, axis=2))
+        # A mean over all rows scatters less, by the root of how many more these are.
+        covariance = self.share * found.scores.T @ found.scores
+        return [
+            EffectEstimate(
+                coef=coef,
+                shape=shape,
+                covariance=covariance[place, place],
+                # A column that the recording does not excite has none.
+                freedom=float(np.fmin.reduce(found.freedom[place], initial=np.inf)),
+                forms=self._forms(i, covariance[place, place]),
+            )
+            for i, (coef, shape, place) in enumerate(zip(coefs, shapes, places))
+        ]
+
+    def _slope(self, effect, name, coef):
+        """Differentiate an effect's torque by a shape parameter, (m, nv, 1)."""
+        value, step = getattr(effect, name), _STEP * abs(getattr(effect, name))
+        above, below = (
+            self.in_equations(clone(effect).set_params(**{name: value + way * step}))
+            for way in (0.5, -0.5)
+        )
+        return (((above - below) @ coef) / step)[:, :, None]
+
+    def _scaled_residual(self):
+        """Weighted residuals (m, nv), and one over their scale for each joint (nv,)."""
+        view = self.view
+        theta = self.identifier.theta_unconstrained_
+        residual = (view.equations.tau - self._predicted(theta)) * view.root
+        count = view.equations.weight.sum(axis=0)
+        squares = (residual**2).sum(axis=0)
+        used = (count > 0) & (squares > 0)
+        factor = np.sqrt(np.where(used, count / np.where(used, squares, 1.0), 0.0))
+        return residual, factor
+
+    def _variance(self, extra):
+        """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""
+        view = self.view
+        residual, factor = self._scaled_residual()
+        grams, scores, places = [], [], []
+        for block, place in _blocks(view):
+            declared = view.Z[:, block].transpose(1, 0, 2)
+            rows = np.concatenate([declared, extra[block]], axis=2)
+            rows = (rows * factor[:, None]).reshape(-1, rows.shape[2])
+            grams.append(rows.T @ rows)
+            scores.append((residual[block] * factor).ravel() @ rows)
+            places.append(place)
+        return block_variance(np.array(grams), np.array(scores), np.array(places), 1.0)
+
+    def _forms(self, i, covariance):
+        """Probabilities and parameters of other forms of an effect of one column."""
+        effect, view = self.effects[i], self.view
+        if not (isinstance(effect, Shaped) and effect.averaged):
+            return ()
+        form, values = effect.averaged
+        (name,), j = effect.continuous, effect.joint
+        values = [value for value in values if value != getattr(effect, form)]
+        tried = [
+            clone(effect).set_params(**{form: value, name: way * getattr(effect, name)})
+            for value in values
+            for way in _WAYS
+        ]
+        residual, factor = self._scaled_residual()
+        others = [own for k, own in enumerate(self._columns) if k != i]
+        others = [own * view.root[:, :, None] for own in others]
+        base = np.concatenate([view.Z.transpose(1, 0, 2), *others], axis=2)
+        base *= factor[:, None]
+        every = [self._columns[i], *(self.in_equations(one) for one in tried)]
+        C = np.hstack([own[:, j] for own in every]) * (factor * view.root)[:, [j]]
+        y = residual * factor
+        y[:, j] += C[:, 0] * self._split(self.identifier.theta_unconstrained_)[i]
+        flat = base.reshape(-1, base.shape[2])
+        root = scaled_eigen(flat.T @ flat, _RANK).inverse_root()
+        seen = root.T @ (base[:, j].T @ C)
+        H = (C**2).sum(axis=0) - (seen**2).sum(axis=0)
+        q = C.T @ y[:, j] - seen.T @ (root.T @ (flat.T @ y.ravel()))
+        # Evidence is discounted by the scatter between blocks over that of white noise.
+        own = np.atleast_2d(covariance)
+        known = own[0, 0] - own[0, 1] ** 2 / own[1, 1] if len(own) > 1 else own[0, 0]
+        gain = 0.5 * q**2 / H / max(1.0, known * H[0])
+        found, weights = [], [0.0]
+        for k in range(len(values)):
+            at = 1 + k * len(_WAYS)
+            best = at + int(np.argmax(gain[at : at + len(_WAYS)]))
+            one = tried[best - 1]
+            shape = {name: getattr(one, name)}
+            found.append(one.parameters([q[best] / H[best]]) | shape)
+            weights.append(gain[best] - gain[0])
+        return tuple(zip(special.softmax(weights)[1:].tolist(), found))
+
+
+def _tuned(effect):
+    """Names of the shape parameters of an effect that were tuned."""
+    if not isinstance(effect, Shaped):
+        return ()
+    names = (name for name in effect.continuous if name not in effect.jumping)
+    return tuple(name for name in names if getattr(effect, name))
+
+
+def _blocks(view):
+    """Yield the rows of each block of a view and its place, see `BlockAssignment`."""
+    edges = [*view.starts.tolist(), view.index.size]
+    phases = view.phases and (view.phases[0], view.phases[1] / view.step)
+    numbering = BlockAssignment.of(np.diff(edges).tolist(), phases)
+    places = []
+    for number, (first, last) in enumerate(itertools.pairwise(edges)):
+        own, starts = numbering.parts(number, slice(0, last - first))
+        places.append(np.repeat(own, np.diff([*starts, last - first]), axis=0))
+    places, label = np.unique(np.concatenate(places), axis=0, return_inverse=True)
+    for k, place in enumerate(places):
+        yield np.flatnonzero(label.ravel() == k), place

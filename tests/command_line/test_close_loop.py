@@ -248,7 +248,7 @@ def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, caps
     assert "Gains are relative to joint" in text
     assert "The mass of lower (2 kg) cannot fix the common gain" in text
     report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
-    found = report["gains"]
+    found = report["robot"]["gains"]
     (first,) = set(found["reference"])
     np.testing.assert_allclose(found["gain"], gains / gains[first], rtol=0.05)
     assert found["common"]["factor"] is None

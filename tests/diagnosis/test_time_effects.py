@@ -51,7 +51,7 @@ def test_what_faded_within_the_first_seconds_is_over(share, seed):
     found = (*loop.effects_, *loop.possible_)
     assert {effect.name for effect in found} <= {"drift"}
     for drift in found:
-        assert abs(drift.afterwards.left["D"]) < 1e-3 * abs(drift.parameters["D"])
+        assert abs(drift.afterwards["left"]["D"]) < 1e-3 * abs(drift.parameters["D"])
 
 
 @pytest.mark.parametrize(("phase", "periods"), checkered([0.0, 0.25], [2.0, 1.0]))
@@ -66,22 +66,22 @@ def test_what_comes_and_goes_is_no_drift(periods, phase):
 def test_the_report_says_what_is_left_and_how_well_it_is_known(warming):
     (drift,) = (e for e in warming.effects_ if e.name == "drift")
     after = drift.afterwards
-    assert after.seconds == pytest.approx(LENGTH, abs=0.1)
+    assert after["seconds"] == pytest.approx(LENGTH, abs=0.1)
     truth = 2.0 * np.exp(-2.0)
-    low, high = after.intervals["D"]
+    low, high = after["intervals"]["D"]
     assert low < truth < high
-    assert low < after.left["D"] < high
+    assert low < after["left"]["D"] < high
     assert high - low < 0.2
     data = warming.report_.to_dict()["effects"]
-    assert [e["afterwards"]["seconds"] for e in data] == [after.seconds]
+    assert [e["afterwards"]["seconds"] for e in data] == [after["seconds"]]
     assert "after 30 s it fades on from 0.2" in text_of(warming.report_)
 
 
 def test_what_is_left_is_by_the_delta_method(warming):
     (drift,) = (e for e in warming.effects_ if e.name == "drift")
     d, constant = (drift.parameters[key] for key in ("D", "time_constant"))
-    t = drift.afterwards.seconds
-    assert drift.afterwards.left["D"] == pytest.approx(d * np.exp(-t / constant))
+    t = drift.afterwards["seconds"]
+    assert drift.afterwards["left"]["D"] == pytest.approx(d * np.exp(-t / constant))
 
 
 def test_the_motion_after_the_recording_is_predicted(warming):
@@ -106,8 +106,8 @@ def test_a_payload_stays():
     torque = ONE.torque() + more * (ONE.t >= 12.0)[:, None]
     loop = ONE.discover(torque, ["payload", "offset"])
     (payload,) = loop.effects_
-    assert payload.afterwards.left == {}
-    assert payload.afterwards.how == "stays"
+    assert payload.afterwards["left"] == {}
+    assert payload.afterwards["how"] == "stays"
     assert "after 30 s it stays" in text_of(loop.report_)
     with pytest.warns(UserWarning, match="change of payload predicted up to 30 s"):
         loop.predict(ONE.position, t=ONE.t + LENGTH)

@@ -541,7 +541,7 @@ def test_what_the_library_does_not_have_is_unexplained(kind):
     (rest,) = loop.unexplained_
     assert rest.joint == joint
     assert rest.joint_name == f"joint_{joint + 1}"
-    assert rest.floor < 0.3 * rest.rms
+    assert not rest.floor > 0.3 * rest.rms
     # What is no noise may hide it.
     assert np.isnan(rest.floor) or rest.rms > 3 * rest.floor
     # On the held-out part, where the floor is a small part of it.

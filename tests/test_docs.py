@@ -21,10 +21,8 @@ from sklearn_vbjfa import (
     distributed,
     effects,
     gravity,
-    inspection,
     physical,
     robot,
-    simulation,
 )
 from tests.test_imports import APART, ROOMS
 
@@ -37,7 +35,7 @@ PUBLIC_MODULES = (
     effects,
     gravity,
 )
-PUBLIC_MODULES += (inspection, physical, robot, simulation)
+PUBLIC_MODULES += (physical, robot)
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 

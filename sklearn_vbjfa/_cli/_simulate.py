@@ -14,47 +14,35 @@ from sklearn_vbjfa._cli._parser import Refused, spelled
 from sklearn_vbjfa._cli._run import Done, rendered
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.diagnosis import simulate_windows
-from sklearn_vbjfa.diagnosis.explain import parameter_values
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.fit import signed
 from sklearn_vbjfa.inspection import refusal
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import OfferedSignals, take_rows
+from sklearn_vbjfa.robot import follow_windows
 
 _TABLE = "simulation.csv"
 # Share of every recording that is identified; the rest is simulated.
 _SHARE = 0.7
 # Sample periods may differ by this share.
 _JITTER = 0.01
-_OF_IDENTIFICATION: tuple[str, ...] = ("urdf", "base_orientation", "friction")
-_OF_IDENTIFICATION += ("bodies", "cutoff", "known_mass", "shared_drives")
+_OF_IDENTIFICATION = ("urdf", "base_orientation", "friction", "bodies", "cutoff")
+_OF_IDENTIFICATION += ("known_mass", "shared_drives")
 # The robot, and the one whose bodies are those of the description.
 _ROBOT, _DESCRIBED = "simulated", "as described"
 
 
-@dataclass(kw_only=True, eq=False)
-class _Simulation:
-    """Windows of a recording, simulated."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Task:
+    """A robot, and the rows that it is simulated on."""
 
-    recording: object
+    robot: object
+    recording: object  # all of it
     rows: np.ndarray  # of the recording, that the windows are cut from
     times: np.ndarray | None  # of these rows; None counts from the fit of the robot
-    robot: object
     signals: object  # of these rows
+    drive: object  # that the robot follows commands by; None for torques
     summary: list
-    drive: object = None  # that the robot follows commands by; None for torques
-    windows: dict = field(default_factory=dict)  # simulated windows, by robot
-    whole: list = field(default_factory=list)  # the same of each whole recording
-    note: str = ""  # why the described robot is not simulated
-
-    @property
-    def failures(self):
-        """Messages on whole recordings that were not simulated to their end."""
-        return [
-            f"{label}: {failure.message}"
-            for one in self.whole
-            for label, result in one.items()
-            for failure in result.failures
-        ]
 
     def place(self, windows, k):
         """Return the recording of a window, and its times since the start of that."""
@@ -68,6 +56,21 @@ class _Simulation:
         return name, begin, begin + windows.t[k, -1] - windows.t[k, 0]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Results:
+    """Simulated windows by robot, and the same of each whole recording."""
+
+    windows: dict
+    whole: list = field(default_factory=list)
+    note: str = ""  # why the described robot is not simulated
+
+    @property
+    def failures(self):
+        """Messages on whole recordings that were not simulated to their end."""
+        pairs = (pair for one in self.whole for pair in one.items())
+        return [f"{label}: {x.message}" for label, own in pairs for x in own.failures]
+
+
 def simulate(arguments, folder):
     """Simulate windows of a recording, print their errors and write them."""
     _check(arguments)
@@ -75,18 +78,18 @@ def simulate(arguments, folder):
     prepare = _identified if arguments.model is None else _saved
     task = prepare(arguments, folder)
     with _input.blaming(_input.named(arguments)):
-        run = _drive if task.drive is None else _follow
-        run(task, arguments.window)
-    shown = _shown(task, arguments.window)
+        run = _from_torques if task.drive is None else _from_commands
+        results = run(task, arguments.window)
+    shown = _shown(task, results, arguments.window)
 
     def write(folder, notes):
         path = folder / _TABLE
-        path.write_text(errors_table(task), encoding="utf-8", newline="")
+        path.write_text(errors_table(task, results), encoding="utf-8", newline="")
         return [""]
 
-    windows = task.windows[_ROBOT]
+    windows = results.windows[_ROBOT]
     doubts = [f"{shown['failures']} failed"] if windows.failures else []
-    doubts += task.failures
+    doubts += results.failures
     doubts += [f"{shown['away']} joints ran away"] if shown["away"] else []
     doubts += [] if windows.clearly_better.all() else [windows.verdict()]
     text = rendered("simulation.txt.j2", **shown)
@@ -120,17 +123,28 @@ def _check(arguments):
 def _saved(arguments, folder):
     """Take a saved robot and the whole recording."""
     robot = load_identified(_input.expanded(arguments.model))
-    joints = arguments.joints
-    names, source = robot.joint_names_, _input.named(arguments)
+    names, joints = robot.joint_names_, arguments.joints
     if joints and set(joints) != set(names):
         raise ValueError(
             f"--joints must name the joints of {arguments.model} ({', '.join(names)}) "
             f"in the order of the columns; got {', '.join(joints)}."
         )
+    own_units = robot.gains_ is not None
+    if (
+        arguments.gain not in (None, "unknown")
+        if own_units
+        else arguments.gain == "unknown"
+    ):
+        units = "the units of its channels" if own_units else "N m or N"
+        raise ValueError(
+            f"{arguments.model} was identified with torques in {units}; "
+            f"{'leave --gain out' if own_units else 'give the factors (--gain)'}."
+        )
     urdf = folder / "robot.urdf"
     urdf.write_text(robot.description_, encoding="utf-8")
-    gains = _saved_gains(arguments, robot)
+    gains = "unknown" if own_units else arguments.gain
     recording = _input.read(arguments, urdf, joints or names, gains, identified=False)
+    source = _input.named(arguments)
     if robot.dt is not None and abs(recording.dt - robot.dt) > _JITTER * robot.dt:
         raise ValueError(
             f"{source}: is sampled every {recording.dt:.6g} s, and {arguments.model} "
@@ -148,42 +162,55 @@ def _saved(arguments, folder):
     effects = [f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_]
     summary = [f"model: {arguments.model}, effects: {', '.join(effects) or 'none'}"]
     recording, drive = _commanded(arguments.drive, robot, recording)
-    if drive is not None:
-        late = _command_delay(robot) if drive.waits is None else drive.waits
-        late = "an unknown time" if late is None else f"{1e3 * late:.3g} ms"
-        given = "" if drive.waits is None else ", as given,"
-        summary.append(f"commands act {late}{given} after they are logged")
-    return _Simulation(
+    return _Task(
+        robot=robot,
         recording=recording,
         rows=np.arange(recording.n_samples),
         times=None,
-        robot=robot,
         signals=loaded.signals(arguments.signals),
-        summary=summary,
         drive=drive,
+        summary=[*summary, *_delay_line(drive, robot)],
     )
 
 
-def _saved_gains(arguments, robot):
-    """Return the gains of a recording for a saved robot, "unknown" for its own."""
-    relative = robot.gains_ is not None
-    if relative and arguments.gain not in (None, "unknown"):
-        raise ValueError(
-            f"{arguments.model} was identified with unknown gains, so that its torques "
-            "are what the channels read; leave --gain out."
-        )
-    if arguments.gain == "unknown" and not relative:
-        raise ValueError(
-            f"--gain unknown belongs to an identification, and {arguments.model} was "
-            "identified from torques in N m or N; give the factors to them."
-        )
-    return "unknown" if relative else arguments.gain
+def _identified(arguments, folder):
+    """Identify the first part of every recording, for the rest."""
+    settings, loaded = _input.settings(arguments), _input.load(arguments, folder)
+    _check_channels(loaded)
+    recording, drive = loaded.recording, arguments.drive
+    parts = recording.segments
+    borders = [p.start + round(_SHARE * (p.stop - p.start)) for p in parts]
+    first = np.concatenate([np.arange(p.start, b) for p, b in zip(parts, borders)])
+    rest = np.concatenate([np.arange(b, p.stop) for p, b in zip(parts, borders)])
+    noise = recording.torque_noise
+    settings["options"] = replace(settings["options"], torque_noise=noise)
+    robot = RobotIdentifier(str(loaded.urdf), dt=recording.dt, **settings)
+    part = _rows_of(recording, first)
+    if drive is None:
+        part = replace(part, t=recording.clock()[first])
+    with _input.blaming(loaded.source, loaded.gains):
+        robot.fit_inspected(part)
+    recording, drive = _commanded(drive, robot, recording)
+    held = [f"held at zero: {', '.join(loaded.held)}"] if loaded.held else []
+    return _Task(
+        robot=robot,
+        recording=recording,
+        rows=rest,
+        times=recording.clock()[rest],
+        signals=_at(loaded.signals(arguments.signals), rest),
+        drive=drive,
+        summary=[
+            *held,
+            *_delay_line(drive, robot),
+            f"first {100 * _SHARE:g} % of every recording identified, the rest "
+            "simulated",
+            f"friction: {', '.join(settings['friction']) or 'none'}",
+        ],
+    )
 
 
 def _check_channels(loaded):
     """Refuse channels that are not what they are called; warn of doubtful ones."""
-    from sklearn_vbjfa.model import DoubtWarning
-
     findings = loaded.findings()
     measured = loaded.drive is None and loaded.gains != "unknown"
     wrong = refusal(findings, loaded.recording.torque_units if measured else ())
@@ -194,43 +221,34 @@ def _check_channels(loaded):
         warnings.warn(f"{loaded.source}: {message}", DoubtWarning, stacklevel=2)
 
 
-def _identified(arguments, folder):
-    """Identify the first part of every recording, for the rest."""
-    settings, loaded = _input.settings(arguments), _input.load(arguments, folder)
-    _check_channels(loaded)
-    signals, recording = loaded.signals(arguments.signals), loaded.recording
-    first, rest = [], []
-    for part in recording.segments:
-        border = part.start + round(_SHARE * (part.stop - part.start))
-        first += range(part.start, border)
-        rest += range(border, part.stop)
-    first, rest = np.array(first), np.array(rest)
-    noise, drive = recording.torque_noise, arguments.drive
-    settings["options"] = replace(settings["options"], torque_noise=noise)
-    robot = RobotIdentifier(str(loaded.urdf), dt=recording.dt, **settings)
-    part = _rows_of(recording, first)
+def _commanded(drive, robot, recording):
+    """Return a recording for a simulation, and the drive that follows its commands."""
+    # The drive is None where the torques of the recording take its place.
+    if drive is not None and drive.of_positions:
+        if _delay_of(robot) is not None:
+            # The delay is that of the fit.
+            drive = clone(drive).set_params(delay="auto")
+        return recording, drive
+    if drive is not None and drive.unsigned:
+        recording = signed(getattr(robot, "robot_", robot), recording)
+    return recording, None
+
+
+def _delay_of(robot):
+    """Return the delay of the commands of a fitted robot [s], None if not found."""
+    late = [x.delay for x in robot.effects_ if isinstance(x, CommandDelay)]
+    return late[0] if late else None
+
+
+def _delay_line(drive, robot):
+    """Return a line on the delay of the commands, in a list."""
     if drive is None:
-        part = replace(part, t=recording.clock()[first])
-    with _input.blaming(loaded.source, loaded.gains):
-        robot.fit_inspected(part)
-    summary = [f"held at zero: {', '.join(loaded.held)}"] if loaded.held else []
-    recording, drive = _commanded(drive, robot, recording)
-    if delay := _said_delay(robot):
-        summary.append(f"no torque was measured: {delay}")
-    return _Simulation(
-        recording=recording,
-        rows=rest,
-        times=recording.clock()[rest],
-        robot=robot,
-        signals=_at(signals, rest),
-        summary=[
-            *summary,
-            f"first {100 * _SHARE:g} % of every recording identified, the rest "
-            "simulated",
-            f"friction: {', '.join(settings['friction']) or 'none'}",
-        ],
-        drive=drive,
-    )
+        return []
+    late = _delay_of(robot) if drive.waits is None else drive.waits
+    if late is None:
+        return ["commands act an unknown time after they are logged"]
+    given = "" if drive.waits is None else ", as given,"
+    return [f"commands act {1e3 * late:.3g} ms{given} after they are logged"]
 
 
 def _rows_of(recording, rows):
@@ -248,58 +266,21 @@ def _at(signals, rows):
     return {name: x[rows] for name, x in signals.items()}
 
 
-# -- drives ----------------------------------------------------------------------------
-
-
-def _commanded(drive, robot, recording):
-    """Return a recording for a simulation, and the drive that follows its commands."""
-    # The drive is None where the torques of the recording take its place.
-
-    if drive is not None and drive.of_positions:
-        if _command_delay(robot) is not None:
-            # The delay is that of the fit.
-            drive = clone(drive).set_params(delay="auto")
-        return recording, drive
-    if drive is not None and drive.unsigned:
-        recording = signed(getattr(robot, "robot_", robot), recording)
-    return recording, None
-
-
-def _command_delay(robot):
-    """Return the delay of the commands of a fitted robot [s], None if not found."""
-    late = [x.delay for x in robot.effects_ if isinstance(x, CommandDelay)]
-    return late[0] if late else None
-
-
-def _said_delay(robot):
-    """Return a sentence on the delay of the commands, "" for nothing found."""
-    from sklearn_vbjfa.diagnosis.report import sentence
-
-    rows = [one for one in parameter_values(robot) if one.name == "drive:delay"]
-    return " ".join(f"{sentence('delay', x.value, x.interval)}." for x in rows)
-
-
 # -- simulation ------------------------------------------------------------------------
 
 
-def _drive(task, seconds):
+def _from_torques(task, seconds):
     """Simulate windows of the rows from torques."""
     part = _rows_of(task.recording, task.rows)
-    task.windows[_ROBOT] = simulate_windows(
-        task.robot,
-        part.q,
-        part.tau,
-        part.groups,
-        task.times,
-        window=seconds,
-        signals=task.signals,
+    known = {"window": seconds, "signals": task.signals}
+    found = simulate_windows(
+        task.robot, part.q, part.tau, part.groups, task.times, **known
     )
+    return _Results(windows={_ROBOT: found})
 
 
-def _follow(task, seconds):
+def _from_commands(task, seconds):
     """Simulate whole recordings and windows from commands alone."""
-    from sklearn_vbjfa.robot import follow_windows
-
     robot, part = task.robot.robot_, _rows_of(task.recording, task.rows)
     times = robot.clock(None, part.n_samples) if task.times is None else task.times
     cuts = [(np.arange(rows.start, rows.stop), None) for rows in part.segments]
@@ -320,6 +301,7 @@ def _follow(task, seconds):
     found = [
         {_ROBOT: run(task.robot, cut)} for cut in counted(cuts, "simulating", "parts")
     ]
+    note = ""
     # Torques in units of their channel are not those of a description.
     if robot.gains_ is None:
         try:
@@ -333,30 +315,33 @@ def _follow(task, seconds):
                 raise ValueError(failed[0].message)
             found = both
         except ValueError as error:
-            task.note = f"{_DESCRIBED}: left out. {error}"
-    *task.whole, task.windows = found
-    for one, rows in zip(task.whole, part.segments):
-        for label, result in one.items():
-            one[label] = replace(result, starts=result.starts + rows.start)
+            note = f"{_DESCRIBED}: left out. {error}"
+    *whole, windows = found
+    # Rows of a whole recording are counted in all of them.
+    whole = [
+        {label: replace(x, starts=x.starts + rows.start) for label, x in one.items()}
+        for one, rows in zip(whole, part.segments)
+    ]
+    return _Results(windows=windows, whole=whole, note=note)
 
 
 # -- text ------------------------------------------------------------------------------
 
 
-def _shown(task, seconds):
+def _shown(task, results, seconds):
     """Return what the template of the text shows."""
-    robot, count = task.windows[_ROBOT], task.windows[_ROBOT].n_windows
-    complete = ~np.any([result.failed for result in task.windows.values()], axis=0)
+    robot, count = results.windows[_ROBOT], results.windows[_ROBOT].n_windows
+    complete = ~np.any([own.failed for own in results.windows.values()], axis=0)
     away = robot.run_away.any(axis=1)
     shown = {
         "recording": str(task.recording),
         "summary": task.summary,
         "seconds": seconds,
-        "windows": _window_errors(task.windows, complete),
-        "whole": _whole_errors(task.whole) if task.whole else {},
+        "windows": _window_errors(results.windows, complete),
+        "whole": _whole_errors(results.whole) if results.whole else {},
         "complete": int(complete.sum()),
         "count": count,
-        "notes": [task.note, *(f"whole recordings: {x}" for x in task.failures)],
+        "notes": [results.note, *(f"whole recordings: {x}" for x in results.failures)],
         "verdict": robot.verdict(),
         "failures": "",
         "away": f"in {away.sum()} of {count} windows" if away.any() else "",
@@ -385,10 +370,13 @@ def _window_errors(windows, complete):
     columns = {"": first.joint_names, "unit": units}
     for label, result in (windows | first.rivals).items():
         errors = result.errors[complete] * scale
-        columns[label] = _cells(np.sqrt(_mean(errors**2)))
+        if not len(errors):
+            errors = np.full((1, len(units)), np.nan)
+        columns[label] = _cells(np.sqrt(np.mean(errors**2, axis=0)))
         if label in windows:
             # Heads differ in blanks where two robots are simulated.
-            columns[f"median{' ' * len(columns)}"] = _cells(_mean(errors, np.median))
+            median = f"median{' ' * len(columns)}"
+            columns[median] = _cells(np.median(errors, axis=0))
     return columns
 
 
@@ -406,18 +394,13 @@ def _whole_errors(whole):
     return columns
 
 
-def _mean(errors, mean=np.mean):
-    """Return a mean over windows, nan without any."""
-    return mean(errors, axis=0) if len(errors) else np.full(errors.shape[1], np.nan)
-
-
 def _cells(numbers):
     return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in numbers]
 
 
-def errors_table(task):
+def errors_table(task, results):
     """Return a table with one row per window and joint, as CSV."""
-    first = next(iter(task.windows.values()))
+    first = next(iter(results.windows.values()))
     scale, units = first.scales
     file = io.StringIO(newline="")
     table = csv.writer(file, lineterminator="\n")
@@ -426,17 +409,17 @@ def errors_table(task):
     heads += [name.replace(" ", "_") for name in first.rivals]
     table.writerow([*heads, "failed"])
     # Whole recordings follow their windows.
-    for label, result in (
-        pair for each in (task.windows, *task.whole) for pair in each.items()
-    ):
-        errors = [result.errors, result.velocity_errors]
-        errors += [rival.errors for rival in result.rivals.values()]
-        errors = scale * np.array(errors)
-        messages = {one.window: one.message for one in result.failures}
-        for k in range(result.n_windows):
-            name, begin, end = task.place(result, k)
-            for j, joint in enumerate(result.joint_names):
-                row = [label, name, f"{begin:.6g}", f"{end:.6g}", joint, units[j]]
-                row += ["" if np.isnan(x) else f"{x:.6g}" for x in errors[:, k, j]]
-                table.writerow(map(_input.no_formula, [*row, messages.get(k, "")]))
+    for own in (results.windows, *results.whole):
+        for label, result in own.items():
+            errors = [result.errors, result.velocity_errors]
+            errors += [rival.errors for rival in result.rivals.values()]
+            errors = scale * np.array(errors)
+            messages = {one.window: one.message for one in result.failures}
+            for k in range(result.n_windows):
+                name, begin, end = task.place(result, k)
+                place = [label, name, f"{begin:.6g}", f"{end:.6g}"]
+                for j, joint in enumerate(result.joint_names):
+                    cells = ["" if np.isnan(x) else f"{x:.6g}" for x in errors[:, k, j]]
+                    row = [*place, joint, units[j], *cells, messages.get(k, "")]
+                    table.writerow(map(_input.no_formula, row))
     return file.getvalue()

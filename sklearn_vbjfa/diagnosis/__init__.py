@@ -22,7 +22,6 @@ _MODULES = {
     "search._posterior": ("SearchSettings",),
 }
 __all__ = [
-    "EffectDiscovery",
     "Report",
     "ResidualDisplay",
     "SearchSettings",

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.equations._features import RigidBodyFeatures
     from sklearn_vbjfa.equations._states import StateEstimator
 
-__all__ = ["RigidBodyFeatures", "StateEstimator", "TorqueResiduals"]
+__all__: list[str] = []
 
 # What is not in __all__ is for other rooms and for tests.
 _MODULES = {

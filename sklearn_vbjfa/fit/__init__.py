@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.fit._identifier import RobotIdentifier
     from sklearn_vbjfa.fit._joint_torque import JointTorqueRegressor
 
-__all__ = ["FitOptions", "JointTorqueRegressor", "RobotIdentifier"]
+__all__: list[str] = []
 
 # What is not in __all__ is for other rooms and for tests.
 _MODULES = {

@@ -14,7 +14,7 @@ from sklearn_vbjfa.model import load_model, nominal_parameters, position_range
 from sklearn_vbjfa.recording import Recording
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
-__all__ = ["GravityCorrection", "correct_gravity", "gravity_poses"]
+__all__ = ["correct_gravity", "gravity_poses"]
 # Samples: length of a window [s], share of the fastest speed that is rest, torque of
 # motion over that of gravity, way over the range after which friction is full, and
 # share of it that counts as full.

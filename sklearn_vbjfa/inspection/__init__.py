@@ -23,11 +23,5 @@ _MODULES = {
     "_reading": ("Reading",),
     "_torques": ("most_explaining", "signed_columns", "size_message"),
 }
-__all__ = [
-    "ChannelFinding",
-    "JointMotion",
-    "inspect_channels",
-    "inspect_recording",
-    "motion_of",
-]
+__all__: list[str] = []
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

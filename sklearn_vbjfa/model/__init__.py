@@ -39,7 +39,7 @@ _MODULES = {
     ),
     "_urdf": ("check_possible", "write_urdf"),
 }
-__all__ = ["load_model"]
+__all__: list[str] = []
 __getattr__, __dir__ = _lazily(__name__, _MODULES)
 
 

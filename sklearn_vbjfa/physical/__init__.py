@@ -17,4 +17,4 @@ from sklearn_vbjfa.physical._solver import (
 )
 
 # The rest is for other rooms and tests.
-__all__ = ["Options", "PhysicalProjector", "is_consistent"]
+__all__ = ["is_consistent"]

@@ -53,5 +53,5 @@ _MODULES = {
     "_table": ("RecordingRefused", "listed", "quoted"),
     "formats": ("expanded", "recordings_in", "tables_in"),
 }
-__all__ = ["Recording", "read_recording"]
+__all__: list[str] = []
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -17,17 +17,7 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.fit import RobotIdentifier as RobotIdentifier
     from sklearn_vbjfa.recording import CurrentDrive, PDDrive, VoltageDrive
 
-__all__ = [
-    "CurrentDrive",
-    "FitOptions",
-    "JointTorqueRegressor",
-    "PDDrive",
-    "RigidBodyFeatures",
-    "RobotIdentifier",
-    "StateEstimator",
-    "TorqueResiduals",
-    "VoltageDrive",
-]
+__all__ = ["CurrentDrive", "FitOptions", "PDDrive", "VoltageDrive"]
 
 # What is not in __all__ is for other rooms and for tests.
 _MODULES = {

@@ -25,4 +25,4 @@ from sklearn_vbjfa.simulation._stepper import (
     why_left_out,
 )
 
-__all__ = ["SimulationError"]
+__all__: list[str] = []

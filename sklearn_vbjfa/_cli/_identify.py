@@ -117,4 +117,11 @@ def search(
     loop = EffectDiscovery(identifier, effects=effects)
     if several or identifier.drive is not None:
         return loop.fit_recording(recording, signals)
-    return loop.fit(recording.q, recording.tau, recording.groups, signals=signals)
+    positions = recording.q
+    if recording.joints_named:
+        from pandas import DataFrame
+
+        positions = DataFrame(
+            positions, columns=[f"q_{x}" for x in recording.joint_names]
+        )
+    return loop.fit(positions, recording.tau, recording.groups, signals=signals)

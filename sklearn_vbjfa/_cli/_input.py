@@ -12,7 +12,7 @@ import numpy as np
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa._cli._parser import Refused, number
 from sklearn_vbjfa.fit import FitOptions
-from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels
+from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model import (
     load_model,
     load_reduced,
@@ -54,15 +54,22 @@ class LoadedRecording:
 
     def findings(self):
         """Return the faults of the channels; unknown factors are none."""
-        one = self.recording
-        found = inspect_channels(
-            str(self.urdf), one.q, one.tau, one.dt, one.groups, drive=self.drive
+        one, gains = self.recording, None
+        if self.drive is not None:
+            gains = self.drive.gains
+        elif self.gains == "unknown" or motor_units(one):
+            gains = "unknown"
+        return inspect_channels(
+            str(self.urdf),
+            one.q,
+            one.tau,
+            one.dt,
+            one.groups,
+            drive=self.drive,
+            gains=gains,
+            bodies=self.bodies,
+            named=one.joints_named,
         )
-        allowed = ("torque_unit",) if self.bodies == "free" else ()
-        unknown = self.drive is not None and self.drive.gains is not None
-        if unknown or self.gains == "unknown" or motor_units(one):
-            allowed = OF_SIZE
-        return [one for one in found if one.kind not in allowed]
 
     def signals(self, names):
         """Return the signals with some names; None offers all there are."""

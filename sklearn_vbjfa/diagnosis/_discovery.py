@@ -31,11 +31,12 @@ from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
 from sklearn_vbjfa.equations._plan import check_effects
 from sklearn_vbjfa.equations._recording_checks import check_weight, check_widths
 from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
-from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels, refusal
+from sklearn_vbjfa.inspection import refusal
 from sklearn_vbjfa.model import DoubtWarning, joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
     OfferedSignals,
+    carries_names,
     check_clock,
     check_dt,
     columns_beside,
@@ -258,6 +259,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             told, signals = drive.taken(whole.tau, signals)
             whole = drive.driven(replace(whole, signals=told))
         beside = columns_beside(X, self.joint_names_)
+        named = carries_names(X, self.joint_names_)
+        whole = replace(whole, joints_named=named)
         self._fit(model, whole, library, signals, beside, _names(whole, groups))
         for found in self.report_.outcome.findings["channels"]:
             if found.severity == "doubt":
@@ -287,6 +290,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         whole = self._recording(model, recording.inputs, recording.tau, *known)
         known = {"command": recording.command, "feedback": recording.feedback}
         known["torque_units"] = recording.torque_units
+        known["joints_named"] = recording.joints_named
         drive = self.identifier.drive
         if drive is not None and drive.of_positions:
             known |= {"v": recording.v, "signals": recording.signals}
@@ -428,19 +432,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """Reject faulty channels; return findings, and joints to leave out."""
         if whole.states is not None:
             return (), []
-        known = whole.q, whole.tau, whole.dt, whole.groups
-        findings = inspect_channels(model, *known, drive=self.identifier.drive)
+        findings = self.identifier.findings(model, whole)
         measured = self.identifier.drive is None and self.identifier.gains is None
         wrong = refusal(findings, whole.torque_units if measured else ())
         if wrong is not None:
             raise wrong
-        allowed = ()
-        if self.identifier.asked_gains is not None:
-            allowed = OF_SIZE
-        elif self.identifier.bodies == "free":
-            # Then the masses of the description say nothing of the torques.
-            allowed = ("torque_unit",)
-        findings = tuple(f for f in findings if f.kind not in allowed)
         silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
         return findings, silent
 

@@ -148,6 +148,17 @@ class RobotFit:
         theta = self.robot.linear_part(self.found.theta_unconstrained)
         return self.found.moments.residual_squares(theta)
 
+    def errors(self):
+        """Root mean squares (nv,) of what the parameters leave of the torques."""
+        moments, theta = self.found.moments, self.robot.linear_part(self.found.theta)
+        return np.sqrt(moments.residual_squares(theta) / np.maximum(moments.n, 1.0))
+
+    @property
+    def torque_size(self):
+        """Factor of all torques against the description, and its relative error."""
+        bodies = self.found.bodies
+        return (1.0, np.inf) if bodies is None else bodies.torque_size
+
     def with_loads(self):
         # Declared friction does not depend on the load; without effects it is not
         # needed.

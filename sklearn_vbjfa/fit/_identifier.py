@@ -45,8 +45,7 @@ from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.fit._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.fit._output_error import check_criterion
 from sklearn_vbjfa.fit._signs import signed, with_signs
-from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection import inspect_channels, levels, size_message
+from sklearn_vbjfa.inspection import contradicted, inspect_channels, levels
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import (
@@ -319,16 +318,21 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
         Warns
         -----
+        DoubtWarning
+            If the fit contradicts the description and `inspect_channels` finds a
+            reason, such as torques of another unit or sign.
         UserWarning
-            If there are too few windows for ``criterion="simulation"``, or torques are
-            too small for the described bodies.
+            If there are too few windows for ``criterion="simulation"``.
         """
         self._declare()
         recording = recording_of_arguments(
             self, X, y, groups, sample_weight, t, signals
         )
         with show_progress(self.fit_options.verbose):
-            return self._fit_with_lag(recording)._warn_if_small()
+            findings = self._fit_inspected(recording)
+        for one in findings:
+            warnings.warn(one.message, DoubtWarning, stacklevel=2)
+        return self
 
     def fit_recording(self, recording):
         """Identify the robot from a `Recording`.
@@ -345,19 +349,34 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             Fitted estimator.
         """
         self._declare()
-        return self._fit_with_lag(checked_recording(self, recording))._warn_if_small()
+        for one in self._fit_inspected(checked_recording(self, recording)):
+            warnings.warn(one.message, DoubtWarning, stacklevel=2)
+        return self
 
-    def _fit_with_lag(self, recording):
+    def _fit_inspected(self, recording):
+        """Fit; return findings on channels if the fit contradicts the description."""
         self._fit(recording, look=True)
-        lag = self._lag_of(recording)
-        return self.fit_inspected(recording, lag) if lag else self
+        if not self._suspect:
+            return []
+        findings = self.findings(self.features_.nominal_, recording)
+        lag = sum(one.value for one in findings if one.kind == "delay")
+        if lag and (self.drive, self.asked_gains) == (None, None):
+            self.fit_inspected(recording, lag)
+        return [one for one in findings if one.severity != "warning"]
 
-    def _lag_of(self, recording):
-        if (self.drive, self.asked_gains) != (None, None) or not self._late:
-            return 0.0
-        channels = recording.q, recording.tau, recording.dt, recording.groups
-        found = inspect_channels(self.features_.nominal_, *channels)
-        return sum(one.value for one in found if one.kind == "delay")
+    def findings(self, model, recording):
+        """Return what `inspect_channels` finds in a recording under these settings."""
+        return inspect_channels(
+            model,
+            recording.q,
+            recording.tau,
+            recording.dt,
+            recording.groups,
+            drive=self.drive,
+            gains=self.asked_gains,
+            bodies=self.bodies,
+            named=recording.joints_named,
+        )
 
     def _fit(self, recording, look=False):
         self._feedback = recording.feedback
@@ -375,7 +394,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             recording = source.recording
         fit = fit_robot(recipe, robot, source, before)
         look = look and plan.state_estimator is not None and plan.lag is None
-        self._late = look and seems_late(recipe, fit, source)
+        self._suspect = look and (
+            contradicted(recording.tau, fit.errors(), fit.torque_size)
+            or seems_late(recipe, fit, source)
+        )
         if self.fit_options.torque_noise is None:
             clock = plan.clock(recording)
             facts = fit.robot.noise_facts(recording, clock, self.n_jobs)
@@ -384,17 +406,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             fit = refine_fit(recipe, fit, source, self.fit_options.window)
             self.criteria_ = fit.criteria
         return self._set(fit)
-
-    def _warn_if_small(self):
-        bodies = self._bodies
-        if bodies is None or self._description is None or self.drive is not None:
-            return self
-        size, error = bodies.torque_size
-        far = not 1 / number.SCALE < size < number.SCALE
-        if far and abs(np.log(size)) > number.DECISIVE * error:
-            message = size_message(size, error, self.features_.n_joints_)
-            warnings.warn(message, DoubtWarning, stacklevel=3)
-        return self
 
     def _recipe(self):
         """Return the settings of the estimation, with the bodies that are described."""

@@ -6,7 +6,7 @@ from sklearn_vbjfa import _lazily
 _MODULES = {
     "_inspect": (
         "ChannelFinding",
-        "OF_SIZE",
+        "contradicted",
         "inspect_channels",
         "inspect_recording",
         "refusal",

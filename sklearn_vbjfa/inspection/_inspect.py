@@ -3,11 +3,17 @@
 import numpy as np
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection import _positions, _torques
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
+from sklearn_vbjfa.inspection._positions import (
+    counts,
+    implausible_speed,
+    usual_orders,
+)
 from sklearn_vbjfa.inspection._reading import Change, Reading, long_parts, thinned
 from sklearn_vbjfa.inspection._rows import inspect_rows, shuffled_rows
 from sklearn_vbjfa.inspection._sentences import finding
+from sklearn_vbjfa.inspection._table import TABLE
+from sklearn_vbjfa.inspection._torques import unsigned_torques
 from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
 from sklearn_vbjfa.recording import (
     ChannelFinding,
@@ -19,10 +25,8 @@ from sklearn_vbjfa.recording import (
 
 __all__ = ["ChannelFinding", "inspect_channels", "inspect_recording"]
 
-# What was done to a log, and what is looked for once nothing else is found.
-TABLE = (*_positions.HYPOTHESES, *_torques.HYPOTHESES)
 # What is found of torques whose unit is not N m or N, or not known.
-OF_SIZE = ("torque_unit", "torque_factors", "gear_factor", "other_robot")
+_OF_SIZE = ("torque_unit", "torque_factors", "gear_factor", "other_robot")
 
 
 def inspect_recording(recording, model=None):
@@ -54,12 +58,10 @@ def inspect_recording(recording, model=None):
     ['torque_sign']
     """
     robot = recording.robot_model() if model is None else model
-    found = inspect_channels(
-        robot, recording.q, recording.tau, recording.dt, recording.groups
-    )
-    if _are_torques(recording.torque_units):
-        return found
-    return tuple(one for one in found if one.kind not in OF_SIZE)
+    channels = recording.q, recording.tau, recording.dt, recording.groups
+    gains = None if _are_torques(recording.torque_units) else "unknown"
+    named = recording.joints_named
+    return inspect_channels(robot, *channels, gains=gains, named=named)
 
 
 def _are_torques(units):
@@ -80,7 +82,28 @@ def refusal(findings, units=()):
     return RecordingRefused(" ".join(one.message for one in errors), options)
 
 
-def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
+def contradicted(tau, errors, size):
+    """Whether a fit contradicts the description, so that its log is inspected."""
+    # tau (n, nv); errors (nv,): what the fit leaves of it; size: factor of all torques
+    # against the description, and its relative error.
+    factor, error = size
+    scale = np.abs(np.log(max(factor, 1e-300)))
+    far = scale > max(np.log(number.SCALE), number.DECISIVE * error)
+    return bool(far or (errors > number.WORST * np.std(tau, axis=0)).any())
+
+
+def inspect_channels(
+    model,
+    q,
+    tau,
+    dt,
+    groups=None,
+    *,
+    drive=None,
+    gains=None,
+    bodies="prior",
+    named=False,
+):
     """Look for channels of a recording that cannot be what their names say.
 
     Parameters
@@ -100,6 +123,11 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
         What made the torques: of commanded positions a "gear_factor" is then one of
         ten in the median over the joints, and no delay is looked for, as a fit finds
         it; of sizes of currents the signs are not missing.
+    gains, bodies : default=None, "prior"
+        As of `RobotIdentifier`: with gains to identify no size of torques is a fault,
+        and with free bodies no factor of all of them.
+    named : bool, default=False
+        Whether the channels carry the names of the joints, so that no order is assumed.
 
     Returns
     -------
@@ -148,41 +176,41 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
     log = inspect_rows(names, q, tau, dt, parts, rows, ~is_prismatic(model))
     if _names(log.findings, "motion_as_torque", "copied_position"):
         return in_order(log.findings)
+    unknown = _OF_SIZE if gains is not None else ("torque_unit",) * (bodies == "free")
     # Positions that were held are compared at the rate that they have.
     rows, parts = thinned(parts, log.every)
     q, tau, usable = (x[rows] for x in (log.q, tau, log.usable))
     dt *= log.every
-    reading = Reading(model, names, q, tau, dt, parts, usable, drive=drive)
+    known = {"drive": drive, "named": named}
+    reading = Reading(model, names, q, tau, dt, parts, usable, **known)
     found = _compared(reading)
     if any(one.severity != "warning" for one in log.findings):
         # Which robot it is cannot be said of rows that are wrong.
         found = [one for one in found if one.kind != "other_robot"]
+    found = [one for one in found if one.kind not in unknown]
     return in_order(log.findings + found)
 
 
 def _compared(reading):
     """Return what the description of the robot shows of a log."""
     # Such positions allow no further question, nor do torques without signs.
-    found = _positions.counts(reading)
+    found = counts(reading)
     if found:
         return found
-    without = _torques.unsigned_torques(reading)
+    without = unsigned_torques(reading)
     if without:
         return [] if reading.drive is not None and reading.drive.unsigned else without
     if reading.tell_nothing():
-        return _positions.implausible_speed(reading) + _unverified(reading)
+        return implausible_speed(reading) + _unverified(reading)
     findings, reading = _examined(reading)
     if reading is None:
         return findings
-    findings = findings or _positions.implausible_speed(reading)
+    findings = findings or implausible_speed(reading)
     if not any(one.severity == "error" for one in findings):
-        for hypothesis in _torques.LAST:
-            candidate = hypothesis.candidate(reading)
-            if candidate is not None:
-                findings.append(hypothesis.finding(reading, candidate))
-    candidate = None if findings else _torques.OTHER.candidate(reading)
-    if candidate is not None:
-        findings = [_torques.OTHER.finding(reading, candidate)]
+        findings += [x.finding(reading, *y) for x, y in _proposed(reading, "last")]
+    if not findings:
+        other = _proposed(reading, "nothing else")
+        findings = [x.finding(reading, *y) for x, y in other]
     return findings + _unverified(reading)
 
 
@@ -191,12 +219,11 @@ def _examined(reading):
     # Returns findings and the repaired log, None if it cannot be repaired.
     findings = []
     for _ in range(reading.nv + 3):
-        proposed = [x for x in TABLE if not x.if_poor]
-        proposed = _proposed(reading, proposed)
+        proposed = _proposed(reading, "always")
         if reading.poor or proposed:
-            proposed += _proposed(reading, [x for x in TABLE if x.if_poor])
-        proposed.sort(key=lambda pair: -pair[1].log_odds)
-        for hypothesis, candidate in proposed:
+            proposed += _proposed(reading, "poor")
+        proposed.sort(key=lambda one: -one[1][1])
+        for hypothesis, (candidate, odds) in proposed:  # noqa: B007
             after = reading.changed(candidate.change) if hypothesis.repairs else None
             if after is None or _scores_better(reading, after):
                 break
@@ -204,25 +231,26 @@ def _examined(reading):
             break
         if not candidate.clear:
             if hypothesis.unclear:
-                findings.append(hypothesis.warning(reading, candidate))
+                args = reading, candidate, odds
+                findings.append(hypothesis.finding(*args, unclear=True))
             break
         rivals = [
             (one.kind or other.name).partition(":")[0]
-            for other, one in proposed
-            if other is not hypothesis
-            and candidate.log_odds - one.log_odds < number.RIVAL
+            for other, (one, its_odds) in proposed
+            if other is not hypothesis and odds - its_odds < number.RIVAL
         ]
-        findings.append(hypothesis.finding(reading, candidate, rivals))
+        findings.append(hypothesis.finding(reading, candidate, odds, rivals))
         if after is None:
             return findings, None
         reading = after
     return findings, reading
 
 
-def _proposed(reading, hypotheses):
-    """Return hypotheses that are probable, each with its candidate."""
-    found = [(one, one.candidate(reading)) for one in hypotheses]
-    return [(one, candidate) for one, candidate in found if candidate is not None]
+def _proposed(reading, when):
+    """Return hypotheses that are probable, each with its candidate and log odds."""
+    rows = [one for one in TABLE if one.when == when]
+    found = [(one, one.candidate(reading)) for one in rows]
+    return [pair for pair in found if pair[1] is not None]
 
 
 def _scores_better(before, after):
@@ -235,22 +263,21 @@ def _scores_better(before, after):
 
 def _unverified(reading):
     """Say what the description cannot show in this motion."""
+    reason = ""
     if reading.bodies.massless:
-        return [_warning(reading, "unverified:massless")]
-    if reading.tell_nothing() or len(reading.signals.row) < number.ENOUGH_ROWS:
+        reason = "massless"
+    elif reading.tell_nothing():
         return []
-    found = []
-    if reading.bodies.weightless:
-        found.append(_warning(reading, "unverified:weightless"))
+    elif len(reading.signals.row) < number.ENOUGH_ROWS:
+        return []
+    elif reading.bodies.weightless:
+        reason = "weightless"
     elif not reading.commanded and _size_assumed(reading.robot):
-        found.append(_warning(reading, "unverified:size"))
-    elif _order_assumed(reading):
-        found.append(_warning(reading, "unverified:order"))
-    return found
-
-
-def _warning(reading, kind, **facts):
-    return finding(kind, reading.names, reading.every, "warning", **facts)
+        reason = "size"
+    elif not reading.named and _order_assumed(reading):
+        reason = "order"
+    args = reading.names, reading.every, "warning"
+    return [finding(f"unverified:{reason}", *args)] if reason else []
 
 
 def _size_assumed(robot):
@@ -263,7 +290,7 @@ def _size_assumed(robot):
 def _order_assumed(reading):
     """Whether another usual order of joints fits as well as that of the description."""
     now = reading.robot.now
-    for order in reading.usual_orders():
+    for order in usual_orders(reading):
         fit = reading.tried(Change(positions=order, torques=order))
         as_well = fit is not None and fit.fall(now) > -number.CLEAR
         if as_well or (fit is not None and fit.evidence > now.evidence - number.RIVAL):

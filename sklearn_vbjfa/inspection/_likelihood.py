@@ -23,16 +23,20 @@ class Bodies:
     def __init__(self, model):
         self.nv = model.nv
         self.pull = np.array(model.gravity.linear) / 9.81
-        self.parameters = nominal_parameters(model).ravel()
-        self.spread = body_spread(model)
+        nominal = nominal_parameters(model)
+        self.parameters, self.spread = nominal.ravel(), _spread(nominal)
         pulls = np.vstack([np.zeros(3), 9.81 * np.eye(3)])
-        made = [TreeRegressor(under_gravity(model, x)) for x in pulls]
-        # Entries that any motion or any gravity makes nonzero, joint by joint.
-        self.support = np.any([x.support for x in made], axis=0)
-        self.used = [np.flatnonzero(row) for row in self.support.reshape(self.nv, -1)]
-        self.edges = np.cumsum([0, *(used.size for used in self.used)])
-        self._motion, *self._pulls = made
         self._whole = TreeRegressor(model)
+        self._parts = [TreeRegressor(under_gravity(model, x)) for x in pulls]
+        # Parameters that any motion or any gravity needs, joint by joint.
+        support = np.any([x.support for x in self._parts], axis=0)
+        support = support.reshape(self.nv, -1)
+        self.used = [np.flatnonzero(row) for row in support]
+        # Joints of one branch share parameters.
+        shared = scipy.sparse.csr_array(support.astype(float) @ support.T)
+        self.branch = scipy.sparse.csgraph.connected_components(shared)[1]
+        # Whether a body has no mass, so that its torques carry no information.
+        self.massless = bool(nominal[:, 0].min() <= 0)
 
     @property
     def weightless(self):
@@ -42,48 +46,31 @@ class Bodies:
         load, mass = self.torques(self.whole(states)), self.parameters[::10].sum()
         return bool(np.abs(load).max(initial=0.0) <= 1e-9 * mass)
 
-    @property
-    def massless(self):
-        """Whether a body has no mass, so that its torques carry no information."""
-        return bool(self.parameters[::10].min() <= 0)
-
     def whole(self, states):
-        """Regressor entries (n_entries, n) with the gravity of the description."""
-        return self._entries(self._whole, states)
+        """Regressors (n, nv, 10 nv) with the gravity of the description."""
+        return _regressors(self._whole, states)
 
     def parts(self, states):
-        """Regressor entries of the motion, and of 1 g along each axis."""
+        """Regressors of the motion, and of 1 g along each axis."""
         still = states.copy()
         still[:, self.nv :] = 0.0
-        by_gravity = [self._entries(one, still) for one in self._pulls]
-        return self._entries(self._motion, states), by_gravity
+        motion, *pulls = self._parts
+        return _regressors(motion, states), [_regressors(x, still) for x in pulls]
 
-    def torques(self, entries):
-        """Torques (n, nv) of the described bodies from regressor entries."""
-        edges = zip(self.used, self.edges, self.edges[1:])
-        return np.column_stack(
-            [self.parameters[used] @ entries[a:b] for used, a, b in edges]
-        )
-
-    def rows_of(self, entries, j):
-        """Regressor (n, k) of a joint's torque by the parameters that it depends on."""
-        return entries[self.edges[j] : self.edges[j + 1]].T
-
-    def _entries(self, regressor, states):
-        out = np.zeros((self.edges[-1], len(states)))
-        places = np.full(self.support.shape, -1)
-        places[self.support] = np.arange(self.edges[-1])
-        places = np.where(regressor.support, places, -1)
-        parts = map(np.ascontiguousarray, np.split(states, 3, axis=1))
-        regressor.entries(*parts, places, out)
-        return out
+    def torques(self, regressors):
+        """Torques (n, nv) of the described bodies."""
+        return regressors @ self.parameters
 
 
-def body_spread(model):
+def _regressors(regressor, states):
+    q, v, a = map(np.ascontiguousarray, np.split(states, 3, axis=1))
+    return regressor(q, v, a).reshape(*q.shape, -1)
+
+
+def _spread(bodies):
     """Prior standard deviations of all inertial parameters, ndarray (10 nv,)."""
-    parameters = nominal_parameters(model)
-    mass = np.maximum(parameters[:, 0], 0.02 * parameters[:, 0].max() + 1e-12)
-    trace = parameters[:, [4, 6, 9]].sum(axis=1)
+    mass = np.maximum(bodies[:, 0], 0.02 * bodies[:, 0].max() + 1e-12)
+    trace = bodies[:, [4, 6, 9]].sum(axis=1)
     length = np.maximum(np.sqrt(np.maximum(0.5 * trace / mass, 0.0)), 0.05)
     columns = [mass] + 3 * [mass * length] + 6 * [mass * length**2]
     return number.NOMINAL_ERROR * np.column_stack(columns).ravel()
@@ -128,21 +115,16 @@ class DescribedRobot:
     # times (nv,): correlation times [rows] of residuals; readings of one log are only
     # compared with the same. entries: of the regressors, if they are known.
 
-    def __init__(
-        self, bodies, signals, times=None, most=number.MOST_FITTED, entries=None
-    ):
-        nv = bodies.nv
-        thin = int(np.clip(number.MOST_ENTRIES // (nv * nv * 10), number.LEAST, most))
-        self.bodies, self.signals = bodies, signals.thinned(thin)
-        self.rows = [np.flatnonzero(w > 0) for w in self.signals.weight.T]
-        size = self.signals.now.var(axis=0)
+    def __init__(self, bodies, signals, times=None, entries=None):
+        self.bodies, self.signals = bodies, signals
+        self.rows = [np.flatnonzero(w > 0) for w in signals.weight.T]
+        size = signals.tau.var(axis=0)
         varies = size > number.LEAST_VARIANCE * size.max(initial=0.0)
         least = number.ROWS_PER_PARAMETER * np.array([x.size for x in bodies.used])
         least = np.minimum(least, number.ENOUGH_ROWS)
         enough = np.array([rows.size for rows in self.rows]) >= least
-        self.joints = np.flatnonzero(self.signals.informative() & varies & enough)
-        whole = entries is None
-        self.entries = bodies.whole(self.signals.states) if whole else entries
+        self.joints = np.flatnonzero(signals.informative() & varies & enough)
+        self.entries = bodies.whole(signals.states) if entries is None else entries
         self.times = self.correlation_times() if times is None else times
 
     @functools.cached_property
@@ -183,7 +165,7 @@ class DescribedRobot:
     def sizes(self):
         """Deviation of each torque over that of the described one, ndarray (nv,)."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return self.signals.now.std(axis=0) / self.described.std(axis=0)
+            return self.signals.tau.std(axis=0) / self.described.std(axis=0)
 
     def fit(
         self,
@@ -195,47 +177,40 @@ class DescribedRobot:
         columns=None,
         deviation=number.FACTOR,
         joints=None,
-        least=-np.inf,
     ):
         """Fit torques (n, nv), less a mean; columns (n, nv, m) get factors."""
-        # joints: some only. A fit whose evidence will stay below `least` is given up.
+        # joints: some only; scale: of the described bodies.
         bodies = self.bodies
         entries = self.entries if entries is None else entries
-        tau = self.signals.now if tau is None else tau
+        tau = self.signals.tau if tau is None else tau
+        joints = self.joints if joints is None else np.asarray(joints)
         if mean is None:
             mean = scale * bodies.torques(entries)
-        n_factors = 0 if columns is None else columns.shape[2]
-        prior = np.r_[scale * bodies.spread, np.full(n_factors, deviation)]
-        extra = bodies.spread.size + np.arange(n_factors)
-        parts = []
-        for j in self.joints if joints is None else joints:
+        m = 0 if columns is None else columns.shape[2]
+        prior = np.r_[scale * bodies.spread, np.full(m, deviation)]
+        first, made = bodies.spread.size, []
+        for j in joints:
             rows, used = self.rows[j], bodies.used[j]
-            design = bodies.rows_of(entries, j)[rows]
-            if n_factors:
+            design = entries[rows, j][:, used]
+            if m:
                 own = columns[rows, j]
                 acts = own.any(axis=0)
-                design, used = (
-                    np.hstack([design, own[:, acts]]),
-                    np.r_[used, extra[acts]],
-                )
+                design = np.hstack([design, own[:, acts]])
+                used = np.r_[used, first + np.flatnonzero(acts)]
             y = tau[rows, j]
             wide = number.WIDE * max(np.sqrt(np.mean(y**2)), 1e-300)
             plain = wide * self._plain(j)[rows]
-            whole = np.column_stack([design * prior[used], plain, y - mean[rows, j]])
-            moments, variance = whole.T @ whole, np.var(y) + 1e-300
-            parts.append(_Joint(used, moments, rows.size, self.times[j], variance))
-        return _solve(parts, prior, n_factors, least)
-
-    def with_times(self, times):
-        """Return the robot with other correlation times (nv,)."""
-        return DescribedRobot(
-            self.bodies, self.signals, times, len(self.signals.row), self.entries
-        )
+            whole = np.column_stack([plain, design * prior[used], y - mean[rows, j]])
+            moments = whole.T @ whole / self.times[j]
+            made.append((used, moments, rows.size / self.times[j], np.var(y) + 1e-300))
+        # Factors are common to all branches.
+        branch = np.zeros(len(joints)) if m else bodies.branch[joints]
+        return _solve(made, branch, prior, m)
 
     def residual(self, columns=None, without=None):
         """Return what bodies that are free for each joint leave of torques, (n, nv)."""
         # Zero where a joint stands. without (n,): rows that are not fitted.
-        left = np.zeros(self.signals.now.shape)
+        left = np.zeros(self.signals.tau.shape)
         for j in self.joints:
             left[self.rows[j], j] = self._left(j, columns, without)
         return left
@@ -244,7 +219,7 @@ class DescribedRobot:
         """Relative errors (n_joints,) of torques with bodies free for each joint."""
         left, errors = self.residual(), []
         for j in self.joints:
-            rows, now = self.rows[j], self.signals.now[:, j]
+            rows, now = self.rows[j], self.signals.tau[:, j]
             # Parameters that are fitted explain a part of any noise.
             free = max(1 - (self.bodies.used[j].size + 4) / rows.size, 0.1)
             errors.append(left[rows, j].var() / free / (now[rows].var() + 1e-300))
@@ -252,12 +227,12 @@ class DescribedRobot:
 
     def _left(self, j, columns, without):
         """Return what free bodies leave of one torque, in the joint's rows."""
-        rows, rigid = self.rows[j], self.bodies.rows_of(self.entries, j)
+        rows, rigid = self.rows[j], self.entries[:, j][:, self.bodies.used[j]]
         others = [] if columns is None else [columns]
         X = np.column_stack([rigid, self._plain(j), *others])[rows]
         X = X[:, X.any(axis=0)]
         X /= np.sqrt((X**2).mean(axis=0))
-        y, fitted = self.signals.now[rows, j], X
+        y, fitted = self.signals.tau[rows, j], X
         if without is not None:
             fitted = X * ~without[rows, None]
         gram = fitted.T @ fitted
@@ -293,69 +268,27 @@ def correlation_time(x):
     return max(1.0, 1.0 + 2.0 * float(correlation[1:stop].sum()))
 
 
-class _Joint:
-    """Moments of one joint's equations, its plain terms rotated to be uncorrelated."""
-
-    def __init__(self, used, moments, n, time, variance):
-        # moments: of [bodies | 4 plain terms | torque] of n rows.
-        k = used.size
-        self.used, self.block = used, np.ix_(used, used)
-        self.rows, self.variance = n / time, variance
-        values, turn = np.linalg.eigh(moments[k:-1, k:-1])
-        self.values = np.maximum(values, 0.0) / time
-        rest = np.r_[np.arange(k), len(moments) - 1]
-        self.others = moments[np.ix_(rest, rest)] / time
-        self.crossed = turn.T @ moments[k:-1, rest] / time
-        self._offset = turn[:2], moments[k, k : k + 2] / time
-
-    def among(self, places):
-        """Count parameters by their places among some."""
-        self.used = np.searchsorted(places, self.used)
-        self.block = np.ix_(self.used, self.used)
-
-    def marginal(self, noise):
-        """Moments of bodies and torque once plain terms are integrated out."""
-        share = 1 / (noise + self.values)
-        reduced = self.crossed * np.sqrt(share)[:, None]
-        return (self.others - reduced.T @ reduced) / noise, share
-
-    def plain(self, theta, noise):
-        """Estimated plain terms, and the square of what is left."""
-        x = np.r_[theta, -1.0]
-        phi = -(self.crossed @ x) / (noise + self.values)
-        cross = phi @ (self.crossed @ x)
-        return phi, float(x @ self.others @ x + 2 * cross + self.values @ phi**2)
-
-    def power(self, phi, noise, shared):
-        """Mean power of friction in standard errors."""
-        turn, moments = self._offset
-        share = 1 / (noise + self.values)
-        solved = turn @ (share[:, None] * self.crossed[:, :-1])
-        spread = (turn * noise * share) @ turn.T + solved @ shared @ solved.T
-        error = np.sqrt(max(moments @ spread @ moments, 1e-300))
-        return float(moments @ (turn @ phi) / error)
-
-
-def _solve(joints, prior, n_factors, least):
-    """`Fit` of joints that share bodies, each with its own plain terms and noise."""
-    first, evidence = prior.size - n_factors, 0.0
-    left, power = np.zeros(len(joints)), np.zeros(len(joints))
-    factors, covariance = np.zeros(n_factors), np.diag(prior[first:] ** 2)
-    parts = _apart(joints)
-    for part in parts:
-        places = np.unique(np.concatenate([joints[k].used for k in part]))
-        for k in part:
-            joints[k].among(places)
-        asked = least if len(parts) == 1 else -np.inf
-        of_part = _solve_together([joints[k] for k in part], places.size, asked)
-        evidence += of_part.evidence
-        left[part], power[part] = of_part.left, of_part.power
-        known = np.flatnonzero(places >= first)
-        at, size = places[known] - first, prior[places[known]]
-        factors[at] = of_part.factors[known] * size
-        covariance[np.ix_(at, at)] = (
-            of_part.covariance[np.ix_(known, known)] * size * size[:, None]
-        )
+def _solve(joints, branch, prior, m):
+    """`Fit` of joints, each with its own plain terms and noise; m common factors."""
+    # joints: parameters that each depends on, moments of [4 plain terms | these |
+    # torque], number of independent rows and variance; branch (n_joints,): joints that
+    # share bodies.
+    left, power, evidence = np.zeros(len(joints)), np.zeros(len(joints)), 0.0
+    first = prior.size - m
+    factors, covariance = np.zeros(m), np.diag(prior[first:] ** 2)
+    for one in np.unique(branch):
+        inside = np.flatnonzero(branch == one)
+        some = [joints[k] for k in inside]
+        places = np.unique(np.concatenate([used for used, *_ in some]))
+        found = _solve_together(some, places)
+        evidence, left[inside], power[inside] = evidence + found[0], *found[1:3]
+        of_factors = np.flatnonzero(places >= first)
+        if of_factors.size:
+            theta, shared = found[3:]
+            at, size = places[of_factors] - first, prior[places[of_factors]]
+            factors[at] = theta[of_factors] * size
+            shared = shared[np.ix_(of_factors, of_factors)] * size * size[:, None]
+            covariance[np.ix_(at, at)] = shared
     return Fit(
         evidence=float(evidence),
         left=left,
@@ -365,63 +298,40 @@ def _solve(joints, prior, n_factors, least):
     )
 
 
-def _apart(joints):
-    """Split joints into lists of those that share parameters, by their places."""
-    found = []
-    for k, one in enumerate(joints):
-        own = set(one.used.tolist())
-        shares = [pair for pair in found if pair[1] & own]
-        found = [pair for pair in found if not pair[1] & own]
-        places = sorted([*(place for pair in shares for place in pair[0]), k])
-        found.append((places, own.union(*(pair[1] for pair in shares))))
-    return [places for places, _ in found]
-
-
-def _solve_together(joints, p, least):
-    """`Fit` of joints by p parameters of which the prior is standard normal."""
-    # Noise variances are found by fixed points of the evidence (MacKay, Bayesian
-    # interpolation, Neural Computation 4, 1992).
-    noise = np.array([0.01 * one.variance for one in joints])
-    rows = np.array([one.rows for one in joints])
-    size = np.array([one.variance for one in joints])
+def _solve_together(joints, places):
+    """Solve for joints that share parameters of which the prior is standard normal."""
+    # Returns evidence, left, power, parameters and their covariance. Noise variances
+    # are found by fixed points of the evidence (MacKay, Bayesian interpolation, Neural
+    # Computation 4, 1992).
+    used, moments, rows, size = zip(*joints)
+    rows, size, p = np.array(rows), np.array(size), places.size + 4 * len(joints)
+    plain = [np.arange(k, k + 4) for k in range(places.size, p, 4)]
+    at = [np.r_[x, np.searchsorted(places, y)] for x, y in zip(plain, used)]
+    blocks, noise = [np.ix_(x, x) for x in at], 0.01 * size
     for passed in range(number.ITERATIONS):
-        A, b, plain = np.eye(p), np.zeros(p), 0.0
-        for one, variance in zip(joints, noise):
-            M, share = one.marginal(variance)
-            A[one.block] += M[:-1, :-1]
-            b[one.used] += M[:-1, -1]
-            plain += np.log(variance * share).sum()
+        A, b = np.eye(p), np.zeros(p)
+        for x, block, M, variance in zip(at, blocks, moments, noise):
+            A[block] += M[:-1, :-1] / variance
+            b[x] += M[:-1, -1] / variance
         theta, covariance, log_det = _solved(A, b)
-        before, noise, misfit = noise, noise.copy(), 0.0
-        phis = []
-        for i, one in enumerate(joints):
-            phi, square = one.plain(theta[one.used], before[i])
-            spent = np.sum(covariance[one.block] * one.others[:-1, :-1]) / before[i] + 4
-            left = max(one.rows - min(spent, 0.5 * one.rows), 1.0)
-            noise[i] = max(square / left, number.LEAST_NOISE * one.variance)
-            misfit += square / before[i] + phi @ phi
-            phis.append(phi)
-        change = np.log(noise / before)
-        missed = theta @ theta + log_det - plain + misfit + rows @ np.log(before / size)
-        if passed and np.abs(change).max() < number.CONVERGED:
+        known = [np.r_[theta[x], -1.0] for x in at]
+        square = np.array([x @ M @ x for x, M in zip(known, moments)])
+        spent = [np.sum(covariance[x] * M[:-1, :-1]) for x, M in zip(blocks, moments)]
+        free = np.maximum(rows - np.minimum(spent / noise, 0.5 * rows), 1.0)
+        before, noise = noise, np.maximum(square / free, number.LEAST_NOISE * size)
+        if passed and np.abs(np.log(noise / before)).max() < number.CONVERGED:
             break
-        # Each further pass changes noise by less than the one before.
-        gain = rows @ np.maximum(-change, 0.0)
-        if passed > 1 and gain - 0.5 * missed < least:
-            break
-    power = [
-        one.power(phi, variance, covariance[one.block])
-        for one, phi, variance in zip(joints, phis, before)
-    ]
+    missed = theta @ theta + log_det + np.sum(square / before)
+    missed += rows @ np.log(before / size)
     # Friction takes power out of a motion; what feeds it is unlikely.
+    power = []
+    for x, M in zip(plain, moments):
+        speed, friction = M[0, :2], x[:2]
+        error = speed @ covariance[np.ix_(friction, friction)] @ speed
+        power.append(speed @ theta[friction] / np.sqrt(max(error, 1e-300)))
     friction = np.maximum(scipy.special.log_ndtr(power), -number.FRICTION).sum()
-    return Fit(
-        evidence=float(friction - 0.5 * missed),
-        left=np.log(noise / size),
-        factors=theta,
-        covariance=covariance,
-        power=np.array(power),
-    )
+    found = theta[: places.size], covariance[: places.size, : places.size]
+    return friction - 0.5 * missed, np.log(noise / size), power, *found
 
 
 def _solved(A, b):

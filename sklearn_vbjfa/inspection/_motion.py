@@ -80,33 +80,27 @@ def motion_of(recording, model=None):
     """
     model = load_model(recording.robot_model() if model is None else model)
     rows, parts = long_parts(recording.n_samples, recording.groups)
-    if not parts:
-        return ()
     q, tau = recording.q[rows], recording.tau[rows]
-    signals = filtered(q, tau, recording.dt, parts, np.ones(q.shape, dtype=bool))
+    every = np.ones(q.shape, dtype=bool)
+    signals = filtered(q, tau, recording.dt, parts, every) if parts else None
     if signals is None:
         return ()
-    nv = model.nv
-    v = signals.states[:, nv : 2 * nv]
-    loads = _loads(model, signals.states)
-    slides = is_prismatic(model)
+    v = signals.states[:, model.nv : 2 * model.nv]
+    loads, slides = _loads(model, signals.states), is_prismatic(model)
     found = []
     for j, name in enumerate(joint_names(model)):
-        moving = signals.weight[:, j] > 0
-        if np.ptp(q[:, j]) == 0:
-            moving = np.zeros_like(moving)
+        low, high = q[:, j].min(), q[:, j].max()
+        moving = (signals.weight[:, j] > 0) & (low < high)
         speeds = v[moving, j]
         reversals = int((speeds[1:] * speeds[:-1] < 0).sum())
-        ends = np.quantile(q[:, j], [0.0, 1.0])
-        shows, hides = _visible(
-            speeds, reversals, ends, slides[j], loads[:, j], signals.now[:, j]
-        )
+        channels = high - low, slides[j], loads[:, j], signals.tau[:, j]
+        shows, hides = _visible(speeds, reversals, *channels)
         found.append(
             JointMotion(
                 name=name,
                 slides=bool(slides[j]),
-                lowest=float(ends[0]),
-                highest=float(ends[1]),
+                lowest=float(low),
+                highest=float(high),
                 fastest=float(np.quantile(np.abs(v[:, j]), 0.995)),
                 reversals=reversals,
                 resting=float(1 - moving.mean()),
@@ -122,9 +116,8 @@ def motion_of(recording, model=None):
 def _loads(model, states):
     """Return torques of gravity by the nominal inertias, ndarray (n, nv)."""
     q, still = np.ascontiguousarray(states[:, : model.nv]), np.zeros_like
-    loads = TreeRegressor(model).torques(
-        q, still(q), still(q), nominal_parameters(model)
-    )
+    bodies = nominal_parameters(model)
+    loads = TreeRegressor(model).torques(q, still(q), still(q), bodies)
     # What is left about a vertical axis is rounding.
     size = np.abs(loads).max(axis=0)
     loads[:, size < 1e-9 * size.max(initial=0.0)] = 0.0
@@ -137,46 +130,39 @@ def one_speed(speed):
     return ends if ends[1] - ends[0] < number.ONE_SPEED * ends.mean() else None
 
 
-def _visible(speeds, reversals, ends, slides, load, torque):
+def _visible(speeds, reversals, reach, slides, load, torque):
     """Return what the motion of a joint shows and hides, two tuples of str."""
     if not speeds.size:
         return (), ("everything: it does not move",)
-    shows, hides = [], []
+    few, narrow = number.FEW_REVERSALS, reach < number.WIDE_RANGE
+    even = one_speed(np.abs(speeds)) is not None
+    # Effects, and why they are hidden if they are.
+    reasons = {
+        "Coulomb friction beside an offset": "it never reverses" * (not reversals),
+        "viscous beside Coulomb friction": "it keeps to one speed" * even,
+        "hysteresis and backlash": (
+            f"it reverses {reversals} time(s), {few} are needed" * (reversals < few)
+        ),
+        "what varies with the position": (
+            f"it covers {np.degrees(reach):.3g} of some 60 degrees" * bool(narrow)
+        ),
+        "friction that varies with the load": _alike(load, torque, slides),
+    }
+    if slides:
+        del reasons["what varies with the position"]
+    shows = tuple(what for what, reason in reasons.items() if not reason)
+    hides = tuple(f"{what}: {reason}" for what, reason in reasons.items() if reason)
+    return shows, hides
 
-    def put(what, reason):
-        (hides if reason else shows).append(f"{what}: {reason}" if reason else what)
 
-    put(
-        "Coulomb friction beside an offset",
-        "" if reversals else "it never reverses",
-    )
-    put(
-        "viscous beside Coulomb friction",
-        "" if one_speed(np.abs(speeds)) is None else "it keeps to one speed",
-    )
-    put(
-        "hysteresis and backlash",
-        ""
-        if reversals >= number.FEW_REVERSALS
-        else f"it reverses {reversals} time(s), {number.FEW_REVERSALS} are needed",
-    )
-    reach = ends[1] - ends[0]
-    if not slides:
-        put(
-            "what varies with the position",
-            ""
-            if reach >= number.WIDE_RANGE
-            else f"it covers {np.degrees(reach):.3g} of some 60 degrees",
-        )
-    spread, scale = np.ptp(load), np.std(torque)
-    reason = ""
-    if np.abs(load).max() <= 1e-6 * max(scale, 1e-12):
-        reason = "gravity does not load it"
-    elif spread <= 1e-9 * np.abs(load).max():
+def _alike(load, torque, slides):
+    """Return why a load of gravity (n,) shows nothing; "" if it varies enough."""
+    spread, size, scale = np.ptp(load), np.abs(load).max(), np.std(torque)
+    if size <= 1e-6 * max(scale, 1e-12):
+        return "gravity does not load it"
+    if spread <= 1e-9 * size:
         # As on a vertical slide.
-        reason = "gravity loads it alike everywhere, accelerations alone vary its load"
-    elif spread < number.SAME_LOAD * scale:
-        unit = "N" if slides else "N m"
-        reason = f"its load by gravity varies by {spread:.2g} {unit} only"
-    put("friction that varies with the load", reason)
-    return tuple(shows), tuple(hides)
+        return "gravity loads it alike everywhere, accelerations alone vary its load"
+    unit = "N" if slides else "N m"
+    narrow = spread < number.SAME_LOAD * scale
+    return f"its load by gravity varies by {spread:.2g} {unit} only" if narrow else ""

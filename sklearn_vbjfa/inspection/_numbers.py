@@ -5,16 +5,12 @@ import numpy as np
 # -- hypotheses ------------------------------------------------------------------------
 
 # Prior log odds of a hypothesis against the log as it is, posterior log odds from which
-# it is reported, and log odds within which two are rivals.
-PRIOR = -np.log(100.0)
-DECISIVE = 5.0
-RIVAL = np.log(19.0)
-# Standard errors of a 90 % interval.
-INTERVAL = 1.645
-# Another reading must lower the squared errors of all joints by this factor [log], ...
-CLEAR = np.log(2.0)
-# ... and those of the joints that it changes by this, each.
-CLEAR_OF_JOINT = np.log(4.0)
+# it is reported, log odds within which two are rivals, and standard errors of a 90 %
+# interval.
+PRIOR, DECISIVE, RIVAL, INTERVAL = -np.log(100.0), 5.0, np.log(19.0), 1.645
+# Another reading must lower the squared errors of all joints by this factor [log], and
+# those of the joints that it changes by the second, each.
+CLEAR, CLEAR_OF_JOINT = np.log(2.0), np.log(4.0)
 # Order, direction and zero are left alone if all joints have at most this relative
 # error. All orders of up to so many joints are tried if half of them have more than
 # the next one: single swaps help little before most joints are in place.
@@ -22,11 +18,9 @@ GOOD_FIT, NO_FIT, MOST_ORDERS = 0.1, 0.5, 5
 # Changes of one kind that the likelihood is computed of, and pairs of joints whose
 # exchange is examined by each of two rankings.
 MOST_LIKELY, MOST_PAIRS = 6, 40
-# Rows of the rough score of changes, at least, and times the joints.
-LEAST_ROUGH, ROUGH = 60, 4000
-# In the rough score of changes, described torques of another sign count as an error of
-# four times this share of their square.
-ROUGH_PRIOR = 0.05
+# Rows of the rough score of changes, at least, and times the joints. In it, described
+# torques of another sign count as four times this share of their square.
+LEAST_ROUGH, ROUGH, ROUGH_PRIOR = 60, 4000, 0.05
 # Places by which all columns may be shifted: columns that belong to no joint may stand
 # before the first one.
 ROLLED = 3
@@ -35,12 +29,12 @@ ROLLED = 3
 OFFSETS = np.radians([-135, -90, -45, 45, 90, 135, 180])
 ANGLES = np.radians([-120, -80, -40, 40, 80, 120, 180])
 STEP_OF_ZERO, SLOPE = 0.5, 1e-4
-# With a larger relative error the sign of a torque is not judged, nor if friction says
-# the other by so many standard errors.
-WORST, SURE = 0.3, 5.0
 # Positions begin at zero within this share of their range, and a zero is another one
 # from this angle on [rad].
 AT_ZERO, MOVED = 1e-3, 0.05
+# With a larger relative error the sign of a torque is not judged, nor if friction says
+# the other by so many standard errors.
+WORST, SURE = 0.3, 5.0
 # Torques of all joints together are not this many times the described ones by chance,
 # nor is a single one this many times as large as it should be: the rotor of a gear may
 # be many times its link. Of commands one order of magnitude is asked for.
@@ -49,105 +43,84 @@ SCALE, SINGLE, COMMANDED = 2.5, 20.0, 10.0
 # the limits of the description [N m or N], of which some are no limits.
 BEYOND_LIMITS, NO_LIMIT = 5.0, 1e6
 # A torque is noise if it is less than this share of the described one, and its relative
-# error above this.
-SILENT, UNRELATED = 0.1, 0.9
-# Torques are computed if they agree with the description to this share.
-COMPUTED = 0.005
+# error above this. Torques are computed if they agree to the last share.
+SILENT, UNRELATED, COMPUTED = 0.1, 0.9, 0.005
+# Torques are those of another robot if its description leaves this share of them and
+# they are small, or this one of some joints.
+OF_ANOTHER, UNFOLLOWED = 0.3, 0.65
 # A factor of gravity, or of inertia, that is below this with its error is none.
 NO_WEIGHT = 0.5
 # A base is mounted otherwise if it is turned by more than this [rad] (less is a tilt,
 # which the search finds among its rivals), pulls as gravity does to this factor, and in
 # no direction is its pull less certain than this [g].
 TURNED, AS_HEAVY, UNSHOWN = np.radians(30.0), 1.5, 0.5
-# Sample periods that are tried, as multiples.
-PERIODS = (1e3, 1e2, 10.0, 0.1, 1e-2, 1e-3)
-# Torques are those of another robot if its description leaves this share of them and
-# they are small, or this one of some joints.
-OF_ANOTHER, UNFOLLOWED = 0.3, 0.65
+# Sample periods that are tried, as multiples, but for those at which a joint exceeds
+# its limit by this factor.
+PERIODS, PLAUSIBLE = (1e3, 1e2, 10.0, 0.1, 1e-2, 1e-3), 2.0
 # A joint without a speed limit does not move faster than this [rad/s, m/s], nor any
 # joint faster than its limit by this factor. Speeds are taken over so many samples,
 # lest encoder noise pass for motion.
 FASTEST_TURN, FASTEST_SLIDE, TOO_FAST, SPEED_SAMPLES = 60.0, 10.0, 5.0, 5
-# No other period is offered at which a joint exceeds its limit by this factor.
-PLAUSIBLE = 2.0
-# A robot that is slower than its limits by this factor hardly moves, and motions are
-# seldom sampled at that period [s]; 5 kHz read as ms are 0.2.
+# A robot this much slower than its limits does not really move, and motions are seldom
+# sampled at that period [s]; 5 kHz read as ms are 0.2.
 TOO_SLOW, LONG_PERIOD = 0.01, 0.15
 # A lag is told from none if it is this many times its deviation, and raises the squared
-# error of no joint by more than this [log], or this share of the fall of all; longer
-# ones than the shifts of the signals are followed by so many moves. Time constants of a
+# error of no joint by more than this [log], or this share of the fall of all. It is
+# found in so many steps, the last one below this [samples]. Time constants of a
 # low-pass, over the lag.
-LEAST_LAG, HARM, MOVES, CONSTANTS = 3.0, 0.1, 6, (0.7, 1.0, 1.4)
+LEAST_LAG, HARM, MOVES, SAMPLE, CONSTANTS = 3.0, 0.125, 8, 0.75, (0.7, 1.0, 1.4)
 # A contact pushes a joint by this many deviations of what is left elsewhere, and lasts
 # for this part of the log at least; places of its ends that are tried.
 CONTACT, SHORTEST_CONTACT, CONTACT_ENDS = 3.0, 20, 80
-
-# -- positions and torques without a likelihood ----------------------------------------
-
-# A joint without limits does not turn farther than this within a log, and positions in
-# degrees run beyond limits by more than this [rad].
-LARGEST_TURN, FAR_BEYOND = 25.0, 5.0
-# Encoder counts are whole numbers that span at least this range.
-FEWEST_COUNTS = 25.0
+# A joint without limits does not turn farther than this within a log, positions in
+# degrees run beyond limits by more than this [rad], and encoder counts are whole
+# numbers that span at least this range.
+LARGEST_TURN, FAR_BEYOND, FEWEST_COUNTS = 25.0, 5.0, 25.0
 # Signs must lower the squared error of a torque of one sign by this factor, and both
-# must be had by this share of the rows.
-SIGN_GAIN, RARE = 2.0, 0.02
-# Rows with which signs are looked for, most rounds, and dry friction to begin with, in
-# root mean squares of the rigid bodies' torque.
-LOOKED_AT, SIGN_ROUNDS = 20_000, 50
+# must be had by this share of the rows. Rows with which signs are looked for, most
+# rounds, and dry friction to begin with, in root mean squares of the rigid torque.
+SIGN_GAIN, RARE, LOOKED_AT, SIGN_ROUNDS = 2.0, 0.02, 20_000, 50
 DRY_STARTS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, np.inf)
 
-# -- likelihood ------------------------------------------------------------------------
+# -- likelihood and filter -------------------------------------------------------------
 
-# Entries of all regressors together, and rows, at least and at most, for hypotheses
-# with one variant or many; more rows cost time without adding evidence.
-MOST_ENTRIES, LEAST, MOST_FITTED, MOST_TRIED = 2_000_000, 200, 1200, 400
-# Relative error of the described bodies.
-NOMINAL_ERROR = 0.5
-# Deviation of the prior of friction, rotor and offset, in units of the torque, and of
-# factors that are estimated.
-WIDE, FACTOR = 10.0, 1e3
+# Entries of all regressors together, and rows, at least and at most; more rows cost
+# time without adding evidence.
+MOST_ENTRIES, LEAST_ROWS, MOST_ROWS = 2_000_000, 200, 600
+# Relative error of the described bodies; deviation of the prior of friction, rotor and
+# offset, in units of the torque, and of factors that are estimated.
+NOMINAL_ERROR, WIDE, FACTOR = 0.5, 10.0, 1e3
 # What friction that feeds the motion costs a joint at most: controllers compensate it.
 FRICTION = 15.0
-# Iterations of the noise, the relative change that ends them, and passes of factors.
-ITERATIONS, CONVERGED, PASSES = 20, 1e-2, 6
-# Change [log] of a factor that ends the passes.
-SETTLED = 0.05
-# Least variances, relative to a torque's and to the largest of all torques.
-LEAST_NOISE, LEAST_VARIANCE = 1e-6, 1e-12
-# Autocorrelation at which residuals count as independent.
-INDEPENDENT = 0.05
-
-# -- filter ----------------------------------------------------------------------------
-
-# Shorter recordings are skipped [samples], and with fewer moving rows a joint is not
-# judged.
-MIN_SAMPLES, FEWEST_ROWS, MOST_ROWS = 64, 60, 2500
-# ... nor with fewer rows than this many times the parameters of its torque, unless
-# there are enough.
-ROWS_PER_PARAMETER, ENOUGH_ROWS = 2, 120
+# Iterations of the noise, the relative change that ends them, passes of factors, and
+# the change [log] of a factor that ends them.
+ITERATIONS, CONVERGED, PASSES, SETTLED = 20, 1e-2, 6, 0.05
+# Least variances, relative to a torque's and to the largest of all torques, and the
+# autocorrelation at which residuals count as independent.
+LEAST_NOISE, LEAST_VARIANCE, INDEPENDENT = 1e-6, 1e-12, 0.05
+# Shorter recordings are skipped [samples]. With fewer moving rows a joint is not
+# judged, nor with fewer than so many times the parameters of its torque, unless there
+# are enough.
+MIN_SAMPLES, FEWEST_ROWS, ROWS_PER_PARAMETER, ENOUGH_ROWS = 64, 70, 2, 120
 # The cut-off is this multiple of the frequency below which 90 % of the velocity's power
 # lies, but the filter remains short against the longest recording. That of the states
-# is this multiple of the frequency up to which the motion is so many times its noise,
-# in the mean over so many bins.
-CUTOFF_PER_BANDWIDTH, CUTOFF_PERIODS = 7.0, 36.0
-SMOOTH, ABOVE_NOISE, BINS = 3.0, 3.0, 15
-# Shifts between positions and torques that are tried, to either side [samples, s].
-N_SHIFTS, SHORTEST_SHIFT = 10, 0.002
+# is at least this multiple of it.
+CUTOFF_PER_BANDWIDTH, CUTOFF_PERIODS, SMOOTH = 9.8, 36.0, 4.2
 # A joint stands below this share of its speed.
 STANDSTILL = 0.02
 
-# -- samples ---------------------------------------------------------------------------
+# -- rows ------------------------------------------------------------------------------
 
 # Rows in time order resemble the row before; the mean squared step of shuffled rows is
 # twice the variance. Seven tenths of that is a correlation of 0.3. Noise has no order
-# either: a joint moves at least this much [rad or m].
-SHUFFLED, LEAST_MOTION = 0.7, 0.01
+# either: a joint moves at least this much [rad or m], and is at rest if its travel is
+# below this many standard deviations of its noise.
+SHUFFLED, LEAST_MOTION, STILL_TRAVEL = 0.7, 0.01, 12.0
 # Shuffled labels: at least this many runs per label, and runs on average this short.
 RUNS_PER_LABEL, SHORT_RUN = 4, 16
 # A jump is a full turn to within this fraction of one.
 TURN_LEFT = 0.15
-# Duplicated rows that are reported; above the last share they are a doubt.
+# Repeated rows that are reported; above the last share they are a doubt.
 FEWEST_REPEATED, REPEATED_SHARE, MANY_REPEATED = 3, 0.002, 0.1
 # The logger was frozen if this many rows are equal while a joint moves at this share of
 # its speed over this many samples right before and right after them.
@@ -156,8 +129,6 @@ FROZEN_ROWS, HELD_SPEED, BESIDE = 5, 0.1, 3
 # channel takes at least this many of them, and this share of all, most of which must
 # come equally often.
 STEP, FEWEST_STEPS, STEP_SHARE, SAME_RATE = 4.0, 20, 0.3, 0.8
-# A joint whose travel is below this many standard deviations of its noise is at rest.
-STILL_TRAVEL = 12.0
 # A torque is coarse if its quantisation error exceeds this share of its spread, and
 # nothing if it is below this [N m or N].
 COARSE, NOTHING = 0.05, 1e-9
@@ -178,12 +149,16 @@ STUCK_RUN, STUCK_REPEATS = 50, 0.1
 # A stop of a joint within one sample takes this many times its usual acceleration and
 # lasts this many samples; all of them are this share of the recording.
 SUDDEN, LEAST_STOP, STUCK_SHARE, USUAL = 3.5, 10, 0.03, 0.99
+# ... or a joint is stuck if it keeps a value for this many samples though its noise is
+# so many times its resolution, and it repeats no more than this share of other values.
+DEAD_RUN, NOISY, SELDOM = 50, 3.0, 0.005
 # Steps and spikes, in robust standard deviations of the prediction by the neighbours,
 # in recordings of at least this many samples, and at least this share of the channel's
 # range. A larger share of outliers is noise, not a fault of single samples.
 OUTLIER, FEWEST_AROUND, LEAST_JUMP, MOST_OUTLIERS = 25.0, 16, 0.003, 0.01
-# A torque that is a derivative of the position agrees with it to this share.
-SAME = 0.02
+# A torque that is a derivative of the position agrees with it to this share, and one
+# that is a multiple of another torque to this.
+SAME, COPY = 0.02, 5e-4
 
 # -- what a motion shows ---------------------------------------------------------------
 
@@ -191,9 +166,7 @@ SAME = 0.02
 # range of this share of the speed: even speeds deviate by a tenth of their mean then.
 MIDDLE, ONE_SPEED = 0.8, np.sqrt(12.0) / 10.0
 # What saturates after a reversal must have done so in either direction several times.
-FEW_REVERSALS = 10
-# Range of positions below which what varies with them looks like a spring [rad].
-WIDE_RANGE = np.radians(60.0)
-# Loads that vary by less than this share of the torque cannot tell friction with the
-# load from friction without.
-SAME_LOAD = 0.1
+# Range of positions below which what varies with them looks like a spring [rad]. Loads
+# that vary by less than this share of the torque cannot tell friction with the load
+# from friction without.
+FEW_REVERSALS, WIDE_RANGE, SAME_LOAD = 10, np.radians(60.0), 0.1

@@ -1,4 +1,4 @@
-"""Hypotheses on positions and time: order, direction, zero, unit, sample period."""
+"""Changes of positions and time: order, direction, zero, unit, sample period."""
 
 from dataclasses import replace
 from itertools import combinations, permutations
@@ -7,11 +7,12 @@ import numpy as np
 import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._hypotheses import (
-    Hypothesis,
+from sklearn_vbjfa.inspection._candidates import (
     best_of,
     clear,
+    clear_of_all,
     judged,
+    most_probable,
 )
 from sklearn_vbjfa.inspection._reading import Change
 from sklearn_vbjfa.inspection._sentences import finding
@@ -20,9 +21,75 @@ from sklearn_vbjfa.model import is_prismatic
 # -- order -----------------------------------------------------------------------------
 
 
+def torque_orders(reading):
+    """Return the best order of the torques: all at once, or two exchanged."""
+    joints, left = reading.robot.joints, reading.rough_crossed
+    same = np.arange(reading.nv)
+    rows, columns = scipy.optimize.linear_sum_assignment(left - np.diagonal(left))
+    order = same.copy()
+    order[joints[rows]] = joints[columns]
+    orders = [order, *(_exchanged(same, pair) for pair in _pairs(reading))]
+    changes = [Change(torques=order) for order in orders if (order != same).any()]
+    return _ordered(reading, best_of(reading, changes), "torques")
+
+
+def position_orders(reading):
+    """Return the best two positions to exchange."""
+    same, slides = np.arange(reading.nv), reading.slides
+    pairs = [(a, b) for a, b in _pairs(reading) if slides[a] == slides[b]]
+    changes = [Change(positions=_exchanged(same, pair)) for pair in pairs]
+    return _ordered(reading, best_of(reading, changes), "positions")
+
+
+def joint_orders(reading):
+    """Return the best order of joints, by swaps from the best of plain orders."""
+    nv, same = reading.nv, np.arange(reading.nv)
+
+    def rough(order):
+        return reading.rough(Change(positions=order, torques=order)).sum()
+
+    lost = np.median(reading.robot.now.left) > 2 * np.log(number.NO_FIT)
+    if lost and nv <= number.MOST_ORDERS:
+        starts = [np.array(order) for order in permutations(range(nv))]
+    else:
+        shifts = {k % nv for k in range(-number.ROLLED, number.ROLLED + 1)}
+        starts = [np.roll(same, k) for k in sorted(shifts)]
+        starts += [same[::-1], *usual_orders(reading)]
+    pairs, best, order = _pairs(reading), reading.rough().sum(), same
+    starts += [_exchanged(same, pair) for pair in pairs]
+    # Each swap puts at least one joint in its place.
+    for _ in range(nv + 1):
+        left = [rough(other) for other in starts]
+        least = int(np.argmin(left))
+        if left[least] > best - number.CLEAR:
+            break
+        best, order = left[least], starts[least]
+        starts = [_exchanged(order, pair) for pair in pairs]
+    change = Change(positions=order, torques=order)
+    if not change.joints:
+        return None
+    found = judged(reading, change, clear(change), variants=len(pairs))
+    return _ordered(reading, found, "joints")
+
+
+def usual_orders(reading):
+    """Return other orders of joints (nv,) that programs give them, and back."""
+    # By name, or as Pinocchio has them: branches are sorted by name.
+    parents, names = list(reading.model.parents)[1:], reading.names
+
+    def branch(joint):
+        children = [k for k, parent in enumerate(parents, 1) if parent == joint]
+        children.sort(key=lambda k: names[k - 1])
+        return [x for k in children for x in (k - 1, *branch(k))]
+
+    usual = np.argsort(names, kind="stable"), np.array(branch(0))
+    orders = [x for order in usual for x in (order, np.argsort(order))]
+    return [x for x in orders if (np.diff(x) < 0).any()]
+
+
 def _pairs(reading):
     """Pairs of joints that may be exchanged, the likelier ones if there are many."""
-    joints, left = reading.few.joints, reading.rough_crossed
+    joints, left = reading.robot.joints, reading.rough_crossed
     pairs, most = list(combinations(range(joints.size), 2)), number.MOST_PAIRS
     own = np.diagonal(left)
     crossed = left + left.T - own - own[:, None]
@@ -37,118 +104,65 @@ def _exchanged(order, pair):
     return order
 
 
-def _torque_orders(reading):
-    joints, left = reading.few.joints, reading.rough_crossed
-    same = np.arange(reading.nv)
-    rows, columns = scipy.optimize.linear_sum_assignment(left - np.diagonal(left))
-    order = same.copy()
-    order[joints[rows]] = joints[columns]
-    orders = [order, *(_exchanged(same, pair) for pair in _pairs(reading))]
-    changes = [Change(torques=order) for order in orders if (order != same).any()]
-    return _ordered(reading, best_of(reading, changes, clear), "torques")
-
-
 def _ordered(reading, candidate, what):
     """Add the facts of the sentence on an order."""
     if candidate is None:
         return None
     change, names = candidate.change, reading.names
     order = change.torques if change.positions is None else change.positions
-    listed = ", ".join(names[k] for k in np.argsort(order))
-    facts = {"what": what.replace("joints", "positions and torques"), "order": listed}
-    facts["pair"] = " and ".join(names[j] for j in candidate.joints)
+    facts = {
+        "what": what.replace("joints", "positions and torques"),
+        "order": ", ".join(names[k] for k in np.argsort(order)),
+        "pair": " and ".join(names[j] for j in candidate.joints),
+    }
     pair = ":pair" if len(candidate.joints) == 2 else ""
     return replace(candidate, kind=f"swapped_{what}{pair}", facts=facts)
-
-
-def _position_orders(reading):
-    same, slides = np.arange(reading.nv), reading.slides
-    pairs = [(a, b) for a, b in _pairs(reading) if slides[a] == slides[b]]
-    changes = [Change(positions=_exchanged(same, pair)) for pair in pairs]
-    return _ordered(reading, best_of(reading, changes, clear), "positions")
-
-
-def _joint_orders(reading):
-    """Return the best order of joints, by swaps from the best of plain orders."""
-    nv, same = reading.nv, np.arange(reading.nv)
-    lost = np.median(reading.few.now.left) > 2 * np.log(number.NO_FIT)
-    if lost and nv <= number.MOST_ORDERS:
-        starts = [np.array(order) for order in permutations(range(nv))]
-    else:
-        shifts = {k % nv for k in range(-number.ROLLED, number.ROLLED + 1)}
-        starts = [np.roll(same, k) for k in sorted(shifts)]
-        starts += [same[::-1], *reading.usual_orders()]
-    pairs, best, order = _pairs(reading), reading.rough().sum(), same
-    starts += [_exchanged(same, pair) for pair in pairs]
-    # Each swap puts at least one joint in its place.
-    for _ in range(nv + 1):
-        left = [_rough_of(reading, other) for other in starts]
-        least = int(np.argmin(left))
-        if left[least] > best - number.CLEAR:
-            break
-        best, order = left[least], starts[least]
-        starts = [_exchanged(order, pair) for pair in pairs]
-    change = Change(positions=order, torques=order)
-    if not change.joints:
-        return None
-    found = judged(reading, change, clear(change), variants=len(pairs))
-    return _ordered(reading, found, "joints")
-
-
-def _rough_of(reading, order):
-    return reading.rough(Change(positions=order, torques=order)).sum()
-
-
-def _several(reading):
-    return reading.few.joints.size > 1
 
 
 # -- direction -------------------------------------------------------------------------
 
 
-def _directions(of_torque):
-    def propose(reading):
-        changes = []
-        for j in reading.few.joints:
-            sign = np.where(np.arange(reading.nv) == j, -1.0, 1.0)
-            changes.append(Change(factor=sign, scale=sign if of_torque else 1.0))
-        return best_of(reading, changes, clear)
+def mirrored(reading, *, torques=False):
+    """Return the joint whose position, or also torque, has the other sign."""
+    changes = []
+    for j in reading.robot.joints:
+        sign = np.where(np.arange(reading.nv) == j, -1.0, 1.0)
+        changes.append(Change(factor=sign, scale=sign if torques else 1.0))
+    return best_of(reading, changes)
 
-    return propose
+
+def flipped(reading):
+    """Return the joint whose position and torque have the other sign."""
+    return mirrored(reading, torques=True)
 
 
 # -- zeros -----------------------------------------------------------------------------
 
 
-def _clear_of_all(reading):
-    return number.CLEAR * reading.robot.joints.size
-
-
-def _zero(reading):
+def zero(reading):
     """Return the best other zero of one joint."""
-    eye, least = np.eye(reading.nv), _clear_of_all(reading)
-    changes = [
-        Change(offset=angle * eye[j])
-        for j in np.flatnonzero(~reading.slides)
-        for angle in number.OFFSETS
-    ]
-    found = best_of(reading, changes, lambda change: max(least, clear(change)))
+    eye, changes = np.eye(reading.nv), []
+    for j in np.flatnonzero(~reading.slides):
+        changes += [Change(offset=angle * eye[j]) for angle in number.OFFSETS]
+    least = max(clear_of_all(reading), number.CLEAR_OF_JOINT)
+    found = best_of(reading, changes, least)
     if found is None:
         return None
     place = _stepped(reading, found.change.offset, found.joints)
     near = judged(reading, Change(offset=place), variants=len(changes))
-    found = max(found, near or found, key=lambda x: x.log_odds)
+    found = most_probable([found, near])
     angle = float(np.rad2deg(found.change.offset.sum()))
     return replace(found, facts={"off": -angle, "add": angle})
 
 
-def _begins_at_zero(reading):
+def begins_at_zero(reading):
+    """Whether all positions begin at zero, as if set there at power-up."""
     # A log that begins at the zero of the description looks the same.
     q = reading.q
     return bool((np.abs(q[0]) <= number.AT_ZERO * np.ptp(q, axis=0)).all())
 
 
-def _zeros(reading):
+def zeros(reading):
     """Return the zeros of all joints that fit best."""
     # Of joints whose zero does not matter, such as vertical ones, it stays.
     free, eye = np.flatnonzero(~reading.slides), np.eye(reading.nv)
@@ -166,7 +180,7 @@ def _zeros(reading):
     if not moved:
         return None
     values = ", ".join(f"{reading.names[j]} {place[j]:+.2f}" for j in moved)
-    least, facts = _clear_of_all(reading), {"values": values}
+    least, facts = clear_of_all(reading), {"values": values}
     return judged(reading, Change(offset=place), least, joints=moved, facts=facts)
 
 
@@ -219,7 +233,7 @@ def _beyond(model, q):
     return np.maximum(np.where(limited, outside, turned), 0.0)
 
 
-def _units(reading):
+def units(reading):
     """Return positions in degrees or turns."""
     revolute, q, model = ~reading.slides, reading.q, reading.model
     out = _beyond(model, q) * revolute
@@ -231,8 +245,8 @@ def _units(reading):
     elif not out.any():
         unit, short, factor, tried = "turns", "rev", 2 * np.pi, [revolute]
     # Limits that are exceeded by far are evidence as well.
-    known = 2 * number.DECISIVE if far.any() else 0.0
-    least, found = -np.inf if far.any() else _clear_of_all(reading), []
+    known, least = (2 * number.DECISIVE, -np.inf) if far.any() else (0.0, None)
+    least, found = clear_of_all(reading) if least is None else least, []
     for joints in tried:
         change = Change(factor=np.where(joints, factor, 1.0))
         # Of a joint without limits any angle may be right.
@@ -243,11 +257,10 @@ def _units(reading):
             continue
         j = max(one.joints, key=lambda k: np.ptp(q[:, k]))
         whole = len(one.joints) == np.count_nonzero(revolute)
-        facts = {"unit": unit, "short": short, "name": reading.names[j]}
-        facts |= {"low": q[:, j].min(), "high": q[:, j].max()}
-        facts |= {"column": "{i}" if whole else str(j + 1)}
+        facts = {"unit": unit, "short": short, "column": "{i}" if whole else str(j + 1)}
+        facts |= {"name": reading.names[j], "low": q[:, j].min(), "high": q[:, j].max()}
         found.append(replace(one, log_odds=one.log_odds + known, facts=facts))
-    return max(found, key=lambda x: x.log_odds, default=None)
+    return most_probable(found)
 
 
 def counts(reading):
@@ -262,18 +275,17 @@ def counts(reading):
     # A joint may turn without end, but not at that speed, not even in degrees.
     fast = _speeds(reading) * degrees > _fastest(model)
     fast &= travel * degrees > number.LARGEST_TURN
-    wrong = (far & (as_degrees > 0)) | whole | fast
-    if not wrong.any():
+    joints = np.flatnonzero((far & (as_degrees > 0)) | whole | fast)
+    if not joints.size:
         return []
-    joints = np.flatnonzero(wrong)
     j = max(joints, key=lambda k: travel[k])
-    low, high = q[:, j].min(), q[:, j].max()
-    evidence = f"from {low:.4g} to {high:.4g}"
-    if whole[j]:
-        evidence = f"whole numbers from {low:.6g} to {high:.6g}"
-    kind = "position_counts" if revolute[j] else "position_counts:slide"
+    facts = {"name": names[j], "low": q[:, j].min(), "high": q[:, j].max()}
+    facts |= {"numbers": "whole numbers" if whole[j] else "values"}
     # Sines and inertias of such angles are nonsense.
-    return [finding(kind, names, joints, "error", name=names[j], evidence=evidence)]
+    turns = "radians or degrees", "encoder counts", "rad"
+    other = turns if revolute[j] else ("metres", "millimetres or encoder counts", "m")
+    facts |= dict(zip(("units", "guess", "unit"), other))
+    return [finding("position_counts", names, joints, "error", **facts)]
 
 
 # -- sample period ---------------------------------------------------------------------
@@ -295,14 +307,14 @@ def _speeds(reading):
 
 
 def implausible_speed(reading):
-    """Find a sample period at which no robot moves as recorded, or hardly any."""
+    """Find a sample period at which no robot moves as recorded, or barely any."""
     speed, limit = _speeds(reading), _fastest(reading.model)
     j, dt = int(np.argmax(speed / limit)), reading.dt
     slow = number.TOO_FAST * speed[j] < number.TOO_SLOW * limit[j]
     if speed[j] > limit[j]:
         kind, severity = "wrong_dt:fast", "error"  # accelerations by the square
     elif slow and dt >= number.LONG_PERIOD:
-        kind, severity = "wrong_dt:slow", "doubt"  # hardly moving may be on purpose
+        kind, severity = "wrong_dt:slow", "doubt"  # such a motion may be on purpose
     else:
         return []
     facts = {"dt": dt, "name": reading.names[j], "other": _other_units(dt)}
@@ -311,31 +323,31 @@ def implausible_speed(reading):
     return [finding(kind, reading.names, reading.every, severity, **facts)]
 
 
-def _periods(reading):
+def periods(reading):
     """Return the best other sample period."""
-    dt, robot, now = reading.dt, reading.robot, reading.robot.now
-    least = _clear_of_all(reading)
+    dt, robot, least = reading.dt, reading.robot, clear_of_all(reading)
     special = (1e-3, 1 / dt**2) if dt >= number.LONG_PERIOD else ()
     fast = number.TOO_FAST * (_speeds(reading) / _fastest(reading.model)).max()
-    periods = dict.fromkeys([*number.PERIODS, *special])
-    changes = [Change(period=x) for x in periods if fast <= number.PLAUSIBLE * x]
-    found = [judged(reading, x, least, variants=len(changes)) for x in changes]
-    found = max(filter(None, found), key=lambda x: x.log_odds, default=None)
+    changes = [
+        Change(period=x)
+        for x in dict.fromkeys([*number.PERIODS, *special])
+        if fast <= number.PLAUSIBLE * x
+    ]
+    found = most_probable(
+        judged(reading, x, least, variants=len(changes), joints=reading.every)
+        for x in changes
+    )
     if found is None:
         return None
     # Another period changes inertia against weight: torques without either look alike.
     moving = robot.pulled(np.zeros(3))
-    rivals = [robot.fit(rest) for rest in (moving, robot.entries - moving)]
-    evidence = found.log_odds + now.evidence - number.PRIOR
-    if max(fit.evidence for fit in rivals) > evidence - number.RIVAL:
+    rivals = [robot.fit(rest).evidence for rest in (moving, robot.entries - moving)]
+    if max(rivals) - robot.now.evidence > found.log_odds - number.RIVAL:
         return None
     period = dt * found.change.period
-    return replace(
-        found,
-        joints=reading.every,
-        remedy={"dt": float(f"{period:.6g}")},
-        facts={"dt": dt, "period": period, "other": _other_units(dt)},
-    )
+    remedy = {"dt": float(f"{period:.6g}")}
+    facts = {"dt": dt, "period": period, "other": _other_units(dt)}
+    return replace(found, remedy=remedy, facts=facts)
 
 
 def _other_units(dt):
@@ -343,26 +355,3 @@ def _other_units(dt):
         return ""
     unit = "milliseconds or " if dt < 100 else ""
     return f"; it looks like {unit}a rate in Hz: give {dt / 1e3:.6g} or {1 / dt:.6g}"
-
-
-def _turns(reading):
-    return not reading.slides.all()
-
-
-def _zeroed(reading):
-    return not reading.commanded and _begins_at_zero(reading)
-
-
-_FLIPPED, _MIRRORED = _directions(of_torque=True), _directions(of_torque=False)
-HYPOTHESES = (
-    Hypothesis("position_unit", "error", _units, _turns),
-    Hypothesis("position_zeros", "error", _zeros, _zeroed, unclear="unverified:zeros"),
-    Hypothesis("swapped_torques", "error", _torque_orders, _several, if_poor=True),
-    Hypothesis("swapped_positions", "error", _position_orders, _several, if_poor=True),
-    Hypothesis("swapped_joints", "error", _joint_orders, _several, if_poor=True),
-    Hypothesis("flipped_joint", "error", _FLIPPED, if_poor=True),
-    Hypothesis("position_sign", "error", _MIRRORED, if_poor=True),
-    # A doubt: another mounting or tool looks the same, with a wrong geometry only.
-    Hypothesis("position_zero", "doubt", _zero, if_poor=True),
-    Hypothesis("wrong_dt", "error", _periods, if_poor=True),
-)

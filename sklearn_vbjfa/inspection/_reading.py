@@ -1,13 +1,13 @@
 """A log that is read in one way: changes, filtered channels, and its score."""
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
 import scipy
 
-from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa._core import _lowpass, _smoothing
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import (
     Bodies,
@@ -55,26 +55,20 @@ class Change:
 
     @property
     def joints(self):
-        """Joints that it changes, a tuple of int."""
-        nv = max(
-            np.size(x)
-            for x in (self.positions, self.torques, self.factor)
-            + (self.offset, self.scale)
-            if x is not None
-        )
-        same, moved = np.arange(nv), np.zeros(nv, dtype=bool)
+        """Joints whose channels it changes one by one, a tuple of int."""
+        moved = np.zeros(1, dtype=bool)
         for order in (self.positions, self.torques):
-            moved |= False if order is None else order != same
+            if order is not None:
+                moved = moved | (order != np.arange(order.size))
         for value, usual in (self.factor, 1.0), (self.offset, 0.0), (self.scale, 1.0):
-            moved |= np.not_equal(value, usual)
+            moved = moved | np.not_equal(value, usual)
         return tuple(np.flatnonzero(moved).tolist())
 
     def signals(self, signals):
         """Return filtered signals that are read in this way."""
         nv, tau = signals.sign.shape[1], signals.tau
         tau = tau if self.torques is None else tau[:, self.torques]
-        if np.any(np.not_equal(self.scale, 1.0)):
-            tau = tau * np.broadcast_to(self.scale, nv)[:, None]
+        tau = tau * self.scale
         if not self.moves:
             return replace(signals, tau=tau)
         states = signals.states.reshape(-1, 3, nv)
@@ -85,13 +79,8 @@ class Change:
         factor = np.broadcast_to(self.factor, nv)
         states = states * factor / self.period ** np.arange(3)[:, None]
         states[:, 0] += self.offset
-        return replace(
-            signals,
-            states=states.reshape(len(states), -1),
-            sign=sign * np.sign(factor),
-            weight=weight,
-            tau=tau,
-        )
+        states, sign = states.reshape(len(states), -1), sign * np.sign(factor)
+        return replace(signals, states=states, sign=sign, weight=weight, tau=tau)
 
     def arrays(self, q, tau, dt):
         """Return positions, torques and period of a log that is changed in this way."""
@@ -106,16 +95,10 @@ class Signals:
 
     states: np.ndarray  # (n, 3 nv): [q | v | a]
     sign: np.ndarray  # (n, nv): filtered signs of the velocities
-    # (n, nv, n_shifts): torques that are read `shifts` samples after the positions
-    tau: np.ndarray
+    tau: np.ndarray  # (n, nv)
+    slope: np.ndarray  # (n, nv): change of the torques from sample to sample
     weight: np.ndarray  # (n, nv): 1 where the joint moves and no fault is known, else 0
     row: np.ndarray  # (n,): row of the log in the middle of the filter
-    shifts: np.ndarray  # (n_shifts,): samples; the middle one is zero
-
-    @property
-    def now(self):
-        """Torques as recorded, ndarray of shape (n, nv)."""
-        return self.tau[:, :, self.shifts.size // 2]
 
     def informative(self):
         """Return which joints have enough rows, ndarray of shape (nv,) of bool."""
@@ -124,8 +107,8 @@ class Signals:
     def thinned(self, most):
         """Return every k-th row, about `most` of them."""
         k = max(1, len(self.row) // most)
-        names = "states", "sign", "tau", "weight", "row"
-        return replace(self, **{name: getattr(self, name)[::k] for name in names})
+        names = [one.name for one in fields(self)]
+        return Signals(**{name: getattr(self, name)[::k] for name in names})
 
 
 def long_parts(n, groups):
@@ -147,44 +130,31 @@ def filtered(q, tau, dt, parts, usable):
     # usable (n, nv): samples without known faults.
     cutoff, top = _cutoffs(q, dt, parts)
     # Signs and derivatives need less noise than single samples have.
-    smooth = _lowpass.design(dt, top, step=1)
-    lowpass = _lowpass.design(dt, cutoff)
-    step, count = max(1, round(number.SHORTEST_SHIFT / dt)), number.N_SHIFTS
-    shifts = step * np.arange(-count, count + 1)
-    margin = max(shifts[-1], smooth.half)
-    long = [p for p in parts if p.stop - p.start >= 2 * (margin + lowpass.half) + 3]
-    if not long:
-        return None
-    inner = [slice(p.start + margin, p.stop - margin) for p in long]
-    states = [
-        _states(q[s.start - smooth.half : s.stop + smooth.half], dt, smooth)
-        for s in inner
+    smooth, lowpass = _lowpass.design(dt, top, step=1), _lowpass.design(dt, cutoff)
+    half = smooth.half
+    least = 2 * (half + lowpass.half) + 3
+    inner = [
+        slice(p.start + half, p.stop - half) for p in parts if p.stop - p.start >= least
     ]
-    v = [x[:, 1] for x in states]
-    slow = number.STANDSTILL * np.quantile(np.abs(np.concatenate(v)), 0.995, axis=0)
-    pieces = []
+    if not inner:
+        return None
+    states = [_states(q[s.start - half : s.stop + half], dt, smooth) for s in inner]
+    speed = np.abs(np.concatenate([x[:, 1] for x in states]))
+    slow, pieces = number.STANDSTILL * np.quantile(speed, 0.995, axis=0), []
     for part, x in zip(inner, states):
         moves = (np.abs(x[:, 1]) > slow) & usable[part]
-        shifted = [lowpass(tau[part.start + k : part.stop + k]) for k in shifts]
         pieces.append(
             (
                 lowpass(x.reshape(len(x), -1)),
                 lowpass(np.sign(x[:, 1])),
-                np.stack(shifted, axis=-1),
-                lowpass.average(moves.astype(float)) > 0.9,
+                lowpass(tau[part]),
+                lowpass(np.gradient(tau[part], axis=0)),
+                (lowpass.average(moves.astype(float)) > 0.9).astype(float),
                 part.start + lowpass.centres(len(x)),
             )
         )
-    states, sign, torque, weight, row = (np.concatenate(x) for x in zip(*pieces))
-    signals = Signals(
-        states=states,
-        sign=sign,
-        tau=torque,
-        weight=weight.astype(float),
-        row=row,
-        shifts=shifts,
-    )
-    return signals.thinned(number.MOST_ROWS)
+    names = [one.name for one in fields(Signals)]
+    return Signals(**dict(zip(names, map(np.concatenate, zip(*pieces)))))
 
 
 def _states(q, dt, smooth):
@@ -197,88 +167,49 @@ def _states(q, dt, smooth):
 def _cutoffs(q, dt, parts):
     """Cut-offs [Hz] of all signals, above the motion, and of the states."""
     longest = max(part.stop - part.start for part in parts)
-    size = 2 ** int(np.ceil(np.log2(longest)))
-    power = np.zeros((size // 2 + 1, q.shape[1]))
-    for part in parts:
-        x = np.diff(q[part], axis=0)
-        x = (x - x.mean(axis=0)) * np.hanning(len(x))[:, None]
-        power += np.abs(np.fft.rfft(x, n=size, axis=0)) ** 2
-    # Differences of white noise have a power that rises with the square of the
-    # frequency; the motion has none in the upper half.
-    rise = np.sin(np.pi * np.arange(len(power)) / size)[:, None] ** 2
-    high = slice(len(power) // 2, None)
-    noise = rise * (power[high].sum(axis=0) / rise[high].sum())
-    tiny = np.finfo(float).tiny
-    power = scipy.ndimage.uniform_filter1d(power, number.BINS, axis=0)
-    total = np.cumsum(np.maximum(power - number.ABOVE_NOISE * noise, 0.0), axis=0)
-    share = total / np.maximum(total[-1], tiny)
     # The velocity of a joint at rest is noise.
     fast = np.ptp(q, axis=0) > 1e-3 * np.ptp(q)
-    if not fast.any():
-        fast[:] = True
-    bandwidth = (share[:, fast] < 0.9).sum(axis=0).max(initial=1) / (size * dt)
-    # Where the motion is below the noise, accelerations are nothing else.
-    ratio = np.mean(power[1:, fast] / np.maximum(noise[1:, fast], tiny), axis=1)
-    above = np.flatnonzero(ratio > number.ABOVE_NOISE)
-    top = (above[-1] + 1 if above.size else 0) / (size * dt)
-    least = number.CUTOFF_PERIODS / (longest * dt)
+    moving = q[:, fast] if fast.any() else q
+    frequency, power, gain = _smoothing.acceleration_spectra(
+        [moving[part] for part in parts], dt
+    )
+    top, noise = _smoothing.choose_cutoff(frequency, power, gain, dt)
+    known = zip(power.T, noise, top)
+    widths = [
+        _smoothing.velocity_bandwidth(frequency, x, gain, variance, most, 0.9)
+        for x, variance, most in known
+    ]
+    bandwidth, least = max(widths), number.CUTOFF_PERIODS / (longest * dt)
     cutoff = max(number.CUTOFF_PER_BANDWIDTH * bandwidth, least)
-    top = np.clip(number.SMOOTH * top, number.SMOOTH * bandwidth, 2 * cutoff)
+    top = np.clip(top.max(), number.SMOOTH * bandwidth, 2 * cutoff)
     return float(cutoff), float(max(top, least))
 
 
 class Reading:
     """A log, its filtered signals and the described robot in its motion."""
 
-    # usable (n, nv): samples without known faults; drive: what made the torques;
-    # gravity (3,): if it is not that of the description.
+    # usable (n, nv): samples without known faults; drive: what made the torques; named:
+    # whether columns carry the joints' names.
 
     def __init__(
-        self, model, names, q, tau, dt, parts, usable, *, drive=None, gravity=None
+        self, model, names, q, tau, dt, parts, usable, *, drive=None, named=False
     ):
-        self.model = model if gravity is None else under_gravity(model, gravity)
-        self.names, self.drive = tuple(names), drive
+        self.model, self.names = model, tuple(names)
+        self.drive, self.named = drive, named
         self.q, self.tau, self.dt = q, tau, dt
         self.parts, self.usable = parts, usable
-
-    @property
-    def nv(self):
-        """Number of joints."""
-        return self.model.nv
-
-    @property
-    def commanded(self):
-        """Whether torques are what motors were commanded."""
-        return self.drive is not None and self.drive.told in COMMANDS
-
-    @property
-    def every(self):
-        """All joints."""
-        return tuple(range(self.nv))
-
-    def usual_orders(self):
-        """Return other orders of joints (nv,) that programs give them, and back."""
-        # By name, or as Pinocchio has them: branches are sorted by name.
-        parents, names = list(self.model.parents)[1:], self.names
-
-        def branch(joint):
-            children = [k for k, parent in enumerate(parents, 1) if parent == joint]
-            children.sort(key=lambda k: names[k - 1])
-            return [x for k in children for x in (k - 1, *branch(k))]
-
-        usual = np.argsort(names, kind="stable"), np.array(branch(0))
-        orders = [x for order in usual for x in (order, np.argsort(order))]
-        return [x for x in orders if (np.diff(x) < 0).any()]
-
-    @functools.cached_property
-    def slides(self):
-        """Which joints are prismatic, (nv,) of bool."""
-        return is_prismatic(self.model)
+        self.nv, self.every = model.nv, tuple(range(model.nv))
+        self.slides = is_prismatic(model)
+        # Whether torques are what motors were commanded.
+        self.commanded = drive is not None and drive.told in COMMANDS
 
     @functools.cached_property
     def signals(self):
         """Filtered signals; None if the log is too short."""
-        return filtered(self.q, self.tau, self.dt, self.parts, self.usable)
+        found = filtered(self.q, self.tau, self.dt, self.parts, self.usable)
+        most = number.MOST_ENTRIES // (10 * self.nv**2)
+        most = int(np.clip(most, number.LEAST_ROWS, number.MOST_ROWS))
+        return None if found is None else found.thinned(most)
 
     @functools.cached_property
     def bodies(self):
@@ -289,14 +220,6 @@ class Reading:
     def robot(self):
         """The described robot in the motion."""
         return DescribedRobot(self.bodies, self.signals)
-
-    @functools.cached_property
-    def few(self):
-        """The described robot in fewer rows, for hypotheses with many variants."""
-        few = DescribedRobot(self.bodies, self.signals, most=number.MOST_TRIED)
-        # Short motions have no rows to spare.
-        same = np.array_equal(few.joints, self.robot.joints)
-        return few if same else self.robot
 
     @property
     def poor(self):
@@ -316,54 +239,43 @@ class Reading:
         if change is None:
             return np.diagonal(self.rough_crossed)
         signals = change.signals(self._roughly)
-        return _left(self.model, signals, self.few.joints, signals.now)
+        return _left(self.model, signals, self.robot.joints, signals.tau)
 
     @functools.cached_property
     def _roughly(self):
         """Signals of fewer rows where there are many joints."""
-        return self.few.signals.thinned(
-            max(number.LEAST_ROUGH, number.ROUGH // self.nv)
-        )
+        return self.signals.thinned(max(number.LEAST_ROUGH, number.ROUGH // self.nv))
 
     @functools.cached_property
     def rough_crossed(self):
         """Of each joint's motion and each torque, (n_joints, n_joints)."""
-        signals, joints = self._roughly, self.few.joints
-        every = [_left(self.model, signals, joints, x[:, None]) for x in signals.now.T]
+        signals, joints = self._roughly, self.robot.joints
+        every = [_left(self.model, signals, joints, x[:, None]) for x in signals.tau.T]
         return np.column_stack([every[j] for j in joints])
 
-    def tried(self, change, *, few=False, least=-np.inf):
+    def tried(self, change):
         """`Fit` of a change that keeps the description; None if it fails."""
-        other, base = self.robot_at(change, few=few), self.few if few else self.robot
-        return other.fit(least=least) if other.joints.size == base.joints.size else None
+        other = self.robot_at(change)
+        return other.fit() if other.joints.size == self.robot.joints.size else None
 
-    def robot_at(self, change, *, few=False):
+    def robot_at(self, change):
         """Return the described robot in the motion of a change."""
-        base = self.few if few else self.robot
-        most = len(base.signals.row)
-        signals = change.signals(base.signals)
-        entries = None if change.moves else base.entries
-        return DescribedRobot(self.bodies, signals, base.times, most, entries)
+        signals = change.signals(self.signals)
+        entries = None if change.moves else self.robot.entries
+        return DescribedRobot(self.bodies, signals, self.robot.times, entries)
 
     def changed(self, change):
         """Return the log after a change, filtered again."""
         q, tau, dt = change.arrays(self.q, self.tau, self.dt)
-        usable = self.usable
+        usable, model = self.usable, self.model
+        if change.gravity is not None:
+            model = under_gravity(model, change.gravity)
         if change.positions is not None:
             usable = usable[:, change.positions]
         if change.lag:
             tau, usable = _late(tau, change.lag, self.parts, usable)
-        return Reading(
-            self.model,
-            self.names,
-            q,
-            tau,
-            dt,
-            self.parts,
-            usable,
-            drive=self.drive,
-            gravity=change.gravity,
-        )
+        known = q, tau, dt, self.parts, usable
+        return Reading(model, self.names, *known, drive=self.drive, named=self.named)
 
 
 def _left(model, signals, joints, tau):
@@ -379,14 +291,14 @@ def _left(model, signals, joints, tau):
     size = ((y - y.sum(axis=1)[:, None] / count[:, None]) ** 2 * weight).sum(axis=1)
     y = y - X[:, :, :2].sum(axis=-1)
     gram = X.swapaxes(1, 2) @ X
-    share = np.array([number.ROUGH_PRIOR, number.ROUGH_PRIOR, 1e-6, 1e-6, 1e-6, 1e-6])
-    gram += np.eye(6) * (np.einsum("jkk->jk", gram) * share + 1e-300)[:, None]
+    square = np.einsum("jkk->jk", gram)
+    share = np.r_[number.ROUGH_PRIOR, number.ROUGH_PRIOR, np.full(4, 1e-6)]
+    penalty = square * share + 1e-300
+    gram = gram + np.eye(6) * penalty[:, None]
     found = np.linalg.solve(gram, X.swapaxes(1, 2) @ y[:, :, None])
     left = ((y[:, :, None] - X @ found) ** 2).sum(axis=(1, 2))
     # What their sizes depart from the described ones counts as an error.
-    left += (found[:, :2, 0] ** 2 * np.einsum("jkk->jk", gram)[:, :2]).sum(
-        axis=1
-    ) * number.ROUGH_PRIOR
+    left += (found[:, :2, 0] ** 2 * penalty[:, :2]).sum(axis=1)
     return np.log(np.maximum(left / np.maximum(size, 1e-300), 1e-12))
 
 

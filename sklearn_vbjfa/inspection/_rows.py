@@ -1,4 +1,4 @@
-"""Faults that the rows of a log show without a robot model: statistics of each channel.
+"""Faults that the rows of a log show without a robot model: a table of checks.
 
 Most are runs of rows in which a channel keeps its value although the robot moves.
 """
@@ -12,21 +12,24 @@ from sklearn_vbjfa.inspection._sentences import finding, percent
 
 
 class Rows:
-    """Rows of a log, their differences within recordings, and faults found in them."""
+    """Rows of a log, and the faults that checks find in them."""
 
     # q [rad or m], tau [N m or N] (n, nv); parts: slices of the recordings, which hold
-    # all rows; rows (n,): row numbers for messages.
+    # all rows; rows (n,): row numbers for messages; revolute (nv,): joints that turn.
 
-    def __init__(self, names, q, tau, dt, parts, rows):
-        self.names, self.q, self.tau = names, q, tau
-        self.dt, self.parts, self.rows = dt, parts, rows
+    def __init__(self, names, q, tau, dt, parts, rows, revolute=None):
+        self.names, self.q, self.tau, self.dt = names, q, tau, dt
+        self.parts, self.rows, self.revolute = parts, rows, revolute
+        self.findings = []
+        if revolute is not None:
+            self.q = _unwrapped(self)
         self.label = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
         self.first = np.isin(np.arange(len(q)), [part.start for part in parts])
         self.usable = np.ones(q.shape, dtype=bool)
-        self.lost = np.zeros(len(q), dtype=bool)
-        self.still = still_joints(q, parts)
-        self.moving = self.moves(q)
-        self.findings = []
+        self.lost = np.zeros(len(q), dtype=bool)  # rows that repeat the one before
+        self.still = still_joints(self.q, parts)
+        self.moving = self.moves(self.q)
+        self.held = np.zeros(q.shape[1], dtype=bool)  # torques at a lower rate
         self.every = 1  # rows until all positions are new
 
     def steps(self, x):
@@ -66,28 +69,10 @@ class Rows:
 
 def inspect_rows(names, q, tau, dt, parts, rows, revolute):
     """Inspect each channel; return the `Rows` with findings and sound samples."""
-    findings, q = _wrapped_positions(names, q, revolute, parts, rows)
-    log = Rows(names, q, tau, dt, parts, rows)
-    log.findings += findings
-    _rest(log)
-    held = [_held(log, what, x) for what, x in (("position", q), ("torque", tau))]
-    if ((held[0] > 0) | log.still).all() and not log.still.all():
-        log.every = round(float(np.median(held[0][~log.still])))
-    else:
-        _repeated_rows(log)
-    constant = _constant(log)
-    switched = two_values(names, ~log.still, tau)
-    log.findings += switched
-    for j in np.flatnonzero(~log.still):
-        if not (constant[j] or switched):
-            _torque(log, j, held[1][j] > 0)
-        if not held[0][j]:
-            log.usable[_stuck(log, j)] = False
-        log.usable[_jumps(log, j)] = False
-    _copies(log, "position", q)
-    _copies(log, "torque", tau)
-    _motion_as_torque(log)
-    log.usable[:, log.still | constant | bool(switched)] = False
+    log = Rows(names, q, tau, dt, parts, rows, revolute)
+    for check in CHECKS:
+        check(log)
+    log.usable[:, log.still] = False
     log.usable[log.lost] = False
     return log
 
@@ -121,29 +106,26 @@ def shuffled_rows(names, q, parts, labels=None):
     return [finding("shuffled_rows", names, joints, "error", evidence=evidence)]
 
 
-def _wrapped_positions(names, q, revolute, parts, rows):
-    """Find angles (n, nv) that jump by a full turn, and unwrap them."""
+def _unwrapped(log):
+    """Find angles that jump by a full turn; return the positions without jumps."""
     # An error: differentiating across a jump gives speeds of hundreds of rad/s.
-    findings, unwrapped = [], q
+    q = log.q
     for turn, name in ((2 * np.pi, "2 pi"), (360.0, "360")):
-        jumps = {int(j): _turns(q[:, j], turn, parts) for j in np.flatnonzero(revolute)}
+        turning = np.flatnonzero(log.revolute)
+        jumps = {int(j): _turns(log.q[:, j], turn, log.parts) for j in turning}
         jumps = {j: over for j, over in jumps.items() if over.size}
         if not jumps:
             continue
-        unwrapped = unwrapped.copy()
+        q = q.copy()
         for j in jumps:
-            for part in parts:
+            for part in log.parts:
                 x = np.unwrap(q[part, j], period=turn)
                 # Each recording may begin in another turn.
-                unwrapped[part, j] = x - turn * np.round(x.mean() / turn)
-        joints = list(jumps)
-        facts = {"turn": name, "count": sum(x.size for x in jumps.values())}
-        facts |= {"row": rows[min(x[0] for x in jumps.values())]}
-        facts |= {"at": joints[0] if len(joints) == 1 else joints}
-        options = "" if len(joints) == 1 else ", axis=0"
-        facts |= {"options": options + ("" if turn < 7 else ", period=360")}
-        findings.append(finding("wrapped_position", names, joints, "error", **facts))
-    return findings, unwrapped
+                q[part, j] = x - turn * np.round(x.mean() / turn)
+        rows = np.concatenate(list(jumps.values()))
+        facts = {"turn": name, "count": rows.size, "row": log.rows[rows.min()]}
+        log.report("wrapped_position", list(jumps), "error", **facts)
+    return q
 
 
 def _turns(x, turn, parts):
@@ -164,18 +146,22 @@ def _turns(x, turn, parts):
     return np.concatenate(found)
 
 
-# -- rest ------------------------------------------------------------------------------
+# -- rest and whole rows ---------------------------------------------------------------
+
+
+def _noise(q, parts):
+    """Deviations (nv,) of the white noise of positions."""
+    bends = [np.diff(q[part], n=3, axis=0) for part in parts]
+    # The third difference of white noise has 20 times its variance.
+    count = max(20 * sum(map(len, bends)), 1)
+    return np.sqrt(sum((x**2).sum(axis=0) for x in bends) / count)
 
 
 def still_joints(q, parts):
     """Joints at rest throughout, but for the noise of their positions, (nv,), bool."""
-    pieces = [q[part] for part in parts if part.stop > part.start]
-    bends = [np.diff(x, n=3, axis=0) for x in pieces]
-    # The third difference of white noise has 20 times its variance.
-    count = max(20 * sum(map(len, bends)), 1)
-    noise = np.sqrt(sum((x**2).sum(axis=0) for x in bends) / count)
-    travel = np.max([np.ptp(x, axis=0) for x in pieces], axis=0)
-    return travel <= number.STILL_TRAVEL * noise
+    parts = [part for part in parts if part.stop > part.start]
+    travel = np.max([np.ptp(q[part], axis=0) for part in parts], axis=0)
+    return travel <= number.STILL_TRAVEL * _noise(q, parts)
 
 
 def at_rest(q, parts):
@@ -204,69 +190,31 @@ def _rest(log):
         log.report("still_joint", j, "warning", **facts)
 
 
-# -- whole rows ------------------------------------------------------------------------
-
-
-def _repeated_rows(log):
-    """Find rows that equal the row before in every channel amid a motion."""
-    same = (log.steps(np.hstack([log.q, log.tau])) == 0).all(axis=1) & ~log.first
-    speed = number.HELD_SPEED * np.quantile(np.abs(log.steps(log.q)), 0.995, axis=0)
-    found, beside = [], number.BESIDE
-    for a, b in log.runs(same):
-        # Rows a - 1 to b are equal.
-        if not log.together(a - 1 - beside, b):
-            continue
-        into = (log.q[a - 1] - log.q[a - 1 - beside]) / beside
-        fast = np.abs(into) > speed
-        if log.together(b, b + 1 + beside):
-            out = (log.q[b + 1 + beside] - log.q[b + 1]) / beside
-            fast &= (np.abs(out) > speed) & (into * out > 0)
-        elif log.together(b, b + 1):
-            continue
-        if fast.any():
-            found.append((a, b))
-    count = sum(b - a + 1 for a, b in found)
-    longest = max((b - a + 2 for a, b in found), default=0)
-    few = count < max(number.FEWEST_REPEATED, number.REPEATED_SHARE * len(log.q))
-    if not found or (few and longest < number.FROZEN_ROWS):
-        return
-    for a, b in found:
-        log.lost[a : b + 1] = True
-    frozen = longest >= number.FROZEN_ROWS
-    # A few are recognisable from the motion around them; many make the speed and the
-    # sample period wrong.
-    doubt = frozen or count > number.MANY_REPEATED * len(log.q)
-    log.report(
-        "frozen_recording" if frozen else "repeated_rows",
-        range(len(log.names)),
-        "doubt" if doubt else "warning",
-        count=count,
-        share=percent(count / len(log.q)),
-        longest=longest,
-        row=log.rows[found[0][0] - 1],
-    )
-
-
-def _held(log, what, channels):
-    """Find channels that have new values at a lower rate; rows per value, (nv,)."""
+def _held(log):
+    """Find channels that have new values at a lower rate."""
     # They lag by half a period and change in steps, which looks like delay, elasticity
     # and friction at reversals, but they show the recorded motion: a doubt.
-    rates = np.zeros(len(log.names))
-    for j in np.flatnonzero(~log.still):
-        rates[j] = _rate(log, channels[:, j])
-    joints = np.flatnonzero(rates)
-    if joints.size:
-        k = round(float(np.median(rates[joints])))
-        facts = {"k": k, "late": 0.5e3 * (k - 1) * log.dt, "dt": k * log.dt}
-        log.report(f"held_{what}", joints, "doubt", **facts)
-    return rates
+    rates = {}
+    for what, channels in (("position", log.q), ("torque", log.tau)):
+        rates[what] = np.zeros(len(log.names))
+        for j in np.flatnonzero(~log.still):
+            rates[what][j] = _rate(log, channels[:, j])
+        joints = np.flatnonzero(rates[what])
+        if joints.size:
+            k = round(float(np.median(rates[what][joints])))
+            facts = {"k": k, "late": 500 * (k - 1) * log.dt, "dt": k * log.dt}
+            log.report(f"held_{what}", joints, "doubt", what=what, **facts)
+    log.held = rates["torque"] > 0
+    moving = rates["position"][~log.still]
+    if moving.size and moving.all():
+        log.every = round(float(np.median(moving)))
 
 
 def _rate(log, x):
     """Rows per new value; zero if every row of every recording has one."""
     found = []
     for part in log.parts:
-        y = x[part][~log.lost[part]]
+        y = x[part]
         change = np.flatnonzero(np.diff(y) != 0)
         if change.size <= number.FEWEST_STEPS:
             continue
@@ -281,6 +229,42 @@ def _rate(log, x):
         regular = (np.abs(gaps[fast] - k) <= 1) & (gaps[fast] >= 2)
         found += [k] if regular.mean() >= number.SAME_RATE else []
     return float(np.median(found)) if found else 0.0
+
+
+def _repeated_rows(log):
+    """Find rows that equal the row before in every channel amid a motion."""
+    if log.every > 1:
+        return
+    same = (log.steps(np.hstack([log.q, log.tau])) == 0).all(axis=1) & ~log.first
+    speed = number.HELD_SPEED * np.quantile(np.abs(log.steps(log.q)), 0.995, axis=0)
+    found, near = [], number.BESIDE
+    for a, b in log.runs(same):
+        # Rows a - 1 to b are equal.
+        if not log.together(a - 1 - near, b):
+            continue
+        into = (log.q[a - 1] - log.q[a - 1 - near]) / near
+        fast = np.abs(into) > speed
+        if log.together(b, b + 1 + near):
+            out = (log.q[b + 1 + near] - log.q[b + 1]) / near
+            fast &= (np.abs(out) > speed) & (into * out > 0)
+        elif log.together(b, b + 1):
+            continue
+        if fast.any():
+            found.append((a, b))
+    count = sum(b - a + 1 for a, b in found)
+    longest = max((b - a + 2 for a, b in found), default=0)
+    share = count / len(log.q)
+    few = count < max(number.FEWEST_REPEATED, number.REPEATED_SHARE * len(log.q))
+    if not found or (few and longest < number.FROZEN_ROWS):
+        return
+    log.lost |= _marked(log.lost, found)
+    # A few are recognisable from the motion around them; many make the speed and the
+    # sample period wrong.
+    frozen = longest >= number.FROZEN_ROWS or share > number.MANY_REPEATED
+    facts = {"count": count, "share": percent(share), "longest": longest}
+    facts |= {"row": log.rows[found[0][0] - 1]}
+    every = range(len(log.names))
+    log.report("repeated_rows", every, "doubt" if frozen else "warning", **facts)
 
 
 # -- torques ---------------------------------------------------------------------------
@@ -311,27 +295,29 @@ def two_values(names, moves, tau):
 def _constant(log):
     """Find torques that are constant, or nothing, while their joints move."""
     nothing = np.abs(log.tau).max(axis=0) < number.NOTHING
-    constant = ~log.still & ((np.ptp(log.tau, axis=0) == 0) | nothing)
-    joints = np.flatnonzero(constant)
+    joints = np.flatnonzero(~log.still & ((np.ptp(log.tau, axis=0) == 0) | nothing))
     if joints.size:
         values = (0.0 if nothing[j] else log.tau[0, j] for j in joints)
         values = " or ".join(dict.fromkeys(f"{x:.6g}" for x in values))
         named = ", ".join(log.names[j] for j in joints)
         log.report("constant_torque", joints, "error", named=named, values=values)
-    return constant
+    switched = two_values(log.names, ~log.still, log.tau)
+    log.findings += switched
+    log.usable[:, slice(None) if switched else joints] = False
 
 
-def _torque(log, j, held):
+def _torques(log):
     """Find torques that are coarse, lost or clipped."""
-    x = log.tau[:, j]
-    if _coarse(log, j, x, held):
-        log.usable[:, j] = False
-        return
-    bad = np.zeros(x.shape, dtype=bool) if held else _lost(log, j, x)
-    log.usable[:, j] &= ~(bad | _clipped(log, j, x, log.moving & ~bad))
+    for j in np.flatnonzero(~log.still & log.usable.any(axis=0)):
+        x = log.tau[:, j]
+        if _coarse(log, j, x):
+            log.usable[:, j] = False
+            continue
+        bad = np.zeros(x.shape, dtype=bool) if log.held[j] else _dropped(log, j, x)
+        log.usable[:, j] &= ~(bad | _clipped(log, j, x, log.moving & ~bad))
 
 
-def _coarse(log, j, x, held):
+def _coarse(log, j, x):
     """Find a torque too coarsely quantised to show its shape."""
     step = np.abs(log.steps(x))[log.moving]
     changes = step[step > 0]
@@ -341,7 +327,7 @@ def _coarse(log, j, x, held):
     # If the torque mostly stays on one quantisation level, a typical change is one
     # step; if it is sampled so slowly that it passes several, the smallest change is. A
     # held value is far from the next one, whatever the resolution.
-    size = np.quantile(changes, 0.5 if same >= 0.5 and not held else 0.02)
+    size = np.quantile(changes, 0.5 if same >= 0.5 and not log.held[j] else 0.02)
     spread = max(x[log.moving].std(), np.finfo(float).tiny)
     if size / np.sqrt(12) < number.COARSE * spread:
         return False
@@ -349,7 +335,7 @@ def _coarse(log, j, x, held):
     return True
 
 
-def _lost(log, j, x):
+def _dropped(log, j, x):
     """Find torques that keep a value while their joint moves, as lost readings do."""
     repeats, step = log.steps(x) == 0, np.abs(log.steps(x))
     moves = log.moves(log.q[:, [j]]) & ~log.lost
@@ -357,39 +343,26 @@ def _lost(log, j, x):
     usual = np.median(step[step > 0]) if step.any() else 0.0
     jump = max(number.DROPOUT_STEP * usual, number.LEAST_DROPOUT * x.std())
     zeros = [
-        (a, b)
+        (a, b, np.abs(x[[a - 1, b + 1]]) > jump)
         for a, b in log.runs((x == 0) & log.moving & ~log.lost)
         if b - a >= 2 and log.together(a - 1, b + 1)
     ]
-    both = [(np.abs(x[[a - 1, b + 1]]) > jump).all() for a, b in zeros]
-    found = (
-        [(a, b) for a, b in zeros if (np.abs(x[[a - 1, b + 1]]) > jump).any()]
-        if sum(both) >= number.DROPOUT_RUNS
-        else []
-    )
-    if not found:
+    found = [(a, b) for a, b, jumps in zeros if jumps.any()]
+    if sum(jumps.all() for *_, jumps in zeros) < number.DROPOUT_RUNS:
         # What repeats itself everywhere is coarse, and the ends are those of a limit.
-        runs = [(a - 1, b) for a, b in log.runs(repeats & moves & ~log.first)]
         found = [
-            (a, b)
-            for a, b in runs
-            if b - a + 1 >= number.STUCK_RUN and x[b] not in (x.min(), x.max())
+            (a - 1, b)
+            for a, b in log.runs(repeats & moves & ~log.first)
+            if b - a + 2 >= number.STUCK_RUN and x[b] not in (x.min(), x.max())
         ]
-    bad = np.zeros(x.shape, dtype=bool)
-    for a, b in found:
-        bad[a : b + 1] = True
+    bad = _marked(x, found)
     if not found or repeats[~bad].mean() > number.STUCK_REPEATS:
         return np.zeros_like(bad)
     longest = max(b - a + 1 for a, b in found)
-    log.report(
-        "torque_dropouts",
-        j,
-        "doubt",
-        level=x[found[0][0]] + 0.0,  # no minus before zero
-        count=len(found),
-        share=percent(bad.mean()),
-        longest=longest * log.dt,
-    )
+    # Adding zero leaves no minus before it.
+    facts = {"level": x[found[0][0]] + 0.0, "count": len(found)}
+    facts |= {"share": percent(bad.mean()), "longest": longest * log.dt}
+    log.report("torque_dropouts", j, "doubt", **facts)
     return bad
 
 
@@ -401,14 +374,13 @@ def _clipped(log, j, x, moving):
     rare = (log.steps(x) == 0).mean() < 0.25
     # No drive has the limit zero: these are sizes, or readings that were lost.
     for level in {x.max(), x.min()} - {0.0}:
-        away, found = np.abs(x - level), np.zeros(x.shape, dtype=bool)
+        away = np.abs(x - level)
         runs = log.runs((away <= width) & moving)
         runs = [(a, b) for a, b in runs if b - a + 1 >= number.PLATEAU_RUN]
-        for a, b in runs:
-            found[a : b + 1] = True
+        found = _marked(x, runs)
         long = max((b - a + 1 for a, b in runs), default=0)
-        beside = ((away > width) & (away <= 6 * width) & moving).sum() / 5
-        dense = ((away <= width) & moving).sum() >= number.DENSITY * max(beside, 0.5)
+        near = ((away > width) & (away <= 6 * width) & moving).sum() / 5
+        dense = ((away <= width) & moving).sum() >= number.DENSITY * max(near, 0.5)
         exact = (x[found] == level).all() and long >= number.LONG_PLATEAU
         if dense and (len(runs) >= number.PLATEAU_RUNS or (rare and exact)):
             ends.append(level)
@@ -424,32 +396,51 @@ def _clipped(log, j, x, moving):
     return bad
 
 
+def _marked(x, runs):
+    """Mark runs of rows (first, last), ndarray (n,) of bool."""
+    marked = np.zeros(x.shape, dtype=bool)
+    for a, b in runs:
+        marked[a : b + 1] = True
+    return marked
+
+
 # -- positions -------------------------------------------------------------------------
 
 
+def _positions(log):
+    """Find positions that are stuck, or jump."""
+    for j in np.flatnonzero(~log.still):
+        if log.every == 1:
+            log.usable[_stuck(log, j)] = False
+        log.usable[_jumps(log, j)] = False
+
+
 def _stuck(log, j):
-    """Find positions that stop within one sample in the middle of a motion."""
+    """Find positions that stop within one sample, or keep a value despite noise."""
     x, step = log.q[:, j], log.steps(log.q[:, j])
     moves = (step[1:] != 0) & (step[:-1] != 0)
     change, speed = np.abs(np.diff(step))[moves], np.abs(step)
-    bad, others = np.zeros(x.shape, dtype=bool), ~log.still
+    others = ~log.still
     others[j] = False
     stands = (log.steps(log.q[:, others]) == 0) & ~log.first[:, None]
     if not change.size:
-        return bad
+        return _marked(x, [])
     usual = number.SUDDEN * np.quantile(change, number.USUAL)
     fast, found = max(usual, 0.5 * np.median(speed[speed > 0])), []
-    for a, b in log.runs((step == 0) & ~log.first & ~log.lost):
+    runs = log.runs((step == 0) & ~log.first & ~log.lost)
+    noisy = _repeats_by_chance(x, step, runs)
+    for a, b in runs:
         # Rows a - 1 to b are equal.
         inside = log.parts[log.label[a]]
         before = speed[max(a - 2, inside.start) : a]
         around = np.r_[before, speed[b + 1 : min(b + 3, inside.stop)]]
         # When several joints stop together, the robot paused.
         pauses = stands[a + 2 : b - 1].all(axis=0).any()
-        sudden = around.max(initial=0.0) > fast
+        sudden = around.max(initial=0.0) > fast or (
+            noisy and b - a >= number.DEAD_RUN and log.moving[a : b + 1].any()
+        )
         if b - a >= number.LEAST_STOP and sudden and not pauses:
             found.append((a - 1, b))
-            bad[a - 1 : b + 2] = True
     if found:
         count = sum(b - a + 1 for a, b in found)
         first, last = max(found, key=lambda run: run[1] - run[0])
@@ -458,7 +449,22 @@ def _stuck(log, j):
         facts |= {"row": log.rows[first], "count": count}
         severity = "error" if count > number.STUCK_SHARE * len(x) else "warning"
         log.report("stuck_position", j, severity, **facts)
-    return bad
+    return _marked(x, [(a, min(b + 1, len(x) - 1)) for a, b in found])
+
+
+def _repeats_by_chance(x, step, runs):
+    """Whether noise is so far above the resolution that no value comes twice."""
+    longest = max((b - a + 1 for a, b in runs), default=0)
+    rest = np.ones(x.size, dtype=bool)
+    for a, b in runs:
+        if b - a + 1 > 0.1 * longest:
+            rest[max(a - 2, 0) : b + 3] = False
+    bends = np.diff(x, n=3)[rest[3:] & rest[:-3]]
+    smallest = np.abs(step[(step != 0) & rest]).min(initial=np.inf)
+    repeats = (step[rest] == 0).mean() if rest.any() else 1.0
+    # The bends of rounding alone are those of a noise of its step over root twelve.
+    noise = np.median(np.abs(bends)) / (0.6745 * np.sqrt(20)) if bends.size else 0.0
+    return noise > number.NOISY * smallest and repeats < number.SELDOM
 
 
 def position_jumps(names, q, parts):
@@ -481,8 +487,7 @@ def position_jumps(names, q, parts):
 
 def _jumps(log, j):
     """Find steps of a position that its neighbours contradict."""
-    x = log.q[:, j]
-    bad, jumps, least = np.zeros(x.shape, dtype=bool), [], number.LEAST_JUMP * np.ptp(x)
+    x, jumps, least = log.q[:, j], [], number.LEAST_JUMP * np.ptp(log.q[:, j])
     for part in log.parts:
         step = np.diff(x[part])
         if step.size < number.FEWEST_AROUND:
@@ -497,33 +502,37 @@ def _jumps(log, j):
         far = (over > number.OUTLIER * scale) & (over > least)
         far &= over > 2.5 * np.abs(usual)
         jumps += list(part.start + 4 + np.flatnonzero(far))
-    jumps = [k for k in jumps if not (log.lost[k] or log.usable[k].sum() == 0)]
+    jumps = [k for k in jumps if not log.lost[k] and log.usable[k].any()]
     if not 0 < len(jumps) <= number.MOST_OUTLIERS * x.size:
-        return bad
-    for k in jumps:
-        bad[max(k - 2, 0) : k + 2] = True
+        return _marked(x, [])
     # A single wrong sample is a jump there and back.
     sizes = np.array([x[k] - x[k - 1] for k in jumps])
     back = abs(sizes.sum()) < 0.5 * abs(sizes[0])
-    kind, severity = ("position_jumps", "doubt")
-    if back:
-        kind, severity = ("position_spikes", "warning")
     facts = {"count": len(jumps), "step": sizes[0], "row": log.rows[jumps[0]]}
-    log.report(kind, j, severity, **facts)
-    return bad
+    log.report("position_jumps", j, "warning" if back else "doubt", **facts)
+    return _marked(x, [(max(k - 2, 0), k + 1) for k in jumps])
 
 
 # -- channels that hold another one ----------------------------------------------------
 
 
-def _copies(log, kind, values):
-    """Find channels that equal each other in every row."""
-    moving = np.flatnonzero(np.ptp(values, axis=0) > 0)
-    for place, j in enumerate(moving):
-        same = [k for k in moving[:place] if np.array_equal(values[:, j], values[:, k])]
-        if same:
-            facts = {"first": log.names[same[0]], "second": log.names[j]}
-            log.report(f"copied_{kind}", [same[0], j], "error", **facts)
+def _copies(log):
+    """Find positions that equal each other, and torques but for a factor."""
+    for kind, values in (("position", log.q), ("torque", log.tau)):
+        centred = values - values.mean(axis=0)
+        moving = np.flatnonzero((centred**2).sum(axis=0) > 0)
+        for place, j in enumerate(moving):
+            for k in moving[:place]:
+                x, y = centred[:, k], centred[:, j]
+                # Joints may well be moved alike.
+                of_torque = kind == "torque"
+                factor = x @ y / (x @ x) if of_torque else 1.0
+                left, share = y - factor * x, number.COPY if of_torque else 0.0
+                if left @ left <= share**2 * (y @ y):
+                    facts = {"first": log.names[k], "second": log.names[j]}
+                    facts |= {"what": kind, "factor": factor}
+                    log.report(f"copied_{kind}", [k, j], "error", **facts)
+                    break
 
 
 def _motion_as_torque(log):
@@ -538,7 +547,20 @@ def _motion_as_torque(log):
         left = np.sqrt(((y - x) ** 2).mean(axis=0) / size)
         if moves.any() and (left[moves] <= number.SAME).all():
             facts = {"what": what, "share": percent(left[moves].max())}
-            joints = range(len(log.names))
-            log.report("motion_as_torque", joints, "error", **facts)
+            every = range(len(log.names))
+            log.report("motion_as_torque", every, "error", **facts)
             return
         whole = [np.gradient(piece, log.dt, axis=0) for piece in whole]
+
+
+# Each reports what it finds, and marks samples that no later check uses.
+CHECKS = (
+    _rest,
+    _held,
+    _repeated_rows,
+    _constant,
+    _torques,
+    _positions,
+    _copies,
+    _motion_as_torque,
+)

@@ -4,22 +4,29 @@ import numpy as np
 
 from sklearn_vbjfa.recording import ChannelFinding, listed_joints
 
-# {who}: the joints by name; {odds}: log odds against the log as it is; {fall}: factor
-# by which the squared torque errors fall. A colon separates a kind from its variant.
+# {who}: the joints by name; {names}: all of them; {evidence}: log odds against the log
+# as it is, and the factor by which squared torque errors fall. A colon separates a kind
+# from its variant.
+_HELD = (
+    "The {what} of {who} has a new value only every {k} rows: it is late by {late:.3g} "
+    "ms and goes in steps. Keep one row for each new {what} (dt={dt:.6g}), or record "
+    "it at the full rate."
+)
+_COPIED = (
+    "The {what} of {second} is {factor:.4g} times that of {first} in every row: one "
+    "channel was logged twice. Log the other one, or leave the joint out (--joints)."
+)
 _SWAPPED = (
-    "The {what} of {pair} appear to be swapped: the other way round the squared torque "
-    "errors fall by the factor {fall:.3g} (log odds {odds:.0f}). Exchange the columns."
+    "The {what} of {pair} appear to be swapped ({evidence}). Exchange the columns."
 )
 _ORDER = (
-    "The columns of {what} are in another order: read as {order} the squared torque "
-    "errors fall by the factor {fall:.3g} (log odds {odds:.0f}). Put them into the "
-    "order of the model, {names}."
+    "The columns of {what} are in another order: they agree as {order} ({evidence}). "
+    "Put them into the order of the model, {names}."
 )
 _UNIT = (
     "The positions of {who} look like {unit}: {name} runs from {low:.4g} to "
-    "{high:.4g}, and in {unit} they explain the torques better (log odds {odds:.0f}). "
-    'Give the mapping "q=q{column} [{short}]" with the names of your columns '
-    "(columns=, or --columns)."
+    "{high:.4g}, and in {unit} they explain the torques better ({evidence}). Give the "
+    'mapping "q=q{column} [{short}]" with the names of your columns (--columns).'
 )
 _UNVERIFIED = (
     "The size and the signs of the torques, the zeros and the direction of gravity "
@@ -31,29 +38,20 @@ SENTENCES = {
     "recordings as logged, split by time and not at random (shuffle=False), or sort "
     "them by time.",
     "wrapped_position": "The position of {who} is wrapped: it jumps by {turn} {count} "
-    "time(s), first to row {row}; unwrap it, q[:, {at}] = numpy.unwrap(q[:, {at}]"
-    "{options}), each recording for itself.",
+    "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
-    "{mean:.4g}, which is its noise. Its own parameters are not identifiable: lock it "
-    "in the model or record a motion of it.",
+    "{mean:.4g}, which is its noise, and its own parameters are not identifiable. Lock "
+    "it in the model, or record a motion of it.",
     "still_joint:all": "No joint moves: each position stays within its noise, that of "
     "{name} within {range:.3g} of {mean:.4g}. Check the position columns, or record a "
     "motion that excites the joints.",
     "repeated_rows": "{count} rows ({share}) equal the row before them in every "
     "channel though the robot moves, the longest {longest} rows, the first from row "
-    "{row} on: the logger wrote old values. Drop them and resample on the time stamps.",
-    "frozen_recording": "{count} rows ({share}) equal the row before them in every "
-    "channel though the robot moves, the longest {longest} rows, the first from row "
-    "{row} on: the logger was frozen. Drop them and split the recording there "
-    "(groups).",
-    "held_position": "The position of {who} has a new value only every {k} rows: it is "
-    "late by {late:.3g} ms and goes in steps. Keep one row for each new position "
-    "(dt={dt:.6g}), or record it at the full rate.",
-    "held_torque": "The torque of {who} has a new value only every {k} rows: it is "
-    "late by {late:.3g} ms and goes in steps. Keep one row for each new torque "
-    "(dt={dt:.6g}), or record it at the full rate.",
+    "{row} on. Drop them, and split the recording there (groups) or resample it.",
+    "held_position": _HELD,
+    "held_torque": _HELD,
     "two_torques": "The torque of {who} has two values only ({low:.6g} and {high:.6g}"
-    "{which}): a direction or a switch, and no torque; record the torques themselves.",
+    "{which}): a direction or a switch, and no torque. Record the torques themselves.",
     "constant_torque": "The torques of {named} are constant ({values}) while the "
     "joints move: nothing was measured there. Log the torques or currents, or lock "
     "the joints in the model.",
@@ -67,62 +65,51 @@ SENTENCES = {
     "samples lie there, up to {longest} in a row. Record with a wider range, or a "
     "slower motion.",
     "stuck_position": "The position of {who} stays at {level:.4g} for {longest} rows "
-    "({seconds:.3g} s) from row {row} on and stops or starts within one sample "
+    "({seconds:.3g} s) from row {row} on, without the noise or the braking of a stop "
     "({count} rows in all): the encoder was stuck. Leave these rows out.",
     "position_jumps": "The position of {who} jumps {count} time(s), first {step:.3g} "
-    "to row {row}, which its speed around contradicts: samples were lost. "
-    "Split the recording there (groups).",
-    "position_spikes": "The position of {who} jumps away and back, first "
-    "by {step:.3g} to row {row}: samples are wrong. Interpolate them, or give them no "
-    "weight.",
-    "copied_position": "The position of {second} equals that of {first} in every row: "
-    "one channel was logged twice. Log the other one, or leave the joint out "
-    "(--joints).",
-    "copied_torque": "The torque of {second} equals that of {first} in every row: one "
-    "channel was logged twice. Log the other one, or leave the joint out (--joints).",
-    "motion_as_torque": "The torques are the {what} of the joints to {share}: "
-    "the wrong columns were taken. Give those of the torques (--columns).",
+    "to row {row}, which its speed around contradicts. Split the recording there "
+    "(groups), or leave single wrong samples out.",
+    "copied_position": _COPIED,
+    "copied_torque": _COPIED,
+    "motion_as_torque": "The torques are the {what} of the joints to {share}: the "
+    "wrong columns were taken. Give those of the torques (--columns).",
     # -- positions and time
     "position_degrees": _UNIT,
     "position_turns": _UNIT,
-    "position_counts": "The positions of {who} are neither radians nor degrees: {name} "
-    "has {evidence}, more than it can move; they look like encoder counts. Convert "
-    "them to rad (times 2 pi over the counts of a turn, from the joint's zero).",
-    "position_counts:slide": "The positions of {who} are not in metres: {name} has "
-    "{evidence}, more than it can move; convert encoder counts or millimetres to m.",
-    "position_zero": "The zero of {who} appears to be off by about {off:.0f} degrees: "
-    "with {add:+.0f} degrees added to its position the squared torque errors fall by "
-    "the factor {fall:.3g} (log odds {odds:.0f}). Add them, or, if the robot is "
-    "mounted in another way or carries a tool, correct the model.",
+    "position_counts": "The positions of {who} are not in {units}: {name} has "
+    "{numbers} from {low:.6g} to {high:.6g}, more than it can move; they look like "
+    "{guess}. Convert them to {unit}, from the joint's zero.",
+    "position_zero": "The zero of {who} appears to be off by about {off:.0f} degrees "
+    "({evidence}). Add {add:+.0f} degrees to its position or, if the robot is mounted "
+    "in another way or carries a tool, correct the model.",
     "position_zeros": "All positions begin at zero, and the torques require other "
-    "zeros (log odds {odds:.0f}): the encoders were set to zero at power-up. Add to "
-    "the positions, about [rad]: {values}.",
+    "zeros ({evidence}): the encoders were set to zero at power-up. Add to the "
+    "positions, about [rad]: {values}.",
     "swapped_torques:pair": _SWAPPED,
     "swapped_positions:pair": _SWAPPED,
     "swapped_joints:pair": _SWAPPED,
     "swapped_torques": _ORDER,
     "swapped_positions": _ORDER,
     "swapped_joints": _ORDER,
-    "flipped_joint": "{who} turns the other way round in the log than in the model: "
-    "with its position and its torque times -1 the squared torque errors fall by the "
-    "factor {fall:.3g} (log odds {odds:.0f}). Multiply both columns by -1, or turn the "
-    "axis in the model.",
-    "position_sign": "The position of {who} has the wrong sign: with the other one the "
-    "squared torque errors fall by the factor {fall:.3g} (log odds {odds:.0f}). "
-    "Multiply it by -1.",
-    "wrong_dt": "dt={dt:.6g} s is inconsistent with the motion: with a period of "
-    "{period:.2g} s the squared torque errors fall by the factor {fall:.3g} (log odds "
-    "{odds:.0f}){other}; dt is the sample period in seconds.",
+    "flipped_joint": "{who} turns the other way round in the log than in the model "
+    "({evidence}). Multiply its position and its torque by -1, or turn the axis in the "
+    "model.",
+    "position_sign": "The position of {who} has the wrong sign ({evidence}). Multiply "
+    "it by -1.",
+    "wrong_dt": "dt={dt:.6g} s is inconsistent with the motion: a period of "
+    "{period:.2g} s agrees better ({evidence}){other}. dt is the sample period in "
+    "seconds.",
     "wrong_dt:fast": "Implausible speed: with dt={dt:.6g} s {name} moves at "
-    "{speed:.3g} {unit}, and {limit:.3g} would be five times what it can; give dt as "
+    "{speed:.3g} {unit}, and {limit:.3g} would be five times what it can. Give dt as "
     "the sample period in seconds, and positions in rad or m.",
     "wrong_dt:slow": "dt={dt:.6g} s is inconsistent with the motion: the fastest "
-    "joint, {name}, moves at {speed:.2g} {unit}, far less than it can{other}; dt is "
+    "joint, {name}, moves at {speed:.2g} {unit}, far less than it can{other}. dt is "
     "the sample period in seconds.",
     # -- torques
     "torque_sign": "The torque of {who} has the wrong sign: with the other one "
-    "friction, weight and inertia agree with the description (log odds {odds:.0f})."
-    "{also} Multiply it by -1.",
+    "friction, weight and inertia agree with the description ({evidence}).{also} "
+    "Multiply it by -1.",
     "torque_unit": "All torques together are {factor:.3g} ({low:.2g} to {high:.2g}) "
     "times what the described masses require: they are {what} than N m{inside}, or the "
     "described masses are wrong. Give the factor to N m (--gain {gain:.3g}){unknown}; "
@@ -163,21 +150,21 @@ SENTENCES = {
     "frame, {angle:.0f} degrees from the description: the base is mounted in another "
     "orientation, as on a wall or a ceiling. Turn it in the description.",
     "delay": "All torques are {size:.3g} ± {error:.2g} ms {late} against the positions "
-    "(log odds {odds:.0f}): two clocks, or a delay of the torques. The search "
-    "shifts them by this lag.",
+    "({evidence}): two clocks, or a delay of the torques. The search shifts them by "
+    "this lag.",
     "torque_lowpass": "All torques look filtered, by a low-pass with a time constant "
-    "of about {size:.2g} ms (log odds {odds:.0f}): log them before the filter, or with "
-    "a higher cut-off frequency.",
+    "of about {size:.2g} ms ({evidence}): log them before the filter, or with a higher "
+    "cut-off frequency.",
     "external_force": "From {begin:.1f} to {end:.1f} s after the start something else "
-    "acts on the robot ({pushes}; log odds {odds:.0f}): a contact, a load, or an "
-    "external force. Leave this interval out.",
+    "acts on the robot ({pushes}; {evidence}): a contact, a load, or an external "
+    "force. Leave this interval out.",
     "unverified:massless": _UNVERIFIED + "a body of the description has no mass.",
     "unverified:weightless": _UNVERIFIED + "gravity loads no joint of the description.",
     "unverified:size": "The size of the torques cannot be verified from this motion: "
     "weight looks like an offset there, and inertia like that of the motors.",
     "unverified:zeros": "All positions begin at zero, and other zeros explain the "
-    "torques better, though not clearly (log odds {odds:.0f}). If the encoders were "
-    "set to zero at power-up, add to the positions, about [rad]: {values}.",
+    "torques better, though not clearly ({evidence}). If the encoders were set to zero "
+    "at power-up, add to the positions, about [rad]: {values}.",
     "unverified:order": "The columns are assumed to be in the order of the description "
     "({names}): in the order of the names the torques agree as well.",
 }

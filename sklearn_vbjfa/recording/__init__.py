@@ -18,6 +18,7 @@ _MODULES = {
         "ChannelFinding",
         "OfferedSignals",
         "check_useful",
+        "carries_names",
         "columns_beside",
         "fault",
         "in_order",

@@ -107,6 +107,8 @@ def recording_of(table: Table, options: ReadOptions):
         urdf=None if options.urdf is None else fspath(options.urdf),
         description=f"Read from {table.path.name}.",
         left_out=left_out,
+        joints_named=robot.chosen
+        or all(isinstance(key, str) for key in layout.channels["q"]),
         **on_grid(table, t, labels, options.dt, channels, notes),
     )
     return recording, notes

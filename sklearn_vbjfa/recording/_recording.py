@@ -148,6 +148,8 @@ class Recording:
         which friction with memory depends. Empty if they are unknown.
     left_out : mapping of str to str, default={}
         Other columns of a file that are none of `signals`, and why.
+    joints_named : bool, default=False
+        Whether the columns of the file carry the names of the joints.
     urdf : str or None, default=None
         File with a description of the robot, URDF or MJCF.
     source, licence, citation, description : str, default=""
@@ -194,6 +196,7 @@ class Recording:
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
     before: tuple[np.ndarray, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
+    joints_named: bool = False
     urdf: str | None = None
     source: str = ""
     licence: str = ""

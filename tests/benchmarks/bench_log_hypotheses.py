@@ -217,8 +217,7 @@ def run(task):
     if right and what == "late":
         right = abs(grave[0].value - strength) < 0.002 + 0.1 * strength
     if right and what in ("larger", "smaller"):
-        told = float(grave[0].message.split(" are ")[1].split()[0])
-        right = abs(np.log(told / strength)) < np.log(1.6)
+        right = abs(np.log(grave[0].value / strength)) < np.log(1.6)
     outcome = "right" if right else "wrong" if kinds else "silent"
     undecided = [{x.kind, *x.rivals} & set(names.split()) for x in grave]
     if outcome == "wrong" and all(undecided):

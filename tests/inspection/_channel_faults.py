@@ -211,7 +211,7 @@ FAULTS = {
     "wrapped angle": Fault(
         put=wrapped, kinds=frozenset({"wrapped_position"}), revolute=True
     ),
-    "frozen logger": Fault(put=frozen_logger, kinds=frozenset({"frozen_recording"})),
+    "frozen logger": Fault(put=frozen_logger, kinds=frozenset({"repeated_rows"})),
     "positions held": Fault(put=held_positions, kinds=frozenset({"held_position"})),
     "torques held": Fault(put=held_torques, kinds=frozenset({"held_torque"})),
     "degrees": Fault(put=degrees, kinds=frozenset({"position_degrees"}), revolute=True),

@@ -144,6 +144,27 @@ def test_an_encoder_that_freezes(log):
     assert found[0].joints == (3,)
 
 
+def test_an_encoder_that_is_dead_from_a_pause_on(log):
+    """Its joint stands when it dies, and moves on: noise that is missing shows it."""
+    recording, model, _ = log
+    q = recording.q.copy()
+    step = np.abs(np.diff(q[:, 3]))
+    stop = 1000 + int(np.argmin(np.convolve(step[1000:3000], np.ones(20), "valid")))
+    q[stop:, 3] = q[stop, 3]
+    kinds, found = grave(log, q=q)
+    assert "stuck_position" in kinds
+    assert found[0].joints == (3,)
+
+
+@pytest.mark.parametrize(("factor", "shift"), [(-2.5, 3.0), (1.0, 0.0)])
+def test_a_torque_that_is_another_one_times_a_factor(log, factor, shift):
+    tau = log[0].tau.copy()
+    tau[:, 4] = factor * tau[:, 1] + shift
+    kinds, found = grave(log, tau=tau)
+    assert kinds[0] == "copied_torque"
+    assert found[0].joints == (1, 4)
+
+
 def test_a_mirrored_position(log):
     q = log[0].q.copy()
     q[:, 3] *= -1
@@ -238,6 +259,7 @@ def test_the_order_of_branches_that_are_alike_is_assumed():
     (finding,) = inspect_channels(model, *simulated(model))
     assert (finding.kind, finding.severity) == ("unverified", "warning")
     assert "assumed to be in the order of the description" in finding.message
+    assert inspect_channels(model, *simulated(model), named=True) == ()
 
 
 def test_a_robot_without_load_by_gravity_cannot_be_verified():

@@ -236,7 +236,7 @@ def test_repeated_rows(arm):
 def test_spikes(arm):
     q = arm[0].q.copy()
     q[777, 3] += 0.1
-    assert "row 777" in only(inspect(arm, q=q), "position_spikes", (3,), "warning")
+    assert "row 777" in only(inspect(arm, q=q), "position_jumps", (3,), "warning")
 
 
 def test_channels_without_information(arm):
@@ -324,15 +324,15 @@ def test_wrapped_angles_are_named_with_the_row_and_the_remedy(arm):
     q[q[:, 3] > at, 3] -= 2 * np.pi
     message = only(inspect(arm, q=q), "wrapped_position", (3,), "error")
     first = np.flatnonzero(np.abs(np.diff(q[:, 3])) > 3)[0] + 1
-    assert f"first to row {first};" in message
-    assert "q[:, 3] = numpy.unwrap(q[:, 3])" in message
+    assert f"first to row {first}." in message
+    assert "numpy.unwrap" in message
 
 
 def test_a_frozen_logger(arm):
     q, tau = arm[0].q.copy(), arm[0].tau.copy()
     q[1000:1060], tau[1000:1060] = q[1000], tau[1000]
     findings = inspect(arm, q=q, tau=tau)
-    ((joints, severity),) = grave(findings, "frozen_recording")
+    ((joints, severity),) = grave(findings, "repeated_rows")
     assert (joints, severity) == (tuple(range(6)), "doubt")
     assert "the longest 60 rows, the first from row 1000 on" in findings[0].message
 
@@ -350,7 +350,7 @@ def test_a_robot_that_pauses_is_not_frozen(arm):
     slow = np.column_stack([np.interp(clock, at, x) for x in q.T])
     tau = np.column_stack([np.interp(clock, at, x) for x in recording.tau_clean.T])
     findings = inspect_channels(model, slow, tau, recording.dt)
-    assert not grave(findings, "frozen_recording")
+    assert not grave(findings, "repeated_rows")
 
 
 def test_a_torque_is_coarse_by_its_step_against_its_spread():

@@ -1,0 +1,278 @@
+"""What acts on the whole robot: weight and its direction, a lag, a contact."""
+
+import numpy as np
+
+from sklearn_vbjfa.inspection import _numbers as number
+from sklearn_vbjfa.inspection._candidates import Candidate, clear_of_all, most_probable
+from sklearn_vbjfa.inspection._likelihood import DescribedRobot
+from sklearn_vbjfa.inspection._reading import Change
+from sklearn_vbjfa.model import import_pinocchio
+
+# -- weight ----------------------------------------------------------------------------
+
+
+def weightless(reading):
+    """Return torques without the weight of the links."""
+    robot, down, share, scale = reading.robot, reading.bodies.pull, 1.0, 1.0
+    moving, weight = robot.moving, robot.weight
+    columns, nothing = np.stack([moving, weight], axis=-1), np.zeros_like(moving)
+    for _ in range(number.PASSES):
+        entries = robot.pulled(share * down)
+        fit = robot.fit(entries, scale=scale, mean=nothing, columns=columns)
+        error = number.INTERVAL * fit.errors
+        # What may be N m is, and slow motion does not show the scale.
+        part = float(fit.factors[0])
+        shown = part > 2 * error[0]
+        scale = part if shown and not 1 / number.SCALE < part < number.SCALE else 1.0
+        before, share = share, float(fit.factors[1]) / scale
+        if share - error[1] / scale > number.NO_WEIGHT:
+            return None
+        if abs(share - before) < number.SETTLED * error[1] / scale:
+            break
+    # Slow motion may ask for another inertia, though the weight is there in N m.
+    there = fit.factors[1] > max(error[1], 1 / number.SCALE)
+    if there or abs(share) + error[1] / scale > number.NO_WEIGHT:
+        return None
+    # Without any weight, or with that of the description taken off.
+    added = robot.fit(mean=scale * moving, scale=scale).evidence
+    best = max(added, robot.fit(robot.pulled(0 * down), scale=scale).evidence)
+    # As little weight have torques in another unit, if inertia does not show that.
+    small = robot.fit(scale=share).evidence if share > 0 and not shown else -np.inf
+    if max(_as_springs(robot), small) > best - number.RIVAL:
+        return None
+    joints, heavy = _loaded(robot, weight)
+    facts = {"share": share, "error": error[1] / scale, "heavy": heavy, "other": ""}
+    severity = ""
+    if len(joints) < 2:
+        # What balances a single joint is likelier a spring.
+        severity, facts["other"] = "doubt", " Or a spring balances it."
+    now = max(robot.now.evidence, robot.fit(scale=scale).evidence)
+    known = {"log_odds": best - now, "severity": severity, "facts": facts}
+    return Candidate(joints=tuple(joints), **known)
+
+
+def weight_alone(reading):
+    """Return torques that hold nothing but the weight of the links."""
+    robot = reading.robot
+    columns = np.stack([robot.moving, robot.weight], axis=-1)
+    fit = robot.fit(mean=np.zeros_like(robot.moving), columns=columns)
+    error = number.INTERVAL * fit.errors
+    part, weight = fit.factors
+    slow = abs(part) + error[0] > number.NO_WEIGHT or weight < error[1]
+    # A model has no friction either.
+    if slow or (fit.power > number.SURE).any():
+        return None
+    still = robot.fit(robot.entries - robot.pulled(np.zeros(3))).evidence
+    facts = {"part": part, "error": error[0]}
+    odds = still - robot.now.evidence
+    return Candidate(joints=reading.every, log_odds=odds, facts=facts)
+
+
+def turned(reading):
+    """Return another orientation of the base than described."""
+    robot, start = reading.robot, reading.bodies.pull
+    usual = np.linalg.norm(start)
+
+    def fitted(pull):
+        entries = robot.pulled(pull)
+        return robot.fit(entries, mean=robot.moving, columns=robot.by_gravity)
+
+    fit = fitted(start)
+    if np.linalg.norm(fit.factors - start) < 0.5 * number.TURNED * usual:
+        return None
+    axes = usual * np.vstack([np.eye(3), -np.eye(3)])
+    pull, found = _best_pull(robot, start, [fit.factors, *axes])
+    for _ in range(number.PASSES):
+        fit = fitted(pull)
+        pull, better = _best_pull(robot, pull, [fit.factors])
+        if better.evidence < found.evidence + number.SETTLED:
+            break
+        found = better
+    # What the motion does not show of the direction stays as described.
+    values, turn = np.linalg.eigh(fit.covariance)
+    shown = turn[:, values < number.UNSHOWN**2]
+    seen, hidden = shown @ (shown.T @ fit.factors), start - shown @ (shown.T @ start)
+    size, rest = np.linalg.norm(seen), np.linalg.norm(hidden)
+    if rest > 1e-6 * usual:
+        hidden = hidden / rest * np.sqrt(max(usual**2 - size**2, 0.0))
+        size = max(size, usual)
+    pull = seen + hidden
+    pull = pull * usual / np.linalg.norm(pull)
+    angle = float(np.arccos(np.clip(pull @ start / usual**2, -1, 1)))
+    # A spring that more than balances a single joint looks the same.
+    heavy = 1 / number.AS_HEAVY < size / usual < number.AS_HEAVY
+    if not heavy or len(_loaded(robot, robot.by_gravity @ pull)[0]) < 2:
+        return None
+    found = robot.fit(robot.pulled(pull))
+    if _as_springs(robot) > found.evidence - number.RIVAL:
+        return None
+    along, fall = ", ".join(f"{x:.2f}" for x in pull / usual), found.fall(robot.now)
+    return Candidate(
+        change=Change(gravity=9.81 * pull),
+        joints=reading.every,
+        log_odds=found.evidence - robot.now.evidence,
+        fall=fall,
+        clear=angle > number.TURNED and fall >= clear_of_all(reading),
+        facts={"angle": np.degrees(angle), "pull": along},
+    )
+
+
+def _best_pull(robot, pull, others):
+    """Return the direction of gravity of most evidence, as large, and its fit."""
+    usual = np.linalg.norm(pull)
+    pulls = [pull, *(usual * x / max(np.linalg.norm(x), 1e-300) for x in others)]
+    fits = [robot.fit(robot.pulled(x)) for x in pulls]
+    best = int(np.argmax([one.evidence for one in fits]))
+    return pulls[best], fits[best]
+
+
+def _loaded(robot, weight):
+    """Joints that weights (n, nv) load, and the largest weight."""
+    heavy = np.abs(weight).max(axis=0)
+    return [int(j) for j in robot.joints if heavy[j] > 0.1 * heavy.max()], heavy.max()
+
+
+def _as_springs(robot):
+    """Return the evidence for springs between all joints, the weight as described."""
+    # In a small motion the lack of weight, or its turn, is linear in the positions.
+    nv, tau = robot.bodies.nv, robot.signals.tau
+    q = robot.signals.states[:, :nv] - robot.signals.states[:, :nv].mean(axis=0)
+    q = q / np.where(q.any(axis=0), np.sqrt((q**2).mean(axis=0)), 1.0)
+    columns = np.einsum("ni,jk->njik", q, np.eye(nv) * np.sqrt((tau**2).mean(axis=0)))
+    columns = columns.reshape(len(q), nv, nv * nv)
+    return robot.fit(columns=columns, deviation=1.0).evidence
+
+
+# -- lag -------------------------------------------------------------------------------
+
+
+def late(reading):
+    """Return a lag common to all torques, or a low-pass of them."""
+    known, whole, after = (reading.robot.times, reading.robot.entries), 0, reading
+    for _ in range(number.MOVES):
+        signals = after.signals
+        robot = DescribedRobot(reading.bodies, signals, *known)
+        fit = robot.fit(columns=-signals.slope[:, :, None])
+        rest, error = float(fit.factors[0]), float(fit.errors[0])
+        samples = whole + rest
+        if not abs(samples) > number.LEAST_LAG * error:
+            return None
+        if abs(rest) < number.SAMPLE:
+            break
+        whole += round(rest)
+        after = reading.changed(Change(lag=whole))
+        if after.tell_nothing():
+            return None
+    then = robot.fit(tau=signals.tau + rest * signals.slope)
+    now = robot.fit(tau=reading.signals.tau)
+    gain, change = then.evidence - now.evidence, then.left - now.left
+    # Friction with memory looks like a lag of its joint, and others get worse.
+    harm = number.HARM * max(1.0, -change.sum())
+    if change.size < 2 or (change < 0).mean() <= 0.5 or change.max() >= harm:
+        return None
+    # Of the two, a lag is what is corrected; a filter has to be the likelier by far.
+    filtered = _lowpass(reading.robot, samples) if samples > 0 else -np.inf
+    lowpass = filtered > gain + number.DECISIVE
+    seconds = samples * reading.dt
+    facts = {"size": 1e3 * abs(seconds), "late": "late" if seconds > 0 else "early"}
+    facts |= {"error": 1e3 * number.INTERVAL * error * reading.dt}
+    return Candidate(
+        joints=reading.every,
+        log_odds=filtered if lowpass else gain,
+        kind="torque_lowpass" if lowpass else "",
+        value=seconds,
+        facts=facts,
+    )
+
+
+def _lowpass(robot, samples):
+    """Gain of the evidence by a low-pass of all torques, of some time constants."""
+    # What a filter of first order let through is undone by its derivative.
+    now, slope = robot.signals.tau, robot.signals.slope
+    made = [now + part * samples * slope for part in number.CONSTANTS]
+    return max(robot.fit(tau=y).evidence for y in made) - robot.now.evidence
+
+
+# -- contact ---------------------------------------------------------------------------
+
+
+def contact(reading):
+    """Return an interval in which something else acts on the robot."""
+    wrenches = _wrenches(reading)
+    # Torques that are even suit a push of unknown place in a small motion.
+    every = np.eye(reading.nv) * np.ones((1, wrenches.shape[1], 1, 1))
+    return most_probable(_acting(reading, x) for x in (every, wrenches))
+
+
+def _wrenches(reading):
+    """Torques (nv, n, nv, 6) by a unit force and a unit moment on each link."""
+    pin, model, nv = import_pinocchio(), reading.model, reading.nv
+    data, world = model.createData(), reading.signals.states[:, :nv]
+    found, frame = np.zeros((nv, len(world), nv, 6)), pin.LOCAL_WORLD_ALIGNED
+    for row, q in enumerate(world):
+        pin.computeJointJacobians(model, data, q)
+        for j in range(nv):
+            found[j, row] = pin.getJointJacobian(model, data, j + 1, frame).T
+    size = np.sqrt((found**2).mean(axis=(1, 2), keepdims=True))
+    return found / np.where(size > 0, size, 1.0)
+
+
+def _acting(reading, pushes):
+    """Return the interval in which one of several pushes (k, n, nv, m) acts."""
+    robot, rows = reading.robot, reading.signals.row
+    inside = np.zeros(rows.size, dtype=bool)
+    for _ in range(number.PASSES):
+        before, (place, columns) = inside, _pushed(robot, pushes, inside)
+        inside = np.zeros(rows.size, dtype=bool)
+        inside[slice(*place)] = True
+        if (inside == before).all():
+            break
+    # A contact makes what is left correlated for as long as it lasts.
+    times = robot.correlation_times(inside[:, None].astype(float))
+    times = np.minimum(robot.times, times)
+    robot = DescribedRobot(robot.bodies, robot.signals, times, robot.entries)
+    size = robot.signals.tau[:, robot.joints].std(axis=0)
+    columns = columns * inside[:, None, None]
+    fit, now = robot.fit(columns=columns, deviation=size.max()), robot.now
+    torques = (columns @ fit.factors)[inside][:, robot.joints]
+    push = np.sqrt((torques**2).mean(axis=0)) / (size * np.exp(0.5 * fit.left))
+    felt = push > number.CONTACT
+    # A force on a link loads the joints before it; friction of a single one varies.
+    few = felt.sum() < min(robot.joints.size, 2)
+    if few or fit.fall(now) < number.CLEAR_OF_JOINT:
+        return None
+    begin, end = (rows[min(k, rows.size - 1)] * reading.dt for k in place)
+    joints = robot.joints[felt]
+    each = zip(joints, torques.mean(axis=0)[felt], reading.slides[joints])
+    pushes = [
+        f"{reading.names[j]} {torque:+.2g} {'N' if slides else 'N m'}"
+        for j, torque, slides in each
+    ]
+    return Candidate(
+        joints=tuple(joints.tolist()),
+        log_odds=fit.evidence - now.evidence - np.log(rows.size),
+        facts={"begin": begin, "end": end, "pushes": ", ".join(pushes)},
+    )
+
+
+def _pushed(robot, pushes, inside):
+    """Rows between which a push explains most of what bodies leave, and its columns."""
+    # inside (n,): rows with which the bodies are not fitted.
+    left = robot.residual(without=inside)[:, robot.joints]
+    size = np.sqrt(np.maximum((left[~inside] ** 2).mean(axis=0), 1e-300))
+    n, best, found, left = len(left), -np.inf, None, left / size
+    ends = np.arange(0, n + 1, max(1, n // number.CONTACT_ENDS))
+    long = ends - ends[:, None]
+    first, last = np.nonzero((long >= n // number.SHORTEST_CONTACT) & (long <= n // 2))
+    for columns in pushes:
+        X = columns[:, robot.joints] / size[:, None]
+        X = X / max(np.sqrt((X**2).mean()), 1e-300)
+        products = np.einsum("njk,njl->nkl", X, X), np.einsum("njk,nj->nk", X, left)
+        sums = [np.concatenate([0 * x[:1], x.cumsum(axis=0)])[ends] for x in products]
+        gram, cross = (x[last] - x[first] for x in sums)
+        gram = gram + 0.1 * np.eye(gram.shape[-1])
+        gain = (np.linalg.solve(gram, cross[..., None])[..., 0] * cross).sum(axis=-1)
+        if gain.max() > best:
+            k = int(np.argmax(gain))
+            best, found = gain[k], ((ends[first[k]], ends[last[k]]), columns)
+    return found

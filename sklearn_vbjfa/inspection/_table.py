@@ -1,0 +1,116 @@
+"""The table of hypotheses: what may have been done to a log."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.inspection import _numbers as number
+from sklearn_vbjfa.inspection import _positions as positions
+from sklearn_vbjfa.inspection import _scene as scene
+from sklearn_vbjfa.inspection import _torques as torques
+from sklearn_vbjfa.inspection._sentences import finding
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One row of the table; its sentence, with the remedy, is that of its name."""
+
+    name: str
+    severity: str
+    propose: Callable  # returns the best `Candidate` for a reading, or None
+    applies: Callable = lambda reading: True  # whether a reading can show it
+    # When it is looked for: always, only if torques agree badly with the description
+    # or another hypothesis is probable, after all others, or if nothing was found.
+    when: str = "always"
+    repairs: bool = True  # whether its change undoes what was done
+    unclear: str = ""  # kind of the warning if a candidate is probable but not clear
+    prior: float = number.PRIOR  # log odds against the log as it is
+
+    def candidate(self, reading):
+        """Return the best candidate and its log odds if it is probable, or None."""
+        found = self.propose(reading) if self.applies(reading) else None
+        odds = found.log_odds + self.prior if found else -np.inf
+        return (found, odds) if odds > number.DECISIVE else None
+
+    def finding(self, reading, candidate, odds, rivals=(), unclear=False):
+        """Return the finding; rivals: names of hypotheses that are as probable."""
+        evidence = f"log odds {odds:.0f}"
+        if candidate.fall > 0:
+            fall = np.exp(candidate.fall / reading.robot.joints.size)
+            evidence = f"squared errors fall by the factor {fall:.3g}, {evidence}"
+        return finding(
+            self.unclear if unclear else candidate.kind or self.name,
+            reading.names,
+            candidate.joints,
+            "warning" if unclear else candidate.severity or self.severity,
+            value=candidate.value,
+            remedy=None if unclear else candidate.remedy,
+            rivals=rivals,
+            evidence=evidence,
+            **candidate.facts,
+        )
+
+
+def _turns(reading):
+    return not reading.slides.all()
+
+
+def _several(reading):
+    return reading.robot.joints.size > 1
+
+
+def _commanded(reading):
+    return reading.commanded
+
+
+def _measured(reading):
+    return not reading.commanded
+
+
+def _poor(reading):
+    return not reading.commanded and reading.poor
+
+
+def _weighs(reading):
+    return not (reading.commanded or reading.bodies.weightless)
+
+
+def _zeroed(reading):
+    return not reading.commanded and positions.begins_at_zero(reading)
+
+
+# fmt: off
+TABLE = (
+    # -- positions and time
+    Hypothesis("position_unit", "error", positions.units, _turns),
+    Hypothesis("position_zeros", "error", positions.zeros, _zeroed,
+               unclear="unverified:zeros"),
+    Hypothesis("swapped_torques", "error", positions.torque_orders, _several, "poor"),
+    Hypothesis("swapped_positions", "error", positions.position_orders, _several,
+               "poor"),
+    Hypothesis("swapped_joints", "error", positions.joint_orders, _several, "poor"),
+    Hypothesis("flipped_joint", "error", positions.flipped, when="poor"),
+    Hypothesis("position_sign", "error", positions.mirrored, when="poor"),
+    # A doubt: another mounting or tool looks the same, with a wrong geometry only.
+    Hypothesis("position_zero", "doubt", positions.zero, when="poor"),
+    Hypothesis("wrong_dt", "error", positions.periods, when="poor"),
+    # -- torques
+    Hypothesis("torque_sign", "error", torques.signs),
+    Hypothesis("torque_unit", "doubt", torques.scaled, _measured),
+    Hypothesis("torque_factors", "doubt", torques.scaled_each, _measured),
+    Hypothesis("gear_factor", "doubt", torques.commanded_size, _commanded),
+    Hypothesis("computed_torque", "doubt", torques.computed, _measured, repairs=False),
+    Hypothesis("silent_torque", "error", torques.silent, _measured, repairs=False),
+    # -- scene
+    Hypothesis("no_gravity", "error", scene.weightless, _weighs, repairs=False),
+    Hypothesis("gravity_only", "error", scene.weight_alone, _weighs, repairs=False),
+    Hypothesis("base_orientation", "error", scene.turned, _weighs),
+    Hypothesis("external_force", "doubt", scene.contact, _poor, "last", repairs=False),
+    Hypothesis("delay", "warning", scene.late, _measured, "last", repairs=False),
+    Hypothesis("torque_unit", "doubt", torques.beyond_limits, _measured, "last",
+               repairs=False),
+    Hypothesis("other_robot", "doubt", torques.of_another, _poor, "nothing else",
+               repairs=False),
+)
+# fmt: on

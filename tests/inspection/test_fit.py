@@ -1,0 +1,50 @@
+"""A fit that contradicts the description says what is wrong with its log."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.datasets import load_demo_recording
+from sklearn_vbjfa.model import DoubtWarning
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return load_demo_recording().select(0)
+
+
+def told(recording, q, tau, **settings):
+    """Return what a fit warns of."""
+    robot = RobotIdentifier(recording.urdf, dt=recording.dt, **settings)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        robot.fit(q, tau)
+    return [str(x.message) for x in caught if issubclass(x.category, DoubtWarning)]
+
+
+def test_a_fit_of_a_sound_log_warns_of_nothing(recording):
+    assert told(recording, recording.q, recording.tau) == []
+
+
+def test_a_fit_warns_of_a_wrong_sign_and_of_another_unit(recording):
+    tau = recording.tau.copy()
+    tau[:, 1] *= -1
+    (message,) = told(recording, recording.q, tau)
+    assert "joint_2 has the wrong sign" in message
+    (message,) = told(recording, recording.q, 10.2 * recording.tau)
+    assert "All torques together" in message
+    # Which scale torques have is nobody's business if gains are to be identified.
+    for settings in ({"gains": "unknown"}, {"bodies": "free"}):
+        assert told(recording, recording.q, 10.2 * recording.tau, **settings) == []
+
+
+def test_a_fit_warns_of_a_stuck_encoder(recording):
+    q = recording.q.copy()
+    q[len(q) // 2 :, 1] = q[len(q) // 2, 1]
+    messages = told(recording, q, recording.tau)
+    assert any("encoder was stuck" in x for x in messages)
+    assert np.all([len(x) > 40 for x in messages])

@@ -432,7 +432,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """Reject faulty channels; return findings, and joints to leave out."""
         if whole.states is not None:
             return (), []
-        findings = self.identifier.findings(model, whole)
+        findings = self.identifier.findings(whole)
         measured = self.identifier.drive is None and self.identifier.gains is None
         wrong = refusal(findings, whole.torque_units if measured else ())
         if wrong is not None:

@@ -358,16 +358,16 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self._fit(recording, look=True)
         if not self._suspect:
             return []
-        findings = self.findings(self.features_.nominal_, recording)
+        findings = self.findings(recording)
         lag = sum(one.value for one in findings if one.kind == "delay")
         if lag and (self.drive, self.asked_gains) == (None, None):
             self.fit_inspected(recording, lag)
         return [one for one in findings if one.severity != "warning"]
 
-    def findings(self, model, recording):
+    def findings(self, recording):
         """Return what `inspect_channels` finds in a recording under these settings."""
         return inspect_channels(
-            model,
+            self.model,
             recording.q,
             recording.tau,
             recording.dt,

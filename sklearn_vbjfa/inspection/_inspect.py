@@ -14,7 +14,7 @@ from sklearn_vbjfa.inspection._rows import inspect_rows, shuffled_rows
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.inspection._table import TABLE
 from sklearn_vbjfa.inspection._torques import unsigned_torques
-from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
+from sklearn_vbjfa.model import is_prismatic, joint_names, load_folded
 from sklearn_vbjfa.recording import (
     ChannelFinding,
     RecordingRefused,
@@ -140,17 +140,14 @@ def inspect_channels(
     -----
     After a common low-pass, the torques of all joints are fitted together: by the
     described bodies, whose parameters may be off by half, and by friction, rotor and
-    offset of each joint. Friction takes power out of the motion. Each hypothesis
-    changes channels, time or gravity, and the marginal likelihood gives its odds
-    against the unchanged log; correlated residuals count as fewer rows. The most
-    probable hypothesis is applied to the log, accepted if the changed log scores
-    better, and the next one is looked for, so that one fault does not look like
-    another.
+    offset of each joint. Each hypothesis changes channels, time or gravity, and its
+    marginal likelihood gives its odds against the log as it is. The most probable one
+    is applied, accepted if the changed log scores better, and the next one is looked
+    for, so that one fault does not look like another.
 
-    An empty result is not a certificate: a channel that the motion does not excite, or
-    one that is mostly noise, shows nothing. Undetectable in principle are the zero of
-    a joint with a vertical axis or of the last joint (whose link may be mounted in any
-    way), and both signs of a joint that gravity does not load.
+    An empty result is not a certificate. Undetectable in principle are the zero of a
+    joint with a vertical axis or of the last joint, and both signs of a joint that
+    gravity does not load.
 
     Examples
     --------
@@ -165,7 +162,8 @@ def inspect_channels(
     >>> [(finding.kind, finding.joints) for finding in findings]
     [('torque_sign', (1,))]
     """
-    model, dt = load_model(model), check_dt(dt)
+    folded, dt = load_folded(model), check_dt(dt)
+    model = folded.still
     q, tau = _check_arrays(model, q, tau)
     names = joint_names(model)
     shuffled = shuffled_rows(names, q, contiguous_groups(groups, len(q)), groups)
@@ -181,7 +179,7 @@ def inspect_channels(
     rows, parts = thinned(parts, log.every)
     q, tau, usable = (x[rows] for x in (log.q, tau, log.usable))
     dt *= log.every
-    known = {"drive": drive, "named": named}
+    known = {"drive": drive, "named": named, "folded": folded}
     reading = Reading(model, names, q, tau, dt, parts, usable, **known)
     found = _compared(reading)
     if any(one.severity != "warning" for one in log.findings):
@@ -304,24 +302,16 @@ def _names(findings, *kinds):
 
 def _check_arrays(model, q, tau):
     """Return positions and torques as finite arrays (n_samples, nv)."""
-    arrays = []
-    for name, values in (("q", q), ("tau", tau)):
-        array = np.asarray(values, dtype=float)
-        if array.ndim != 2 or array.shape[1] != model.nv:
-            raise ValueError(
-                f"{name} must have shape (n_samples, {model.nv}), one column for each "
-                f"of {', '.join(joint_names(model))}; got {array.shape}."
-            )
-        if not np.isfinite(array).all():
-            row, column = np.argwhere(~np.isfinite(array))[0]
+    names, (q, tau) = joint_names(model), (np.asarray(x, dtype=float) for x in (q, tau))
+    if q.shape != tau.shape or q.shape[1:] != (model.nv,):
+        raise ValueError(
+            f"q and tau must both have shape (n_samples, {model.nv}), one column for "
+            f"each of {', '.join(names)}; got {q.shape} and {tau.shape}."
+        )
+    for name, array in (("q", q), ("tau", tau)):
+        for row, column in np.argwhere(~np.isfinite(array))[:1]:
             raise ValueError(
                 f"{name} must be finite, got {array[row, column]} in row {row} for "
-                f"{joint_names(model)[column]}; interpolate or drop that row."
+                f"{names[column]}; interpolate or drop that row."
             )
-        arrays.append(array)
-    if len(arrays[0]) != len(arrays[1]):
-        raise ValueError(
-            f"q and tau must have equally many rows, got {len(arrays[0])} and "
-            f"{len(arrays[1])}."
-        )
-    return arrays
+    return q, tau

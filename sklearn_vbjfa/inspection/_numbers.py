@@ -44,7 +44,7 @@ SCALE, SINGLE, COMMANDED = 2.5, 20.0, 10.0
 BEYOND_LIMITS, NO_LIMIT = 5.0, 1e6
 # A torque is noise if it is less than this share of the described one, and its relative
 # error above this. Torques are computed if they agree to the last share.
-SILENT, UNRELATED, COMPUTED = 0.1, 0.9, 0.005
+SILENT, UNRELATED, COMPUTED = 0.1, 0.9, 0.007
 # Torques are those of another robot if its description leaves this share of them and
 # they are small, or this one of some joints.
 OF_ANOTHER, UNFOLLOWED = 0.3, 0.65
@@ -105,7 +105,7 @@ MIN_SAMPLES, FEWEST_ROWS, ROWS_PER_PARAMETER, ENOUGH_ROWS = 64, 70, 2, 120
 # The cut-off is this multiple of the frequency below which 90 % of the velocity's power
 # lies, but the filter remains short against the longest recording. That of the states
 # is at least this multiple of it.
-CUTOFF_PER_BANDWIDTH, CUTOFF_PERIODS, SMOOTH = 9.8, 36.0, 4.2
+CUTOFF_PER_BANDWIDTH, CUTOFF_PERIODS, SMOOTH = 9.0, 36.0, 5.5
 # A joint stands below this share of its speed.
 STANDSTILL = 0.02
 

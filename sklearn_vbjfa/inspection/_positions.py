@@ -155,13 +155,6 @@ def zero(reading):
     return replace(found, facts={"off": -angle, "add": angle})
 
 
-def begins_at_zero(reading):
-    """Whether all positions begin at zero, as if set there at power-up."""
-    # A log that begins at the zero of the description looks the same.
-    q = reading.q
-    return bool((np.abs(q[0]) <= number.AT_ZERO * np.ptp(q, axis=0)).all())
-
-
 def zeros(reading):
     """Return the zeros of all joints that fit best."""
     # Of joints whose zero does not matter, such as vertical ones, it stays.

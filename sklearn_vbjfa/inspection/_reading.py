@@ -14,7 +14,7 @@ from sklearn_vbjfa.inspection._likelihood import (
     DescribedRobot,
     under_gravity,
 )
-from sklearn_vbjfa.model import described_torques, is_prismatic
+from sklearn_vbjfa.model import described_torques, is_prismatic, joint_names
 from sklearn_vbjfa.recording import COMMANDS, contiguous_groups
 
 
@@ -189,19 +189,31 @@ class Reading:
     """A log, its filtered signals and the described robot in its motion."""
 
     # usable (n, nv): samples without known faults; drive: what made the torques; named:
-    # whether columns carry the joints' names.
+    # whether columns carry the joints' names; folded: the robot with its followers.
 
     def __init__(
-        self, model, names, q, tau, dt, parts, usable, *, drive=None, named=False
+        self,
+        model,
+        names,
+        q,
+        tau,
+        dt,
+        parts,
+        usable,
+        *,
+        drive=None,
+        named=False,
+        folded=None,
     ):
         self.model, self.names = model, tuple(names)
-        self.drive, self.named = drive, named
+        self.drive, self.named, self.folded = drive, named, folded
         self.q, self.tau, self.dt = q, tau, dt
         self.parts, self.usable = parts, usable
         self.nv, self.every = model.nv, tuple(range(model.nv))
         self.slides = is_prismatic(model)
         # Whether torques are what motors were commanded.
         self.commanded = drive is not None and drive.told in COMMANDS
+        self.measured, self.turns = not self.commanded, not self.slides.all()
 
     @functools.cached_property
     def signals(self):
@@ -221,10 +233,48 @@ class Reading:
         """The described robot in the motion."""
         return DescribedRobot(self.bodies, self.signals)
 
+    def computed(self):
+        """Torques (n, nv) of the description and of its weight, with followers."""
+        if self.folded is None or not self.folded.links:
+            return self.robot.described, self.robot.weight
+        full, links = self.folded.full, self.folded.links
+        rates, offsets = np.zeros((full.nv, self.nv)), np.zeros(full.nv)
+        for row, name in enumerate(joint_names(full)):
+            rate = 1.0
+            while name in links:
+                offsets[row] += rate * links[name].offset
+                rate, name = rate * links[name].multiplier, links[name].leader
+            rates[row, self.names.index(name)] = rate
+        q, v, a = (x @ rates.T for x in np.split(self.signals.states, 3, axis=1))
+        motion, weight = described_torques(full, q + offsets, v, a)
+        return (motion + weight) @ rates, weight @ rates
+
     @property
     def poor(self):
         """Whether some torque agrees badly enough to look for another reading."""
         return bool((self.robot.now.left > 2 * np.log(number.GOOD_FIT)).any())
+
+    @property
+    def unexplained(self):
+        """Whether measured torques agree badly with the description."""
+        return self.measured and self.poor
+
+    @property
+    def weighs(self):
+        """Whether measured torques contain a weight by the description."""
+        return self.measured and not self.bodies.weightless
+
+    @property
+    def several(self):
+        """Whether several joints are judged."""
+        return self.robot.joints.size > 1
+
+    @property
+    def zeroed(self):
+        """Whether all positions begin at zero, as if set there at power-up."""
+        # A log that begins at the zero of the description looks the same.
+        near = np.abs(self.q[0]) <= number.AT_ZERO * np.ptp(self.q, axis=0)
+        return self.measured and bool(near.all())
 
     def tell_nothing(self):
         """Whether torques or description are such that nothing can be compared."""
@@ -275,7 +325,8 @@ class Reading:
         if change.lag:
             tau, usable = _late(tau, change.lag, self.parts, usable)
         known = q, tau, dt, self.parts, usable
-        return Reading(model, self.names, *known, drive=self.drive, named=self.named)
+        how = {"drive": self.drive, "named": self.named, "folded": self.folded}
+        return Reading(model, self.names, *known, **how)
 
 
 def _left(model, signals, joints, tau):

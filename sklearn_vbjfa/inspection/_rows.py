@@ -520,7 +520,8 @@ def _copies(log):
     """Find positions that equal each other, and torques but for a factor."""
     for kind, values in (("position", log.q), ("torque", log.tau)):
         centred = values - values.mean(axis=0)
-        moving = np.flatnonzero((centred**2).sum(axis=0) > 0)
+        varies = (np.ptp(values, axis=0) > 0) & ((centred**2).sum(axis=0) > 0)
+        moving = np.flatnonzero(varies)
         for place, j in enumerate(moving):
             for k in moving[:place]:
                 x, y = centred[:, k], centred[:, j]

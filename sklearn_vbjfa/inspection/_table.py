@@ -19,7 +19,7 @@ class Hypothesis:
     name: str
     severity: str
     propose: Callable  # returns the best `Candidate` for a reading, or None
-    applies: Callable = lambda reading: True  # whether a reading can show it
+    needs: str = ""  # property of a reading that can show it
     # When it is looked for: always, only if torques agree badly with the description
     # or another hypothesis is probable, after all others, or if nothing was found.
     when: str = "always"
@@ -29,7 +29,8 @@ class Hypothesis:
 
     def candidate(self, reading):
         """Return the best candidate and its log odds if it is probable, or None."""
-        found = self.propose(reading) if self.applies(reading) else None
+        applies = not self.needs or getattr(reading, self.needs)
+        found = self.propose(reading) if applies else None
         odds = found.log_odds + self.prior if found else -np.inf
         return (found, odds) if odds > number.DECISIVE else None
 
@@ -52,44 +53,16 @@ class Hypothesis:
         )
 
 
-def _turns(reading):
-    return not reading.slides.all()
-
-
-def _several(reading):
-    return reading.robot.joints.size > 1
-
-
-def _commanded(reading):
-    return reading.commanded
-
-
-def _measured(reading):
-    return not reading.commanded
-
-
-def _poor(reading):
-    return not reading.commanded and reading.poor
-
-
-def _weighs(reading):
-    return not (reading.commanded or reading.bodies.weightless)
-
-
-def _zeroed(reading):
-    return not reading.commanded and positions.begins_at_zero(reading)
-
-
 # fmt: off
 TABLE = (
     # -- positions and time
-    Hypothesis("position_unit", "error", positions.units, _turns),
-    Hypothesis("position_zeros", "error", positions.zeros, _zeroed,
+    Hypothesis("position_unit", "error", positions.units, "turns"),
+    Hypothesis("position_zeros", "error", positions.zeros, "zeroed",
                unclear="unverified:zeros"),
-    Hypothesis("swapped_torques", "error", positions.torque_orders, _several, "poor"),
-    Hypothesis("swapped_positions", "error", positions.position_orders, _several,
+    Hypothesis("swapped_torques", "error", positions.torque_orders, "several", "poor"),
+    Hypothesis("swapped_positions", "error", positions.position_orders, "several",
                "poor"),
-    Hypothesis("swapped_joints", "error", positions.joint_orders, _several, "poor"),
+    Hypothesis("swapped_joints", "error", positions.joint_orders, "several", "poor"),
     Hypothesis("flipped_joint", "error", positions.flipped, when="poor"),
     Hypothesis("position_sign", "error", positions.mirrored, when="poor"),
     # A doubt: another mounting or tool looks the same, with a wrong geometry only.
@@ -97,20 +70,21 @@ TABLE = (
     Hypothesis("wrong_dt", "error", positions.periods, when="poor"),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs),
-    Hypothesis("torque_unit", "doubt", torques.scaled, _measured),
-    Hypothesis("torque_factors", "doubt", torques.scaled_each, _measured),
-    Hypothesis("gear_factor", "doubt", torques.commanded_size, _commanded),
-    Hypothesis("computed_torque", "doubt", torques.computed, _measured, repairs=False),
-    Hypothesis("silent_torque", "error", torques.silent, _measured, repairs=False),
+    Hypothesis("torque_unit", "doubt", torques.scaled, "measured"),
+    Hypothesis("torque_factors", "doubt", torques.scaled_each, "measured"),
+    Hypothesis("gear_factor", "doubt", torques.commanded_size, "commanded"),
+    Hypothesis("computed_torque", "doubt", torques.computed, "measured", repairs=False),
+    Hypothesis("silent_torque", "error", torques.silent, "measured", repairs=False),
     # -- scene
-    Hypothesis("no_gravity", "error", scene.weightless, _weighs, repairs=False),
-    Hypothesis("gravity_only", "error", scene.weight_alone, _weighs, repairs=False),
-    Hypothesis("base_orientation", "error", scene.turned, _weighs),
-    Hypothesis("external_force", "doubt", scene.contact, _poor, "last", repairs=False),
-    Hypothesis("delay", "warning", scene.late, _measured, "last", repairs=False),
-    Hypothesis("torque_unit", "doubt", torques.beyond_limits, _measured, "last",
+    Hypothesis("no_gravity", "error", scene.weightless, "weighs", repairs=False),
+    Hypothesis("gravity_only", "error", scene.weight_alone, "weighs", repairs=False),
+    Hypothesis("base_orientation", "error", scene.turned, "weighs"),
+    Hypothesis("external_force", "doubt", scene.contact, "unexplained", "last",
                repairs=False),
-    Hypothesis("other_robot", "doubt", torques.of_another, _poor, "nothing else",
+    Hypothesis("delay", "warning", scene.late, "measured", "last", repairs=False),
+    Hypothesis("torque_unit", "doubt", torques.beyond_limits, "measured", "last",
                repairs=False),
+    Hypothesis("other_robot", "doubt", torques.of_another, "unexplained",
+               "nothing else", repairs=False),
 )
 # fmt: on

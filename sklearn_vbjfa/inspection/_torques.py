@@ -89,28 +89,43 @@ def _negative(joints, nv):
 # -- size ------------------------------------------------------------------------------
 
 
+def _factors(robot, alike):
+    """Return factors of torques against the described ones, and their errors."""
+    # alike: one for all joints; factors that are not shown stay as sizes say.
+    nv, sizes = robot.bodies.nv, robot.sizes
+    fine = np.isfinite(sizes) & (sizes > 0)
+    factors, columns = np.where(fine, sizes, 1.0), robot.described[:, :, None]
+    if alike:
+        fine &= np.isin(np.arange(nv), robot.joints)
+        factors = np.full(nv, np.median(sizes[fine]) if fine.any() else 1.0)
+    else:
+        columns = columns * np.eye(nv)
+    for _ in range(number.PASSES):
+        tau = robot.signals.tau / factors
+        fit = robot.fit(tau=tau, mean=np.zeros_like(tau), columns=columns)
+        more, error = fit.factors, number.INTERVAL * fit.errors
+        # Of joints that the masses barely load, nothing is shown.
+        known = (more > 2 * error) & (error < 1.0)
+        step = np.where(known | alike, more, 1.0)
+        if step.min() <= 0:
+            return factors * step, error, known, more > error
+        factors = factors * step
+        if np.abs(np.log(step)).max() < number.SETTLED:
+            break
+    return factors, error, known, more > error
+
+
 def scaled(reading):
     """Return all torques over a factor against the described ones."""
-    robot = reading.robot
-    sizes = robot.sizes[robot.joints]
-    sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
-    factor = float(np.median(sizes)) if sizes.size else 1.0
-    columns, nothing = robot.described[:, :, None], np.zeros_like(robot.described)
-    for _ in range(number.PASSES):
-        fit = robot.fit(scale=factor, mean=nothing, columns=columns)
-        before, factor = factor, float(fit.factors[0])
-        if factor <= 0:
-            return None
-        if abs(np.log(factor / before)) < number.SETTLED:
-            break
-    if 1 / number.SCALE < factor < number.SCALE:
+    factors, error, *_ = _factors(reading.robot, alike=True)
+    factor, error = float(factors[0]), float(error[0])
+    if factor <= 0 or 1 / number.SCALE < factor < number.SCALE:
         return None
-    # Of the logarithm.
-    error = number.INTERVAL * float(fit.errors[0]) / factor
     low, high = factor * np.exp([-error, error])
     units = " or ".join(name for name, x in _UNITS.items() if low < 1 / x < high)
     what = "motor currents, or in another unit" if factor < 1 else "in another unit"
     unknown = ', or --gain unknown (Python: gains="unknown")' if reading.nv > 1 else ""
+    robot = reading.robot
     return Candidate(
         change=Change(scale=1 / factor),
         joints=reading.every,
@@ -124,21 +139,10 @@ def scaled(reading):
 
 def scaled_each(reading):
     """Return torques of which one has another factor than the rest, or all have."""
-    robot, nv = reading.robot, reading.nv
-    columns = np.einsum("nj,jk->njk", robot.described, np.eye(nv))
-    factors = np.where(np.isfinite(robot.sizes) & (robot.sizes > 0), robot.sizes, 1.0)
-    for _ in range(number.PASSES):
-        tau = robot.signals.tau / factors
-        fit = robot.fit(tau=tau, mean=np.zeros_like(tau), columns=columns)
-        error = number.INTERVAL * fit.errors
-        # Of joints that the masses barely load, nothing is shown.
-        known = (fit.factors > 2 * error) & (error < 1.0)
-        more = np.where(known, fit.factors, 1.0)
-        factors = factors * more
-        if np.abs(np.log(more)).max() < number.SETTLED:
-            break
+    nv = reading.nv
+    factors, _, known, seen = _factors(reading.robot, alike=False)
     # Far from those of others, a factor may be uncertain.
-    shown = np.flatnonzero(fit.factors > error)
+    shown = np.flatnonzero(seen)
     if not shown.size:
         return None
     logs = np.log(factors[shown])
@@ -232,7 +236,7 @@ def of_another(reading):
 def computed(reading):
     """Return torques that are those of the description, or its weight, to rounding."""
     robot = reading.robot
-    whole, weight = (_distance(robot, x) for x in (robot.described, robot.weight))
+    whole, weight = (_distance(robot, x) for x in reading.computed())
     # A single joint may well be without friction.
     if whole.size > 1 and whole.max() < number.COMPUTED:
         facts = {"share": percent(whole.max())}

@@ -146,8 +146,7 @@ def test_an_encoder_that_freezes(log):
 
 def test_an_encoder_that_is_dead_from_a_pause_on(log):
     """Its joint stands when it dies, and moves on: noise that is missing shows it."""
-    recording, model, _ = log
-    q = recording.q.copy()
+    q = log[0].q.copy()
     step = np.abs(np.diff(q[:, 3]))
     stop = 1000 + int(np.argmin(np.convolve(step[1000:3000], np.ones(20), "valid")))
     q[stop:, 3] = q[stop, 3]
@@ -274,3 +273,39 @@ def test_a_robot_without_load_by_gravity_cannot_be_verified():
     (finding,) = inspect_channels(model, made.q, made.tau, made.dt)
     assert (finding.kind, finding.severity) == ("unverified", "warning")
     assert "cannot be verified from this motion" in finding.message
+
+
+def test_torques_of_a_description_with_a_follower(tmp_path):
+    """The follower moves with its leader, and its body needs torque of it."""
+    link = (
+        '<link name="{0}"><inertial><origin xyz="{1}"/><mass value="{2}"/><inertia '
+        'ixx=".02" iyy=".03" izz=".04" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+    joint = (
+        '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>'
+        '<origin xyz="0 0 .4"/><axis xyz="0 1 0"/><limit lower="-3" upper="3" '
+        'effort="99" velocity="9"/>{3}</joint>'
+    )
+    path = tmp_path / "robot.urdf"
+    path.write_text(
+        '<robot name="r"><link name="base"/>'
+        + link.format("a", ".02 0 .2", 3)
+        + link.format("b", ".1 0 .2", 2)
+        + link.format("c", ".2 0 .1", 2)
+        + joint.format("one", "base", "a", "")
+        + joint.format("two", "a", "b", "")
+        + joint.format("third", "a", "c", '<mimic joint="two" multiplier="-2"/>')
+        + "</robot>"
+    )
+    full = pin.buildModelFromUrdf(str(path))
+    data, dt = full.createData(), 0.005
+    t = dt * np.arange(4000)
+    q = np.column_stack([np.sin(2 * t) + 0.4 * np.sin(5 * t), 0.7 * np.sin(3.3 * t)])
+    rates = np.zeros((3, 2))
+    for row, rate in (("one", [1, 0]), ("two", [0, 1]), ("third", [0, -2])):
+        rates[full.joints[full.getJointId(row)].idx_v] = rate
+    v = np.gradient(q, dt, axis=0)
+    states = zip(*(x @ rates.T for x in (q, v, np.gradient(v, dt, axis=0))))
+    tau = np.array([rates.T @ pin.rnea(full, data, *row) for row in states])
+    found = inspect_channels(str(path), q, tau, dt)
+    assert [x.kind for x in found if x.severity != "warning"] == ["computed_torque"]

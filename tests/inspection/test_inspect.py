@@ -261,9 +261,9 @@ def test_channels_without_information(arm):
 def test_bad_input_is_refused(arm):
     recording, model = arm
     q, tau = recording.q, recording.tau
-    with pytest.raises(ValueError, match=r"q must have shape \(n_samples, 6\)"):
+    with pytest.raises(ValueError, match=r"must both have shape \(n_samples, 6\)"):
         inspect_channels(model, q[:, :5], tau, recording.dt)
-    with pytest.raises(ValueError, match="equally many rows"):
+    with pytest.raises(ValueError, match="must both have shape"):
         inspect_channels(model, q, tau[1:], recording.dt)
     holes = tau.copy()
     holes[5, 2] = np.nan

@@ -108,7 +108,7 @@ def recording_of(table: Table, options: ReadOptions):
         description=f"Read from {table.path.name}.",
         left_out=left_out,
         joints_named=robot.chosen
-        or all(isinstance(key, str) for key in layout.channels["q"]),
+        or all(isinstance(role.key, str) for role in layout.of("q")),
         **on_grid(table, t, labels, options.dt, channels, notes),
     )
     return recording, notes

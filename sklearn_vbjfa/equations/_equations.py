@@ -20,7 +20,6 @@ from sklearn_vbjfa.equations._joint_moments import (
     BlockAssignment,
     MomentSums,
     joint_entries,
-    piece_moments,
     sum_moments,
 )
 from sklearn_vbjfa.equations._plan import effect_places, in_parallel
@@ -52,48 +51,14 @@ class Equations:
     weight: np.ndarray  # (n, nv): zero leaves an equation out
     # (n,) or None: row of the recording at the centre of each filtered row
     index: np.ndarray | None = None
-    # (n, nv, p) or None: regressors of another measurement of the motion
-    instruments: np.ndarray | None = None
-    # (n, nv, p) or None: regressors from the even samples minus the odd ones
-    difference: np.ndarray | None = None
-    # blocks of time of the rows, and their recording, see `BlockAssignment`
-    blocks: tuple | None = None
-    recording: tuple | None = None
-    # ranges of positions, speeds and directions in rows with weight
-    ranges: SignalRanges | None = None
-
-    def moments(self):
-        found = piece_moments(
-            self.Phi,
-            self.tau,
-            self.weight,
-            self.difference,
-            self.blocks,
-            self.recording,
-        )
-        return replace(found, ranges=self.ranges)
 
     def zeroed(self, entries):
         """Return the same equations with entries (nv, p), bool, set to zero."""
-        instruments = self.instruments
-        if instruments is not None:
-            # Rounding, in the scale of its column, would be an instrument as well.
-            instruments = np.where(entries, 0.0, instruments)
-        Phi = np.where(entries, 0.0, self.Phi)
-        return replace(self, Phi=Phi, instruments=instruments)
-
-
-def instrumented(pieces, others):
-    """Give equations the regressors of others, of the same rows, as instruments."""
-    # An equation counts only where the joint moves in both.
-    return [
-        replace(one, weight=np.minimum(one.weight, other.weight), instruments=other.Phi)
-        for one, other in zip(pieces, others)
-    ]
+        return replace(self, Phi=np.where(entries, 0.0, self.Phi))
 
 
 def joined(pieces):
-    """Concatenate the equations of a recording; noise and blocks are dropped."""
+    """Concatenate the equations of a recording."""
     names = ("Phi", "tau", "weight", "index")
     columns = zip(*[[getattr(one, name) for name in names] for one in pieces])
     return Equations(**dict(zip(names, map(np.concatenate, columns))))
@@ -486,35 +451,25 @@ class Segment:
         """Regressors that are computed: of all samples, of the halves, or of both."""
         return (() if self.rows is None else (self.rows,)) + (self.halves or ())
 
-    def equations(self, lowpass, outputs, numbering=None):
-        # Includes the difference of the halves, if any, and the blocks of a
-        # `BlockAssignment`.
-        seen, measured = self._measured(lowpass, outputs)
+    def equations(self, lowpass, outputs):
+        seen, tau, weight, _ = self._measured(lowpass, outputs)
         spread = self._made[0].spread
-        found = [
-            (spread(rows), None if apart is None else spread(apart))
-            for _, rows, apart in self._filtered(lowpass, seen, outputs)
-        ]
-        Phi, difference = (
-            None if one[0] is None else np.concatenate(one) for one in zip(*found)
-        )
+        found = [spread(rows) for _, rows, _ in self._filtered(lowpass, seen, outputs)]
         return Equations(
-            Phi=Phi,
-            difference=difference,
+            Phi=np.concatenate(found),
+            tau=tau,
+            weight=weight,
             index=self.first + lowpass.centres(self.n_rows, outputs),
-            blocks=numbering and numbering.parts(self.number, outputs),
-            recording=numbering and numbering.recording(self.number),
-            **measured,
         )
 
     def moments(self, lowpass, outputs, numbering=None):
         """Return the second moments of these equations, whose matrices are not made."""
-        seen, measured = self._measured(lowpass, outputs)
+        seen, tau, weight, ranges = self._measured(lowpass, outputs)
         sums = MomentSums(
             self._made[0].joints,
             self._made[0].n_parameters,
-            measured["tau"],
-            measured["weight"],
+            tau,
+            weight,
             numbering and numbering.parts(self.number, outputs),
             numbering and numbering.recording(self.number),
             noise=self.halves is not None,
@@ -522,7 +477,7 @@ class Segment:
         )
         for first, rows, difference in self._filtered(lowpass, seen, outputs):
             sums.add(first, rows, difference)
-        return replace(sums.moments(), ranges=measured["ranges"])
+        return replace(sums.moments(), ranges=ranges)
 
     def _measured(self, lowpass, outputs):
         """Return the rows seen, and torque, weight and ranges of filtered rows."""
@@ -534,7 +489,7 @@ class Segment:
         tau, q, v = (np.ascontiguousarray(signals[:, k]) for k in range(3))
         ways = np.sign(v) * (np.abs(v) > self.standstill)
         ranges = SignalRanges.of([q, np.abs(v), ways], weight > 0)
-        return seen, {"tau": tau, "weight": weight, "ranges": ranges}
+        return seen, tau, weight, ranges
 
     def _apart(self, lowpass, seen):
         """Torque that a drive made of the even samples minus that of the odd ones."""
@@ -704,11 +659,11 @@ def numbered(recording, plan):
     return BlockAssignment.of(lengths, (motion, phase / (plan.dt * plan.lowpass.step)))
 
 
-def equations(made, lowpass, numbering=None):
-    """Yield the equations of segments, piece by piece, with blocks of a numbering."""
+def equations(made, lowpass):
+    """Yield the equations of segments, piece by piece."""
     for segment in made:
         for outputs in segment.pieces(lowpass):
-            yield segment.equations(lowpass, outputs, numbering)
+            yield segment.equations(lowpass, outputs)
 
 
 def accumulate(made, lowpass, *, n_jobs=None, numbering=None):

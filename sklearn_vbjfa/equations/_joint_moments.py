@@ -1,5 +1,6 @@
 """Second moments of the equations of joints that share one parameter vector."""
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,34 +95,25 @@ def _merge_blocks(first, second):
 
 
 def _join(several):
+    """Sum `BlockMoments` of one robot by their keys."""
     keys = np.concatenate([moments.keys for moments in several])
-    unique, row = np.unique(keys, axis=0, return_inverse=True)
+    unique, at = np.unique(keys, axis=0, return_inverse=True)
     if len(several) == 1 and np.array_equal(unique, keys):
         return several[0]
-    row = row.ravel()
-    count, nv = unique.shape[0], several[0].n.shape[1]
-    columns = tuple(
-        slice(min(k.start for k in own), max(k.stop for k in own))
-        for own in zip(*[moments.columns for moments in several])
-    )
-    widths = [k.stop - k.start for k in columns]
-    out = BlockMoments(
+
+    def summed(parts):
+        out = np.zeros((len(unique), *parts[0].shape[1:]))
+        for k, own in zip(at.ravel(), itertools.chain(*parts)):
+            out[k] += own
+        return out
+
+    return BlockMoments(
         keys=unique,
-        n=np.zeros((count, nv)),
-        columns=columns,
-        G=tuple(np.zeros((count, width, width)) for width in widths),
-        g=tuple(np.zeros((count, width)) for width in widths),
+        n=summed([moments.n for moments in several]),
+        columns=several[0].columns,
+        G=tuple(map(summed, zip(*[moments.G for moments in several]))),
+        g=tuple(map(summed, zip(*[moments.g for moments in several]))),
     )
-    first = 0
-    for moments in several:
-        for i, at in enumerate(row[first : first + moments.keys.shape[0]]):
-            out.n[at] += moments.n[i]
-            for j, (own, k) in enumerate(zip(moments.columns, columns)):
-                inside = slice(own.start - k.start, own.stop - k.start)
-                out.G[j][at, inside, inside] += moments.G[j][i]
-                out.g[j][at, inside] += moments.g[j][i]
-        first += moments.keys.shape[0]
-    return out
 
 
 def block_scatter(stats, weight, theta):
@@ -272,20 +264,13 @@ class JointMoments:
         return np.einsum("j,jik->ik", weight, self.noise) / total
 
 
-def piece_moments(Phi, tau, weight, difference=None, parts=None, recording=None):
+def piece_moments(Phi, tau, weight, difference=None):
     """Moments of rows Phi (n, nv, p), tau (n, nv) with weights (n, nv)."""
     # difference (n, nv, p): of two regressors from separate halves of the samples; it
-    # has the noise of both, their mean a quarter of its square. parts: blocks of time
-    # of the rows, see `BlockAssignment.parts`; recording: see there.
+    # has the noise of both, their mean a quarter of its square.
     n, nv, p = Phi.shape
-    entries = []
-    for j in range(nv):
-        used = _used(Phi[:, j])
-        if difference is not None:
-            used = np.union1d(used, _used(difference[:, j]))
-        entries.append((_as_slice(j * p + used), used))
-    noise = difference is not None
-    sums = MomentSums(entries, p, tau, weight, parts, recording, noise=noise)
+    every = joint_entries(np.ones((nv, p), dtype=bool), np.arange(nv * p))
+    sums = MomentSums(every, p, tau, weight, noise=difference is not None)
     if difference is not None:
         difference = difference.reshape(n, -1)
     sums.add(0, Phi.reshape(n, -1), difference)
@@ -295,12 +280,9 @@ def piece_moments(Phi, tau, weight, difference=None, parts=None, recording=None)
 class MomentSums:
     """Moments of a piece, whose rows come block by block and are not kept."""
 
-    # entries: for each joint, where the entries of its regressor stand in a row of
-    # those of all (a slice or numbers) and which columns (k,) they are. Entries that
-    # are zero in every motion are nowhere.
-
-    # apart (n, nv): torque of the even samples minus that of the odd ones, of a drive
-    # that makes it of positions.
+    # entries: of `joint_entries`, those that are zero in every motion are nowhere;
+    # parts, recording: see `BlockAssignment`; apart (n, nv): torque of the even samples
+    # minus that of the odd ones, of a drive that makes it of positions.
 
     def __init__(
         self,
@@ -315,16 +297,16 @@ class MomentSums:
         apart=None,
     ):
         self._entries, self._tau, self._weight = entries, tau, weight
-        self._recording = recording
+        self._ranges = tuple(_range(columns) for _, columns in entries)
         self._keys, starts = (None, np.zeros(1, dtype=int)) if parts is None else parts
-        self._starts, self._p = starts, p
+        self._recording, self._starts, self._p = recording, starts, p
         self._ends = [*starts[1:].tolist(), tau.shape[0]]
         widths = [columns.size for _, columns in entries]
         self._G = [np.zeros((starts.size, k, k)) for k in widths]
         self._g = [np.zeros((starts.size, k)) for k in widths]
-        self._noise = [np.zeros((k, k)) for k in widths] if noise else None
+        self._noise = [np.zeros((1, k, k)) for k in widths] if noise else None
         self._apart = apart if noise else None
-        self._common = [np.zeros(k) for k in widths]
+        self._common = [np.zeros((1, k)) for k in widths]
 
     def add(self, first, rows, difference=None):
         """Add entries (n, n_entries) of rows from the piece's row `first` on."""
@@ -332,8 +314,9 @@ class MomentSums:
         for i, (start, end) in enumerate(zip(self._starts.tolist(), self._ends)):
             own = slice(max(start, first), min(end, stop))
             if own.start < own.stop:
-                apart = None if difference is None else difference[_from(own, first)]
-                self._add(i, own, rows[_from(own, first)], apart)
+                here = slice(own.start - first, own.stop - first)
+                apart = None if difference is None else difference[here]
+                self._add(i, own, rows[here], apart)
 
     def _add(self, part, own, rows, difference):
         weight, tau = self._weight[own], self._tau[own]
@@ -349,58 +332,35 @@ class MomentSums:
             if difference is not None:
                 apart = difference[:, where]
                 apart = apart if same[j] else apart * root
-                self._noise[j] += _gram(apart, 0.25 * factor[j])
+                self._noise[j][0] += _gram(apart, 0.25 * factor[j])
                 if self._apart is not None:
                     also = self._apart[own, j] * (1.0 if same[j] else root[:, 0])
-                    self._common[j] += 0.25 * factor[j] * (also @ apart)
+                    self._common[j][0] += 0.25 * factor[j] * (also @ apart)
 
     def moments(self):
+        weight, tau = self._weight, self._tau
+        G, g, n = self._wide(self._G), self._wide(self._g), weight.sum(axis=0)
+        total = [own.sum(axis=0) for own in G], [own.sum(axis=0) for own in g]
+        blocks = recordings = noise = common = None
+        if self._keys is not None:
+            by_part = np.add.reduceat(weight, self._starts, axis=0)
+            blocks = _merge_blocks((), (self._parts(self._keys, by_part, G, g),))
+        if self._recording is not None:
+            whole = [[own[None] for own in sums] for sums in total]
+            key = np.array([self._recording])
+            recordings = (self._parts(key, n[None], *whole),)
+        if self._noise is not None:
+            wide = [own[0] for own in self._wide(self._noise)]
+            noise = tuple(zip(self._ranges, wide))
+        if self._apart is not None:
+            common = self._dense([own[0] for own in self._wide(self._common)])
         # G and noise hold the range of each joint's columns and the matrix of these: of
         # many joints whole matrices would be larger than the rows of a piece.
-        weight, tau = self._weight, self._tau
-        ranges = [_range(columns) for _, columns in self._entries]
-        Gs = [self._spread(j, own) for j, own in enumerate(self._G)]
-        gs, g = [], np.zeros((len(ranges), self._p))
-        for j, (own, (_, columns)) in enumerate(zip(self._g, self._entries)):
-            wide = np.zeros((own.shape[0], ranges[j].stop - ranges[j].start))
-            wide[:, columns - ranges[j].start] = own
-            g[j, ranges[j]] = wide.sum(axis=0)
-            gs.append(wide)
-        blocks = None
-        if self._keys is not None:
-            parts = BlockMoments(
-                keys=self._keys,
-                n=np.add.reduceat(weight, self._starts, axis=0),
-                columns=tuple(ranges),
-                G=tuple(Gs),
-                g=tuple(gs),
-            )
-            blocks = _merge_blocks((), (parts,))
-        n, sums = weight.sum(axis=0), [own.sum(axis=0) for own in Gs]
-        recordings = None
-        if self._recording is not None:
-            whole = BlockMoments(
-                keys=np.array([self._recording]),
-                n=n[None],
-                columns=tuple(ranges),
-                G=tuple(own[None] for own in sums),
-                g=tuple(own.sum(axis=0, keepdims=True) for own in gs),
-            )
-            recordings = (whole,)
-        noise = None
-        if self._noise is not None:
-            wide = [self._spread(j, own[None])[0] for j, own in enumerate(self._noise)]
-            noise = tuple(zip(ranges, wide))
-        common = None
-        if self._apart is not None:
-            common = np.zeros(g.shape)
-            for j, (_, columns) in enumerate(self._entries):
-                common[j, columns] = self._common[j]
         return JointMoments(
             n=n,
             n_rows=(weight > 0).sum(axis=0),
-            G=tuple(zip(ranges, sums)),
-            g=g,
+            G=tuple(zip(self._ranges, total[0])),
+            g=self._dense(total[1]),
             yy=np.einsum("nj,nj->j", weight, tau**2),
             noise=noise,
             in_common=common,
@@ -408,17 +368,30 @@ class MomentSums:
             recordings=recordings,
         )
 
-    def _spread(self, j, G):
-        """Put matrices (n, k, k) of a joint's entries into the range of its columns."""
-        columns = self._entries[j][1]
-        own = _range(columns)
-        width = own.stop - own.start
-        if width == columns.size:
-            return G
-        at = columns - own.start
-        wide = np.zeros((G.shape[0], width, width))
-        wide[:, at[:, None], at] = G
-        return wide
+    def _parts(self, keys, n, G, g):
+        return BlockMoments(
+            keys=keys, n=n, columns=self._ranges, G=tuple(G), g=tuple(g)
+        )
+
+    def _dense(self, sums):
+        """Put sums of the ranges of columns into rows of all columns, (nv, p)."""
+        out = np.zeros((len(sums), self._p))
+        for row, part, own in zip(out, self._ranges, sums):
+            row[part] = own
+        return out
+
+    def _wide(self, sums):
+        """Put sums (n, k) or (n, k, k) of entries into the ranges of their columns."""
+        out = []
+        for own, (_, columns), part in zip(sums, self._entries, self._ranges):
+            width, k = part.stop - part.start, own.ndim - 1
+            if width > columns.size:
+                wide = np.zeros((len(own), *k * (width,)))
+                at = k * (columns - part.start,)
+                wide[np.ix_(np.arange(len(own)), *at)] = own
+                own = wide
+            out.append(own)
+        return out
 
 
 def _gram(rows, factor):
@@ -430,43 +403,24 @@ def _gram(rows, factor):
     return gram
 
 
-def _from(rows, first):
-    return slice(rows.start - first, rows.stop - first)
-
-
 def _range(columns):
     """Range from the first to the last of columns (k,) in order, a slice."""
     return slice(int(columns[0]), int(columns[-1]) + 1) if columns.size else slice(0, 0)
 
 
-def _as_slice(numbers):
-    own = _range(numbers)
-    return own if own.stop - own.start == numbers.size else numbers
-
-
 def joint_entries(support, used):
-    # support (nv, p); used (n_entries,): places of entries in a flattened matrix.
+    """Pair for each joint the places of its entries in a row with their columns."""
+    # support (nv, p); used (n_entries,): places of entries in a flattened matrix. Those
+    # of a joint are a slice where they follow one another.
     joints, columns = np.divmod(used, support.shape[1])
     found = []
     for j in range(support.shape[0]):
         own = np.flatnonzero(joints == j)
         own = own[np.argsort(columns[own])]
-        found.append((_as_slice(own), columns[own]))
+        places = _range(own)
+        adjacent = places.stop - places.start == own.size
+        found.append((places if adjacent else own, columns[own]))
     return found
-
-
-def _used(rows):
-    """Numbers of the columns of rows (n, p) from the first to the last nonzero one."""
-    # A joint's torque depends only on the bodies it moves.
-    # A few rows usually suffice; checking the rest is faster than column by column.
-    columns = np.flatnonzero(rows[:: len(rows) // 8 + 1].any(axis=0))
-    if (
-        not columns.size
-        or rows[:, : columns[0]].any()
-        or rows[:, columns[-1] + 1 :].any()
-    ):
-        columns = np.flatnonzero(rows.any(axis=0))
-    return np.arange(columns[0], columns[-1] + 1) if columns.size else columns
 
 
 def sum_moments(several):
@@ -483,6 +437,7 @@ def sum_moments(several):
                 noise=None if noise is None else _added(np.zeros(shape), noise),
             )
             continue
+        both = total.in_common, moments.in_common
         total = replace(
             total,
             n=total.n + moments.n,
@@ -491,7 +446,7 @@ def sum_moments(several):
             g=total.g + moments.g,
             yy=total.yy + moments.yy,
             noise=None if total.noise is None else _added(total.noise, moments.noise),
-            in_common=_sum_or_none(total.in_common, moments.in_common),
+            in_common=None if any(x is None for x in both) else sum(both),
             blocks=_merge_blocks(total.blocks, moments.blocks),
             recordings=_merge_blocks(total.recordings, moments.recordings),
             ranges=sum_ranges([total.ranges, moments.ranges]),
@@ -499,18 +454,9 @@ def sum_moments(several):
     return total
 
 
-def _sum_or_none(one, other):
-    return None if one is None or other is None else one + other
-
-
 def _added(total, G):
     """Add matrices (nv, p, p), or ranges and theirs, in place; return the sum."""
     for own, other in zip(total, G):
-        if isinstance(other, tuple):
-            part, other = other
-        else:
-            used = np.flatnonzero(np.diagonal(other))
-            part = slice(used[0], used[-1] + 1) if used.size else slice(0, 0)
-            other = other[part, part]
+        part, other = other if isinstance(other, tuple) else (slice(None), other)
         own[part, part] += other
     return total

@@ -96,66 +96,52 @@ def alike_joints(settings):
         return () if why else _found(model)
     if why:
         raise ValueError(f"alike cannot be combined with {why}; use alike=None.")
-    return _given(alike, model)
-
-
-def _given(alike, model):
-    """Return groups of joints as they are named, by names or by patterns."""
-    names, slides = joint_names(model), is_prismatic(model)
-    if isinstance(alike, str):
-        alike = [x.split(",") if "," in x else x for x in alike.split()]
-    if not _is_groups(alike):
+    words = alike.split() if isinstance(alike, str) else ()
+    if not words:
         raise ValueError(
-            "alike must be 'auto', None or groups of joints, each a pattern or names, "
-            f"such as 'hip thigh calf' or [('FL_hip', 'FR_hip')]; got {alike!r}."
+            "alike must be 'auto', None or groups of joints, each a pattern or names "
+            f"with commas, such as 'hip FL_calf,FR_calf'; got {alike!r}."
         )
-    groups = [_group(one, names) for one in alike]
+    return _given(words, model)
+
+
+def _given(words, model):
+    """Return groups of joints by patterns, or by names with commas."""
+    names, slides = joint_names(model), is_prismatic(model)
+    groups = [_group(word, names) for word in words]
     count = Counter(j for _, joints in groups for j in joints)
     twice = [names[j] for j, times in count.items() if times > 1]
     if twice:
         raise ValueError(
             f"alike has {', '.join(twice)} in two groups; leave each joint in one."
         )
-    for name, joints in groups:
+    for _, joints in groups:
         if len(set(slides[list(joints)])) > 1:
             raise ValueError(
-                f"alike groups revolute and prismatic joints in {name!r} "
+                "alike groups revolute and prismatic joints "
                 f"({', '.join(names[j] for j in joints)}); expected joints of one kind."
             )
     return _named(groups, names)
 
 
-def _is_groups(alike):
-
-    def sequence(one):
-        return isinstance(one, (list, tuple)) and len(one) > 0
-
-    return sequence(alike) and all(
-        isinstance(one, str) or (sequence(one) and all(isinstance(x, str) for x in one))
-        for one in alike
-    )
-
-
-def _group(one, names):
-    if isinstance(one, str):
-        found = [j for j, name in enumerate(names) if fnmatchcase(name, f"*{one}*")]
-        said = f"the pattern {one!r}, which matches {len(found)} joint(s)"
-        name = one
+def _group(word, names):
+    asked = word.split(",")
+    unknown = [name for name in asked if name not in names]
+    if len(asked) == 1:
+        found = [j for j, name in enumerate(names) if fnmatchcase(name, f"*{word}*")]
+    elif unknown:
+        raise ValueError(
+            f"alike names {', '.join(map(repr, unknown))}, not joints of the robot; "
+            f"expected some of {', '.join(names)}."
+        )
     else:
-        unknown = [name for name in one if name not in names]
-        if unknown:
-            raise ValueError(
-                f"alike names {', '.join(map(repr, unknown))}, not joints of the "
-                f"robot; expected some of {', '.join(names)}."
-            )
-        found = sorted({names.index(name) for name in one})
-        said, name = f"{tuple(one)}, of {len(found)} joint(s)", ""
+        found = sorted({names.index(name) for name in asked})
     if len(found) < 2:
         raise ValueError(
-            f"alike has {said}; expected two or more joints in each group, of "
-            f"{', '.join(names)}."
+            f"alike has {word!r}, of {len(found)} joint(s); expected two or more "
+            f"joints in each group, of {', '.join(names)}."
         )
-    return name, tuple(found)
+    return word if len(asked) == 1 else "", tuple(found)
 
 
 def _found(model):

@@ -49,13 +49,12 @@ class FitOptions:
         Length [s] of the windows of ``criterion="simulation"``. ``"auto"`` is five
         times the longest time constant of friction, at least five periods of the
         fastest motion, and at most an eighth of the recordings.
-    alike : "auto", None, str or sequence, default="auto"
+    alike : "auto", None or str, default="auto"
         Groups of joints with the same drive, whose rotor inertia, viscous and Coulomb
-        friction, and coefficients of unsigned effects share a mean. A sequence holds
-        the groups, each as names or as a pattern; a string holds all patterns,
-        ``"hip thigh calf"``. ``"auto"`` groups joints whose names differ in a leg, a
-        side or a number only and whose described bodies are equal; it groups none with
-        `gains` or a custom `regressor`. None groups none.
+        friction, and coefficients of unsigned effects share a mean: patterns, or names
+        with commas (``"hip FL_calf,FR_calf"``). ``"auto"`` groups joints whose names
+        differ in a leg, a side or a number only and whose described bodies are equal;
+        it groups none with `gains` or a custom `regressor`. None groups none.
     verbose : int, default=0
         If not 0, show :ref:`progress bars <progress>` on terminals.
 
@@ -73,7 +72,7 @@ class FitOptions:
     torque_noise: object = None
     known_masses: Mapping[str, float] | None = None
     window: str | float = "auto"
-    alike: object = "auto"
+    alike: str | None = "auto"
     verbose: int = 0
 
 

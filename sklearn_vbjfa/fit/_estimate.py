@@ -353,24 +353,14 @@ def _fit_rows(regressor, rows, joint_weights, total):
     scale = np.where(scale > 0, scale, 1.0)
     y_scale = np.sqrt(total.S_yy / n) or 1.0
     root = np.sqrt(joint_weights)[:, None]
-
-    def stacked(name):
-        return np.concatenate(
-            [(getattr(one, name) * root)[one.weight > 0] / scale for one in rows]
-        )
-
-    A = stacked("Phi")
+    A = np.concatenate([(one.Phi * root)[one.weight > 0] / scale for one in rows])
     b = np.concatenate([(one.tau * root[:, 0])[one.weight > 0] for one in rows])
     b = b / y_scale
     weight = np.concatenate([one.weight[one.weight > 0] for one in rows])
-    fit_params = {}
-    if rows[0].instruments is not None:
-        fit_params["instruments"] = stacked("instruments")
     if not np.all(weight == weight[0]):
         # Scale the rows: not every regressor takes sample_weight.
         own = np.sqrt(weight / weight.mean())
         A, b = A * own[:, None], b * own
-        fit_params = {name: Z * own[:, None] for name, Z in fit_params.items()}
     parameters = regressor.get_params(deep=True)
     names = {name.split("__")[-1] for name in parameters}
     intercepts = [n for n in parameters if n.split("__")[-1] == "fit_intercept"]
@@ -379,8 +369,7 @@ def _fit_rows(regressor, rows, joint_weights, total):
         # What always centres (PLS, a scaler in a pipeline) sees each equation with
         # its mirror image: the means are zero and nothing is lost.
         A, b = _mirror(A), _mirror(b)
-        fit_params = {k: _mirror(v) for k, v in fit_params.items()}
-    regressor.fit(A, b, **fit_params)
+    regressor.fit(A, b)
     theta = _read_coefficients(regressor, A[:50])
     std = getattr(regressor, "coef_std_", None)
     unit = y_scale / scale
@@ -425,17 +414,16 @@ def _mirror(rows):
 
 def project(found, projector, features, effects=()):
     """Project an estimate onto the physically consistent parameters of a robot."""
+    # Coefficients of effects follow: the distance (eq. 35) is minimised over all.
     if projector is None:
         return found
-    fitted, theta = project_beside(
-        projector,
-        features.model_,
-        found.theta_unconstrained,
-        found.posterior_metric,
-        features.friction_,
-        nominal_followers(features),
-        _sizes(features, effects),
-    )
+    theta, metric = found.theta_unconstrained, found.posterior_metric
+    positive = _sizes(features, effects)
+    if positive:
+        theta, metric = _without_negative(theta, metric, np.array(positive))
+    fitted = _fit_projector(projector, features, theta, metric)
+    theta = fitted.transform(theta[None])[0]
+    theta[positive] = np.maximum(theta[positive], 0.0)
     kept = np.where(found.prior_std == 0, found.theta_unconstrained, theta)
     own = kept[: features.n_parameters_].reshape(features.n_joints_, -1)
     if (min_eigenvalues(own) > 0).all():
@@ -500,49 +488,36 @@ def _complete(bodies, length):
     return np.where(good[:, None], bodies, ball)
 
 
-def fit_projector(projector, model, theta, metric, friction, followers=None):
-    """Fit a projector to an estimate, filling in the settings the user left open."""
-    # theta (p + n_effects,): effects come last and are unconstrained, except the bodies
-    # of followers, (n_followers, 10) in the description, which come first among them;
-    # metric: de-noised Gram matrix of the estimation (eq. 35).
-    followers = np.empty((0, 10)) if followers is None else followers
+def _fit_projector(projector, features, theta, metric):
+    """Fit a projector to an estimate; its layout and anchor follow from the robot."""
+    # theta (p + n_effects,): effects come last and are unconstrained, but for bodies of
+    # followers, which come first among them.
     default = isinstance(projector, str)
     if default and projector != "default":
         raise ValueError(
             "projector must be 'default', a PhysicalProjector or None; got "
             f"{projector!r}."
         )
-    per_joint = 10 + len(friction)
-    p = model.nv * per_joint
-    bodies = p + followers.size
-    nonnegative = [
-        j * per_joint + 10 + k
-        for j in range(model.nv)
-        for k, name in enumerate(friction)
-        if declared(name).nonnegative
-    ]
-    fitted = PhysicalProjector() if default else clone(projector)
-    given = fitted.options or Options()
-    starts, anchor = given.body_starts, given.anchor
-    if starts is None:
-        starts = np.append(np.arange(0, p, per_joint), np.arange(p, bodies, 10))
-    if anchor is None:
-        anchor = consistent_anchor(
-            model, theta[:bodies], metric[:bodies, :bodies], per_joint, followers
-        )
-        anchor = np.concatenate([anchor, theta[bodies:]])
-    else:
-        anchor = np.concatenate([anchor, theta[p:]])
-    if not isinstance(given.nonnegative, str):
-        nonnegative = given.nonnegative
-    # The layout follows from the robot, and effects have names of their own.
-    fitted.set_params(
-        metric=metric if fitted.metric is None else fitted.metric,
-        parameter_names=None,
-        options=replace(
-            given, body_starts=starts, nonnegative=nonnegative, anchor=anchor
-        ),
+    friction, p = features.friction_, features.n_parameters_
+    followers = nominal_followers(features)
+    per_joint, bodies = 10 + len(friction), p + followers.size
+    never = [10 + k for k, name in enumerate(friction) if declared(name).nonnegative]
+    anchor = consistent_anchor(
+        features.model_,
+        theta[:bodies],
+        metric[:bodies, :bodies],
+        per_joint,
+        followers,
     )
+    fitted = PhysicalProjector() if default else clone(projector)
+    options = replace(
+        fitted.options or Options(),
+        body_starts=np.append(np.arange(0, p, per_joint), np.arange(p, bodies, 10)),
+        nonnegative=[j + k for j in range(0, p, per_joint) for k in never],
+        anchor=np.concatenate([anchor, theta[bodies:]]),
+    )
+    # Effects have names of their own.
+    fitted.set_params(metric=metric, parameter_names=None, options=options)
     return fitted.fit(theta[None])
 
 
@@ -554,33 +529,6 @@ def identifiable(metric):
         found = scaled_eigen(metric[np.ix_(moved, moved)], IDENTIFIABLE)
         result[moved] = ~found.lost(LOST)
     return result
-
-
-def project_beside(
-    projector, model, theta, metric, friction, followers=None, positive=()
-):
-    """Project the bodies and re-optimise the effects' coefficients, which come last."""
-    # The distance (eq. 35) is minimised over both. A metric given by the user covers
-    # the bodies only: they are projected first, then the effects are re-optimised.
-    # Returns the fitted projector and the projected theta (p,). positive: places of
-    # effects' coefficients that are not negative.
-    if positive:
-        theta, metric = _without_negative(theta, metric, np.array(positive))
-        fitted, theta = project_beside(
-            projector, model, theta, metric, friction, followers
-        )
-        theta[positive] = np.maximum(theta[positive], 0.0)
-        return fitted, theta
-    p = model.nv * (10 + len(friction))
-    own = getattr(projector, "metric", None) is not None
-    if theta.size == p or not own:
-        fitted = fit_projector(projector, model, theta, metric, friction, followers)
-        return fitted, fitted.transform(theta[None])[0]
-    rigid = theta[:p]
-    fitted = fit_projector(projector, model, rigid, metric[:p, :p], friction)
-    projected = fitted.transform(rigid[None])[0]
-    follow = scaled_eigen(metric[p:, p:]).solve(metric[p:, :p])
-    return fitted, np.concatenate([projected, theta[p:] - follow @ (projected - rigid)])
 
 
 def _without_negative(theta, metric, places):

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._progress import stage
@@ -15,13 +14,11 @@ from sklearn_vbjfa.equations._equations import (
     build_segments,
     equations,
     held_columns,
-    instrumented,
     is_plain,
     plain_coefficients,
     regressor_rows,
     unexcited_entries,
 )
-from sklearn_vbjfa.equations._joint_moments import sum_moments
 from sklearn_vbjfa.equations._plan import effect_places, needs_load, observe
 from sklearn_vbjfa.equations._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.equations._recording_checks import check_count
@@ -70,31 +67,6 @@ class FitData:
         return build_segments(
             self.recording, self.states, plan, robot.features_, **known
         )
-
-    def instrumented(self, robot):
-        """Equations of a robot, with instruments free of their noise, a list."""
-        # The commanded motion, where a drive makes its torque of it (what commands add
-        # to the torque, in units of the positions), else odd samples beside even ones.
-        recording, estimator = self.recording, robot.plan.state_estimator
-        if estimator is None:
-            raise ValueError(
-                "a regressor that takes instruments needs positions, of which the even "
-                "samples are measured beside the odd ones; got states. Pass positions, "
-                "or another regressor."
-            )
-        feedback, groups = recording.feedback, recording.groups
-        if feedback is None or not (feedback[0] > 0).all():
-            both = estimator.split_transform(recording.q, groups)
-        else:
-            own = np.concatenate([one[:] for one in self.states.own])
-            q = recording.command / feedback[0]
-            both = own, estimator.transform(q, groups=groups)
-        pieces = []
-        for states in both:
-            states = RecordingStates.of_rows(recording.segments, states)
-            made = replace(self, states=states).segments(robot)
-            pieces.append(equations(made, robot.plan.lowpass, self.numbering))
-        return instrumented(*pieces)
 
     def moments(self, made, plan):
         how = {"n_jobs": self.n_jobs, "numbering": self.numbering}
@@ -244,15 +216,10 @@ class Recipe:
 
     def of_source(self, robot, source):
         """Fit a robot to its recording, in parallel where second moments suffice."""
-        made = source.segments(robot)
-        if from_moments(self.regressor):
-            return self.of_moments(robot, source.moments(made, robot.plan), made=made)
-        if has_fit_parameter(self.regressor, "instruments"):
-            rows = source.instrumented(robot)
-        else:
-            rows = list(equations(made, robot.plan.lowpass, source.numbering))
-        moments = sum_moments(one.moments() for one in rows)
-        return self.of_moments(robot, moments, rows, made)
+        made, rows = source.segments(robot), ()
+        if not from_moments(self.regressor):
+            rows = list(equations(made, robot.plan.lowpass))
+        return self.of_moments(robot, source.moments(made, robot.plan), rows, made)
 
     def _shown(self, found):
         """Parameters (p,), bool, that equations determine one by one."""
@@ -376,11 +343,7 @@ def _load_of(before, robot):
 def _first_gains(recipe, robot, source):
     first = replace(robot, plan=robot.plan.passes()[0])
     moments = source.moments(source.segments(first), first.plan)
-    units = [] if isinstance(recipe.gains, str) else list(recipe.gains)
-    return relative_gains(
-        moments.zeroed(_unneeded_entries(first, moments)),
-        [robot.joint_names_.index(name) for name in units],
-    )
+    return relative_gains(moments.zeroed(_unneeded_entries(first, moments)))
 
 
 def iterate_corrections(recipe, fit, source, relative):

@@ -88,9 +88,8 @@ class RelativeGains:
         )
 
 
-def relative_gains(moments, references=()):
-    # moments: JointMoments; references: joints whose channels are to be the units, for
-    # groups of joints in which one of them is; the others' are chosen, see `_grouped`.
+def relative_gains(moments):
+    """Find gains from `JointMoments`, relative to channels that `_grouped` chooses."""
     used = np.flatnonzero((moments.n > 0) & (moments.yy > 0))
     nv = moments.n.size
     logs, found = _most_likely(moments, used)
@@ -98,7 +97,7 @@ def relative_gains(moments, references=()):
     if used.size:
         spread[np.ix_(used, used)] = _spread(found)
         strength[used] = found.size
-    reference = _grouped(spread, strength, references)
+    reference = _grouped(spread, strength)
     own = np.exp(logs - logs[reference])
     return RelativeGains(
         gains=np.clip(own, 1.01 / _WIDEST, 0.99 * _WIDEST),
@@ -183,7 +182,7 @@ def _spread(found):
     return ((roots[:, None] - roots) ** 2).sum(axis=2)
 
 
-def _grouped(spread, strength, references):
+def _grouped(spread, strength):
     """Find each joint's reference (nv,) from the variances of ratios (nv, nv)."""
     # Joints belong together whose ratio is known better than that it is plausible. Of
     # them the one is the reference from which the others are known best, whatever
@@ -203,13 +202,10 @@ def _grouped(spread, strength, references):
             front = set(np.flatnonzero(near).tolist()) - group
         left -= group
         members = np.array(sorted(group))
-        chosen = [j for j in members if j in references]
-        if not chosen:
-            sums = spread[np.ix_(members, members)]
-            sums = np.where(np.eye(members.size, dtype=bool), 0.0, sums).sum(axis=0)
-            best = members[sums <= sums.min() * (1 + 1e-6)]
-            chosen = [best[np.argmax(strength[best])]]
-        reference[members] = chosen[0]
+        sums = spread[np.ix_(members, members)]
+        sums = np.where(np.eye(members.size, dtype=bool), 0.0, sums).sum(axis=0)
+        best = members[sums <= sums.min() * (1 + 1e-6)]
+        reference[members] = best[np.argmax(strength[best])]
     return reference
 
 
@@ -256,17 +252,8 @@ def check_gains(gains, joint_names):
     """Refuse recordings without information on the gains of the channels."""
     if gains is None:
         return
-    expected = "expected None, 'unknown', or names of joints whose channels are units"
-    if isinstance(gains, str):
-        if gains != "unknown":
-            raise ValueError(f"gains is {gains!r}; {expected}.")
-    else:
-        for name in gains:
-            if name not in joint_names:
-                raise ValueError(
-                    f"gains names joint {name!r}; {expected}, of "
-                    f"{', '.join(joint_names)}."
-                )
+    if gains != "unknown":
+        raise ValueError(f"gains is {gains!r}; expected None or 'unknown'.")
     if len(joint_names) == 1:
         raise ValueError(
             "gains='unknown' needs several joints that move the same bodies: the gain "

@@ -126,9 +126,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     regressor : estimator, default=None
         Linear regressor, see `JointTorqueRegressor`. None is weighted least squares
         with the description as prior or, without one (see `bodies`),
-        ``VBJFARegressor(latent="correlated", input_noise=0.0)``. If its `fit` takes
-        `instruments` (`InstrumentalVariables`), these are the commanded motion of the
-        `drive`, or the odd samples without a drive.
+        ``VBJFARegressor(latent="correlated", input_noise=0.0)``.
     projector : "default", PhysicalProjector or None, default="default"
         Projection of the parameters. None leaves them as estimated.
     cutoff : "auto", float or None, default="auto"
@@ -143,12 +141,11 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     n_jobs : int, default=None
         Number of recordings, or pieces of them, that are processed in parallel. None is
         1, -1 all processors. The result does not depend on it.
-    gains : None, "unknown" or sequence of str, default=None
+    gains : None or "unknown", default=None
         None: y holds torques. ``"unknown"``: y is proportional to the torques (motor
         currents); the factors of the channels are identified relative to a reference
         channel, see `gains_`, and torques, masses and friction are in its unit unless
-        `FitOptions.known_masses` determines it. A sequence names the reference joints,
-        one for each group of joints that share bodies.
+        `FitOptions.known_masses` determines it.
     criterion : {"torque", "simulation"}, default="torque"
         ``"torque"`` minimises the torque error. ``"simulation"`` refines bodies,
         friction and coefficients by output error, until simulated positions are closest

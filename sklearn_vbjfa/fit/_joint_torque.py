@@ -10,7 +10,7 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._lowpass import decimate, filter_weight
 from sklearn_vbjfa.equations._equations import Equations
 from sklearn_vbjfa.equations._features import check_as_computed, parameter_names_of
-from sklearn_vbjfa.equations._joint_moments import sum_moments
+from sklearn_vbjfa.equations._joint_moments import piece_moments, sum_moments
 from sklearn_vbjfa.equations._recording_checks import check_weight
 from sklearn_vbjfa.fit._estimate import estimate
 from sklearn_vbjfa.recording import check_cutoff, check_dt, contiguous_groups
@@ -137,7 +137,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         tags.target_tags.single_output = True
         return tags
 
-    def fit(self, X, y, groups=None, sample_weight=None, instruments=None):
+    def fit(self, X, y, groups=None, sample_weight=None):
         """Fit the parameters.
 
         Parameters
@@ -153,9 +153,6 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
             Weights of samples, or of each joint's equations; zero leaves one out.
             With a low-pass, a filtered row gets the average weight over the filter's
             length, or zero if less than half of that has weight.
-        instruments : array-like of shape (n_samples, nv * p), default=None
-            Second, independent measurement of X for a regressor that accepts
-            `instruments`.
 
         Returns
         -------
@@ -166,8 +163,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         ------
         ValueError
             If the columns of X do not divide among the joints of y or have been
-            rescaled, the shape of the instruments is wrong, or the low-pass leaves no
-            equation.
+            rescaled, or the low-pass leaves no equation.
         """
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
@@ -187,27 +183,20 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         if nv > 1 or self.projector is not None:
             check_as_computed(X)
         weight = check_weight(sample_weight, tau.shape)
-        if instruments is not None:
-            instruments = np.asarray(instruments, dtype=float)
-            if instruments.shape != X.shape:
-                raise ValueError(
-                    f"instruments must have the shape of X, {X.shape}; got "
-                    f"{instruments.shape}."
-                )
         lowpass = self._design()
         pieces = []
         for part in contiguous_groups(groups, X.shape[0]):
             matrices = (len(tau[part]), nv, X.shape[1] // nv)
-            Z = None if instruments is None else instruments[part].reshape(matrices)
             one = Equations(
                 Phi=decimate(lowpass, X[part].reshape(matrices)),
                 tau=decimate(lowpass, tau[part]),
                 weight=filter_weight(lowpass, weight[part]),
-                instruments=None if Z is None else decimate(lowpass, Z),
             )
             if one.tau.shape[0]:
                 pieces.append(one)
-        total = sum_moments(one.moments() for one in pieces)
+        total = sum_moments(
+            piece_moments(one.Phi, one.tau, one.weight) for one in pieces
+        )
         if total is None or not total.n.any():
             raise ValueError(
                 "No equation is left to fit: every sample was masked, or the "

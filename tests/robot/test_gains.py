@@ -132,12 +132,6 @@ def test_gains_do_not_depend_on_units():
     assert_allclose(other.gain, one.gain * relative(scale, one), rtol=1e-4)
 
 
-def test_a_reference_may_be_given():
-    robot = fit(torques(), gains=("joint_4",))
-    assert robot.gains_.references == (3,)
-    assert_allclose(robot.gains_.gain, GAINS / GAINS[3], rtol=0.03)
-
-
 # -- what the data do not show
 
 
@@ -195,16 +189,9 @@ def test_predictions_are_what_channels_read():
     assert robot.effects == ()
 
 
-@pytest.mark.parametrize(
-    ("gains", "message"),
-    [
-        ("known", "gains is 'known'; expected None, 'unknown', or names of joints"),
-        (("elbow",), "gains names joint 'elbow'; .* of joint_1, joint_2"),
-    ],
-)
-def test_other_gains_are_refused(gains, message):
-    with pytest.raises(ValueError, match=message):
-        fit(torques(), gains=gains)
+def test_other_gains_are_refused():
+    with pytest.raises(ValueError, match="gains is 'known'; expected None or 'unk"):
+        fit(torques(), gains="known")
 
 
 def test_one_joint_has_no_relative_gain():

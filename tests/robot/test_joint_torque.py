@@ -81,14 +81,6 @@ def test_automatic_weights_are_iterated_to_their_fixed_point(rng):
 # -- regressors
 
 
-def iv_pair(rng):
-    """Noisy regressors, an independent second measurement, torques, theta."""
-    Phi = rng.normal(size=(4000, 3, 5))
-    theta = np.array([1.0, -2.0, 0.5, 1.5, -1.0])
-    first, second = Phi + 0.3 * rng.normal(size=(2, *Phi.shape))
-    return first, second, Phi @ theta, theta
-
-
 @pytest.mark.parametrize(
     ("regressor", "rtol"),
     [
@@ -133,25 +125,6 @@ def test_vb_from_second_moments_is_vb_on_the_rows(rng):
     direct = VBJFARegressor(latent="correlated", input_noise=0.0, fit_intercept=False)
     direct.fit((Phi * root[:, None]).reshape(-1, 5), (tau * root).ravel())
     np.testing.assert_allclose(model.theta_, direct.coef_, rtol=1e-6)
-
-
-def test_instruments_remove_the_attenuation(rng):
-    Phi, second, tau, theta = iv_pair(rng)
-    ols = fitted(Phi, tau, joint_weights=None)
-    # Noise of 0.3 deviations attenuates by 1 / 1.09; residuals of 0.9 in 12000
-    # equations give a deviation of 0.008.
-    np.testing.assert_allclose(ols.theta_, theta / 1.09, atol=0.032)
-    iv = fitted(
-        Phi,
-        tau,
-        InstrumentalVariables(),
-        joint_weights=None,
-        fit={"instruments": wide(second)},
-    )
-    np.testing.assert_allclose(iv.theta_, theta, atol=0.035)
-    rows, values, other = Phi.reshape(-1, 5), tau.ravel(), second.reshape(-1, 5)
-    literal = np.linalg.solve(other.T @ rows, other.T @ values)
-    np.testing.assert_allclose(iv.theta_, literal, rtol=1e-8)
 
 
 @pytest.mark.parametrize(
@@ -277,7 +250,6 @@ def test_one_output_keeps_one_dimension(rng):
         ({}, {"sample_weight": -np.ones(300)}, "finite and not negative"),
         ({}, {"sample_weight": np.full(300, np.nan)}, "finite and not negative"),
         ({}, {"sample_weight": np.zeros(300)}, "at least one non-zero number"),
-        ({}, {"instruments": np.zeros((300, 3))}, r"shape of X, \(300, 15\); got"),
     ],
 )
 def test_errors_say_what_to_do(rng, settings, fit, message):

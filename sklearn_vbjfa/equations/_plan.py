@@ -14,6 +14,7 @@ from sklearn_vbjfa.effects import (
     Effect,
     EffectRange,
     Rest,
+    Shaped,
     TorqueLag,
     resolve,
 )
@@ -213,11 +214,13 @@ def check_effects(effects, nv):
     found = tuple(resolve([effect])[0] for effect in effects)
     for effect in found:
         effect.check()
-        if not 0 <= effect.joint < nv:
-            raise ValueError(
-                f"effects names joint {effect.joint} for {effect.name}; expected 0 to "
-                f"{nv - 1}, for {nv} joint(s)."
-            )
+        partners = effect.partners if isinstance(effect, Shaped) else ()
+        for joint in (effect.joint, *(getattr(effect, name) for name in partners)):
+            if not 0 <= joint < nv:
+                raise ValueError(
+                    f"effects names joint {joint} for {effect.name}; expected 0 to "
+                    f"{nv - 1}, for {nv} joint(s)."
+                )
     keys = [(effect.key(), tuple(sorted(effect.shape().items()))) for effect in found]
     for key in keys:
         if keys.count(key) > 1:

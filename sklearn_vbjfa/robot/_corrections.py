@@ -33,11 +33,15 @@ class TiltCorrection:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ZeroCorrection:
-    """An encoder whose zero is off."""
-
+class _OfJoint:
     joint: int  # from zero
     joint_name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ZeroCorrection(_OfJoint):
+    """An encoder whose zero is off."""
+
     subtract: float  # to subtract from what the encoder reads [rad or m]
     # the same in degrees or mm
     plain: float
@@ -45,11 +49,9 @@ class ZeroCorrection:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxisCorrection:
+class AxisCorrection(_OfJoint):
     """A joint whose axis is not where the description has it."""
 
-    joint: int  # from zero
-    joint_name: str
     # by which it is turned [rad]
     about_x: float
     about_y: float
@@ -62,11 +64,9 @@ class AxisCorrection:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GainCorrection:
+class GainCorrection(_OfJoint):
     """A torque channel with a wrong gain."""
 
-    joint: int  # from zero
-    joint_name: str
     gain: float  # to divide what the channel reads by
     percent: float  # what it reads too much [%]
 
@@ -85,9 +85,12 @@ class Corrections:
 class _Turns(CorrectedModel):
     """A robot that keeps the turns that it is corrected by, `base` and `joints`."""
 
-    def __init__(self, nominal):
-        super().__init__(nominal)
+    def __init__(self, robot):
+        super().__init__(robot.features_.nominal_)
         self.base, self.joints = np.eye(3), {}
+        for effect in robot.effects_:
+            if effect.in_model:
+                effect.correct(self)
 
     def tilt(self, rotation):
         """Turn gravity; see `CorrectedModel.tilt`."""
@@ -100,54 +103,45 @@ class _Turns(CorrectedModel):
         self.joints[joint] = rotation @ self.joints.get(joint, np.eye(3))
 
 
-def _turns(robot):
-    turned = _Turns(robot.features_.nominal_)
-    for effect in robot.effects_:
-        if effect.in_model:
-            effect.correct(turned)
-    return turned
-
-
 def turned_joints(robot):
     """Return turns of a fitted robot's joint placements, name -> matrix (3, 3)."""
     names = robot.joint_names_
-    return {names[joint]: turn for joint, turn in _turns(robot).joints.items()}
+    return {names[joint]: turn for joint, turn in _Turns(robot).joints.items()}
 
 
 def corrections_of(robot):
     """Say what is to be corrected of a fitted robot, `Corrections`."""
-    turned, values = _turns(robot), {}
+    turned, names = _Turns(robot), robot.joint_names_
+    values = {kind: {} for kind in (BaseTilt, JointZero, JointAxis, TorqueGain)}
     for effect in robot.effects_:
-        if isinstance(effect, TorqueGain) and robot.gains_ is not None:
-            continue
-        for kind in (BaseTilt, JointZero, JointAxis, TorqueGain):
+        for kind, sums in values.items():
             if isinstance(effect, kind):
                 # Small turns add up, of one that was declared and found once more.
-                own = values.setdefault(kind, {})
-                own[effect.joint] = own.get(effect.joint, 0.0) + effect.values
-    tilts = [_tilt(turned, *own) for own in values.get(BaseTilt, {}).values()]
+                sums[effect.joint] = sums.get(effect.joint, 0.0) + effect.values
+    if robot.gains_ is not None:
+        values[TorqueGain] = {}
+
+    def each(kind, make):
+        return tuple(
+            make(robot, turned, int(joint), own, joint_name=names[joint])
+            for joint, own in values[kind].items()
+        )
+
+    tilts = [_tilt(turned, own) for own in values[BaseTilt].values()]
     return Corrections(
         tilt=tilts[0] if tilts else None,
-        zeros=tuple(
-            _zero(robot, joint, float(own[0]))
-            for joint, own in values.get(JointZero, {}).items()
-        ),
-        axes=tuple(
-            _axis(robot, turned, joint, *own)
-            for joint, own in values.get(JointAxis, {}).items()
-        ),
-        gains=tuple(
-            _gain(robot, joint, float(turned.gains[joint]))
-            for joint in values.get(TorqueGain, {})
-        ),
+        zeros=each(JointZero, _zero),
+        axes=each(JointAxis, _axis),
+        gains=each(TorqueGain, _gain),
     )
 
 
-def _tilt(turned, roll, pitch):
+def _tilt(turned, values):
     lean = import_pinocchio().rpy.matrixToRpy(turned.base.T)
+    roll, pitch = values.tolist()
     return TiltCorrection(
-        roll=float(roll),
-        pitch=float(pitch),
+        roll=roll,
+        pitch=pitch,
         roll_degrees=float(np.degrees(roll)),
         pitch_degrees=float(np.degrees(pitch)),
         gravity=_floats(turned.model.gravity.linear),
@@ -156,39 +150,40 @@ def _tilt(turned, roll, pitch):
     )
 
 
-def _zero(robot, joint, off):
+def _zero(robot, turned, joint, values, joint_name):
+    off = float(values[0])
     slides = is_prismatic(robot.features_.nominal_)[joint]
     return ZeroCorrection(
-        joint=int(joint),
-        joint_name=robot.joint_names_[joint],
+        joint=joint,
+        joint_name=joint_name,
         subtract=off,
         plain=1e3 * off if slides else float(np.degrees(off)),
         plain_unit="mm" if slides else "degrees",
     )
 
 
-def _axis(robot, turned, joint, about_x, about_y):
+def _axis(robot, turned, joint, values, joint_name):
     rpy = import_pinocchio().rpy.matrixToRpy
     origin = joint_origin(robot.features_.nominal_, joint)
+    (about_x, about_y), degrees = values.tolist(), np.degrees(values).tolist()
     return AxisCorrection(
-        joint=int(joint),
-        joint_name=robot.joint_names_[joint],
-        about_x=float(about_x),
-        about_y=float(about_y),
-        about_x_degrees=float(np.degrees(about_x)),
-        about_y_degrees=float(np.degrees(about_y)),
+        joint=joint,
+        joint_name=joint_name,
+        about_x=about_x,
+        about_y=about_y,
+        about_x_degrees=degrees[0],
+        about_y_degrees=degrees[1],
         about=tuple(map(_axis_name, cross_axes(turned.axis(joint)))),
         old_rpy=_floats(rpy(origin)),
         new_rpy=_floats(rpy(origin @ turned.joints[joint])),
     )
 
 
-def _gain(robot, joint, gain):
+def _gain(robot, turned, joint, values, joint_name):
+    gain = float(turned.gains[joint])
+    percent = 100.0 * (gain - 1.0)
     return GainCorrection(
-        joint=int(joint),
-        joint_name=robot.joint_names_[joint],
-        gain=gain,
-        percent=100.0 * (gain - 1.0),
+        joint=joint, joint_name=joint_name, gain=gain, percent=percent
     )
 
 
@@ -206,18 +201,16 @@ def _axis_name(direction):
 
 def note_of_corrections(robot):
     """Say what an identified robot asks for that a URDF cannot hold; a list of str."""
-    found = corrections_of(robot)
-    lines = []
+    found, lines = corrections_of(robot), []
     if found.tilt is not None:
-        roll, pitch, yaw = found.tilt.lean_rpy
+        rpy = " ".join(f"{x:.6g}" for x in found.tilt.lean_rpy)
+        gravity = " ".join(f"{x:.6g}" for x in found.tilt.gravity)
         lines.append(
             "The base of the recorded robot was not level: gravity is turned in its "
             f"frame by roll {found.tilt.roll_degrees:.4g} and pitch "
             f"{found.tilt.pitch_degrees:.4g} degrees, and the base leans the opposite "
-            f'way (rpy="{roll:.6g} {pitch:.6g} {yaw:.6g}" in a level frame). Level it, '
-            "or simulate with gravity "
-            f"{' '.join(f'{x:.6g}' for x in found.tilt.gravity)} m/s^2 in its frame: "
-            "this file has a level base."
+            f'way (rpy="{rpy}" in a level frame). Level it, or simulate with gravity '
+            f"{gravity} m/s^2 in its frame: this file has a level base."
         )
     lines += [
         f"Subtract {one.plain:.4g} {one.plain_unit} ({one.subtract:.6g} "

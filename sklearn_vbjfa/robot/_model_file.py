@@ -1,5 +1,6 @@
 """Identified robots as files: readable JSON with the robot description inside."""
 
+import functools
 import json
 import math
 import re
@@ -15,7 +16,6 @@ from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.effects import (
     CommandDelay,
     Effect,
-    Shaped,
     TorqueLag,
     UnnamedTorque,
     available,
@@ -23,6 +23,7 @@ from sklearn_vbjfa.effects import (
 )
 from sklearn_vbjfa.equations._equations import is_plain
 from sklearn_vbjfa.equations._features import Follower, RigidBodyFeatures
+from sklearn_vbjfa.equations._plan import check_effects
 from sklearn_vbjfa.equations._states import StateEstimator
 from sklearn_vbjfa.model._loading import load_text
 from sklearn_vbjfa.model._trees import in_order
@@ -31,15 +32,18 @@ from sklearn_vbjfa.robot._robot import IdentifiedRobot
 
 FORMAT = "sklearn_vbjfa identified robot"
 VERSION = 1
-# What follows from the rest, or is of no use elsewhere.
+# The beginning of a file, by the types of its values.
+_HEAD = {"joints": tuple[str, ...], "friction": tuple[str, ...]}
+_HEAD |= {"parameters": tuple[str, ...], "gravity": np.ndarray}
+# Fields that follow from the others, and what is saved of a fitted `StateEstimator`.
 _NOT_SAVED = frozenset({"features_", "source", "_stepper"})
-# What is saved of a fitted `StateEstimator`.
 _OF_STATES = ("cutoff_", "noise_variance_", "bandwidth_")
 # What JSON has no number for.
 _SPELLED = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 # A list of numbers and words like "nan".
 _PLAIN_LIST = re.compile(r'\[\s+(?:[-+.\w]+|"-?\w+")(?:,\s+(?:[-+.\w]+|"-?\w+"))*\s+\]')
-_WORDS = {bool: "true or false", int: "a whole number", str: "a text"}
+_WORDS = {float: "a number", int: "a whole number", str: "a text"}
+_WORDS |= {bool: "true or false", list: "a list", dict: "an object"}
 # Shapes of values: numbers of joints, of parameters, of ranges of effects, ...
 _SHAPES = {
     "p": "theta_ theta_unconstrained_ theta_std_ identifiable_ known_",
@@ -52,17 +56,13 @@ _SHAPES = {
     "k": "recording_variance.places recording_variance.size",
     "scales k": "recording_variance.weights",
 }
-# What a robot cannot do without, and what numbers of parameters and joints are.
-_NEEDED = "theta_", "theta_unconstrained_", "theta_std_", "identifiable_"
-_NUMBERS = {"recording_variance.places": "p", "gains_.reference": "nv"}
 
 
 class _Wrong(ValueError):
     """A key with a wrong value; the file is added where it is known."""
 
-
-def _wrong(at, what):
-    return _Wrong(f"key {at!r} {what}" if at else f"it {what}")
+    def __init__(self, at, what):
+        super().__init__(f"key {at!r} {what}")
 
 
 # -- robots ----------------------------------------------------------------------------
@@ -97,7 +97,7 @@ def read(path, effects=()):
     classes, name = _classes(effects), str(path)
     try:
         text = Path(path).read_text(encoding="utf-8")
-        content = json.loads(text, parse_constant=_no_number)
+        content = json.loads(text, parse_constant=_refuse)
     except FileNotFoundError:
         raise FileNotFoundError(f"There is no file {name!r}.") from None
     except (ValueError, RecursionError) as error:
@@ -115,41 +115,38 @@ def read(path, effects=()):
         raise ValueError(f"{name!r}: it is nested too deeply.") from None
 
 
-def _no_number(name):
+def _refuse(name):
     raise ValueError(f"it holds {name} for a number, JSON has none of that name")
 
 
 def _robot_of(content, name, classes):
-    version = _value(content, "version")
-    if version != VERSION:
-        raise _wrong(
+    if content.get("version") != VERSION:
+        raise _Wrong(
             "version",
-            f"is {quoted(version)}, and this release reads version {VERSION}: identify "
-            "the robot again, or install the release that wrote it",
+            f"is {quoted(content.get('version'))}, and this release reads version "
+            f"{VERSION}: identify the robot again",
         )
-    head = {
-        key: decode(_value(content, key), tuple[str, ...], key)
-        for key in ("joints", "friction", "parameters")
-    }
-    values = decode_fields(content, IdentifiedRobot, "", classes)
-    gravity = _array(_value(content, "gravity"), "gravity")
-    _check_shape("gravity", gravity, (6,))
+    head = {key: decode(_value(content, key), kind, key) for key, kind in _HEAD.items()}
+    values = _decode_fields(content, IdentifiedRobot, "", classes)
+    _check_shape("gravity", head["gravity"], (6,))
     try:
         model = in_order(load_text(values["text"], name), head["joints"])
     except ValueError as error:
-        raise _wrong("text", f"holds no such robot: {error}") from error
+        raise _Wrong("text", f"holds no such robot: {error}") from error
     motion = model.gravity.copy()
-    motion.linear, motion.angular = np.split(gravity, 2)
+    motion.linear, motion.angular = np.split(head["gravity"], 2)
     model.gravity = motion
     try:
         features = RigidBodyFeatures(model, head["friction"]).load()
     except ValueError as error:
-        raise _wrong("friction", f"is of no use: {error}") from error
-    effects = values["plan"].effects
-    _check_joints(effects, features.n_joints_)
+        raise _Wrong("friction", f"is of no use: {error}") from error
+    try:
+        effects = check_effects(values["plan"].effects, model.nv)
+    except ValueError as error:
+        raise _Wrong("plan.effects", f"is of no use: {error}") from error
     robot = IdentifiedRobot(features_=features.corrected(effects), **values)
     if head["parameters"] != robot.parameter_names_:
-        raise _wrong(
+        raise _Wrong(
             "parameters",
             "must hold the names of the parameters of the joints, the friction and the "
             "effects in their order",
@@ -158,63 +155,38 @@ def _robot_of(content, name, classes):
     return robot
 
 
-def _check_joints(effects, nv):
-    for k, effect in enumerate(effects):
-        at = f"plan.effects[{k}]"
-        if effect.joint not in range(nv):
-            raise _wrong(f"{at}.joint", f"must be one of the {nv} joints, from zero")
-        for key in effect.partners if isinstance(effect, Shaped) else ():
-            partner = getattr(effect, key)
-            if partner == effect.joint or partner not in range(nv):
-                raise _wrong(
-                    f"{at}.shape.{key}",
-                    f"must be another joint, counted from zero; it is {partner!r}",
-                )
-
-
 def _check_sizes(robot):
     """Refuse values that do not suit the joints, the friction and the effects."""
-    plan, between = robot.plan, robot.recording_variance
-    if plan.dt is not None and not 0 < plan.dt < math.inf:
-        raise _wrong("plan.dt", "must be greater than zero")
-    with np.errstate(all="ignore"):
-        if not plan.cutoff > 0 or not np.isfinite(plan.lowpass.taps).all():
-            raise _wrong("plan.cutoff", "is of no use")
-    widths = {effect: len(effect.coefficients) for effect in robot.effects_}
-    nv, m = len(robot.joint_names_), len(robot.features_.friction_)
-    sizes = {"nv": nv, "p": len(robot.parameter_names_), "k": 0, "scales": 0}
-    sizes["ranges"] = nv * m + len(widths)
-    sizes["load"] = robot.features_.n_parameters_
-    sizes["load"] += sum(n for effect, n in widths.items() if is_plain(effect))
+    features, between = robot.features_, robot.recording_variance
+    plain = (e for e in robot.effects_ if is_plain(e))
+    sizes = {
+        "nv": features.n_joints_,
+        "p": len(robot.parameter_names_),
+        "ranges": features.n_joints_ * len(features.friction_) + len(robot.effects_),
+        "load": features.n_parameters_ + sum(len(e.coefficients) for e in plain),
+    }
     if between is not None:
-        sizes["k"], sizes["scales"] = between.places.size, between.scales.size
-    for key in _NEEDED:
-        if getattr(robot, key) is None:
-            raise _wrong(key, "must hold a number, not None")
+        sizes |= {"k": between.places.size, "scales": between.scales.size}
     for dimensions, keys in _SHAPES.items():
-        shape = tuple(sizes[name] for name in dimensions.split())
         for key in keys.split():
-            _check_shape(key, _at(robot, key), shape)
+            value = functools.reduce(_part, key.split("."), robot)
+            if value is not None:
+                shape = tuple(sizes[name] for name in dimensions.split())
+                _check_shape(key, value, shape)
     for key in ("theta_", "theta_unconstrained_"):
-        if not np.isfinite(getattr(robot, key)).all():
-            raise _wrong(key, "must hold finite numbers")
-    for key, n in _NUMBERS.items():
-        value = _at(robot, key)
-        if value is not None and not np.isin(value, np.arange(sizes[n])).all():
-            raise _wrong(key, f"must hold whole numbers from 0 to {sizes[n] - 1}")
+        value = getattr(robot, key)
+        if value is None or not np.isfinite(value).all():
+            raise _Wrong(key, "must hold finite numbers")
 
 
-def _at(value, keys):
-    """Return the value at keys with dots between them; None at or below None."""
-    for key in keys.split("."):
-        value = None if value is None else getattr(value, key)
-    return value
+def _part(value, key):
+    return None if value is None else getattr(value, key)
 
 
 def _check_shape(key, value, shape):
     found = (len(value),) if isinstance(value, tuple) else np.shape(value)
-    if value is not None and found != shape:
-        raise _wrong(key, f"must hold values of shape {shape}, not {found}")
+    if found != shape:
+        raise _Wrong(key, f"must hold values of shape {shape}, not {found}")
 
 
 # -- effects ---------------------------------------------------------------------------
@@ -224,8 +196,9 @@ def _classes(effects):
     if isinstance(effects, (type, Effect)):
         effects = (effects,)
     # What a robot has without a search in the library.
-    own = Follower, CommandDelay, TorqueLag, UnnamedTorque
-    found = {one.name: one for one in own}
+    found = {
+        one.name: one for one in (Follower, CommandDelay, TorqueLag, UnnamedTorque)
+    }
     for one in effects:
         kind = one if isinstance(one, type) else type(one)
         if not issubclass(kind, Effect):
@@ -271,29 +244,23 @@ def _decode_setting(value):
 
 
 def _decode_effect(value, at, classes):
-    name = decode(_value(value, "name", at), str, f"{at}.name")
-    if decode(_value(value, "of_library", at), bool, f"{at}.of_library"):
-        kind = _of_library(name)
-        if kind is None:
-            raise _wrong(
-                f"{at}.name",
-                f"is {name!r}, which the library of this release does not have",
-            )
-    elif name in classes:
-        kind = classes[name]
-    else:
-        raise _wrong(
+    kinds = {"name": str, "of_library": bool, "joint": int, "shape": dict}
+    name, of_library, joint, shape = (
+        decode(_value(value, key, at), kind, f"{at}.{key}")
+        for key, kind in kinds.items()
+    )
+    kind = _of_library(name) if of_library else classes.get(name)
+    if kind is None:
+        raise _Wrong(
             f"{at}.name",
-            f"is {name!r}, an effect that is not in the library: give its class, "
-            "load_identified(path, effects=[...])",
+            f"is {name!r}, which the library of this release does not have: give its "
+            "class, load_identified(path, effects=[...])",
         )
-    joint = decode(_value(value, "joint", at), int, f"{at}.joint")
-    shape = _object(_value(value, "shape", at), f"{at}.shape")
     try:
         effect = kind(joint=joint, **{k: _decode_setting(x) for k, x in shape.items()})
         effect.check()
     except (TypeError, ValueError) as error:
-        raise _wrong(f"{at}.shape", f"does not suit {name!r}: {error}") from error
+        raise _Wrong(f"{at}.shape", f"does not suit {name!r}: {error}") from error
     return effect
 
 
@@ -326,32 +293,26 @@ def decode(value, kind, at, classes=None):
     if origin is UnionType:
         return _decode_one_of(value, options, at, classes)
     if origin is Mapping:
-        parts = _object(value, at).items()
+        parts = _plain(value, dict, at).items()
         return {k: decode(one, options[1], f"{at}.{k}", classes) for k, one in parts}
     if origin is tuple:
-        n = None if options[1] is Ellipsis else len(options)
-        parts = enumerate(_list(value, at, n))
-        return tuple(decode(x, options[0], f"{at}[{k}]", classes) for k, x in parts)
+        parts = enumerate(_plain(value, list, at))
+        found = tuple(decode(x, options[0], f"{at}[{k}]", classes) for k, x in parts)
+        if options[1] is not Ellipsis:
+            _check_shape(at, found, (len(options),))
+        return found
     if kind is Effect:
         return _decode_effect(value, at, classes)
     if kind is StateEstimator:
         return _decode_states(value, at)
     if is_dataclass(kind):
-        values = decode_fields(value, kind, at, classes)
-        try:
-            return kind(**values)
-        except ValueError as error:
-            raise _wrong(at, f"is of no use: {error}") from error
+        return kind(**_decode_fields(value, kind, at, classes))
     if kind is np.ndarray:
         return _array(value, at)
-    if kind is float:
-        return _number(value, at)
-    if type(value) is not kind:
-        raise _wrong(at, f"must hold {_WORDS[kind]}, not {quoted(value)}")
-    return value
+    return _number(value, at) if kind is float else _plain(value, kind, at)
 
 
-def decode_fields(value, kind, at, classes):
+def _decode_fields(value, kind, at, classes):
     hints, before = get_type_hints(kind), f"{at}." if at else ""
     return {
         name: decode(_value(value, name, at), hints[name], f"{before}{name}", classes)
@@ -377,57 +338,46 @@ def _decode_one_of(value, kinds, at, classes):
 
 
 def _decode_states(value, at):
-    found = {}
-    for name in _OF_STATES:
-        found[name] = np.atleast_1d(_array(_value(value, name, at), f"{at}.{name}"))
-        _check_shape(f"{at}.{name}", found[name], found["cutoff_"].shape)
+    found = {
+        name: np.atleast_1d(_array(_value(value, name, at), f"{at}.{name}"))
+        for name in _OF_STATES
+    }
+    for name, own in found.items():
+        _check_shape(f"{at}.{name}", own, found["cutoff_"].shape)
     given = [c if np.isfinite(c) else None for c in found["cutoff_"]]
-    dt = _number(_value(value, "dt", at), f"{at}.dt")
-    estimator = StateEstimator(dt, cutoff=given)
+    estimator = StateEstimator(_number(_value(value, "dt", at), f"{at}.dt"), given)
     vars(estimator).update(found, n_features_in_=len(given))
     return estimator
 
 
-def _object(value, at):
-    if not isinstance(value, dict):
-        raise _wrong(at, "must hold an object")
-    return value
-
-
 def _value(value, key, at=""):
-    if key not in _object(value, at):
-        raise _wrong(f"{at}.{key}" if at else key, "is missing")
+    if key not in _plain(value, dict, at):
+        raise _Wrong(f"{at}.{key}" if at else key, "is missing")
     return value[key]
 
 
-def _list(value, at, n=None):
-    if not isinstance(value, list):
-        raise _wrong(at, "must hold a list")
-    if n is not None and len(value) != n:
-        raise _wrong(at, f"must hold {n} values, not {len(value)}")
+def _plain(value, kind, at):
+    if type(value) is not kind:
+        raise _Wrong(at, f"must hold {_WORDS[kind]}, not {quoted(value)}")
     return value
 
 
 def _number(value, at):
     """Return a float; "nan", "inf" and "-inf" are read as these values."""
     found = _SPELLED.get(value) if isinstance(value, str) else value
-    if isinstance(found, bool) or not isinstance(found, (int, float)):
-        raise _wrong(at, f"must hold a number, not {quoted(value)}")
-    try:
-        return float(found)
-    except OverflowError:
-        raise _wrong(at, "holds a number that is too large") from None
+    if isinstance(found, int) and not isinstance(found, bool):
+        found = float(found) if abs(found) < 2**63 else None
+    return _plain(value if found is None else found, float, at)
 
 
 def _array(value, at):
     if isinstance(value, list) and value and all(type(one) is bool for one in value):
         return np.array(value)
+    numbers = _numbers(value, at)
     try:
-        return np.array(_numbers(value, at))
-    except _Wrong:
-        raise
+        return np.array(numbers)
     except ValueError:
-        raise _wrong(at, "must hold rows of the same length") from None
+        raise _Wrong(at, "must hold rows of the same length") from None
 
 
 def _numbers(value, at):

@@ -266,7 +266,7 @@ class EquationModel:
         self._rest = Rest(speed=np.zeros(nv), time=np.zeros(nv), noise=still)
         self.prismatic = np.asarray(is_prismatic(features.model_), dtype=bool)
         self._of_joint, self._of_parameter = np.nonzero(features.support_)
-        entries = features.entries(reference)
+        entries = features.entries(reference).T
         probe = self._motion(reference[:_PROBES], entries[:, :_PROBES])
         self.effects = [EffectColumns.of(effect, probe) for effect in effects]
         self.n_members = n_members
@@ -336,7 +336,7 @@ class EquationModel:
 
     def __call__(self, states, t=None):
         """Return the `MotionEquations` of states (n, 3 nv) at times (n,) [s]."""
-        entries = self.features.entries(states)
+        entries = self.features.entries(states).T
         motion = self._motion(states, entries, t)
         rows = [[entries[kept]] for kept in self._kept_of]
         for one in self.effects:
@@ -399,7 +399,7 @@ class EquationModel:
         moved[k, :, k] += h[:, None]
         both = k[: 2 * nv]
         moved[3 * nv + both, :, both] = moved[both, :, both] - 2 * h[both, None]
-        entries = self.features.entries(moved.reshape(-1, 3 * nv))
+        entries = self.features.entries(moved.reshape(-1, 3 * nv)).T
         entries = entries.reshape(len(entries), len(moved), -1)
         for i in k:
             if i < 2 * nv:

@@ -168,7 +168,6 @@ class RegressorRows:
 
     def __init__(self, features, states, columns=(), rest=None):
         self._features, self.states, self._rest = features, states, rest
-        self._declared = None  # (nv, k, n): friction columns, where they are known
         self.columns = list(columns)
         self._gains = features.gains_ if (features.gains_ != 1).any() else None
         extra = sum(values.shape[-1] for _, values in self.columns)
@@ -236,23 +235,21 @@ class RegressorRows:
         # Of every so many rows, as which they are counted.
         # States are evaluated, and declared columns made, for many blocks at once. The
         # next block overwrites the entries: their place is in the cache.
-        out = np.empty((np.count_nonzero(self._features.support_), length))
+        out = np.empty((length, self.used.size))
         span = some * length * max(1, _SPAN_ROWS // (some * length))
         for begin in range(rows.start, rows.stop, span):
             own = self.part(slice(begin, min(begin + span, rows.stop))).every(some)
-            n = own.n_rows
-            own._declared = own._features.declared(own.states, own._rest)
-            for at in range(0, n, length):
-                block = slice(at, min(at + length, n))
-                yield (begin - rows.start) // some + at, own.entries(block, out)
+            declared = self._features.declared(own.states, self._rest)
+            for at in range(0, own.n_rows, length):
+                block = slice(at, min(at + length, own.n_rows))
+                made = own.entries(block, declared[block], out)
+                yield (begin - rows.start) // some + at, made
 
     @property
     def rough(self):
         """Entries that are not smooth, friction and effects: their places (k,)."""
-        count = np.count_nonzero(self._features.support_)
         declared = self._features.declared_places_.ravel()
-        extra = self.used.size - count
-        return np.concatenate([declared, count + np.arange(extra)])
+        return np.r_[declared, self._features.n_entries_ : self.used.size]
 
     def rough_spans(self, rows, step=1):
         """Yield where blocks of rows begin, and their `rough` entries (n, k)."""
@@ -261,9 +258,9 @@ class RegressorRows:
         span = step * max(1, _SPAN_ROWS // step)
         for begin in range(rows.start, rows.stop, span):
             own = self.part(slice(begin, min(begin + span, rows.stop)))
-            declared = self._features.declared(own.states, self._rest)
-            made = [declared.reshape(-1, own.n_rows).T]
-            made += [values.reshape(own.n_rows, -1) for _, values in own.columns]
+            made = [self._features.declared(own.states, self._rest)]
+            made += [values for _, values in own.columns]
+            made = [values.reshape(own.n_rows, -1) for values in made]
             yield begin - rows.start, self._read(np.concatenate(made, axis=1), joints)
 
     @functools.cached_property
@@ -272,7 +269,7 @@ class RegressorRows:
 
     def __call__(self, piece):
         """Regressor matrices (n, nv, p) of a slice of rows."""
-        return self.spread(self.entries(piece).T)
+        return self.spread(self.entries(piece))
 
     def _read(self, values, joints):
         """Multiply derivatives of the torques of joints with the channels' gains."""
@@ -280,17 +277,17 @@ class RegressorRows:
             values *= self._gains[joints]
         return values
 
-    def entries(self, piece, out=None):
-        """Entries of the support for a slice of rows, (n_entries, n)."""
-        declared = None if self._declared is None else self._declared[..., piece]
-        entries = self._features.entries(self.states[piece], self._rest, declared, out)
-        if self.columns:
-            n = entries.shape[1]
-            columns = [
-                np.asarray(values[piece]).reshape(n, -1).T for _, values in self.columns
-            ]
-            entries = np.concatenate([entries, *columns])
-        return self._read(entries, (self.used // self.n_parameters)[:, None])
+    def entries(self, piece, declared=None, out=None):
+        """Entries of the support for a slice of rows, (n, n_entries)."""
+        states, at = self.states[piece], self._features.n_entries_
+        n = states.shape[0]
+        out = np.empty((n, self.used.size)) if out is None else out[:n]
+        self._features.entries(states, self._rest, declared, out)
+        for _, values in self.columns:
+            own = np.asarray(values[piece]).reshape(n, -1)
+            out[:, at : at + own.shape[1]] = own
+            at += own.shape[1]
+        return self._read(out, self.used // self.n_parameters)
 
     def spread(self, rows):
         """Put rows (n, n_entries) of entries back into matrices (n, nv, p)."""
@@ -340,7 +337,7 @@ class RegressorRows:
     def blocks(self):
         """Yield the regressor matrices (n, nv, p) of all rows, block by block."""
         for _, entries in self.spans(slice(0, self.states.shape[0]), _BLOCK_ROWS):
-            yield self.spread(entries.T)
+            yield self.spread(entries)
 
 
 def _plain_torques(features, rest, bodies, states):
@@ -348,7 +345,7 @@ def _plain_torques(features, rest, bodies, states):
     inertial = np.ascontiguousarray(bodies[:, :10])
     torque = features.torques(*np.split(states, 3, axis=1), inertial)
     friction = features.declared(states, rest)
-    return torque + np.einsum("jkn,jk->nj", friction, bodies[:, 10:])
+    return torque + np.einsum("njk,jk->nj", friction, bodies[:, 10:])
 
 
 def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
@@ -574,12 +571,12 @@ def _filter_rows(made, seen, lowpass, count, some=1):
     if lowpass.half == 0 and lowpass.step == 1:
         # Nothing is added up, and nothing has to be kept.
         for several in zip(*[rows.spans(seen, length) for rows in made]):
-            yield several[0][0], [entries.T for _, entries in several]
+            yield several[0][0], [entries for _, entries in several]
         return
     filters = [BlockFilter(coarse, count, rows.used.size) for rows in made]
     for into, rows in zip(filters, made):
         for at, entries in rows.spans(smooth, length, some):
-            into.add(at, entries.T)
+            into.add(at, entries)
         if some > 1:
             places = rows.rough
             rough = BlockFilter(lowpass, count, places.size)

@@ -261,9 +261,13 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         self._regressor = TreeRegressor(self.model_)
         # Which of the entries is which.
         support = self.support_
-        self._n_entries = np.count_nonzero(support)
+        self.n_entries_ = np.count_nonzero(support)
         places = np.where(support, np.cumsum(support).reshape(support.shape) - 1, -1)
-        self._places = places.reshape(self.n_joints_, self.n_joints_, -1)
+        places = places.reshape(self.n_joints_, self.n_joints_, -1)
+        own = np.arange(self.n_joints_)
+        self._body_places = np.ascontiguousarray(places[:, :, :10])
+        # Entries of friction among those of `support_`, (nv, n_friction).
+        self.declared_places_ = places[own, own, 10:]
 
     def _check_width(self, X):
         nv = self.n_joints_
@@ -298,41 +302,25 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
     def matrices(self, X, rest=None):
         """Regressor matrices (n, nv, p) of validated states (n, 3 nv)."""
         # rest: `Rest`, by which velocity signs are replaced by their means.
-        nv, n = self.n_joints_, X.shape[0]
-        q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
-        Phi = np.empty((n, nv, nv, 10 + len(self.friction_)))
-        self._regressor(q, v, a, out=Phi)
-        diagonal = np.arange(nv)
-        Phi[:, diagonal, diagonal, 10:] = declared_columns(self.friction_, v, a, rest)
-        return Phi.reshape(n, nv, self.n_parameters_)
+        out = np.zeros((X.shape[0], self.n_joints_ * self.n_parameters_))
+        out[:, np.flatnonzero(self.support_)] = self.entries(X, rest)
+        return out.reshape(X.shape[0], self.n_joints_, -1)
 
     def declared(self, X, rest=None):
-        """Friction columns of all joints, (nv, n_friction, n_samples)."""
+        """Friction columns of all joints, (n, nv, n_friction)."""
         nv = self.n_joints_
-        v, a = X[:, nv : 2 * nv], X[:, 2 * nv :]
-        columns = declared_columns(self.friction_, v, a, rest)
-        return np.ascontiguousarray(columns.transpose(1, 2, 0))
+        return declared_columns(self.friction_, X[:, nv : 2 * nv], X[:, 2 * nv :], rest)
 
     def entries(self, X, rest=None, declared=None, out=None):
-        """Entries of ``np.nonzero(support_)`` alone, (n_entries, n_samples)."""
-        # declared: friction columns, where they are known already; out: is filled,
-        # where it has this shape, instead of a new array.
-        nv = self.n_joints_
-        q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
-        shape = self._n_entries, X.shape[0]
-        if out is None or out.shape != shape:
-            out = np.empty(shape)
-        self._regressor.entries(q, v, a, self._places[:, :, :10], out)
-        if declared is None:
-            declared = self.declared(X, rest)
-        out[self.declared_places_] = declared
+        """Entries of ``np.nonzero(support_)`` alone, (n, n_entries)."""
+        # declared: friction columns, where they are known; out: rows that are filled
+        # instead of new ones, which may be longer.
+        if out is None:
+            out = np.empty((X.shape[0], self.n_entries_))
+        self._regressor.entries(X, self._body_places, out)
+        declared = self.declared(X, rest) if declared is None else declared
+        out[:, self.declared_places_.ravel()] = declared.reshape(len(out), -1)
         return out
-
-    @property
-    def declared_places_(self):
-        """Entries of friction among those of `support_`, (nv, n_friction)."""
-        diagonal = np.arange(self.n_joints_)
-        return self._places[diagonal, diagonal, 10:]
 
     def torques(self, q, v, a, inertial):
         """Rigid-body torques (n, nv) of bodies (nv, 10), without friction."""

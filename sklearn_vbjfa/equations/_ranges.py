@@ -21,8 +21,8 @@ class SignalRanges:
     def of(cls, signals, counts):
         """Ranges of signals (k arrays of shape (n, nv)) in rows that count, (n, nv)."""
         return cls(
-            lowest=np.array([_extreme(np.min, x, counts, np.inf) for x in signals]),
-            highest=np.array([_extreme(np.max, x, counts, -np.inf) for x in signals]),
+            lowest=-np.array([_highest(-x, counts) for x in signals]),
+            highest=np.array([_highest(x, counts) for x in signals]),
         )
 
     def __add__(self, other):
@@ -46,10 +46,8 @@ class SignalRanges:
 _UNKNOWN = (float("nan"), float("nan"))
 
 
-def _extreme(function, values, counts, nothing):
-    if values.size and counts.all():
-        return function(values, axis=0)
-    return function(values, axis=0, where=counts, initial=nothing)
+def _highest(values, counts):
+    return np.where(counts, values, -np.inf).max(axis=0, initial=-np.inf)
 
 
 def sum_ranges(several):

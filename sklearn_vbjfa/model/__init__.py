@@ -28,6 +28,7 @@ _MODULES = {
         "body_names",
         "describe",
         "described_torques",
+        "import_compiled",
         "import_pinocchio",
         "in_order",
         "is_prismatic",

@@ -29,7 +29,11 @@ import functools
 
 import numpy as np
 
-from sklearn_vbjfa.model._trees import describe, import_pinocchio
+from sklearn_vbjfa.model._trees import (
+    describe,
+    import_compiled,
+    import_pinocchio,
+)
 
 # Root mean square below which an entry of the regressor matrix is the rounding of a
 # zero, relative to the largest of its unit in the same torque.
@@ -497,90 +501,42 @@ class TreeRegressor:
         out[...] = 0.0
         places = np.arange(nv * nv * k).reshape(nv, nv, k)[:, :, :10]
         places = np.where(self.support, places, -1)
-        self.entries(q, v, a, places, out.reshape(n, nv * nv * k).T)
+        self.entries(np.hstack([q, v, a]), places, out.reshape(n, nv * nv * k))
         return out
 
-    def entries(self, q, v, a, places, out):
-        """Compute single entries of the regressor matrices, samples last."""
-        # places (nv, nv, 10): row of `out` (n_entries, n) for each torque, body and
-        # parameter, -1 for none, as it must be outside the support. Rows without an
+    def entries(self, states, places, out):
+        """Compute single entries of the regressor matrices of states (n, 3 nv)."""
+        # places (nv, nv, 10): column of `out` (n, n_columns) for each torque, body and
+        # parameter, -1 for none, as it must be outside the support. Columns without an
         # entry are left alone.
-        for begin in range(0, q.shape[0], _ROWS):
-            rows = slice(begin, begin + _ROWS)
-            links = links_of(self._tree, q[rows], v[rows], a[rows])
-            forces, moments = _forces_and_moments(links)
-            for i, link in enumerate(links):
-                body, parameter = np.nonzero(places[i] >= 0)
-                torque = dot(link.moment[:, None], moments[:, body, parameter])
-                light = parameter < 4
-                pulled = forces[:, body[light], parameter[light]]
-                torque[light] += dot(link.force[:, None], pulled)
-                out[places[i, body, parameter], rows] = torque
+        fill_rows(states, self._tree, places, out)
 
     def torques(self, q, v, a, inertial):
         """Compute inverse dynamics (n, nv), without friction and rotors."""
         # inertial (nv, 10): as the regressor's columns; they need not belong to any
         # body.
-        inertial = np.reshape(inertial, (self.nv, 10))
-        torque = np.empty(q.shape)
-        for begin in range(0, q.shape[0], _ROWS):
-            rows = slice(begin, begin + _ROWS)
-            links = links_of(self._tree, q[rows], v[rows], a[rows])
-            # Force and moment of all that each joint carries.
-            carried = list(map(_wrench, links, inertial))
-            for j in range(self.nv - 1, -1, -1):
-                (force, moment), parent = carried[j], self._tree.parents[j]
-                link = links[j]
-                torque[rows, j] = dot(link.force, force) + dot(link.moment, moment)
-                if parent >= 0:
-                    carried[parent][0] += force
-                    carried[parent][1] += moment
-        return torque
+        bodies = np.ascontiguousarray(np.reshape(inertial, (self.nv, 10)), dtype=float)
+        states, out = np.ascontiguousarray(np.hstack([q, v, a])), np.empty(q.shape)
+        _kernel().torques(states, self._tree, bodies, out)
+        return out
+
+
+def _kernel():
+    return import_compiled("sklearn_vbjfa.model._kernel")
+
+
+def fill_rows(states, tree, places, out):
+    """Write entries of regressor matrices, see `fill` in `_kernel`."""
+    # Arrays of one layout: for each other one the kernel would be compiled again.
+    states, places = np.ascontiguousarray(states), np.ascontiguousarray(places)
+    _kernel().fill(states, tree, places, out)
 
 
 def last_body_columns(tree, q, v, a):
     """Columns (n, 10) of the last body in the torque of each joint of a `Tree`."""
-    links = links_of(tree, q, v, a)
-    forces, moments = _forces_and_moments(links[-1:])
-    found = []
-    for link in links:
-        torque = dot(link.moment[:, None], moments[:, 0])
-        torque[:4] += dot(link.force[:, None], forces[:, 0])
-        found.append(torque.T)
-    return found
-
-
-def _forces_and_moments(links):
-    """Return forces (3, nv, 4, n) by m and mc, and moments (3, nv, 10, n)."""
-    p, field, w, dw = (
-        np.stack([getattr(link, name) for link in links], axis=1)[:, :, None]
-        for name in ("origin", "field", "spin", "gain")
-    )
-    axes = np.stack([link.axes for link in links], axis=1)
-    # Accelerations of the tips of the axes relative to the origin.
-    tips = cross(dw, axes) + cross(w, cross(w, axes))
-    moments = np.empty((3, len(links), 10, p.shape[-1]))
-    moments[:, :, :1] = cross(p, field)
-    moments[:, :, 1:4] = cross(p, tips) + cross(axes, field)
-    # A moment of inertia sums the squares of the other two coordinates, a product of
-    # inertia is a mixed second moment times minus one.
-    squares = cross(axes, tips)
-    moments[:, :, (4, 6, 9)] = 0.5 * squares.sum(axis=2, keepdims=True) - squares
-    first, second = (0, 0, 1), (1, 2, 2)
-    moments[:, :, (5, 7, 8)] = cross(tips[:, :, first], axes[:, :, second])
-    moments[:, :, (5, 7, 8)] += cross(tips[:, :, second], axes[:, :, first])
-    return np.concatenate([field, tips], axis=2), moments
-
-
-def _wrench(link, body):
-    """Force and moment about the world's origin (3, n) that a body (10,) takes."""
-    xx, xy, yy, xz, yz, zz = body[4:]
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    # Accelerations (3, 3, n) of the tips of the body's axes relative to its origin.
-    w, dw = link.spin[:, None], link.gain[:, None]
-    d = cross(dw, link.axes) + cross(w, cross(w, link.axes))
-    force = body[0] * link.field + mixed(body[None, 1:4], d)[:, 0]
-    arm = mixed(body[None, 1:4], link.axes)[:, 0]
-    turned = cross(link.axes, mixed(second, d)).sum(axis=1)
-    return [force, cross(link.origin, force) + cross(arm, link.field) + turned]
+    nv = tree.parents.size
+    places = np.full((nv, nv, 10), -1)
+    places[:, -1] = np.arange(10 * nv).reshape(nv, 10)
+    out = np.zeros((len(q), 10 * nv))
+    fill_rows(np.hstack([q, v, a]), tree, places, out)
+    return np.split(out, nv, axis=1)

@@ -8,9 +8,21 @@ the inertia of composite bodies is a sum.
 
 import math
 
-import numba
 import numpy as np
 
+from sklearn_vbjfa.model import _kernel
+from sklearn_vbjfa.model._kernel import (
+    axpy,
+    combine,
+    compiler,
+    cross,
+    dot,
+    get,
+    put,
+    scaled,
+    turn,
+    vector,
+)
 from sklearn_vbjfa.model._trees import Tree
 from sklearn_vbjfa.simulation import _integrate, _terms
 
@@ -23,61 +35,7 @@ _MASS, _FIRST, _INERTIA = 33, 34, 37
 _STATE = 46
 
 
-# The machine code is kept on disk, as long as this file is the same: only the first use
-# after an installation takes the seconds of the compilation. Fused multiplications and
-# additions round once instead of twice.
-compiled = numba.njit(
-    nogil=True, cache=True, error_model="numpy", fastmath={"contract"}
-)
-
-
-@compiled
-def vector(x):
-    return x[0], x[1], x[2]
-
-
-@compiled
-def cross(x, y):
-    return (
-        x[1] * y[2] - x[2] * y[1],
-        x[2] * y[0] - x[0] * y[2],
-        x[0] * y[1] - x[1] * y[0],
-    )
-
-
-@compiled
-def dot(x, y):
-    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
-
-
-@compiled
-def axpy(a, x, y):
-    """Return a x + y."""
-    return a * x[0] + y[0], a * x[1] + y[1], a * x[2] + y[2]
-
-
-@compiled
-def combine(a, x, y, z):
-    """Return a_1 x + a_2 y + a_3 z."""
-    return (
-        a[0] * x[0] + a[1] * y[0] + a[2] * z[0],
-        a[0] * x[1] + a[1] * y[1] + a[2] * z[1],
-        a[0] * x[2] + a[1] * y[2] + a[2] * z[2],
-    )
-
-
-@compiled
-def turn(axis, cosine, sine):
-    """Return the axes of a frame turned about an axis, in that frame, by rows."""
-    u, v, w = axis
-    rest = 1.0 - cosine
-    x, y, z = rest * u, rest * v, rest * w
-    return (
-        (x * u + cosine, x * v + w * sine, x * w - v * sine),
-        (y * u - w * sine, y * v + cosine, y * w + u * sine),
-        (z * u + v * sine, z * v - u * sine, z * w + cosine),
-    )
-
+compiled = compiler(__file__, _kernel.__file__, _integrate.__file__, _terms.__file__)
 
 _add_terms = compiled(_terms.add_terms)
 remember = compiled(_terms.remember)
@@ -86,28 +44,6 @@ is_stiff = compiled(_integrate.is_stiff)
 load_size = compiled(_terms.load_size)
 directions = compiled(_integrate.directions)
 past_events = compiled(_integrate.past_events)
-
-
-@compiled
-def _get(state, at):
-    return state[at], state[at + 1], state[at + 2]
-
-
-@compiled
-def _put(state, at, x):
-    state[at], state[at + 1], state[at + 2] = x[0], x[1], x[2]
-
-
-@compiled
-def _add(state, at, x):
-    state[at] += x[0]
-    state[at + 1] += x[1]
-    state[at + 2] += x[2]
-
-
-@compiled
-def _scaled(a, x):
-    return a * x[0], a * x[1], a * x[2]
 
 
 @compiled
@@ -133,9 +69,9 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
         turns, slides = tree.turns[j], tree.slides[j]
         if parent >= 0:
             above = state[parent]
-            e1, e2, e3 = _get(above, 0), _get(above, 3), _get(above, 6)
-            p, w = _get(above, _ORIGIN), _get(above, _SPEED)
-            dw, field = _get(above, _GAIN), _get(above, _FIELD)
+            e1, e2, e3 = get(above, 0), get(above, 3), get(above, 6)
+            p, w = get(above, _ORIGIN), get(above, _SPEED)
+            dw, field = get(above, _GAIN), get(above, _FIELD)
         else:
             e1, e2, e3 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
             p, w = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -163,16 +99,16 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
         field = axpy(2.0 * slides * v[j], across, field)
         w = axpy(turns * v[j], axis, w)
         dw = axpy(turns * v[j], across, dw)
-        _put(own, 0, x)
-        _put(own, 3, y)
-        _put(own, 6, z)
-        _put(own, _ORIGIN, p)
-        _put(own, _SPEED, w)
-        _put(own, _GAIN, dw)
-        _put(own, _FIELD, field)
-        angular = _scaled(turns, axis)
-        _put(own, _ANGULAR, angular)
-        _put(own, _LINEAR, axpy(slides, axis, cross(p, angular)))
+        put(own, 0, x)
+        put(own, 3, y)
+        put(own, 6, z)
+        put(own, _ORIGIN, p)
+        put(own, _SPEED, w)
+        put(own, _GAIN, dw)
+        put(own, _FIELD, field)
+        angular = scaled(turns, axis)
+        put(own, _ANGULAR, angular)
+        put(own, _LINEAR, axpy(slides, axis, cross(p, angular)))
         # The body's own force and moment.
         mass, first = body[0], combine((body[1], body[2], body[3]), x, y, z)
         force = axpy(mass, field, cross(w, cross(w, first)))
@@ -181,11 +117,11 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
         dw_own = dot(x, dw), dot(y, dw), dot(z, dw)
         spun = axpy(1.0, cross(w_own, _rows(body, w_own)), _rows(body, dw_own))
         moment = axpy(1.0, cross(first, field), combine(spun, x, y, z))
-        _put(own, _FORCE, force)
-        _put(own, _MOMENT, axpy(1.0, cross(p, force), moment))
+        put(own, _FORCE, force)
+        put(own, _MOMENT, axpy(1.0, cross(p, force), moment))
         # Its mass, first moments and inertia about the common origin.
         own[_MASS] = mass
-        _put(own, _FIRST, axpy(mass, p, first))
+        put(own, _FIRST, axpy(mass, p, first))
         tx = combine((body[4], body[5], body[7]), x, y, z)
         ty = combine((body[5], body[6], body[8]), x, y, z)
         tz = combine((body[7], body[8], body[9]), x, y, z)
@@ -199,22 +135,22 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
     M[:] = 0.0
     for j in range(nv - 1, -1, -1):
         own, parent = state[j], tree.parents[j]
-        angular, linear = _get(own, _ANGULAR), _get(own, _LINEAR)
-        first = _get(own, _FIRST)
-        h[j] = dot(angular, _get(own, _MOMENT)) + dot(linear, _get(own, _FORCE))
+        angular, linear = get(own, _ANGULAR), get(own, _LINEAR)
+        first = get(own, _FIRST)
+        h[j] = dot(angular, get(own, _MOMENT)) + dot(linear, get(own, _FORCE))
         # Momentum of all that the joint carries, at its unit velocity.
         momentum = axpy(own[_MASS], linear, cross(angular, first))
         spin = (
-            dot(_get(own, _INERTIA), angular),
-            dot(_get(own, _INERTIA + 3), angular),
-            dot(_get(own, _INERTIA + 6), angular),
+            dot(get(own, _INERTIA), angular),
+            dot(get(own, _INERTIA + 3), angular),
+            dot(get(own, _INERTIA + 6), angular),
         )
         spin = axpy(1.0, spin, cross(first, linear))
         i = j
         while i >= 0:
             other = state[i]
-            value = dot(_get(other, _ANGULAR), spin)
-            value += dot(_get(other, _LINEAR), momentum)
+            value = dot(get(other, _ANGULAR), spin)
+            value += dot(get(other, _LINEAR), momentum)
             M[i, j] = value
             M[j, i] = value
             i = tree.parents[i]

@@ -4,22 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_vbjfa.model import describe, import_pinocchio
+from sklearn_vbjfa.model import describe, import_compiled, import_pinocchio
 from sklearn_vbjfa.simulation._terms import TermTable
-
-
-def import_compiled():
-    """Return the module of compiled functions."""
-    try:
-        from sklearn_vbjfa.simulation import _compiled
-    except ImportError as error:
-        if error.name != "numba":
-            raise
-        raise ImportError(
-            "Simulations need Numba, which is not installed: "
-            'pip install "sklearn-vbjfa[robot]".'
-        ) from error
-    return _compiled
 
 
 def with_bodies(model, bodies, armature=None):
@@ -85,7 +71,7 @@ class ForwardDynamics:
         self._load_bodies = robot.bodies if robot.load is None else robot.load.bodies
         self._set_robot(robot.bodies)
         self._loads = terms.of_load
-        self.compiled = import_compiled()
+        self.compiled = import_compiled("sklearn_vbjfa.simulation._compiled")
         self._set(np.zeros((5, self.n_joints)), None)
         self._remembers = bool(terms.remembers.any())
         self.start(np.zeros(self.n_joints))

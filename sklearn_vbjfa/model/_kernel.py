@@ -129,17 +129,17 @@ def _forces_and_moments(p, x, y, z, field, w, dw):
 
 # What is kept of a body: its axes, origin, acceleration of the origin less gravity,
 # angular velocity and acceleration, and its joint's screw.
-_ORIGIN, _FIELD, _SPEED, _GAIN, _ANGULAR, _LINEAR, _STATE = 9, 12, 15, 18, 21, 24, 27
+ORIGIN, _FIELD, _SPEED, _GAIN, ANGULAR, LINEAR, STATE = 9, 12, 15, 18, 21, 24, 27
 
 
 @inlined
-def _advance(known, tree, j, q, v, a):
+def advance(known, tree, j, q, v, a):
     """Write what is kept of body j; return its forces and moments by parameters."""
     turns, slides, parent = tree.turns[j], tree.slides[j], tree.parents[j]
     if parent >= 0:
         above = known[parent]
         e1, e2, e3 = get(above, 0), get(above, 3), get(above, 6)
-        p, field = get(above, _ORIGIN), get(above, _FIELD)
+        p, field = get(above, ORIGIN), get(above, _FIELD)
         w, dw = get(above, _SPEED), get(above, _GAIN)
     else:
         e1, e2, e3 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -175,13 +175,13 @@ def _advance(known, tree, j, q, v, a):
     put(own, 0, x)
     put(own, 3, y)
     put(own, 6, z)
-    put(own, _ORIGIN, p)
+    put(own, ORIGIN, p)
     put(own, _FIELD, field)
     put(own, _SPEED, w)
     put(own, _GAIN, dw)
     angular = scaled(turns, axis)
-    put(own, _ANGULAR, angular)
-    put(own, _LINEAR, axpy(slides, axis, cross(p, angular)))
+    put(own, ANGULAR, angular)
+    put(own, LINEAR, axpy(slides, axis, cross(p, angular)))
     return _forces_and_moments(p, x, y, z, field, w, dw)
 
 
@@ -191,15 +191,15 @@ def fill(states, tree, places, out):
     # places (nv, nv, 10): column of `out` for each torque, body and parameter, -1 for
     # none. Columns without an entry are left alone.
     nv = tree.parents.size
-    known = np.zeros((nv, _STATE))
+    known = np.zeros((nv, STATE))
     for state, row in zip(states, out):
         for j in range(nv):
             now = state[j], state[nv + j], state[2 * nv + j]
-            forces, moments = _advance(known, tree, j, now[0], now[1], now[2])
+            forces, moments = advance(known, tree, j, now[0], now[1], now[2])
             # The joint itself and all those above it.
             i = j
             while i >= 0:
-                angular, linear = get(known[i], _ANGULAR), get(known[i], _LINEAR)
+                angular, linear = get(known[i], ANGULAR), get(known[i], LINEAR)
                 for k in range(10):
                     at = places[i, j, k]
                     if at >= 0:
@@ -210,26 +210,33 @@ def fill(states, tree, places, out):
                 i = tree.parents[i]
 
 
+@inlined
+def wrench(body, forces, moments):
+    """Return the force and the moment that a body (10,) takes."""
+    force = moment = (0.0, 0.0, 0.0)
+    for k in range(10):
+        moment = axpy(body[k], moments[k], moment)
+        if k < 4:
+            force = axpy(body[k], forces[k], force)
+    return force, moment
+
+
 @compiled
 def torques(states, tree, bodies, out):
     """Write the torques (n, nv) of bodies (nv, 10) in states (n, 3 nv)."""
     nv = tree.parents.size
-    known, carried = np.zeros((nv, _STATE)), np.empty((nv, 6))
+    known, carried = np.zeros((nv, STATE)), np.empty((nv, 6))
     for state, row in zip(states, out):
         for j in range(nv):
             now = state[j], state[nv + j], state[2 * nv + j]
-            forces, moments = _advance(known, tree, j, now[0], now[1], now[2])
-            force = moment = (0.0, 0.0, 0.0)
-            for k in range(10):
-                moment = axpy(bodies[j, k], moments[k], moment)
-                if k < 4:
-                    force = axpy(bodies[j, k], forces[k], force)
+            forces, moments = advance(known, tree, j, now[0], now[1], now[2])
+            force, moment = wrench(bodies[j], forces, moments)
             put(carried[j], 0, force)
             put(carried[j], 3, moment)
         for j in range(nv - 1, -1, -1):
             force, moment = get(carried[j], 0), get(carried[j], 3)
-            row[j] = dot(get(known[j], _LINEAR), force)
-            row[j] += dot(get(known[j], _ANGULAR), moment)
+            row[j] = dot(get(known[j], LINEAR), force)
+            row[j] += dot(get(known[j], ANGULAR), moment)
             parent = tree.parents[j]
             if parent >= 0:
                 for k in range(6):

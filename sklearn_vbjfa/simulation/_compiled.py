@@ -6,12 +6,14 @@ the base, and moments about the origin of the joint that a branch begins with, s
 the inertia of composite bodies is a sum.
 """
 
-import math
-
 import numpy as np
 
 from sklearn_vbjfa.model import _kernel
 from sklearn_vbjfa.model._kernel import (
+    ANGULAR,
+    LINEAR,
+    ORIGIN,
+    advance,
     axpy,
     combine,
     compiler,
@@ -19,21 +21,15 @@ from sklearn_vbjfa.model._kernel import (
     dot,
     get,
     put,
-    scaled,
-    turn,
-    vector,
+    wrench,
 )
 from sklearn_vbjfa.model._trees import Tree
 from sklearn_vbjfa.simulation import _integrate, _terms
 
-# Rows of what is known of a body: its axes, origin, angular velocity and acceleration,
-# acceleration of the origin less gravity, its joint's screw (angular and linear), force
-# and moment of all that it carries, and their mass, first moments and inertia.
-_AXES, _ORIGIN, _SPEED, _GAIN, _FIELD = 0, 9, 12, 15, 18
-_ANGULAR, _LINEAR, _FORCE, _MOMENT = 21, 24, 27, 30
-_MASS, _FIRST, _INERTIA = 33, 34, 37
-_STATE = 46
-
+# What is known of a body beside what `advance` writes: force and moment of all that it
+# carries, and their mass, first moments and inertia.
+_FORCE, _MOMENT, _MASS, _FIRST, _INERTIA = 27, 30, 33, 34, 37
+_WHOLE = 46
 
 compiled = compiler(__file__, _kernel.__file__, _integrate.__file__, _terms.__file__)
 
@@ -47,78 +43,20 @@ past_events = compiled(_integrate.past_events)
 
 
 @compiled
-def _rows(body, x):
-    """Inertia of a body (10,) about its joint times a vector in its own axes."""
-    xx, xy, yy, xz, yz, zz = body[4], body[5], body[6], body[7], body[8], body[9]
-    return (
-        xx * x[0] + xy * x[1] + xz * x[2],
-        xy * x[0] + yy * x[1] + yz * x[2],
-        xz * x[0] + yz * x[1] + zz * x[2],
-    )
-
-
-@compiled
 def bodies_at(q, v, tree, bodies, armature, M, h):
     """Write the inertia matrix M (nv, nv) and nonlinear effects h (nv,) at a state."""
     # bodies (nv, 10); armature (nv,): rotor inertias [kg m^2 or kg], which M includes;
     # h: torques at rest of the accelerations, gravity included.
     nv = q.size
-    state = np.zeros((nv, _STATE))
+    state = np.zeros((nv, _WHOLE))
     for j in range(nv):
-        own, body, parent = state[j], bodies[j], tree.parents[j]
-        turns, slides = tree.turns[j], tree.slides[j]
-        if parent >= 0:
-            above = state[parent]
-            e1, e2, e3 = get(above, 0), get(above, 3), get(above, 6)
-            p, w = get(above, _ORIGIN), get(above, _SPEED)
-            dw, field = get(above, _GAIN), get(above, _FIELD)
-        else:
-            e1, e2, e3 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-            p, w = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-            dw, field = vector(tree.base_angular), (0.0, 0.0, 0.0)
-        x = combine(vector(tree.frames[j, 0]), e1, e2, e3)
-        y = combine(vector(tree.frames[j, 1]), e1, e2, e3)
-        z = combine(vector(tree.frames[j, 2]), e1, e2, e3)
-        direction = vector(tree.axes[j])
-        axis = combine(direction, x, y, z)
-        if turns != 0.0:
-            angle = turns * q[j]
-            rows = turn(direction, math.cos(angle), math.sin(angle))
-            x, y, z = (
-                combine(rows[0], x, y, z),
-                combine(rows[1], x, y, z),
-                combine(rows[2], x, y, z),
-            )
-        offset = combine(vector(tree.offsets[j]), e1, e2, e3)
-        offset = axpy(slides * q[j], axis, offset)
-        p = axpy(1.0, p, offset)
-        across = cross(w, axis)
-        field = axpy(1.0, field, vector(tree.base[j]))
-        field = axpy(1.0, cross(w, cross(w, offset)), field)
-        field = axpy(1.0, cross(dw, offset), field)
-        field = axpy(2.0 * slides * v[j], across, field)
-        w = axpy(turns * v[j], axis, w)
-        dw = axpy(turns * v[j], across, dw)
-        put(own, 0, x)
-        put(own, 3, y)
-        put(own, 6, z)
-        put(own, _ORIGIN, p)
-        put(own, _SPEED, w)
-        put(own, _GAIN, dw)
-        put(own, _FIELD, field)
-        angular = scaled(turns, axis)
-        put(own, _ANGULAR, angular)
-        put(own, _LINEAR, axpy(slides, axis, cross(p, angular)))
-        # The body's own force and moment.
-        mass, first = body[0], combine((body[1], body[2], body[3]), x, y, z)
-        force = axpy(mass, field, cross(w, cross(w, first)))
-        force = axpy(1.0, cross(dw, first), force)
-        w_own = dot(x, w), dot(y, w), dot(z, w)
-        dw_own = dot(x, dw), dot(y, dw), dot(z, dw)
-        spun = axpy(1.0, cross(w_own, _rows(body, w_own)), _rows(body, dw_own))
-        moment = axpy(1.0, cross(first, field), combine(spun, x, y, z))
+        own, body = state[j], bodies[j]
+        forces, moments = advance(state, tree, j, q[j], v[j], 0.0)
+        force, moment = wrench(body, forces, moments)
         put(own, _FORCE, force)
-        put(own, _MOMENT, axpy(1.0, cross(p, force), moment))
+        put(own, _MOMENT, moment)
+        x, y, z, p = get(own, 0), get(own, 3), get(own, 6), get(own, ORIGIN)
+        mass, first = body[0], combine((body[1], body[2], body[3]), x, y, z)
         # Its mass, first moments and inertia about the common origin.
         own[_MASS] = mass
         put(own, _FIRST, axpy(mass, p, first))
@@ -135,7 +73,7 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
     M[:] = 0.0
     for j in range(nv - 1, -1, -1):
         own, parent = state[j], tree.parents[j]
-        angular, linear = get(own, _ANGULAR), get(own, _LINEAR)
+        angular, linear = get(own, ANGULAR), get(own, LINEAR)
         first = get(own, _FIRST)
         h[j] = dot(angular, get(own, _MOMENT)) + dot(linear, get(own, _FORCE))
         # Momentum of all that the joint carries, at its unit velocity.
@@ -149,14 +87,14 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
         i = j
         while i >= 0:
             other = state[i]
-            value = dot(get(other, _ANGULAR), spin)
-            value += dot(get(other, _LINEAR), momentum)
+            value = dot(get(other, ANGULAR), spin)
+            value += dot(get(other, LINEAR), momentum)
             M[i, j] = value
             M[j, i] = value
             i = tree.parents[i]
         M[j, j] += armature[j]
         if parent >= 0:
-            for k in range(_FORCE, _STATE):
+            for k in range(_FORCE, _WHOLE):
                 state[parent, k] += own[k]
 
 

@@ -165,21 +165,9 @@ def _diverged(robot, motion, time, row, joint, updates):
 
 
 def _start(robot, q0, v0):
-    names, found = robot.joint_names, []
-    for name, values in (("q0", q0), ("v0", v0)):
-        values = np.zeros(len(names)) if values is None else values
-        values = np.array(values, dtype=float)
-        if values.shape != (len(names),):
-            raise ValueError(
-                f"{name} must hold one value for each joint ({', '.join(names)}), "
-                f"shape ({len(names)},); got shape {values.shape}."
-            )
-        bad = ~np.isfinite(values)
-        if bad.any():
-            j = int(np.argmax(bad))
-            raise ValueError(f"{name} holds {values[j]} for {names[j]}.")
-        found.append(values)
-    q0, v0 = found
+    names, nothing = robot.joint_names, np.zeros(robot.n_joints)
+    q0 = _checked(robot, "q0", q0, nothing.shape)
+    v0 = _checked(robot, "v0", nothing if v0 is None else v0, nothing.shape)
     low, high = _limits(robot.model)
     margin = _MARGIN * np.where(np.isfinite(high - low), high - low, 0.0)
     for j in np.flatnonzero((q0 < low - margin) | (q0 > high + margin)):
@@ -192,6 +180,28 @@ def _start(robot, q0, v0):
     return q0, v0
 
 
+def _checked(robot, name, values, shape):
+    """Check values of joints, in one row or in many."""
+    values = np.array(values, dtype=float)
+    if values.shape != shape:
+        raise ValueError(
+            f"{name} must have shape {shape}, with a column for each joint "
+            f"({', '.join(robot.joint_names)}); got shape {values.shape}."
+        )
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        *row, j = bad[0]
+        where = f"joint {robot.joint_names[j]}"
+        if row:
+            since = f" ({row[0] * robot.dt:.6g} s after the start)" if robot.dt else ""
+            where = f"row {row[0]}{since}, {where}"
+        raise ValueError(
+            f"{name} holds {values[tuple(bad[0])]} in {where}; {len(bad)} value(s) in "
+            "all. Cut the recording there, or fill the gap."
+        )
+    return values
+
+
 def _limits(model):
     low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     real = (low < high) & (np.abs(low) < 1e9) & (np.abs(high) < 1e9)
@@ -201,24 +211,9 @@ def _limits(model):
 def _torques(robot, tau):
     """Check the torques, (n, nv)."""
     tau = np.array(tau, dtype=float)
-    nv = robot.n_joints
-    if tau.ndim == 1 and nv == 1:
+    if tau.ndim == 1 and robot.n_joints == 1:
         tau = tau[:, None]
-    if tau.ndim != 2 or tau.shape[1] != nv or not len(tau):
-        raise ValueError(
-            f"tau must hold one row of torques per sample and one column per joint "
-            f"({', '.join(robot.joint_names)}), shape (n, {nv}); got shape {tau.shape}."
-        )
-    bad = np.argwhere(~np.isfinite(tau))
-    if bad.size:
-        row, j = bad[0]
-        at = "" if robot.dt is None else f" ({row * robot.dt:.6g} s after the start)"
-        raise ValueError(
-            f"tau holds {tau[row, j]} in row {row}{at}, joint {robot.joint_names[j]}; "
-            f"{len(bad)} value(s) in all. A simulation needs every torque: cut the "
-            "recording there, or fill the gap."
-        )
-    return tau
+    return _checked(robot, "tau", tau, (max(len(tau), 1), robot.n_joints))
 
 
 def _times(robot, t, n):
@@ -234,12 +229,12 @@ def _times(robot, t, n):
     t = np.array(t, dtype=float)
     if t.shape != (n,):
         raise ValueError(
-            f"tau has {n} rows and t has shape {t.shape}; expected one time for each "
-            f"row, shape ({n},)."
+            f"tau has {n} rows and t has shape {t.shape}; expected one time for each."
         )
     steps = np.diff(t)
-    if not ((steps > 0) & np.isfinite(steps)).all():
-        row = int(np.argmin((steps > 0) & np.isfinite(steps)))
+    rises = (steps > 0) & np.isfinite(steps)
+    if not rises.all():
+        row = int(np.argmin(rises))
         raise ValueError(
             f"t must rise; it goes from {t[row]:.6g} to {t[row + 1]:.6g} s in row "
             f"{row + 1}."

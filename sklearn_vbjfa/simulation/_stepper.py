@@ -20,17 +20,14 @@ from sklearn_vbjfa.effects import (
 )
 from sklearn_vbjfa.model import (
     TreeRegressor,
-    import_pinocchio,
+    describe,
+    import_compiled,
     is_prismatic,
     joint_names,
 )
 
 if TYPE_CHECKING:
     import pinocchio as pin
-
-# Parameters of a body that are off by more than this, beside its largest, when they
-# have been written as mass, centre and inertia, are no solid body's.
-_ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -387,29 +384,16 @@ class _Rigid:
 
 def _inverse_dynamics(model, bodies):
     """Return a function (q, v, a) -> torques of bodies (nv, 10), a list of floats."""
-    pin = import_pinocchio()
-    own = model.copy()
-    own.armature = np.zeros(model.nv)
-    solid = True
-    for j, body in enumerate(bodies):
-        if not body.any():
-            own.inertias[j + 1] = pin.Inertia.Zero()
-            continue
-        inertia = pin.Inertia.FromDynamicParameters(body)
-        off = np.abs(inertia.toDynamicParameters() - body)
-        # Parameters without a mass belong to no body.
-        solid &= bool((off <= _ROUNDING * np.abs(body).max()).all())
-        own.inertias[j + 1] = inertia
-    if not solid:
-        regressor = TreeRegressor(model).one_by_one()
-        flat = bodies.ravel()
+    tree, compute = describe(model), import_compiled("sklearn_vbjfa.model._kernel")
+    state, out = np.empty((3, model.nv)), np.empty((1, model.nv))
+    flat, bodies = state.reshape(1, -1), np.ascontiguousarray(bodies, dtype=float)
 
-        def by_regressor(q, v, a):
-            return (regressor(q, v, a).reshape(model.nv, -1) @ flat).tolist()
+    def torques(q, v, a):
+        state[0], state[1], state[2] = q, v, a
+        compute.torques(flat, tree, bodies, out)
+        return out[0].tolist()
 
-        return by_regressor
-    data, rnea = own.createData(), pin.rnea
-    return lambda q, v, a: rnea(own, data, q, v, a).tolist()
+    return torques
 
 
 class _ByMotion:
@@ -419,7 +403,6 @@ class _ByMotion:
         self._columns, self._model, self._effect = effect.columns, model, effect
         self._prismatic = is_prismatic(model.model)
         self._tree = TreeRegressor(model.model)
-        self._matrix = self._tree.one_by_one()
         self._bodies = model.load.bodies if load else None
 
     def __call__(self, row):
@@ -434,7 +417,7 @@ class _ByMotion:
             torque=None if row.torque is None else np.array([row.torque]),
             prismatic=self._prismatic,
             rigid=None if self._bodies is None else self._rigid,
-            last_body=lambda: self._matrix(q[0], v[0], a[0])[None, :, -1].copy(),
+            last_body=lambda: self._tree(q, v, a)[:, :, -1],
             rest=self._model.rest,
             since=self._model.since,
             signals={name: np.array([x]) for name, x in row.signals.items()},

@@ -512,35 +512,6 @@ class Segment:
             mean = 0.5 * (even + odd) if self.rows is None else made[0]
             yield first, mean, even - odd
 
-    def predicted(self, lowpasses, theta):
-        """Torques (m, nv) of parameters (p,) behind several low-passes, a list."""
-        if self.every:
-            whole = self.rows.predict(theta)
-            return [decimate(lowpass, whole) for lowpass in lowpasses]
-        rows, bodies = self.rows, theta.copy()
-        joint, parameter = divmod(rows.used[rows.rough], rows.n_parameters)
-        bodies[parameter] = 0.0
-        slopes = np.zeros((joint.size, rows.n_joints))
-        slopes[np.arange(joint.size), joint] = theta[parameter]
-        every = slice(0, self.n_rows)
-        rough = [entries @ slopes for _, entries in rows.rough_spans(every)]
-        rough = np.concatenate(rough)
-        return [
-            decimate(lowpass, rough) + self._smooth(lowpass, bodies)
-            for lowpass in lowpasses
-        ]
-
-    def _smooth(self, lowpass, theta):
-        """Torques (m, nv) of bodies behind a low-pass, made of no more than it asks."""
-        some, n = stride(lowpass), self.n_rows
-        span = some * _SPAN_ROWS
-        parts = [
-            self.rows.part(slice(at, min(at + span, n))).every(some).predict(theta)
-            for at in range(lowpass.half % some, n, span)
-        ]
-        made = decimate(coarser(lowpass, some), np.concatenate(parts))
-        return made[: lowpass.centres(n).size]
-
     def loads(self, lowpass, torques):
         # torques: (q, v, a) -> torques (n, nv) of the rigid bodies. The states are
         # filtered before, which is the same for motion in the band of the filter.
@@ -783,7 +754,8 @@ def compare(segments, lowpasses, theta):
         measured = [decimate(lowpass, torque) for lowpass in lowpasses]
         torques = [0 * tau for tau in measured]
         if theta is not None:
-            torques = own.predicted(lowpasses, theta)
+            whole = own.rows.predict(theta)
+            torques = [decimate(lowpass, whole) for lowpass in lowpasses]
         for lowpass, tau, made, pieces in zip(lowpasses, measured, torques, found):
             rows = own.first + lowpass.centres(own.n_rows)
             pieces.append((rows, tau, made, filter_weight(lowpass, counts)))

@@ -241,16 +241,19 @@ def needs_load(effects):
     return any("load" in effect.needs for effect in effects)
 
 
-def effect_names(effects, model):
-    """Names and units of the effects' coefficients, two tuples of str."""
-    joints, kinds = joint_names(model), is_prismatic(model)
+def parameter_names(features, effects):
+    """Names and units of the parameters of a robot, two tuples of str."""
+    joints, kinds = joint_names(features.model_), is_prismatic(features.model_)
     names, units = [], []
     for effect in effects:
         kind = int(kinds[effect.joint])
         prefix = effect.prefix(joints[effect.joint])
         names += [f"{prefix}:{c}" for c in effect.coefficients]
         units += [unit[kind] for unit in effect.units]
-    return tuple(names), tuple(units)
+    return (
+        features.parameter_names_ + tuple(names),
+        features.parameter_units_ + tuple(units),
+    )
 
 
 def effect_places(effects, first):

@@ -19,9 +19,9 @@ from sklearn_vbjfa.equations._features import (
 from sklearn_vbjfa.equations._plan import (
     check_effects,
     delay_of,
-    effect_names,
     make_plan,
     observe,
+    parameter_names,
 )
 from sklearn_vbjfa.equations._ranges import ends
 from sklearn_vbjfa.equations._recording_checks import (
@@ -498,9 +498,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             refuse_followers(
                 self.effects_, "criterion='simulation'", "use criterion='torque'"
             )
-        names, units = effect_names(self.effects_, self.features_.model_)
-        self.parameter_names_ = self.features_.parameter_names_ + names
-        self.parameter_units_ = self.features_.parameter_units_ + units
+        self.parameter_names_, self.parameter_units_ = parameter_names(
+            self.features_, self.effects_
+        )
         self._description = described_bodies(self)
         self._shared_drives = alike_joints(self)
 

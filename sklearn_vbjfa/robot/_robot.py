@@ -24,7 +24,7 @@ from sklearn_vbjfa.equations._features import (
     RigidBodyFeatures,
     nominal_followers,
 )
-from sklearn_vbjfa.equations._plan import Plan, effect_names
+from sklearn_vbjfa.equations._plan import Plan, parameter_names
 from sklearn_vbjfa.equations._recording_checks import (
     check_length,
     check_weight,
@@ -294,17 +294,12 @@ class IdentifiedRobot:
     @property
     def parameter_names_(self):
         """Names of the parameters, tuple of str."""
-        return self._of_parameters()[0]
+        return parameter_names(self.features_, self.effects_)[0]
 
     @property
     def parameter_units_(self):
         """Units of the parameters, tuple of str."""
-        return self._of_parameters()[1]
-
-    def _of_parameters(self):
-        features = self.features_
-        names, units = effect_names(self.effects_, features.model_)
-        return features.parameter_names_ + names, features.parameter_units_ + units
+        return parameter_names(self.features_, self.effects_)[1]
 
     @property
     def left_out_(self):
@@ -334,7 +329,7 @@ class IdentifiedRobot:
     # -- what it is asked -------------------------------------------------------------
 
     def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
-        r"""Predict the joint torques.
+        """Predict the joint torques.
 
         Parameters
         ----------
@@ -377,18 +372,8 @@ class IdentifiedRobot:
 
         Notes
         -----
-        A joint at rest may have any dry friction within its band. The sign of its
-        velocity is therefore replaced by its expected value over possible true ones,
-
-        .. math::
-
-            s(v, a) = E[\mathrm{sign}(v + u + e)], \quad
-            u \sim U(-w, w), \quad e \sim N(0, \sigma^2), \quad
-            w = \frac{v_s}{1 + |a| T / v_s}.
-
-        sigma is the standard deviation of the velocity, zero for states; v_s is
-        `standstill_`, and T the period of the fastest motion. At a reversal the
-        acceleration is large, and the sign is kept.
+        A joint at rest may have any dry friction within its band: the sign of its
+        velocity is replaced by its expected value (``docs/theory.rst``).
 
         Outside the margin of its range, the torque of an effect is held constant: its
         columns are computed at the nearest of `EffectRange.ends`. Rigid bodies,
@@ -397,16 +382,11 @@ class IdentifiedRobot:
         both have their initial value.
 
         The standard deviation is that of measured minus predicted torque, both filtered
-        as in `residuals`, at a new state of the same robot while the joint moves,
-
-        .. math::
-
-            \mathrm{std}_j^2 = \phi_j^T C \phi_j + s_j^2.
-
-        phi is the row of the regressor, C the covariance of the parameters before the
-        projection, and s the residual of the joint in the fit. Corrections of the
-        model, shape parameters, dry friction at rest, and noise above the low-pass are
-        not included.
+        as in `residuals`, at a new state of the same robot while the joint moves: the
+        root of phi' C phi + s^2, with the row phi of the regressor, the covariance C of
+        the parameters before the projection, and the residual s of the joint in the
+        fit. Corrections of the model, shape parameters, dry friction at rest, and noise
+        above the low-pass are not included.
         """
         return self.predicted(X, groups, t, signals, return_std)
 
@@ -758,7 +738,7 @@ class IdentifiedRobot:
         _model_file.write(path, self)
 
     def sample(self, n, random_state=None):
-        r"""Draw parameters of the robot in its next recording from the posterior.
+        """Draw parameters of the robot in its next recording from the posterior.
 
         Parameters
         ----------
@@ -784,22 +764,11 @@ class IdentifiedRobot:
 
         Notes
         -----
-        A row is
-
-        .. math::
-
-            \theta = \hat\theta + \delta + e, \quad \delta \sim N(0, C), \quad
-            e_k \sim N(0, s_k^2 (1 + h_k)), \quad \theta_k \ge 0.
-
-        theta-hat is `theta_unconstrained_`, and C the covariance of the parameters
-        before the projection. e is a random effect by recording of all parameters that
-        are not of bodies; h is the sum of the squared shares of the recordings in the
-        fitted value, 1/R for R equal ones. The scale s is half-Cauchy around a fifth of
-        the value, at most twice the value, given the second moments of the recordings.
-
-        Rows with a negative armature or friction are redrawn by Gibbs sampling.
-        Inconsistent bodies are projected in the metric of their posterior, and the
-        other parameters are drawn given them.
+        A row is the fitted value before the projection, the error of the fit, and a
+        random effect of the recording on all parameters that are not of bodies
+        (``docs/simulation.rst``). Rows with a negative armature or friction are redrawn
+        by Gibbs sampling. Inconsistent bodies are projected in the metric of their
+        posterior, and the other parameters are drawn given them.
         """
         n = check_number("n", n, 1)
         return Posterior.of(self).sample(seed_of(random_state), range(n))

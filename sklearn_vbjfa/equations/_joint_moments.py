@@ -207,17 +207,23 @@ class JointMoments:
         both = keep[:, :, None] * keep[:, None, :]
         noise = None if self.noise is None else self.noise * both
         common = None if self.in_common is None else self.in_common * keep
-        known = {"noise": noise, "in_common": common}
-        return replace(self, G=self.G * both, g=self.g * keep, **known)
+        g = self.g * keep
+        return replace(self, G=self.G * both, g=g, noise=noise, in_common=common)
 
     def columns(self, chosen):
         """Return the moments of some of the columns, without those of their parts."""
         both = np.ix_(range(self.n.size), chosen, chosen)
         noise = None if self.noise is None else self.noise[both]
         common = None if self.in_common is None else self.in_common[:, chosen]
-        known = {"noise": noise, "in_common": common, "blocks": None}
-        known["recordings"] = None
-        return replace(self, G=self.G[both], g=self.g[:, chosen], **known)
+        return replace(
+            self,
+            G=self.G[both],
+            g=self.g[:, chosen],
+            noise=noise,
+            in_common=common,
+            blocks=None,
+            recordings=None,
+        )
 
     def residual_squares(self, theta):
         """Weighted sum of squared residuals of each joint, ndarray of shape (nv,)."""

@@ -160,8 +160,8 @@ class Plan:
         """How the velocities of an estimator turn, see `Rest`."""
         if self.corners is None or estimator is None:
             return {}
-        known = {"corner": self.corners, "rounding": estimator.rounding()}
-        return {**known, "span": self.dt}
+        rounding = estimator.rounding()
+        return {"corner": self.corners, "rounding": rounding, "span": self.dt}
 
     def rest(self, noise, estimator=None):
         """Return the `Rest`, for mean velocity signs, of velocity noise (nv,)."""

@@ -50,8 +50,8 @@ def check_speed(dt, fast, travel, model):
     if dt is None or not np.max(fast, initial=0.0) > 0:
         return
     limit = np.asarray(model.velocityLimit, dtype=float)
-    known = (limit > 0) & (limit < _NO_LIMIT)
-    limit = np.where(known, limit, _LARGEST_SPEED)
+    limited = (limit > 0) & (limit < _NO_LIMIT)
+    limit = np.where(limited, limit, _LARGEST_SPEED)
     share = float(np.max(fast / limit))
     top = float(np.max(fast))
     if dt >= _SLOWEST_PERIOD or (dt >= _SLOW_PERIOD and top < _SLOW_SPEED):
@@ -59,7 +59,7 @@ def check_speed(dt, fast, travel, model):
             f"dt={dt:.6g} s is too slow for a motion: the fastest joint would move at "
             f"{top:.2g} rad/s or m/s. dt is in seconds."
         )
-    reaching = known & (travel <= _TURN)
+    reaching = limited & (travel <= _TURN)
     near = float(np.max(fast[reaching] / limit[reaching], initial=0.0))
     if share > _TOO_FAST or (
         near > _TOO_FAST_NEAR

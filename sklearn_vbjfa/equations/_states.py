@@ -143,14 +143,14 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                 "enough). Give cutoff in Hz."
             )
         if not auto:
-            given = np.asarray(self.cutoff, dtype=object)
-            if given.shape not in {(), (nv,)}:
+            asked = np.asarray(self.cutoff, dtype=object)
+            if asked.shape not in {(), (nv,)}:
                 raise ValueError(
                     f"cutoff must be one frequency or one for each of the {nv} joints; "
-                    f"got an array of shape {given.shape}."
+                    f"got an array of shape {asked.shape}."
                 )
-            given = np.broadcast_to(given, (nv,))
-            chosen = np.array([check_cutoff(c, dt, "cutoff") for c in given])
+            asked = np.broadcast_to(asked, (nv,))
+            chosen = np.array([check_cutoff(c, dt, "cutoff") for c in asked])
         self.cutoff_ = chosen
         return self
 
@@ -420,8 +420,8 @@ def lighter(estimator):
 
 
 def _with_cutoffs(estimator, cutoffs):
-    given = [c if np.isfinite(c) else None for c in cutoffs]
-    other = StateEstimator(estimator.dt, cutoff=given)
+    finite = [c if np.isfinite(c) else None for c in cutoffs]
+    other = StateEstimator(estimator.dt, cutoff=finite)
     fitted = {k: v for k, v in vars(estimator).items() if k.endswith("_")}
     vars(other).update(fitted, cutoff_=cutoffs)
     return other

@@ -52,16 +52,16 @@ _ROWS = 100_000
 _SHORTEST = 64
 
 
-def given_noise(given, nv, dt, cutoff):
-    """Return the white torque noise (nv,) that passes the low-pass, from that given."""
-    # given: deviation of a sample [N m or N]; None gives nan.
-    if given is None:
+def filtered_white_noise(deviation, nv, dt, cutoff):
+    """Return the white torque noise (nv,) that passes the low-pass."""
+    # deviation: of a sample [N m or N]; None gives nan.
+    if deviation is None:
         return np.full(nv, np.nan)
-    noise = np.asarray(given, dtype=float)
+    noise = np.asarray(deviation, dtype=float)
     if noise.shape not in {(), (nv,)} or not ((noise >= 0) & np.isfinite(noise)).all():
         raise ValueError(
             "torque_noise must be a non-negative standard deviation of one torque "
-            f"sample [N m or N], or {nv} of them, or None; got {given!r}."
+            f"sample [N m or N], or {nv} of them, or None; got {deviation!r}."
         )
     noise = np.broadcast_to(noise, (nv,))
     if not np.isfinite(cutoff):
@@ -97,10 +97,8 @@ def noise_facts(residual, torque, states, dt, cutoff, n_jobs=None):
     return NoiseFacts(n=n, hold=hold, scales=scales, gap=gap)
 
 
-def _of_joint(*given):
-    # given: residual, torque, position and velocity (n,), dt [s], cutoff [Hz].
-    residual, torque, q, v = map(np.ascontiguousarray, given[:4])
-    dt, cutoff = given[4:]
+def _of_joint(residual, torque, q, v, dt, cutoff):
+    residual, torque, q, v = map(np.ascontiguousarray, (residual, torque, q, v))
     n, count = residual.size, held_rows(torque)
     scales = np.full(len(_STRIDES), np.nan)
     turning = int(_TURNING / (cutoff * dt))
@@ -309,8 +307,8 @@ class _NoiseFamily:
         # that nothing else is likely.
         white = cost[0] <= cost.min() + _WHITE
         enough = _KNOWN_ABOVE if white else _KNOWN
-        known = high - low <= 2 * enough and unlike <= _ALIKE and seen_above.sum() > 1
-        margin = _KNOWN if known else 2 * _KNOWN
+        settled = high - low <= 2 * enough and unlike <= _ALIKE and seen_above.sum() > 1
+        margin = _KNOWN if settled else 2 * _KNOWN
         reach = low - margin, high + margin
         if seen_between.any():
             # With the gap as its continuation.
@@ -326,7 +324,7 @@ class _NoiseFamily:
             agree = reach[0] <= both <= reach[1]
             if agree and unlike <= _CONSISTENT and high - low <= 2 * _KNOWN:
                 return np.exp(both)
-        return np.exp(level) if known else np.nan
+        return np.exp(level) if settled else np.nan
 
     def _level(self, cost, amplitude, count):
         """Quantiles of the logarithm of the level (16, 50, 84 %), least mean cost."""

@@ -217,9 +217,9 @@ class _Shared:
     def visible(self, std):
         """Return it without values of which deviations (p,) say that nothing tells."""
         own = std[self.places]
-        known = np.isfinite(own) & (own > 0)
-        known &= own < _SILENT * own[known].min(initial=np.inf)
-        return replace(self, places=self.places[known])
+        finite = np.isfinite(own) & (own > 0)
+        finite &= own < _SILENT * own[finite].min(initial=np.inf)
+        return replace(self, places=self.places[finite])
 
 
 def shared_values(groups, robot):
@@ -524,8 +524,8 @@ def with_positive_rotors(found, robot):
     if not at.size or found.covariance is None:
         return found
     C, ratio = widening(found)
-    known = np.isfinite(found.std[at]) & (np.diagonal(C)[at] > 0)
-    at, references = at[known], references[known]
+    seen = np.isfinite(found.std[at]) & (np.diagonal(C)[at] > 0)
+    at, references = at[seen], references[seen]
     S = C[np.ix_(at, at)] * np.outer(ratio[at], ratio[at])
     y = found.theta_unconstrained[at]
     mean, variance, centre = most_probable(y, S, references)

@@ -49,9 +49,13 @@ def between_recordings(found, places, values):
     # The values that were fitted are off, too: by a mean of those of recordings.
     spread = np.sqrt(keys[:, 1].max() + effects.shares)
     size, weights = effects.unit * spread, effects.solved()
-    known = {"size": size, "weights": weights, "scales": _SCALES}
-    count = 1 if stats.blocks is None else grams.shape[0]
-    return BetweenRecordings(count=count, places=places, **known)
+    return BetweenRecordings(
+        count=1 if stats.blocks is None else grams.shape[0],
+        places=places,
+        size=size,
+        weights=weights,
+        scales=_SCALES,
+    )
 
 
 def _noise_within(found, keys, grams, scores, places):

@@ -137,9 +137,14 @@ class BodyPosterior:
     @classmethod
     def of_nothing(cls, theta, covariance, noise):
         p = theta.size
-        none = {"prior": np.zeros((p, p)), "before": np.full(p, np.nan)}
-        known = {"theta": theta, "covariance": covariance, "noise": noise}
-        return cls(**known, **none, centre=np.zeros(p))
+        return cls(
+            theta=theta,
+            covariance=covariance,
+            noise=noise,
+            prior=np.zeros((p, p)),
+            before=np.full(p, np.nan),
+            centre=np.zeros(p),
+        )
 
 
 def little_learned(std, before):
@@ -283,9 +288,9 @@ class _BodyProblem:
         sites, open_ = [Site.of_scale(DESCRIBED)] * len(names), np.ones(len(names))
         found = []
         while open_.any():
-            known = self.marginals(self.solved(sites))
+            marginals = self.marginals(self.solved(sites))
             H, q = np.zeros((len(names), 1, 1)), np.zeros((len(names), 1))
-            for k, (along, precision, product) in enumerate(zip(size, *known)):
+            for k, (along, precision, product) in enumerate(zip(size, *marginals)):
                 variance = along @ np.linalg.solve(precision, along)
                 q[k] = along @ np.linalg.solve(precision, product) / variance
                 own = along @ sites[k].precision @ along
@@ -332,13 +337,13 @@ def propagated(sites, marginals):
     # 2008. marginals: from sites to the precision and product of each, everything in.
     for number in range(_PASSES):
         share, moved, new = (0.5 if number else 1.0), 0.0, list(sites)
-        known, alike = list(marginals(sites)), {}
-        for k, (_, product) in enumerate(known):
+        every, alike = list(marginals(sites)), {}
+        for k, (_, product) in enumerate(every):
             alike.setdefault(product.size, []).append(k)
         # Those of one size together; one with no directions stays as it is.
         alike.pop(0, None)
         for places in alike.values():
-            precision, product = (np.array(x) for x in zip(*[known[k] for k in places]))
+            precision, product = (np.array(x) for x in zip(*[every[k] for k in places]))
             found, step = _matched(precision, product, [sites[k] for k in places])
             moved = max(moved, step)
             for k, one in zip(places, found):

@@ -260,8 +260,8 @@ def widening(found):
     # By these factors residuals correlated in time widen the deviations.
     C = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
     size, ratio = np.sqrt(np.diagonal(C)), np.ones(len(C))
-    known = np.isfinite(found.std) & (size > 0)
-    ratio[known] = found.std[known] / size[known]
+    finite = np.isfinite(found.std) & (size > 0)
+    ratio[finite] = found.std[finite] / size[finite]
     return C, ratio
 
 
@@ -276,9 +276,9 @@ def with_prior(found, at, moved, less, precision, right):
     C = C - follow @ less @ follow.T
     std = ratio * np.sqrt(np.maximum(np.diagonal(C), 0.0))
     C = np.where(np.isfinite(found.covariance), 0.5 * (C + C.T), found.covariance)
-    known, bodies = {"theta": theta, "covariance": C}, found.bodies
+    changes, bodies = {"theta": theta, "covariance": C}, found.bodies
     if bodies is None:
-        bodies = BodyPosterior.of_nothing(**known, noise=noise_of(found))
+        bodies = BodyPosterior.of_nothing(**changes, noise=noise_of(found))
     prior, sums = bodies.prior.copy(), bodies.prior @ bodies.centre
     prior[np.ix_(at, at)] += precision
     sums[at] += right
@@ -290,10 +290,10 @@ def with_prior(found, at, moved, less, precision, right):
     centre[tied] = theta[tied] + off
     return replace(
         found,
-        **known,
+        **changes,
         theta_unconstrained=theta,
         std=np.where(np.isfinite(found.std), std, found.std),
-        bodies=replace(bodies, **known, prior=prior, centre=centre),
+        bodies=replace(bodies, **changes, prior=prior, centre=centre),
     )
 
 

@@ -63,9 +63,12 @@ class FitData:
 
     def segments(self, robot, **changes):
         plan = replace(robot.plan, **changes)
-        known = {"theta": robot.load_parameters}
         return build_segments(
-            self.recording, self.states, plan, robot.features_, **known
+            self.recording,
+            self.states,
+            plan,
+            robot.features_,
+            theta=robot.load_parameters,
         )
 
     def moments(self, made, plan):
@@ -309,7 +312,7 @@ def run_passes(recipe, robot, source, relative, passes, load):
     for plan in passes:
         own = replace(robot, plan=plan, load_parameters=load)
         fit = recipe.of_source(own, source)
-        load = _known_load(fit.robot)
+        load = _load_parameters(fit.robot)
     if any(effect.in_model for effect in robot.effects_):
         fit = iterate_corrections(recipe, fit, source, relative)
     return fit
@@ -320,7 +323,7 @@ def _at(robot, effects):
     return replace(robot, features_=robot.features_.corrected(effects), plan=plan)
 
 
-def _known_load(robot):
+def _load_parameters(robot):
     bodies, coefs = np.split(robot.theta_, [robot.features_.n_parameters_])
     return np.concatenate([bodies, plain_coefficients(robot.effects_, coefs)])
 
@@ -332,12 +335,13 @@ def _load_of(before, robot):
     if any(effect.in_model for effect in robot.effects_):
         return None
 
-    def known(one):
+    def plain_terms(one):
         plain = [effect for effect in one.effects_ if is_plain(effect)]
         terms = [(type(e), e.joint, len(e.coefficients)) for e in plain]
         return one.features_.friction_, terms
 
-    return _known_load(before) if known(before) == known(robot) else None
+    same = plain_terms(before) == plain_terms(robot)
+    return _load_parameters(before) if same else None
 
 
 def _first_gains(recipe, robot, source):
@@ -386,10 +390,14 @@ def iterate_corrections(recipe, fit, source, relative):
         names = robot.joint_names_
         gains = channel_gains(names, theta[places], std[places], relative, common)
     shown[own] = np.isfinite(std[own])
-    known = {"theta": theta, "theta_unconstrained": unconstrained, "std": std}
-    known["covariance"] = covariance_of_all
-    changes = {"identifiable_": shown, "gains_": gains}
-    fit = fit.with_estimate(replace(found, **known), **changes)
+    corrected = replace(
+        found,
+        theta=theta,
+        theta_unconstrained=unconstrained,
+        std=std,
+        covariance=covariance_of_all,
+    )
+    fit = fit.with_estimate(corrected, identifiable_=shown, gains_=gains)
     tangents = found.of_moments(values.moments)
     return replace(fit, made=source.segments(fit.robot), tangents=tangents)
 
@@ -405,7 +413,7 @@ def _corrected(recipe, fit, source, relative):
     corrected, factor, before = fit.robot, 1.0, 0.0
     loaded = needs_load(corrected.effects_)
     for number in range(MOST_CORRECTIONS):
-        robot = replace(corrected, load_parameters=_known_load(fit.robot))
+        robot = replace(corrected, load_parameters=_load_parameters(fit.robot))
         made = source.segments(robot, tangents=True)
         moments = source.moments(made, robot.plan)
         if number and loaded:
@@ -431,7 +439,7 @@ def _corrected(recipe, fit, source, relative):
         warn_unsettled(values)
     if number and not loaded:
         fit = _fitted_again(recipe, robot, source, moments)
-    robot = replace(fit.robot, load_parameters=_known_load(fit.robot))
+    robot = replace(fit.robot, load_parameters=_load_parameters(fit.robot))
     return replace(fit, robot=robot), values
 
 
@@ -751,8 +759,12 @@ def without_steps(robot, source):
     size = (third + losses / inertia * fourth) / inertia
     if (stiffness * np.abs(size) < _LEAST_RIPPLE * dt).all():
         return None
-    known = recording.command, recording.segments, recording.clock(), robot.plan.delay
-    position, speed = (size * _smoothing.interpolate(*known, k) for k in (1, 2))
+    parts, clock = recording.segments, recording.clock()
+    position, speed = (
+        size
+        * _smoothing.interpolate(recording.command, parts, clock, robot.plan.delay, k)
+        for k in (1, 2)
+    )
     recording = replace(
         recording,
         q=recording.q - position,

@@ -176,8 +176,8 @@ def _spread(found):
     """Variances (k, k) of the logarithms of ratios of gains; large if not seen."""
     scale = np.sqrt(found.size)
     seen = scaled_eigen(found.information, IDENTIFIABLE, scale=scale, relative=False)
-    known = np.where(seen.known, seen.values, 1.0)
-    variance = np.where(seen.known, 1.0 / known, (_UNKNOWN * scale.max()) ** 2)
+    values = np.where(seen.known, seen.values, 1.0)
+    variance = np.where(seen.known, 1.0 / values, (_UNKNOWN * scale.max()) ** 2)
     roots = seen.vectors / scale[:, None] * np.sqrt(variance)
     return ((roots[:, None] - roots) ** 2).sum(axis=2)
 
@@ -316,11 +316,11 @@ def common_gain(masses, places, theta, estimate):
     )
     if not places:
         return CommonGain(masses=missing), None
-    names, given, at = zip(*places)
+    names, expected, at = zip(*places)
     at = np.array(at)
     # What is put down is a change by minus its mass.
     sign = np.where(np.array(names) == PAYLOAD, np.sign(theta[at]), 1.0)
-    given, own = np.array(given), theta[at] * sign
+    expected, own = np.array(expected), theta[at] * sign
     covariance = estimate.covariance[np.ix_(at, at)] * np.outer(sign, sign)
     listed = tuple(
         KnownMass(
@@ -331,12 +331,12 @@ def common_gain(masses, places, theta, estimate):
             shown=bool(shown),
         )
         for name, mass, found, variance, shown in zip(
-            names, given, own, np.diagonal(covariance), estimate.known[at]
+            names, expected, own, np.diagonal(covariance), estimate.known[at]
         )
     )
-    # Of magnitudes, as the masses that are given.
+    # Of magnitudes, as the masses that were given.
     sums = _determined(estimate.eigen, at) * sign[:, None]
-    y, x = given @ sums, own @ sums
+    y, x = expected @ sums, own @ sums
     V = sums.T @ covariance @ sums
     nothing = CommonGain(masses=listed + missing), None
     if not y.size:

@@ -32,7 +32,7 @@ from sklearn_vbjfa.equations._recording_checks import (
     check_speed,
 )
 from sklearn_vbjfa.equations._states import fit_states
-from sklearn_vbjfa.equations._torque_noise import given_noise
+from sklearn_vbjfa.equations._torque_noise import filtered_white_noise
 from sklearn_vbjfa.fit._alike import alike_joints
 from sklearn_vbjfa.fit._arguments import (
     FitOptions,
@@ -419,13 +419,13 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         )
 
     def _declared_robot(self, plan, signals):
-        given, nv = self.fit_options.torque_noise, self.features_.n_joints_
+        noise, nv = self.fit_options.torque_noise, self.features_.n_joints_
         return IdentifiedRobot(
             features_=self.features_,
             plan=plan,
             signal_ends=ends(signals),
             state_cutoff=self.fit_options.state_cutoff,
-            torque_noise_=given_noise(given, nv, plan.dt, plan.cutoff),
+            torque_noise_=filtered_white_noise(noise, nv, plan.dt, plan.cutoff),
             source=self.model,
         )
 

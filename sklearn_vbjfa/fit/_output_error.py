@@ -120,9 +120,9 @@ class Windows:
                 picked.append(slice(part.start + at, part.start + at + rows))
                 start.append(own[slice(at, at + 1)].reshape(-1)[: 2 * nv])
         # Weights alone tell which positions count.
-        known = {"weight": None, "command": None, "feedback": None}
-        known["t"] = predictor.plan.clock(recording)
-        chosen = _windows_of(replace(recording, **known), picked)
+        t = predictor.plan.clock(recording)
+        plain = replace(recording, t=t, weight=None, command=None, feedback=None)
+        chosen = _windows_of(plain, picked)
         weight = np.ones(chosen.tau.shape)
         if recording.weight is not None:
             weight = take_rows(recording, picked, range(len(picked))).weight
@@ -183,8 +183,8 @@ def window_rows(window, predictor, recording, states):
 
 def _slowest(predictor, recording, states):
     """Longest time [s] in which friction slows a joint to 1 / e; 0 without friction."""
-    known = replace(recording, t=predictor.plan.clock(recording), weight=None)
-    first = take_rows(known, recording.segments[:1], [0])
+    stamped = replace(recording, t=predictor.plan.clock(recording), weight=None)
+    first = take_rows(stamped, recording.segments[:1], [0])
     found = slopes(predictor, first, np.ascontiguousarray(states.own[0][:]))
     mass = np.einsum("njj->j", found.mass)
     damping = np.einsum("njj->j", found.damping)
@@ -557,9 +557,12 @@ def _beside_bodies(predictor, recording, states):
         for e in predictor.effects_
     ]
     if any(moving):
-        known = {"theta": predictor.load_parameters}
         motion = motion_of(
-            recording, states, predictor.prediction_plan, features, **known
+            recording,
+            states,
+            predictor.prediction_plan,
+            features,
+            theta=predictor.load_parameters,
         )
         held = own_motions(predictor.effects_, predictor.held, motion)
         coefs = predictor.split(predictor.theta_)

@@ -370,19 +370,19 @@ def as_tendons(couplings, damping, armature, lined):
     # by tendons with s = 1 and -1: damping, friction and inertia of each pair
     size, kept = np.zeros((2, nv, nv, 3)), np.array([damping, armature], dtype=float)
     for at, own, counts in ((0, kept[0], np.ones((nv, nv))), (2, kept[1], lined)):
-        C, given = np.zeros((2, nv, nv))
+        C, passive = np.zeros((2, nv, nv))
         for (effect, coef), place in zip(couplings, places):
             C[place] += counts[place] * coef[at]
-            given[place] += effect.ratio * counts[place] * coef[at]
+            passive[place] += effect.ratio * counts[place] * coef[at]
         both, share = _mutual(C)
         # A joint with too little gives all its tendons the same share of what they ask.
-        need = np.maximum(both - given * share, 0.0)
+        need = np.maximum(both - passive * share, 0.0)
         asked = need.sum(axis=1)
         part = np.divide(own, asked, out=np.ones(nv), where=asked > own)
         part = np.where(need > 0, part[:, None], 1.0)
         part = np.minimum(part, part.T)
         both, share = part * both, part * share
-        own += (given * share - both).sum(axis=1)
+        own += (passive * share - both).sum(axis=1)
         size[0, :, :, at], size[1, :, :, at] = both * (C > 0), both * (C < 0)
         for coef, place in zip(left, places):
             coef[at] *= 1.0 - share[place]
@@ -437,10 +437,10 @@ def without_place(effect, coef):
 def typical_motion(ranges, nv, dt):
     """States (n, 3 nv) within the ranges of a fit, and which joints move in them."""
     # ranges: `EffectRange` of at least one effect or friction term of each joint.
-    t, known = dt * np.arange(_ROWS), {one.joint: one for one in ranges}
+    t, by_joint = dt * np.arange(_ROWS), {one.joint: one for one in ranges}
     states, moves = np.zeros((3, _ROWS, nv)), np.zeros(nv, dtype=bool)
     rng = np.random.default_rng(0)
-    for j, one in known.items():
+    for j, one in by_joint.items():
         low, high = one.position
         size, speed = 0.5 * (high - low), one.speed[1]
         phase = rng.uniform(0, 2 * np.pi, len(_FREQUENCIES))

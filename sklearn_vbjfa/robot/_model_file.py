@@ -344,9 +344,9 @@ def _decode_states(value, at):
     }
     for name, own in found.items():
         _check_shape(f"{at}.{name}", own, found["cutoff_"].shape)
-    given = [c if np.isfinite(c) else None for c in found["cutoff_"]]
-    estimator = StateEstimator(_number(_value(value, "dt", at), f"{at}.dt"), given)
-    vars(estimator).update(found, n_features_in_=len(given))
+    cutoffs = [c if np.isfinite(c) else None for c in found["cutoff_"]]
+    estimator = StateEstimator(_number(_value(value, "dt", at), f"{at}.dt"), cutoffs)
+    vars(estimator).update(found, n_features_in_=len(cutoffs))
     return estimator
 
 

@@ -135,9 +135,9 @@ class Posterior:
                 "or use VBJFARegressor or JFARegressor)."
             )
         covariance = np.zeros(2 * robot.theta_.shape)
-        known = robot.prediction_covariance.covariance
-        finite = np.isfinite(np.diagonal(known))
-        covariance[np.ix_(finite, finite)] = known[np.ix_(finite, finite)]
+        fitted = robot.prediction_covariance.covariance
+        finite = np.isfinite(np.diagonal(fitted))
+        covariance[np.ix_(finite, finite)] = fitted[np.ix_(finite, finite)]
         # Of values of the geometry only the deviations are known.
         alone = of_the_model(robot) & ~finite & np.isfinite(robot.theta_std_)
         covariance[alone, alone] = robot.theta_std_[alone] ** 2

@@ -262,8 +262,15 @@ def _given(names, kinds, drive):
 def _fixed(name, joint, unit, value):
     where = dict.fromkeys(("value", "lower", "upper", "mean"), value)
     spread = dict.fromkeys(("std", "within", "between"), 0.0)
-    known = {"known": "given", "nonnegative": value >= 0}
-    return ParameterRange(name=name, joint=joint, unit=unit, **where, **spread, **known)
+    return ParameterRange(
+        name=name,
+        joint=joint,
+        unit=unit,
+        known="given",
+        nonnegative=value >= 0,
+        **where,
+        **spread,
+    )
 
 
 def _range_of(robot, posterior, k, level):

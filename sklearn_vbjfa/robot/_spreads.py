@@ -53,14 +53,14 @@ class TorqueSpread:
         if found.covariance is None:
             return None
         finite, moments = np.isfinite(np.diagonal(found.covariance)), found.moments
-        known = found.covariance[np.ix_(finite, finite)]
+        fitted = found.covariance[np.ix_(finite, finite)]
         through, rest = found.noise()
         # A fit takes part of the noise for its own: residuals of its rows are smaller,
         # in the mean by the variance of what is predicted in them.
-        taken = np.einsum("jik,ik->j", moments.G[:, finite][:, :, finite], known)
+        taken = np.einsum("jik,ik->j", moments.G[:, finite][:, :, finite], fitted)
         with np.errstate(divide="ignore", invalid="ignore"):
             taken = np.where(moments.n > 0, taken / moments.n, 0.0)
-        made = cls(covariance=known, through=through**2, rest=rest**2 + taken)
+        made = cls(covariance=fitted, through=through**2, rest=rest**2 + taken)
         return made.of(found.covariance)
 
     def of(self, covariance):
@@ -72,12 +72,12 @@ class TorqueSpread:
         """Deviations (n, nv) for `RegressorRows`, with noise of positions or not."""
         # Infinite where a row asks for a parameter that nothing tells.
         finite = np.isfinite(np.diagonal(self.covariance))
-        known = self.covariance[np.ix_(finite, finite)]
+        fitted = self.covariance[np.ix_(finite, finite)]
         variance = self.rest if noiseless else self.rest + self.through
         made = []
         for Phi in rows.blocks():
             own = Phi[:, :, finite]
-            spread = np.einsum("njk,njk->nj", own @ known, own) + variance
+            spread = np.einsum("njk,njk->nj", own @ fitted, own) + variance
             asked = (Phi != 0) & ~finite & ~_rounding(Phi, rows.n_rigid)
             made.append(np.where(asked.any(axis=2), np.inf, spread))
         return np.sqrt(np.maximum(np.concatenate(made), 0.0))
@@ -127,18 +127,18 @@ def known_parameters(robot, found):
     # half its value.
     # Values of effects in the model have no columns of their own.
     seen = (np.diagonal(found.metric) > 0) | robot.identifiable_
-    known = np.where(robot.identifiable_, "yes", "in combination").astype(object)
-    known[~seen] = "no"
+    state = np.where(robot.identifiable_, "yes", "in combination").astype(object)
+    state[~seen] = "no"
     masses = _masses(robot)
     moved = robot.theta_ - robot.theta_unconstrained_
     doubt = np.hypot(np.nan_to_num(robot.theta_std_, posinf=np.inf), moved)
     with np.errstate(invalid="ignore"):
         vague = ~(doubt[masses] <= _KNOWN * robot.theta_[masses])
     vague &= robot.identifiable_[masses]
-    known[masses[vague]] = "no"
-    silent = (known == "no") & np.isfinite(found.prior_std)
-    known[silent | found.from_description] = "from the description"
-    return tuple(known)
+    state[masses[vague]] = "no"
+    silent = (state == "no") & np.isfinite(found.prior_std)
+    state[silent | found.from_description] = "from the description"
+    return tuple(state)
 
 
 def _masses(robot):

@@ -475,8 +475,8 @@ class CommandFollower:
         """Simulate rows, a slice, from a state (3 nv,) on; t (n,) is their time."""
         nv, late = self._command.shape[1], self._late - 0.5 / self._updates
         begin = self._begins[self._begins <= rows.start][-1]
-        known = (x[begin : rows.stop] for x in (self._command, *self._gains))
-        law = law_of(*known, self._most, rows.start - begin, late)
+        parts = (x[begin : rows.stop] for x in (self._command, *self._gains))
+        law = law_of(*parts, self._most, rows.start - begin, late)
         return simulate_controlled(
             self._model,
             _seen_late(law, self._lags, self._dt, self._updates),
@@ -518,10 +518,10 @@ def _seen_late(control, lags, dt, updates):
         ago = np.clip(len(past) - 1 - back, 0.0, None)
         first = ago.astype(int)
         second = np.minimum(first + 1, len(past) - 1)
-        known = np.array(past[int(first.min()) :])
+        velocities = np.array(past[int(first.min()) :])
         first, second, share = first - first.min(), second - first.min(), ago % 1.0
-        seen = known[first, joints]
-        return control(row, q, seen + share * (known[second, joints] - seen))
+        seen = velocities[first, joints]
+        return control(row, q, seen + share * (velocities[second, joints] - seen))
 
     return late
 

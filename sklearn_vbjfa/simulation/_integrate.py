@@ -203,7 +203,7 @@ class Integrator:
         slopes = own.found.by_position, own.found.by_velocity
         stiff = self._steps.is_stiff(h, own.mass, *slopes, self._stuck, _STIFF)
         method = self._implicit if stiff else self._explicit
-        before, after, known = self._begin, None, None
+        before, after, joints = self._begin, None, None
         for tries in range(1, _MOST_TRIES + 1):
             q, v, a, error = method(tau, rate, h)
             grown = _RESERVE * max(error, 1e-12) ** (-1.0 / 3.0 if stiff else -0.25)
@@ -216,18 +216,18 @@ class Integrator:
                 if after is None:
                     hit = None
                     break
-                hit = known & ~self._stuck & (past >= -1)
+                hit = joints & ~self._stuck & (past >= -1)
             else:
                 hit = past > 0
             if hit.any() and (past <= 1).all():
                 break
             end = _End(h, v, own.found)
             if beyond:
-                after, known = end, hit
+                after, joints = end, hit
             else:
                 before = end
             if tries < _MOST_TRIES:
-                h = self._first_event(before, after, known)
+                h = self._first_event(before, after, joints)
         next_step = h * min(grown, _GROW)
         if h < asked or self._step > asked:
             # It was short for an event, or for the end of the sample period.
@@ -331,9 +331,9 @@ class Integrator:
             _LOOSE,
         )
 
-    def _first_event(self, before, after, known):
+    def _first_event(self, before, after, joints):
         width, shares = after.time - before.time, []
-        for j in np.flatnonzero(known):
+        for j in np.flatnonzero(joints):
             if self._stuck[j]:
                 one, other = before.found, after.found
                 under = (1 + _HOLDS) * one.limit[j] - abs(one.needed[j])

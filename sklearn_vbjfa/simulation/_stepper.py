@@ -341,15 +341,15 @@ class _JointFriction:
     """Declared friction of all joints."""
 
     def __init__(self, names, coefficients, signs):
-        known = declarable()
-        unknown = set(names) - set(known)
+        terms = declarable()
+        unknown = set(names) - set(terms)
         if unknown:
             raise ValueError(
                 f"friction_names holds {sorted(unknown)}, which cannot be stepped."
             )
         table = dict(zip(names, np.asarray(coefficients, dtype=float).T.tolist()))
         none = [0.0] * len(signs)
-        rows = [table.get(name, none) for name in known]
+        rows = [table.get(name, none) for name in terms]
         self._rows = list(zip(*rows, signs))
 
     def __call__(self, torque, row):

@@ -362,25 +362,9 @@ def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
         for first in range(part.start, part.stop, _SPAN_ROWS):
             rows = slice(first, min(first + _SPAN_ROWS, part.stop))
             whole[rows] = own[rows.start - part.start : rows.stop - part.start]
-    motion = motion_of(recording, whole, plan, features, theta=theta, rest=rest)
-    rows = RegressorRows.with_effects(
+    motion = make_motion(
         features,
         whole,
-        plan.effects,
-        motion,
-        rest,
-        tangents=plan.tangents,
-        ranges=plan.ranges,
-    )
-    # Splines are a third of the states of all rows, which end here.
-    return [rows.part(*both) for both in zip(recording.segments, states)]
-
-
-def motion_of(recording, states, plan, features, *, theta=None, rest=None):
-    """Build the `Motion` of a recording by a plan, from its states (n, 3 nv)."""
-    return make_motion(
-        features,
-        states,
         plan.clock(recording),
         recording.segments,
         theta,
@@ -393,6 +377,17 @@ def motion_of(recording, states, plan, features, *, theta=None, rest=None):
         recording.command if plan.lag is None else recording.tau,
         recording.before,
     )
+    rows = RegressorRows.with_effects(
+        features,
+        whole,
+        plan.effects,
+        motion,
+        rest,
+        tangents=plan.tangents,
+        ranges=plan.ranges,
+    )
+    # Splines are a third of the states of all rows, which end here.
+    return [rows.part(*both) for both in zip(recording.segments, states)]
 
 
 # -- segments --------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from sklearn_vbjfa.equations._states import (
     SplineStates,
     StateEstimator,
     of_joints,
+    smooth_halves,
     smooth_segment,
 )
 from sklearn_vbjfa.model import is_prismatic, joint_names
@@ -376,9 +377,9 @@ def smooth(recording, estimator, halves, keep, n_jobs):
 
 
 def smooth_with_facts(x, start, estimator, halves, keep):
-    states, both = smooth_segment(x, start, estimator, halves=halves)
-    rows = slice(None)
-    positions, speeds = states.derivative(rows, 0), states.derivative(rows, 1)
+    states = smooth_segment(x, start, estimator)
+    both = smooth_halves(x, start, estimator) if halves else None
+    positions, speeds = (states.derivative(slice(None), order) for order in range(2))
     return states, both, MotionFacts.of(positions, speeds, keep)
 
 

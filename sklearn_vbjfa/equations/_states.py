@@ -187,13 +187,10 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         """
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
-        n, nv = X.shape
-        states = np.empty((n, 3, nv))
-        for part in contiguous_groups(groups, n):
-            states[part] = _evaluate(
-                self._splines(X[part], part.start), part.stop - part.start
-            )
-        return states.reshape(n, 3 * nv)
+        states = np.empty((len(X), 3 * X.shape[1]))
+        for part in contiguous_groups(groups, len(X)):
+            states[part] = smooth_segment(X[part], part.start, self)[:]
+        return states
 
     def split_transform(self, X, groups=None):
         """Estimate states (n, 3 nv) from the even and from the odd samples, a pair."""
@@ -201,12 +198,11 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         # the same: their regressors differ by noise alone.
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
-        n, nv = X.shape
-        halves = np.empty((2, n, 3, nv))
-        for part in contiguous_groups(groups, n):
-            for k, splines in enumerate(self._half_splines(X[part], part.start)):
-                halves[k, part] = _evaluate(splines, part.stop - part.start)
-        return halves[0].reshape(n, -1), halves[1].reshape(n, -1)
+        halves = np.empty((2, len(X), 3 * X.shape[1]))
+        for part in contiguous_groups(groups, len(X)):
+            for half, own in zip(halves, smooth_halves(X[part], part.start, self)):
+                half[part] = own[:]
+        return tuple(halves)
 
     def velocity_noise(self):
         """Estimate deviations (nv,) of velocities [rad/s or m/s]; zero if unknown."""
@@ -227,7 +223,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         # By half of it times the jump of a velocity's slope, the corner is rounded.
         return np.array([_smoothing.rounding(cutoff) for cutoff in self.cutoff_])
 
-    def _splines(self, x, start):
+    def splines(self, x, start):
         if x.shape[0] < _MIN_SAMPLES:
             raise ValueError(
                 f"A recording must have at least {_MIN_SAMPLES} samples to be "
@@ -239,7 +235,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
             for column, cutoff in zip(np.ascontiguousarray(x.T), self.cutoff_)
         ]
 
-    def _half_splines(self, x, start):
+    def half_splines(self, x, start):
         if x.shape[0] < 2 * _MIN_SAMPLES:
             raise ValueError(
                 f"A recording must have at least {2 * _MIN_SAMPLES} samples to be "
@@ -310,11 +306,6 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         )
 
 
-def _evaluate(splines, n):
-    """States (n, 3, nv) of a whole recording."""
-    return SplineStates(splines, n)[:].reshape(-1, 3, len(splines))
-
-
 class SplineStates:
     """States of one recording, evaluated on demand from one spline a joint."""
 
@@ -374,25 +365,20 @@ class RecordingStates:
         """Smooth the positions of a recording, or take its states (no estimator)."""
         if estimator is None:
             return cls.of_rows(recording.segments, recording.inputs)
-        return cls(
-            own=[
-                smooth_segment(recording.q[part], part.start, estimator, halves=False)[
-                    0
-                ]
-                for part in recording.segments
-            ]
-        )
+        parts = recording.segments
+        own = [smooth_segment(recording.q[x], x.start, estimator) for x in parts]
+        return cls(own=own)
 
 
-def smooth_segment(x, start, estimator, *, halves):
-    """Fit splines to the positions (n, nv) of a segment that begins at row `start`."""
-    # Returns its `SplineStates`, and with `halves` those of the even and of the odd
-    # samples, or else None.
-    n, both = x.shape[0], None
-    if halves:
-        splines = estimator._half_splines(x, start)
-        both = tuple(SplineStates(half, n) for half in splines)
-    return SplineStates(estimator._splines(x, start), n), both
+def smooth_segment(x, start, estimator):
+    """Return `SplineStates` of positions (n, nv) of a segment that begins at a row."""
+    return SplineStates(estimator.splines(x, start), len(x))
+
+
+def smooth_halves(x, start, estimator):
+    """Return `SplineStates` of the even and of the odd samples of a segment, a pair."""
+    both = estimator.half_splines(x, start)
+    return tuple(SplineStates(half, len(x)) for half in both)
 
 
 def fit_states(dt, cutoff, X, groups):

@@ -14,24 +14,22 @@
 
 import warnings
 from dataclasses import dataclass, replace
-from itertools import compress
 from numbers import Real
 
 import numpy as np
 from scipy import linalg
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
-from sklearn_vbjfa.effects import OfChannel, declared_columns, own_motions
-from sklearn_vbjfa.equations._equations import motion_of, regressor_rows
+from sklearn_vbjfa.effects import OfChannel
+from sklearn_vbjfa.equations._equations import regressor_rows
 from sklearn_vbjfa.equations._plan import CUTOFF_PER_BANDWIDTH
 from sklearn_vbjfa.fit._estimate import project
-from sklearn_vbjfa.model import import_pinocchio
 from sklearn_vbjfa.recording import take_rows
+from sklearn_vbjfa.robot._posterior import of_effects
 from sklearn_vbjfa.robot._windows import warn_once
 from sklearn_vbjfa.simulation import (
     SimulationError,
     simulate,
-    with_bodies,
     without_limits,
 )
 
@@ -499,93 +497,32 @@ class Slopes:
 def slopes(predictor, recording, states):
     # predictor: `IdentifiedRobot`; recording: `Recording` with the segments and clock
     # of the motions; states (n, 3 nv). Returns `Slopes`, of true torques.
-    mass, damping, stiffness = _of_bodies(predictor, states)
-    extra = _differences(predictor, recording, states)
-    rows = regressor_rows(
-        recording,
-        [states[part] for part in recording.segments],
-        predictor.prediction_plan,
-        predictor.features_,
-        theta=predictor.load_parameters,
-    )
-    Phi = np.concatenate([one(slice(None)) for one in rows])
-    Phi /= predictor.features_.gains_[:, None]
-    Phi[:, :, held_parameters(predictor)] = 0.0
-    return Slopes(
-        mass=mass + extra.mass,
-        damping=damping + extra.damping,
-        stiffness=stiffness + extra.stiffness,
-        jump=extra.jump,
-        Phi=Phi,
-    )
+    features, held = predictor.features_, held_parameters(predictor)
 
-
-def held_parameters(predictor):
-    """Return which parameters (p,) a simulation does not depend on as columns."""
-    # Values of effects in the model, and effects that a simulation leaves out.
-    held = [np.zeros(predictor.features_.n_parameters_, dtype=bool)]
-    for effect in predictor.effects_:
-        out = effect.in_model or bool(effect.not_simulated)
-        held.append(np.full(len(effect.coefficients), out))
-    return np.concatenate(held)
-
-
-def _of_bodies(predictor, states):
-    """Differentiate the rigid bodies' torques, three arrays (n, nv, nv)."""
-    pin = import_pinocchio()
-    model = with_bodies(predictor.features_.model_, predictor.inertial())
-    data, nv = model.createData(), model.nv
-    out = np.empty((3, states.shape[0], nv, nv))
-    for i, (q, v, a) in enumerate(states.reshape(-1, 3, nv)):
-        pin.computeRNEADerivatives(model, data, q, v, a)
-        mass = np.triu(data.M)
-        out[0, i] = mass + np.triu(mass, 1).T
-        out[1, i], out[2, i] = data.dtau_dv, data.dtau_dq
-    return out
-
-
-def _beside_bodies(predictor, recording, states):
-    """Torques (n, nv) of friction and effects, without those of the channels."""
-    features, nv = predictor.features_, predictor.features_.n_joints_
-    _, v, a = np.split(states, 3, axis=1)
-    own = predictor.bodies(predictor.theta_)[:, 10:]
-    columns = declared_columns(features.friction_, v, a)
-    torque = np.einsum("njk,jk->nj", columns, own)
-    # Effects whose torque depends on the state alone.
-    moving = [
-        not (e.in_model or isinstance(e, OfChannel) or e.not_simulated)
-        for e in predictor.effects_
-    ]
-    if any(moving):
-        motion = motion_of(
+    def rows_of(states):
+        return regressor_rows(
             recording,
-            states,
+            [states[part] for part in recording.segments],
             predictor.prediction_plan,
             features,
             theta=predictor.load_parameters,
         )
-        held = own_motions(predictor.effects_, predictor.held, motion)
-        coefs = predictor.split(predictor.theta_)
-        for effect, coef, one in compress(zip(predictor.effects_, coefs, held), moving):
-            which = slice(0, nv) if effect.whole_robot else effect.joint
-            torque[:, which] += effect.columns(one) @ coef
-    return torque
 
-
-def _differences(predictor, recording, states):
-    n, nv = states.shape[0], states.shape[1] // 3
-    sizes = np.ptp(states, axis=0)
-    sizes[nv:] = np.abs(states[:, nv:]).max(axis=0)
-    steps = _SHARE * np.where(sizes > 0, sizes, 1.0)
-    found = np.empty((3, n, nv, nv))
-    jump = np.zeros((n, nv))
+    Phi = np.concatenate([one(slice(None)) for one in rows_of(states)])
+    Phi /= features.gains_[:, None]
+    Phi[:, :, held] = 0.0
+    theta = np.where(held | of_effects(predictor, _of_channel), 0.0, predictor.theta_)
 
     def torque(column, values):
         other = states.copy()
         other[:, column] = values
-        return _beside_bodies(predictor, recording, other)
+        torques = [one.predict(theta) for one in rows_of(other)]
+        return np.concatenate(torques) / features.gains_
 
-    for column, step in enumerate(steps):
+    n, nv = states.shape[0], features.n_joints_
+    sizes = np.r_[np.ptp(states[:, :nv], axis=0), np.abs(states[:, nv:]).max(axis=0)]
+    found, jump = np.empty((3, n, nv, nv)), np.zeros((n, nv))
+    for column, step in enumerate(_SHARE * np.where(sizes > 0, sizes, 1.0)):
         kind, k = divmod(column, nv)
         here = states[:, column]
         rise = torque(column, here + step) - torque(column, here - step)
@@ -596,7 +533,17 @@ def _differences(predictor, recording, states):
             both = np.full(n, step), np.full(n, -step)
             jump[:, k] = (torque(column, both[0]) - torque(column, both[1]))[:, k]
     stiffness, damping, mass = found
-    return Slopes(mass=mass, damping=damping, stiffness=stiffness, jump=jump, Phi=None)
+    return Slopes(mass=mass, damping=damping, stiffness=stiffness, jump=jump, Phi=Phi)
+
+
+def _of_channel(effect):
+    return isinstance(effect, OfChannel)
+
+
+def held_parameters(predictor):
+    """Return which parameters (p,) a simulation does not depend on as columns."""
+    # Values of effects in the model, and effects that a simulation leaves out.
+    return of_effects(predictor, lambda e: e.in_model or bool(e.not_simulated))
 
 
 def propagate(found, states, dt):

@@ -248,10 +248,9 @@ def body_places(robot):
 
 def of_effects(robot, asked):
     """Parameters (p,), bool, of the effects of which something is true."""
-    out = np.zeros(robot.theta_.size, dtype=bool)
-    for effect, at in effect_places(robot.effects_, robot.features_.n_parameters_):
-        out[at] = asked(effect)
-    return out
+    out = [np.zeros(robot.features_.n_parameters_, dtype=bool)]
+    out += [np.repeat(asked(one), len(one.coefficients)) for one in robot.effects_]
+    return np.concatenate(out)
 
 
 def _nonnegative(robot):

@@ -70,6 +70,7 @@ from sklearn_vbjfa.robot._posterior import (
     BetweenRecordings,
     Posterior,
     check_number,
+    of_the_model,
     seed_of,
 )
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
@@ -1161,9 +1162,7 @@ class IdentifiedRobot:
 
     def linear_part(self, theta):
         """Parameters (p,) without the values that the model holds."""
-        held = [np.zeros(self.features_.n_parameters_, dtype=bool)]
-        held += [np.repeat(e.in_model, len(e.coefficients)) for e in self.effects_]
-        return np.where(np.concatenate(held), 0.0, theta)
+        return np.where(of_the_model(self), 0.0, theta)
 
     def equations(self, recording, states=None):
         """Return the filtered `Equations` of a recording, as in the fit.

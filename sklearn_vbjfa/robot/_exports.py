@@ -13,25 +13,12 @@ from sklearn_vbjfa.model._dynamics import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, Tendon, write_mjcf
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
 from sklearn_vbjfa.simulation import (
+    LeftOut,
     SimulationError,
     simulate,
     with_bodies,
     without_limits,
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class LeftOut:
-    """Something of an identified robot that a file does not have."""
-
-    name: str  # of the effect, or of the declared friction
-    joint: int  # from zero
-    joint_name: str
-    reason: str  # why it has no place, or what of it is missing
-
-    def __str__(self):
-        """One line."""
-        return f"{self.name} on {self.joint_name}: {self.reason}"
 
 
 def plain_totals(robot):

@@ -206,7 +206,7 @@ class IdentifiedRobot:
         Sample period of the fit [s].
     description_ : str
         Robot description (URDF), not corrected.
-    left_out_ : tuple of LeftOutEffect
+    left_out_ : tuple of LeftOut
         Effects that `step` does without, as they need what comes after a state, each
         with `name`, `joint` (from zero) and `reason`.
 
@@ -304,7 +304,7 @@ class IdentifiedRobot:
 
     @property
     def left_out_(self):
-        """Effects that `step` does without, tuple of LeftOutEffect."""
+        """Effects that `step` does without, tuple of LeftOut."""
         return causal(self.torque_model())[1]
 
     @property

@@ -18,6 +18,7 @@ from sklearn_vbjfa.simulation._simulate import (
     simulate_controlled,
 )
 from sklearn_vbjfa.simulation._stepper import (
+    LeftOut,
     Load,
     Stepper,
     TorqueModel,

@@ -89,12 +89,17 @@ class TorqueModel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LeftOutEffect:
-    """An effect that torques state by state do without."""
+class LeftOut:
+    """Something of an identified robot that a file or a control loop goes without."""
 
-    name: str
+    name: str  # of the effect, or of the declared friction
     joint: int  # from zero
-    reason: str
+    joint_name: str
+    reason: str  # why it has no place, or what of it is missing
+
+    def __str__(self):
+        """One line."""
+        return f"{self.name} on {self.joint_name}: {self.reason}"
 
 
 def why_left_out(effect):
@@ -125,7 +130,12 @@ def causal(model):
         load=load,
     )
     return found, tuple(
-        LeftOutEffect(name=effect.name, joint=effect.joint, reason=reason)
+        LeftOut(
+            name=effect.name,
+            joint=effect.joint,
+            joint_name=model.joint_names[effect.joint],
+            reason=reason,
+        )
         for effect, reason in zip(model.effects, reasons)
         if reason
     )
@@ -361,39 +371,29 @@ class _JointFriction:
 
 
 class _Rigid:
-    """Rigid bodies with payloads, and rotors as Pinocchio adds them."""
+    """Rigid bodies with payloads, without rotors."""
 
     def __init__(self, model, bodies, payloads=(), which=0):
-        instants = sorted({one[0].instant for one in payloads})
-        self._instants = instants
+        self._compute = import_compiled("sklearn_vbjfa.model._kernel").torques
+        self._tree, nv = describe(model.model), model.n_joints
+        self._state, self._out = np.empty((3, nv)), np.empty((1, nv))
+        self._instants = sorted({one[0].instant for one in payloads})
         self._bodies = []
-        for instant in [-math.inf, *instants]:
+        for instant in [-math.inf, *self._instants]:
             carried = np.array(bodies, dtype=float)
             for effect, *coefs, _ in payloads:
                 if effect.instant <= instant:
                     carried[-1] += effect.inertial(coefs[which])
-            self._bodies.append(_inverse_dynamics(model.model, carried))
+            self._bodies.append(carried)
 
     def __call__(self, q, v, a, row):
         """Torques of a state, a list of floats."""
-        if not self._instants:
-            return self._bodies[0](q, v, a)
-        picked = sum(row.t >= instant for instant in self._instants)
-        return self._bodies[picked](q, v, a)
-
-
-def _inverse_dynamics(model, bodies):
-    """Return a function (q, v, a) -> torques of bodies (nv, 10), a list of floats."""
-    tree, compute = describe(model), import_compiled("sklearn_vbjfa.model._kernel")
-    state, out = np.empty((3, model.nv)), np.empty((1, model.nv))
-    flat, bodies = state.reshape(1, -1), np.ascontiguousarray(bodies, dtype=float)
-
-    def torques(q, v, a):
+        state = self._state
         state[0], state[1], state[2] = q, v, a
-        compute.torques(flat, tree, bodies, out)
-        return out[0].tolist()
-
-    return torques
+        picked = sum(row.t >= instant for instant in self._instants)
+        flat = state.reshape(1, -1)
+        self._compute(flat, self._tree, self._bodies[picked], self._out)
+        return self._out[0].tolist()
 
 
 class _ByMotion:

@@ -14,13 +14,22 @@ __all__: list[str] = []
 
 # What is not in __all__ is for other rooms and for tests.
 _MODULES = {
-    "_alike": ("AlikeValue",),
-    "_bodies": ("Departure",),
-    "_fit": ("ModelValues",),
+    "_alike": ("AlikeValue", "WIDTH", "most_probable"),
+    "_arguments": ("FitOptions",),
+    "_bodies": ("BodyPrior", "DESCRIBED", "Departure", "SCALES", "Site", "around")
+    + ("little_learned",),
+    "_fit": ("ModelValues", "jump"),
+    "_gains": ("relative_gains",),
     "_identifier": ("RobotIdentifier",),
     "_joint_torque": ("JointTorqueRegressor",),
-    "_arguments": ("FitOptions",),
-    "_output_error": ("slopes",),
-    "_signs": ("signed",),
+    "_output_error": (
+        "Normal",
+        "Windows",
+        "deviations",
+        "propagate",
+        "run_windows",
+        "slopes",
+    ),
+    "_signs": ("expected", "signed"),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -25,11 +25,18 @@ _MODULES = {
     ".fit": ("FitOptions", "JointTorqueRegressor", "RobotIdentifier"),
     ".recording": ("CurrentDrive", "PDDrive", "VoltageDrive"),
     "_channels": ("ChannelGains", "CommonGain", "KnownMass"),
-    "_corrections": ("AxisCorrection", "Corrections", "GainCorrection")
-    + ("TiltCorrection", "ZeroCorrection", "corrections_of"),
+    "_corrections": (
+        "AxisCorrection",
+        "Corrections",
+        "GainCorrection",
+        "TiltCorrection",
+    )
+    + ("ZeroCorrection", "corrections_of"),
+    "_exports": ("TERMS", "as_tendons", "changed_motion", "in_line", "to_mjcf")
+    + ("typical_motion",),
     "_posterior": ("BetweenRecordings", "Marginal", "Posterior"),
     "_simulator_ranges": ("ParameterRange", "Ranges"),
     "_spreads": ("BodyMass", "body_masses", "note_of_masses"),
-    "_windows": ("follow_windows",),
+    "_windows": ("clearly_smaller", "follow_windows"),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -8,7 +8,7 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.effects import Motion  # noqa: E402
-from sklearn_vbjfa.equations._features import with_followers  # noqa: E402
+from sklearn_vbjfa.equations import with_followers  # noqa: E402
 from sklearn_vbjfa.model import (  # noqa: E402
     joint_names,
     load_folded,

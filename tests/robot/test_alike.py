@@ -8,8 +8,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.fit import _alike
-from sklearn_vbjfa.fit._bodies import DESCRIBED, SCALES, Site
+from sklearn_vbjfa.fit import DESCRIBED, SCALES, Site, _alike
 from sklearn_vbjfa.robot import FitOptions
 
 LEGS = ("FL", "FR", "RL", "RR")

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.fit._alike import WIDTH, most_probable  # noqa: E402
+from sklearn_vbjfa.fit import WIDTH, most_probable  # noqa: E402
 from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from tests.robot.test_drives import (  # noqa: E402
     ARM,

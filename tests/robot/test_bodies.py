@@ -8,8 +8,7 @@ import pytest
 from scipy import integrate
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.fit import _bodies
-from sklearn_vbjfa.fit._bodies import DESCRIBED, BodyPrior, around, little_learned
+from sklearn_vbjfa.fit import DESCRIBED, BodyPrior, _bodies, around, little_learned
 from sklearn_vbjfa.model import DoubtWarning
 
 TERMS = ("viscous", "coulomb", "offset", "rotor_inertia")

@@ -10,8 +10,7 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, StateEstimator, load_identified  # noqa: E402
 from sklearn_vbjfa.effects import Rest, mean_sign  # noqa: E402
-from sklearn_vbjfa.fit import _fit  # noqa: E402
-from sklearn_vbjfa.fit._fit import jump  # noqa: E402
+from sklearn_vbjfa.fit import _fit, jump  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
 from sklearn_vbjfa.robot import FitOptions, PDDrive  # noqa: E402
 

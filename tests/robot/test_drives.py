@@ -15,8 +15,7 @@ from sklearn_vbjfa import (  # noqa: E402
     load_identified,
 )
 from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
-from sklearn_vbjfa.equations import RecordingStates  # noqa: E402
-from sklearn_vbjfa.equations._equations import build_segments  # noqa: E402
+from sklearn_vbjfa.equations import RecordingStates, build_segments  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
 from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
 from sklearn_vbjfa.robot import FitOptions, PDDrive  # noqa: E402

@@ -31,7 +31,7 @@ from sklearn_vbjfa.effects import (
     ViscousQuadratic,
 )
 from sklearn_vbjfa.physical import min_eigenvalue
-from sklearn_vbjfa.robot._exports import as_tendons, in_line, to_mjcf
+from sklearn_vbjfa.robot import as_tendons, in_line, to_mjcf
 from sklearn_vbjfa.simulation import TorqueModel
 from tests.model._mujoco import drive_torques, moving_states
 from tests.model._robots import random_tree

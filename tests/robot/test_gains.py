@@ -11,7 +11,7 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.equations import piece_moments, sum_moments  # noqa: E402
-from sklearn_vbjfa.fit._gains import relative_gains  # noqa: E402
+from sklearn_vbjfa.fit import relative_gains  # noqa: E402
 from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 

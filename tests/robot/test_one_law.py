@@ -10,7 +10,7 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier, effects, load_identified  # noqa: E402
 from sklearn_vbjfa.effects import Motion  # noqa: E402
 from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
-from sklearn_vbjfa.robot._exports import to_mjcf  # noqa: E402
+from sklearn_vbjfa.robot import to_mjcf  # noqa: E402
 from sklearn_vbjfa.simulation import (  # noqa: E402
     ForwardDynamics,
     Recorded,

@@ -14,13 +14,13 @@ from sklearn_vbjfa.effects import (
     Stribeck,
 )
 from sklearn_vbjfa.equations import RecordingStates
-from sklearn_vbjfa.fit import slopes
-from sklearn_vbjfa.fit._output_error import (
+from sklearn_vbjfa.fit import (
     Normal,
     Windows,
     deviations,
     propagate,
     run_windows,
+    slopes,
 )
 from sklearn_vbjfa.robot import FitOptions, PDDrive
 from sklearn_vbjfa.simulation import (

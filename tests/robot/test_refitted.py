@@ -12,8 +12,7 @@ from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import LoadFriction, Stribeck
 from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.robot import _robot
-from sklearn_vbjfa.robot._exports import TERMS, changed_motion, typical_motion
+from sklearn_vbjfa.robot import TERMS, _robot, changed_motion, typical_motion
 from tests.model._mujoco import drive_torques
 
 EFFECTS = (Stribeck(1, vs=0.4), LoadFriction(2))

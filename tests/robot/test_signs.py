@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa._core._smoothing import interpolate
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.fit._signs import expected
+from sklearn_vbjfa.fit import expected
 from sklearn_vbjfa.inspection import most_explaining
 from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot import CurrentDrive, VoltageDrive

@@ -5,8 +5,12 @@ import pytest
 from scipy import signal
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.equations import _torque_noise
-from sklearn_vbjfa.equations._torque_noise import filtered_noise, held_rows, noise_facts
+from sklearn_vbjfa.equations import (
+    _torque_noise,
+    filtered_noise,
+    held_rows,
+    noise_facts,
+)
 
 DT, CUTOFF = 0.005, 4.0
 N = 12_000

@@ -10,7 +10,7 @@ from sklearn_vbjfa import RobotIdentifier, load_identified
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.effects import Drift
-from sklearn_vbjfa.robot._windows import clearly_smaller
+from sklearn_vbjfa.robot import clearly_smaller
 
 pytest.importorskip("pinocchio")
 

@@ -347,7 +347,11 @@ def _load_of(before, robot):
 def _first_gains(recipe, robot, source):
     first = replace(robot, plan=robot.plan.passes()[0])
     moments = source.moments(source.segments(first), first.plan)
-    return relative_gains(moments.zeroed(_unneeded_entries(first, moments)))
+    units = [] if isinstance(recipe.gains, str) else list(recipe.gains)
+    return relative_gains(
+        moments.zeroed(_unneeded_entries(first, moments)),
+        [robot.joint_names_.index(name) for name in units],
+    )
 
 
 def iterate_corrections(recipe, fit, source, relative):

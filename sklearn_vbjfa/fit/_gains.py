@@ -88,8 +88,9 @@ class RelativeGains:
         )
 
 
-def relative_gains(moments):
-    """Find gains from `JointMoments`, relative to channels that `_grouped` chooses."""
+def relative_gains(moments, references=()):
+    # moments: JointMoments; references: joints whose channels are to be the units, for
+    # groups of joints in which one of them is; the others' are chosen, see `_grouped`.
     used = np.flatnonzero((moments.n > 0) & (moments.yy > 0))
     nv = moments.n.size
     logs, found = _most_likely(moments, used)
@@ -97,7 +98,7 @@ def relative_gains(moments):
     if used.size:
         spread[np.ix_(used, used)] = _spread(found)
         strength[used] = found.size
-    reference = _grouped(spread, strength)
+    reference = _grouped(spread, strength, references)
     own = np.exp(logs - logs[reference])
     return RelativeGains(
         gains=np.clip(own, 1.01 / _WIDEST, 0.99 * _WIDEST),
@@ -182,7 +183,7 @@ def _spread(found):
     return ((roots[:, None] - roots) ** 2).sum(axis=2)
 
 
-def _grouped(spread, strength):
+def _grouped(spread, strength, references):
     """Find each joint's reference (nv,) from the variances of ratios (nv, nv)."""
     # Joints belong together whose ratio is known better than that it is plausible. Of
     # them the one is the reference from which the others are known best, whatever
@@ -202,10 +203,13 @@ def _grouped(spread, strength):
             front = set(np.flatnonzero(near).tolist()) - group
         left -= group
         members = np.array(sorted(group))
-        sums = spread[np.ix_(members, members)]
-        sums = np.where(np.eye(members.size, dtype=bool), 0.0, sums).sum(axis=0)
-        best = members[sums <= sums.min() * (1 + 1e-6)]
-        reference[members] = best[np.argmax(strength[best])]
+        chosen = [j for j in members if j in references]
+        if not chosen:
+            sums = spread[np.ix_(members, members)]
+            sums = np.where(np.eye(members.size, dtype=bool), 0.0, sums).sum(axis=0)
+            best = members[sums <= sums.min() * (1 + 1e-6)]
+            chosen = [best[np.argmax(strength[best])]]
+        reference[members] = chosen[0]
     return reference
 
 
@@ -252,8 +256,12 @@ def check_gains(gains, joint_names):
     """Refuse recordings without information on the gains of the channels."""
     if gains is None:
         return
-    if gains != "unknown":
-        raise ValueError(f"gains is {gains!r}; expected None or 'unknown'.")
+    names = () if isinstance(gains, str) else gains
+    if gains != "unknown" and not (names and set(names) <= set(joint_names)):
+        raise ValueError(
+            f"gains is {gains!r}; expected None, 'unknown', or names of joints whose "
+            f"channels are units, of {', '.join(joint_names)}."
+        )
     if len(joint_names) == 1:
         raise ValueError(
             "gains='unknown' needs several joints that move the same bodies: the gain "

@@ -141,11 +141,12 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     n_jobs : int, default=None
         Number of recordings, or pieces of them, that are processed in parallel. None is
         1, -1 all processors. The result does not depend on it.
-    gains : None or "unknown", default=None
+    gains : None, "unknown" or sequence of str, default=None
         None: y holds torques. ``"unknown"``: y is proportional to the torques (motor
         currents); the factors of the channels are identified relative to a reference
         channel, see `gains_`, and torques, masses and friction are in its unit unless
-        `FitOptions.known_masses` determines it.
+        `FitOptions.known_masses` determines it. A sequence names the reference joints,
+        one for each group of joints that share bodies.
     criterion : {"torque", "simulation"}, default="torque"
         ``"torque"`` minimises the torque error. ``"simulation"`` refines bodies,
         friction and coefficients by output error, until simulated positions are closest

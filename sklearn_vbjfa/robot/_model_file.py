@@ -33,8 +33,9 @@ from sklearn_vbjfa.robot._robot import IdentifiedRobot
 FORMAT = "sklearn_vbjfa identified robot"
 VERSION = 1
 # The beginning of a file, by the types of its values.
-_HEAD = {"joints": tuple[str, ...], "friction": tuple[str, ...]}
-_HEAD |= {"parameters": tuple[str, ...], "gravity": np.ndarray}
+_HEAD: dict[str, object] = dict.fromkeys(
+    ("joints", "friction", "parameters"), tuple[str, ...]
+) | {"gravity": np.ndarray}
 # Fields that follow from the others, and what is saved of a fitted `StateEstimator`.
 _NOT_SAVED = frozenset({"features_", "source", "_stepper"})
 _OF_STATES = ("cutoff_", "noise_variance_", "bandwidth_")

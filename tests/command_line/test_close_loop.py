@@ -209,7 +209,7 @@ def test_alike_joints_are_rows_of_the_parameters(good, urdf, capsys):
         own = [float(rows[f"{j}:{term}"]["value"]) for j in ("shoulder", "elbow")]
         assert float(row["value"]) == pytest.approx(np.mean(own))
     assert main([*command, "--shared-drives", "wrist", "--force"]) == 2
-    assert "'wrist', which matches 0 joint(s)" in capsys.readouterr().err
+    assert "'wrist', of 0 joint(s)" in capsys.readouterr().err
 
 
 def test_options_reach_the_estimators(good, urdf, monkeypatch):

@@ -132,6 +132,12 @@ def test_gains_do_not_depend_on_units():
     assert_allclose(other.gain, one.gain * relative(scale, one), rtol=1e-4)
 
 
+def test_a_reference_may_be_given():
+    robot = fit(torques(), gains=("joint_4",))
+    assert robot.gains_.references == (3,)
+    assert_allclose(robot.gains_.gain, GAINS / GAINS[3], rtol=0.03)
+
+
 # -- what the data do not show
 
 
@@ -189,9 +195,10 @@ def test_predictions_are_what_channels_read():
     assert robot.effects == ()
 
 
-def test_other_gains_are_refused():
-    with pytest.raises(ValueError, match="gains is 'known'; expected None or 'unk"):
-        fit(torques(), gains="known")
+@pytest.mark.parametrize("gains", ["known", ("elbow",), ()])
+def test_other_gains_are_refused(gains):
+    with pytest.raises(ValueError, match=r"gains is .*of joint_1, joint_2"):
+        fit(torques(), gains=gains)
 
 
 def test_one_joint_has_no_relative_gain():

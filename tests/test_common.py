@@ -25,10 +25,10 @@ SWING = str(Path(__file__).parent / "model" / "swing.urdf")
 
 # Few iterations: what is checked does not depend on the last digits.
 ESTIMATORS = [
-    JFARegressor(query="noiseless", max_iter=50),
-    VBJFARegressor(max_iter=50),
-    VBJFARegressor(query="noiseless", max_iter=50),
-    VBJFARegressor(prior="paper", max_iter=50),
+    JFARegressor(query="noiseless", max_iter=15),
+    VBJFARegressor(max_iter=15),
+    VBJFARegressor(query="noiseless", max_iter=15),
+    VBJFARegressor(prior="paper", max_iter=15),
     JointTorqueRegressor(),
     JointTorqueRegressor(LinearRegression(), joint_weights=None),
     StepwiseRegressor(),

@@ -87,7 +87,7 @@ def test_distances_are_those_of_pinocchio(tmp_path):
 
 def test_gradients_are_those_of_finite_differences(tmp_path):
     clearance = clearance_of(arm_with_mesh(tmp_path))
-    q, step = positions(300, 6), 1e-5
+    q, step = positions(100, 6), 1e-5
     found = clearance(q, within=np.inf)
     change = np.empty_like(found.gradient)
     bend = np.zeros_like(found.distance)
@@ -101,8 +101,8 @@ def test_gradients_are_those_of_finite_differences(tmp_path):
     smooth = bend < 1e-2
     assert smooth.mean() > 0.9
     apart, inside = smooth & (found.distance > 0), smooth & (found.distance < 0)
-    assert apart.sum() > 1000
-    assert inside.sum() > 50
+    assert apart.sum() > 300
+    assert inside.sum() > 15
     assert error[apart].max() < 1e-3
     # Depths of cylinders are known to a micrometre, and their normals to its root.
     assert np.quantile(error[inside], 0.9) < 2e-3

@@ -56,6 +56,8 @@ _LOWER = np.array(
 )
 # Shortest step, as a share of the sample period, and most steps in it.
 _SHORTEST, _MOST_STEPS = 1e-12, 20_000
+# Velocity that no joint reaches [rad/s or m/s]: the motion has diverged.
+_RUNAWAY = 1e4
 # So many times a joint may stop within a sample period; then it sticks until its end.
 MOST_STOPS = 20
 # Beyond what holds a joint by this share it breaks loose, which is found to this share.
@@ -162,6 +164,8 @@ class Integrator:
                 self.settle(tau)
         start, done, shortest = self._time, 0.0, _SHORTEST * dt
         for _ in range(_MOST_STEPS):
+            if not np.abs(self.v).max() < _RUNAWAY:
+                break
             left = dt - done
             if not left > shortest:
                 self._time = start + dt

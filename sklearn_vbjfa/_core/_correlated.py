@@ -19,9 +19,8 @@ from scipy.linalg import lapack
 from scipy.special import digamma
 
 from sklearn_vbjfa._core._linear_systems import ROUNDING, scaled_eigen, svd
-from sklearn_vbjfa._core._moments import SquareRoot
+from sklearn_vbjfa._core._moments import OUTPUT_FLOOR, square_root
 from sklearn_vbjfa._core._solver import (
-    ENOUGH,
     LARGEST_LOG,
     PlainSteps,
     Solution,
@@ -84,10 +83,10 @@ class LatentSums:
     bound: float
 
 
-def _given_beta(latent, cov, s2=1.0):
-    """H, P (d, d) and log det(I + P_0 C / psi_y), beta of covariance C (d, d), [C4]."""
-    d = cov.shape[0]
-    A = latent.P @ cov / s2
+def _given_beta(latent, G):
+    """H, P (d, d) and log det(I + P_0 G), with beta of covariance psi_y G, [C4]."""
+    d = G.shape[0]
+    A = latent.P @ G
     A[np.diag_indices(d)] += 1.0
     # SciPy's own function checks for longer than such small systems take.
     lu, _, both, failed = lapack.dgesv(A, np.hstack([latent.H, latent.P]))  # [C4]
@@ -99,16 +98,11 @@ def _given_beta(latent, cov, s2=1.0):
 
 
 def expect_latent(moments, latent, state):
-    """E-step over T: the sums and the data part of the bound, [C4] to [C7], [C12]."""
+    """E-step over T with noisy inputs: `LatentSums`, [C4] to [C7], [C12]."""
     n, xy, yy = moments.n, moments.xy, moments.yy
     S, beta, s2 = moments.S, state.beta_mean, state.psi_y
-    if latent.exact:
-        residual = yy - 2 * beta @ xy + beta @ S @ beta
-        spread = float(np.einsum("ij,ji->", state.beta_cov, S))
-        value = -0.5 * (n * (LOG_2PI + np.log(s2)) + (residual + spread) / s2)  # [C12]
-        return LatentSums(S_tt=S, S_ty=xy, yy=yy, bound=value)
     # The uncertainty of beta acts as additional precision beta_cov / s2 on t.
-    H, P, logdet = _given_beta(latent, state.beta_cov, s2)
+    H, P, logdet = _given_beta(latent, state.beta_cov / s2)
     P_beta = P @ beta
     q = s2 + beta @ P_beta  # [C5]
     k = P_beta / q  # [C5]
@@ -128,115 +122,9 @@ def expect_latent(moments, latent, state):
     return LatentSums(S_tt=S_tt, S_ty=S_ty, yy=yy, bound=float(value))
 
 
-# Newton steps to the joint maximum of mean and noise; it is close from the second
-# iteration on, and the outer loop continues where this one stops.
-_NEWTON_STEPS = 20
-
-
-def precisions_given_others(mean, variance, alpha, shape0, rate0):
-    """E[alpha_m] (d,) to which the updates of alpha_m and beta_m converge, [C14]."""
-    # mean, variance (d,): posterior of beta under `alpha` (d,), which give s and q
-    # (Tipping and Faul, 2003). The plain update increases with alpha, so it converges
-    # to the nearest root in the direction in which it moves: that is returned.
-    total = 2 * shape0 + 1.0
-    # An uninformative input has s = 0, to rounding.
-    s = np.maximum(1.0 / variance - alpha, np.finfo(float).eps / variance)
-    strength = (mean / variance) ** 2 / s
-    rate = 2 * rate0 * s
-    # [C14] in v = s / alpha: total v^3 = (rate + strength + 1 - 2 total) v^2
-    #                                    + (2 rate - 2 a0) v + rate
-    companion = np.zeros((s.size, 3, 3))
-    companion[:, 0, 0] = (rate + strength + 1.0 - 2 * total) / total
-    companion[:, 0, 1] = (2 * rate - 2 * shape0) / total
-    companion[:, 0, 2] = rate / total
-    companion[:, 1, 0] = companion[:, 2, 1] = 1.0
-    roots = np.linalg.eigvals(companion)
-    now = s / alpha
-    v_next = now[:, None] / (1.0 + now[:, None])  # s / (alpha + s)
-    plain = total / (rate + v_next[:, 0] * (strength * v_next[:, 0] + 1.0))  # alpha/s
-    falls = (1.0 / plain < now)[:, None]  # v falls when alpha rises
-    real = np.abs(roots.imag) <= np.sqrt(np.finfo(float).eps) * np.abs(roots)
-    v = np.where(real & (roots.real > 0), roots.real, np.nan)
-    below = np.where(v <= now[:, None], v, -np.inf).max(axis=1)
-    above = np.where(v >= now[:, None], v, np.inf).min(axis=1)
-    found = np.where(falls[:, 0], below, above)
-    found = np.where(np.isfinite(found), found, 1.0 / plain)  # a root lost to rounding
-    return s / found
-
-
-def noise_given_shape(squares, n, d, penalty):
-    """Best output noise when the covariance of beta scales with it, [C15]."""
-    # squares: squared residual at the mean; penalty: sum of alpha_m cov_mm / psi_y.
-    half = 0.5 * (n - d)
-    root = np.sqrt(half * half + penalty * squares)  # [C15]
-    if half > 0:
-        return squares / (half + root)
-    return (root - half) / penalty
-
-
-def mean_and_noise(moments, latent, G, start, alpha, centre=0.0):
-    """Best mean (d,) of beta and output noise together, q(T) at its optimum, [C16]."""
-    # centre: of the prior, a number or (d,).
-    # Given G = cov / psi_y (d, d). Newton's method in (beta, log psi_y) with the
-    # magnitudes of the eigenvalues, which makes each step an ascent; `start` is a mean
-    # and a noise, `alpha` (d,) the precisions of the prior.
-    n, xy, yy = moments.n, moments.xy, moments.yy
-    mean, noise = start
-    d = mean.size
-    H, P, _ = _given_beta(latent, G)
-    K, k = H @ moments.S @ H.T, H @ xy
-    penalty = alpha @ np.diagonal(G)
-
-    def value(mean, log_noise):
-        s2 = np.exp(log_noise)
-        q = s2 + mean @ P @ mean
-        if not q > 0:  # rounding of P, where there is hardly any noise
-            return -np.inf
-        squares = yy - 2 * mean @ k + mean @ K @ mean
-        data = n * np.log(q) + squares / q
-        prior = alpha @ (mean - centre) ** 2 + penalty * s2
-        return -0.5 * (data + prior - d * log_noise)  # [C16]
-
-    log_noise = np.log(noise)
-    best = value(mean, log_noise)
-    curvature = np.empty((d + 1, d + 1))
-    for _ in range(_NEWTON_STEPS):
-        s2, w = np.exp(log_noise), 2 * P @ mean
-        q = s2 + 0.5 * mean @ w
-        r = k - K @ mean
-        squares = yy - mean @ (k + r)
-        on_q, on_qq = 0.5 * (squares / q - n) / q, (0.5 * n - squares / q) / q**2
-        gradient = np.append(
-            on_q * w + r / q - alpha * (mean - centre),
-            on_q * s2 + 0.5 * (d - penalty * s2),
-        )
-        cross = np.outer(w, r) / q**2
-        curvature[:d, :d] = K / q - 2 * on_q * P - on_qq * np.outer(w, w)
-        curvature[:d, :d] += cross + cross.T + np.diag(alpha)
-        curvature[:d, d] = curvature[d, :d] = s2 * (r / q**2 - on_qq * w)
-        curvature[d, d] = 0.5 * penalty * s2 - on_q * s2 - on_qq * s2**2
-        unit = np.sqrt(np.append(np.diagonal(K) / q + alpha, 0.5 * n))
-        step = scaled_eigen(curvature, scale=unit).by_magnitude().solve(gradient)
-        promised = gradient @ step
-        # The exponential of the log noise must not overflow.
-        length = min(1.0, LARGEST_LOG / max(abs(step[d]), 1.0))
-        while True:
-            trial = mean + length * step[:d], log_noise + length * step[d]
-            new = value(*trial)
-            if new >= best + ENOUGH * length * promised:
-                break
-            length *= 0.5
-            if length * promised <= np.finfo(float).eps * n:
-                return mean, float(np.exp(log_noise))
-        (mean, log_noise), best = trial, new
-    return mean, float(np.exp(log_noise))
-
-
-# Smallest output noise, as a share of the variance of y, that second moments resolve
-# above rounding: the residual is a difference of sums of products.
-OUTPUT_FLOOR = 1e-12
-# The same for a triangular factor of the rows, whose residual is a sum of squares.
-FACTOR_FLOOR = OUTPUT_FLOOR**2
+# Smallest output noise, as a share of the variance of y, that a triangular factor of
+# the rows resolves above rounding: its residual is a sum of squares.
+_FACTOR_FLOOR = OUTPUT_FLOOR**2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,25 +154,9 @@ def _prior_bound(state, shape0, rate0, logdet_cov, shared):
     return float((loadings + precisions / shared).sum()) + 0.5 * logdet_cov  # [C13]
 
 
-def square_root(S, xy, yy):
-    """Square root of second moments, without the rounding of their null space."""
-    # What is left of the diagonal below rounding is set to zero: otherwise it would act
-    # as information once the noise is small enough.
-    d = xy.size
-    largest = np.abs(np.diagonal(S)).max(initial=0.0)
-    # With pivots, what rounding leaves comes last.
-    factor, pivots, rank, _ = lapack.dpstrf(S, tol=d * ROUNDING * largest)
-    order = pivots - 1
-    R = np.empty((rank, d))
-    R[:, order] = np.triu(factor[:rank])
-    z = linalg.solve_triangular(factor[:rank, :rank], xy[order[:rank]], trans="T")
-    return SquareRoot(R=R, z=z, rest=max(yy - z @ z, 0.0))
-
-
 # Where rounding of S_tt / s2 stays below this share of the prior precision, the
 # Cholesky factor of the posterior precision is safe.
 _SAFE_ROUNDING = 1e-8
-_HALF_DIGITS = np.sqrt(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,46 +169,50 @@ class BetaPosterior:
     squares: float
 
 
-def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
+def posterior_beta(S_tt, S_ty, yy, s2, alpha, root):
     """Posterior of beta from the sums over t, [C8], [C9], [C11]."""
-    # ``square_root()`` returns that of the moments; it is called only if needed, or
-    # always.
+    # root(): their `SecondMoments`, called only if needed.
     prior = 1.0 / np.sqrt(alpha)
-    d = prior.size
     largest = (np.diagonal(S_tt) / alpha).max() / s2
-    if np.finfo(float).eps * d * largest < _SAFE_ROUNDING and not always:
-        A = S_tt * np.outer(prior, prior) / s2
-        A[np.diag_indices_from(A)] += 1.0
-        factor, failed = lapack.dpotrf(A)
-        if failed:
-            raise linalg.LinAlgError(f"leading minor {failed} is not positive definite")
-        scaled = prior[:, None] * lapack.dtrtri(factor)[0]
-        cov = scaled @ scaled.T  # [C8]
-        mean = scaled @ (scaled.T @ S_ty) / s2  # [C9]
-        logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
-        squares = yy - 2 * mean @ S_ty + mean @ S_tt @ mean
-        squares += np.einsum("ij,ij->", cov, S_tt)  # [C11]
-    else:
-        # The same in the singular coordinates of R, where nothing cancels.
-        root = square_root()
-        U, sv, Vt = svd(root.R * prior, full_matrices=False)
-        # Singular values at rounding level are set to zero: with hardly any noise they
-        # would act as information.
-        keep = sv > sv[:1] * max(root.R.shape) * np.finfo(float).eps
-        U, sv, Vt = U[:, keep], sv[keep], Vt[keep]
-        share = s2 / (s2 + sv**2)
-        Uz = U.T @ root.z
-        mean = prior * (Vt.T @ (sv / (s2 + sv**2) * Uz))  # [C9]
-        cov = (Vt.T * share) @ Vt
-        if sv.size < d:
-            # The projector onto the rest, squared: its diagonal must not be negative.
-            others = np.eye(d) - Vt.T @ Vt
-            cov += others @ others.T
-        cov *= np.outer(prior, prior)  # [C8]
-        logdet = np.log(share).sum() - np.log(alpha).sum()
-        outside = root.z - U @ Uz
-        squares = root.rest + outside @ outside
-        squares += np.sum((share * Uz) ** 2) + share @ sv**2  # [C11]
+    if np.finfo(float).eps * prior.size * largest >= _SAFE_ROUNDING:
+        return _posterior_of_root(root(), s2, prior)
+    A = S_tt * np.outer(prior, prior) / s2
+    A[np.diag_indices_from(A)] += 1.0
+    factor, failed = lapack.dpotrf(A)
+    if failed:
+        raise linalg.LinAlgError(f"leading minor {failed} is not positive definite")
+    scaled = prior[:, None] * lapack.dtrtri(factor)[0]
+    cov = scaled @ scaled.T  # [C8]
+    mean = scaled @ (scaled.T @ S_ty) / s2  # [C9]
+    logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
+    squares = yy - 2 * mean @ S_ty + mean @ S_tt @ mean
+    squares += np.einsum("ij,ij->", cov, S_tt)  # [C11]
+    return BetaPosterior(
+        mean=mean, cov=cov, logdet=float(logdet), squares=float(squares)
+    )
+
+
+def _posterior_of_root(root, s2, prior):
+    """Compute the same in the singular coordinates of a root, where nothing cancels."""
+    d = prior.size
+    U, sv, Vt = svd(root.R * prior, full_matrices=False)
+    # Singular values at rounding level are set to zero: with hardly any noise they
+    # would act as information.
+    keep = sv > sv[:1] * max(root.R.shape) * np.finfo(float).eps
+    U, sv, Vt = U[:, keep], sv[keep], Vt[keep]
+    share = s2 / (s2 + sv**2)
+    Uz = U.T @ root.z
+    mean = prior * (Vt.T @ (sv / (s2 + sv**2) * Uz))  # [C9]
+    cov = (Vt.T * share) @ Vt
+    if sv.size < d:
+        # The projector onto the rest, squared: its diagonal must not be negative.
+        others = np.eye(d) - Vt.T @ Vt
+        cov += others @ others.T
+    cov *= np.outer(prior, prior)  # [C8]
+    logdet = np.log(share).sum() + 2 * np.log(prior).sum()
+    outside = root.z - U @ Uz
+    squares = root.rest + outside @ outside
+    squares += np.sum((share * Uz) ** 2) + share @ sv**2  # [C11]
     return BetaPosterior(
         mean=mean, cov=cov, logdet=float(logdet), squares=float(squares)
     )
@@ -344,11 +220,9 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
 
 @dataclass(frozen=True, kw_only=True)
 class CorrelatedPoint:
-    """A state with everything the next step needs, and its bound."""
+    """A state with the sums that the next step needs, and its bound."""
 
     state: CorrelatedState
-    logdet: float
-    precisions: np.ndarray  # under which the posterior of beta was taken
     sums: LatentSums
     value: float
 
@@ -356,11 +230,10 @@ class CorrelatedPoint:
 class CorrelatedProblem:
     """The moments, and the steps from one state to the next."""
 
-    # With exact inputs the square root of the moments is used if there is one: it is
-    # more accurate. psi (d, d) is the input-noise covariance; ard_shape and ard_rate
-    # are the Gamma prior of the precisions; `common`: one precision for all
-    # coefficients. direct (d,): b above, or None. With y - b'x in place of y it is the
-    # same problem for beta - b, up to the prior.
+    # psi (d, d) is the input-noise covariance; ard_shape and ard_rate are the Gamma
+    # prior of the precisions; `common`: one precision for all coefficients. direct
+    # (d,): b above, or None. With y - b'x in place of y it is the same problem for
+    # beta - b, up to the prior.
 
     def __init__(self, moments, psi, *, ard_shape, ard_rate, common, direct=None):
         self.moments, self.n, self.rest = moments, moments.n, moments
@@ -368,65 +241,36 @@ class CorrelatedProblem:
         if self.direct.any():
             self.rest = moments.less(self.direct)
         self.latent = infer_latent(moments.S, moments.n, psi)
+        self.exact = self.latent.exact
         self.ard_shape, self.ard_rate, self.common = ard_shape, ard_rate, common
         self.d = moments.xy.shape[0]
         self.shared = self.d if common else 1
-        # With exact inputs S_tt is S throughout: one decomposition serves all.
-        self.root = moments.root if self.latent.exact else None
-        self.given = self.root is not None
-        self.floor = FACTOR_FLOOR if self.given else OUTPUT_FLOOR
+        self.floor = _FACTOR_FLOOR if self.exact else OUTPUT_FLOOR
 
-    def root_of(self, sums):
-        """Square root of the latent moments, made once where the inputs are exact."""
-        if not self.latent.exact:
-            return square_root(sums.S_tt, sums.S_ty, sums.yy)
-        if self.root is None:
-            m = self.moments
-            self.root = square_root(m.S, m.xy, m.yy)
-        return self.root
-
-    def start(self, *, fast):
+    def start(self):
         """Ridge solution with <alpha> = 1, as in the paper, and all of y as noise."""
-        return self._start_from(np.ones(self.d), self.moments.yy / self.n, fast=fast)
+        return self._start_from(np.ones(self.d), self.moments.yy / self.n)
 
-    def start_from_least_squares(self, *, fast):
+    def start_from_least_squares(self):
         """Posterior with the precisions and the noise of least squares."""
         # From the ridge solution, directions with a tiny share of the inputs' variance
         # are not found, even if y depends on them with hardly any noise.
-        root = self.root_of(self._observed())
-        beta = np.linalg.lstsq(root.R, root.z, rcond=None)[0]
-        left = root.z - root.R @ beta
+        m = self.moments
+        beta = np.linalg.lstsq(m.R, m.z, rcond=None)[0]
         square = np.full(self.d, np.mean(beta**2)) if self.common else beta**2
         shape = self.ard_shape + 0.5 * self.shared
         alpha = shape / (self.ard_rate + 0.5 * self.shared * square)
-        return self._start_from(alpha, (left @ left + root.rest) / self.n, fast=fast)
+        return self._start_from(alpha, m.residual(beta)[1] / self.n)
 
     def _observed(self):
         """Return sums with the observed inputs in place of the latent ones."""
         m = self.moments
         return LatentSums(S_tt=m.S, S_ty=m.xy, yy=m.yy, bound=np.nan)
 
-    def _expected(self, state):
-        """E-step over T, [C21]."""
-        if not self.direct.any():
-            return expect_latent(self.moments, self.latent, state)
-        beyond = replace(state, beta_mean=state.beta_mean - self.direct)
-        found = expect_latent(self.rest, self.latent, beyond)
-        S_ty = found.S_ty + found.S_tt @ self.direct  # [C21]
-        return replace(found, S_ty=S_ty, yy=self._yy(found.S_tt, S_ty))
-
-    def _yy(self, S_tt, S_ty):
-        """Square sum of the output without its share of the inputs' noise, [C21]."""
-        b = self.direct
-        return self.rest.yy + 2 * b @ S_ty - b @ S_tt @ b
-
-    def _start_from(self, alpha, s2, *, fast):
+    def _start_from(self, alpha, s2):
         s2 = max(s2, self.floor)
         shape = self.ard_shape + 0.5 * self.shared  # [C10]
         beta = self._posterior(self._observed(), s2, alpha)
-        spread = self.d - alpha @ np.diagonal(beta.cov)
-        if fast:
-            beta, s2 = self._joint(beta, s2, alpha)
         state = CorrelatedState(
             beta_mean=beta.mean,
             beta_cov=beta.cov,
@@ -434,111 +278,89 @@ class CorrelatedProblem:
             alpha_rate=shape / alpha,
             psi_y=s2,
         )
-        return self.evaluate(state, beta.logdet, alpha, spread)
+        return self.evaluate(state, beta.logdet, self._spread(beta, alpha))
 
     def _posterior(self, sums, s2, alpha):
-        return posterior_beta(
-            sums.S_tt,
-            sums.S_ty,
-            sums.yy,
-            s2,
-            alpha,
-            lambda: self.root_of(sums),
-            always=self.given,
-        )
+        def root():
+            if self.exact:
+                return self.moments
+            return square_root(self.n, sums.S_tt, sums.S_ty, sums.yy)
 
-    def _joint(self, beta, s2, alpha):
-        """Maximise over the noise, and with it the mean, at a fixed cov / psi_y."""
-        G, mean = beta.cov / s2, beta.mean
-        penalty = alpha @ np.diagonal(G)
-        if self.latent.exact:
-            # tr(cov S) = s2 (d - alpha'diag(cov))
-            fit = max(beta.squares - s2 * (self.d - s2 * penalty), 0.0)
-            new = noise_given_shape(fit, self.n, self.d, penalty)
-        else:
-            start, centre = (mean - self.direct, s2), -self.direct
-            mean, new = mean_and_noise(self.rest, self.latent, G, start, alpha, centre)
-            mean = mean + self.direct
-        new = max(new, self.floor)
-        logdet = beta.logdet + self.d * np.log(new / s2)
-        return replace(beta, mean=mean, cov=G * new, logdet=logdet), new
+        return posterior_beta(sums.S_tt, sums.S_ty, sums.yy, s2, alpha, root)
 
-    def step(self, point, *, fast=False):
-        """Do the M-steps: beta, the noise, alpha; plain or jointly where possible."""
+    def _spread(self, beta, alpha):
+        """Return tr(cov S_tt) / psi_y of a posterior under precisions (d,)."""
+        # Huge variances of directions with little information do not cancel in it.
+        return self.d - alpha @ np.diagonal(beta.cov)
+
+    def step(self, point):
+        """Do the M-steps: beta, the noise, alpha."""
         state = point.state
-        alpha = state.E_alpha
-        if fast and not self.common:
-            alpha = precisions_given_others(
-                state.beta_mean,
-                np.diagonal(state.beta_cov),
-                point.precisions,
-                self.ard_shape,
-                self.ard_rate,
-            )
-        s2 = state.psi_y
+        alpha, s2 = state.E_alpha, state.psi_y
         beta = self._posterior(point.sums, s2, alpha)
-        spread = self.d - alpha @ np.diagonal(beta.cov)
-        if fast:
-            beta, s2 = self._joint(beta, s2, alpha)
-        else:
-            spread *= s2 / max(beta.squares / self.n, self.floor)
-            s2 = max(beta.squares / self.n, self.floor)  # [C11]
+        new_s2 = max(beta.squares / self.n, self.floor)  # [C11]
         square = beta.mean**2 + np.diagonal(beta.cov)
         if self.common:
             square = np.full(self.d, square.sum())
-        new = CorrelatedState(
+        new = replace(
+            state,
             beta_mean=beta.mean,
             beta_cov=beta.cov,
-            alpha_shape=state.alpha_shape,
             alpha_rate=self.ard_rate + 0.5 * square,  # [C10]
-            psi_y=s2,
+            psi_y=new_s2,
         )
-        return self.evaluate(new, beta.logdet, alpha, spread)
+        return self.evaluate(new, beta.logdet, self._spread(beta, alpha) * s2 / new_s2)
 
-    def evaluate(self, state, logdet, precisions, spread):
+    def evaluate(self, state, logdet, spread):
         """E-step over T, and the bound."""
-        # logdet: of the covariance of beta, which was taken under `precisions` (d,);
-        # spread: tr(cov S) / psi_y with exact inputs.
-        sums = self._expected(state)
-        if self.given:
-            # The squared residual of the factor instead of a difference of moments,
-            # and the identity tr(cov S) = s2 (d - alpha'diag(cov)), in which the huge
-            # variances of directions with little information do not cancel.
-            left = self.root.z - self.root.R @ state.beta_mean
-            data = self.n * (LOG_2PI + np.log(state.psi_y)) + spread
-            data += (left @ left + self.root.rest) / state.psi_y
-            sums = replace(sums, bound=-0.5 * float(data))  # [C12]
-        value = sums.bound + _prior_bound(
-            state, self.ard_shape, self.ard_rate, logdet, self.shared
-        )
-        return CorrelatedPoint(
-            state=state, logdet=logdet, precisions=precisions, sums=sums, value=value
-        )
+        # logdet: of the covariance of beta; spread: see `_spread`.
+        sums = self._expected(state, spread)
+        prior = _prior_bound(state, self.ard_shape, self.ard_rate, logdet, self.shared)
+        return CorrelatedPoint(state=state, sums=sums, value=sums.bound + prior)
 
-    def judge(self, point, new, tol):
+    def _expected(self, state, spread):
+        """E-step over T, [C18]."""
+        if self.exact:
+            s2 = state.psi_y
+            squares = self.moments.residual(state.beta_mean)[1]
+            value = self.n * (LOG_2PI + np.log(s2)) + squares / s2 + spread
+            return replace(self._observed(), bound=-0.5 * float(value))  # [C12]
+        if not self.direct.any():
+            return expect_latent(self.moments, self.latent, state)
+        beyond = replace(state, beta_mean=state.beta_mean - self.direct)
+        found = expect_latent(self.rest, self.latent, beyond)
+        S_ty = found.S_ty + found.S_tt @ self.direct  # [C18]
+        return replace(found, S_ty=S_ty, yy=self._yy(found.S_tt, S_ty))
+
+    def _yy(self, S_tt, S_ty):
+        """Square sum of the output without its share of the inputs' noise, [C18]."""
+        b = self.direct
+        return self.rest.yy + 2 * b @ S_ty - b @ S_tt @ b
+
+    def judge(self, point, new, tol, **slack):
         """Whether a step lowered the bound, and whether its gain was negligible."""
         # A gain within the residual's rounding is negligible, whatever `tol`.
         gain = new.value - point.value
         resolution = min(self._resolution(new), self._resolution(point))
-        fell = not gain >= -rounding_of_bound(new.value, self.n, resolution)
+        fell = not gain >= -rounding_of_bound(new.value, self.n, resolution, **slack)
         return fell, abs(gain) <= self.n * max(tol, rounding_of_fit(resolution))
 
     def _resolution(self, point):
         """Output variance relative to the terms that cancel in the residual."""
         size = np.linalg.norm(point.state.beta_mean)
-        if self.given:
+        if self.exact:
             # The residual itself is rounded, in units of the terms that cancel in it.
             return np.sqrt(point.state.psi_y) / (1.0 + size)
         # Its square is, a difference of products.
         return point.state.psi_y / (1.0 + size**2)
 
     def coordinates(self, point):
-        """Return what the next plain step depends on, log alpha and log s2 first."""
+        """Return what the next step depends on, log alpha and log s2 first."""
         # (d + 1,), or (d + 1 + d (d + 1) / 2 + d,) with noisy inputs: each entry of the
         # upper triangle with the length of both that it stands for.
         state, sums = point.state, point.sums
         parts = [np.log(state.E_alpha), [np.log(state.psi_y)]]
-        if not self.latent.exact:
+        if not self.exact:
             places, length = self._triangle
             upper = sums.S_tt.ravel()[places] * (length / self.n)
             parts += [upper, sums.S_ty / self.n]
@@ -551,7 +373,7 @@ class CorrelatedProblem:
         return i * self.d + j, np.where(i == j, 1.0, np.sqrt(2.0))
 
     def moved(self, point, vector):
-        """Return a point with these coordinates, to make a plain step from."""
+        """Return a point with these coordinates, to make a step from."""
         d, state = self.d, point.state
         logs = np.clip(vector[: d + 1], -LARGEST_LOG, LARGEST_LOG)
         state = replace(
@@ -560,7 +382,7 @@ class CorrelatedProblem:
             psi_y=max(float(np.exp(logs[d])), self.floor),
         )
         sums = point.sums
-        if not self.latent.exact:
+        if not self.exact:
             places, length = self._triangle
             S_tt = np.zeros((d, d))
             S_tt.ravel()[places] = vector[d + 1 : -d] * (self.n / length)
@@ -577,7 +399,9 @@ _MEMORY = 20
 # this share, far below what n samples determine, ...
 _SETTLED = 1e-10
 # ... or where steps have not shrunk for this many iterations: they are rounding.
-_PATIENCE = 15
+_PATIENCE = 60
+# An extrapolation that lowers the bound by more than this share of it overshot.
+_OVERSHOT = 1e-12
 # Largest extrapolation of a precision or the noise, as a logarithm.
 _LARGEST_STRETCH = 5.0
 
@@ -614,28 +438,26 @@ class _Anderson:
 
 
 class FixedPointSteps(PlainSteps):
-    """Steps to the fixed point: joint maxima, and extrapolated plain steps."""
+    """Extrapolated steps to the fixed point."""
 
     # When the bound gains less than `tol`, end points still differ by the length of a
-    # step, and rounding decides which is the last. From there on (or from the start, if
-    # joint steps would lose digits) the plain iteration is extrapolated until its steps
-    # are rounding: the result is the fixed point, whatever the order of summation.
+    # step, and rounding decides which is the last. The steps go on until they are
+    # rounding: the result is the fixed point, whatever the order of summation.
 
-    def __init__(self, problem, tol, *, joint):
+    def __init__(self, problem, tol):
         super().__init__(problem, tol)
-        self.joint = self.fast = joint
         self.anderson, self.at = _Anderson(problem.d + 1), None
         self.smallest, self.idle = np.inf, 0
 
     def propose(self, point, budget):
-        """Return a new point, or None where a joint step does not raise the bound."""
-        problem = self.problem
-        self.start = point if self.at is None else problem.moved(point, self.at)
-        new = problem.step(self.start, fast=self.fast)
-        if self.fast and not new.value >= point.value:
-            self.fast = False  # for this step only
-            return None, 1
-        return new, 1
+        """Return a step from the extrapolated point."""
+        self.start = point if self.at is None else self.problem.moved(point, self.at)
+        return self.problem.step(self.start), 1
+
+    def judge(self, point, new):
+        """Whether the bound fell, and whether its gain was negligible."""
+        slack = {} if self.at is None else {"relative": _OVERSHOT}
+        return self.problem.judge(point, new, self.tol, **slack)
 
     def retry(self):
         """After a fall: the extrapolation overshot, restart from the best point."""
@@ -648,14 +470,12 @@ class FixedPointSteps(PlainSteps):
         """Take a step; return whether it is the last."""
         # An extrapolated point may happen to gain nothing on the way.
         self.converged = quiet
-        if not self.joint:
-            here = self.problem.coordinates(self.start)
-            there = self.problem.coordinates(new)
-            length = np.abs(there - here)[: self.problem.d + 1].max()
-            self.idle = 0 if length < 0.5 * self.smallest else self.idle + 1
-            self.smallest = min(length, self.smallest)
-            self.at = self.anderson.next(here, there)
-        self.fast = self.joint = self.joint and not quiet
+        here = self.problem.coordinates(self.start)
+        there = self.problem.coordinates(new)
+        length = np.abs(there - here)[: self.problem.d + 1].max()
+        self.idle = 0 if length < 0.5 * self.smallest else self.idle + 1
+        self.smallest = min(length, self.smallest)
+        self.at = self.anderson.next(here, there)
         return quiet and (self.smallest <= _SETTLED or self.idle >= _PATIENCE)
 
 
@@ -684,12 +504,9 @@ def solve_correlated(
     ard_rate=1e-6,
 ):
     """Fit the model to standardised moments, with the input noise psi (d, d)."""
-    # cross (d,): covariance of the noise of the inputs with that of the output.
-    # Joint maximisation over blocks that the plain iteration updates in turn (if the
-    # moments have a square root, or S exceeds rounding by half of the digits in all
-    # directions) and Anderson extrapolation; a step that does not raise the bound is
-    # replaced by the plain one. With exact inputs the bound at least squares is checked
-    # at the end; if it is higher, the iteration continues from there.
+    # cross (d,): covariance of the noise of the inputs with that of the output. With
+    # exact inputs the bound at least squares is checked at the end; if it is higher,
+    # the iteration continues from there.
     problem = CorrelatedProblem(
         moments,
         psi,
@@ -698,20 +515,18 @@ def solve_correlated(
         common=common,
         direct=None if cross is None else direct_share(psi, cross),
     )
-    more = moments.n > problem.d  # samples than inputs
-    joint = moments.root is not None or (more and _has_digits(moments))
 
     def up(point, most):
-        found = climb(FixedPointSteps(problem, tol, joint=joint), point, most)
+        found = climb(FixedPointSteps(problem, tol), point, most)
         return CorrelatedSolution(
             latent=problem.latent, direct=problem.direct, **vars(found)
         )
 
-    found = up(problem.start(fast=joint), max_iter)
-    if not (problem.latent.exact and more):
+    found = up(problem.start(), max_iter)
+    if not (problem.exact and moments.n > problem.d):
         return found
     used = found.n_iter + 1
-    other = problem.start_from_least_squares(fast=joint)
+    other = problem.start_from_least_squares()
     if other.value > found.history[-1] and used < max_iter:
         found = up(other, max_iter - used)
         return replace(found, n_iter=used + found.n_iter - 1)
@@ -723,14 +538,8 @@ def direct_share(psi, cross):
     return scaled_eigen(psi, ROUNDING * cross.size).solve(cross)
 
 
-def _has_digits(moments):
-    """Whether rounding is far below the smallest eigenvalue of S."""
-    values = linalg.eigvalsh(moments.S)
-    return bool(values[0] > _HALF_DIGITS * values[-1])
-
-
 def posterior_covariance(n, psi, solution, dof=np.inf):
-    """Covariance (d, d) of beta that includes noise in the inputs' moments, [C17]."""
+    """Covariance (d, d) of beta that includes noise in the inputs' moments, [C14]."""
     # psi (d, d) is known, or was estimated with `dof` degrees of freedom. With psi = 0
     # it is the posterior covariance of Bayesian regression.
     state = solution.state
@@ -753,5 +562,5 @@ def posterior_covariance(n, psi, solution, dof=np.inf):
     noise = v if solution.direct.any() else beta @ psi_beta
     estimated = noise * psi + np.outer(psi_beta, psi_beta)
     cov = (v * G_inv + G_inv @ middle @ G_inv) / n
-    cov += G_inv @ estimated @ G_inv / dof  # [C17]
+    cov += G_inv @ estimated @ G_inv / dof  # [C14]
     return 0.5 * (cov + cov.T)

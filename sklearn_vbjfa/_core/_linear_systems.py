@@ -365,7 +365,8 @@ def _largest_volume(R, columns, rank):
     L = np.zeros((columns.size, rank))
     chosen = []
     for k in range(rank):
-        j = int(np.argmax(left))
+        # The first of those that rounding does not tell apart.
+        j = int(np.argmax(left > left.max() * (1 - DEPENDENCY_TOLERANCE)))
         L[:, k] = (S[:, j] - L[:, :k] @ L[j, :k]) / np.sqrt(left[j])
         left -= L[:, k] ** 2
         chosen.append(j)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import linalg
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 _DEGREE = 5
@@ -91,29 +91,6 @@ def knots_and_penalty(dt, cutoff):
         return 1, 1e-9
     step = knot_step(dt, cutoff)
     return step, step * _penalty(dt, cutoff)
-
-
-def _differences(n_coef):
-    """Matrix of the differences of n_coef coefficients."""
-    stencil = np.poly(np.ones(_ORDER))[::-1]
-    return sparse.diags_array(
-        [np.full(n_coef - _ORDER, c) for c in stencil],
-        offsets=range(_ORDER + 1),
-        shape=(n_coef - _ORDER, n_coef),
-    ).tocsr()
-
-
-def penalty_bands(n_coef):
-    """Upper bands of the penalty on the differences of n_coef coefficients."""
-    differences = _differences(n_coef)
-    return _upper_bands((differences.T @ differences).todia(), n_coef)
-
-
-def _upper_bands(matrix, size):
-    bands = np.zeros((_DEGREE + 1, size))
-    for k in range(_DEGREE + 1):
-        bands[_DEGREE - k, k:] = matrix.diagonal(k)
-    return bands
 
 
 # Shortest recording that has a spectrum.
@@ -417,20 +394,14 @@ def _gram_bands(n, step, n_coef):
     return bands
 
 
-@lru_cache(maxsize=1)
-def _short_penalty_bands():
-    return penalty_bands(4 * _WIDTH)
-
-
 def _penalty_bands(n_coef):
-    """Upper bands of the penalty; all columns but those at the ends are the same."""
-    short = _short_penalty_bands()
-    if n_coef <= short.shape[1]:
-        return penalty_bands(n_coef)
-    bands = np.empty((_WIDTH, n_coef))
-    ends = 2 * _WIDTH
-    bands[:, :ends], bands[:, -ends:] = short[:, :ends], short[:, ends:]
-    bands[:, ends:-ends] = short[:, ends : ends + 1]
+    """Upper bands of the penalty on the differences of n_coef coefficients."""
+    stencil = np.poly(np.ones(_ORDER))
+    bands = np.zeros((_WIDTH, n_coef))
+    for i in range(_WIDTH):
+        for j in range(i, _WIDTH):
+            product = stencil[i] * stencil[j]
+            bands[_DEGREE - (j - i), j : j + n_coef - _ORDER] += product
     return bands
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
     HiddenExpectations,
@@ -30,12 +29,12 @@ from sklearn_vbjfa._core._updates import (
 _RELATIVE_FALL = 1e-9
 
 
-def rounding_of_bound(value, n, output_variance):
+def rounding_of_bound(value, n, output_variance, relative=_RELATIVE_FALL):
     """Return the largest fall of the bound that rounding can explain."""
     # A fraction of the bound itself, plus the effect of rounding of the squared
     # residual (a difference of terms of size 1 per sample, in standardised units),
     # which matters when the residual is tiny.
-    return _RELATIVE_FALL * max(abs(value), n) + n * rounding_of_fit(output_variance)
+    return relative * max(abs(value), n) + n * rounding_of_fit(output_variance)
 
 
 def rounding_of_fit(output_variance):
@@ -458,7 +457,9 @@ def at_highest_likelihood(moments, state, prior):
     odds = np.where(used, share / np.where(used, signal, 1.0), 0.0)
 
     c = np.where(used, coefficients_noisy(state), 0.0)
-    c = c + _least_squares_step(moments, c, used)
+    # The shortest step to least squares in the inputs in use.
+    left = moments.z - moments.R @ c
+    c[used] += linalg.lstsq(moments.R[:, used], left)[0]
     s = moments.residual(c)[1] / n
     through = c**2 * variance @ odds
     if through > s:
@@ -485,21 +486,6 @@ def at_highest_likelihood(moments, state, prior):
         psi_y=max(rest * state.psi_y, VARIANCE_FLOOR),
         psi_z=np.maximum(rest * state.psi_z, VARIANCE_FLOOR),
     )
-
-
-def _least_squares_step(moments, c, used):
-    """Shortest step (d,) from coefficients to least squares in the inputs in use."""
-    step = np.zeros_like(c)
-    if moments.root is not None:
-        R = moments.root.R[:, used]
-        left = moments.root.z - moments.root.R @ c
-        step[used] = linalg.lstsq(R, left)[0]
-        return step
-    eigen = scaled_eigen(moments.S[np.ix_(used, used)], scale=1.0)
-    # One refinement: the remainder has smaller rounding.
-    for _ in range(2):
-        step[used] += eigen.solve((moments.xy - moments.dot(c + step))[used])
-    return step
 
 
 def _end(problem, found):
@@ -534,32 +520,32 @@ def solve(moments, state, prior, *, max_iter, tol):
     problem = IndependentProblem(moments, prior)
     # Without a prior an exact fit has no highest likelihood, and nothing to
     # extrapolate to but rounding.
-    exact = not prior.ard and moments.is_exact(VARIANCE_FLOOR)
-    if not exact:
-        # Along flat directions the last digits of the moments decide where within
-        # `tol` a quasi-Newton method stops: they must not depend on the rows' order.
-        rounded = IndependentProblem(moments.without_last_digits(), prior)
-        steps = QuasiNewtonSteps(rounded, tol)
-        found = climb(steps, rounded.evaluate(state), max_iter)
-        if found.status == "converged" and not prior.ard:
-            # The last step is an iteration too.
-            if found.n_iter < max_iter:
-                found = _end(problem, found)
-            else:
-                found = replace(found, status="max_iter")
-    else:
+    if not prior.ard and moments.is_exact(VARIANCE_FLOOR):
         found = climb(PlainSteps(problem, tol), problem.evaluate(state), max_iter)
         if found.status != "bound_decreased":
             # The expectations at the end are good for one more update.
             end = plain_step(moments, problem.evaluate(found.state), prior)
             found = replace(found, state=end)
-    return replace(found, at_floor=_at_floor(found.state, prior))
+        return _with_floor(found, prior)
+    # Along flat directions the last digits of the moments decide where within `tol` a
+    # quasi-Newton method stops: they must not depend on the rows' order.
+    rounded = IndependentProblem(moments.without_last_digits(), prior)
+    steps = QuasiNewtonSteps(rounded, tol)
+    found = climb(steps, rounded.evaluate(state), max_iter)
+    if found.status == "converged" and not prior.ard:
+        # The last step is an iteration too.
+        if found.n_iter < max_iter:
+            found = _end(problem, found)
+        else:
+            found = replace(found, status="max_iter")
+    return _with_floor(found, prior)
 
 
-def _at_floor(state, prior):
-    """Variances at their floor, by name: {name: ndarray of indices}."""
-    floor = 2 * VARIANCE_FLOOR
-    found = {"psi_y": np.flatnonzero(np.atleast_1d(state.psi_y) <= floor)}
+def _with_floor(found, prior):
+    """Name the variances at their floor: {name: ndarray of indices}."""
+    state, floor = found.state, 2 * VARIANCE_FLOOR
+    places = {"psi_y": np.flatnonzero(np.atleast_1d(state.psi_y) <= floor)}
     if prior.psi_x_fixed is None:
-        found["psi_x"] = np.flatnonzero(state.psi_x <= floor)
-    return {name: where for name, where in found.items() if where.size}
+        places["psi_x"] = np.flatnonzero(state.psi_x <= floor)
+    stuck = {name: where for name, where in places.items() if where.size}
+    return replace(found, at_floor=stuck)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa._core._linear_systems import block_variance
-from sklearn_vbjfa._core._moments import Moments
+from sklearn_vbjfa._core._moments import Scatter
 from sklearn_vbjfa.equations._ranges import SignalRanges, sum_ranges
 
 # Number of blocks over all recordings of a fit, and the fewest rows per block: 2.5
@@ -245,21 +245,14 @@ class JointMoments:
         return np.sqrt(through), np.sqrt(np.maximum(rest, 0.0))
 
     def total(self, weight):
-        """Return the moments about zero of all joints' rows, with weights (nv,)."""
+        """Return the `Scatter` of all joints' rows, with weights (nv,)."""
         # Without what noise in common adds to the products of inputs and torques.
-        p, g = self.g.shape[1], self.g
-        if self.in_common is not None:
-            g = g - self.in_common
-        used = weight > 0
-        scatter = np.empty((p + 1, p + 1))
-        scatter[:-1, :-1] = np.einsum("j,jik->ik", weight, self.G)
-        scatter[-1, :-1] = scatter[:-1, -1] = weight @ g
-        scatter[-1, -1] = weight @ self.yy
-        return Moments(
-            n_rows=int(self.n_rows[used].sum()),
-            n_samples=float(self.n[used].sum()),
-            mean=np.zeros(p + 1),
-            scatter=scatter,
+        g = self.g if self.in_common is None else self.g - self.in_common
+        return Scatter(
+            n_samples=float(self.n[weight > 0].sum()),
+            S_xx=np.einsum("j,jik->ik", weight, self.G),
+            S_xy=weight @ g,
+            S_yy=float(weight @ self.yy),
         )
 
     def total_noise(self, weight):

@@ -1,6 +1,6 @@
 """How the model with correlated latents is fitted: dependencies, relevance, noise.
 
-Tags such as [C18] are equations of the guide.
+Tags such as [C15] are equations of the guide.
 """
 
 import warnings
@@ -53,10 +53,10 @@ class CorrelatedFit:
 
 
 def largest_noise_fraction(R, r):
-    """Largest input-noise fraction that correlations R (d, d), r (d,) admit, [C18]."""
+    """Largest input-noise fraction that correlations R (d, d), r (d,) admit, [C15]."""
     given_output = R - np.outer(r, r)
     smallest = linalg.eigvalsh(given_output, subset_by_index=[0, 0])[0]
-    return float(min(LARGEST_FRACTION, max(smallest, 0.0)))  # [C18]
+    return float(min(LARGEST_FRACTION, max(smallest, 0.0)))  # [C15]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +135,7 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
         ends = [f * np.eye(basis.size) for f in _admissible_ends(of_basis)]
     cov = sum(
         _uncertainty(of_basis, end, coef, solve_of(basis, end), dof) for end in ends
-    ) / len(ends)  # [C20]
+    ) / len(ends)  # [C17]
     spread = _spread(R, basis, found.copies)
     relevant = np.zeros(d, dtype=bool)
     relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
@@ -242,7 +242,7 @@ def _square(x):
 
 
 def _admissible_ends(m):
-    """Smallest and largest fraction of noise, f of [C19], that moments `m` admit."""
+    """Smallest and largest fraction of noise, f of [C16], that moments `m` admit."""
     n, d = m.n, m.xx.size
     R, r = m.S / n, m.xy / n
     # The smallest eigenvalue of n rows is too small by (n - d) / n in the mean, for d

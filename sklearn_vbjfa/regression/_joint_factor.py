@@ -8,8 +8,8 @@ import numpy as np
 from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_vbjfa._core import _moments
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
+from sklearn_vbjfa._core._moments import from_data, from_scatter, standardise
 from sklearn_vbjfa._core._solver import Solution, solve, start
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
@@ -60,8 +60,7 @@ class BaseJointFactorRegressor(BaseRegressor):
             Fitted estimator.
         """
         X, y, weight = self._check_rows(X, y, sample_weight, min_samples=2)
-        stats = _moments.accumulate(X, y, weight, centred=self.fit_intercept)
-        return self._fit_moments(stats)
+        return self._fit_moments(from_data(X, y, weight))
 
     def partial_fit(self, X, y, sample_weight=None):
         """Add rows to those seen so far and refit from the merged statistics.
@@ -84,20 +83,15 @@ class BaseJointFactorRegressor(BaseRegressor):
         """
         first = not hasattr(self, "statistics_")
         X, y, weight = self._check_rows(X, y, sample_weight, reset=first)
-        old = None if first else self.statistics_
-        centred = self.fit_intercept
-        new = _moments.accumulate(X, y, weight, centred=centred, before=old)
-        total = old
-        if new is not None:
-            total = new if first else old + new
-            if _moments.loses_digits(total, X, y, weight, centred=centred):
-                _warn_lost_digits(type(self).__name__)
+        total = from_data(X, y, weight)
+        if not first:
+            total = self.statistics_ + total
         return self._fit_moments(total)
 
     def _fit_moments(self, moments):
         self.statistics_ = moments
         self.n_features_in_ = moments.n_features
-        return self._fit(_moments.standardise(moments, centred=self.fit_intercept))
+        return self._fit(standardise(moments, centred=self.fit_intercept))
 
     def _feature_labels(self):
         """Names for messages: the columns' names, or their numbers."""
@@ -246,20 +240,10 @@ class BaseJointFactorRegressor(BaseRegressor):
         return mean, np.sqrt(np.maximum(parameters, 0.0) + noise)
 
 
-def _warn_lost_digits(name):
-    warnings.warn(
-        f"{name}.partial_fit loses digits: the inputs so far are too dependent, or y "
-        "too free of noise, for their scatter matrix, and earlier rows are not at hand "
-        "for a QR decomposition; fit all rows at once, or begin with a larger chunk.",
-        UserWarning,
-        stacklevel=3,
-    )
-
-
-def fit_moments(estimator, moments):
-    """Fit an estimator, itself, to second moments of rows that it never sees."""
+def fit_moments(estimator, known):
+    """Fit an estimator, itself, to the `Scatter` of rows that it never sees."""
     estimator._validate_params()
-    return estimator._fit_moments(moments)
+    return estimator._fit_moments(from_scatter(known))
 
 
 class JFARegressor(BaseJointFactorRegressor):

@@ -21,21 +21,14 @@ def make_rows(seed, n_samples=300, n_features=4, offset=3.0):
     return X, y, rng.uniform(0.1, 3.0, n_samples)
 
 
-def assert_same(first, second, rtol=1e-12, *, rows=True):
+def assert_same(first, second, rtol=1e-12):
     """Equal up to rounding; scatter entries in units of their diagonal."""
-    if rows:
-        assert first.n_rows == second.n_rows
     assert_allclose(first.n_samples, second.n_samples, rtol=rtol)
-    x_unit = np.sqrt(np.diagonal(second.S_xx))
-    y_unit = np.sqrt(second.S_yy)
-    root = np.sqrt(second.n_samples)
-    shift = (first.x_mean - second.x_mean) * root / x_unit
-    assert_allclose(shift, 0.0, atol=rtol * root)
-    assert abs(first.y_mean - second.y_mean) * root <= rtol * root * y_unit
-    difference = (first.S_xx - second.S_xx) / np.outer(x_unit, x_unit)
+    unit = np.sqrt(np.diagonal(second.scatter))
+    shift = (first.mean - second.mean) * np.sqrt(second.n_samples) / unit
+    assert_allclose(shift, 0.0, atol=rtol * np.sqrt(second.n_samples))
+    difference = (first.scatter - second.scatter) / np.outer(unit, unit)
     assert_allclose(difference, 0.0, atol=rtol)
-    assert_allclose((first.S_xy - second.S_xy) / (x_unit * y_unit), 0.0, atol=rtol)
-    assert_allclose(first.S_yy, second.S_yy, rtol=rtol)
 
 
 @pytest.mark.parametrize("weighted", [True, False])
@@ -46,15 +39,9 @@ def test_equal_to_numpy(weighted):
     joint = np.column_stack([X, y])
     mean = np.average(joint, axis=0, weights=w)
     scatter = np.cov(joint, rowvar=False, aweights=w, ddof=0) * stats.n_samples
-    assert stats.n_rows == 300
     assert_allclose(stats.n_samples, weight.sum() if weighted else 300.0, rtol=1e-14)
-    assert_allclose(stats.x_mean, mean[:-1], rtol=1e-13)
-    assert_allclose(stats.y_mean, mean[-1], rtol=1e-13)
-    scale = np.abs(scatter).max()
-    assert_allclose(stats.S_xx, scatter[:-1, :-1], atol=1e-13 * scale)
-    assert_allclose(stats.S_xy, scatter[:-1, -1], atol=1e-13 * scale)
-    assert_allclose(stats.S_yy, scatter[-1, -1], rtol=1e-13)
-    assert_array_equal(stats.S_xx, stats.S_xx.T)
+    assert_allclose(stats.mean, mean, rtol=1e-13)
+    assert_allclose(stats.scatter, scatter, atol=1e-13 * np.abs(scatter).max())
 
 
 @settings(max_examples=25, derandomize=True, deadline=None)
@@ -85,8 +72,7 @@ def test_weight_is_repetition(seed, n_samples):
     count[:2] = 1, 3
     weighted = _moments.from_data(X, y, count.astype(float))
     repeated = _moments.from_data(np.repeat(X, count, axis=0), np.repeat(y, count))
-    assert_same(weighted, repeated, rows=False)
-    assert weighted.n_rows == np.count_nonzero(count)
+    assert_same(weighted, repeated)
 
 
 @pytest.mark.parametrize("split", [1, 7])
@@ -105,11 +91,23 @@ def test_large_offset_costs_only_its_rounding(split):
     )
     # The mean is rounded by 1e11 eps = 2e-5, against a spread of 600, and enters the
     # scatter by its square; raw second moments would have lost all their digits.
-    assert_allclose(far.x_mean - 1e11, near.x_mean, atol=1e-4)
-    unit = np.sqrt(np.diagonal(near.S_xx))
-    difference = (far.S_xx - near.S_xx) / np.outer(unit, unit)
+    assert_allclose(far.mean - 1e11, near.mean, atol=1e-4)
+    unit = np.sqrt(np.diagonal(near.scatter))
+    difference = (far.scatter - near.scatter) / np.outer(unit, unit)
     assert_allclose(difference, 0.0, atol=1e-7)
-    assert_allclose((far.S_xy - near.S_xy) / (unit * np.sqrt(near.S_yy)), 0, atol=1e-7)
+
+
+def test_a_scatter_alone_gives_the_same_moments():
+    X, y, _ = make_rows(5, offset=0.0)
+    rows = np.column_stack([X, 1e6 * y])
+    sums = rows.T @ rows
+    known = _moments.Scatter(
+        n_samples=300.0, S_xx=sums[:-1, :-1], S_xy=sums[:-1, -1], S_yy=sums[-1, -1]
+    )
+    found = _moments.from_scatter(known)
+    assert_allclose(found.scatter, sums, rtol=1e-10)
+    assert_array_equal(found.mean, 0.0)
+    assert found.n_samples == 300.0
 
 
 @pytest.mark.parametrize("weighted", [True, False])

@@ -38,7 +38,7 @@ class FailingMoments:
     def __init__(self, moments, n_right):
         self.moments, self.left = moments, n_right
         self.n, self.xx = moments.n, moments.xx
-        self.xy, self.yy, self.S = moments.xy, moments.yy, None
+        self.xy, self.yy = moments.xy, moments.yy
 
     def without_last_digits(self):
         return self

@@ -157,8 +157,6 @@ Raises
 ------
 OSError
     If a file is absent and may not or cannot be downloaded.
-ValueError
-    If an option has another value than those above.
 
 Notes
 -----
@@ -184,12 +182,11 @@ def _loader(name, read) -> Callable[..., Recording]:
         data_home: str | os.PathLike | None = None,
         download_if_missing: bool = True,
         resample: bool = True,
-        **options,
     ) -> Recording:
         home = data_home or Path(get_data_home(), "sklearn_vbjfa")
         folder, source = Path(home).expanduser() / name, entry.get("source", "")
         files = _Files(name, folder, download_if_missing, source)
-        logs = read(files, **options)
+        logs = read(files)
         columns = join(
             logs,
             dt=entry.get("dt") or median_period(logs),
@@ -240,7 +237,7 @@ def _documentation(name):
     return _DOCUMENTATION.format(
         text=entry["text"],
         name=name,
-        options=entry.get("options", "") + _RESAMPLE * entry.get("irregular", False),
+        options=_RESAMPLE * entry.get("irregular", False),
         nv=len(entry["joint_names"]),
         joints=textwrap.fill(joints, 76, subsequent_indent="    "),
         licence=entry["licence"],
@@ -279,10 +276,7 @@ _UR5_LOGS: tuple[str, ...] = (
 _UR5_LOGS += ("q_target", "qd_target", "qdd_target")
 
 
-def _ur5(files, gains=_UR5_GAINS):
-    factors = np.asarray(gains, dtype=float)
-    if factors.shape != (6,) or not np.isfinite(factors).all():
-        raise ValueError(f"gains must hold six finite numbers [N m/A], got {factors}.")
+def _ur5(files):
     movements = {}
     for path, local in files.find().items():
         *_, movement, _, _ = path.split("/")
@@ -292,7 +286,7 @@ def _ur5(files, gains=_UR5_GAINS):
     for name, parts in movements.items():
         t, raw = _ur5_channels(parts)
         q, v = raw.pop("q_actual"), raw.pop("qd_actual")
-        tau = factors * raw["i_actual"]
+        tau = np.array(_UR5_GAINS) * raw["i_actual"]
         logs.append(Log(name=name, t=t, q=q, v=v, tau=tau, signals=raw))
     return logs
 

@@ -70,9 +70,10 @@ def signals(prismatic=(False, False), scale=1.0, **changed):
     )
 
 
-def transform(effect, **given):
-    given = {"t": T, "load": LOAD, "signals": RECORDED, **given}
-    return effect.fit(X).transform(X, **given)
+def along(q):
+    """Motion (n,) of one joint whose speeds are positive."""
+    q = q[:, None]
+    return Motion(q=q, v=np.ones_like(q), a=np.zeros_like(q))
 
 
 # -- the library
@@ -109,9 +110,6 @@ def test_numbers_of_coefficients_units_and_columns_agree(name):
     columns = effect.columns(signals())
     assert columns.shape == ((T.size, 2, k) if effect.whole_robot else (T.size, k))
     assert np.isfinite(columns).all()
-    assert list(effect.get_feature_names_out()) == [
-        f"joint {effect.joint + 1}:{name}:{c}" for c in effect.coefficients
-    ]
     assert set(continuous(effect)) <= set(effect.get_params())
     assert set(effect.needs) <= {"time", "load", "signals"}
     assert effect.record
@@ -159,8 +157,6 @@ def test_scikit_learn_contract(name):
     assert repr(effect).startswith(type(effect).__name__)
     again = pickle.loads(pickle.dumps(effect))
     assert again.get_params() == effect.get_params()
-    assert effect.fit(X) is effect
-    assert effect.n_features_in_ == 6
     for shape in effect.shapes(signals())[:2]:
         assert clone(effect).set_params(**shape).shape() == effect.shape() | shape
 
@@ -310,12 +306,14 @@ def closed_forms():
 def test_columns_are_what_the_formula_says(case):
     parameters, expected = closed_forms()[case]
     effect = library_effect(case.split()[0], joint=1).set_params(**parameters)
-    assert_allclose(transform(effect), np.column_stack(expected), rtol=1e-9, atol=1e-12)
+    assert_allclose(
+        effect.columns(signals()), np.column_stack(expected), rtol=1e-9, atol=1e-12
+    )
 
 
 def test_a_spring_over_two_joints_has_the_work_of_its_deflection():
     effect = effects.CouplingSpring(0, 1, ratio=0.7)
-    torque = transform(effect) @ [3.0, -0.6]
+    torque = effect.columns(signals()) @ [3.0, -0.6]
     expected = 3.0 * (Q[:, 0] - 0.7 * Q[:, 1] - 0.2)
     assert_allclose(torque, np.outer(expected, [1.0, -0.7]).reshape(-1, 2), atol=1e-12)
     assert effect.parameters([3.0, -0.6]) == {"k": 3.0, "q0": pytest.approx(0.2)}
@@ -325,9 +323,9 @@ def test_a_spring_over_two_joints_has_the_work_of_its_deflection():
 def test_delay_by_whole_samples_shifts_the_torque(samples):
     shift = samples * 0.01
     effect = effects.Delay(joint=0, delay=shift)
-    columns = transform(effect)[:, 0] * shift + LOAD[:, 0]
+    columns = effect.columns(signals())[:, 0] * shift + LOAD[:, 0]
     assert_allclose(columns[samples:], LOAD[:-samples, 0], atol=1e-12)
-    early = transform(clone(effect).set_params(delay=-shift))[:, 0] * -shift
+    early = clone(effect).set_params(delay=-shift).columns(signals())[:, 0] * -shift
     assert_allclose((early + LOAD[:, 0])[:-samples], LOAD[samples:, 0], atol=1e-12)
 
 
@@ -348,8 +346,7 @@ def test_stops_on_any_walk(q, displacement):
 def test_a_virgin_curve_is_the_torque_of_a_motion_from_rest():
     effect = effects.MaxwellSlip(displacements=(0.01, 0.04))
     coef, x = [2.0, 1.0], np.linspace(0.0, 0.06, 13)
-    states = np.column_stack([x, np.ones((13, 2))])
-    curve = effect.fit_transform(states) @ coef
+    curve = effect.columns(along(x)) @ coef
     assert_allclose(effect.virgin_curve(coef, x), curve)
     found = effect.parameters(coef)
     assert found["Fc"] == 3.0
@@ -361,14 +358,15 @@ def test_elements_that_are_left_keep_their_columns():
         displacements=(0.01, 0.04), loaded=(0.1,), falling=(0.02, 0.03), vs=0.3
     )
     mask = np.array([False, True, True, False, True])
-    assert_array_equal(transform(bank.only(mask)), transform(bank)[:, mask])
+    left = bank.only(mask).columns(signals())
+    assert_array_equal(left, bank.columns(signals())[:, mask])
     assert bank.only(mask).coefficients == ("F1", "mu1", "S1")
 
 
 @pytest.mark.parametrize("values", [(), (0.0,), (0.1, -1.0), (np.nan,)])
 def test_a_bank_needs_positive_displacements(values):
     with pytest.raises(ValueError, match="displacements"):
-        transform(effects.MaxwellSlip(displacements=values))
+        effects.MaxwellSlip(displacements=values).check()
 
 
 @settings(deadline=None, max_examples=100)
@@ -480,21 +478,14 @@ def test_a_payload_is_a_ball_around_its_centre_of_mass():
 
 def recordings_of(effect):
     """Columns of two recordings together, and of each alone."""
-    half = T.size // 2
-    groups = np.r_[np.zeros(half), np.ones(T.size - half)]
-    effect = effect.fit(X)
-    given = {"t": T, "load": LOAD}
-    together = effect.transform(X, **given, signals=RECORDED, groups=groups)
-    parts = [
-        effect.transform(
-            X[part],
-            **{key: values[part] for key, values in given.items()},
-            signals={key: values[part] for key, values in RECORDED.items()},
-        )
-        for part in (slice(0, half), slice(half, None))
-    ]
-    whole = effect.transform(X, **given, signals=RECORDED)
-    return together, np.concatenate(parts), whole
+    halves = slice(0, T.size // 2), slice(T.size // 2, T.size)
+    parts = []
+    for half in halves:
+        cut = {"q": Q[half], "v": V[half], "a": A[half], "t": T[half]}
+        recorded = {key: values[half] for key, values in RECORDED.items()}
+        parts.append(effect.columns(signals(**cut, load=LOAD[half], signals=recorded)))
+    together = effect.columns(signals(parts=halves))
+    return together, np.concatenate(parts), effect.columns(signals())
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in BODIES])
@@ -577,7 +568,7 @@ def test_parameters_mean_what_they_are_called():
     assert ripple["A"] == pytest.approx(3.0)
     assert ripple["phase"] == pytest.approx(0.7)
     q = np.linspace(-1, 1, 50)
-    columns = effects.Ripple(period=0.3).fit_transform(np.c_[q, q, q])
+    columns = effects.Ripple(period=0.3).columns(along(q))
     assert_allclose(
         columns @ [3 * np.cos(0.7), 3 * np.sin(0.7)],
         3 * np.cos(2 * np.pi * q / 0.3 - 0.7),
@@ -612,33 +603,17 @@ def test_keys_tell_uses_apart_but_not_shapes():
 def test_missing_signals_are_named(name):
     effect = library_effect(name)
     for need in effect.needs:
-        given = {"t": T, "load": LOAD, "signals": RECORDED}
-        given.pop({"time": "t"}.get(need, need))
-        with pytest.raises(ValueError, match=f"{name} on joint . *: needs"):
-            effect.fit(X).transform(X, **given)
+        missing = {"time": "t"}.get(need, need)
+        left = {} if need == "signals" else None
+        assert effect.applies(signals(**{missing: left})).startswith("needs")
 
 
 @pytest.mark.parametrize("name", BODIES)
 def test_effects_of_the_bodies_ask_for_them(name):
-    with pytest.raises(ValueError, match="needs the rigid-body dynamics"):
-        transform(library_effect(name))
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"t": T[:-1]}, r"t must have shape \(600,\)"),
-        ({"load": LOAD[:, :1]}, r"load must have shape \(600, 2\)"),
-        (
-            {"groups": np.zeros(5)},
-            r"groups must hold one label per row, shape \(600,\)",
-        ),
-        ({"load": LOAD * np.nan}, "NaN"),
-    ],
-)
-def test_wrong_signals_are_refused(given, message):
-    with pytest.raises(ValueError, match=message):
-        transform(effects.LoadFriction(), **given)
+    none = dict.fromkeys(("rigid", "last_body", "derivatives"))
+    assert library_effect(name).applies(signals(**none)) == (
+        "needs the rigid-body dynamics"
+    )
 
 
 def test_a_linkage_cannot_be_longer_than_long_or_of_another_form():
@@ -646,9 +621,9 @@ def test_a_linkage_cannot_be_longer_than_long_or_of_another_form():
         with pytest.raises(
             ValueError, match="ratio of counterbalance must lie between"
         ):
-            transform(effects.Counterbalance(form="linkage", ratio=ratio))
+            effects.Counterbalance(form="linkage", ratio=ratio).check()
     with pytest.raises(ValueError, match="form of counterbalance must be one of"):
-        transform(effects.Counterbalance(form="cam"))
+        effects.Counterbalance(form="cam").check()
 
 
 @given(
@@ -661,7 +636,7 @@ def test_a_linkage_has_the_work_of_its_spring(ratio, angle, rest):
     energy = 0.5 * 7.0 * (distance(q - angle, ratio) - rest) ** 2
     effect = effects.Counterbalance(form="linkage", ratio=ratio, angle=angle)
     coef = [-7.0 * rest * ratio, 7.0 * ratio]
-    torque = effect.fit_transform(np.c_[q, q, q]) @ coef
+    torque = effect.columns(along(q)) @ coef
     assert_allclose(torque[1:-1], np.gradient(energy, q)[1:-1], atol=2e-3)
 
 
@@ -681,7 +656,7 @@ class Cubic(Effect):
 
 def test_an_effect_needs_a_name_units_and_columns_only():
     cubic = Cubic(joint=1)
-    assert_array_equal(cubic.fit_transform(X), Q[:, [1]] ** 3)
+    assert_array_equal(cubic.columns(signals()), Q[:, [1]] ** 3)
     assert cubic.parameters([2.0]) == {"k3": 2.0}
     assert cubic.parameter_units(prismatic=True) == {"k3": "N/m^3"}
     assert effects.resolve(["coulomb", Cubic])[1].name == "cubic"
@@ -704,7 +679,7 @@ def test_an_effect_needs_a_name_units_and_columns_only():
 )
 def test_shape_parameters_of_zero_are_refused(effect):
     with pytest.raises(ValueError, match=effect.continuous[0]):
-        transform(effect)
+        effect.check()
 
 
 # -- outside the time of a fit

@@ -7,8 +7,8 @@ rounding: rank, pseudo-inverse and null space then do not depend on the choice o
 Independent noise cannot be subtracted from inputs that are sums of each other. Second
 moments do not determine which generate the rest, but two unit-free rules do. If all
 dependent inputs are sums with non-negative weights of as few of them as the span has
-dimensions, it is these, the extreme rays of the cone of all. Otherwise it is the subset
-of largest volume in standardised columns: all others have weights of at most one.
+dimensions, it is these, the extreme rays of the cone of all. Otherwise it is, one by
+one, the standardised column farthest from the span of those before.
 
 Where residuals are correlated in time, a block sandwich estimator gives the variance of
 least squares from second moments and scores of blocks of time. Residuals are smaller
@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, optimize
+from scipy.linalg import lapack
 from scipy.sparse import csgraph
 
 # Rounding of a constant column is a few units in the last place of its values; a
@@ -359,30 +360,11 @@ def _extreme_rays(F, columns):
 
 
 def _largest_volume(R, columns, rank):
-    """Greedy pivoting, then swaps while they enlarge the volume."""
-    S = R[np.ix_(columns, columns)].copy()
-    left = np.diagonal(S).copy()
-    L = np.zeros((columns.size, rank))
-    chosen = []
-    for k in range(rank):
-        # The first of those that rounding does not tell apart.
-        j = int(np.argmax(left > left.max() * (1 - DEPENDENCY_TOLERANCE)))
-        L[:, k] = (S[:, j] - L[:, :k] @ L[j, :k]) / np.sqrt(left[j])
-        left -= L[:, k] ** 2
-        chosen.append(j)
-        left[chosen] = -np.inf
-    inside = np.array(chosen)
-    outside = np.setdiff1d(np.arange(columns.size), inside)
-    while outside.size:
-        weights = linalg.solve(
-            S[np.ix_(inside, inside)], S[np.ix_(inside, outside)], assume_a="pos"
-        )
-        i, j = np.unravel_index(np.argmax(np.abs(weights)), weights.shape)
-        # Each swap multiplies the volume by the weight: it ends.
-        if abs(weights[i, j]) <= 1 + 1e-6:
-            break
-        inside[i], outside[j] = outside[j], inside[i]
-    return columns[inside]
+    """Columns that pivoting takes first, each the farthest from those before."""
+    # Rounded: the first of those that rounding does not tell apart.
+    S = np.round(R[np.ix_(columns, columns)] / DEPENDENCY_TOLERANCE)
+    pivots = lapack.dpstrf(S * DEPENDENCY_TOLERANCE, tol=0.0)[1]
+    return columns[pivots[:rank] - 1]
 
 
 # -- residuals that are correlated in time ---------------------------------------------

@@ -5,7 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_vbjfa._core import _smoothing
-from tests.core._penalised import smooth
+
+
+def smooth(x, dt, cutoff):
+    """Smooth samples (n,) and differentiate them twice, (3, n)."""
+    spline = _smoothing.fit(x, dt, cutoff)
+    return np.stack([spline(0, x.size, order) for order in range(3)])
+
 
 # (dt, cut-off) with one knot for each sample, and with fewer knots than samples.
 RATES = [(0.01, 33.0), (0.01, 5.0), (0.002, 100.0), (0.002, 8.0)]

@@ -127,25 +127,6 @@ def test_values_are_those_of_an_independent_conversion(fetch, converted):
                 np.testing.assert_array_equal(values[:, joint - 1], expected)
 
 
-def test_uniform_values_are_those_of_an_independent_conversion(fetch, converted):
-    tx40, raw = fetch("staubli_tx40"), converted("staubli_tx40", "tx40")
-    assert tx40.dt == raw["dt"]
-    np.testing.assert_array_equal(tx40.signals["q_motor"], raw["q_motor_rad"])
-    np.testing.assert_array_equal(tx40.signals["tau_motor"], raw["tau_motor_Nm"])
-    kr300 = fetch("kuka_kr300")
-    for name in kr300.group_names:
-        part, raw = kr300.select(name), converted("kuka_kr300", f"traj_{name}")
-        np.testing.assert_array_equal(part.q, np.deg2rad(raw["q_mot_deg"]))
-        torque = raw["gear_ratio"] * raw["torque_abs_Nm"]
-        np.testing.assert_array_equal(part.tau, torque)
-    lbr, raw = fetch("kuka_lbr_med7"), converted("kuka_lbr_med7", "measurements")
-    np.testing.assert_array_equal(lbr.q, raw["q"])
-    np.testing.assert_array_equal(lbr.tau, -raw["tau"])
-    tflex, raw = fetch("tflex_1dof"), converted("tflex_1dof", "TFlexADRC_RN20")
-    np.testing.assert_array_equal(tflex.q[:, 0], np.deg2rad(raw["X"][:, 0]))
-    np.testing.assert_array_equal(tflex.tau[:, 0], raw["Y"])
-
-
 def test_emps_gives_the_published_mass(fetch):
     emps = fetch("emps").select("DATA_EMPS")
     _, v, a, tau = (x[100:17389, 0] for x in _filtered(emps, 60.0))
@@ -192,27 +173,6 @@ def test_tx40_motor_and_joint_power_agree(fetch):
     q_motor = tx40.signals["q_motor"]
     np.testing.assert_allclose(q_motor[:, 3], -48 * tx40.q[:, 3], atol=1e-9)
     np.testing.assert_allclose(q_motor[:, 5], 32 * tx40.q[:, 4:].sum(axis=1), atol=1e-9)
-
-
-def test_tx40_friction_is_that_published(fetch):
-    tx40 = fetch("staubli_tx40")
-    # The robot starts upright, which is the zero of the model.
-    np.testing.assert_allclose(tx40.q[0], 0, atol=1e-4)
-    _, viscous, dry = _regression(tx40, 25.0, 0.1)
-    published = [8.05, 5.53, 1.97, 1.11, 1.86, 0.65]
-    np.testing.assert_allclose(viscous, published, rtol=0.05)
-    np.testing.assert_allclose(dry[:5], [7.14, 8.26, 6.34, 2.48, 3.03], rtol=0.05)
-
-
-def test_kr300_second_encoders_agree_with_the_motors(fetch):
-    kr300 = fetch("kuka_kr300")
-    assert np.abs(kr300.signals["q_link"] - kr300.q[:, :3]).max() < np.deg2rad(0.3)
-    np.testing.assert_allclose(
-        kr300.tau[:, 3], 221 * kr300.signals["torque_motor"][:, 3]
-    )
-    for joint in range(6):
-        ff = kr300.signals["tau_ff"][:, joint]
-        assert np.corrcoef(ff, kr300.tau[:, joint])[0, 1] > 0.6
 
 
 def test_ur5_gains_scale_the_torque(fetch):
@@ -335,21 +295,6 @@ def test_go2_is_told_what_the_law_of_its_motors_says(fetch, converted):
         np.testing.assert_allclose(commands, aim, atol=1e-12)
         # Sums of 0.005 in single precision.
         np.testing.assert_allclose(part.t, raw["t"], atol=0.006)
-
-
-@pytest.mark.filterwarnings("ignore:The robot description 'go2.xml'")
-def test_go2_hangs_level_in_the_order_of_its_legs(fetch):
-    pytest.importorskip("pinocchio")
-    go2 = fetch("unitree_go2")
-    model = go2.robot_model()
-    hips = np.array([model.jointPlacements[k].translation for k in (1, 4, 7, 10)])
-    front, left = [1, 1, -1, -1], [1, -1, 1, -1]
-    np.testing.assert_array_equal(np.sign(hips[:, :2]), np.transpose([front, left]))
-    for k in (1, 4, 7, 10):
-        np.testing.assert_allclose(model.jointPlacements[k].rotation, np.eye(3))
-    np.testing.assert_allclose(model.gravity.linear, [0, 0, -9.81])
-    with pytest.warns(UserWarning, match="the base, which base_joint leaves free, is"):
-        go2.robot_model()
 
 
 def test_go2_without_its_description(measured_data_home, tmp_path):

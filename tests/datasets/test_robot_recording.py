@@ -31,46 +31,6 @@ def test_torques_are_inverse_dynamics_plus_friction():
         np.testing.assert_allclose(torque, expected, rtol=1e-10, atol=1e-10)
 
 
-def test_rotors_are_those_of_the_friction_alone():
-    """The rotor inertia of a description is another than that of the robot."""
-    recording = make_robot_recording(duration=1.0, random_state=0)
-    model = pin.buildModelFromUrdf(recording.urdf)
-    model.armature = np.ones(6)
-    other = make_robot_recording(model, duration=1.0, random_state=0)
-    np.testing.assert_array_equal(other.tau_clean, recording.tau_clean)
-
-
-def test_states_are_derivatives_of_one_another():
-    recording = make_robot_recording(duration=4.0, dt=0.001, random_state=1)
-    q, v, a = np.split(recording.states, 3, axis=1)
-    h = recording.dt
-    # central differences of motions up to 0.7 Hz: h^2 w^2 / 6 = 3e-6 relative
-    for x, rate in ((q, v), (v, a)):
-        slope = (x[2:] - x[:-2]) / (2 * h)
-        np.testing.assert_allclose(slope, rate[1:-1], atol=1e-5 * np.abs(rate).max())
-
-
-def test_noise_is_as_large_as_said():
-    recording = make_robot_recording(
-        duration=60.0, encoder_noise=3e-4, torque_noise=0.1, random_state=2
-    )
-    error = recording.q - recording.states[:, :6]
-    # 12000 samples: a deviation is known to 0.65 %
-    np.testing.assert_allclose(error.std(axis=0), 3e-4, rtol=0.03)
-    error = recording.tau - recording.tau_clean
-    np.testing.assert_allclose(error.std(axis=0), recording.torque_noise, rtol=0.03)
-    np.testing.assert_allclose(
-        recording.torque_noise, 0.1 * recording.tau_clean.std(axis=0), rtol=1e-12
-    )
-    lag = np.mean(error[1:] * error[:-1], axis=0) / error.var(axis=0)
-    assert np.all(np.abs(lag) < 4.5 / np.sqrt(12_000))  # white
-    clean = make_robot_recording(
-        duration=2.0, encoder_noise=0.0, torque_noise=0.0, random_state=2
-    )
-    np.testing.assert_array_equal(clean.q, clean.states[:, :6])
-    np.testing.assert_array_equal(clean.tau, clean.tau_clean)
-
-
 def test_the_motion_keeps_the_limits():
     recording = make_robot_recording(duration=40.0, dt=0.01, random_state=3)
     model = pin.buildModelFromUrdf(recording.urdf)
@@ -126,21 +86,6 @@ def test_seed_and_recordings():
     motions = first.q.reshape(3, 200, 6)
     assert np.abs(motions[0] - motions[1]).max() > 0.1
     assert isinstance(first, Recording)
-
-
-def test_units_of_sliding_joints_and_robots_without_limits():
-    model = pin.Model()
-    model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
-    oblique = pin.JointModelPrismaticUnaligned(np.array([0.0, 0.6, 0.8]))
-    model.addJoint(1, oblique, pin.SE3.Identity(), "lift")
-    model.addJoint(2, pin.JointModelRZ(), pin.SE3.Identity(), "turn")
-    bodies = np.tile([1.0, 0.1, 0, 0.1, 0.1, 0, 0.1, 0, 0, 0.1], (3, 1))
-    recording = make_robot_recording(model, inertial=bodies, duration=1.0)
-    assert recording.position_units == ("m", "m", "rad")
-    assert recording.torque_units == ("N", "N", "N m")
-    assert np.isfinite(recording.q).all()
-    assert np.abs(recording.q).max() < 2.51
-    assert recording.urdf is None
 
 
 def test_the_demo_is_always_the_same():

@@ -7,7 +7,7 @@ pin = pytest.importorskip("pinocchio")
 pytest.importorskip("coal")
 
 from sklearn_vbjfa.design import Clearance  # noqa: E402
-from sklearn_vbjfa.model import load_model, load_reduced  # noqa: E402
+from sklearn_vbjfa.model import load_model  # noqa: E402
 from tests.model._shaped import (  # noqa: E402
     BALL,
     BLOCK,
@@ -113,17 +113,6 @@ def test_gradients_are_those_of_finite_differences(tmp_path):
     assert (agree[size > 0.05] > 0).all()
 
 
-def test_joints_that_carry_both_links_do_not_change_their_distance(tmp_path):
-    clearance = clearance_of(arm(tmp_path))
-    found = clearance(positions(20, 6), within=np.inf)
-    order = ["base", "one", "two", "three", "four", "five", "hand"]
-    for pair, (first, second) in enumerate(clearance.pairs):
-        between = range(order.index(first), order.index(second))
-        others = [k for k in range(6) if k not in between]
-        assert (found.gradient[:, pair, others] == 0).all()
-        assert (found.gradient[:, pair, list(between)] != 0).any()
-
-
 def test_far_pairs_have_a_bound_and_no_gradient(tmp_path):
     clearance = clearance_of(arm_with_mesh(tmp_path))
     q = positions(100, 6)
@@ -185,51 +174,6 @@ def test_links_that_meet_in_a_part_of_the_range_are_looked_at(tmp_path):
     model = load_model(path)
     model.lowerPositionLimit[1], model.upperPositionLimit[1] = 2.5, 3.0
     assert clearance_of(path, model=model).ignored == (("base", "lower"),)
-
-
-def test_held_joints_leave_the_distances_of_the_whole_robot(tmp_path):
-    path = arm_with_mesh(tmp_path)
-    whole = clearance_of(path)
-    moving, names = [0, 1, 3, 5], ["j1", "j2", "j4", "j6"]
-    part = clearance_of(path, model=load_reduced(path, names))
-    # Links "two" and "four" are next to each other in the reduced tree.
-    assert ("two", "four") in part.pairs
-    q = np.zeros((60, 6))
-    q[:, moving] = positions(60, 4)
-    expected, found = whole(q, np.inf), part(q[:, moving], np.inf)
-    # Of "five", two shapes meet others: the order tells them apart.
-    compared = 0
-    for pair in dict.fromkeys(part.pairs):
-        if pair not in whole.pairs:
-            continue
-        here = [i for i, x in enumerate(part.pairs) if x == pair]
-        there = [i for i, x in enumerate(whole.pairs) if x == pair]
-        if len(here) != len(there):
-            continue
-        compared += 1
-        np.testing.assert_allclose(
-            found.distance[:, here], expected.distance[:, there], atol=1e-6
-        )
-        np.testing.assert_allclose(
-            found.gradient[:, here],
-            expected.gradient[:, there][..., moving],
-            atol=2e-2,
-        )
-    assert compared > 6
-
-
-def test_a_robot_whose_links_cannot_meet_has_room(tmp_path):
-    path = write(
-        tmp_path,
-        link("base", (BALL.format(0.3), "0 0 0", "0 0 0")),
-        link("bar", (BALL.format(0.3), "1 0 0", "0 0 0")),
-        joint("swing", "base", "bar"),
-    )
-    clearance, q = clearance_of(path), np.zeros((5, 1))
-    assert clearance.pairs == ()
-    assert clearance.nearest(q) == (np.inf, ())
-    assert clearance(q).distance.shape == (5, 0)
-    assert clearance(q).gradient.shape == (5, 0, 1)
 
 
 def test_without_shapes_there_is_a_reason(tmp_path):

@@ -1,7 +1,6 @@
 """Whole designs: limits, what they are worth, and what they promise, by other means."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from sklearn_vbjfa.design import (
     design_motion,
     worth,
 )
-from sklearn_vbjfa.recording import find_repetition
 from sklearn_vbjfa.robot import FitOptions
 from tests.design._chains import chain, posed, problem_of
 
@@ -147,33 +145,6 @@ def test_a_joint_that_slides(tmp_path):
     assert np.ptp(motion.q) > 0.3
 
 
-@pytest.mark.slow
-def test_seven_joints_have_a_motion_to_set_out_from(tmp_path):
-    kinds = ("revolute",) * 7
-    problem, z = problem_of(chain(tmp_path, kinds, effort=120.0))
-    assert z.shape[0] == 7
-    t = problem.times()
-    M = problem.information(problem.curve.states(z, problem.curve.basis(t)), t[1])
-    assert np.isfinite(worth(M, problem.questions).value)
-
-
-@pytest.mark.slow
-def test_a_motion_repeats_neither_itself_nor_that_of_another_seed(path, motion):
-    other = design_motion(path, limits=limits_of(3), **{**SHORT, "random_state": 1})
-    n = len(motion.q)
-    t = motion.dt * np.arange(3 * n)
-    one, two, three = (slice(k * n, (k + 1) * n) for k in range(3))
-    both = np.concatenate([motion.q, other.q])
-    assert not find_repetition(motion.q, t[:n], [one])
-    assert not find_repetition(both, t[: 2 * n], [one, two])
-    # It is found where the motion is run again, with a pause and without.
-    again = np.tile(motion.q, (3, 1))
-    for parts in ([one, two, three], [slice(0, 3 * n)]):
-        (found,) = find_repetition(again, t, parts).motions()
-        assert found.seconds == pytest.approx(SHORT["duration"], abs=0.1)
-        assert found.count == pytest.approx(3.0, abs=0.1)
-
-
 # -- effects to be parted --------------------------------------------------------------
 
 
@@ -216,38 +187,6 @@ def test_a_motion_for_rivals_parts_them_better(parted):
     assert pairs.any()
     assert after.value > before.value + 3.0
     assert np.log(after.beside[pairs] / before.beside[pairs]).mean() > 0.5
-
-
-def test_louder_encoders_count_against_accelerations(tmp_path):
-    from sklearn_vbjfa.design import KnownRobot
-
-    path = chain(tmp_path, ("revolute", "prismatic"), effort=40.0)
-    quiet = KnownRobot.of(path)
-    limits = MotionLimits.of(path)
-    rng = np.random.default_rng(0)
-    states = rng.uniform(-1, 1, size=(300, 6))
-    highest, dt = 2.0, 0.01
-    guessed = quiet.noise(limits, states, highest, dt)
-    np.testing.assert_allclose(guessed, 0.01 * limits.torque)
-    loud = replace(quiet, encoder_noise=np.array([1e-3, 0.0]))
-    found = loud.noise(limits, states, highest, dt)
-    # White noise of the positions, twice differentiated, in the band of the states.
-    band = 3.0 * highest
-    f = np.linspace(0, band, 20_001)
-    density = 2 * dt * 1e-3**2 * (2 * np.pi * f) ** 4
-    variance = np.trapezoid(density, f)
-    model, data = quiet.features.model_, quiet.features.model_.createData()
-    mass = [pin.crba(model, data, row[:2]).copy() for row in states[:100]]
-    mass = np.array([np.triu(M) + np.triu(M, 1).T for M in mass])
-    share = (mass[:, :, 0] ** 2).mean(axis=0) * variance
-    np.testing.assert_allclose(found**2 - guessed**2, share, rtol=1e-3)
-
-
-def value_of(problem, z):
-    """Criterion [nats] of a motion."""
-    t = problem.times()
-    states = problem.curve.states(z, problem.curve.basis(t))
-    return worth(problem.information(states, t[1]), problem.questions).value
 
 
 # -- by what anyone can see of a motion ------------------------------------------------

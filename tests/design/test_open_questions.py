@@ -9,7 +9,7 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.design import design_motion  # noqa: E402
-from sklearn_vbjfa.effects import Ripple, Spring  # noqa: E402
+from sklearn_vbjfa.effects import Spring  # noqa: E402
 from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from tests.design._chains import chain, posed  # noqa: E402
 
@@ -81,14 +81,6 @@ def test_what_is_possible_is_asked_as_what_has_a_name(loop):
     assert open_["spring", 1] == named["spring", 1]
 
 
-def test_what_is_in_doubt_still_takes_its_torque(loop):
-    problem = posed(loop.identifier_, report=loop).problem
-    states = moving_states()
-    found = problem.torques(problem.model(states))
-    expected = loop.identifier_.predict(states)
-    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
-
-
 def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
     problem = posed(loop.identifier_).problem
     states = moving_states()
@@ -115,12 +107,6 @@ def recording_of(path):
     v, a = 0.8 * w * np.cos(np.outer(t, w)), -(w**2) * q
     tau = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
     return q, tau + 0.5 * v
-
-
-def test_effects_by_hand(path):
-    asked = set(asked_of(posed(path, effects=("spring", Ripple(joint=1)))))
-    assert asked == {("spring", 0), ("spring", 1), ("ripple", 1)}
-    assert set(asked_of(posed(path, effects=Spring(joint=1)))) == {("spring", 1)}
 
 
 @pytest.mark.parametrize(

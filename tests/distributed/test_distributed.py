@@ -2,7 +2,6 @@
 
 import os
 import signal
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,7 +21,6 @@ from sklearn_vbjfa import distributed as passes
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.distributed import fit_recordings
 from sklearn_vbjfa.robot import FitOptions
-from tests.recording._bags import states, write_ros2
 
 FITTED = (
     "cutoff_",
@@ -130,11 +128,6 @@ def test_files_are_the_recordings_in_memory(recording, folder, settings):
     assert found.predict(recording.q[:50]).shape == (50, 6)
 
 
-def test_a_list_of_files_in_any_order(recording, folder):
-    files = sorted(folder.iterdir())[::-1]
-    assert_same(fit_recordings(robot(recording), files), in_memory(recording))
-
-
 def dying(function, marker):
     """Let the process that is first to finish a task die before it can tell."""
 
@@ -190,12 +183,6 @@ def test_sources_without_recordings_are_refused(recording, folder, tmp_path):
         fit_recordings(robot(recording), [])
 
 
-def test_torques_of_two_values_in_all_files_are_refused(recording, tmp_path):
-    signs = replace(recording, tau=np.where(recording.tau > 0, 1.0, -1.0))
-    with pytest.raises(ValueError, match="all joints has two values only"):
-        fit_recordings(robot(recording), save(signs, tmp_path))
-
-
 def add_other_robot(recording, path):
     q = np.random.default_rng(0).normal(size=(100, 2))
     np.savez(path, q=q, tau=q, dt=recording.dt)
@@ -216,13 +203,3 @@ def test_a_bad_file_is_named(recording, folder, add, as_model):
         identifier.set_params(model=recording.robot_model())
     with pytest.raises(ValueError, match=r"1b\.npz"):
         fit_recordings(identifier, folder)
-
-
-def test_bags_among_the_files_are_read(recording, folder):
-    pytest.importorskip("rosbags")
-    part = recording.select(recording.group_names[0])
-    (folder / "0.npz").unlink()
-    t = recording.dt * np.arange(part.n_samples)
-    said = states(t, recording.joint_names, part.q, part.tau)
-    write_ros2(folder / "0", [said])
-    assert_same(fit_recordings(robot(recording), folder), in_memory(recording))

@@ -515,31 +515,6 @@ def test_elastic_does_not_differentiate_across_recordings():
 # -- shapes
 
 
-def test_most_effects_have_one_shape_and_the_others_say_which():
-    for effect in effects.resolve("all"):
-        shapes = clone(effect).set_params(joint=0).shapes(signals())
-        searched = {key for shape in shapes for key in shape}
-        assert searched <= set(effect.get_params()) - {"joint"}
-        assert (searched == set()) == (shapes == [{}])
-        assert set(continuous(effect)) <= searched
-        assert len({tuple(sorted(s.items())) for s in shapes}) == len(shapes)
-
-
-def test_coupling_tries_every_other_joint():
-    _, states = motion(3, duration=2.0)
-    three = Motion(q=states[:, :3], v=states[:, 3:6], a=states[:, 6:])
-    found = {(s["other"], s["ratio"]) for s in effects.Coupling(joint=1).shapes(three)}
-    assert {(o, r) for o in (0, 2) for r in (0.0, 1.0, -1.0)} < found
-    mixed = Motion(
-        q=states[:, :3],
-        v=states[:, 3:6],
-        a=states[:, 6:],
-        prismatic=np.array([True, False, False]),
-    )
-    found = {(s["other"], s["ratio"]) for s in effects.Coupling(joint=1).shapes(mixed)}
-    assert {ratio for other, ratio in found if other == 0} == {0.0}
-
-
 SCALED = [n for n in NAMES if n not in BODIES and slides(n)]
 
 
@@ -694,14 +669,3 @@ def test_a_drift_does_not_grow_before_the_fit(of):
     assert_array_equal(drift.columns(known), expected)
     later = T - 100.0 >= -97.0
     assert_array_equal(drift.columns(known)[later], drift.columns(whole)[later])
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_only_a_drift_depends_on_when_the_fit_began(name):
-    effect = library_effect(name)
-    moved = not np.array_equal(
-        effect.columns(signals()), effect.columns(signals(since=3.0))
-    )
-    assert moved == (name == "drift")
-    if isinstance(effect, effects.OfTime):
-        assert effect.afterwards

@@ -18,8 +18,6 @@ from sklearn_vbjfa.effects import (  # noqa: E402  # noqa: E402
     JointZero,
     Motion,
     TorqueGain,
-    cross_axes,
-    rotation,
     turned_by,
 )
 from sklearn_vbjfa.model import (  # noqa: E402
@@ -35,12 +33,6 @@ vectors = st.tuples(*3 * [st.floats(-1.5, 1.5)]).map(np.array)
 
 
 # -- turns
-
-
-@given(vector=vectors, size=st.sampled_from([0.0, 1e-12, 1e-6, 1e-3, 1.0]))
-def test_rotation_is_scipys(vector, size):
-    expected = Rotation.from_rotvec(size * vector).as_matrix()
-    assert_allclose(rotation(size * vector), expected, atol=1e-14)
 
 
 @settings(deadline=None)
@@ -59,18 +51,6 @@ def test_turned_by_is_the_derivative_of_the_rotation_vector(vector, change, size
     up, down = (middle.inv() * end for end in (high, low))
     central = (up.as_rotvec() - down.as_rotvec()) / (2 * h)
     assert_allclose(turned_by(w, change), central, atol=1e-8)
-
-
-@given(vector=vectors.filter(lambda x: np.linalg.norm(x) > 1e-3))
-def test_axes_across_any_direction_are_perpendicular(vector):
-    first, second = cross_axes(vector)
-    n = vector / np.linalg.norm(vector)
-    made = np.array([first, second, n])
-    assert_allclose(made @ made.T, np.eye(3), atol=1e-12)
-    # Each leans as little as it can from a coordinate axis.
-    others = np.delete(np.eye(3), np.argmax(np.abs(n)), axis=0)
-    assert first @ others[0] > 0.5
-    assert second @ others[1] > 0
 
 
 # -- columns

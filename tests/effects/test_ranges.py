@@ -15,7 +15,6 @@ from sklearn_vbjfa.effects import (
 )
 from tests.effects.test_effects import NAMES, V, library_effect, signals
 
-NAN = float("nan")
 SPRING = EffectRange(
     name="spring",
     joint=1,

@@ -18,10 +18,6 @@ def moved(**changed):
     return Motion(**{"q": Q, "v": V, "a": A, "t": T, "signals": SIGNALS, **changed})
 
 
-def label(joint):
-    return f"joint {joint + 1}"
-
-
 @pytest.mark.parametrize("of", ["offset", "coulomb", "viscous"])
 def test_another_reference_is_another_share_of_the_plainer_effect(of):
     """As k (s - r) f = k (s - r') f + k (r' - r) f."""

@@ -9,11 +9,8 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import (  # noqa: E402
     RigidBodyFeatures,
-    RobotIdentifier,
-    load_identified,
     load_model,
 )
-from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.model import (  # noqa: E402
     joint_names,
     load_reduced,
@@ -147,27 +144,6 @@ def test_a_reduced_file_has_a_base_that_stands(write, tmp_path, text):
     np.testing.assert_allclose(torques(written, *states), torques(reduced, *states))
     with pytest.raises(ValueError, match="no movable joint 'root'; it has L_hip, L_th"):
         load_reduced(path, ["root", *JOINTS])
-
-
-@pytest.mark.filterwarnings("ignore:The robot description")
-def test_what_is_written_of_the_robot_is_the_robot(legs, tmp_path):
-    source = load_model(legs, ASKEW) if isinstance(legs, pin.Model) else legs
-    recording = make_robot_recording(source, duration=4.0, random_state=0)
-    robot = RobotIdentifier(source, dt=recording.dt).fit(recording.q, recording.tau)
-    expected = robot.predict(recording.q)
-    robot.save(tmp_path / "robot.json")
-    again = load_identified(tmp_path / "robot.json")
-    np.testing.assert_allclose(again.predict(recording.q), expected, atol=1e-9)
-    again.to_urdf(tmp_path / "robot.urdf")
-    again.to_mjcf(tmp_path / "robot.xml")
-    bodies = [load_model(tmp_path / name) for name in ("robot.urdf", "robot.xml")]
-    # Which a URDF has no place for.
-    bodies[1].armature[:] = 0.0
-    states = np.random.default_rng(1).normal(size=(3, 4, 6))
-    np.testing.assert_allclose(*(torques(one, *states) for one in bodies), atol=1e-9)
-    np.testing.assert_allclose(
-        nominal_parameters(bodies[0]), robot.theta_.reshape(6, -1)[:, :10], atol=1e-9
-    )
 
 
 FLOATS = 'name="L_calf" type="floating"'

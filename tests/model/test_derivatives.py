@@ -118,18 +118,3 @@ def test_by_position_is_pinocchios_at_every_place(kind, parents):
                 assert_allclose(
                     made.by_position(j)[i], data.dtau_dq[:, j], atol=1e-10 * size
                 )
-
-
-def test_a_base_that_turns_is_part_of_gravity():
-    model, states, inertial = problem(["RZ", "PX", "RevoluteUnaligned", "HY"], 4)
-    model.gravity = pin.Motion(np.random.default_rng(4).normal(size=6))
-    made = TorqueDerivatives(model, *states, inertial)
-    for j in range(4):
-        found = made.by_position(j)
-        expected = by_difference(model, states, inertial, move(j))
-        assert_near(found, expected, np.abs(expected).max() + 1.0)
-        for k in range(3):
-            expected = by_difference(model, states, inertial, turn(j, k))
-            assert_near(
-                made.by_turn(j)[:, :, k], expected, np.abs(expected).max() + 1.0
-            )

@@ -47,7 +47,6 @@ def robot(*joints):
 
 ARM = (joint("j1", "base", "a"), joint("j2", "a", "b", axis="1 0 0"))
 GRIP = joint("grip", "b", "c", "prismatic", "1 1 0")
-BACK = "joint='grip' multiplier='-.7'"
 # One that slides, one that hangs on it and follows it, with a fixed tip, and one of its
 # own branch that follows the second joint.
 FOLLOWERS = (

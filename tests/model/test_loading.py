@@ -10,8 +10,7 @@ import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
 from sklearn_vbjfa.model import (  # noqa: E402
     joint_names,
     load_model,
@@ -235,18 +234,6 @@ def test_joints_are_in_the_order_of_the_file(write, tmp_path):
     recording = read_recording(log, urdf=path)
     own = recording.joint_names.index("b")
     np.testing.assert_allclose(recording.q[:, own], motion[:, 1], atol=1e-9)
-
-
-def test_a_point_mass_keeps_its_mass(write):
-    with pytest.warns(UserWarning, match="it is taken as a ball"):
-        model = load_model(write(branches(("j", "base", "l"), inertia=0)))
-    mass, x, y, z = nominal_parameters(model)[0, :4]
-    np.testing.assert_allclose([mass, x, y, z], [1.0, 0.0, 0.0, -0.2])
-    recording = make_robot_recording(
-        model, duration=6.0, perturbation=0.0, random_state=0
-    )
-    robot = RobotIdentifier(model, dt=recording.dt).fit(recording.q, recording.tau)
-    assert robot.theta_[0] == pytest.approx(1.0, rel=0.1)
 
 
 def test_lengths_in_millimetres_are_refused(write):

@@ -83,28 +83,6 @@ def test_what_joints_do_by_themselves(tmp_path):
     assert_same(drive_torques(path, states), own["gain"] * expected)
 
 
-def test_dry_friction_is_soft_below_a_speed_that_the_step_sets(tmp_path):
-    """Full above h (abs(a) + 1e-4 Fc / M), and in proportion to the speed below."""
-    mujoco = pytest.importorskip("mujoco")
-    model, path = swing(), tmp_path / "swing.xml"
-    body = np.array([model.inertias[1].toDynamicParameters()])
-    dynamics = replace(JointDynamics.none(1), frictionloss=np.array([3.0]))
-    write_mjcf(path, model, body, dynamics, dt=0.01)
-    step = mujoco.MjModel.from_xml_path(str(path)).opt.timestep
-    assert step == pytest.approx(5e-4, rel=1e-12)
-    inertia = 0.1 + 2.0 * (0.1**2 + 0.3**2)
-    edge = step * (40.0 + 1e-4 * 3.0 / inertia)
-    states = np.array([[0.1, f * edge, -40.0] for f in (0.5, 0.99, 1.01, 10.0)])
-    smooth = drive_torques(path, states, friction=False)
-    dry = (drive_torques(path, states) - smooth).ravel()
-    assert dry[0] < 0.0  # the joint turns round within the step
-    assert dry[1] < 2.99
-    np.testing.assert_allclose(dry[2:], 3.0, rtol=1e-9)
-    at_rest = np.array([[0.1, 0.0, 0.0]])
-    held = drive_torques(path, at_rest) - drive_torques(path, at_rest, friction=False)
-    np.testing.assert_allclose(held, 0.0, atol=1e-12)
-
-
 def test_names_ranges_and_order(tmp_path):
     """Continuous joints have no range, an encoder's zero moves the others'."""
     mujoco = pytest.importorskip("mujoco")

@@ -7,10 +7,8 @@ from hypothesis import strategies as st
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
 from sklearn_vbjfa.model import (  # noqa: E402
     TreeRegressor,
-    rounding_entries,
 )
 from tests.model._trees import (  # noqa: E402
     ALIGNED,
@@ -18,8 +16,6 @@ from tests.model._trees import (  # noqa: E402
     OTHERS,
     build,
     by_sample,
-    make_joint,
-    random_placement,
 )
 
 
@@ -100,14 +96,6 @@ def test_neighbours_of_a_sample_do_not_matter_to_the_last_bit(size):
     np.testing.assert_array_equal(np.concatenate(parts), regressor(*states))
 
 
-def test_many_turns():
-    rng = np.random.default_rng(11)
-    model = build(rng, ["RZ", "RevoluteUnaligned", "RX"], gravity=np.ones(3))
-    q, v, a = motion(rng, 200, 3)
-    q *= 1e4
-    assert_equal_by_unit(TreeRegressor(model)(q, v, a), by_sample(model, q, v, a))
-
-
 def test_base_that_turns_is_part_of_gravity():
     rng = np.random.default_rng(2)
     model = build(rng, ["PX", "RZ", "RevoluteUnaligned", "PrismaticUnaligned"])
@@ -143,36 +131,3 @@ def test_writes_where_asked_and_what_is_asked():
     for wrong in (np.empty((7, 3, 3, 9)), out[::2], out[:, :, :, ::-1]):
         with pytest.raises(ValueError, match=r"C-contiguous, of shape \(7, 3, 3"):
             regressor(*states, out=wrong)
-
-
-@settings(max_examples=30, deadline=None)
-@given(kinds=trees, seed=seeds)
-def test_zeros_are_at_least_those_of_the_recursion(kinds, seed):
-    rng = np.random.default_rng(seed)
-    model = build(rng, kinds)
-    states = rng.normal(size=(32, 3 * model.nv))
-    expected = by_sample(model, *np.split(states, 3, axis=1))
-    regressor = TreeRegressor(model)
-    assert not regressor.support[rounding_entries(np.mean(expected**2, axis=0))].any()
-    Phi = regressor(*np.split(states, 3, axis=1))
-    assert not Phi[:, ~regressor.support].any()
-    assert_equal_by_unit(Phi, expected)
-    features = RigidBodyFeatures(model, friction=("viscous", "offset"))
-    shape = (32, model.nv, model.nv, 12)
-    found = features.fit_transform(states).reshape(shape)[..., :10]
-    np.testing.assert_allclose(found, Phi, rtol=1e-10, atol=1e-10)
-
-
-def test_torque_does_not_depend_on_the_mass_at_its_own_axis():
-    # Three axes through one point, in oblique directions, carried about.
-    rng = np.random.default_rng(5)
-    model = pin.Model()
-    for j in range(5):
-        placement = random_placement(rng)
-        placement.translation = np.array([0.5, 0.3, 0.2]) * (j < 3)
-        joint = make_joint("RevoluteUnaligned", rng)
-        model.addJoint(j, joint, placement, f"joint_{j}")
-    Phi = RigidBodyFeatures(model, friction=()).fit_transform(rng.normal(size=(9, 15)))
-    mass = np.abs(Phi.reshape(9, 5, 5, 10)[..., 0]).max(axis=0)
-    assert not mass[2:].any()
-    assert np.all(mass[:2, 2:] > 1e-3)

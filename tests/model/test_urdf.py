@@ -107,22 +107,6 @@ def test_links_fixed_to_a_link_are_merged_with_it(tree, tmp_path):
     assert tree.read_text() == TREE  # the source is left alone
 
 
-def test_writing_over_the_source(identified, simulated, tmp_path):
-    path = tmp_path / "robot.urdf"
-    with open(simulated.urdf, encoding="utf-8") as file:
-        path.write_text(file.read())
-    robot = RobotIdentifier(path, dt=simulated.dt, friction=("viscous",))
-    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
-    robot.to_urdf(path)
-    np.testing.assert_allclose(
-        nominal_parameters(load_model(path)),
-        robot.theta_.reshape(6, 11)[:, :10],
-        rtol=1e-10,
-        atol=1e-12,
-    )
-    assert [p.name for p in tmp_path.iterdir()] == ["robot.urdf"]
-
-
 def test_impossible_bodies_are_not_written(simulated, tmp_path):
     robot = RobotIdentifier(
         simulated.urdf,
@@ -169,24 +153,3 @@ def test_descriptions_that_no_robot_has(tmp_path, old, new, message):
     with pytest.raises(ValueError, match=message) as info:
         load_model(path)
     assert str(path) in str(info.value)
-
-
-def test_shapes_are_not_read(tmp_path):
-    path = tmp_path / "tree.urdf"
-    path.write_text(TREE)
-    expected = nominal_parameters(load_model(path))
-    path.write_text(TREE.replace('size="1 1 1"', 'size="big"'))
-    np.testing.assert_array_equal(nominal_parameters(load_model(path)), expected)
-
-
-def test_a_note_is_a_comment_that_no_reader_minds(simulated, tmp_path):
-    tree = simulated.urdf
-    model = load_model(tree)
-    path, bare = tmp_path / "noted.urdf", tmp_path / "bare.urdf"
-    bodies = nominal_parameters(model)
-    write_urdf(tree, path, model, bodies, (), "Masses of a--b are not known.")
-    write_urdf(tree, bare, model, bodies, ())
-    assert "<!-- Masses of a- -b are not known. -->" in path.read_text()
-    assert "<!--" not in bare.read_text()
-    read, plain = (nominal_parameters(load_model(one)) for one in (path, bare))
-    np.testing.assert_array_equal(read, plain)

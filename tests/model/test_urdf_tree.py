@@ -68,14 +68,6 @@ def test_extensions_that_close_loops(write, words):
     assert joint_names(load_reduced(path, ["j1"])) == ("j1",)
 
 
-def test_other_extensions_of_simulators_are_no_loops(write):
-    more = (
-        '<gazebo reference="a"><mu1>0.2</mu1></gazebo><gazebo><plugin name="p"/>'
-        '</gazebo><transmission name="t"><joint name="j1"/></transmission>'
-    )
-    assert joint_names(load_model(write(LINKS + TREE + more))) == ("j1", "j2", "j3")
-
-
 def test_a_link_on_two_joints(write):
     path = write(LINKS + TREE + joint("j4", "b", "c"))
     with pytest.raises(ValueError, match="'c' hangs on two joints, 'j3' and 'j4'"):

@@ -39,11 +39,6 @@ def test_too_few_columns_hold_no_body():
     assert projector.body_starts_.size == projector.nonnegative_.size == 0
 
 
-def test_joints_may_have_different_widths():
-    mask = np.arange(23) == 22
-    assert layout(23, body_starts=[11, 0], nonnegative=mask) == ([0, 11], [22])
-
-
 @pytest.mark.parametrize(
     ("n_features", "options", "name"),
     [
@@ -96,20 +91,3 @@ def test_what_is_given_goes_before_names():
     names = named(("a", ("viscous", "offset")), ("b", ("viscous", "offset")))
     assert layout(24, names, nonnegative=[11]) == ([0, 12], [11])
     assert layout(24, names, body_starts=[12]) == ([12], [10, 22])
-
-
-def test_names_without_a_body_are_ignored():
-    assert layout(11, [f"x{k}" for k in range(11)]) == layout(11) == ([0], [10])
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        named(("a", ()))[:-1] + ["a:viscous"],
-        named(("a", ()))[::-1],
-        ["b:m", *named(("a", ()))],
-    ],
-)
-def test_torn_bodies_are_refused(names):
-    with pytest.raises(ValueError, match="are not the body of one joint"):
-        layout(len(names), names)

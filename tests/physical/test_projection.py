@@ -15,7 +15,6 @@ from sklearn_vbjfa.physical import (
     is_consistent,
     project,
 )
-from sklearn_vbjfa.physical._pseudo_inertia import parameter_units
 from tests.physical._problems import (
     cvxopt_projection,
     literal_matrix,
@@ -193,19 +192,6 @@ def test_variational_inequality_holds(seed, constraint, condition):
         assert (near - result.theta) @ pull <= 1e-2 * tolerance
 
 
-@pytest.mark.parametrize("noise", [1e-9, 1e-5, 1e-2])
-def test_rods_hardly_spoiled_are_certified(noise):
-    # Two point masses: the pseudo-inertia has rank two, so that the vector is on the
-    # boundary of the set and the distance as small as the noise.
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        bodies = [parameters_of(*point_masses(rng, 2)) for _ in range(3)]
-        theta = np.concatenate([np.r_[phi, 0.1] for phi in bodies])
-        theta = theta + noise * rng.normal(size=theta.size) * (np.abs(theta) + 0.2)
-        result = project(theta, metric(rng, theta.size, 1e4))
-        assert result.relative_gap <= 1e-8
-
-
 # -- invariances
 
 
@@ -223,28 +209,6 @@ def test_consistent_vector_comes_back_bit_for_bit(seed, constraint):
     np.testing.assert_array_equal(result.theta, theta)
     assert result.theta is not theta
     assert (result.status, result.objective) == ("unchanged", 0.0)
-
-
-@properties
-@given(seeds, constraints, st.sampled_from([1.0, 1e10]))
-def test_projecting_twice_changes_nothing(seed, constraint, condition):
-    rng = np.random.default_rng(seed)
-    X = np.array([inconsistent_robot(rng, 2) for _ in range(2)])
-    projector = PhysicalProjector(constraint, metric=metric(rng, 22, condition)).fit(X)
-    once = projector.transform(X)
-    np.testing.assert_array_equal(projector.transform(once), once)
-
-
-@properties
-@given(seeds, st.sampled_from([1e-6, 1e-3, 7.0, 1e6]))
-def test_scaling_the_parameters_scales_the_projection(seed, factor):
-    rng = np.random.default_rng(seed)
-    theta = inconsistent_robot(rng, 3)
-    A = metric(rng, theta.size, 1e4)
-    reference = project(theta, A)
-    scaled = project(factor * theta, A)
-    np.testing.assert_allclose(scaled.theta / factor, reference.theta, atol=1e-4)
-    assert scaled.objective / factor**2 == pytest.approx(reference.objective, rel=1e-6)
 
 
 @properties
@@ -323,17 +287,6 @@ def noisy_regression(pin, rng, n_joints):
     return Y, truth, torque + 0.5 * np.std(torque) * rng.normal(size=torque.size)
 
 
-@pytest.mark.parametrize("constraint", ["pseudo-inertia", "eq30"])
-def test_anchor_of_a_singular_regression_is_certified(constraint):
-    pin = pytest.importorskip("pinocchio")
-    for seed in range(3):
-        Y, _, noisy = noisy_regression(pin, np.random.default_rng(seed), 5)
-        theta = np.linalg.lstsq(Y, noisy, rcond=1e-10)[0]
-        result = project(theta, Y.T @ Y, constraint=constraint)
-        assert result.status == "projected"
-        assert result.relative_gap <= 1e-7
-
-
 def test_robot_regression_with_singular_gram_matrix_keeps_its_predictions():
     pin = pytest.importorskip("pinocchio")
     Y, truth, noisy = noisy_regression(pin, np.random.default_rng(7), 4)
@@ -399,21 +352,3 @@ def test_wrong_arguments_are_named(options, name):
 
 
 # -- the transformer
-
-
-def test_fitted_attributes():
-    rng = np.random.default_rng(11)
-    X = np.array([inconsistent_robot(rng, 2) for _ in range(3)])
-    projector = PhysicalProjector().fit(X)
-    assert projector.n_features_in_ == 22
-    assert projector.body_starts_.tolist() == [0, 11]
-    assert projector.nonnegative_.tolist() == [10, 21]
-    assert projector.mass_scale_.shape == projector.length_scale_.shape == (2,)
-    np.testing.assert_array_equal(
-        projector.metric_, np.diag(np.diag(projector.metric_))
-    )
-    np.testing.assert_allclose(
-        np.diag(projector.metric_)[:10] ** -0.5,
-        parameter_units(projector.mass_scale_[0], projector.length_scale_[0]),
-        rtol=1e-12,
-    )

@@ -9,7 +9,6 @@ from sklearn_vbjfa.physical import (
     body_scales,
     inertial_parameters,
     is_consistent,
-    min_eigenvalue,
     pseudo_inertia,
 )
 from sklearn_vbjfa.physical._pseudo_inertia import (
@@ -83,19 +82,6 @@ def test_eq30_set_is_positive_mass_and_inertia_at_the_centre_of_mass(seed):
     assert is_consistent(phi, "eq30") == expected
 
 
-@pytest.mark.parametrize("constraint", ["pseudo-inertia", "eq30"])
-def test_min_eigenvalue_follows_the_units(constraint):
-    phi = np.random.default_rng(2).normal(size=(4, 10))
-    reference = min_eigenvalue(phi, constraint, mass_scale=2.0, length_scale=0.5)
-    # The same bodies in grams and millimetres.
-    converted = phi * parameter_units(1e3, 1e3)
-    np.testing.assert_allclose(
-        min_eigenvalue(converted, constraint, mass_scale=2e3, length_scale=5e2),
-        reference,
-        rtol=1e-12,
-    )
-
-
 @properties
 @given(
     seeds, st.floats(1e-6, 1e6, allow_nan=False), st.floats(1e-3, 1e3, allow_nan=False)
@@ -120,28 +106,3 @@ def test_body_scales_do_not_depend_on_the_frame():
     np.testing.assert_allclose(
         body_scales([turned]), body_scales([straight]), rtol=1e-12
     )
-
-
-@pytest.mark.parametrize(
-    "phi",
-    [
-        np.zeros(10),
-        np.eye(10)[0],
-        np.eye(10)[1],
-        np.eye(10)[4],
-        np.eye(10)[1] + np.eye(10)[9],
-    ],
-)
-def test_body_scales_exist_for_degenerate_bodies(phi):
-    mass_scale, length_scale = body_scales([phi])
-    assert mass_scale[0] > 0
-    assert length_scale[0] > 0
-    assert np.isfinite([mass_scale, length_scale]).all()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "name"), [((np.ones(9),), "phi"), ((np.ones(10), "psd"), "psd")]
-)
-def test_wrong_arguments_are_named(arguments, name):
-    with pytest.raises(ValueError, match=name):
-        is_consistent(*arguments)

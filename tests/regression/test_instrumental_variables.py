@@ -124,14 +124,6 @@ def test_duplicate_and_constant_features(factor):
     assert_allclose(model.predict(wide), reference.predict(X), rtol=1e-8)
 
 
-@pytest.mark.parametrize("n_samples", [2, 6, 20])
-def test_more_features_than_samples(n_samples):
-    X, y, _, _ = make_repeated(4, n_samples=n_samples, n_features=20)
-    model = InstrumentalVariables().fit(X, y)
-    assert_allclose(model.predict(X), y, rtol=1e-9)
-    assert np.all(np.isnan(model.coef_std_))
-
-
 @pytest.mark.slow
 def test_attenuation_is_removed_and_uncertainty_is_right():
     # 400 replications: bias within 4 of its standard errors, coverage of the 95 %

@@ -1,7 +1,5 @@
 """JFA regression: limits, invariances, attributes and messages."""
 
-import warnings
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -57,17 +55,6 @@ def test_units_signs_and_order(seed, x_power, y_power, order, flips):
     assert_same_fit(model, plain, x_unit=x_unit, y_unit=y_unit)
 
 
-@pytest.mark.parametrize("chunks", [2, 7])
-def test_chunks_in_any_order_equal_the_whole(chunks):
-    X, y, _ = make_regression(7, 100)
-    weight = np.random.default_rng(7).uniform(0.5, 2.0, 100)
-    whole = JFARegressor(query="noiseless", tol=1e-9).fit(X, y, sample_weight=weight)
-    model = JFARegressor(query="noiseless", tol=1e-9)
-    for rows in reversed(np.array_split(np.arange(100), chunks)):
-        model.partial_fit(X[rows], y[rows], sample_weight=weight[rows])
-    assert_same_fit(model, whole)
-
-
 def test_queries_and_their_deviations():
     X, y, _ = make_regression(11, 5000)
     model = JFARegressor(
@@ -102,15 +89,6 @@ def test_too_few_iterations_are_reported():
         model = JFARegressor(query="noiseless", max_iter=3, tol=0).fit(X, y)
     assert not model.converged_
     assert model.n_iter_ == 3
-
-
-def test_default_fit_is_silent():
-    X, y, _ = make_regression(21)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        model = JFARegressor(query="noiseless").fit(X, y)
-    assert model.converged_
-    assert len(model.elbo_history_) <= model.n_iter_
 
 
 def ill_conditioned(condition, seed):

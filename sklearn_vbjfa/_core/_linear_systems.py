@@ -17,7 +17,7 @@ white noise.
 """
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg, optimize
@@ -226,14 +226,6 @@ class ScaledEigen:
         values = np.where(self.known, self.values, 0.0)
         scaled = (self.vectors * values) @ self.vectors.T
         return scaled * np.outer(self.scale, self.scale)
-
-    def by_magnitude(self):
-        """Decomposition with the magnitudes of the eigenvalues, none below rounding."""
-        # A Newton step with it is an ascent, whatever the signs of the curvature.
-        size = np.abs(self.values)
-        floor = size.size * np.finfo(float).eps * size[-1]
-        known = np.ones(size.size, dtype=bool)
-        return replace(self, values=np.maximum(size, floor), known=known)
 
     def root(self):
         """F of shape (rank, p) with F'F = A without its null space."""

@@ -30,18 +30,6 @@ def test_frequency_response(dt, cutoff):
     assert_allclose(passed, 1.0, atol=2e-3)
 
 
-@pytest.mark.parametrize(("dt", "cutoff"), DESIGNS)
-def test_zero_phase(dt, cutoff):
-    filt = _lowpass.design(dt, cutoff, step=1)
-    assert_array_equal(filt.taps, filt.taps[::-1])
-    impulse = np.zeros(4 * filt.half + 1)
-    impulse[2 * filt.half] = 1.0
-    centres = filt.centres(impulse.size)
-    answer = filt(impulse)
-    assert_allclose(answer, filt.taps, atol=1e-15)
-    assert centres[np.argmax(answer)] == 2 * filt.half
-
-
 @pytest.mark.parametrize("step", [1, 2, 3, 7])
 @pytest.mark.parametrize("n", [61, 100, 101])
 def test_decimation_picks_the_centres(n, step):

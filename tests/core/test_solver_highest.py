@@ -54,15 +54,6 @@ def test_em_cannot_leave_it_and_stays_below(seed, noise, correlation):
     assert min(state.psi_y, state.psi_z.min(), state.psi_x.min()) > 0
 
 
-def test_known_noise_that_explains_the_output_noise_converges():
-    moments = moments_of(0, 4, correlation=30.0)
-    prior = Prior(psi_x_fixed=np.full(4, 0.3))
-    start = _solver.start(moments, prior, np.full(4, 0.3))
-    solution = _solver.solve(moments, start, prior, max_iter=5000, tol=1e-10)
-    assert solution.status == "converged"
-    assert np.diff(solution.history).min() >= 0
-
-
 def test_split_that_makes_too_much_noise_is_lowered_by_one_factor():
     moments = moments_of(1, 4, correlation=30.0)
     start = _problems.make_state(0, 4, ard=False)

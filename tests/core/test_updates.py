@@ -52,27 +52,6 @@ def test_vb_iteration(n_features, n_samples, seed):
     assert_allclose(value, ref.elbo(params, X, y, ARD_SHAPE, ARD_RATE), rtol=ONE_STEP)
 
 
-@pytest.mark.parametrize("n_features", [1, 4])
-@pytest.mark.parametrize("model", ["jfa", "paper"])
-def test_forty_iterations(model, n_features):
-    X, y, _ = _problems.make_data(n_features, n_features, 12)
-    moments = _problems.as_gram(X, y)
-    state = _problems.make_state(7, n_features, ard=model == "paper")
-    prior = _problems.make_prior(model, 12, n_features)
-    if model == "jfa":
-        params = _problems.as_jfa_params(state)
-    else:
-        params = _problems.as_vb_params(state)
-    for _ in range(40):
-        state, _ = _problems.iterate(moments, state, prior)
-        if model == "jfa":
-            params = ref.jfa_em_step(params, X, y)
-        else:
-            params = ref.vb_step(params, X, y, ARD_SHAPE, ARD_RATE)
-    # The rounding of 40 steps, carried along the flat directions of the likelihood.
-    assert_same_posterior(state, params, 1e-8)
-
-
 def test_uncoupled_precision_sees_the_output_loading_alone():
     X, y, _ = _problems.make_data(2, 3)
     state = _problems.make_state(2, 3, coupled=False)

@@ -260,21 +260,6 @@ def test_what_was_not_published_is_refused(serve, tmp_path):
     assert not [x for x in tmp_path.rglob("*") if x.is_file()]
 
 
-def test_changed_local_file_is_not_read(measured_data_home, tmp_path):
-    shutil.copytree(measured_data_home / "emps", tmp_path / "emps")
-    with (tmp_path / "emps" / "DATA_EMPS.mat").open("ab") as file:
-        file.write(b"\0")
-    with pytest.raises(FileNotFoundError, match="SHA-256"):
-        datasets.fetch_emps(data_home=tmp_path, download_if_missing=False)
-
-
-def test_default_home_is_that_of_scikit_learn(monkeypatch, tmp_path):
-    monkeypatch.setenv("SCIKIT_LEARN_DATA", str(tmp_path))
-    with pytest.raises(FileNotFoundError) as info:
-        datasets.fetch_emps(download_if_missing=False)
-    assert str(tmp_path / "sklearn_vbjfa" / "emps") in str(info.value)
-
-
 # -- single sets -----------------------------------------------------------------------
 
 
@@ -295,17 +280,6 @@ def test_go2_is_told_what_the_law_of_its_motors_says(fetch, converted):
         np.testing.assert_allclose(commands, aim, atol=1e-12)
         # Sums of 0.005 in single precision.
         np.testing.assert_allclose(part.t, raw["t"], atol=0.006)
-
-
-def test_go2_without_its_description(measured_data_home, tmp_path):
-    pytest.importorskip("pinocchio")
-    (tmp_path / "unitree_go2").mkdir()
-    run = measured_data_home / "unitree_go2" / "run_4.npz"
-    shutil.copy(run, tmp_path / "unitree_go2")
-    go2 = datasets.fetch_unitree_go2(data_home=tmp_path)
-    assert (go2.group_names, go2.urdf) == (("run_4",), None)
-    with pytest.raises(FileNotFoundError, match=r"dataclasses\.replace"):
-        go2.robot_model()
 
 
 @pytest.fixture

@@ -113,22 +113,6 @@ def test_gradients_are_those_of_finite_differences(tmp_path):
     assert (agree[size > 0.05] > 0).all()
 
 
-def test_far_pairs_have_a_bound_and_no_gradient(tmp_path):
-    clearance = clearance_of(arm_with_mesh(tmp_path))
-    q = positions(100, 6)
-    true, found = clearance(q, within=np.inf), clearance(q, within=0.1)
-    assert true.exact.all()
-    assert 0.05 < found.exact.mean() < 0.9
-    near = found.exact
-    np.testing.assert_array_equal(found.distance[near], true.distance[near])
-    np.testing.assert_array_equal(found.gradient[near], true.gradient[near])
-    assert (found.distance[~near] > 0.1).all()
-    assert (found.distance[~near] <= true.distance[~near]).all()
-    assert (found.gradient[~near] == 0).all()
-    usual = clearance(q)
-    assert (usual.exact == (clearance(q, clearance.near).exact)).all()
-
-
 def test_links_next_to_each_other_are_not_looked_at(tmp_path):
     clearance = clearance_of(arm(tmp_path))
     order = ["base", "one", "two", "three", "four", "five", "hand"]
@@ -156,13 +140,6 @@ def test_links_drawn_into_each_other_are_ignored(tmp_path):
     clearance = clearance_of(wrist(tmp_path, radius=0.06))
     assert clearance.ignored == (("one", "three"),)
     assert clearance.pairs == (("base", "three"),)
-
-
-def test_links_nearer_than_the_margin_are_ignored(tmp_path):
-    path = wrist(tmp_path, radius=0.04)
-    assert clearance_of(path).ignored == ()
-    assert clearance_of(path, margin=0.01).ignored == ()
-    assert clearance_of(path, margin=0.03).ignored == (("one", "three"),)
 
 
 def test_links_that_meet_in_a_part_of_the_range_are_looked_at(tmp_path):

@@ -9,7 +9,6 @@ from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.design import (
     MotionLimits,
     design_motion,
-    worth,
 )
 from sklearn_vbjfa.robot import FitOptions
 from tests.design._chains import chain, posed, problem_of
@@ -137,14 +136,6 @@ def test_it_is_worth_more_than_random_motions(path, motion):
     assert motion.condition_number < motion.start_condition_number
 
 
-def test_a_joint_that_slides(tmp_path):
-    motion = design_motion(chain(tmp_path, ("prismatic",), effort=80.0), **SHORT)
-    assert motion.within_limits
-    assert motion.q.shape == (150, 1)
-    assert np.isfinite(motion.condition_number)
-    assert np.ptp(motion.q) > 0.3
-
-
 # -- effects to be parted --------------------------------------------------------------
 
 
@@ -170,23 +161,6 @@ def test_effects_by_hand_are_shown_or_told_invisible(parted):
     assert ("spring", 0) in shown
     assert motion.within_limits
     assert all(np.isfinite(one.least) and one.least > 0 for one in motion.shows)
-
-
-def test_a_motion_for_rivals_parts_them_better(parted):
-    # Than the best of the random motions that the design sets out from.
-    path, motion = parted
-    asked = ("load_friction", "spring", "rotor_inertia")
-    problem, first = problem_of(path, effects=asked, **SHORT)
-    t = problem.times()
-    drawn = problem.curve.states(first, problem.curve.basis(t))
-    before, after = (
-        worth(problem.information(states, t[1]), problem.questions)
-        for states in (drawn, motion.states(t))
-    )
-    pairs = problem.questions.beside > 0
-    assert pairs.any()
-    assert after.value > before.value + 3.0
-    assert np.log(after.beside[pairs] / before.beside[pairs]).mean() > 0.5
 
 
 # -- by what anyone can see of a motion ------------------------------------------------

@@ -1,7 +1,5 @@
 """Columns of the effects against closed forms and literal loops."""
 
-import pickle
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -136,29 +134,6 @@ def test_parameters_have_units(name, prismatic):
     assert "rad" not in " ".join(
         unit for key, unit in units.items() if prismatic and key not in angles
     )
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_scikit_learn_contract(name):
-    effect = library_effect(name)
-    twin = clone(effect)
-    assert twin is not effect
-    assert twin.get_params() == effect.get_params()
-    used = set(effect.get_params()) - {"joint"}
-    if name == "counterbalance":
-        used -= {"ratio", "angle"}  # of its other form
-    if name == "torque_gain":
-        used -= {"limit"}  # of what is plausible
-    if name == "payload":
-        used -= {"centre"}  # of the linearisation
-    assert set(effect.shape()) == used
-    assert effect.set_params(joint=1) is effect
-    assert effect.joint == 1
-    assert repr(effect).startswith(type(effect).__name__)
-    again = pickle.loads(pickle.dumps(effect))
-    assert again.get_params() == effect.get_params()
-    for shape in effect.shapes(signals())[:2]:
-        assert clone(effect).set_params(**shape).shape() == effect.shape() | shape
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,6 @@ from sklearn_vbjfa.model import (  # noqa: E402
 )
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 from tests.effects._faults import measured  # noqa: E402
-from tests.model._trees import build, by_sample  # noqa: E402
 
 STEP = 1e-5
 vectors = st.tuples(*3 * [st.floats(-1.5, 1.5)]).map(np.array)
@@ -153,42 +152,6 @@ def test_corrected_models_say_what_the_guide_says(case):
     assert_allclose(found, measured(model, states, used), atol=1e-10)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_columns_of_joints_in_any_direction(seed):
-    """Oblique, sliding and screwing, on two branches, with everything off at once."""
-    rng = np.random.default_rng(seed)
-    kinds = ["RevoluteUnaligned", "HelicalUnaligned", "PrismaticUnaligned", "HY", "RX"]
-    model = build(rng, rng.permutation(kinds))
-    bodies = rng.normal(size=(5, 10))
-    states = rng.uniform(-1.0, 1.0, size=(3, 4, 5))
-    used = [BaseTilt(0, *rng.uniform(-0.2, 0.2, 2))]
-    for j in range(5):
-        used.append(JointAxis(j, *rng.uniform(-0.15, 0.15, 2)))
-        used.append(JointZero(j, rng.uniform(-0.2, 0.2)))
-
-    def corrected(effects):
-        robot = CorrectedModel(model)
-        for effect in effects:
-            effect.correct(robot)
-        return robot.model
-
-    def torques(effects):
-        return np.einsum("njic,ic->nj", by_sample(corrected(effects), *states), bodies)
-
-    q, v, a = states
-    made = TorqueDerivatives(corrected(used), q, v, a, bodies, model)
-    motion = Motion(q=q, v=v, a=a, load=torques(used), derivatives=made)
-    for i, effect in enumerate(used):
-        found = effect.columns(motion)
-        for k in range(found.shape[2]):
-            step = STEP * np.eye(found.shape[2])[k]
-            high, low = ([*used] for _ in range(2))
-            high[i], low[i] = effect.linearised_at(step), effect.linearised_at(-step)
-            expected = (torques(high) - torques(low)) / (2 * STEP)
-            size = np.abs(expected).max() + 1.0
-            assert_allclose(found[:, :, k], expected, atol=1e-7 * size)
-
-
 def test_a_gain_is_that_of_the_whole_torque_where_it_is_known():
     """Friction passes the channel as the load does."""
     q = np.linspace(0.0, 1.0, 5)[:, None] * np.ones(2)
@@ -226,21 +189,6 @@ def test_values_are_parameters_that_coefficients_correct(effect):
     assert further.key() == effect.key()
     assert further.joint == effect.joint
     assert pickle.loads(pickle.dumps(further)).get_params() == further.get_params()
-
-
-@pytest.mark.parametrize("effect", ALL)
-def test_idle_values_correct_nothing(effect):
-    fresh = type(effect)(joint=effect.joint)
-    assert_allclose(fresh.values, fresh.nominal)
-    assert not fresh.corrects
-    assert effect.corrects
-    robot = CorrectedModel(arm("ZYX"))
-    fresh.correct(robot)
-    nominal = arm("ZYX")
-    for one, other in zip(robot.model.jointPlacements, nominal.jointPlacements):
-        assert_allclose(one.homogeneous, other.homogeneous, atol=1e-15)
-    assert_allclose(robot.model.gravity.linear, nominal.gravity.linear, atol=1e-15)
-    assert_allclose(robot.gains, 1.0)
 
 
 @pytest.mark.parametrize(

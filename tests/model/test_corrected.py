@@ -1,7 +1,5 @@
 """The corrected model is what a person would build by hand."""
 
-import itertools
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -31,10 +29,6 @@ def motion(nv, n=4, seed=1):
     return np.random.default_rng(seed).uniform(-2.0, 2.0, size=(3, n, nv))
 
 
-def placements(model):
-    return np.array([m.homogeneous for m in model.jointPlacements])
-
-
 @pytest.mark.parametrize("joint", range(len(KINDS)))
 def test_a_zero_is_what_the_encoder_reads_too_much(joint):
     """True torques at q are those of the corrected model at q + zero."""
@@ -46,30 +40,6 @@ def test_a_zero_is_what_the_encoder_reads_too_much(joint):
     read[0, :, joint] += 0.2
     assert_allclose(torques(found.model, read), torques(model, states), atol=1e-9)
     assert np.abs(torques(model, read) - torques(model, states)).max() > 1e-3
-
-
-@pytest.mark.parametrize("joint", range(len(KINDS)))
-def test_the_order_of_corrections_does_not_matter(joint):
-    """Axis and zero of one joint, of its neighbour, gravity and a gain."""
-    model = robot()
-    neighbour = (joint + 1) % model.nv
-    steps = [
-        lambda r: r.turn(joint, pin.exp3(np.array([0.1, 0.0, -0.15]))),
-        lambda r: r.move_zero(joint, 0.2),
-        lambda r: r.move_zero(neighbour, -0.1),
-        lambda r: r.tilt(pin.rpy.rpyToMatrix(0.1, -0.05, 0.0)),
-        lambda r: r.read(joint, 1.2),
-    ]
-    made = []
-    for order in itertools.permutations(steps):
-        found = CorrectedModel(model)
-        for step in order:
-            step(found)
-        made.append((placements(found.model), found.model.gravity.linear.copy()))
-        assert_allclose(found.gains[joint], 1.2)
-    for place, gravity in made[1:]:
-        assert_allclose(place, made[0][0], atol=1e-14)
-        assert_allclose(gravity, made[0][1], atol=1e-14)
 
 
 @pytest.mark.parametrize("kind", ["PX", "PrismaticUnaligned"])

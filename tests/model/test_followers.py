@@ -119,23 +119,6 @@ def test_torques_are_those_of_the_full_robot_seen_from_its_leaders(write):
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
-def test_a_model_alone_has_the_followers_where_they_stand(write):
-    """`load_model` holds them while their leaders are at zero; no mass is missing."""
-    path = write(GRIPPER)
-    model = load_model(path)
-    full = pin.buildModelFromXML(
-        path.read_text().replace('type="continuous"', 'type="revolute"')
-    )
-    q = np.zeros(full.nq)
-    for name in ("f2", "f3", "f4"):
-        q[full.joints[full.getJointId(name)].idx_q] = RELATIONS[name][2]
-    at = [full.joints[full.getJointId(name)].idx_v for name in ("j1", "j2", "grip")]
-    data = full.createData()
-    expected = pin.rnea(full, data, q, np.zeros(full.nv), np.zeros(full.nv))[at]
-    found = pin.rnea(model, model.createData(), *np.zeros((3, 3)))
-    np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
 def test_held_followers(write, tmp_path):
     """What follows a joint that moves moves along, unless it is named."""
     path, target = write(GRIPPER), tmp_path / "held.urdf"

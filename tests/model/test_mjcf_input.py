@@ -1,6 +1,5 @@
 """MJCF as input: the torques are those of MuJoCo, and what cannot be kept is named."""
 
-import sys
 import warnings
 
 import numpy as np
@@ -350,12 +349,6 @@ def test_meshes_are_read_where_they_have_the_mass(write, tmp_path):
     np.testing.assert_allclose(body.lever, [0.5, 1.0, 1.5])
     moments = 500.0 * np.array([4 + 9, 1 + 9, 1 + 4])
     np.testing.assert_allclose(body.inertia, np.diag(moments), atol=1e-9 * 6500)
-
-
-def test_without_mujoco_one_line_says_what_to_install(write, monkeypatch):
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(ImportError, match=r'install "sklearn-vbjfa\[mujoco\]"'):
-        load_model(write(arm(MASS)))
 
 
 def test_hostile_files_end_in_words(write, tmp_path):

@@ -96,26 +96,6 @@ def test_neighbours_of_a_sample_do_not_matter_to_the_last_bit(size):
     np.testing.assert_array_equal(np.concatenate(parts), regressor(*states))
 
 
-def test_base_that_turns_is_part_of_gravity():
-    rng = np.random.default_rng(2)
-    model = build(rng, ["PX", "RZ", "RevoluteUnaligned", "PrismaticUnaligned"])
-    model.gravity = pin.Motion(rng.normal(size=6))
-    states = motion(rng, 20, model.nv)
-    assert_equal_by_unit(TreeRegressor(model)(*states), by_sample(model, *states))
-
-
-def test_robot_far_from_the_origin_is_as_exact():
-    rng = np.random.default_rng(3)
-    model = build(rng, ["RZ", "RY", "RX", "RY"], parents=[0, 1, 2, 3])
-    states = motion(rng, 20, model.nv)
-    near = TreeRegressor(model)(*states)
-    placement = model.jointPlacements[1]
-    model.jointPlacements[1] = pin.SE3(
-        placement.rotation, placement.translation + np.array([1e6, -2e6, 3e6])
-    )
-    np.testing.assert_array_equal(TreeRegressor(model)(*states), near)
-
-
 def test_writes_where_asked_and_what_is_asked():
     rng = np.random.default_rng(4)
     model = build(rng, ["RZ", "PX", "RX"])

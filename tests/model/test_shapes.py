@@ -104,18 +104,6 @@ def test_meshes_are_found_beside_the_description_and_above(tmp_path, name, place
     assert len(load_shapes(path, load_model(path)).geometryObjects) == 1
 
 
-def test_meshes_are_found_in_the_folders_given(tmp_path):
-    folder, packages = tmp_path / "here", tmp_path / "there"
-    folder.mkdir()
-    (packages / "arm").mkdir(parents=True)
-    (packages / "arm/cube.obj").write_text(CUBE, encoding="utf-8")
-    path = with_mesh(folder, "package://arm/cube.obj")
-    assert "put the folder of its package there" in reason(path)
-    for given in (packages, packages / "arm"):
-        found = load_shapes(path, load_model(path), package_dirs=[given])
-        assert len(found.geometryObjects) == 1
-
-
 @pytest.mark.parametrize(
     ("content", "said"),
     [

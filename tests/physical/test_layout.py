@@ -71,22 +71,6 @@ def named(*joints):
     return names
 
 
-def test_names_give_bodies_and_signs():
-    names = named(
-        ("a", ("viscous", "offset", "coulomb")), ("b:1", ()), ("c", ("rotor_inertia",))
-    )
-    names = ["temperature", *names, "a:spring", "coulomb"]
-    starts, kept = layout(len(names), names)
-    assert starts == [1, 14, 24]
-    # "coulomb" alone is a friction too; a spring may be of either sign
-    assert [names[k] for k in kept] == [
-        "a:viscous",
-        "a:coulomb",
-        "c:rotor_inertia",
-        "coulomb",
-    ]
-
-
 def test_what_is_given_goes_before_names():
     names = named(("a", ("viscous", "offset")), ("b", ("viscous", "offset")))
     assert layout(24, names, nonnegative=[11]) == ([0, 12], [11])

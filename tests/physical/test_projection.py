@@ -54,13 +54,6 @@ def test_closed_form_of_the_flat_body():
     assert result.relative_gap <= 1e-6
 
 
-def test_eq30_keeps_an_inertia_that_violates_the_triangle_inequality():
-    kept = project(FLAT, constraint="eq30")
-    assert kept.status == "unchanged"
-    np.testing.assert_array_equal(kept.theta, FLAT)
-    assert project(FLAT).status == "projected"
-
-
 def test_columns_without_a_body_are_projected_on_the_non_negative_ones():
     # Minimise x1^2 + x0^2 + (x0 - x1)^2 about (0, -1) with x1 >= 0: x1 = 0, and the
     # derivative by x0 vanishes at x0 = 1 / 2.
@@ -133,46 +126,6 @@ def test_objective_is_the_optimum_of_an_independent_solver(
     assert result.objective == pytest.approx(delta @ A @ delta, rel=1e-6)
 
 
-@pytest.mark.parametrize("condition", [1e8, 7.4e10])
-@pytest.mark.parametrize("seed", range(3))
-def test_anchor_does_not_raise_what_the_metric_sees(seed, condition):
-    rng = np.random.default_rng(seed)
-    theta = inconsistent_robot(rng, 3)
-    A = metric(rng, theta.size, condition)
-    # An anchor elsewhere: it must not matter.
-    result = project(
-        theta,
-        A,
-        margin=1e-6,
-        anchor=robot(rng, 3),
-        **PLAIN,
-    )
-    starts, kept = np.arange(0, theta.size, 11), np.arange(10, theta.size, 11)
-    _, optimum = cvxopt_projection(theta, A, "pseudo-inertia", starts, kept, floor=1e-6)
-    # 1e-6: the oracle, which squares the condition.
-    assert result.objective == pytest.approx(optimum, rel=1e-6)
-    assert result.relative_gap <= 1e-6
-
-
-@pytest.mark.parametrize(("condition", "rank"), [(1e8, None), (1e3, 30)])
-def test_last_digits_of_the_data_do_not_decide(condition, rank):
-    seen, size = [], []
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        theta, anchor = inconsistent_robot(rng, 6), robot(rng, 6)
-        A = metric(rng, theta.size, condition, rank)
-        options = {"anchor": anchor}
-        first = project(theta, A, **options).theta
-        for _ in range(3):
-            rounding = 8 * np.finfo(float).eps * rng.normal(size=theta.size)
-            step = project(theta * (1 + rounding), A, **options).theta - first
-            # The distance of two answers in the metric is that of their predictions.
-            seen.append(np.sqrt((step @ A @ step) / (theta @ A @ theta)))
-            size.append(np.abs(step).max() / np.abs(theta).max())
-    assert max(seen) <= 2e-13
-    assert max(size) <= 1e-10
-
-
 @properties
 @given(seeds, constraints, st.sampled_from([1.0, 1e6, 1e10]))
 def test_variational_inequality_holds(seed, constraint, condition):
@@ -233,16 +186,6 @@ def test_rotated_frame_gives_the_rotated_body(seed):
 
 
 # -- directions that the metric does not see
-
-
-def test_unseen_columns_go_to_the_anchor():
-    theta = np.r_[FLAT, FLAT]
-    anchor = np.r_[FLAT[:9], 1.5, 3.0, 0.1, 0, 0, 2, 0, 2, 0, 0, 2]
-    weights = np.r_[np.ones(10), np.zeros(10)]
-    result = project(theta, np.diag(weights), anchor=anchor, margin=1e-6)
-    np.testing.assert_allclose(result.theta[10:], anchor[10:], atol=1e-3)
-    alone = project(FLAT, np.eye(10), anchor=anchor[:10], margin=1e-6)
-    np.testing.assert_allclose(result.theta[:10], alone.theta, atol=1e-3)
 
 
 def test_rounding_of_a_singular_regression_is_dropped_with_a_warning():

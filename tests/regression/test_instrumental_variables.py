@@ -80,21 +80,6 @@ def test_units(seed, factor):
 
 @examples
 @given(seed=st.integers(0, 1000))
-def test_permutations_and_span_of_the_instruments(seed):
-    X, y, Z, _ = make_repeated(seed, n_instruments=4)
-    rng = np.random.default_rng(seed)
-    rows, columns = rng.permutation(len(y)), rng.permutation(3)
-    mixed = Z @ np.linalg.qr(rng.normal(size=(4, 4)))[0] + 5.0
-    reference = InstrumentalVariables().fit(X, y, instruments=Z)
-    model = InstrumentalVariables().fit(
-        X[rows][:, columns], y[rows], instruments=mixed[rows]
-    )
-    assert_allclose(model.coef_, reference.coef_[columns], rtol=1e-7, atol=1e-10)
-    assert_allclose(model.coef_std_, reference.coef_std_[columns], rtol=1e-7)
-
-
-@examples
-@given(seed=st.integers(0, 1000))
 def test_weight_counts_repetitions(seed):
     X, y, Z, _ = make_repeated(seed)
     weight = np.random.default_rng(seed).integers(0, 4, size=len(y))

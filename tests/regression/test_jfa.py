@@ -73,16 +73,6 @@ def test_queries_and_their_deviations():
     assert_allclose(std.mean(), np.std(y - mean), rtol=0.01)
 
 
-def test_more_features_than_samples():
-    X, y, _ = make_regression(15, 10, 15)
-    model = JFARegressor(query="noiseless", input_noise=0.2).fit(X, y)
-    assert np.isfinite(model.coef_).all()
-    chunked = JFARegressor(query="noiseless", input_noise=0.2)
-    for rows in (slice(0, 4), slice(4, 10)):
-        chunked.partial_fit(X[rows], y[rows])
-    assert_allclose(model.coef_noisy_, chunked.coef_noisy_, atol=1e-4)
-
-
 def test_too_few_iterations_are_reported():
     X, y, _ = make_regression(19)
     with pytest.warns(ConvergenceWarning, match=r"max_iter=3 iterations with a gain"):

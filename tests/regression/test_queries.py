@@ -28,19 +28,6 @@ def test_noisy_queries_are_the_default(model):
     assert not np.allclose(model.coef_noisy_, model.coef_noiseless_, rtol=0.01)
 
 
-@pytest.mark.parametrize("Model", [VBJFARegressor, JFARegressor])
-def test_both_coefficients_are_there_whatever_the_query(Model):
-    _, X, y, _ = make_inputs(1)
-    noisy = Model(query="noisy").fit(X, y)
-    noiseless = Model(query="noiseless").fit(X, y)
-    for name in ("coef_noisy_", "coef_noiseless_"):
-        assert_allclose(getattr(noisy, name), getattr(noiseless, name))
-    assert_array_equal(noiseless.coef_, noiseless.coef_noiseless_)
-    # What the fit answered it goes on answering; parameters act on the next one.
-    before = noisy.predict(X)
-    assert_array_equal(noisy.set_params(query="noiseless").predict(X), before)
-
-
 def test_unknown_noise_is_the_mean_of_the_admissible_fractions():
     _, X, y, _ = make_inputs(2, 20_000, noise=0.2)
     model = VBJFARegressor(query="noiseless", tol=1e-12).fit(X, y)

@@ -84,9 +84,8 @@ def test_positions_behind_a_filter_ask_for_its_inverse(kind):
     "given", [{"kind": "notch"}, {"of": "current"}, {"time_constant": 0.0}]
 )
 def test_unknown_filters_are_refused(given):
-    effect = effects.TorqueFilter(**given).fit
     with pytest.raises(ValueError, match=f"{next(iter(given))} of torque_filter"):
-        effect(np.zeros((4, 3)))
+        effects.TorqueFilter(**given).check()
 
 
 def test_jerk_is_the_derivative_of_the_acceleration():

@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 import scipy
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa._core._lowpass import BlockFilter, decimate
+from sklearn_vbjfa._core._lowpass import decimate
 
 FILTERS = [
     _lowpass.design(0.01, 5.0),
@@ -34,18 +32,3 @@ def test_equal_to_the_polyphase_filter(lowpass, shape, n):
     ours = decimate(lowpass, x)
     assert ours.shape[0] == lowpass.centres(n).size
     assert_allclose(ours, polyphase(lowpass, x), rtol=0, atol=1e-13)
-
-
-@settings(max_examples=8, derandomize=True, deadline=None)
-@given(
-    lowpass=st.sampled_from(FILTERS),
-    steps=st.integers(1, 30),
-    n=st.integers(300, 900),
-)
-def test_length_of_the_blocks_does_not_matter(lowpass, steps, n):
-    x = np.random.default_rng(1).normal(size=(n, 6))
-    result = BlockFilter(lowpass, lowpass.centres(n).size, 6)
-    length = steps * lowpass.step
-    for first in range(0, n, length):
-        result.add(first, x[first : first + length])
-    assert_allclose(result.outputs, polyphase(lowpass, x), rtol=0, atol=1e-13)

@@ -64,11 +64,3 @@ def test_singular_is_the_least_norm_in_scaled_columns():
     assert eigen.null_space.shape == (5, 1)
     assert_allclose(scaled @ eigen.null_space, 0.0, atol=1e-7)
     assert_array_equal(eigen.lost(1e-6), [True, False, True, False, True])
-
-
-def test_tolerance_is_a_share_or_a_bound():
-    A = np.diag([1.0, 1e-3, 1e-6])
-    assert scaled_eigen(A, 1e-4, scale=1.0).rank == 2
-    assert scaled_eigen(10 * A, 1e-4, scale=1.0).rank == 2
-    assert scaled_eigen(10 * A, 1e-6, scale=1.0, relative=False).rank == 3
-    assert scaled_eigen(-A, scale=1.0).rank == 0

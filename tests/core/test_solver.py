@@ -12,7 +12,6 @@ from sklearn_vbjfa._core._updates import Prior
 from tests.core import _problems
 
 MODELS = ["jfa", "paper", "noise"]
-FLOOR = np.finfo(float).eps
 
 
 def make_standardised(seed, n_features, n_samples=200, noise=0.4):
@@ -128,25 +127,6 @@ def test_a_fall_of_the_bound_stops_and_keeps_the_state_before(solve, n_right):
     assert np.diff(solution.history).min() >= 0
     _, kept = _problems.iterate(moments, solution.state, Prior())
     assert_allclose(kept, solution.history[-1], rtol=1e-12)
-
-
-def test_known_noise_is_kept_and_zero_is_raised_to_the_floor():
-    moments, _, _ = make_standardised(6, 3)
-    known = np.array([0.0, 0.1, 0.2])
-    prior = Prior(psi_x_fixed=known)
-    state = _solver.start(moments, prior, np.full(3, 0.3))
-    solution = _solver.solve(moments, state, prior, max_iter=200, tol=1e-9)
-    assert_array_equal(solution.state.psi_x, np.maximum(known, FLOOR))
-    assert "psi_x" not in solution.at_floor
-
-
-def test_variances_at_the_floor_are_listed():
-    moments, _, _ = make_standardised(7, 2)
-    state = _solver.start(moments, Prior(), np.full(2, 0.3))
-    state = replace(state, psi_x=np.array([1e-3 * FLOOR, 0.3]))
-    solution = _solver.solve(moments, state, Prior(), max_iter=2, tol=0.0)
-    assert_array_equal(solution.at_floor["psi_x"], [0])
-    assert solution.state.psi_x[0] >= FLOOR
 
 
 def test_last_digits_of_the_moments_do_not_decide():

@@ -3,7 +3,6 @@
 import hashlib
 import importlib.metadata
 import shutil
-import sys
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import unquote
@@ -162,19 +161,6 @@ def test_rigid_body_regression_explains_the_torque(
     assert (viscous[good] > 0).all(), viscous
 
 
-def test_tx40_motor_and_joint_power_agree(fetch):
-    tx40 = fetch("staubli_tx40")
-    motor = np.sum(
-        np.diff(tx40.signals["q_motor"], axis=0) * tx40.signals["tau_motor"][1:]
-    )
-    joint = np.sum(np.diff(tx40.q, axis=0) * tx40.tau[1:])
-    assert joint == pytest.approx(motor, rel=1e-9)
-    # Joint 4 alone turns against its motor; 5 drags motor 6 along.
-    q_motor = tx40.signals["q_motor"]
-    np.testing.assert_allclose(q_motor[:, 3], -48 * tx40.q[:, 3], atol=1e-9)
-    np.testing.assert_allclose(q_motor[:, 5], 32 * tx40.q[:, 4:].sum(axis=1), atol=1e-9)
-
-
 def test_ur5_gains_scale_the_torque(fetch):
     ur5 = fetch("ur5", resample=False)
     gains = [12.63, 12.63, 12.63, 9.31, 9.31, 9.31]
@@ -301,20 +287,6 @@ def test_description_comes_from_example_robot_data(monkeypatch, tmp_path, undesc
 
     monkeypatch.setattr(importlib.metadata, "files", lambda name: [Entry(urdf)])
     assert undescribed().urdf == str(urdf)
-
-
-def test_description_without_any_source(monkeypatch, tmp_path, undescribed):
-    pytest.importorskip("pinocchio")
-
-    def not_installed(name):
-        raise importlib.metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(importlib.metadata, "files", not_installed)
-    monkeypatch.setattr(sys, "prefix", str(tmp_path))
-    tiago = undescribed()
-    assert tiago.urdf is None
-    with pytest.raises(FileNotFoundError, match="pip install example-robot-data"):
-        tiago.robot_model()
 
 
 def _filtered(recording, cutoff):

@@ -30,17 +30,6 @@ def test_torques_are_inverse_dynamics_plus_friction():
         np.testing.assert_allclose(torque, expected, rtol=1e-10, atol=1e-10)
 
 
-def test_theta_is_laid_out_as_the_identifier_does():
-    recording = make_robot_recording(
-        duration=1.0, friction={"viscous": 2.0, "offset": np.arange(6.0)}
-    )
-    theta = recording.theta(("offset", "coulomb", "viscous")).reshape(6, 13)
-    np.testing.assert_array_equal(theta[:, :10], recording.inertial)
-    np.testing.assert_array_equal(theta[:, 10], np.arange(6.0))
-    np.testing.assert_array_equal(theta[:, 11], 0.0)
-    np.testing.assert_array_equal(theta[:, 12], 2.0)
-
-
 def test_seed_and_recordings():
     first, again, other = (
         make_robot_recording(duration=1.0, n_recordings=3, random_state=seed)

@@ -10,7 +10,6 @@ from sklearn_vbjfa.design import Clearance  # noqa: E402
 from sklearn_vbjfa.model import load_model  # noqa: E402
 from tests.model._shaped import (  # noqa: E402
     BALL,
-    BLOCK,
     CUBE,
     arm,
     joint,
@@ -48,21 +47,6 @@ def test_balls_have_the_distance_of_their_centres(tmp_path):
     # In penetration as well as apart.
     assert (found.distance < 0).sum() > 20
     assert (found.distance > 0).sum() > 20
-
-
-def test_a_slide_closes_in_by_what_it_moves(tmp_path):
-    path = write(
-        tmp_path,
-        link("base", (BLOCK.format(0.2, 0.2, 0.2), "0 0 0", "0 0 0")),
-        link("cart"),
-        link("hand", (BALL.format(0.1), "0.03 0 0", "0 0 0")),
-        joint("slide", "base", "cart", axis="0 0 -1", kind="prismatic", to=1),
-        joint("turn", "cart", "hand", axis="1 0 0"),
-    )
-    found = clearance_of(path)(np.array([[-0.5, 0.3], [-0.15, 2], [0.7, 1]]), np.inf)
-    np.testing.assert_allclose(found.distance[:, 0], [0.3, -0.05, 0.5], atol=1e-9)
-    np.testing.assert_allclose(found.gradient[:, 0, 0], [-1, -1, 1], atol=1e-6)
-    np.testing.assert_allclose(found.gradient[:, 0, 1], 0, atol=1e-6)
 
 
 def test_distances_are_those_of_pinocchio(tmp_path):
@@ -140,17 +124,6 @@ def test_links_drawn_into_each_other_are_ignored(tmp_path):
     clearance = clearance_of(wrist(tmp_path, radius=0.06))
     assert clearance.ignored == (("one", "three"),)
     assert clearance.pairs == (("base", "three"),)
-
-
-def test_links_that_meet_in_a_part_of_the_range_are_looked_at(tmp_path):
-    # They meet in a quarter of the range, see the closed form.
-    assert clearance_of(two_bars(tmp_path)).ignored == ()
-    # Within narrower limits they never do, and beyond 2.25 rad always.
-    assert clearance_of(two_bars(tmp_path, to=2.0)).ignored == ()
-    path = two_bars(tmp_path)
-    model = load_model(path)
-    model.lowerPositionLimit[1], model.upperPositionLimit[1] = 2.5, 3.0
-    assert clearance_of(path, model=model).ignored == (("base", "lower"),)
 
 
 def test_without_shapes_there_is_a_reason(tmp_path):

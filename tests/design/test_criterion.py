@@ -105,12 +105,3 @@ def test_units_of_coefficients_cancel(rows):
     assert other.value == pytest.approx(one.value, rel=1e-9)
     np.testing.assert_allclose(other.alone, one.alone, rtol=1e-9)
     np.testing.assert_allclose(other.beside, one.beside, rtol=1e-7)
-
-
-def test_an_effect_within_the_model_shows_nothing(rows):
-    X = rows.copy()
-    X[:, 4] = X[:, 0] - 2 * X[:, 3]
-    told = worth(X.T @ X, questions())
-    assert told.alone[0] < 1e-5 * (X[:, 4] ** 2).sum()
-    assert np.isfinite(told.value)
-    assert np.isfinite(told.by_information).all()

@@ -72,15 +72,6 @@ def test_all_kinds_of_reports_ask_the_same(loop, tmp_path):
     assert asked[0]["spring", 1] == max(weights) > min(weights)
 
 
-def test_what_is_possible_is_asked_as_what_has_a_name(loop):
-    data = loop.report_.to_dict()
-    possible = {**data, "effects": [], "possible": data["effects"]}
-    named, open_ = (
-        asked_of(posed(loop.identifier_, report=one)) for one in (data, possible)
-    )
-    assert open_["spring", 1] == named["spring", 1]
-
-
 def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
     problem = posed(loop.identifier_).problem
     states = moving_states()

@@ -88,17 +88,6 @@ def test_the_library_holds_every_effect_that_is_exported():
     }
 
 
-def test_plain_effects_come_before_those_that_contain_them():
-    for i, effect in enumerate(effects.resolve("all")):
-        assert set(effect.contains) <= set(NAMES)
-        assert effect.name not in effect.contains
-        for name in effect.contains:
-            inner = effects.resolve(name)[0]
-            assert len(inner.contains) < len(effect.contains) + 1
-            assert effect.name not in inner.contains
-        assert effects.available().index(effect.name) == i
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_numbers_of_coefficients_units_and_columns_agree(name):
     effect = library_effect(name)
@@ -475,16 +464,6 @@ def test_nothing_is_remembered_across_recordings(name):
     together, apart, one = recordings_of(effect)
     assert_array_equal(together, apart)
     assert np.array_equal(together, one) != memory
-
-
-def test_elastic_does_not_differentiate_across_recordings():
-    half = T.size // 2
-    jump = LOAD + np.where(np.arange(T.size) < half, 0.0, 100.0)[:, None]
-    parts = (slice(0, half), slice(half, T.size))
-    both = signals(load=jump, parts=parts)
-    assert np.abs(both.derivative(jump)).max() < 20
-    first = signals(load=jump).derivative(jump)
-    assert np.abs(first).max() > 1000
 
 
 # -- shapes

@@ -106,19 +106,6 @@ def far_out(name, quantity, factor):
     )
 
 
-def test_the_other_direction_is_outside():
-    coulomb = dataclasses.replace(
-        SPRING, name="coulomb", depends=("direction",), direction=(0.0, 1.0)
-    )
-    assert judged([coulomb], [0.0, 1.0, 1.0], "direction") == ()
-    (found,) = judged([coulomb], [1.0, 1.0, -1.0, -1.0], "direction")
-    assert (found.quantity, found.reached, found.share) == ("direction", -1.0, 0.5)
-    assert found.held == ()
-    for one_way, both in (((1.0, 1.0), 1), ((-1.0, 1.0), 0), ((-1.0, -1.0), 1)):
-        own = dataclasses.replace(coulomb, direction=one_way)
-        assert len(judged([own], [1.0, -1.0], "direction")) == both
-
-
 @pytest.mark.parametrize(
     ("name", "expected"),
     [

@@ -78,18 +78,6 @@ def test_branches_in_another_order():
         in_order(read, ("a", "b", "c", "z", "y"))
 
 
-def test_the_text_of_a_file_is_the_file(tmp_path):
-    path = tmp_path / "tree.urdf"
-    path.write_text(TREE.replace("<link", "<!-- a comment --><link"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        model = load_model(path)
-    text = description_text(path, model)
-    assert "box" in text
-    assert "comment" not in text
-    assert load_text(text, "x.json") == model
-
-
 def test_another_file_by_now(tmp_path):
     path = tmp_path / "tree.urdf"
     path.write_text(TREE)

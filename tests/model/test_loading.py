@@ -46,22 +46,6 @@ def write(tmp_path):
     return make
 
 
-def test_nominal_parameters_are_about_the_joint(write):
-    mass, (x, y, z) = 2.0, (0.1, 0.0, 0.3)
-    # parallel axes by hand: I about the joint = I about the centre + m (c.c E - c c')
-    expected = [
-        *(mass, mass * x, mass * y, mass * z),
-        0.1 + mass * (y**2 + z**2),
-        0.01 - mass * x * y,
-        0.2 + mass * (x**2 + z**2),
-        0.02 - mass * x * z,
-        0.0 - mass * y * z,
-        0.15 + mass * (x**2 + y**2),
-    ]
-    model = load_model(write(ONE_JOINT.format(kind="revolute", limit=LIMIT)))
-    np.testing.assert_allclose(nominal_parameters(model)[0], expected, atol=1e-14)
-
-
 @pytest.mark.parametrize("limit", ["", '<limit effort="7" velocity="3"/>'])
 def test_continuous_joint_is_one_angle(write, limit):
     turning = load_model(write(ONE_JOINT.format(kind="continuous", limit=limit)))
@@ -165,13 +149,6 @@ def test_a_body_that_cannot_be_is_told_of(write, change):
     with pytest.warns(UserWarning, match=r"what hinge move\(s\) has no mass, or an in"):
         model = load_model(write(text))
     assert not solid_bodies(nominal_parameters(model)).any()
-
-
-def test_a_negative_mass_is_refused(write):
-    text = ONE_JOINT.format(kind="revolute", limit=LIMIT)
-    text = text.replace('<mass value="2"/>', '<mass value="-2"/>')
-    with pytest.raises(ValueError, match="link 'bar' has the mass -2 kg; correct"):
-        load_model(write(text))
 
 
 def test_without_pinocchio_one_line_says_how_to_get_it():

@@ -94,20 +94,3 @@ def test_neighbours_of_a_sample_do_not_matter_to_the_last_bit(size):
     regressor = TreeRegressor(model)
     parts = [regressor(*(x[i : i + size] for x in states)) for i in range(0, 70, size)]
     np.testing.assert_array_equal(np.concatenate(parts), regressor(*states))
-
-
-def test_writes_where_asked_and_what_is_asked():
-    rng = np.random.default_rng(4)
-    model = build(rng, ["RZ", "PX", "RX"])
-    states = motion(rng, 7, 3)
-    regressor = TreeRegressor(model)
-    expected = regressor(*states)
-    out = np.full((7, 3, 3, 12), np.nan)
-    assert not regressor.support.all()
-    assert regressor(*states, out=out) is out
-    np.testing.assert_array_equal(out[..., :10][:, ~regressor.support], 0.0)
-    np.testing.assert_array_equal(out[..., 10:], 0.0)
-    np.testing.assert_allclose(out[..., :10], expected)
-    for wrong in (np.empty((7, 3, 3, 9)), out[::2], out[:, :, :, ::-1]):
-        with pytest.raises(ValueError, match=r"C-contiguous, of shape \(7, 3, 3"):
-            regressor(*states, out=wrong)

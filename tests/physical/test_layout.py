@@ -25,20 +25,6 @@ def test_the_length_gives_ten_or_eleven_columns_a_joint(n_features, starts, kept
     assert layout(n_features) == (list(starts), kept)
 
 
-def test_both_ten_and_eleven_columns_warn():
-    with pytest.warns(UserWarning, match="both at 10 and at 11"):
-        projector = PhysicalProjector().fit(np.ones((1, 110)))
-    assert len(projector.body_starts_) == 10
-    starts = list(range(0, 110, 10))
-    assert layout(110, body_starts=starts) == (starts, [])
-
-
-def test_too_few_columns_hold_no_body():
-    with pytest.warns(UserWarning, match="too few for a body"):
-        projector = PhysicalProjector().fit(np.ones((1, 9)))
-    assert projector.body_starts_.size == projector.nonnegative_.size == 0
-
-
 @pytest.mark.parametrize(
     ("n_features", "options", "name"),
     [

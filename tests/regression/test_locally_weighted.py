@@ -67,13 +67,3 @@ def test_units_do_not_matter(scale):
     plain = model.fit(X, y).predict(X)
     scaled = model.fit(X * unit, y).predict(X * unit)
     np.testing.assert_allclose(scaled, plain, rtol=1e-6)
-
-
-def test_weight_two_is_the_row_twice():
-    X, y = clusters(4)
-    weight = np.ones(400)
-    weight[:100] = 2.0
-    model = LocallyWeightedRegressor(LinearRegression(), n_models=4)
-    weighted = model.fit(X, y, sample_weight=weight).predict(X)
-    twice = model.fit(np.vstack([X, X[:100]]), np.r_[y, y[:100]]).predict(X)
-    np.testing.assert_allclose(weighted, twice, rtol=1e-8)

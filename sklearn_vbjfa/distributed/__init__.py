@@ -11,7 +11,6 @@ import operator
 import warnings
 from functools import partial
 from os import PathLike, fspath
-from pathlib import Path
 
 import numpy as np
 
@@ -28,7 +27,6 @@ from sklearn_vbjfa.equations._recording_checks import (
 )
 from sklearn_vbjfa.equations._states import choose_states
 from sklearn_vbjfa.fit._estimate import from_moments
-from sklearn_vbjfa.fit._identifier import RobotIdentifier
 from sklearn_vbjfa.inspection import levels
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
@@ -95,10 +93,6 @@ def fit_recordings(identifier, source):
     True
     """
     _import_dask()
-    if not isinstance(identifier, RobotIdentifier):
-        raise TypeError(
-            f"identifier must be a RobotIdentifier; got {type(identifier).__name__}."
-        )
     paths = _paths(source)
     with show_progress(identifier.fit_options.verbose):
         return _identify(identifier, paths)
@@ -111,7 +105,9 @@ def _identify(identifier, paths):
     identifier.build_model()
     _check_settings(identifier)
     names = identifier.joint_names_
-    read = partial(_read, dt=dt, urdf=_file_of(identifier.model), names=names)
+    model = identifier.model
+    urdf = fspath(model) if isinstance(model, (str, PathLike)) else None
+    read = partial(_read, dt=dt, urdf=urdf, names=names)
 
     def every(text, function, *arguments):
         tasks = [(function, read, path, *arguments) for path in paths]
@@ -182,31 +178,22 @@ def _paths(source):
     """Return the files of a folder, or those of a list, each once."""
     if isinstance(source, (str, PathLike)):
         folder = expanded(source)
-        if not folder.is_dir():
-            raise FileNotFoundError(
-                f"source must be a folder or a list of files; {folder} is not a folder."
-            )
-        source = recordings_in(folder)
-        if not source:
-            raise FileNotFoundError(f"{folder} contains no recording.")
-    paths = list(dict.fromkeys(map(Path, source)))
+        source = recordings_in(folder) if folder.is_dir() else ()
+    paths = list(dict.fromkeys(map(str, source)))
     if not paths:
-        raise ValueError("source must name at least one file; got none.")
-    return [str(path) for path in paths]
-
-
-def _file_of(model):
-    """Return the path of a description, None for a model in memory."""
-    return fspath(model) if isinstance(model, (str, PathLike)) else None
+        raise FileNotFoundError(
+            "source must be a folder that contains recordings, or a list of at least "
+            "one file."
+        )
+    return paths
 
 
 def _check_settings(identifier):
     """Reject settings that need more than second moments."""
-    refused = "effects" if len(identifier.effects_) else "regressor"
     if len(identifier.effects_) or not from_moments(identifier.regressor):
         raise ValueError(
-            f"fit_recordings does not support {refused}: the workers return second "
-            "moments of the rigid bodies and their friction only; fit in memory."
+            "fit_recordings supports neither effects nor a regressor that needs rows: "
+            "workers return second moments of bodies and friction; fit in memory."
         )
 
 

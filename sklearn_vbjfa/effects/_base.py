@@ -222,6 +222,10 @@ class Effect(BaseEstimator):
         """Shape parameters to search, a list of dicts for `set_params`."""
         return [{}]
 
+    def first_shapes(self, motion):
+        """Those of `shapes` that a search compares with other effects."""
+        return self.shapes(motion)
+
     def applies(self, motion):
         """Say why the effect cannot be looked for; empty if it can.
 

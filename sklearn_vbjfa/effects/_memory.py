@@ -333,6 +333,11 @@ class MaxwellSlip(Shaped, Stateful):
             found.append(plain | {"loaded": bank})
         return [plain, *found]
 
+    def first_shapes(self, motion):
+        """Banks whose elements slip; those that creep follow where one is found."""
+        shapes = self.shapes(motion)
+        return [shape for shape in shapes if self._creeps or shape["element"] == "stop"]
+
     def key(self):
         """All banks are one use of the effect."""
         return (self.name, self.joint, ())

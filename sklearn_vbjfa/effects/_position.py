@@ -319,6 +319,13 @@ class FrictionByPosition(Ripple):
     terms = (("dry_ripple", "c", "s", "period"),)
     files = InFiles.nowhere("friction that varies with position")
 
+    def key(self):
+        """All periods are one use of the effect."""
+        return (self.name, self.joint, ())
+
+    def excludes(self):
+        return {self.key()}
+
     def law(self, maths):
         j, wave, sign = self.joint, super().law(maths), maths.sign(self.joint)
 

@@ -342,16 +342,11 @@ class _Apart:
         q, h = free @ y, np.diagonal(free, axis1=1, axis2=2)
         size = np.linalg.slogdet(V)[1] + np.log(ones.sum(axis=1))
         along = _USUAL - 0.5 * (size + q @ y)
-        one = [
-            Groups(
-                H=own[:, None, None],
-                q=score[:, None],
-                own=own[:, None],
-                unit=np.ones((y.size, 1)),
-            ).evidence(DESCRIBED)
-            for own, score in zip(h, q)
-        ]
-        return cls(y, S, np.array(one) + (along - logsumexp(along))[:, None])
+        own = h.reshape(-1, 1)
+        known = {"own": own, "unit": np.ones(own.shape)}
+        groups = Groups(H=own[:, :, None], q=q.reshape(-1, 1), **known)
+        one = groups.evidence(DESCRIBED).reshape(h.shape)
+        return cls(y, S, one + (along - logsumexp(along))[:, None])
 
     @property
     def log_odds(self):

@@ -291,7 +291,7 @@ def inseparable(found, effects):
 
 def _family(model, effect):
     """Family of an effect in the search's equations, None where nothing is to try."""
-    return model.fit.problem.family(effect, model.motion)
+    return model.fit.problem.family(effect)
 
 
 def _probe(model):

@@ -7,8 +7,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa.diagnosis.search._problem import Declared, Moments, products
-
 # Folds of a single recording, stretches one after the other.
 _FOLDS = 8
 # Recordings from which on each is left out as a whole: another motion.
@@ -17,6 +15,7 @@ _RECORDINGS = 3
 _RIDGE = 1e-9
 # Share of the mean error below which a block's is rounding.
 _TINY = 1e-6
+_SMALLEST = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,32 +59,41 @@ class CrossValidatedGain:
 class HeldOut:
     """Regressions of all joints that leave out one fold of time after the other."""
 
-    # From second moments of blocks of time. Folds are whole recordings where there are
-    # three or more, else stretches of each recording, unless others, `fold` (m,), are
-    # given: what is worth its name predicts motion that was not fitted.
+    # Folds are whole recordings where there are three or more, else stretches of each
+    # recording, unless others, `fold` (m,), are given: what is worth its name predicts
+    # motion that was not fitted.
+    # In the order of the blocks: edges (n_blocks + 1,), first row of each; of_row (m,),
+    # place of the fold of each row's block; A (nj, m, r + 1), declared columns and
+    # torques of the joints that count, and gram (nj, n_folds, r + 1, r + 1), their
+    # products by fold.
 
     def __init__(self, view, fold=None):
         self.view = view
-        self.used_joints = np.flatnonzero(view.precision > 0)
+        self.used_joints = used = np.flatnonzero(view.precision > 0)
         self.fold = fold_of(view) if fold is None else fold
         self.order = order = view.blocks.order
-        edges = np.r_[view.blocks.starts, view.index.size]
-        self.declared = Declared(view.Z[:, order], view.target[:, order], edges)
+        self.edges = np.r_[view.blocks.starts, view.index.size]
         # A block lies in one fold, but for the one in which a fold ends.
-        self.of_block = self.fold[order][edges[:-1]]
+        own = self.fold[order][self.edges[:-1]]
+        self.of_row = np.unique(
+            np.repeat(own, np.diff(self.edges)), return_inverse=True
+        )[1]
+        self.rows = [self.of_row == k for k in range(self.of_row.max() + 1)]
+        Z, y = view.Z[used][:, order], view.target[used][:, order]
+        self.A = np.concatenate([Z, y[:, :, None]], axis=2)
+        self.gram = np.array([[A[own].T @ A[own] for own in self.rows] for A in self.A])
         self._known = WeakKeyDictionary()
 
-    def moments(self, member):
-        """Moments of a member's columns, row by row."""
+    def columns(self, member):
+        """Columns (nj, m, k) of a member, row by row."""
         if member.moments not in self._known:
-            columns = self.view.columns([member.effect], self.motion)[:, self.order]
-            edges = self.declared.edges
-            self._known[member.moments] = Moments(member.joints, columns, edges)
+            columns = self.view.columns([member.effect], self.motion)
+            self._known[member.moments] = columns[:, self.order, 0]
         return self._known[member.moments]
 
-    def fitted(self, fit, motion):
+    def fitted(self, fit):
         """Leave out each fold of a `Fit`; returns a `HeldOutFit`."""
-        self.motion = motion
+        self.motion = fit.problem.motion
         return HeldOutFit(self, fit)
 
 
@@ -94,65 +102,68 @@ class HeldOutFit:
 
     def __init__(self, held, fit):
         self.held, self.fit = held, fit
-        view, r = held.view, held.declared.Z.shape[2]
-        p = r + fit.n_coefficients
+        self._r = r = held.A.shape[2] - 1
         self._places = [slice(r + s.start, r + s.stop) for s in fit.places]
-        self._members = [held.moments(member) for member in fit.members]
-        self._moments = self._assembled(r, p)
+        self._columns = [self._acting(j) for j in held.used_joints]
         # What the joints weigh with the members there.
         power = (fit.residual[held.used_joints] ** 2).sum(axis=1)
-        least = _TINY**2 * (view.target[held.used_joints] ** 2).sum(axis=1)
-        self.weight = weight = view.rows[held.used_joints] / np.maximum(power, least)
-        weighted = np.einsum("j,bjpq->bpq", weight, self._moments)
-        total = weighted.sum(axis=0)
+        target = held.view.target[held.used_joints]
+        least = _TINY**2 * (target**2).sum(axis=1)
+        self.weight = held.view.rows[held.used_joints] / np.maximum(power, least)
+        by_fold = self._products(r + fit.n_coefficients)
+        total = by_fold.sum(axis=0)
         ridge = _RIDGE * max(np.trace(total[:r, :r]) / max(r, 1), 1.0)
         prior = np.r_[np.full(r, ridge), fit.prior]
         self._done = np.r_[np.zeros(r), fit.done]
-        self._folds = []
-        for k in np.unique(held.of_block):
-            blocks = held.of_block == k
-            left = total - weighted[blocks].sum(axis=0)
-            G = left[:p, :p] + np.diag(prior)
-            factor = linalg.cho_factor(G)
-            theta = linalg.cho_solve(factor, left[:p, p] - prior * self._done)
-            self._folds.append((blocks, factor, theta))
+        self._factors, self._thetas, self._without = [], [], {}
+        for own in by_fold:
+            left = total - own
+            self._factors.append(linalg.cho_factor(left[:-1, :-1] + np.diag(prior)))
+            right = left[:-1, -1] - prior * self._done
+            self._thetas.append(linalg.cho_solve(self._factors[-1], right))
 
-    def _assembled(self, r, p):
-        """Products of all columns and torques, (n_blocks, nj, p + 1, p + 1)."""
-        held, declared = self.held, self.held.declared
-        out = np.zeros((held.of_block.size, held.used_joints.size, p + 1, p + 1))
-        out[:, :, :r, :r] = declared.gram[held.used_joints].swapaxes(0, 1)
-        out[:, :, :r, p] = declared.right[held.used_joints].swapaxes(0, 1)
-        out[:, :, p, p] = declared.power[held.used_joints].T
-        acting = {i: [] for i in range(held.used_joints.size)}
-        for place, own in zip(self._places, self._members):
-            cross, right = own.declared(declared), own.right(declared)
-            for i, j in enumerate(held.used_joints):
-                if j in own.joints:
-                    k = own.joints.index(j)
-                    out[:, i, :r, place] = cross[k]
-                    out[:, i, place, p] = right[k]
-                    acting[i].append((np.r_[place], own.columns[k, :, 0]))
-        for i, found in acting.items():
-            if found:
-                at = np.concatenate([x[0] for x in found])
-                X = np.hstack([x[1] for x in found])
-                out[:, i, at[:, None], at] = products(declared.edges, X, X)
-        # What is below the diagonal stands above it.
-        return np.triu(out) + np.triu(out, 1).swapaxes(2, 3)
+    def _acting(self, j):
+        """Places (p_j,) of the coefficients that act on a joint, and columns."""
+        found = [
+            (np.r_[place], self.held.columns(member)[member.joints.index(j)])
+            for place, member in zip(self._places, self.fit.members)
+            if j in member.joints
+        ]
+        none = np.zeros(0, int), np.zeros((self.held.of_row.size, 0))
+        return tuple(np.concatenate(own, axis=-1) for own in zip(none, *found))
 
-    def _squares(self, blocks, theta):
-        """Squared errors (n, nj) of some blocks."""
-        full = np.r_[theta, -1.0]
-        return (self._moments[blocks] @ full) @ full
+    def _products(self, p):
+        """Weighted products of all columns and torques by fold, the torques last."""
+        held = self.held
+        first, out = np.r_[: self._r, p], np.zeros((len(held.rows), p + 1, p + 1))
+        both = zip(self.weight, held.A, held.gram, self._columns)
+        for weight, A, gram, (at, X) in both:
+            out[:, first[:, None], first] += weight * gram
+            for own, rows in zip(out, held.rows):
+                cross = weight * (X[rows].T @ A[rows])
+                own[at[:, None], first] += cross
+                own[first[:, None], at] += cross.T
+                own[at[:, None], at] += weight * (X[rows].T @ X[rows])
+        return out
+
+    def _residual(self, thetas):
+        """Residuals (nj, m) of each fold with its coefficients, blocks in order."""
+        theta = np.array(thetas)[self.held.of_row]
+        A = self.held.A
+        out = A[:, :, -1] - np.einsum("jmr,mr->jm", A[:, :, :-1], theta[:, : self._r])
+        for own, (at, X) in zip(out, self._columns):
+            own -= (X * theta[:, at]).sum(axis=1)
+        return out
+
+    def _squares(self, thetas):
+        """Squared errors of blocks (n_blocks, nj)."""
+        squares = self._residual(thetas) ** 2
+        return np.add.reduceat(squares, self.held.edges[:-1], axis=1).T
 
     @functools.cached_property
     def squares(self):
         """Squared errors of blocks (n_blocks, nj), of the model."""
-        found = np.empty(self._moments.shape[:2])
-        for blocks, _, theta in self._folds:
-            found[blocks] = self._squares(blocks, theta)
-        return found
+        return self._squares(self._thetas)
 
     def error(self):
         """Logarithms of the joints' mean squared errors, their rows as weights."""
@@ -180,14 +191,33 @@ class HeldOutFit:
         """Squared errors (n_blocks, nj) without members, the others refitted."""
         if not numbers:
             return self.squares
+        if numbers in self._without:
+            return self._without[numbers]
         place = np.concatenate([np.r_[self._places[i]] for i in numbers])
-        found, unit = np.empty_like(self.squares), np.eye(self._done.size)[:, place]
-        for blocks, factor, theta in self._folds:
+        unit, thetas = np.eye(self._done.size)[:, place], []
+        for factor, theta in zip(self._factors, self._thetas):
             inverse = linalg.cho_solve(factor, unit)
             # What leaving columns out does to the others, by the block inverse.
             away = np.linalg.solve(inverse[place], theta[place] + self._done[place])
-            found[blocks] = self._squares(blocks, theta - inverse @ away)
+            thetas.append(theta - inverse @ away)
+        self._without[numbers] = found = self._squares(thetas)
         return found
+
+    def share_of(self, i, absent=(), plain=None):
+        """Largest share of a joint's squared error that a member saves."""
+        # Of the error without it, or that of the plain terms if this is larger.
+        member = self.fit.members[i]
+        without, own = (
+            self.by_joint(member, self.without(*absent, *some)) for some in ((i,), ())
+        )
+        size = without
+        if plain is not None:
+            size = np.maximum(without, self.by_joint(member, plain))
+        return float(((without - own) / np.maximum(size, _SMALLEST)).max())
+
+    def helps(self, i, least=0.0):
+        """Whether a member saves more than a share, in the mean of the blocks too."""
+        return self.gain_of(i).helps and self.share_of(i) > least
 
     def gain_of(self, i, absent=()):
         """Return what a member saves, others being absent."""
@@ -198,17 +228,10 @@ class HeldOutFit:
     @property
     def residual(self):
         """Residuals (nv, m) of rows that were not fitted, scaled by their roots."""
-        held, r = self.held, self.held.declared.Z.shape[2]
+        held = self.held
         out = np.zeros_like(held.view.target)
-        for blocks, _, theta in self._folds:
-            rows = np.isin(held.view.blocks.label, np.flatnonzero(blocks))
-            for j in held.used_joints:
-                own = held.view.target[j, rows] - held.view.Z[j, rows] @ theta[:r]
-                for place, member in zip(self._places, self._members):
-                    if j in member.joints:
-                        columns = member.columns[member.joints.index(j), rows, 0]
-                        own -= columns @ theta[place]
-                out[j, rows] = own
+        rows = np.arange(out.shape[1])[held.order]
+        out[held.used_joints[:, None], rows] = self._residual(self._thetas)
         return out
 
 

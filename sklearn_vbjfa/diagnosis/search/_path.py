@@ -1,94 +1,38 @@
 """The way to the most probable model: add, refine, drop, exchange by one posterior."""
 
-from dataclasses import dataclass, replace
+import itertools
+from dataclasses import replace
 
 import numpy as np
-from scipy.special import logit
-from sklearn.base import clone
 
-from sklearn_vbjfa._core._groups import Overdispersion
-from sklearn_vbjfa._core._progress import counted, say
+from sklearn_vbjfa._core._progress import say
+from sklearn_vbjfa.diagnosis.search._candidates import Candidates
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import (
-    Family,
     Fit,
     Problem,
     declared_alone,
     rescaled,
     spectrum_of,
-    stacked,
-    together,
     weighed,
 )
-from sklearn_vbjfa.diagnosis.search._refine import (
-    MOST_STEPS,
-    SHARES,
-    WORTH,
-    Place,
-    refined,
-    starts,
-)
-from sklearn_vbjfa.diagnosis.search._view import variants
-from sklearn_vbjfa.effects import Shaped, closure
+from sklearn_vbjfa.diagnosis.search._refine import searched_on, stepped
+from sklearn_vbjfa.diagnosis.search._shapes import best_shape, searched
+from sklearn_vbjfa.effects import closure
 
-# Times that load, spectrum and geometry are made anew.
+# Times that load, spectrum and geometry are made anew; and the rounds in which the
+# first and the second one look for what the noise is without.
 _TURNS = 2
 # Times that a model is tuned on another recording, until its evidence [nats] stays.
-_CLOSER, _STAYS = 20, 0.1
-# Share of the error that its mirror image saves of what an effect with a direction
-# saves: more is nothing with a direction.
-_MIRROR = 0.5
+_CLOSER, _STAYS = 20, 0.5
 # Share of a motion's power below the frequency up to which it is said to reach.
 _MOTION = 0.9
-# Instants of a jump that are looked at more closely.
-_JUMPS = 3
-# Log odds below which nothing of the geometry is a candidate.
-_NO_CHANCE = -20.0
+# Share of the log odds of the most probable candidate from which others come with it.
+_NEAR = 0.2
+# Share of what a name must save that an effect must save to be in the model.
+_LEAST = 0.25
 # Nats within which the first in precedence gives its name to equal columns.
 _EQUAL = 0.5
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Candidate:
-    """A candidate effect given a model."""
-
-    family: Family  # all of its shapes
-    best: int  # the best of them
-    log_odds: float  # posterior log odds that the model lacks it, shapes averaged
-    coef: np.ndarray  # (k,): of the best shape
-    # whether its evidence has been tempered by its scatter in time, see `Fit.excess`;
-    # it is an upper bound before
-    tempered: bool = False
-    # log odds by which it compares with others, see `Overdispersion.as_usual`
-    order: float = 0.0
-
-    @property
-    def effect(self):
-        """Effect with the best shape."""
-        return self.family.effects[self.best]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Trials:
-    """Shapes of an effect given a fit, see `refined`."""
-
-    path: object
-    fit: Fit
-
-    def evidence(self, effects):
-        """Log evidence (c,) of several shapes."""
-        family, scale = self.path._shaped(effects), self.path.settings.scale
-        return self.fit.groups(family).evidence(scale)
-
-    def climbed(self, place, evidence):
-        """Follow the derivatives of columns: the best effect and its evidence."""
-        family, scale = self.path._shaped([place.effect]), self.path.settings.scale
-        best = float(self.fit.groups(family).best_scale(scale)[0])
-        fit, last = self.fit.beside(family.member(0, best)), len(self.fit.members)
-        fit = self.path._stepped(fit, [last])
-        found = fit.members[last].effect
-        now = float(self.evidence([found])[0])
-        return (found, now) if now > evidence else (place.effect, evidence)
 
 
 class Path:
@@ -99,523 +43,197 @@ class Path:
     def __init__(self, view, library, settings, max_effects=None):
         self.view, self.library, self.settings = view, library, settings
         self.max_effects, self.turn = max_effects, 0
-        self._grids = {}
-        self._cached, self._outdated, self._rejected = {}, set(), set()
         self._held = None
-        # Log odds above which an effect is in the model.
-        self.least = float(logit(settings.undecided))
 
-    # -- candidates -----------------------------------------------------------------
+    # -- the whole ------------------------------------------------------------------
 
-    def _make_families(self):
-        """Families of all effects on all joints, by joint."""
-        found = {j: [] for j in np.flatnonzero(self.problem.used_joints)}
-        asked = [(j, effect) for j in found for effect in self.library]
-        for j, effect in counted(asked, "candidates"):
-            one = clone(effect).set_params(joint=int(j))
-            if one.name in self.view.declared or one.applies(self.motion):
-                continue
-            family = self.problem.family(one, self.motion)
-            if family is not None:
-                found[j] += family.split()
-        self.families = {j: stacked(own) for j, own in found.items()}
-        count = sum(map(len, found.values()))
-        self.n_candidates = count
-        self.log_prior = np.log(self.settings.expected / max(count, 1))
+    def begin(self):
+        """Fit the declared columns alone, with the load that they give."""
+        fit = declared_alone(self.view)
+        problem = fit.problem.with_motion(self.view.motion(fit.theta))
+        return Fit(fit.base.on(problem))
 
-    def _candidate(self, fit, family, taken, excess=None):
-        """Return the best shape of a family given a fit as a `Candidate`, or None."""
-        scale, least = self.settings.scale, self._no_chance(family)
-        if excess is None:
-            evidence = fit.evidence(family, scale)
-            if not evidence.max() > least:
-                return None
-        groups = fit.groups(family)
-        if excess is not None:
-            groups = groups.discounted(excess)
-            evidence = groups.evidence(scale)
-        free = groups.shown() & [key not in taken for key in family.keys]
-        if not free.any() or evidence[free].max() <= least:
-            return None
-        coefs = groups.coefficients()
-        for c in np.flatnonzero(free):
-            effect = family.effects[c]
-            free[c] = effect.plausible(coefs[c, : len(effect.coefficients)])
-        if not free.any():
-            return None
-        if family.opposite_keys:
-            free &= self._one_sided(family, groups.gain(), free)
-            if not free.any():
-                return None
-        evidence = np.where(free, evidence, -np.inf)
-        whole = np.logaddexp.reduce(evidence)
-        log_odds = float(whole - np.log(free.size) + self.log_prior)
-        return Candidate(
-            family=family,
-            best=int(np.argmax(evidence)),
-            log_odds=log_odds,
-            coef=coefs[int(np.argmax(evidence))],
-            order=log_odds,
-        )
-
-    def _no_chance(self, family):
-        """Log evidence of a shape up to which an effect decides nothing."""
-        # Rivals are within so many nats of a member, spectra take one of each joint.
-        near = -max(self.settings.rivals, np.log(len(self.families)))
-        return (_NO_CHANCE if family.effects[0].in_model else near) - self.log_prior
-
-    def _tempered(self, fit, candidate):
-        """Discount the evidence of a candidate by its scatter in time."""
-        if candidate.tempered:
-            return candidate
-        family, best, coef = candidate.family, candidate.best, candidate.coef
-        if isinstance(candidate.effect, Shaped) and candidate.effect.jumping:
-            # Beside its instant a jump leaves a residual of its own size.
-            family, best = self._single(self._best_shape(fit, candidate)), 0
-            coef = fit.groups(family).coefficients()[0]
-        excess = fit.excess(family, best, coef, self._noise)
-        taken = self._taken(fit)
-        usual = self._candidate(fit, candidate.family, taken, excess.as_usual())
-        if usual is None:
-            return None
-        if not np.isfinite(excess.freedom):
-            return replace(usual, tempered=True)
-        strict = self._candidate(fit, candidate.family, taken, excess)
-        if strict is None:
-            return None
-        return replace(strict, tempered=True, order=usual.order)
-
-    def _most_probable(self, fit, candidates):
-        """Return the most probable candidate, None if there is none."""
-        # Banks have an upper bound, which is made exact where it leads.
-        best = None
-        for candidate in sorted(candidates, key=lambda o: -o.log_odds):
-            if best is not None and candidate.log_odds <= best.log_odds:
+    def run(self):
+        """Search; returns the last `Fit`."""
+        fit, seen = self.begin(), None
+        for self.turn in range(_TURNS):
+            say(f"round {self.turn + 1}")
+            self.candidates = Candidates(fit.problem, self.library, self.settings)
+            base = self._spectrum(fit)
+            fit = self._climb(self.scaled(Fit(base, fit.members)))
+            names = keys_of(fit)
+            if names == seen or not fit.members:
                 break
-            if candidate.effect.bank and not candidate.tempered:
-                known = candidate.family, self._taken(fit), Overdispersion()
-                candidate = self._candidate(fit, *known)
-            if best is None or (candidate and candidate.log_odds > best.log_odds):
-                best = candidate
-        return best
-
-    def _surest(self, fit, candidates, margin=0.0):
-        """Return tempered candidates within a margin of the best, the best first."""
-        # Tempering takes evidence only, so that what is below the best of those that
-        # are tempered need not be.
-        found, open_ = [], sorted(candidates, key=lambda o: o.order)
-        best = -np.inf
-        while open_ and open_[-1].order > best - margin:
-            candidate = self._tempered(fit, open_.pop())
-            if candidate is not None:
-                found.append(candidate)
-                best = max(best, candidate.order)
-        found = [o for o in found if o.order > best - margin - 1e-9]
-        return sorted(found, key=lambda o: -o.order)
-
-    def _one_sided(self, family, gain, free):
-        """Which shapes are of a direction that their mirror image does not share."""
-        best = {}
-        for key, own, allowed in zip(family.keys, gain, free):
-            if allowed:
-                best[key] = max(best.get(key, 0.0), own)
-        return np.array(
-            [
-                best.get(opposite, 0.0) <= _MIRROR * best.get(key, 0.0)
-                for key, opposite in zip(family.keys, family.opposite_keys)
-            ]
-        )
-
-    def _taken(self, fit):
-        """Keys of effects that a fit excludes, a set."""
-        return self._rejected.union(*(m.effect.excludes() for m in fit.members))
-
-    def _contained(self, fit, joint):
-        """Names of effects that a member of a joint contains, a set."""
-        own = [m.effect for m in fit.members if m.effect.joint == joint]
-        return set().union(*(closure(effect, self.library) for effect in own))
-
-    def _candidates(self, fit, joint):
-        """Candidates on a joint given a fit."""
-        self._say(fit, joint)
-        taken = self._taken(fit)
-        within = self._contained(fit, joint)
-        found = (
-            self._candidate(fit, family, taken)
-            for family in self.families[joint]
-            if family.effects[0].name not in within
-        )
-        return [candidate for candidate in found if candidate is not None]
-
-    # -- moves ------------------------------------------------------------------------
-
-    def _best(self, fit):
-        """Best candidate on any joint; unchanged joints keep their candidates."""
-        # What contains an effect of the model comes when nothing else does.
-        for joint in self.families:
-            if joint not in self._cached:
-                self._cached[joint] = self._candidates(fit, joint)
-        there = {(m.effect.name, m.effect.joint) for m in fit.members}
-
-        def waits(candidate):
-            names = closure(candidate.effect, self.library)
-            return any((name, candidate.effect.joint) in there for name in names)
-
-        while True:
-            probable = [
-                o for k in self._cached.values() for o in k if o.log_odds > self.least
-            ]
-            if not probable:
-                if not self._outdated:
-                    return None
-                for j in self._outdated:
-                    self._cached[j] = self._candidates(fit, j)
-                self._outdated = set()
-                continue
-            best = min(probable, key=lambda o: (waits(o), -o.order))
-            joint = best.effect.joint
-            if joint in self._outdated:
-                self._cached[joint] = self._candidates(fit, joint)
-                self._outdated.discard(joint)
-            elif not best.tempered:
-                sure = self._tempered(fit, best)
-                rest = [o for o in self._cached[joint] if o is not best]
-                self._cached[joint] = rest if sure is None else [*rest, sure]
-            else:
-                plain = self._plainer(fit, best, self._cached[joint])
-                return self._first(best, probable) if plain is best else plain
-
-    def _plainer(self, fit, best, candidates):
-        """Plainer effect that a candidate contains, if that is probable alone."""
-        # What contains it comes beside it: a prior of heredity (H. Chipman, "Bayesian
-        # variable selection with related predictors", Canadian J. of Statistics 24(1),
-        # 1996, doi 10.2307/3315687).
-        names = closure(best.effect, self.library)
-        within = [
-            o for o in candidates if o.effect.name in names and o.log_odds > self.least
-        ]
-        sure = [o for o in self._surest(fit, within) if o.log_odds > self.least]
-        return sure[0] if sure else best
-
-    def _first(self, best, candidates):
-        """First in precedence of those of the geometry that say the same."""
-        if not best.effect.in_model:
-            return best
-        near = [
-            o for o in candidates if o.effect.in_model and o.order > best.order - _EQUAL
-        ]
-        return min(near, key=lambda o: (o.effect.precedence, -o.order))
-
-    def _refused(self, candidate):
-        """Make the candidates of a joint again without one that was refused."""
-        self._cached.pop(candidate.effect.joint, None)
-        self._outdated.discard(candidate.effect.joint)
-
-    def _moved(self, joints=None):
-        """Note that the model of some joints, or of all, has changed."""
-        if joints is None or len(joints) > 1:
-            self._cached.clear()
-            self._outdated = set()
-        else:
-            for joint in joints:
-                self._cached.pop(joint, None)
-            self._outdated = set(self._cached)
-
-    def scaled(self, fit):
-        """Return a fit with the most probable scale of each member."""
-        return self._trimmed(rescaled(fit, self.settings.scale))
-
-    def _trimmed(self, fit):
-        """Return a fit whose banks have no element of negative size."""
-        for i, member in enumerate(fit.members):
-            used = fit.coefficients(i) > 0
-            if member.effect.bank and used.any() and not used.all():
-                kept = self._single(member.effect.only(used)).member(0, member.scale)
-                members = (*fit.members[:i], kept, *fit.members[i + 1 :])
-                return self._trimmed(Fit(fit.base, members))
+            seen = names
+            fit = anew(fit)
         return fit
 
-    def _bank(self, fit, effect):
-        """Return a bank with the elements of positive size given a fit."""
-        family = self._family(effect)
-        groups = fit.groups(family)
-        best = int(np.argmax(groups.evidence(self.settings.scale)))
-        found = family.effects[best]
-        if found.continuous:
-            found, best = self._refined(fit, [found]), 0
-            groups = fit.groups(self._single(found))
-        used = groups.coefficients()[best, : len(found.coefficients)] > 0
-        if not used.any():
-            return effect
-        found = found.only(used).finer()
-        return found.only(fit.groups(self._single(found)).coefficients()[0] > 0)
-
-    def _member(self, fit, candidate):
-        """Return a candidate as a member, its shape searched between the grid's."""
-        family = self._single(self._best_shape(fit, candidate))
-        best = fit.groups(family).best_scale(self.settings.scale)[0]
-        return family.member(0, float(best))
-
-    def _best_shape(self, fit, candidate):
-        """Effect of a candidate, its shape searched between the grid's."""
-        effect, family = candidate.effect, candidate.family
-        if effect.bank:
-            return self._bank(fit, effect)
-        if not _searched_on(effect):
-            return effect
-        if effect.jumping:
-            return self._refined(fit, [effect, *self._instants(fit, effect, family)])
-        evidence = fit.evidence(family, self.settings.scale)
-        return self._refined(fit, starts(family.effects, evidence, effect))
-
-    def _instants(self, fit, effect, family):
-        """Return an effect that jumps with the most probable instants of all rows."""
-        # What its columns have in common with the residual is a sum over the rows after
-        # the jump; their Gram matrix hardly changes between two instants of the grid.
-        (name,) = effect.jumping
-        grid = np.array([getattr(e, name) for e in family.effects])
-        order, beside = np.argsort(grid), fit.groups(family)
-        always = clone(effect).set_params(**{name: -np.inf})
-        columns = self.view.columns([always], self.motion)[:, :, 0]
-        rest = fit.weighted_rows[list(self.view.joints_of(effect))]
-        products = np.einsum("jmk,jm->mk", columns, rest)
-        after = np.cumsum(products[::-1], axis=0)[::-1]
-        t = self.motion.t[self.view.index]
-        at = np.interp(t, grid[order], np.arange(order.size))
-        low = np.minimum(at.astype(int), max(order.size - 2, 0))
-        share = (at - low)[:, None, None]
-        H = beside.H[order]
-        H = (1 - share) * H[low] + share * H[np.minimum(low + 1, order.size - 1)]
-        near = order[np.round(at).astype(int)]
-        own = {"own": beside.own[near], "unit": beside.unit[near]}
-        evidence = replace(beside, H=H, q=after, **own).evidence(self.settings.scale)
-        found, apart = [], np.diff(grid[order]).max(initial=0.0) / 4
-        for _ in range(_JUMPS):
-            best = int(np.argmax(evidence))
-            found.append(clone(effect).set_params(**{name: float(t[best])}))
-            evidence = np.where(np.abs(t - t[best]) < apart, -np.inf, evidence)
-        return found
-
-    def _family(self, effect):
-        """Shapes of the grid of an effect."""
-        if effect.key() not in self._grids:
-            effects = variants(effect, self.motion)
-            columns = self.view.columns(effects, self.motion)
-            self._grids[effect.key()] = Family.of(self.problem, effects, columns)
-        return self._grids[effect.key()]
-
-    def _single(self, effect):
-        """Family of one shape."""
-        return self._shaped([effect])
-
-    def _shaped(self, effects):
-        """Family of some shapes of an effect."""
-        columns = self.view.columns(effects, self.motion)
-        return Family.of(self.problem, effects, columns)
-
-    def _refined(self, fit, effects):
-        """Search the shape of an effect given a fit, from one or several."""
-        return refined(effects, Trials(path=self, fit=fit), self.motion)
-
-    def refined(self, fit, joints=None):
-        """Search the shapes of members again, of all joints or some."""
-        shaped = [
-            i
-            for i, member in enumerate(fit.members)
-            if (member.effect.bank or _searched_on(member.effect))
-            and (joints is None or member.effect.joint in joints)
-        ]
-        fit = self._stepped(fit, shaped)
-        for i in shaped:
-            effect, rest = fit.members[i].effect, fit.without(i)
-            if effect.bank:
-                found = self._bank(rest, effect)
-            elif effect.jumping:
-                found = self._refined(rest, [effect])
-                again = self._instants(rest, found, self._family(found))
-                found = self._refined(rest, [found, *again])
-            else:
-                continue
-            members = list(fit.members)
-            members[i] = self._single(found).member(0, members[i].scale)
-            fit = Fit(fit.base, members)
-        self._moved()
-        return self.scaled(fit)
-
-    def _stepped(self, fit, numbers):
-        """Search the shapes of members, which trade against each other, at once."""
-        places = {
-            i: Place.of(fit.members[i].effect, self.motion)
-            for i in numbers
-            if not (fit.members[i].effect.jumping or fit.members[i].effect.bank)
-        }
-        places = {i: place for i, place in places.items() if place is not None}
-        families = {i: self._shaped(place.around()) for i, place in places.items()}
-        for _ in range(MOST_STEPS if places else 0):
-            members = list(fit.members)
-            for i, place in places.items():
-                known = members[i], families[i], fit.coefficients(i)
-                members[i] = place.with_derivatives(*known)
-            linear = Fit(fit.base, members)
-            if linear.explained - fit.explained < WORTH:
+    def _spectrum(self, fit):
+        """Weights by the spectrum of what a model with too many effects leaves."""
+        fit, candidates = spectrum_of(fit, self.settings), self.candidates
+        for _ in range(self.settings.most):
+            added, candidates.noise = [], fit
+            for joint, families in candidates.families.items():
+                self._say(fit, joint)
+                # One is expected of each joint here.
+                least = np.log(max(len(families), 1) / self.settings.expected)
+                least += candidates.log_prior
+                near = [o for o in candidates.on(fit, joint) if o.log_odds > least]
+                if self.view.repetition:
+                    # What comes again with each phase would all be taken for effects.
+                    near = candidates.surest(fit, near)
+                best = candidates.most_probable(fit, near)
+                if best is not None and best.log_odds > least:
+                    jumps = getattr(best.effect, "jumping", ())
+                    one = best.family.member(best.best, self.settings.scale)
+                    added.append(self._member(fit, best) if jumps else one)
+            if not added:
                 break
-            for share in SHARES:
-                moved, new = {}, list(fit.members)
-                for i, place in places.items():
-                    step = linear.coefficients(i)[fit.members[i].width :]
-                    moved[i] = place.moved(share * step)
-                made = {i: self._shaped(place.around()) for i, place in moved.items()}
-                for i, family in made.items():
-                    new[i] = family.member(0, new[i].scale)
-                again = Fit(fit.base, new)
-                if again.log_evidence() > fit.log_evidence():
-                    break
-            else:
-                break
-            fit, places, families = again, moved, made
-        return fit
-
-    def log_odds(self, fit, usual=False):
-        """Posterior log odds of each member given the others."""
-        # As `usual` those by which they compare, see `Overdispersion.as_usual`.
-        found = []
-        for member, groups, excess in zip(
-            fit.members, fit.own_groups(), fit.excesses(self._noise)
-        ):
-            tempered = groups.discounted(excess.as_usual() if usual else excess)
-            evidence = float(tempered.evidence(self.settings.scale)[0])
-            found.append(evidence - np.log(self._shapes(member)))
-        return np.array(found) + self.log_prior
-
-    def own_odds(self, fit):
-        """Posterior log odds of each member, with the spectrum that each model has."""
-        # What is slow may be noise: without an effect the spectrum takes its place.
+            share, fit = fit.base.share, Fit(fit.base, [*fit.members, *added])
+            fit = spectrum_of(self.scaled(fit), self.settings, 1, share)
         fit = spectrum_of(fit, self.settings)
-        whole, share, found = fit.log_evidence(), fit.base.share, []
-        both = zip(fit.members, fit.own_groups(), fit.excesses(fit))
-        for i, (member, groups, excess) in enumerate(both):
-            rest = spectrum_of(fit.without(i), self.settings, share=share)
-            scale = self.settings.scale
-            more = float(groups.integrated(scale, member.scale)[0])
-            evidence = min(
-                float(groups.discounted(excess).evidence(scale)[0]),
-                excess.discounted(whole + more - rest.log_evidence(), member.width),
-            )
-            found.append(evidence - np.log(self._shapes(member)) + self.log_prior)
-        return np.array(found)
-
-    def _shapes(self, member):
-        """Count the shapes among which a member was chosen."""
-        for family in self.families.get(member.effect.joint, ()):
-            if family.effects[0].name == member.effect.name:
-                return len(family.effects)
-        return 1
-
-    def _pruned(self, fit):
-        """Drop improbable members, the least probable first."""
-        while fit.members:
-            odds = self.log_odds(fit)
-            i = int(np.argmin(odds))
-            if odds[i] > self.least:
-                break
-            self._moved(fit.members[i].joints)
-            fit = self.dropped(fit, i)
-        return fit
-
-    def dropped(self, fit, i):
-        """Return a fit without a member."""
-        effect = fit.members[i].effect
-        fit = self.scaled(fit.without(i))
-        # The robot is not corrected by it any more.
-        return self._anew(fit) if effect.in_model else fit
-
-    def above_motion(self, effect):
-        """Whether a filter of a channel acts above the motion of its joint."""
-        frequency, power = [], []
-        for part in self.view.parts:
-            speed = self.motion.v[part, effect.joint]
-            frequency.append(np.fft.rfftfreq(speed.size, self.view.dt))
-            power.append(np.abs(np.fft.rfft(speed)) ** 2 / speed.size)
-        frequency, power = np.concatenate(frequency), np.concatenate(power)
-        order = np.argsort(frequency, kind="stable")
-        share = np.cumsum(power[order])
-        highest = frequency[order][np.searchsorted(share, _MOTION * share[-1])]
-        return effect.corner > self.settings.above_motion * highest
-
-    def held_out(self, fit):
-        """Leave out folds of time; see `HeldOut.fitted`."""
-        if self._held is None or self._held.view is not self.view:
-            self._held = HeldOut(self.view)
-        return self._held.fitted(fit, self.motion)
+        candidates.noise = fit
+        return fit.base
 
     def _climb(self, fit):
         """Add, drop, refine and exchange until nothing is more probable."""
-        self._moved()
-        been, tuned, self._rejected = {keys_of(fit)}, frozenset(), set()
-        tried = fit
+        been, refined, again = {keys_of(fit)}, frozenset(), True
+        # Members and others of their joints beside which nothing is more probable.
+        self._compared = set()
         while True:
-            full = self.max_effects is not None and len(fit.members) >= self.max_effects
-            candidate = None if full else self._best(fit)
-            if candidate is not None:
-                new = self._added(fit, candidate)
-                if keys_of(new) in been:
-                    # What came was refused, has gone again, or led back.
-                    self._rejected.update(candidate.family.keys)
-                    self._refused(candidate)
-                    continue
-            elif fit.members and keys_of(fit) != tuned:
+            new = self._grown(fit, been)
+            if new is None and fit.members and keys_of(fit) != refined:
                 # Shapes that were found before the others of their joints were there.
-                joints = {joint for _, joint, _ in keys_of(fit) ^ tuned}
-                tuned = keys_of(fit)
+                joints = {joint for _, joint, _ in keys_of(fit) ^ refined}
+                refined = keys_of(fit)
                 new = self._pruned(self.refined(fit, joints))
-            elif self._rejected and tried is not fit:
+            elif new is None and self.candidates.rejected and again:
                 # What was refused beside another model.
-                self._rejected, tried = set(), fit
-                self._moved()
+                again = False
+                self.candidates.forget()
                 continue
-            else:
+            if new is None:
                 new = self._exchanged(fit, been)
-                if new is None and (self.turn or not fit.members):
-                    new = self._together(fit, been)
+            if new is None and (self.turn or not fit.members):
+                new = self._together(fit, been)
             if new is None:
                 return fit
             fit = new
             been.add(keys_of(fit))
 
-    def _added(self, fit, candidate):
-        """Return a fit with a candidate, without what becomes improbable by that."""
-        member = self._member(fit, candidate)
-        new = self.scaled(fit.beside(member))
-        if not self.held_out(new).gain_of(len(fit.members)).helps:
-            # What predicts other motion no better is refused beside this model.
-            return fit
-        if not self._settles(new):
-            return fit
-        self._moved(member.joints)
-        return self._pruned(self._absorbed(new))
+    # -- moves ------------------------------------------------------------------------
 
-    def _absorbed(self, fit):
-        """Leave out what the last member contains if that does as well alone."""
+    def _grown(self, fit, been):
+        """Add the best candidate of every joint; None if there is none."""
+        while chosen := self._chosen(fit):
+            new = self._added(fit, chosen)
+            again = keys_of(new) in been
+            there = {(m.effect.name, m.effect.joint) for m in new.members}
+            for candidate in chosen:
+                own = candidate.effect.name, candidate.effect.joint
+                if again or own not in there:
+                    # What was refused, has gone again, or led back.
+                    self.candidates.refuse(candidate)
+            if not again:
+                return new
+        return None
+
+    def _chosen(self, fit):
+        """Candidates that come into the model together."""
+        best = list(self.candidates.best(fit).values())
+        most = np.inf if self.max_effects is None else self.max_effects
+        if not best or len(fit.members) >= most:
+            return []
+        waiting = [self.candidates.waits(fit, o) for o in best]
+        if not all(waiting):
+            best = [o for o, waits in zip(best, waiting) if not waits]
+        best.sort(key=lambda o: -o.order)
+        first = best[0]
+        # What is far less probable may stand for what the first one lacks.
+        best = [o for o in best if o.order > _NEAR * first.order]
+        if first.effect.in_model:
+            # The first in precedence of those of the geometry that say the same.
+            near = [
+                o
+                for o in self.candidates.probable()
+                if o.effect.in_model and o.order > first.order - _EQUAL
+            ]
+            return [min(near, key=lambda o: (o.effect.precedence, -o.order))]
+        if first.effect.whole_robot:
+            return [first]
+        # What acts on the other joints as well comes alone.
+        own = [o for o in best if not (o.effect.in_model or o.effect.whole_robot)]
+        return own[: int(min(most - len(fit.members), len(own)))]
+
+    def _added(self, fit, chosen):
+        """Return a fit with candidates, without what becomes improbable by that."""
+        first = len(fit.members)
+        fit = Fit(fit.base, [*fit.members, *(self._member(fit, o) for o in chosen)])
+        numbers = range(first, len(fit.members))
+        new = self.scaled(stepped(fit, numbers))
+        left_out, stands = self.held_out(new), self._stand(new, first)
+        # What predicts other motion no better is refused beside this model.
+        least = _LEAST * self.settings.worth
+        kept = [i for i in numbers if stands[i - first] and left_out.helps(i, least)]
+        if len(kept) < len(chosen):
+            members = [*new.members[:first], *(new.members[i] for i in kept)]
+            new = self.scaled(Fit(new.base, members))
+        for k in range(len(kept)):
+            new = self._absorbed(new, first + k)
+        return self._pruned(new)
+
+    def _member(self, fit, candidate):
+        """Return a candidate as a member."""
+        scale = self.settings.scale
+        found = best_shape(fit, candidate.effect, candidate.family, scale)
+        family = fit.problem.shaped([found])
+        return family.member(0, float(fit.groups(family).best_scale(scale)[0]))
+
+    def _stand(self, fit, first):
+        """Which of the last members stand once robot and load are made anew, a list."""
+        # What its first derivative promises need not hold: a gain that is hidden looks
+        # like whatever the joint lacks. And bodies take the load from friction that
+        # depends on it; of the other members the next round asks that.
+        sure = [True] * (len(fit.members) - first)
+        asked = [
+            i
+            for i, m in enumerate(fit.members[first:], first)
+            if "load" in m.effect.depends or m.effect.in_model
+        ]
+        turns = max((1 + fit.members[i].effect.in_model for i in asked), default=0)
+        for _ in range(turns):
+            fit = anew(fit)
+            odds = self.candidates.log_odds(fit)
+            for i in asked:
+                natural = fit.members[i].effect.natural(fit.coefficients(i))
+                sure[i - first] &= bool(odds[i] > self.candidates.least and natural)
+            if not any(sure):
+                break
+        return sure
+
+    def _absorbed(self, fit, i):
+        """Leave out what a member contains if that does as well alone."""
         # Its shape was found beside them, where it stood for what they had left over.
-        last = fit.members[-1]
-        names, joint = closure(last.effect, self.library), last.effect.joint
+        if i >= len(fit.members):
+            return fit
+        member = fit.members[i]
+        names, joint = closure(member.effect, self.library), member.effect.joint
         rest = [
             m
-            for m in fit.members[:-1]
+            for m in fit.members
             if m.effect.joint != joint or m.effect.name not in names
         ]
-        if len(rest) == len(fit.members) - 1:
+        if len(rest) == len(fit.members):
             return fit
-        base = Fit(fit.base, rest)
-        candidates = [
-            candidate
-            for family in self.families[joint]
-            if family.effects[0].name == last.effect.name
-            for candidate in [self._candidate(base, family, self._taken(base))]
-            if candidate is not None
-        ]
-        for candidate in candidates:
-            alone = self.scaled(base.beside(self._member(base, candidate)))
+        base = Fit(fit.base, [m for m in rest if m is not member])
+        for family in self.candidates.families[joint]:
+            if family.effects[0].name != member.effect.name:
+                continue
+            candidate = self.candidates.candidate(base, family)
+            if candidate is None:
+                continue
+            alone = base.beside(self._member(base, candidate))
+            alone = self.scaled(stepped(alone, [len(base.members)]))
             own, both, none = (
                 self.held_out(one).error_of(joint) for one in (alone, fit, base)
             )
@@ -624,116 +242,129 @@ class Path:
                 return alone
         return fit
 
-    def _settles(self, fit):
-        """Whether a fit stands once the robot is corrected and its load made anew."""
-        # What its first derivative promises need not hold: a gain that is hidden looks
-        # like whatever the joint lacks. And bodies take the load from friction that
-        # depends on it; of the other members the next round asks that.
-        last = len(fit.members) - 1
-        effect = fit.members[last].effect
-        if not ("load" in effect.depends or effect.in_model):
-            return True
-        before = self.view, self.problem, self.motion
-        for _ in range(_TURNS):
-            fit = self._anew(fit)
-            sure = self.log_odds(fit)[last] > self.least
-            if not sure:
+    def _pruned(self, fit):
+        """Drop improbable members, the least probable first."""
+        while fit.members:
+            odds = self.candidates.log_odds(fit)
+            i = int(np.argmin(odds))
+            if odds[i] > self.candidates.least:
                 break
-        natural = fit.members[last].effect.natural(fit.coefficients(last))
-        self.view, self.problem, self.motion = before
-        return sure and natural
+            fit = self.dropped(fit, i)
+        return fit
 
-    def rivals(self, fit, i):
-        """Candidates that would take the place of a member, the best first."""
-        member, base = fit.members[i], fit.without(i)
-        found = []
-        for joint in self.families:
-            if joint in member.joints:
-                found += self._candidates(base, joint)
-        near = self._surest(base, found, self.settings.rivals)
-        if member.effect.in_model:
-            # What turns the robot alike with more values than are needed.
-            known = {o.effect.key() for o in near}
-            near += [
-                o
-                for o in self._as_well(base, found, member)
-                if o.effect.key() not in known
-            ]
-        return near
+    def dropped(self, fit, i):
+        """Return a fit without a member."""
+        effect = fit.members[i].effect
+        fit = self.scaled(fit.without(i))
+        # The robot is not corrected by it any more.
+        return anew(fit) if effect.in_model else fit
 
-    def _as_well(self, base, candidates, member):
-        """Effects of the geometry that explain as much as a member does."""
-        candidates = [self._tempered(base, o) for o in candidates if o.effect.in_model]
-        gains = {
-            o: 0.5 * base.groups(o.family).gain()[o.best]
-            for o in candidates
-            if o is not None
-        }
-        own = [g for o, g in gains.items() if o.effect.key() == member.effect.key()]
-        least = max(own, default=np.inf) - self.settings.rivals
-        return [o for o, gain in gains.items() if gain > least]
+    def refined(self, fit, joints=None):
+        """Search the shapes of members again, of all joints or some."""
+        shaped = [
+            i
+            for i, member in enumerate(fit.members)
+            if (member.effect.bank or searched_on(member.effect))
+            and (joints is None or member.effect.joint in joints)
+        ]
+        return self.scaled(searched(fit, shaped, self.settings.scale))
+
+    def scaled(self, fit):
+        """Return a fit with the most probable scale of each member."""
+        fit = rescaled(fit, self.settings.scale)
+        # Banks have no element of negative size.
+        for i, member in enumerate(fit.members):
+            used = fit.coefficients(i) > 0
+            if member.effect.bank and used.any() and not used.all():
+                kept = fit.problem.shaped([member.effect.only(used)])
+                members = list(fit.members)
+                members[i] = kept.member(0, member.scale)
+                return self.scaled(Fit(fit.base, members))
+        return fit
 
     def _exchanged(self, fit, been):
         """Put what is more probable in the place of a member; None if nothing is."""
-        odds = self.log_odds(fit, usual=True)
+        candidates = self.candidates
+        odds = candidates.log_odds(fit, usual=True)
         for i in np.argsort(odds):
             member, base = fit.members[i], fit.without(i)
+            among = among_others(fit, i)
+            if among in self._compared:
+                continue
+            self._compared.add(among)
             near = [
                 o
-                for o in self.rivals(fit, i)
+                for o in candidates.rivals(fit, i)
                 if o.order > odds[i] - self.settings.rivals
-                and o.log_odds > self.least
+                and o.log_odds > candidates.least
                 and not o.effect.in_model
                 and o.effect.key() != member.effect.key()
                 and member.effect.name not in closure(o.effect, self.library)
             ]
             for candidate in near[:3]:
-                other = self._member(base, candidate)
-                new = self.scaled(base.beside(other))
-                own = self.log_odds(new, usual=True)[-1]
+                new = base.beside(self._member(base, candidate))
+                new = self.scaled(stepped(new, [len(base.members)]))
+                own = candidates.log_odds(new, usual=True)[-1]
                 if own < odds[i] + _EQUAL or keys_of(new) in been:
                     continue
                 if self.held_out(new).error() > self.held_out(fit).error():
                     continue
-                self._moved()
                 return new
         return None
 
     def _together(self, fit, been):
         """Begin with everything on a joint and drop what is not needed, or None."""
         # What hides another, or shows beside it alone, does not come one by one.
-        for joint in self.families:
+        before, left_out, whole = keys_of(fit), self.held_out(fit), self._posterior(fit)
+        for joint in self.candidates.families:
+            own = [m.effect.key() for m in fit.members if joint in m.joints]
+            among = joint, frozenset(own)
+            if among in self._compared:
+                continue
+            self._compared.add(among)
+            self._say(fit, joint)
             new = self._needed(fit, joint)
             # One that comes alone, or in place of another, was asked before.
-            if keys_of(new) in been or len(keys_of(new) - keys_of(fit)) < 2:
+            if keys_of(new) in been or len(keys_of(new) - before) < 2:
                 continue
             been.add(keys_of(new))
+            if self._repeated(new, before) or self._posterior(new) < whole:
+                continue
             new = self._pruned(self.refined(new, {joint}))
-            if len(keys_of(new) - keys_of(fit)) < 2 or self._excluded(new):
+            if len(keys_of(new) - before) < 2 or self._excluded(new):
                 continue
             if self.max_effects is not None and len(new.members) > self.max_effects:
                 continue
-            before, left_out = keys_of(fit), self.held_out(new)
-            surest = min(
-                own
-                for own, m in zip(self.log_odds(new), new.members)
-                if m.effect.key() not in before
-            )
-            if surest < self.least + self.settings.rivals:
+            both = zip(self.candidates.log_odds(new), new.members)
+            surest = min(own for own, m in both if m.effect.key() not in before)
+            if surest < self.candidates.least + self.settings.rivals:
                 continue
-            if left_out.error() > self.held_out(fit).error():
+            now = self.held_out(new)
+            if now.error() > left_out.error():
                 continue
-            if all(left_out.gain_of(i).helps for i in range(len(new.members))):
-                self._moved()
+            if all(now.gain_of(i).helps for i in range(len(new.members))):
                 return new
         return None
 
+    def _repeated(self, fit, before):
+        """Whether a new effect contains another new one of its joint."""
+        new = [m.effect for m in fit.members if m.effect.key() not in before]
+        return any(
+            one.joint == other.joint and one.name in closure(other, self.library)
+            for one, other in itertools.permutations(new, 2)
+        )
+
+    def _posterior(self, fit):
+        """Logarithm of the posterior density of a fit, but for a constant."""
+        return fit.log_evidence() + len(fit.members) * self.candidates.log_prior
+
     def _needed(self, fit, joint):
         """Return a fit with what is probable of a joint beside all the rest."""
-        self._say(fit, joint)
-        taken, within = self._taken(fit), self._contained(fit, joint)
-        scale, members = self.settings.scale, []
-        for family in self.families[joint]:
+        candidates, scale, members = self.candidates, self.settings.scale, []
+        taken = candidates.taken(fit)
+        own = [m for m in fit.members if m.joints == (joint,)]
+        within = set().union(*(closure(m.effect, self.library) for m in own))
+        for family in candidates.families[joint]:
             first = family.effects[0]
             if first.in_model or first.whole_robot or first.bank:
                 continue
@@ -744,61 +375,81 @@ class Path:
                 evidence = np.where(free, fit.evidence(family, scale), -np.inf)
                 members.append(family.member(int(np.argmax(evidence)), scale))
         others = [m for m in fit.members if m.joints != (joint,)]
-        members += [m for m in fit.members if m.joints == (joint,)]
-        rest = Fit(fit.base, others)
-        odds = self.log_prior - np.log([self._shapes(m) for m in members])
-        kept = together(rest, members, odds - self.least, scale)
-        return self.scaled(Fit(fit.base, [*others, *kept]))
+        new = Fit(fit.base, [*others, *members, *own])
+        while len(new.members) > len(others):
+            new, groups = rescaled(new, scale), new.own_groups()[len(others) :]
+            odds = [
+                one.evidence(scale)[0] - np.log(candidates.shapes(member))
+                for one, member in zip(groups, new.members[len(others) :])
+            ]
+            worst = int(np.argmin(odds))
+            if odds[worst] + candidates.log_prior > candidates.least:
+                break
+            i = len(others) + worst
+            new = Fit(fit.base, [*new.members[:i], *new.members[i + 1 :]])
+        return self.scaled(new)
 
-    def _excluded(self, fit):
+    @staticmethod
+    def _excluded(fit):
         """Whether a member of a fit excludes another."""
+        own = fit.members
         return any(
-            m.effect.key() in self._taken(fit.without(i))
-            for i, m in enumerate(fit.members)
+            one.effect.key() in other.effect.excludes()
+            for one, other in itertools.permutations(own, 2)
         )
 
-    # -- the whole ------------------------------------------------------------------
+    # -- what is asked of a model ---------------------------------------------------
 
-    def _spectrum(self, fit):
-        """Weights by the spectrum of what a model with too many effects leaves."""
-        fit = spectrum_of(fit, self.settings)
-        for _ in range(self.settings.most):
-            self._moved()
-            added, self._noise = [], fit
-            for joint in self.families:
-                candidates = self._candidates(fit, joint)
-                # One is expected of each joint here.
-                count = max(len(self.families[joint]), 1)
-                least = self.log_prior - np.log(self.settings.expected / count)
-                candidates = [o for o in candidates if o.log_odds > least]
-                if self.view.repetition:
-                    # What comes again with each phase would all be taken for effects.
-                    candidates = self._surest(fit, candidates)
-                best = self._most_probable(fit, candidates)
-                if best is not None and best.log_odds > least:
-                    found = best.family.member(best.best, self.settings.scale)
-                    jumps = isinstance(best.effect, Shaped) and best.effect.jumping
-                    added.append(self._member(fit, best) if jumps else found)
-            if not added:
-                break
-            fit = Fit(fit.base, [*fit.members, *added])
-            fit = spectrum_of(self.scaled(fit), self.settings)
-        self._noise = fit
-        return fit.base
+    def own_odds(self, fit, known):
+        """Posterior log odds of each member, with the spectrum that each model has."""
+        # What is slow may be noise: without an effect the spectrum takes its place.
+        # known: those of members among the same others of their joints, which stay.
+        fit, scale = spectrum_of(fit, self.settings), self.settings.scale
+        whole, share, found = fit.log_evidence(), fit.base.share, []
+        both = zip(fit.members, fit.own_groups(), fit.excesses(fit))
+        for i, (member, groups, excess) in enumerate(both):
+            among = among_others(fit, i)
+            if among in known:
+                found.append(known[among])
+                continue
+            rounds = 3 if member.effect.slow else 1
+            rest = spectrum_of(fit.without(i), self.settings, rounds, share)
+            more = float(groups.integrated(scale, member.scale)[0])
+            evidence = min(
+                float(groups.discounted(excess).evidence(scale)[0]),
+                excess.discounted(whole + more - rest.log_evidence(), member.width),
+            )
+            prior = self.candidates.log_prior - np.log(self.candidates.shapes(member))
+            found.append(evidence + prior)
+            known[among] = found[-1]
+        return np.array(found)
 
-    def begin(self):
-        """Fit the declared columns alone, with the load that they give."""
-        fit = declared_alone(self.view)
-        self.problem = fit.problem
-        self.motion = self.view.motion(fit.theta)
-        return fit
+    def held_out(self, fit):
+        """Leave out folds of time; see `HeldOut.fitted`."""
+        view = fit.problem.view
+        if self._held is None or self._held.view is not view:
+            self._held = HeldOut(view)
+        return self._held.fitted(fit)
+
+    def above_motion(self, fit, effect):
+        """Whether a filter of a channel acts above the motion of its joint."""
+        frequency, power = [], []
+        for part in self.view.parts:
+            speed = fit.problem.motion.v[part, effect.joint]
+            frequency.append(np.fft.rfftfreq(speed.size, self.view.dt))
+            power.append(np.abs(np.fft.rfft(speed)) ** 2 / speed.size)
+        frequency, power = np.concatenate(frequency), np.concatenate(power)
+        order = np.argsort(frequency, kind="stable")
+        share = np.cumsum(power[order])
+        highest = frequency[order][np.searchsorted(share, _MOTION * share[-1])]
+        return effect.corner > self.settings.above_motion * highest
 
     def placed(self, effects):
         """Return the most probable model with given effects, on the load they give."""
-        fit = self.begin()
+        fit, scale = self.begin(), self.settings.scale
         for _ in range(_TURNS):
-            members = [self._single(e).member(0, self.settings.scale) for e in effects]
-            fit = self._anew(self.scaled(weighed(Fit(fit.base, members))))
+            members = [fit.problem.shaped([e]).member(0, scale) for e in effects]
+            fit = anew(self.scaled(weighed(Fit(fit.base, members))))
             effects = [m.effect for m in fit.members]
         return self.scaled(weighed(fit))
 
@@ -810,59 +461,38 @@ class Path:
             f"{count} effect{'' if count == 1 else 's'}"
         )
 
-    def run(self):
-        """Search; returns the last `Fit`."""
-        fit, seen = self.begin(), None
-        self._make_families()
-        for self.turn in range(_TURNS):
-            say(f"round {self.turn + 1}")
-            if self.turn:
-                self._make_families()
-            start = [self._again(m) for m in fit.members]
-            base = self._spectrum(Fit(fit.base, start))
-            fit = self._climb(self.scaled(Fit(base, start)))
-            names = keys_of(fit)
-            if names == seen or not fit.members:
-                break
-            seen = names
-            fit = self._anew(fit)
-        return fit
 
-    def _again(self, member):
-        """Return a member whose columns are made from the present motion."""
-        return self._single(member.effect).member(0, member.scale)
-
-    def _anew(self, fit):
-        """Linearise effects where they are found, correct the robot, take its load."""
-        effects, coefs = [], []
-        members = []
-        for i, member in enumerate(fit.members):
-            own, coef = member.effect, fit.coefficients(i)
-            if own.natural(coef):
-                own = own.linearised_at(coef)
-            members.append(replace(member, effect=own))
-            effects.append(own)
-            coefs.append(coef)
-        theta, base, before = fit.theta, fit.base, self.view
-        self.view = before.corrected(tuple(effects))
-        if self.view is not before:
-            self.problem = Problem(self.view, self.problem.cosines)
-            base = base.on(self.problem)
-            plain = [m for m in members if not m.effect.in_model]
-            theta = Fit(base, plain).theta
-        self.motion = self.view.motion(
-            theta,
-            tuple(e for e in effects if not e.in_model),
-            np.concatenate(
-                [np.empty(0), *(c for e, c in zip(effects, coefs) if not e.in_model)]
-            ),
-        )
-        # Columns that neither the load nor the robot has changed stay.
-        moved = self.view is not before
-        again = [
-            self._again(m) if moved or "load" in m.effect.needs else m for m in members
-        ]
-        return Fit(base, again)
+def anew(fit):
+    """Linearise effects where they are found, correct the robot, take its load."""
+    members, coefs = [], [fit.coefficients(i) for i in range(len(fit.members))]
+    for member, coef in zip(fit.members, coefs):
+        own = member.effect
+        if own.natural(coef):
+            own = own.linearised_at(coef)
+        members.append(replace(member, effect=own))
+    problem, base, theta = fit.problem, fit.base, fit.theta
+    view = problem.view.corrected(tuple(m.effect for m in members))
+    moved = view is not problem.view
+    if moved:
+        problem = Problem(view, problem.cosines)
+        base = base.on(problem)
+        theta = Fit(base, [m for m in members if not m.effect.in_model]).theta
+    both = zip(members, coefs)
+    plain = [(m.effect, coef) for m, coef in both if not m.effect.in_model]
+    motion = view.motion(
+        theta,
+        tuple(effect for effect, _ in plain),
+        np.concatenate([np.empty(0), *(coef for _, coef in plain)]),
+    )
+    problem = problem.with_motion(motion)
+    # Columns that neither the load nor the robot has changed stay.
+    again = [
+        problem.shaped([m.effect]).member(0, m.scale)
+        if moved or "load" in m.effect.needs
+        else m
+        for m in members
+    ]
+    return Fit(base.on(problem), again)
 
 
 def tuned_on(view, effects, settings):
@@ -873,17 +503,20 @@ def tuned_on(view, effects, settings):
     # In the weights in which the model is fitted to it.
     fit, before = path.placed(effects), -np.inf
     for _ in range(_CLOSER):
-        fit = weighed(path._anew(path.refined(fit)))
+        fit = weighed(anew(path.refined(fit)))
         now = fit.log_evidence()
         if abs(now - before) < _STAYS:
             break
         before = now
-    return tuple(member.effect.completed(path.motion) for member in fit.members)
+    motion = fit.problem.motion
+    return tuple(member.effect.completed(motion) for member in fit.members)
 
 
-def _searched_on(effect):
-    """Whether an effect has shapes between those of its grid."""
-    return isinstance(effect, Shaped) and bool(effect.continuous)
+def among_others(fit, i):
+    """Key of a member with those of the others of its joints."""
+    joints = fit.members[i].joints
+    own = [m.effect.key() for m in fit.members if m.joints == joints]
+    return fit.members[i].effect.key(), frozenset(own)
 
 
 def keys_of(fit):

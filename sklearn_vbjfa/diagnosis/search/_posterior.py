@@ -153,7 +153,6 @@ class Found:
         return tuple(f for f in self.findings if not f.warning)
 
 
-_TINY = np.finfo(float).tiny
 # Why an effect that is probable has no name; what its values say is in `explain`.
 UNDECIDED = "undecided"
 CHANCE = "lowers no error on other stretches of time beyond chance"
@@ -167,42 +166,40 @@ def search(view, library, settings, alpha, max_effects=None):
     needed = float(np.log((1.0 - alpha) / alpha))
     fit, odds, worths = _settled(path, path.run())
     worths = worths | (worthwhile := _worthwhile(path.held_out(fit), settings.worth))
-    usual = path.log_odds(fit, usual=True)
-    findings = []
+    usual = path.candidates.log_odds(fit, usual=True)
+    problem, motion, findings = fit.problem, fit.problem.motion, []
     for i, (member, own) in enumerate(zip(fit.members, odds)):
         worth = worths[i]
         evidence = Evidence(log_odds=float(own), **vars(worth))
         rivals = tuple(
             o.effect
-            for o in path.rivals(fit, i)
+            for o in path.candidates.rivals(fit, i)
             if (o.effect.in_model or o.order > usual[i] - settings.rivals)
             and o.effect.key() != member.effect.key()
         )
-        warning = _warning(member, evidence, needed, path)
+        warning = _warning(fit, member, evidence, needed, path)
         if not warning and i not in worthwhile:
             warning = SMALL
         findings.append(
             Finding(
-                effect=member.effect.completed(path.motion),
+                effect=member.effect.completed(motion),
                 evidence=evidence,
                 rivals=rivals,
                 warning=warning,
             )
         )
     model = FoundModel(
-        view=path.view,
-        effects=tuple(m.effect.completed(path.motion) for m in fit.members),
-        motion=path.motion,
+        view=problem.view,
+        effects=tuple(m.effect.completed(motion) for m in fit.members),
+        motion=motion,
         # As the held-out part is: stretches between others.
-        residual=HeldOut(path.view, path.view.blocks.fold)
-        .fitted(fit, path.motion)
-        .residual,
+        residual=HeldOut(problem.view, problem.view.blocks.fold).fitted(fit).residual,
         fit=fit,
     )
     return Found(
         model=model,
         findings=in_order(findings),
-        n_candidates=path.n_candidates,
+        n_candidates=path.candidates.count,
         needed=needed,
         settings=settings,
         library=tuple(library),
@@ -218,13 +215,15 @@ def _settled(path, fit):
     """Drop what speaks against the whole; the rest with log odds and gains."""
     # What the spectrum of the whole model makes improbable goes, what predicts other
     # motion worse, and what has a sign or size that it cannot have.
+    known = {}
     while True:
-        odds, left_out = path.own_odds(fit), path.held_out(fit)
+        last = not known
+        odds, left_out = path.own_odds(fit, known), path.held_out(fit)
         worths = {i: left_out.gain_of(i) for i in range(odds.size)}
         if not worths:
             return fit, odds, worths
         worst = int(np.argmin(odds))
-        if odds[worst] > path.least:
+        if odds[worst] > path.candidates.least:
             gains = [
                 own.gain
                 if member.effect.natural(fit.coefficients(i))
@@ -235,7 +234,10 @@ def _settled(path, fit):
             ]
             worst = int(np.argmin(gains))
             if gains[worst] > 0:
-                return fit, odds, worths
+                if last:
+                    return fit, odds, worths
+                known = {}
+                continue
         fit = path.dropped(fit, worst)
 
 
@@ -243,16 +245,10 @@ def _worthwhile(left_out, worth):
     """Gains of members that each save enough given the others, by number."""
     # The one that saves least goes, and the others are fitted without it, until each
     # saves a share of the error that the plain terms leave, of one joint at least.
-    members = left_out.fit.members
-    kept, absent = list(range(len(members))), []
+    kept, absent = list(range(len(left_out.fit.members))), []
     plain = left_out.without(*kept)
     while kept:
-        own, shares = left_out.without(*absent), []
-        for i in kept:
-            errors = plain, left_out.without(*absent, i), own
-            errors = [left_out.by_joint(members[i], one) for one in errors]
-            size = np.maximum(np.maximum(*errors[:2]), _TINY)
-            shares.append(((errors[1] - errors[2]) / size).max())
+        shares = [left_out.share_of(i, absent, plain) for i in kept]
         worst = int(np.argmin(shares))
         if shares[worst] > worth:
             break
@@ -260,13 +256,13 @@ def _worthwhile(left_out, worth):
     return {i: left_out.gain_of(i, absent) for i in kept}
 
 
-def _warning(member, evidence, needed, path):
+def _warning(fit, member, evidence, needed, path):
     """Say why an effect is not named, whatever it saves; "" if nothing is."""
     if evidence.log_odds < needed:
         return UNDECIDED
     if not evidence.errors > max(path.settings.chance, ndtri(expit(needed))):
         return CHANCE
     filters = isinstance(member.effect, OfChannel) and member.effect.corner is not None
-    if filters and not path.above_motion(member.effect):
+    if filters and not path.above_motion(fit, member.effect):
         return SLOW_FILTER
     return ""

@@ -12,7 +12,7 @@ from scipy.linalg import lapack
 
 from sklearn_vbjfa._core._groups import Groups, Overdispersion
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
-from sklearn_vbjfa.diagnosis.search._view import root_mean_square
+from sklearn_vbjfa.diagnosis.search._view import root_mean_square, variants
 from sklearn_vbjfa.effects import Effect, Shaped
 
 
@@ -22,21 +22,19 @@ def products(edges, one, other):
     return np.array([one[a:b].T @ other[a:b] for a, b in itertools.pairwise(edges)])
 
 
+class _Torques:
+    """What products with some torques are known by."""
+
+
 class Declared:
     """Declared columns and torques of all joints, in bands or blocks."""
 
     # Z (nv, n, r) and y (nv, n) are sorted by band; edges (n_bands + 1,): where each
     # begins, and the last one ends.
 
-    _root = None
-
     def __init__(self, Z, y, edges):
         self.Z, self.y, self.edges = Z, y, edges
-
-    @property
-    def root(self):
-        """The same columns with the torques that were given."""
-        return self if self._root is None else self._root
+        self.columns_known, self.torques_known = _Torques(), _Torques()
 
     @functools.cached_property
     def gram(self):
@@ -57,7 +55,7 @@ class Declared:
     def with_torques(self, y):
         """Return the same columns with other torques."""
         made = copy.copy(self)
-        made.y, made._root = y, self.root
+        made.y, made.torques_known = y, _Torques()
         # What is made of the columns alone stays.
         for name in ("right", "power"):
             made.__dict__.pop(name, None)
@@ -94,21 +92,21 @@ class Moments:
 
     def declared(self, of):
         """With the `Declared` columns of their joints, (nj, n_bands, r, c * k)."""
-        if of.root not in self._declared:
+        if of.columns_known not in self._declared:
             pairs = zip(self.joints, self.columns)
-            self._declared[of.root] = np.array(
+            self._declared[of.columns_known] = np.array(
                 [products(self.edges, of.Z[j], own) for j, own in pairs]
             )
-        return self._declared[of.root]
+        return self._declared[of.columns_known]
 
     def right(self, of):
         """With the torques of their joints, (nj, n_bands, c * k)."""
-        if of not in self._right:
+        if of.torques_known not in self._right:
             pairs = zip(self.joints, self.columns)
-            self._right[of] = np.array(
+            self._right[of.torques_known] = np.array(
                 [products(self.edges, of.y[j], own)[:, 0] for j, own in pairs]
             )
-        return self._right[of]
+        return self._right[of.torques_known]
 
 
 # One in so many cosines of the scores is slow; and the slowest of them.
@@ -164,6 +162,10 @@ class Problem(Declared):
     # (nv, n): those of the declared columns and of the torques; torque (nv,): root mean
     # square of the varying torque in weighted rows.
 
+    # motion: signals from which columns are made, with the load; None before a fit.
+
+    motion = None
+
     def __init__(self, view, cosines=None):
         self.view = view
         self.cosines = Cosines(view) if cosines is None else cosines
@@ -176,10 +178,27 @@ class Problem(Declared):
         self.torque = np.sqrt((rest**2).sum(axis=1) / view.target.shape[1])
         self.used_joints = view.precision > 0
 
-    def family(self, effect, motion):
-        """Return an effect with the shapes of its grid; None if there are none."""
-        effects, *found = self.view.family(effect, motion, self.cosines)
+    def with_motion(self, motion):
+        """Return the same equations with other signals."""
+        made = copy.copy(self)
+        made.motion = motion
+        return made
+
+    def family(self, effect):
+        """Return an effect with the shapes to begin with; None if there are none."""
+        effects, *found = self.view.family(effect, self.motion, self.cosines)
         return Family.in_frequency(self, effects, *found) if effects else None
+
+    def variants(self, effect, first=False):
+        """Return an effect with each shape of its grid, or the first ones, list."""
+        shapes = effect.first_shapes if first else effect.shapes
+        return variants(effect, shapes(self.motion))
+
+    def shaped(self, effects):
+        """Return some shapes of an effect as a `Family`."""
+        columns = self.view.columns(effects, self.motion)
+        cosines = self.cosines(columns, self.view.joints_of(effects[0]))
+        return Family.in_frequency(self, effects, cosines, root_mean_square(columns))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -202,13 +221,6 @@ class Family(Columns):
         if self.effects[0].opposite() is None:
             return ()
         return tuple(effect.opposite().key() for effect in self.effects)
-
-    @classmethod
-    def of(cls, problem, effects, columns):
-        """Take rows (nj, m, c, k) to frequency."""
-        joints = problem.view.joints_of(effects[0])
-        cosines = problem.cosines(columns, joints)
-        return cls.in_frequency(problem, effects, cosines, root_mean_square(columns))
 
     @classmethod
     def in_frequency(cls, problem, effects, cosines, size):
@@ -355,7 +367,9 @@ class Base:
 
     def over(self, joints, products):
         """Sum products by joint and band (nj, n_bands, ...) with their weights."""
-        return np.tensordot(self.density[list(joints)], products, 2)
+        density = self.density[list(joints)].ravel()
+        found = density @ products.reshape(density.size, -1)
+        return found.reshape(products.shape[2:])
 
     def beside(self, moments):
         """Moments of groups of columns and the declared ones, `Beside`."""
@@ -450,6 +464,11 @@ class Fit:
         """What the members take off the error, priors included [nats]."""
         return 0.5 * float(self._t @ self._t)
 
+    @functools.cached_property
+    def excluded(self):
+        """Keys of effects that come not beside the members, a set."""
+        return set().union(*(m.effect.excludes() for m in self.members))
+
     @property
     def n_coefficients(self):
         """Number of the members' coefficients."""
@@ -491,7 +510,7 @@ class Fit:
         edges, fill = cosines.edges, cosines.fill[:, None]
         power = np.add.reduceat(self.residual**2, edges[:-1], axis=1)
         # What the fit takes: products by band with the covariance of all coefficients.
-        covariance, cross = self._covariance, np.zeros((base.L.shape[0], 0))
+        covariance, cross = self.covariance, np.zeros((base.L.shape[0], 0))
         if self.members:
             E = _lower(base.L, self._B, turned=True)
             cross = E @ covariance
@@ -583,7 +602,7 @@ class Fit:
         if not self.members:
             return []
         # Their columns, less what the others explain of them, by the block inverse.
-        C, directions = self._covariance, np.zeros((self._coef.size, len(self.members)))
+        C, directions = self.covariance, np.zeros((self._coef.size, len(self.members)))
         for i, (place, member) in enumerate(zip(self.places, self.members)):
             coef = self._coef[place] + member.done
             directions[:, i] = C[:, place] @ np.linalg.solve(C[place, place], coef)
@@ -645,7 +664,7 @@ class Fit:
         )
 
     @functools.cached_property
-    def _covariance(self):
+    def covariance(self):
         """Posterior covariance of the members' coefficients."""
         return linalg.cho_solve((self._factor, True), np.eye(self._coef.size))
 
@@ -654,7 +673,7 @@ class Fit:
         # By the block inverse, without another fit.
         found = []
         for place, member in zip(self.places, self.members):
-            inverse = np.linalg.inv(self._covariance[place, place])
+            inverse = np.linalg.inv(self.covariance[place, place])
             prior = np.diag(self.prior[place])
             H = inverse - prior
             q = inverse @ self._coef[place] + inverse @ member.done
@@ -698,47 +717,6 @@ class Fit:
         """Fit without a member, to a robot that it has not corrected."""
         base = self.base.undone(self.members[i])
         return Fit(base, (*self.members[:i], *self.members[i + 1 :]))
-
-
-def together(fit, members, prior, scale):
-    """Add members of one joint to a fit and drop the least probable, one by one."""
-    # `prior` are their log odds before the data (n,), `scale` that of
-    # `Groups.evidence`.
-    if not members:
-        return []
-    columns = np.concatenate([m.columns for m in members], axis=3)
-    whole = members[0].moments.of(columns)
-    place = np.repeat(np.arange(len(members)), [m.width for m in members])
-    unit = np.concatenate([m.unit for m in members])
-    effects = (members[0].effect,)
-    found = fit.groups(Family(effects=effects, moments=whole, unit=unit[None]))
-    widest = max(m.width for m in members)
-    scales = np.array([m.scale for m in members])
-    kept = np.arange(len(members))
-    while kept.size:
-        used = np.isin(place, kept) & (unit > 0)
-        rows = np.flatnonzero(used)
-        precision = 1.0 / (scales[place[rows]] * unit[rows]) ** 2
-        A = found.H[0][np.ix_(rows, rows)] + np.diag(precision)
-        covariance = np.linalg.inv(A)
-        mean = covariance @ found.q[0][rows]
-        H, q = np.zeros((kept.size, widest, widest)), np.zeros((kept.size, widest))
-        units, own = np.zeros((2, kept.size, widest))
-        for i, member in enumerate(kept):
-            at = np.flatnonzero(place[rows] == member)
-            k = at.size
-            inverse = np.linalg.inv(covariance[np.ix_(at, at)])
-            H[i, :k, :k] = inverse - np.diag(precision[at])
-            q[i, :k] = inverse @ mean[at]
-            units[i, :k], own[i, :k] = unit[rows[at]], found.own[0][rows[at]]
-        groups = Groups(H=H, q=q, own=own, unit=units)
-        odds = groups.evidence(scale) + prior[kept]
-        scales[kept] = groups.best_scale(scale)
-        worst = int(np.argmin(odds))
-        if odds[worst] > 0:
-            break
-        kept = np.delete(kept, worst)
-    return [replace(members[i], scale=float(scales[i])) for i in kept]
 
 
 def rescaled(fit, scale):

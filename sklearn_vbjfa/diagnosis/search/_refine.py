@@ -5,10 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.effects import Effect
 
-# A search ends where a step promises less [nats], or after this many steps.
-WORTH, MOST_STEPS = 0.01, 8
+# A search ends where a step promises less [nats], or after this many steps; a shape
+# whose own step promises less stays.
+WORTH, MOST_STEPS = 0.05, 4
 # Shares of a step that are taken until one leads up.
 SHARES = (1.0, 0.5, 0.25)
 # Step of the derivatives in shares of the way between the grid's next points: of smooth
@@ -38,8 +40,6 @@ class Bracket:
     highest: float = np.inf
     logarithmic: bool = False  # whether the logarithm is searched
     turn: float = 0.0  # period of an angle; zero for what is none
-    # (n,) of a jump: times of rows, and the instant shared since the row before
-    instants: tuple | None = None
 
     @classmethod
     def of(cls, effect, name, motion):
@@ -55,10 +55,6 @@ class Bracket:
         if value == 0 or values.size < 2:
             return None
         at = int(np.argmin(np.abs(values - value)))
-        if name in effect.jumping:
-            step = _AROUND * np.diff(values).max()
-            ends = value - step, value + step, values[0], values[-1]
-            return cls(*ends, instants=_instants(motion))
         positive = bool((values > 0).all())
         scaled = np.log(values) if positive else values
         low, high = scaled[max(at - 1, 0)], scaled[min(at + 1, values.size - 1)]
@@ -68,40 +64,11 @@ class Bracket:
         """Return the parameter at a place between the bounds."""
         if self.turn:
             return float(u % self.turn)
-        value = float(np.exp(u) if self.logarithmic else u)
-        if self.instants:
-            times, shared = self.instants
-            return float(shared[np.searchsorted(times[:-1], value)])
-        return value
+        return float(np.exp(u) if self.logarithmic else u)
 
     def place(self, value):
         """Return the place of a parameter."""
         return np.log(value) if self.logarithmic else value
-
-
-def _instants(motion):
-    """Return times of rows and the instants before them: of recordings, the start."""
-    times = np.asarray(motion.t, dtype=float)
-    shared = times.copy()
-    for row, instant, _ in _between(motion):
-        shared[row] = instant
-    return times, shared
-
-
-def _between(motion):
-    """List (row, instant before it, how many that is) where rows are not neighbours."""
-    # The instant at which a recording begins, or the middle of what is left out.
-    times = np.asarray(motion.t, dtype=float)
-    step = np.diff(times)
-    usual = np.median(step) if step.size else 1.0
-    found = {
-        int(row): (0.5 * (times[row - 1] + times[row]), step[row - 1] / usual)
-        for row in np.flatnonzero(step > _GAP * usual) + 1
-    }
-    # As probably as at all instants within a recording.
-    rows = np.searchsorted(times, motion.later)
-    found |= {int(r): (float(s), times.size) for r, s in zip(rows, motion.later)}
-    return [(row, *found[row]) for row in sorted(found)]
 
 
 def _same_use(effect, motion):
@@ -110,34 +77,6 @@ def _same_use(effect, motion):
         fixed = shape.keys() - set(effect.continuous)
         if all(shape[name] == getattr(effect, name) for name in fixed):
             yield shape
-
-
-def refined(candidates, trials, motion):
-    """Search shape parameters on between the points of the grid."""
-    # `trials.evidence(effects)` are the log evidences of several shapes (c,), and
-    # `trials.climbed(place, evidence)` follows the derivatives of columns from a place.
-    searched = [_searched(one, trials, motion) for one in candidates]
-    found, evidence = max(searched, key=lambda one: one[1])
-    plain = _plainer(found, motion)
-    if plain:
-        others = [clone(found).set_params(**values) for values, _ in plain]
-        for other, (_, least), own in zip(others, plain, trials.evidence(others)):
-            if evidence - own < least:
-                return other
-    return found
-
-
-def _plainer(effect, motion):
-    """Parameters that need a reason to be left, and how good a one [nats]."""
-    between = _between(motion)
-    found = []
-    for name in effect.jumping:
-        at = np.searchsorted([s for _, s, _ in between], getattr(effect, name))
-        found += [
-            ({name: float(s)}, np.log(width))
-            for _, s, width in between[max(at - 1, 0) : at + 1]
-        ]
-    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,9 +91,7 @@ class Place:
     def of(cls, effect, motion):
         """Return that of an effect; None where its grid has no neighbours."""
         brackets = {n: Bracket.of(effect, n, motion) for n in effect.continuous}
-        brackets = {
-            n: bracket for n, bracket in brackets.items() if bracket is not None
-        }
+        brackets = {n: one for n, one in brackets.items() if one is not None}
         if not brackets:
             return None
         values = [b.place(getattr(effect, n)) for n, b in brackets.items()]
@@ -209,30 +146,59 @@ class Place:
         )
 
 
-def _searched(effect, trials, motion):
-    """Search from one shape; returns the best one and its evidence."""
-    place = Place.of(effect, motion)
-    before = float(trials.evidence([effect])[0])
-    if place is None:
-        return effect, before
-    if effect.jumping:
-        (bracket,) = place.brackets.values()
-        found, evidence = _narrowed(
-            bracket, lambda u: trials.evidence([*map(place.at, u)])
-        )
-        return (place.at(found), evidence) if evidence > before else (effect, before)
-    return trials.climbed(place, before)
+def stepped(fit, numbers, most=MOST_STEPS):
+    """Search the shapes of members, which trade against each other, at once."""
+    # By Gauss and Newton: the derivatives of the columns are further columns.
+    problem, motion = fit.problem, fit.problem.motion
+    places = {
+        i: Place.of(fit.members[i].effect, motion)
+        for i in numbers
+        if _is_smooth(fit.members[i].effect)
+    }
+    places = {i: place for i, place in places.items() if place is not None}
+    families = {i: problem.shaped(p.around()) for i, p in places.items()}
+    for _ in range(most):
+        members = list(fit.members)
+        for i, place in places.items():
+            known = members[i], families[i], fit.coefficients(i)
+            members[i] = place.with_derivatives(*known)
+        linear = Fit(fit.base, members)
+        ways = {i: _promised(linear, i, fit.members[i].width) for i in places}
+        ways = {i: way for i, (way, promised) in ways.items() if promised > WORTH}
+        if not ways or linear.explained - fit.explained < WORTH:
+            break
+        places = {i: places[i] for i in ways}
+        for share in SHARES:
+            moved = {i: place.moved(share * ways[i]) for i, place in places.items()}
+            made = {i: problem.shaped(p.around()) for i, p in moved.items()}
+            new = list(fit.members)
+            for i, family in made.items():
+                new[i] = family.member(0, new[i].scale)
+            again = Fit(fit.base, new)
+            if again.log_evidence() > fit.log_evidence():
+                break
+        else:
+            break
+        fit, places, families = again, moved, made
+    return fit
 
 
-def _narrowed(bracket, evidence):
-    """Try a parameter at places between its bounds, and again around the best."""
-    low, high = bracket.low, bracket.high
-    for _ in range(2):
-        places = np.linspace(low, high, _INSTANTS)
-        found = evidence(places[:, None])
-        best = int(np.argmax(found))
-        low, high = places[max(best - 1, 0)], places[min(best + 1, _INSTANTS - 1)]
-    return places[[best]], float(found[best])
+def _is_smooth(effect):
+    """Whether the columns of an effect have derivatives by its shape."""
+    return searched_on(effect) and not (effect.jumping or effect.bank)
+
+
+def searched_on(effect):
+    """Whether an effect has shapes between those of its grid."""
+    return bool(getattr(effect, "continuous", ()))
+
+
+def _promised(linear, i, width):
+    """Step (d,) of a member's shape, and what that takes off the error [nats]."""
+    place = linear.places[i]
+    rows = slice(place.start + width, place.stop)
+    way = linear.coefficients(i)[width:]
+    return way, 0.5 * way @ np.linalg.solve(linear.covariance[rows, rows], way)
 
 
 def starts(effects, evidence, best):
@@ -259,3 +225,64 @@ def starts(effects, evidence, best):
         if not near[i, found].any():
             found.append(i)
     return [effects[i] for i in found[:_STARTS]]
+
+
+# -- instants of jumps
+
+
+def instant(effects, evidence, motion):
+    """Search the instant of a jump on, around the best of some.
+
+    `evidence(effects)` are the log evidences (c,) of several.
+    """
+    known = evidence(effects)
+    found, most = effects[int(np.argmax(known))], float(known.max())
+    (name,) = found.jumping
+    grid = np.unique([shape[name] for shape in found.shapes(motion)])
+    between, value = _between(motion), getattr(found, name)
+    if grid.size > 1:
+        step = _AROUND * np.diff(grid).max()
+        low, high = value - step, value + step
+        for _ in range(2):
+            places = np.linspace(low, high, _INSTANTS)
+            shared = _shared(motion, between, places)
+            tried = [clone(found).set_params(**{name: float(s)}) for s in shared]
+            known = evidence(tried)
+            best = int(np.argmax(known))
+            low, high = places[max(best - 1, 0)], places[min(best + 1, _INSTANTS - 1)]
+        if known[best] > most:
+            found, most = tried[best], float(known[best])
+    # Instants that need no reason, and how good a one others need [nats].
+    at = np.searchsorted([s for _, s, _ in between], getattr(found, name))
+    plain = between[max(at - 1, 0) : at + 1]
+    others = [clone(found).set_params(**{name: float(s)}) for _, s, _ in plain]
+    if others:
+        for other, (_, _, width), own in zip(others, plain, evidence(others)):
+            if most - own < np.log(width):
+                return other
+    return found
+
+
+def _shared(motion, between, places):
+    """Instants (c,) that stand for others: those of rows, or between recordings."""
+    times = np.asarray(motion.t, dtype=float)
+    shared = times.copy()
+    for row, value, _ in between:
+        shared[row] = value
+    return shared[np.searchsorted(times[:-1], places)]
+
+
+def _between(motion):
+    """List (row, instant before it, how many that is) where rows are not neighbours."""
+    # The instant at which a recording begins, or the middle of what is left out.
+    times = np.asarray(motion.t, dtype=float)
+    step = np.diff(times)
+    usual = np.median(step) if step.size else 1.0
+    found = {
+        int(row): (0.5 * (times[row - 1] + times[row]), step[row - 1] / usual)
+        for row in np.flatnonzero(step > _GAP * usual) + 1
+    }
+    # As probably as at all instants within a recording.
+    rows = np.searchsorted(times, motion.later)
+    found |= {int(r): (float(s), times.size) for r, s in zip(rows, motion.later)}
+    return [(row, *found[row]) for row in sorted(found)]

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import linalg
-from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._lowpass import coarser, stride
@@ -22,11 +21,6 @@ from sklearn_vbjfa.recording import check_clock
 _SAMPLES = 50_000
 # A stretch is so many times longer than the low-pass, which takes its ends.
 _LENGTHS = 30
-
-
-def _stride(n, lowpass):
-    """Return which samples of n are looked at: all (1), or every so many."""
-    return 1 if n <= _SAMPLES else stride(lowpass)
 
 
 def coarser_rows(parts, lowpass, every):
@@ -51,7 +45,7 @@ def coarser_rows(parts, lowpass, every):
 
 def share_of(n, lowpass):
     """Share of n samples that the search looks at, every so many left aside."""
-    return min(1.0, _SAMPLES * _stride(n, lowpass) / n)
+    return min(1.0, _SAMPLES * stride(lowpass) / n)
 
 
 def stretches(parts, moving, lowpass):
@@ -227,7 +221,7 @@ class RecordingView:
     def _set_samples(self, all_samples):
         """Take the samples of which columns are made."""
         recording, states = self._given
-        every = 1 if all_samples else _stride(recording.n_samples, self._lowpass)
+        every = 1 if all_samples else stride(self._lowpass)
         rows, self.parts = coarser_rows(recording.segments, self._lowpass, every)
         t = recording.t
         self.states, self.clock = states[rows], None if t is None else t[rows]
@@ -410,7 +404,7 @@ class RecordingView:
         key = (effect.name, effect.joint)
         made_from, found = self._families.get(key, (None, None))
         if found is None or ("load" in effect.needs and made_from is not motion):
-            effects = variants(effect, motion)
+            effects = variants(effect, effect.first_shapes(motion))
             found = effects, None, None
             if effects:
                 rows = self.columns(effects, motion)
@@ -430,9 +424,10 @@ def _width(effects):
     return max((len(effect.coefficients) for effect in effects), default=0)
 
 
-def variants(effect, motion):
-    """Return an effect with each shape of its grid, tuple of Effect."""
-    return tuple(clone(effect).set_params(**s) for s in effect.shapes(motion))
+def variants(effect, shapes):
+    """Return an effect with each of some shapes, list of Effect."""
+    kind, known = type(effect), effect.get_params(deep=False)
+    return [kind(**known | shape) for shape in shapes]
 
 
 def reduced(equations, precision):

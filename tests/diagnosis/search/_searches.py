@@ -42,11 +42,8 @@ class Search:
     max_effects: int | None = None
 
     def path(self):
-        """Return the path to the most probable model, with the declared one fitted."""
-        path = Path(self.view, self.library, self.settings, self.max_effects)
-        path.begin()
-        path._make_families()
-        return path
+        """Return the path to the most probable model."""
+        return Path(self.view, self.library, self.settings, self.max_effects)
 
     def run(self):
         """Search, and return what was `Found`."""

@@ -125,9 +125,8 @@ def test_what_the_robot_declares_is_corrected_from_the_start():
 
 
 def placed(now, effects):
-    """Return the path of a search, and its model with given effects."""
-    path = now.path()
-    return path, path.placed(effects)
+    """Return the view of a search, and its model with given effects."""
+    return now.view, now.path().placed(effects)
 
 
 @pytest.mark.parametrize(
@@ -143,15 +142,15 @@ def placed(now, effects):
 )
 def test_values_are_linearised_until_they_stay(truth):
     (start,) = truth
-    path, fit = placed(searched(truth), [type(start)(joint=start.joint)])
+    view, fit = placed(searched(truth), [type(start)(joint=start.joint)])
     (member,) = fit.members
     # What is left to correct is small beside what was corrected.
     step = fit.coefficients(0)
     assert np.all(np.abs(step) < 0.01 * np.abs(start.values).max() + 1e-3)
     assert_allclose(member.effect.values + step, start.values, atol=0.02)
     # The model is of the corrected robot.
-    assert path.view is fit.problem.view
-    assert path.view is not path.view.corrected(())
+    assert fit.problem.view is not view
+    assert fit.problem.view.corrected(()) is view
 
 
 def test_a_gain_changes_the_robot_for_what_comes_later():

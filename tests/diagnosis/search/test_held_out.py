@@ -21,14 +21,14 @@ THREE = np.repeat([0, 1, 2], CLEAN.t.size // 3)
 
 def made(groups=None):
     """Fit three effects, of which the last is not there, to one recording or three."""
-    path = search(TORQUE, ["coulomb", "spring"], groups=groups).path()
-    return path, path.placed(EFFECTS)
+    now = search(TORQUE, ["coulomb", "spring"], groups=groups)
+    return now.path().placed(EFFECTS)
 
 
 @pytest.fixture(scope="module", params=[None, THREE], ids=["one", "three"])
 def fitted(request):
-    path, fit = made(request.param)
-    return fit, HeldOut(path.view).fitted(fit, path.motion)
+    fit = made(request.param)
+    return fit, HeldOut(fit.problem.view).fitted(fit)
 
 
 def literal(fit, left_out, members, block_fold=None):
@@ -97,18 +97,18 @@ def test_residuals_are_those_of_what_was_not_seen(fitted):
 
 def test_folds_may_be_given():
     """Blocks between which the motion is alike, for what is left of the whole."""
-    path, fit = made()
-    blocks = path.view.blocks
-    found = HeldOut(path.view, blocks.fold).fitted(fit, path.motion)
+    fit = made()
+    view = fit.problem.view
+    found = HeldOut(view, view.blocks.fold).fitted(fit)
     assert_allclose(found.squares, literal(fit, found, [0, 1, 2]), rtol=3e-4)
-    assert_array_equal(found.held.fold, blocks.fold)
+    assert_array_equal(found.held.fold, view.blocks.fold)
 
 
 def test_what_was_fitted_is_not_shrunk_by_the_noise_of_what_lacked_it(fitted):
     """At a noise floor the model is there between other blocks as well."""
     fit, found = fitted
     view = fit.problem.view
-    found = HeldOut(view, view.blocks.fold).fitted(fit, found.held.motion)
+    found = HeldOut(view, view.blocks.fold).fitted(fit)
     rms = np.sqrt((found.residual**2).sum(axis=1) / view.rows)
     left = view.filtered(CLEAN.noise).std(axis=0)
     assert_allclose(rms, left, rtol=0.3)
@@ -137,13 +137,13 @@ def test_what_ends_with_a_sign_that_it_cannot_have_is_dropped(monkeypatch):
 
 
 def test_three_recordings_are_left_out_as_a_whole():
-    view = made(THREE)[0].view
+    view = made(THREE).problem.view
     assert_array_equal(fold_of(view), view.origin)
 
 
 @pytest.mark.parametrize("groups", [None, np.repeat([0, 1], CLEAN.t.size // 2)])
 def test_fewer_are_left_out_in_stretches(groups):
-    view = made(groups)[0].view
+    view = made(groups).problem.view
     fold = fold_of(view)
     # One after the other, of about equal length.
     assert (np.diff(fold) >= 0).all()

@@ -270,12 +270,8 @@ TORQUE = CLEAN.torque(joint_2=coulomb(1.0), joint_1=spring(4.0, 1.0))
 
 
 @pytest.fixture(scope="module")
-def path():
-    return search(TORQUE, ["coulomb", "spring", "ripple"]).path()
-
-
-@pytest.fixture(scope="module")
-def fitted(path):
+def fitted():
+    path = search(TORQUE, ["coulomb", "spring", "ripple"]).path()
     return spectrum_of(path.placed([Spring(0), Coulomb(1)]), SearchSettings())
 
 
@@ -332,9 +328,9 @@ def literal_scores(fit, own, coef, noise=None):
     return scores, (rows**2).sum()
 
 
-def test_the_scatter_of_a_score_is_that_of_its_blocks(path, fitted):
+def test_the_scatter_of_a_score_is_that_of_its_blocks(fitted):
     """The sandwich over the Hessian, where blocks scatter more than moments say."""
-    own = path._single(Spring(1))
+    own = fitted.problem.shaped([Spring(1)])
     coef = np.array([1.0, 0.2])
     scores, promised = literal_scores(fitted, own.member(0), coef)
     plain = scores.var(ddof=1) * scores.size / promised
@@ -353,9 +349,9 @@ def test_the_scatter_of_a_score_is_that_of_its_blocks(path, fitted):
     assert louder == pytest.approx(100 * loud, rel=1e-6)
 
 
-def test_an_effect_that_comes_and_goes_is_worth_less(path, fitted):
+def test_an_effect_that_comes_and_goes_is_worth_less(fitted):
     """A score whose sign changes slowly scatters more than one of white noise."""
-    own, coef = path._single(Spring(1)), np.array([1.0, 0.2])
+    own, coef = fitted.problem.shaped([Spring(1)]), np.array([1.0, 0.2])
     rows = fitted.scores
     sign = np.sign(np.sin(2 * np.pi * np.arange(rows.shape[1]) / rows.shape[1]))
     direction = own.columns[0, :, 0] @ coef * np.sqrt(fitted.base.weights[1])
@@ -371,9 +367,9 @@ def test_an_effect_that_comes_and_goes_is_worth_less(path, fitted):
 @pytest.mark.parametrize(
     ("effect", "taken"), [(Drift(1), 2), (Payload(1, instant=9.0), 1)], ids=["D", "P"]
 )
-def test_functions_of_time_are_told_by_the_slowest_changes(path, fitted, effect, taken):
+def test_functions_of_time_are_told_by_the_slowest_changes(fitted, effect, taken):
     """Their mean power, but for those that the effect has taken itself."""
-    own = path._single(effect)
+    own = fitted.problem.shaped([effect])
     coef = np.ones(len(effect.coefficients))
     shape = np.zeros((2, own.columns.shape[1]))
     shape[list(own.joints)] = own.columns[:, :, 0] @ coef

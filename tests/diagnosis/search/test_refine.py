@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.diagnosis.search._refine import Bracket, refined
+from sklearn_vbjfa.diagnosis.search._refine import Bracket, instant
 from tests.diagnosis.search._searches import CLEAN, search
 
 MOTION = search(CLEAN.torque(), ["stribeck"]).view.motion(None)
@@ -24,14 +24,9 @@ def test_brackets_reach_to_the_next_points_of_the_grid():
     assert last.value(last.high) == pytest.approx(GRID[-1])
 
 
-class Peaks:
-    """What stands for shapes beside a fit, with an evidence that is known."""
-
-    def __init__(self, evidence):
-        self.one = evidence
-
-    def evidence(self, shapes):
-        return np.array([self.one(effect) for effect in shapes])
+def best(start, evidence, motion):
+    """Search an instant with a known evidence (of one effect) beside a fit."""
+    return instant([start], lambda some: np.array([*map(evidence, some)]), motion)
 
 
 @pytest.mark.parametrize("name", ["stribeck", "ripple"])
@@ -65,9 +60,9 @@ def test_an_instant_is_found_among_several_peaks():
         return 1e3 * np.exp(-away) + 50 * np.cos(60 * away)
 
     start = effects.Payload(1, instant=truth + 0.08)
-    best = refined([start], Peaks(evidence), motion)
-    assert best.instant == pytest.approx(truth, abs=0.05)
-    assert best.instant in motion.t
+    found = best(start, evidence, motion)
+    assert found.instant == pytest.approx(truth, abs=0.05)
+    assert found.instant in motion.t
 
 
 def test_an_instant_between_two_recordings_is_the_start_of_the_second():
@@ -78,7 +73,7 @@ def test_an_instant_between_two_recordings_is_the_start_of_the_second():
     def shared(effect):
         return 100.0 * (begin - 5.0 < effect.instant <= begin)
 
-    assert refined([start], Peaks(shared), motion).instant == begin
+    assert best(start, shared, motion).instant == begin
 
 
 @pytest.mark.parametrize(("worth", "left"), [(4.0, False), (20.0, True)])
@@ -90,7 +85,7 @@ def test_rows_within_a_recording_say_more_than_how_many_there_are(worth, left):
         return worth * (effect.instant > begin)
 
     start = effects.Payload(1, instant=begin + 2.0)
-    assert (refined([start], Peaks(later), motion).instant > begin) == left
+    assert (best(start, later, motion).instant > begin) == left
 
 
 def test_the_instant_of_a_jump_is_found_wherever_it_is():

@@ -98,7 +98,7 @@ def test_pairs_that_a_model_cannot_tell_apart(level):
 @pytest.mark.parametrize("effect", [JointZero(0), JointZero(2)])
 def test_what_the_bodies_do_as_well_is_never_offered(level, effect):
     """The zero of a vertical joint, and of the last one, whose body may be turned."""
-    family = level.model.fit.problem.family(effect, level.model.motion)
+    family = level.model.fit.problem.family(effect)
     groups = level.model.fit.groups(family)
     evidence = groups.evidence(level.settings.scale)
     assert not evidence.max() > np.log(level.n_candidates) + level.needed

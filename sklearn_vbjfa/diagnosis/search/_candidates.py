@@ -1,0 +1,282 @@
+"""What each joint may lack beside a model, and how probable that is."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from sklearn.base import clone
+
+from sklearn_vbjfa._core._groups import Overdispersion
+from sklearn_vbjfa._core._progress import counted
+from sklearn_vbjfa.diagnosis.search._problem import Family, stacked
+from sklearn_vbjfa.diagnosis.search._shapes import best_shape
+from sklearn_vbjfa.effects import closure
+
+# Share of the error that its mirror image saves of what an effect with a direction
+# saves: more is nothing with a direction.
+_MIRROR = 0.5
+# Log odds below which nothing of the geometry is a candidate.
+_NO_CHANCE = -20.0
+# Half square sum [nats] by which a joint's weighted residual has to change for the
+# joint to be looked at again.
+_CHANGED = 0.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """A candidate effect given a model."""
+
+    family: Family  # all of its shapes
+    best: int  # the best of them
+    log_odds: float  # posterior log odds that the model lacks it, shapes averaged
+    coef: np.ndarray  # (k,): of the best shape
+    # whether its evidence has been tempered by its scatter in time, see `Fit.excess`;
+    # it is an upper bound before
+    tempered: bool = False
+    # log odds by which it compares with others, see `Overdispersion.as_usual`
+    order: float = 0.0
+
+    @property
+    def effect(self):
+        """Effect with the best shape."""
+        return self.family.effects[self.best]
+
+
+class Candidates:
+    """Candidates on all joints given a fit; unchanged joints keep theirs."""
+
+    # families: of all effects, by joint; noise: the fit whose residual is noise;
+    # rejected: keys of effects that were refused.
+
+    def __init__(self, problem, library, settings):
+        self.library, self.settings = library, settings
+        self.noise, self.rejected = None, set()
+        found = {int(j): [] for j in np.flatnonzero(problem.used_joints)}
+        asked = [(j, effect) for j in found for effect in library]
+        for j, effect in counted(asked, "candidates"):
+            one = clone(effect).set_params(joint=j)
+            if one.name in problem.view.declared or one.applies(problem.motion):
+                continue
+            family = problem.family(one)
+            if family is not None:
+                found[j] += family.split()
+        self.families = {j: stacked(own) for j, own in found.items()}
+        self.count = sum(map(len, found.values()))
+        self.log_prior = np.log(settings.expected / max(self.count, 1))
+        # Log odds above which an effect is in the model.
+        self.least = float(np.log(settings.undecided / (1.0 - settings.undecided)))
+        self._known = {}
+
+    # -- of one family --------------------------------------------------------------
+
+    def candidate(self, fit, family, excess=None):
+        """Return the best shape of a family given a fit as a `Candidate`, or None."""
+        scale, least = self.settings.scale, self._no_chance(family)
+        if excess is None:
+            evidence = fit.evidence(family, scale)
+            if not evidence.max() > least:
+                return None
+        groups, taken = fit.groups(family), self.taken(fit)
+        if excess is not None:
+            groups = groups.discounted(excess)
+            evidence = groups.evidence(scale)
+        free = groups.shown() & [key not in taken for key in family.keys]
+        free &= evidence > least
+        if not free.any():
+            return None
+        coefs = groups.coefficients()
+        for c in np.flatnonzero(free):
+            effect = family.effects[c]
+            free[c] = effect.plausible(coefs[c, : len(effect.coefficients)])
+        if free.any() and family.opposite_keys:
+            free &= _one_sided(family, groups.gain(), free)
+        if not free.any():
+            return None
+        evidence = np.where(free, evidence, -np.inf)
+        best, whole = int(np.argmax(evidence)), np.logaddexp.reduce(evidence)
+        log_odds = float(whole - np.log(free.size) + self.log_prior)
+        known = {"log_odds": log_odds, "order": log_odds, "coef": coefs[best]}
+        return Candidate(family=family, best=best, **known)
+
+    def _no_chance(self, family):
+        """Log evidence of a shape up to which an effect decides nothing."""
+        # Rivals are within so many nats of a member, spectra take one of each joint.
+        near = -max(self.settings.rivals, np.log(len(self.families)))
+        return (_NO_CHANCE if family.effects[0].in_model else near) - self.log_prior
+
+    def tempered(self, fit, candidate):
+        """Discount the evidence of a candidate by its scatter in time; or None."""
+        if candidate.tempered:
+            return candidate
+        family, best, coef = candidate.family, candidate.best, candidate.coef
+        if getattr(candidate.effect, "jumping", ()):
+            # Beside its instant a jump leaves a residual of its own size.
+            found = best_shape(fit, candidate.effect, family, self.settings.scale)
+            family, best = fit.problem.shaped([found]), 0
+            coef = fit.groups(family).coefficients()[0]
+        excess = fit.excess(family, best, coef, self.noise)
+        usual = self.candidate(fit, candidate.family, excess.as_usual())
+        if usual is None or not np.isfinite(excess.freedom):
+            return usual and replace(usual, tempered=True)
+        strict = self.candidate(fit, candidate.family, excess)
+        return strict and replace(strict, tempered=True, order=usual.order)
+
+    def taken(self, fit):
+        """Keys of effects that a fit excludes, a set."""
+        return self.rejected.union(fit.excluded)
+
+    def shapes(self, member):
+        """Count the shapes among which a member was chosen."""
+        for family in self.families.get(member.effect.joint, ()):
+            if family.effects[0].name == member.effect.name:
+                return len(family.effects)
+        return 1
+
+    # -- of one joint ---------------------------------------------------------------
+
+    def on(self, fit, joint):
+        """Candidates on a joint given a fit, list."""
+        own = [m.effect for m in fit.members if m.effect.joint == joint]
+        within = set().union(*(closure(effect, self.library) for effect in own))
+        found = (
+            self.candidate(fit, family)
+            for family in self.families[joint]
+            if family.effects[0].name not in within
+        )
+        return [candidate for candidate in found if candidate is not None]
+
+    def forget(self):
+        """Look at all joints again, and at what was refused."""
+        self.rejected, self._known = set(), {}
+
+    def refuse(self, candidate):
+        """Leave out an effect until all are looked at again."""
+        self.rejected.update(candidate.family.keys)
+        self._known.pop(candidate.effect.joint, None)
+
+    def best(self, fit):
+        """Best tempered candidate of each joint that has a probable one, by joint."""
+        found = {j: self._best_on(fit, j) for j in self.families}
+        return {j: one for j, one in found.items() if one is not None}
+
+    def probable(self):
+        """All that is probable on the joints as they were last looked at, list."""
+        own = [o for _, _, known in self._known.values() for o in known]
+        return [o for o in own if o.log_odds > self.least]
+
+    def waits(self, fit, candidate):
+        """Whether something that a candidate contains is in the model already."""
+        # Then it comes when nothing else does.
+        names, joint = closure(candidate.effect, self.library), candidate.effect.joint
+        own = {m.effect.name for m in fit.members if m.effect.joint == joint}
+        return bool(names & own)
+
+    def _best_on(self, fit, joint):
+        """Best tempered candidate of a joint, None if nothing is probable."""
+        white = fit.residual[joint] * np.sqrt(fit.base.weights[joint])
+        members = {m.effect.key() for m in fit.members if joint in m.joints}
+        if joint in self._known:
+            before, there, _ = self._known[joint]
+            if there != members or 0.5 * ((white - before) ** 2).sum() > _CHANGED:
+                del self._known[joint]
+        if joint not in self._known:
+            self._known[joint] = white, members, self.on(fit, joint)
+        known = self._known[joint][2]
+        while True:
+            probable = [o for o in known if o.log_odds > self.least]
+            if not probable:
+                return None
+            best = min(probable, key=lambda o: (self.waits(fit, o), -o.order))
+            if best.tempered:
+                return self._plainer(fit, best, known)
+            known.remove(best)
+            if (sure := self.tempered(fit, best)) is not None:
+                known.append(sure)
+
+    def _plainer(self, fit, best, candidates):
+        """Plainer effect that a candidate contains, if that is probable alone."""
+        # What contains it comes beside it: a prior of heredity (H. Chipman, "Bayesian
+        # variable selection with related predictors", Canadian J. of Statistics 24(1),
+        # 1996, doi 10.2307/3315687).
+        names = closure(best.effect, self.library)
+        within = [
+            o for o in candidates if o.effect.name in names and o.log_odds > self.least
+        ]
+        sure = [o for o in self.surest(fit, within) if o.log_odds > self.least]
+        return sure[0] if sure else best
+
+    def surest(self, fit, candidates, margin=0.0):
+        """Return tempered candidates within a margin of the best, the best first."""
+        # Tempering takes evidence only, so that what is below the best of those that
+        # are tempered need not be.
+        found, open_ = [], sorted(candidates, key=lambda o: o.order)
+        best = -np.inf
+        while open_ and open_[-1].order > best - margin:
+            candidate = self.tempered(fit, open_.pop())
+            if candidate is not None:
+                found.append(candidate)
+                best = max(best, candidate.order)
+        found = [o for o in found if o.order > best - margin - 1e-9]
+        return sorted(found, key=lambda o: -o.order)
+
+    def most_probable(self, fit, candidates):
+        """Return the most probable candidate, None if there is none."""
+        # Banks have an upper bound, which is made exact where it leads.
+        best = None
+        for candidate in sorted(candidates, key=lambda o: -o.log_odds):
+            if best is not None and candidate.log_odds <= best.log_odds:
+                break
+            if candidate.effect.bank and not candidate.tempered:
+                candidate = self.candidate(fit, candidate.family, Overdispersion())
+            if best is None or (candidate and candidate.log_odds > best.log_odds):
+                best = candidate
+        return best
+
+    # -- of members -----------------------------------------------------------------
+
+    def rivals(self, fit, i):
+        """Candidates that would take the place of a member, the best first."""
+        member, base = fit.members[i], fit.without(i)
+        joints = [j for j in member.joints if j in self.families]
+        found = [o for j in joints for o in self.on(base, j)]
+        near = self.surest(base, found, self.settings.rivals)
+        if member.effect.in_model:
+            # What turns the robot alike with more values than are needed.
+            known = {o.effect.key() for o in near}
+            as_well = self._as_well(base, found, member)
+            near += [o for o in as_well if o.effect.key() not in known]
+        return near
+
+    def _as_well(self, base, candidates, member):
+        """Effects of the geometry that explain as much as a member does."""
+        candidates = [self.tempered(base, o) for o in candidates if o.effect.in_model]
+        gains = {
+            o: 0.5 * base.groups(o.family).gain()[o.best]
+            for o in candidates
+            if o is not None
+        }
+        own = [g for o, g in gains.items() if o.effect.key() == member.effect.key()]
+        least = max(own, default=np.inf) - self.settings.rivals
+        return [o for o, gain in gains.items() if gain > least]
+
+    def log_odds(self, fit, usual=False):
+        """Posterior log odds of each member given the others."""
+        # As `usual` those by which they compare, see `Overdispersion.as_usual`.
+        found, scale = [], self.settings.scale
+        both = zip(fit.members, fit.own_groups(), fit.excesses(self.noise))
+        for member, groups, excess in both:
+            tempered = groups.discounted(excess.as_usual() if usual else excess)
+            evidence = float(tempered.evidence(scale)[0])
+            found.append(evidence - np.log(self.shapes(member)))
+        return np.array(found) + self.log_prior
+
+
+def _one_sided(family, gain, free):
+    """Which shapes are of a direction that their mirror image does not share."""
+    best = {}
+    for key, own, allowed in zip(family.keys, gain, free):
+        if allowed:
+            best[key] = max(best.get(key, 0.0), own)
+    pairs = zip(family.keys, family.opposite_keys)
+    return np.array(
+        [best.get(other, 0.0) <= _MIRROR * best.get(key, 0.0) for key, other in pairs]
+    )

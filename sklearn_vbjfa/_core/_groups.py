@@ -106,7 +106,8 @@ class Groups:
 
     def discounted(self, excess):
         """Return the moments of a likelihood discounted for overdispersion."""
-        return Groups(
+        value, rest, vectors = self._spectral
+        found = Groups(
             H=self.H / excess.ratio,
             q=self.q / excess.ratio,
             own=self.own / excess.ratio,
@@ -114,6 +115,9 @@ class Groups:
             freedom=excess.freedom,
             positive=self.positive,
         )
+        known = value / excess.ratio, rest / excess.ratio, vectors
+        found.__dict__["_spectral"] = known
+        return found
 
     def part(self, at):
         """Return some of the groups, a slice."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.diagnosis.search._problem import Family, stacked
 from sklearn_vbjfa.diagnosis.search._shapes import best_shape
@@ -17,8 +16,8 @@ _MIRROR = 0.5
 # Log odds below which nothing of the geometry is a candidate.
 _NO_CHANCE = -20.0
 # Half square sum [nats] by which a joint's weighted residual has to change for the
-# joint to be looked at again.
-_CHANGED = 0.5
+# joint to be looked at again, when nothing else is left and before.
+_CHANGED, _MUCH = 0.5, 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,9 +153,14 @@ class Candidates:
         self._known.pop(candidate.effect.joint, None)
 
     def best(self, fit):
-        """Best tempered candidate of each joint that has a probable one, by joint."""
-        found = {j: self._best_on(fit, j) for j in self.families}
-        return {j: one for j, one in found.items() if one is not None}
+        """Best tempered candidate of each joint that has a probable one, list."""
+        # Joints that others have hardly changed are looked at once nothing is left.
+        for changed in (_MUCH, _CHANGED):
+            found = [self._best_on(fit, j, changed) for j in self.families]
+            found = [one for one in found if one is not None]
+            if found:
+                break
+        return found
 
     def probable(self):
         """All that is probable on the joints as they were last looked at, list."""
@@ -170,13 +174,13 @@ class Candidates:
         own = {m.effect.name for m in fit.members if m.effect.joint == joint}
         return bool(names & own)
 
-    def _best_on(self, fit, joint):
+    def _best_on(self, fit, joint, changed):
         """Best tempered candidate of a joint, None if nothing is probable."""
         white = fit.residual[joint] * np.sqrt(fit.base.weights[joint])
         members = {m.effect.key() for m in fit.members if joint in m.joints}
         if joint in self._known:
             before, there, _ = self._known[joint]
-            if there != members or 0.5 * ((white - before) ** 2).sum() > _CHANGED:
+            if there != members or 0.5 * ((white - before) ** 2).sum() > changed:
                 del self._known[joint]
         if joint not in self._known:
             self._known[joint] = white, members, self.on(fit, joint)
@@ -217,19 +221,6 @@ class Candidates:
                 best = max(best, candidate.order)
         found = [o for o in found if o.order > best - margin - 1e-9]
         return sorted(found, key=lambda o: -o.order)
-
-    def most_probable(self, fit, candidates):
-        """Return the most probable candidate, None if there is none."""
-        # Banks have an upper bound, which is made exact where it leads.
-        best = None
-        for candidate in sorted(candidates, key=lambda o: -o.log_odds):
-            if best is not None and candidate.log_odds <= best.log_odds:
-                break
-            if candidate.effect.bank and not candidate.tempered:
-                candidate = self.candidate(fit, candidate.family, Overdispersion())
-            if best is None or (candidate and candidate.log_odds > best.log_odds):
-                best = candidate
-        return best
 
     # -- of members -----------------------------------------------------------------
 

@@ -12,7 +12,6 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     Fit,
     Problem,
     declared_alone,
-    rescaled,
     spectrum_of,
     weighed,
 )
@@ -82,8 +81,8 @@ class Path:
                 if self.view.repetition:
                     # What comes again with each phase would all be taken for effects.
                     near = candidates.surest(fit, near)
-                best = candidates.most_probable(fit, near)
-                if best is not None and best.log_odds > least:
+                if near:
+                    best = max(near, key=lambda o: o.log_odds)
                     jumps = getattr(best.effect, "jumping", ())
                     one = best.family.member(best.best, self.settings.scale)
                     added.append(self._member(fit, best) if jumps else one)
@@ -140,7 +139,7 @@ class Path:
 
     def _chosen(self, fit):
         """Candidates that come into the model together."""
-        best = list(self.candidates.best(fit).values())
+        best = self.candidates.best(fit)
         most = np.inf if self.max_effects is None else self.max_effects
         if not best or len(fit.members) >= most:
             return []
@@ -271,7 +270,7 @@ class Path:
 
     def scaled(self, fit):
         """Return a fit with the most probable scale of each member."""
-        fit = rescaled(fit, self.settings.scale)
+        fit = fit.rescaled(self.settings.scale)
         # Banks have no element of negative size.
         for i, member in enumerate(fit.members):
             used = fit.coefficients(i) > 0
@@ -328,10 +327,11 @@ class Path:
             if keys_of(new) in been or len(keys_of(new) - before) < 2:
                 continue
             been.add(keys_of(new))
-            if self._repeated(new, before) or self._posterior(new) < whole:
+            more = self._posterior(new) - whole
+            if self._at_odds(new, before) or more < self.settings.rivals:
                 continue
             new = self._pruned(self.refined(new, {joint}))
-            if len(keys_of(new) - before) < 2 or self._excluded(new):
+            if len(keys_of(new) - before) < 2 or self._at_odds(new, before):
                 continue
             if self.max_effects is not None and len(new.members) > self.max_effects:
                 continue
@@ -345,14 +345,6 @@ class Path:
             if all(now.gain_of(i).helps for i in range(len(new.members))):
                 return new
         return None
-
-    def _repeated(self, fit, before):
-        """Whether a new effect contains another new one of its joint."""
-        new = [m.effect for m in fit.members if m.effect.key() not in before]
-        return any(
-            one.joint == other.joint and one.name in closure(other, self.library)
-            for one, other in itertools.permutations(new, 2)
-        )
 
     def _posterior(self, fit):
         """Logarithm of the posterior density of a fit, but for a constant."""
@@ -377,7 +369,7 @@ class Path:
         others = [m for m in fit.members if m.joints != (joint,)]
         new = Fit(fit.base, [*others, *members, *own])
         while len(new.members) > len(others):
-            new, groups = rescaled(new, scale), new.own_groups()[len(others) :]
+            new, groups = new.rescaled(scale), new.own_groups()[len(others) :]
             odds = [
                 one.evidence(scale)[0] - np.log(candidates.shapes(member))
                 for one, member in zip(groups, new.members[len(others) :])
@@ -389,14 +381,15 @@ class Path:
             new = Fit(fit.base, [*new.members[:i], *new.members[i + 1 :]])
         return self.scaled(new)
 
-    @staticmethod
-    def _excluded(fit):
-        """Whether a member of a fit excludes another."""
-        own = fit.members
-        return any(
-            one.effect.key() in other.effect.excludes()
-            for one, other in itertools.permutations(own, 2)
-        )
+    def _at_odds(self, fit, before):
+        """Whether a member excludes another, or a new one contains another new one."""
+        for one, other in itertools.permutations([m.effect for m in fit.members], 2):
+            if one.key() in other.excludes():
+                return True
+            new = one.joint == other.joint and not {one.key(), other.key()} & before
+            if new and one.name in closure(other, self.library):
+                return True
+        return False
 
     # -- what is asked of a model ---------------------------------------------------
 

@@ -668,25 +668,47 @@ class Fit:
         """Posterior covariance of the members' coefficients."""
         return linalg.cho_solve((self._factor, True), np.eye(self._coef.size))
 
-    def own_groups(self):
-        """Second moments of each member given the others, list of `Groups`."""
+    @functools.cached_property
+    def _by_width(self):
+        """Second moments of members given the others: numbers, `Groups`, by width."""
         # By the block inverse, without another fit.
-        found = []
-        for place, member in zip(self.places, self.members):
-            inverse = np.linalg.inv(self.covariance[place, place])
-            prior = np.diag(self.prior[place])
-            H = inverse - prior
-            q = inverse @ self._coef[place] + inverse @ member.done
-            gram = self.base.beside(member.moments).gram
+        widths, found = np.array([m.width for m in self.members]), []
+        for k in np.unique(widths):
+            numbers = np.flatnonzero(widths == k)
+            places = [self.places[i] for i in numbers]
+            members = [self.members[i] for i in numbers]
+            inverse = np.linalg.inv([self.covariance[p, p] for p in places])
+            values = np.array([self._coef[p] for p in places])
+            values += [m.done for m in members]
+            gram = [self.base.beside(m.moments).gram[0] for m in members]
             found.append(
-                Groups(
-                    H=H[None],
-                    q=q[None],
-                    own=np.diagonal(gram, axis1=1, axis2=2),
-                    unit=member.unit[None],
+                (
+                    numbers,
+                    Groups(
+                        H=inverse - [np.diag(self.prior[p]) for p in places],
+                        q=(inverse @ values[:, :, None])[:, :, 0],
+                        own=np.diagonal(gram, axis1=1, axis2=2),
+                        unit=np.array([m.unit for m in members]),
+                    ),
                 )
             )
         return found
+
+    def own_groups(self):
+        """Second moments of each member given the others, list of `Groups`."""
+        found = [None] * len(self.members)
+        for numbers, groups in self._by_width:
+            for at, i in enumerate(numbers):
+                found[i] = groups.part(slice(at, at + 1))
+        return found
+
+    def rescaled(self, scale):
+        """Return the same with the most probable scale of each member."""
+        members = list(self.members)
+        for numbers, groups in self._by_width:
+            for i, own in zip(numbers, groups.best_scale(scale)):
+                members[i] = replace(members[i], scale=float(own))
+        return Fit(self.base, members)
 
     def log_evidence(self):
         """Logarithm of the evidence, but for a constant of the recording."""
@@ -717,15 +739,6 @@ class Fit:
         """Fit without a member, to a robot that it has not corrected."""
         base = self.base.undone(self.members[i])
         return Fit(base, (*self.members[:i], *self.members[i + 1 :]))
-
-
-def rescaled(fit, scale):
-    """Return a fit with the most probable scale of each member."""
-    members = [
-        replace(m, scale=float(g.best_scale(scale)[0]))
-        for m, g in zip(fit.members, fit.own_groups())
-    ]
-    return Fit(fit.base, members)
 
 
 def declared_alone(view):

@@ -16,9 +16,6 @@ SHARES = (1.0, 0.5, 0.25)
 # Step of the derivatives in shares of the way between the grid's next points: of smooth
 # columns, and of those that change in single rows.
 _DERIVATIVE, _COARSE = 0.01, 0.1
-# Points of the grid from which several parameters are searched: two of them may trade
-# against each other.
-_STARTS = 3
 # Instants at which a jump is tried, twice, in this share of the way to the grid's next
 # ones on both sides.
 _INSTANTS, _AROUND = 9, 0.1
@@ -199,32 +196,6 @@ def _promised(linear, i, width):
     rows = slice(place.start + width, place.stop)
     way = linear.coefficients(i)[width:]
     return way, 0.5 * way @ np.linalg.solve(linear.covariance[rows, rows], way)
-
-
-def starts(effects, evidence, best):
-    """Return the shapes of a grid to search on from, of one use of an effect."""
-    # A single parameter is searched around its best value; two may trade against each
-    # other, with several peaks, none of which lies beside a better one.
-    same = [i for i, e in enumerate(effects) if e.key() == best.key()]
-    order = sorted(same, key=lambda i: -evidence[i])
-    names = best.continuous
-    if len(names) < 2:
-        return [best]
-    apart = []
-    for name in names:
-        values, place = np.unique(
-            [getattr(e, name) for e in effects], return_inverse=True
-        )
-        steps = np.abs(place[:, None] - place)
-        if name in best.cyclic:
-            steps = np.minimum(steps, values.size - steps)
-        apart.append(steps)
-    near = np.max(apart, axis=0) <= 1
-    found = []
-    for i in order:
-        if not near[i, found].any():
-            found.append(i)
-    return [effects[i] for i in found[:_STARTS]]
 
 
 # -- instants of jumps

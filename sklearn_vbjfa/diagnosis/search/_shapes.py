@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._problem import Fit
-from sklearn_vbjfa.diagnosis.search._refine import instant, searched_on, starts, stepped
+from sklearn_vbjfa.diagnosis.search._refine import instant, stepped
 
 # Instants of a jump that are looked at more closely.
 _JUMPS = 3
@@ -14,25 +14,12 @@ _JUMPS = 3
 
 def best_shape(fit, effect, family, scale):
     """Return an effect of a family, its shape searched between the grid's."""
-    # One smooth parameter is left to the steps with all that comes beside it.
+    # Smooth parameters are left to the steps with all that comes beside it.
     if effect.bank:
         return bank(fit, effect, scale)
     if getattr(effect, "jumping", ()):
         return jump(fit, effect, family, scale)
-    if searched_on(effect) and len(effect.continuous) > 1:
-        evidence = fit.evidence(family, scale)
-        return _of_several(fit, starts(family.effects, evidence, effect))
     return effect
-
-
-def _of_several(fit, effects):
-    """Return the most probable shape that is reached from several."""
-    found, last = [], len(fit.members)
-    for effect in effects:
-        family = fit.problem.shaped([effect])
-        scale = float(fit.groups(family).best_scale(1.0)[0])
-        found.append(stepped(fit.beside(family.member(0, scale)), [last]))
-    return max(found, key=lambda one: one.log_evidence()).members[last].effect
 
 
 def bank(fit, effect, scale, again=False):

@@ -185,9 +185,6 @@ class RecordingView:
                 root._corrected.pop(next(iter(root._corrected)))
             other = copy.copy(root)
             other.robot, other._corrections = root.robot.corrected(wanted), key
-            if (other.gains != root.gains).any():
-                # Columns are multiplied with what channels read.
-                other._families = {}
             other._set_equations()
             other._set_coordinates()
             root._corrected[key] = other
@@ -285,23 +282,9 @@ class RecordingView:
         return self._given[0].n_samples
 
     @property
-    def measured(self):
-        """Torques as recorded at the middle of each row, (m, nv) [N m or N]."""
-        return self._given[0].tau[self.recorded]
-
-    @property
     def rows(self):
         """Weight of each joint's rows together, (nv,)."""
         return (self.root.T**2).sum(axis=1)
-
-    def spread(self):
-        """Return the standard deviation of the torques that count, (nv,) [N m or N]."""
-        # nan for a joint without rows.
-        tau, weight = self.equations.tau, self.equations.weight
-        with np.errstate(divide="ignore", invalid="ignore"):
-            total = weight.sum(axis=0)
-            mean = (weight * tau).sum(axis=0) / total
-            return np.sqrt((weight * (tau - mean) ** 2).sum(axis=0) / total)
 
     def motion(self, theta, effects=(), coefs=()):
         """Signals of the samples; the load from reduced coordinates or None."""
@@ -402,16 +385,21 @@ class RecordingView:
         those of a shape that has fewer), and root mean squares (nj, c, k) of rows.
         """
         key = (effect.name, effect.joint)
-        made_from, found = self._families.get(key, (None, None))
+        made_from, gains, found = self._families.get(key, (None, None, None))
         if found is None or ("load" in effect.needs and made_from is not motion):
+            gains = self.gains
             effects = variants(effect, effect.first_shapes(motion))
             found = effects, None, None
             if effects:
                 rows = self.columns(effects, motion)
                 own = cosines(rows, self.joints_of(effect))
                 found = effects, own, root_mean_square(rows)
-            self._families[key] = motion, found
-        return found
+            self._families[key] = motion, gains, found
+        if not found[0] or (self.gains == gains).all():
+            return found
+        # Columns are multiplied with what channels read.
+        ratio = (self.gains / gains)[self.joints_of(effect)][:, None, None]
+        return found[0], found[1] * ratio[..., None], found[2] * np.abs(ratio)
 
 
 def root_mean_square(rows):

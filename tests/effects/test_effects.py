@@ -519,6 +519,9 @@ def test_keys_tell_uses_apart_but_not_shapes():
     assert here.key() != effects.Signal(signal="T", of="viscous").key()
     assert effects.Coupling(other=1).key() != effects.Coupling(other=2).key()
     assert effects.Coulomb(0).key() != effects.Coulomb(1).key()
+    short, long = (effects.FrictionByPosition(0, period=p) for p in (0.1, 2.0))
+    assert short.key() == long.key()
+    assert long.key() in short.excludes()
     # Two ripples of a joint have periods that differ clearly.
     first, near, far = (effects.Ripple(period=x) for x in (0.1, 0.12, 0.3))
     assert near.key() in first.excludes()

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.diagnosis.search._problem import Family, stacked
 from sklearn_vbjfa.diagnosis.search._shapes import best_shape
@@ -74,7 +75,7 @@ class Candidates:
             evidence = fit.evidence(family, scale)
             if not evidence.max() > least:
                 return None
-        groups, taken = fit.groups(family), self.taken(fit)
+        groups, taken = fit.groups(family), self.rejected | fit.excluded
         if excess is not None:
             groups = groups.discounted(excess)
             evidence = groups.evidence(scale)
@@ -118,10 +119,6 @@ class Candidates:
             return usual and replace(usual, tempered=True)
         strict = self.candidate(fit, candidate.family, excess)
         return strict and replace(strict, tempered=True, order=usual.order)
-
-    def taken(self, fit):
-        """Keys of effects that a fit excludes, a set."""
-        return self.rejected.union(fit.excluded)
 
     def shapes(self, member):
         """Count the shapes among which a member was chosen."""
@@ -221,6 +218,19 @@ class Candidates:
                 best = max(best, candidate.order)
         found = [o for o in found if o.order > best - margin - 1e-9]
         return sorted(found, key=lambda o: -o.order)
+
+    def most_probable(self, fit, candidates):
+        """Return the most probable candidate, None if there is none."""
+        # Banks have an upper bound, which is made exact where it leads.
+        best = None
+        for candidate in sorted(candidates, key=lambda o: -o.log_odds):
+            if best is not None and candidate.log_odds <= best.log_odds:
+                break
+            if candidate.effect.bank and not candidate.tempered:
+                candidate = self.candidate(fit, candidate.family, Overdispersion())
+            if best is None or (candidate and candidate.log_odds > best.log_odds):
+                best = candidate
+        return best
 
     # -- of members -----------------------------------------------------------------
 

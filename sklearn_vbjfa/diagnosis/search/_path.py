@@ -29,7 +29,7 @@ _MOTION = 0.9
 # Share of the log odds of the most probable candidate from which others come with it.
 _NEAR = 0.2
 # Share of what a name must save that an effect must save to be in the model.
-_LEAST = 0.25
+LEAST = 0.5
 # Nats within which the first in precedence gives its name to equal columns.
 _EQUAL = 0.5
 
@@ -81,8 +81,8 @@ class Path:
                 if self.view.repetition:
                     # What comes again with each phase would all be taken for effects.
                     near = candidates.surest(fit, near)
-                if near:
-                    best = max(near, key=lambda o: o.log_odds)
+                best = candidates.most_probable(fit, near)
+                if best is not None and best.log_odds > least:
                     jumps = getattr(best.effect, "jumping", ())
                     one = best.family.member(best.best, self.settings.scale)
                     added.append(self._member(fit, best) if jumps else one)
@@ -172,7 +172,7 @@ class Path:
         new = self.scaled(stepped(fit, numbers))
         left_out, stands = self.held_out(new), self._stand(new, first)
         # What predicts other motion no better is refused beside this model.
-        least = _LEAST * self.settings.worth
+        least = LEAST * self.settings.worth
         kept = [i for i in numbers if stands[i - first] and left_out.helps(i, least)]
         if len(kept) < len(chosen):
             members = [*new.members[:first], *(new.members[i] for i in kept)]
@@ -353,7 +353,7 @@ class Path:
     def _needed(self, fit, joint):
         """Return a fit with what is probable of a joint beside all the rest."""
         candidates, scale, members = self.candidates, self.settings.scale, []
-        taken = candidates.taken(fit)
+        taken = candidates.rejected | fit.excluded
         own = [m for m in fit.members if m.joints == (joint,)]
         within = set().union(*(closure(m.effect, self.library) for m in own))
         for family in candidates.families[joint]:

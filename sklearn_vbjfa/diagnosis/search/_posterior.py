@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import expit, ndtr, ndtri
 
 from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain, HeldOut
-from sklearn_vbjfa.diagnosis.search._path import Path
+from sklearn_vbjfa.diagnosis.search._path import LEAST, Path
 from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Effect, Motion, OfChannel
@@ -229,6 +229,7 @@ def _settled(path, fit):
                 if member.effect.natural(fit.coefficients(i))
                 # In most blocks as well, or nobody would call it probable.
                 and ndtr(own.errors) >= path.settings.undecided
+                and left_out.share_of(i) > LEAST * path.settings.worth
                 else -np.inf
                 for i, (member, own) in enumerate(zip(fit.members, worths.values()))
             ]

@@ -147,7 +147,7 @@ class SelectedEffect(Columns):
         """Number of columns."""
         return self.unit.size
 
-    @property
+    @functools.cached_property
     def done(self):
         """What of its coefficients the equations have already, (k,)."""
         if not self.effect.in_model:

@@ -228,10 +228,19 @@ class HeldOutFit:
     @property
     def residual(self):
         """Residuals (nv, m) of rows that were not fitted, scaled by their roots."""
+        # Each over the deviation, in units of noise, with which the other folds predict
+        # its row: where a fold is a motion of its own, that is extrapolation.
         held = self.held
         out = np.zeros_like(held.view.target)
         rows = np.arange(out.shape[1])[held.order]
-        out[held.used_joints[:, None], rows] = self._residual(self._thetas)
+        found = self._residual(self._thetas)
+        for own, weight, A, (at, X) in zip(found, self.weight, held.A, self._columns):
+            for factor, fold in zip(self._factors, held.rows):
+                columns = np.zeros((fold.sum(), self._done.size))
+                columns[:, : self._r], columns[:, at] = A[fold, :-1], X[fold]
+                unknown = columns.T * linalg.cho_solve(factor, columns.T)
+                own[fold] /= np.sqrt(1.0 + weight * unknown.sum(axis=0))
+        out[held.used_joints[:, None], rows] = found
         return out
 
 

@@ -31,8 +31,9 @@ def fitted(request):
     return fit, HeldOut(fit.problem.view).fitted(fit)
 
 
-def literal(fit, left_out, members, block_fold=None):
+def literal(fit, left_out, members, block_fold=None, studentised=False):
     """Squared errors of blocks (n_blocks, nj) of refits without each fold."""
+    # studentised: over what noise and the refit's uncertainty let expect
     view = fit.problem.view
     columns = [view.Z]
     precision = [np.zeros(view.Z.shape[2])]
@@ -62,6 +63,12 @@ def literal(fit, left_out, members, block_fold=None):
             rcond=None,
         )[0]
         wrong = np.where(out, view.target - A @ theta, 0.0) ** 2
+        if studentised:
+            inverse = np.linalg.pinv(
+                rows.T @ rows + np.diag(penalty**2), hermitian=True
+            )
+            expected = 1.0 + np.einsum("jmp,pq,jmq->jm", A, inverse, A) * root**2
+            wrong = wrong / expected
         squares += view.blocks.sums(wrong.T)
     return squares
 
@@ -89,10 +96,12 @@ def test_what_an_effect_is_worth_is_what_refits_without_it_lose(fitted, i):
     assert told == (i < 2)
 
 
-def test_residuals_are_those_of_what_was_not_seen(fitted):
+def test_residuals_are_over_the_deviation_of_their_prediction(fitted):
     fit, found = fitted
     squares = fit.problem.view.blocks.sums((found.residual**2).T)
-    assert_allclose(squares, found.squares, rtol=1e-8)
+    expected = literal(fit, found, [0, 1, 2], studentised=True)
+    assert_allclose(squares, expected, rtol=1e-3)
+    assert (squares < found.squares).all()
 
 
 def test_folds_may_be_given():

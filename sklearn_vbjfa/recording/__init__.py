@@ -6,27 +6,29 @@ from sklearn_vbjfa import _lazily
 
 # What type checkers see of names that are imported when they are asked for.
 if TYPE_CHECKING:
-    from sklearn_vbjfa.recording._columns import ChannelFinding
     from sklearn_vbjfa.recording._drives import CurrentDrive, PDDrive, VoltageDrive
     from sklearn_vbjfa.recording._reader import read_recording
     from sklearn_vbjfa.recording._recording import Recording
+    from sklearn_vbjfa.recording._signals import ChannelFinding
 
 # Users get `Recording` and `read_recording` from `sklearn_vbjfa.datasets`; the rest is
 # for other rooms.
 _MODULES = {
-    "_columns": (
+    "_frames": (
+        "carries_names",
+        "columns_beside",
+        "positions_in_order",
+        "torques_in_order",
+    ),
+    "_signals": (
         "ChannelFinding",
         "OfferedSignals",
         "check_useful",
-        "carries_names",
-        "columns_beside",
         "fault",
         "in_order",
         "listed_joints",
-        "positions_in_order",
         "signals_for",
         "survey",
-        "torques_in_order",
     ),
     "_drives": (
         "COMMANDS",

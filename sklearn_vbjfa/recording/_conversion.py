@@ -6,7 +6,6 @@ from os import fspath
 
 import numpy as np
 
-from sklearn_vbjfa.recording._columns import as_numbers
 from sklearn_vbjfa.recording._grid import on_grid, sorted_by_time
 from sklearn_vbjfa.recording._layout import (
     ESTIMATES,
@@ -16,13 +15,15 @@ from sklearn_vbjfa.recording._layout import (
     laid_out,
     refuse_two,
 )
-from sklearn_vbjfa.recording._missing import is_current, refusal
+from sklearn_vbjfa.recording._missing import refusal
 from sklearn_vbjfa.recording._options import ReadOptions
 from sklearn_vbjfa.recording._recording import Recording, contiguous_groups
 from sklearn_vbjfa.recording._rows import without_odd_rows
+from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import RecordingRefused, Table, listed
 from sklearn_vbjfa.recording._times import given_period, time_of
 from sklearn_vbjfa.recording._units import KINDS, MEASURED, split_unit, unit_of
+from sklearn_vbjfa.recording._words import is_current
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
 _LARGEST = 1e12

@@ -6,19 +6,10 @@ import numpy as np
 
 from sklearn_vbjfa.recording._clock import GAP_PERIODS, STEADY
 from sklearn_vbjfa.recording._layout import Role, by_names, channel_unit
-from sklearn_vbjfa.recording._missing import COMMAND_WORDS, is_current, words
 from sklearn_vbjfa.recording._table import Loss, Table, listed, pandas_of
 from sklearn_vbjfa.recording._units import is_clock
+from sklearn_vbjfa.recording._words import is_current, kinds_in
 
-# Words in the names of files, and what such a file holds.
-_WORDS = {
-    "t": {"t", "time", "times", "timestamp", "timestamps", "stamp", "stamps"},
-    "q": {"q", "pos", "position", "positions", "angle", "angles", "theta"},
-    "v": {"v", "dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds"},
-    "a": {"a", "ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations"},
-    "tau": {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "moments"}
-    | {"current", "currents", "curr", "amp", "amps", "ampere", "amperes", "i"},
-}
 # What holds commands; of these only the ones of the motion are of use.
 _COMMANDS = {"q": "q_desired", "v": "v_desired"}
 
@@ -120,10 +111,11 @@ def _parts(tables, joints, path):
 
 def _kind_of_file(table):
     """Return the kind that a file is called after, "" for none; None: of no use."""
-    named = set(words(table.path.stem))
-    kinds = [kind for kind, known in _WORDS.items() if named & known]
-    kind = kinds[0] if len(kinds) == 1 else ""
-    return _COMMANDS.get(kind) if kind and named & COMMAND_WORDS else kind
+    named = kinds_in(table.path.stem)
+    kinds = {"tau" if x in ("torque", "current") else x for x in named}
+    kinds -= {"command", "other"}
+    kind = kinds.pop() if len(kinds) == 1 else ""
+    return _COMMANDS.get(kind) if kind and "command" in named else kind
 
 
 def _part(table: Table, kind, joints):

@@ -1,6 +1,5 @@
 """The refusal of a file that lacks channels: the nearest names, options that work."""
 
-import difflib
 import itertools
 import re
 from dataclasses import replace
@@ -24,28 +23,11 @@ from sklearn_vbjfa.recording._units import (
     unit_of_steps,
     usual_step,
 )
+from sklearn_vbjfa.recording._words import is_current, is_measured, kinds_in
 
-# Words in names that are not recognised, for the offer of a refusal alone.
-_CURRENT = {"current", "curr", "cur", "amp", "ampere", "i"}
-_TORQUE = {"tau", "torque", "trq", "effort", "eff", "moment", "force"}
-COMMAND_WORDS = {"target", "cmd", "command", "desired", "des", "ref", "reference"}
-COMMAND_WORDS |= {"goal", "setpoint", "sp", "action"}
-_WORDS = {
-    "q": {"q", "pos", "position", "angle", "theta", "encoder"},
-    "tau": {*_TORQUE, "load", *_CURRENT},
-    "command": COMMAND_WORDS,
-    "other": {"velocity", "vel", "speed", "qd", "dq", "acceleration", "acc", "error"}
-    | {"temperature", "temp", "voltage", "external", "ext", "limit", "cartesian", "tcp"}
-    | {"enable", "mode", "window", "model", "friction", "fric", "gravity", "grav"}
-    | {"control", "con", "feedforward", "ff"},
-}
-_KIND_OF = {word: kind for kind, words in _WORDS.items() for word in words}
-_OF_TIME = {"time", "stamp", "timestamp", "clock", "t", "ts"}
-# Words of a name that is preferred to others of its kind.
-_MEASURED = {"measured", "meas", "actual", "act"}
-# The least similarity of a word to one of these, and the shortest word that has any.
-_SIMILAR, _LONG = 0.85, 4
 _MOST_TRIED = 20
+# Channels by the kinds of words.
+_KIND = {"torque": "tau", "current": "tau"}
 _WHAT = {"q": "positions", "tau": "torques", "q_desired": "desired positions"}
 
 
@@ -140,19 +122,6 @@ def _works(table, options, robot):
 # -- the nearest names -----------------------------------------------------------------
 
 
-def words(pattern):
-    """Return the words in a pattern, in small letters."""
-    text = re.sub(r"\{\w+\}", " ", split_unit(pattern)[0])
-    text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
-    return [x.lower() for x in re.findall(r"[^\W\d_]+", text)]
-
-
-def is_current(name):
-    """Return whether a column's name says that it is a motor's current, no torque."""
-    found = {word.rstrip("s") for word in words(name)}
-    return bool(_CURRENT & found) and not _TORQUE & found
-
-
 def _nearest(table, kind, joints):
     """Return the patterns of columns nearest to a kind."""
     if kind == "t":
@@ -160,19 +129,12 @@ def _nearest(table, kind, joints):
     wanted = {"q_desired": {"q", "command"}}.get(kind, {kind})
     found: dict[tuple, list] = {}
     for pattern, columns in _families(table, joints).items():
-        near = (
-            [x]
-            if x in _KIND_OF
-            else difflib.get_close_matches(x, _KIND_OF, 1, _SIMILAR)
-            for x in words(pattern)
-            if x in _KIND_OF or len(x) >= _LONG
-        )
-        kinds = {_KIND_OF[x] for found_words in near for x in found_words}
+        kinds = {_KIND.get(x, x) for x in kinds_in(pattern)}
         # A unit tells the kind of what has words of another language.
         unit = name_and_unit(table, next(iter(columns.values())))[1]
         if (kinds or {x for x in KINDS if unit and unit_of(x, unit)}) == wanted:
             others = len(columns) != (len(joints) or len(columns))
-            rank = others, not _MEASURED & set(words(pattern))
+            rank = others, not is_measured(pattern)
             found.setdefault(rank, []).append(pattern)
     return found[min(found)] if found else []
 
@@ -211,7 +173,7 @@ def _clocks(table):
     found = [
         name
         for name in table.names
-        if (_OF_TIME & set(words(name)) or unit_of("t", split_unit(name)[1] or name))
+        if ("t" in kinds_in(name) or unit_of("t", split_unit(name)[1] or name))
         and is_clock(table.values(name))
         and usual_step(table.values(name)) != 1
     ]

@@ -160,21 +160,6 @@ class Recording:
     ValueError
         If shapes disagree, a value is not finite, `dt` is not positive or
         the labels are not 0, 1, 2, ... in contiguous blocks.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_vbjfa.datasets import Recording
-    >>> recording = Recording(
-    ...     name="bench", q=np.zeros((4, 1)), tau=np.zeros((4, 1)),
-    ...     t=np.array([0.0, 0.1, 0.0, 0.1]), dt=0.1,
-    ...     groups=np.array([0, 0, 1, 1]), group_names=("slow", "fast"),
-    ...     joint_names=("hinge",), position_units=("rad",), torque_units=("N m",),
-    ... )
-    >>> recording
-    Recording 'bench': 4 samples, 1 joint, dt = 0.1 s, 2 recordings
-    >>> recording.select("fast").n_samples
-    2
     """
 
     name: str
@@ -216,31 +201,13 @@ class Recording:
             values = getattr(self, key)
             if values is not None or key == "tau":
                 shape = (n_samples, width * nv) if width else (n_samples,)
-                _check_shape(key, _finite(key, values), shape)
+                _check_shape(key, _finite(key, values).shape, shape)
         for key, values in self.signals.items():
-            if len(_finite(f"signals[{key!r}]", values)) != n_samples:
-                raise ValueError(
-                    f"signals[{key!r}] must have {n_samples} rows like q, got "
-                    f"{len(values)}; resample it on the same time grid."
-                )
+            rows = _finite(f"signals[{key!r}]", values).shape[:1]
+            _check_shape(f"signals[{key!r}]", rows, (n_samples,))
         for key in ("joint_names", "position_units", "torque_units"):
-            if len(getattr(self, key)) != nv:
-                raise ValueError(
-                    f"{key} must have one entry for each of the {nv} columns of q, "
-                    f"got {len(getattr(self, key))}: {getattr(self, key)}."
-                )
-        names = self.group_names
-        _check_shape("groups", self.groups, (n_samples,))
-        labels = self.groups[[part.start for part in self.segments]]
-        if self.groups.dtype.kind not in "iu" or labels.tolist() != [
-            *range(len(names))
-        ]:
-            raise ValueError(
-                f"groups must hold the integers 0 to {len(names) - 1} (one for each of "
-                f"group_names) in contiguous blocks, got blocks {labels[:10].tolist()}."
-            )
-        if len(set(names)) != len(names):
-            raise ValueError(f"group_names must differ from one another, got {names}.")
+            _check_shape(key, (len(getattr(self, key)),), (nv,))
+        self._check_groups()
         if self.t is not None:
             back = (np.diff(self.t) < 0) & (np.diff(self.groups) == 0)
             if back.any():
@@ -248,6 +215,19 @@ class Recording:
                     "t must not decrease inside a recording, it does after row "
                     f"{np.flatnonzero(back)[0]}; sort the rows or start a new label."
                 )
+
+    def _check_groups(self):
+        """Refuse labels that are not 0, 1, ... in blocks, one for each name."""
+        _check_shape("groups", self.groups.shape, (self.n_samples,))
+        labels = self.groups[[part.start for part in self.segments]]
+        count, is_int = len(set(self.group_names)), self.groups.dtype.kind in "iu"
+        blocks = [*range(len(self.group_names))] if is_int else None
+        if labels.tolist() != blocks or count != len(blocks):
+            raise ValueError(
+                "groups must hold the integers from 0 on in contiguous blocks, one for "
+                f"each of the different group_names {self.group_names}; got blocks "
+                f"{labels[:10].tolist()}."
+            )
 
     def _rows(self, rows):
         """Return all that has a value for each row, at some rows, by name."""
@@ -511,24 +491,19 @@ def _positions_before(recording, row):
 
 def _finite(name: str, values: Any) -> np.ndarray:
     """Return a numeric array, rejecting NaN and infinity."""
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "biuf":
-        raise ValueError(f"{name} must be a numeric ndarray, got {_kind(values)}.")
-    if not np.isfinite(values).all():
+    is_array = isinstance(values, np.ndarray) and values.dtype.kind in "biuf"
+    if not is_array or not np.isfinite(values).all():
+        kind = getattr(values, "dtype", type(values).__name__)
         raise ValueError(
-            f"{name} must be finite, got {np.count_nonzero(~np.isfinite(values))} "
-            "values that are not; drop or interpolate those rows first."
+            f"{name} must be an ndarray of finite numbers, got {kind} or other values; "
+            "drop or interpolate those rows first."
         )
     return values
 
 
-def _kind(values):
-    is_array = isinstance(values, np.ndarray)
-    return f"ndarray of {values.dtype}" if is_array else type(values).__name__
-
-
-def _check_shape(name: str, values: np.ndarray, expected: tuple[int, ...]) -> None:
-    """Reject an array whose shape does not agree with q."""
-    if values.shape != expected:
+def _check_shape(name: str, shape: tuple[int, ...], expected: tuple[int, ...]) -> None:
+    """Reject a shape that does not agree with q."""
+    if shape != expected:
         raise ValueError(
-            f"{name} must have shape {expected} to agree with q, got {values.shape}."
+            f"{name} must have shape {expected} to agree with q, got {shape}."
         )

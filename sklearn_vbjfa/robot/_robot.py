@@ -40,7 +40,7 @@ from sklearn_vbjfa.model._loading import (
     urdf_to_fill,
 )
 from sklearn_vbjfa.model._trees import is_prismatic
-from sklearn_vbjfa.recording._columns import (
+from sklearn_vbjfa.recording import (
     columns_beside,
     positions_in_order,
     signals_for,

@@ -57,31 +57,33 @@ def test_select_refuses_what_is_not_there(make_recording, entry):
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    "changes",
     [
-        ({"dt": 0.0}, "dt must be the sample period"),
-        ({"dt": np.nan}, "dt must be the sample period"),
-        ({"dt": "fast"}, "dt must be the sample period"),
-        ({"q": np.zeros(9)}, r"q must have shape \(n_samples, nv\), got \(9,\)"),
-        ({"q": [[0.0]]}, "q must be a numeric ndarray, got list"),
-        ({"tau": np.zeros((8, 2))}, r"tau must have shape \(9, 2\) to agree with q"),
-        ({"v": np.zeros((9, 1))}, r"v must have shape \(9, 2\)"),
-        ({"t": np.zeros(8)}, r"t must have shape \(9,\)"),
-        ({"t": -np.arange(9.0)}, "t must not decrease .* after row 0"),
-        ({"tau": np.full((9, 2), np.nan)}, "tau must be finite, got 18 values"),
-        ({"joint_names": ("a",)}, "joint_names must have one entry for each of the 2"),
-        ({"torque_units": ("N",)}, "torque_units must have one entry"),
-        ({"signals": {"x": np.zeros(8)}}, r"signals\['x'\] must have 9 rows like q"),
-        ({"groups": np.zeros(8, int)}, r"groups must have shape \(9,\)"),
-        ({"groups": np.array([0, 1, 2] * 3)}, "in contiguous blocks, got blocks"),
-        ({"groups": np.zeros(9, int)}, "integers 0 to 2"),
-        ({"groups": np.repeat([0.0, 1.0, 2.0], 3)}, "integers 0 to 2"),
-        ({"group_names": ("a", "a", "b")}, "group_names must differ"),
+        {"dt": 0.0},
+        {"dt": np.nan},
+        {"dt": "fast"},
+        {"q": np.zeros(9)},
+        {"q": [[0.0]]},
+        {"tau": np.zeros((8, 2))},
+        {"v": np.zeros((9, 1))},
+        {"t": np.zeros(8)},
+        {"t": -np.arange(9.0)},
+        {"tau": np.full((9, 2), np.nan)},
+        {"joint_names": ("a",)},
+        {"torque_units": ("N",)},
+        {"signals": {"x": np.zeros(8)}},
+        {"groups": np.zeros(8, int)},
+        {"groups": np.array([0, 1, 2] * 3)},
+        {"groups": np.zeros(9, int)},
+        {"groups": np.repeat([0.0, 1.0, 2.0], 3)},
+        {"group_names": ("a", "a", "b")},
     ],
 )
-def test_inconsistent_fields_are_refused(make_recording, changes, message):
-    with pytest.raises(ValueError, match=message):
+def test_inconsistent_fields_are_refused_by_name(make_recording, changes):
+    (name,) = changes
+    with pytest.raises(ValueError, match=name) as caught:
         make_recording(**changes)
+    assert "must" in str(caught.value)
 
 
 def test_recording_is_frozen_and_survives_pickle(make_recording):

@@ -18,18 +18,8 @@ from sklearn_vbjfa.recording._table import (
     no_rows,
     parsing,
 )
-from sklearn_vbjfa.recording.formats._arrays import (
-    read_json,
-    read_mat,
-    read_npy,
-    read_npz,
-)
+from sklearn_vbjfa.recording.formats import _arrays, _parquet
 from sklearn_vbjfa.recording.formats._bags import BAGS, bag_files, read_bag
-from sklearn_vbjfa.recording.formats._parquet import (
-    PARQUET,
-    read_lerobot,
-    read_parquet,
-)
 from sklearn_vbjfa.recording.formats._text import read_sheet, read_text
 
 # What a file may be, for the help of commands.
@@ -45,11 +35,11 @@ _TEXT = (".csv", ".tsv", ".txt", ".dat")
 _READERS = {
     **dict.fromkeys(_TEXT, read_text),
     **dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"), read_sheet),
-    ".npz": read_npz,
-    ".npy": read_npy,
-    ".mat": read_mat,
-    **dict.fromkeys(PARQUET, read_parquet),
-    **dict.fromkeys((".json", ".jsonl", ".ndjson"), read_json),
+    ".npz": _arrays.read_npz,
+    ".npy": _arrays.read_npy,
+    ".mat": _arrays.read_mat,
+    **dict.fromkeys(_parquet.PARQUET, _parquet.read_parquet),
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), _arrays.read_json),
 }
 # Modules by which packed files are opened.
 _OPEN = {".gz": gzip, ".bz2": bz2, ".xz": lzma, ".lzma": lzma, ".zst": None}
@@ -79,24 +69,69 @@ def read_table(path, topic=None, joints=lambda: ()) -> Table:
     # topic: topic of a bag; joints: function that returns the robot's joints.
     path = expanded(path)
     with contextlib.ExitStack() as stack:
-        read = _read_folder if path.is_dir() else _read_file
-        table = read(stack, path, topic, joints)
+        files = bag_files(path) if path.is_dir() else []
+        if files:
+            packed = [x.suffix.startswith(".zst") for x in files]
+            files = [
+                _unpacked(stack, Source(x, path), x.suffix).file if is_packed else x
+                for x, is_packed in zip(files, packed)
+            ]
+            table = read_bag(files, path, topic, joints())
+        elif path.is_dir():
+            table = _read_folder(path, topic)
+        else:
+            table = _read_file(_source(stack, path), topic, joints)
     if table.frame.empty:
         raise no_rows(path)
     return table
 
 
-def expanded(path):
-    """Return a path in which ~ is the home folder; file:// may stand before it."""
-    path = Path(str(path).removeprefix("file://"))
-    try:
-        return path.expanduser()
-    except RuntimeError:
-        # There is no such user; a file may be called so.
-        return path
+def _read_folder(path, topic):
+    """Read the folder of a LeRobot data set."""
+    if (path / "meta" / "info.json").is_file():
+        _check_topic(path, "", topic)
+        return _parquet.read_lerobot(path)
+    names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
+    raise ValueError(
+        f"{path}: is a folder; give a file, or the folder of a bag (.db3, .mcap) or of "
+        f"a LeRobot data set (meta/info.json). It holds {listed(names) or 'nothing'}."
+    )
+
+
+def _read_file(source, topic, joints):
+    """Read a file that is not packed, by its ending."""
+    ending = source.file.suffix.lower()
+    _check_topic(source, ending, topic)
+    if ending in BAGS:
+        return read_bag([source.file], source.shown, topic, joints())
+    if ending in _READERS:
+        return _READERS[ending](source)
+    remedy = "or in Python by numpy.savez(FILE, t=t, q=q, tau=tau)"
+    if ending == ".zip":
+        remedy = f"or unpack it first: unzip {shlex.quote(str(source))}"
+    raise ValueError(
+        f"{source}: unknown ending {ending!r}; save the recording as {_KNOWN}, {remedy}"
+    )
+
+
+def _check_topic(path, ending, topic):
+    if topic is not None and ending not in BAGS:
+        raise ValueError(
+            f"{path}: is not a bag, so it has no topic {topic!r}; leave out "
+            "the topic, or give a .bag, .db3 or .mcap file."
+        )
 
 
 # -- folders ---------------------------------------------------------------------------
+
+
+def expanded(path):
+    """Return a path in which ~ is the home folder; file:// may stand before it."""
+    path = Path(str(path).removeprefix("file://"))
+    with contextlib.suppress(RuntimeError):
+        # Without such a user a file may be called so.
+        path = path.expanduser()
+    return path
 
 
 def tables_in(path):
@@ -131,28 +166,11 @@ def _tables(path):
     return found
 
 
-def _read_folder(stack, path, topic, joints):
-    """Read the folder of a bag or of a LeRobot data set."""
-    files = bag_files(path)
-    if files:
-        packed = [x for x in files if x.suffix.startswith(".zst")]
-        files = [x for x in files if x not in packed]
-        files += [_unpacked(stack, Source(x, path), x.suffix).file for x in packed]
-        return read_bag(files, path, topic, joints())
-    if (path / "meta" / "info.json").is_file():
-        _check_topic(path, "", topic)
-        return read_lerobot(path)
-    names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
-    raise ValueError(
-        f"{path}: is a folder; give a file, or the folder of a bag (.db3, .mcap) or of "
-        f"a LeRobot data set (meta/info.json). It holds {listed(names) or 'nothing'}."
-    )
+# -- pipes and packed files ------------------------------------------------------------
 
 
-# -- files -----------------------------------------------------------------------------
-
-
-def _read_file(stack, path, topic, joints):
+def _source(stack, path):
+    """Return the file to read: itself, unpacked, or the content of a pipe."""
     source = Source(path, path)
     if str(path) == "-" or (path.exists() and not path.is_file()):
         source = _from_pipe(stack, path)
@@ -163,31 +181,8 @@ def _read_file(stack, path, topic, joints):
     ending = source.file.suffix.lower()
     if ending in _TEXT:
         # Packed text may have lost its ending.
-        begin = _begin(source.file)
-        ending = next((x for mark, x in _PACKED.items() if begin.startswith(mark)), "")
-        ending = ending or source.file.suffix.lower()
-    if ending in _OPEN:
-        source = _unpacked(stack, source, ending)
-        ending = source.file.suffix.lower()
-    _check_topic(source, ending, topic)
-    if ending in BAGS:
-        return read_bag([source.file], source.shown, topic, joints())
-    if ending in _READERS:
-        return _READERS[ending](source)
-    remedy = "or in Python by numpy.savez(FILE, t=t, q=q, tau=tau)"
-    if ending == ".zip":
-        remedy = f"or unpack it first: unzip {shlex.quote(str(source))}"
-    raise ValueError(
-        f"{source}: unknown ending {ending!r}; save the recording as {_KNOWN}, {remedy}"
-    )
-
-
-def _check_topic(path, ending, topic):
-    if topic is not None and ending not in BAGS:
-        raise ValueError(
-            f"{path}: is not a bag, so it has no topic {topic!r}; leave out "
-            "the topic, or give a .bag, .db3 or .mcap file."
-        )
+        ending = _ending_of(source.file, _PACKED)
+    return _unpacked(stack, source, ending) if ending in _OPEN else source
 
 
 def _from_pipe(stack, path):
@@ -206,17 +201,13 @@ def _folder(stack):
     return Path(stack.enter_context(tempfile.TemporaryDirectory()))
 
 
-def _begin(file):
-    with file.open("rb") as opened:
-        return opened.read(64)
-
-
-def _ending_of(file):
+def _ending_of(file, begins=_BEGINS):
     """Return the ending that a file should have, from its first bytes."""
-    begin = _begin(file)
+    with file.open("rb") as opened:
+        begin = opened.read(4096)
     if begin.startswith(b"PK\x03\x04"):
-        return ".xlsx" if b"xl/" in file.read_bytes()[:4096] else ".npz"
-    return next((x for mark, x in _BEGINS.items() if begin.startswith(mark)), ".csv")
+        return ".xlsx" if b"xl/" in begin else ".npz"
+    return next((x for mark, x in begins.items() if begin.startswith(mark)), ".csv")
 
 
 def _unpacked(stack, source, ending):

@@ -1,6 +1,5 @@
-"""Columns that a caller gives: those of the joints, and signals; findings on them."""
+"""Signals: other columns that come with the motion, and what they are good for."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -76,6 +75,9 @@ def listed_joints(names, joints):
     return ", ".join(names[j] for j in joints)
 
 
+# -- which columns are signals ---------------------------------------------------------
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OfferedSignals:
     """Columns that came with the motion and that nobody asked for by name."""
@@ -92,16 +94,14 @@ class OfferedSignals:
             if values.ndim == 1:
                 columns[name] = values
             elif name not in ("a", *COMMANDS, *OF_MOTORS):
-                columns |= {
-                    f"{name}{k + 1}": x for k, x in enumerate(np.asarray(values).T)
-                }
+                columns |= {f"{name}{k + 1}": x for k, x in enumerate(values.T)}
         return cls(columns=columns, left_out=recording.left_out)
 
     def column(self, name, n_samples):
         """Return a column that somebody asked for, or say why that cannot be."""
-        if name in self.left_out:
-            raise ValueError(f"The column {name!r} {self.left_out[name]}.")
-        values, reason = as_numbers(self.columns[name], n_samples)
+        values, reason = None, self.left_out.get(name)
+        if reason is None:
+            values, reason = as_numbers(self.columns[name], n_samples)
         if reason:
             raise ValueError(f"The column {name!r} {reason}.")
         return values
@@ -125,12 +125,10 @@ def as_numbers(values, n_samples):
         return None, (
             f"has the shape {values.shape}; expected one value per row, ({n_samples},)"
         )
-    numbers = values
-    if values.dtype.kind == "O":
-        try:
-            numbers = values.astype(float)
-        except (TypeError, ValueError):
-            pass
+    try:
+        numbers = values if values.dtype.kind in "biufUS" else values.astype(float)
+    except (TypeError, ValueError):
+        numbers = values
     if numbers.dtype.kind not in "biuf":
         return None, f"holds {quoted(str(values.ravel()[0]))} and not numbers"
     numbers = numbers.astype(float)
@@ -143,18 +141,16 @@ def as_numbers(values, n_samples):
     return numbers, ""
 
 
-def check_given(signals, n_samples):
+def _given(signals, n_samples):
     """Return signals that were given by name as floats (n_samples,), a dict."""
-    if signals is None:
-        return {}
     # A data frame is no mapping but has items.
-    if not (isinstance(signals, Mapping) or hasattr(signals, "items")):
+    if signals is not None and not hasattr(signals, "items"):
         raise ValueError(
             "signals must be a mapping of names to columns of one value per row, or a "
             f"data frame; got {type(signals).__name__}."
         )
     found = {}
-    for name, values in signals.items():
+    for name, values in () if signals is None else signals.items():
         if not isinstance(name, str) or not name:
             raise ValueError(f"signals must have names that are text; got {name!r}.")
         found[name], reason = as_numbers(values, n_samples)
@@ -167,7 +163,7 @@ def _asked_for(effects, given, offered, n_samples):
     """Signals given, or asked for by effects, by name; these names; what is offered."""
     if isinstance(given, OfferedSignals):
         given, offered = None, given
-    found = check_given(given, n_samples)
+    found = _given(given, n_samples)
     twice = [name for name in found if name in offered.names]
     if twice:
         raise ValueError(
@@ -204,7 +200,7 @@ def check_useful(given, recording):
     """Refuse signals, given by name, that are not a condition of the robot."""
     if isinstance(given, OfferedSignals):
         return
-    for name, values in check_given(given, recording.n_samples).items():
+    for name, values in _given(given, recording.n_samples).items():
         reason = fault(values, recording, _COPY)
         if reason:
             raise ValueError(f"signals: {name!r} {reason}.")
@@ -241,6 +237,9 @@ def survey(given, offered, recording, effects):
         for name, reason in reasons.items()
     ]
     return found, tuple(findings)
+
+
+# -- what is no condition of the robot -------------------------------------------------
 
 
 def fault(values, recording, share=_COPY):
@@ -316,7 +315,7 @@ def _shared(x, y):
 
 
 def _is_clock(values, recording):
-    """Whether a column counts time, or rows, in each recording."""
+    """Return whether a column counts time, or rows, in each recording."""
     t = recording.clock(stamped=False) if recording.t is None else recording.t
     if t is None:
         return False
@@ -332,108 +331,4 @@ def _is_clock(values, recording):
         and wander <= unit * period
         for unit in (*_CLOCKS, 1 / period)
         if slopes
-    )
-
-
-# -- data frames, by the names of joints instead of by their places --------------------
-
-_NUMBERED = re.compile(r"([a-z]+?)_?(\d+)")
-# Columns that say when and in which recording, and where they are to be given.
-_TIME, _LABEL = "is time: give it as t", "labels recordings: give it as groups"
-_NOT_HERE = {"t": _TIME, "time": _TIME, "segment": _LABEL, "group": _LABEL}
-_NOT_HERE |= {"groups": _LABEL}
-
-
-def positions_in_order(X, names):
-    """Put a data frame of positions or states into the model's order of joints."""
-    # Columns are ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0 if there is a
-    # ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``, ``a1``. What
-    # has no names comes back as it is; other columns are `columns_beside` them.
-    found = _by_kind(_columns_of(X), names, "q")
-    if "q" in found:
-        return X[_states(found)]
-    return _foreign(X, names, "X", ("q", "v", "a"))
-
-
-def carries_names(X, names):
-    """Whether columns of a data frame carry the names of joints."""
-    found = set(map(str, _columns_of(X)))
-    return any(name in found or f"q_{name}" in found for name in names)
-
-
-def columns_beside(X, names):
-    """Return the other columns of a data frame X, `OfferedSignals`."""
-    # Time, labels of recordings and other channels of joints are no signals; they are
-    # among those left out. Empty for what has no names.
-    columns = _columns_of(X)
-    found = _by_kind(columns, names, "q")
-    channels = {column for own in found.values() for column in own}
-    rest = [x for x in columns if x not in channels and x.lower() not in _NOT_HERE]
-    if "q" not in found or not rest:
-        return OfferedSignals()
-    others = {
-        column: _NOT_HERE.get(column.lower(), "belongs to a joint")
-        for column in columns
-        if column not in rest and column not in _states(found)
-    }
-    return OfferedSignals(
-        columns={name: X[name].to_numpy() for name in rest}, left_out=others
-    )
-
-
-def torques_in_order(y, names):
-    """Put a data frame of torques into the model's order of joints."""
-    # Columns are ``tau_<joint>``, ``<joint>``, or ``tau1, tau2, ...`` (from 0 if there
-    # is a ``tau0``).
-    columns = _columns_of(y)
-    found = _by_kind(columns, names, "tau")
-    if "tau" in found and len(columns) == len(names):
-        return y[found["tau"]]
-    return _foreign(y, names, "y", ("tau",))
-
-
-def _columns_of(frame):
-    """Names of the columns of a data frame; as in scikit-learn only text is one."""
-    columns = list(getattr(frame, "columns", ()))
-    return columns if all(isinstance(column, str) for column in columns) else []
-
-
-def _by_kind(columns, names, bare):
-    """Return the columns of each kind in order, as far as all joints have one."""
-    # bare: the kind of columns that have the names of joints alone.
-    found = {}
-    numbered = [(_NUMBERED.fullmatch(column), column) for column in columns]
-    for kind in ("q", "v", "a", "tau"):
-        spelled = [[f"{kind}_{name}" for name in names], list(names)]
-        numbers = {int(x[2]): column for x, column in numbered if x and x[1] == kind}
-        first = 0 if 0 in numbers else 1
-        if sorted(numbers) == list(range(first, first + len(names))):
-            spelled.append([numbers[k] for k in sorted(numbers)])
-        if kind != bare:
-            del spelled[1]
-        own = [x for x in spelled if set(x) <= set(columns)]
-        found |= {kind: own[0]} if own else {}
-    return found
-
-
-def _states(found):
-    """Return the columns of states if all are there, else those of positions."""
-    kinds = ("q", "v", "a") if {"v", "a"} <= found.keys() else ("q",)
-    return [column for kind in kinds for column in found[kind]]
-
-
-def _foreign(frame, names, what, kinds):
-    """Refuse columns of which not all are joints'; the number is checked elsewhere."""
-    columns = _columns_of(frame)
-    count, rest = divmod(len(columns), len(names))
-    if rest or count not in {1, len(kinds)}:
-        return frame
-    expected = [f"{kind}_{name}" for kind in kinds[:count] for name in names]
-    strange = [x for x in columns if x not in (*expected, *names)]
-    raise ValueError(
-        f"{what} has columns {', '.join(columns)}"
-        + (f", of which {', '.join(strange)} name no joint" if strange else "")
-        + f" of the robot; expected {', '.join(expected)} in any order (or the joints' "
-        "names alone). Rename the columns, or give an array "
-        f"({what}.to_numpy()) in the robot's order."
     )

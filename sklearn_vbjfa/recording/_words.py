@@ -8,7 +8,7 @@ from sklearn_vbjfa.recording._units import split_unit
 _WORDS = {
     "t": "t ts time timestamp stamp clock",
     "q": "q pos position angle theta encoder",
-    "v": "v dq qd qdot vel velocity speed",
+    "v": "v dq qd qdot vel velocity velocities speed",
     "a": "a ddq qdd qddot acc accel acceleration",
     "torque": "tau torque trq effort eff moment force load",
     "current": "current curr cur amp ampere i",

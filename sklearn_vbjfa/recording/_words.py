@@ -9,7 +9,7 @@ _WORDS = {
     "t": "t ts time timestamp stamp clock",
     "q": "q pos position angle theta encoder",
     "v": "v dq qd qdot vel velocity velocities speed",
-    "a": "a ddq qdd qddot acc accel acceleration",
+    "a": "ddq qdd qddot acc accel acceleration",
     "torque": "tau torque trq effort eff moment force load",
     "current": "current curr cur amp ampere i",
     "command": "target cmd command desired des ref reference goal setpoint sp action",

@@ -17,7 +17,7 @@ from sklearn_vbjfa.recording._grid import distinct, on_one_grid
 from sklearn_vbjfa.recording._joined import joined
 from sklearn_vbjfa.recording._options import checked
 from sklearn_vbjfa.recording._recording import Recording
-from sklearn_vbjfa.recording._table import Loss, NotATable, RecordingRefused, listed
+from sklearn_vbjfa.recording._table import Loss, NotATable, listed
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
 # Relative difference between the periods of two files that is refused: accelerations
@@ -126,16 +126,6 @@ def read_recording(
     ...     _ = file.write_text("clock,angle,torque\n" + "\n".join(rows))
     ...     read_recording(file, columns="q=angle,tau=torque,t=clock")
     Recording 'hinge': 20 samples, 1 joint, dt = 0.01 s
-
-    Several files:
-
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     files = [pathlib.Path(folder) / f"{name}.csv" for name in ("slow", "fast")]
-    ...     for rate, file in zip((0.1, 0.3), files):
-    ...         rows = [f"{0.01 * k:.2f},{rate * k},{1.0}" for k in range(20)]
-    ...         _ = file.write_text("t,q1,tau1\n" + "\n".join(rows))
-    ...     read_recording(files).group_names
-    ('slow', 'fast')
     """
     options = checked(
         columns=columns,
@@ -203,18 +193,12 @@ def _read(paths, options, notes):
     """Read files and folders, each a recording or several."""
     files = []
     for path in counted(paths, "reading", "files"):
-        try:
-            inside = tables_in(path)
-            if len(inside) > 1:
-                files += _of_folder(expanded(path), inside, options, notes)
-            else:
-                (path,) = inside or [path]
-                files.append(_file(_table(path, options), options))
-        except RecordingRefused as error:
-            if not files:
-                raise
-            # The files before it were read without the options that it offers.
-            raise RecordingRefused(error.reason) from error
+        inside = tables_in(path)
+        if len(inside) > 1:
+            files += _of_folder(expanded(path), inside, options, notes)
+        else:
+            (path,) = inside or [path]
+            files.append(_file(_table(path, options), options))
     return files
 
 
@@ -320,16 +304,25 @@ def _shortly(paths):
 def _concatenated(files, notes):
     """Return the recording of all files."""
     _check_agreement(files)
-    left_out, missing = _signals_left_out(files)
+    recordings = [file.recording for file in files]
+    left_out = {
+        key: f"{reason} ({file.path})"
+        for file in reversed(files)
+        for key, reason in file.recording.left_out.items()
+    }
+    everywhere = set.intersection(*(set(x.signals) for x in recordings))
+    some = [x for one in recordings for x in one.signals if x not in everywhere]
+    missing = [x for x in dict.fromkeys(some) if x not in left_out]
+    for key in missing:
+        without = [x.path for x in files if key not in x.recording.signals]
+        left_out[key] = f"is missing in {_shortly(without)}"
     if missing:
         notes.append(
             f"column(s) {listed(missing)} are not in all files and are left out."
         )
     recordings = [
-        replace(
-            one, signals={k: x for k, x in one.signals.items() if k not in left_out}
-        )
-        for one in (file.recording for file in files)
+        replace(one, signals={k: x for k, x in one.signals.items() if k in everywhere})
+        for one in recordings
     ]
     dt = median_low([x.dt for x in recordings])
     fields, moved = on_one_grid(recordings, _group_names(files), dt)
@@ -393,17 +386,3 @@ def _group_names(files):
         for suffix in inside if len(inside) > 1 else [""]:
             names.append(f"{label} {suffix.strip()}".strip())
     return distinct(names)
-
-
-def _signals_left_out(files):
-    """Return what is wrong with signals, by name, and which are missing somewhere."""
-    left_out, missing = {}, []
-    for file in files:
-        for key, reason in file.recording.left_out.items():
-            left_out.setdefault(key, f"{reason} ({file.path})")
-    for key in dict.fromkeys(key for x in files for key in x.recording.signals):
-        without = [x.path for x in files if key not in x.recording.signals]
-        if without and key not in left_out:
-            missing.append(key)
-            left_out[key] = f"is missing in {_shortly(without)}"
-    return left_out, missing

@@ -136,10 +136,6 @@ def _in_units(table, found, options, notes):
         if roles:
             columns, units[kind] = zip(*(_values(table, role) for role in roles))
             channels[kind] = np.column_stack(columns)
-    for kind in options.recorded if options.drive is not None else ():
-        once = table.scalars.get(kind)
-        if kind not in channels and once is not None and once.dtype.kind in "iuf":
-            channels[kind] = _in_every_row(table, kind, once, channels["q"].shape)
     rate = "v_desired" in options.recorded and "v_desired" not in channels
     if rate and not getattr(options.drive, "feedforward", False):
         notes.append(
@@ -147,15 +143,6 @@ def _in_units(table, found, options, notes):
             "motion."
         )
     return channels, units
-
-
-def _in_every_row(table, kind, values, shape):
-    if values.shape not in {(), (1,), shape[1:]}:
-        raise ValueError(
-            f"{table.path}: {kind} has the shape {values.shape}; expected one "
-            f"number for each of {shape[1]} joints, or one in every row."
-        )
-    return np.broadcast_to(values.astype(float), shape).copy()
 
 
 def _values(table: Table, role):

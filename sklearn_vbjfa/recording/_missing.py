@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa.recording._drives import UNSIGNED, PDDrive
+from sklearn_vbjfa.recording._drives import UNSIGNED
 from sklearn_vbjfa.recording._layout import (
     channels_of,
     in_order,
@@ -55,9 +55,6 @@ def refusal(table, layout, options, robot, missing):
             "if the motors follow commands, give the drive, drive=... (command line: "
             '--drive "pd kp=... kd=...")'
         )
-        driven = laid_out(table, replace(options, drive=PDDrive()), robot)
-        if driven.kinds | {*table.scalars} >= {"q_desired", "kp", "kd"}:
-            offered = {"drive": "pd"}
     if kinds:
         parts.append(f"found {listed(table.names)}")
     if kinds and not offered:

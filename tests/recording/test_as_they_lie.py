@@ -205,14 +205,6 @@ def test_a_last_line_that_is_cut_is_left_out_with_a_word(cut, made, text, tmp_pa
     assert any("the last line is cut" in x for x in notes)
 
 
-def test_a_short_line_in_the_middle_is_still_refused(made, text, tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text(
-        "\n".join([text[0], *text[1][:500], text[1][500][:50], *text[1][501:]])
-    )
-    assert "line 502 has" in str(refused(path, made))
-
-
 def test_rows_out_of_order_are_sorted_with_a_word(made, text, tmp_path):
     path, order = tmp_path / "log.csv", np.random.default_rng(0).permutation(1000)
     path.write_text("\n".join([text[0], *(text[1][k] for k in order)]))

@@ -162,12 +162,6 @@ def test_the_first_sheet_with_a_table_in_it(first, sheet):
 # -- MATLAB ----------------------------------------------------------------------------
 
 
-def test_matrices_of_one_column_per_sample(tmp_path):
-    columns, arrays = matrices()
-    np.savez(tmp_path / "arm.npz", **{name: x.T for name, x in arrays.items()})
-    assert_same(read_recording(tmp_path / "arm.npz"), columns)
-
-
 def matrices():
     columns = table()
     return columns, {
@@ -190,23 +184,6 @@ def test_matlab(tmp_path, turned, inside, compressed):
     content = {"log": arrays} if inside else arrays
     savemat(path, content, do_compression=compressed)
     assert_same(read_recording(path), columns)
-
-
-@pytest.mark.parametrize("n", [1000, 1006])
-@pytest.mark.parametrize("turned", [False, True])
-def test_names_beside_a_matrix_of_matlab_are_no_samples(tmp_path, n, turned):
-    from scipy.io import savemat
-
-    names = ["t", *(f"{kind}{j}" for kind in ("q", "tau") for j in range(1, 7))]
-    data = np.random.default_rng(0).normal(size=(n, 13))
-    data[:, 0] = 0.01 * np.arange(n)
-    path = tmp_path / "arm.mat"
-    content = {"data": data.T if turned else data}
-    savemat(path, content | {"names": np.array(names, dtype=object)})
-    with pytest.warns(UserWarning, match="called by the names in 'names'"):
-        found = read_recording(path)
-    np.testing.assert_array_equal(found.q, data[:, 1:7])
-    np.testing.assert_array_equal(found.tau, data[:, 7:])
 
 
 def test_matlab_of_the_wrong_version_or_damaged(tmp_path, monkeypatch):

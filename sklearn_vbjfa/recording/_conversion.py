@@ -18,12 +18,16 @@ from sklearn_vbjfa.recording._layout import (
 from sklearn_vbjfa.recording._missing import refusal
 from sklearn_vbjfa.recording._options import ReadOptions
 from sklearn_vbjfa.recording._recording import Recording, contiguous_groups
-from sklearn_vbjfa.recording._rows import without_odd_rows
+from sklearn_vbjfa.recording._samples import given_period, time_of, without_odd_rows
 from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import RecordingRefused, Table, listed
-from sklearn_vbjfa.recording._times import given_period, time_of
-from sklearn_vbjfa.recording._units import KINDS, MEASURED, split_unit, unit_of
-from sklearn_vbjfa.recording._words import is_current
+from sklearn_vbjfa.recording._units import (
+    KINDS,
+    MEASURED,
+    is_current,
+    split_unit,
+    unit_of,
+)
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
 _LARGEST = 1e12
@@ -136,6 +140,10 @@ def _in_units(table, found, options, notes):
         if roles:
             columns, units[kind] = zip(*(_values(table, role) for role in roles))
             channels[kind] = np.column_stack(columns)
+    for kind in options.recorded if options.drive is not None else ():
+        once = table.scalars.get(kind)
+        if kind not in channels and once is not None and once.dtype.kind in "iuf":
+            channels[kind] = _in_every_row(table, kind, once, channels["q"].shape)
     rate = "v_desired" in options.recorded and "v_desired" not in channels
     if rate and not getattr(options.drive, "feedforward", False):
         notes.append(
@@ -143,6 +151,15 @@ def _in_units(table, found, options, notes):
             "motion."
         )
     return channels, units
+
+
+def _in_every_row(table, kind, values, shape):
+    if values.shape not in {(), (1,), shape[1:]}:
+        raise ValueError(
+            f"{table.path}: {kind} has the shape {values.shape}; expected one "
+            f"number for each of {shape[1]} joints, or one in every row."
+        )
+    return np.broadcast_to(values.astype(float), shape).copy()
 
 
 def _values(table: Table, role):

@@ -7,8 +7,7 @@ import numpy as np
 from sklearn_vbjfa.recording._clock import GAP_PERIODS, STEADY
 from sklearn_vbjfa.recording._layout import Role, by_names, channel_unit
 from sklearn_vbjfa.recording._table import Loss, Table, listed, pandas_of
-from sklearn_vbjfa.recording._units import is_clock
-from sklearn_vbjfa.recording._words import is_current, kinds_in
+from sklearn_vbjfa.recording._units import is_clock, is_current, kinds_in
 
 # What holds commands; of these only the ones of the motion are of use.
 _COMMANDS = {"q": "q_desired", "v": "v_desired"}

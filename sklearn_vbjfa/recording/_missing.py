@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa.recording._drives import UNSIGNED
+from sklearn_vbjfa.recording._drives import UNSIGNED, PDDrive
 from sklearn_vbjfa.recording._layout import (
     channels_of,
     in_order,
@@ -18,12 +18,14 @@ from sklearn_vbjfa.recording._table import RecordingRefused, listed
 from sklearn_vbjfa.recording._units import (
     KINDS,
     is_clock,
+    is_current,
+    is_measured,
+    kinds_in,
     split_unit,
     unit_of,
     unit_of_steps,
     usual_step,
 )
-from sklearn_vbjfa.recording._words import is_current, is_measured, kinds_in
 
 _MOST_TRIED = 20
 # Channels by the kinds of words.
@@ -55,6 +57,9 @@ def refusal(table, layout, options, robot, missing):
             "if the motors follow commands, give the drive, drive=... (command line: "
             '--drive "pd kp=... kd=...")'
         )
+        driven = laid_out(table, replace(options, drive=PDDrive()), robot)
+        if driven.kinds | {*table.scalars} >= {"q_desired", "kp", "kd"}:
+            offered = {"drive": "pd"}
     if kinds:
         parts.append(f"found {listed(table.names)}")
     if kinds and not offered:

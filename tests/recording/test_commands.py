@@ -124,6 +124,25 @@ def test_a_command_has_the_unit_of_what_it_commands(tmp_path):
     assert_allclose(recording.signals["kp"], [[180 / np.pi, 1.0]] * N)
 
 
+@pytest.mark.parametrize("ending", ["npz", "json"])
+def test_matrices_with_one_gain_for_each_joint(ending, tmp_path):
+    t, q, aim = motion()
+    arrays = {"t": t, "q": q, "q_desired": aim, "v_desired": 0 * q}
+    arrays |= {"kp": np.array(KP), "kd": np.array(KD)}
+    path = tmp_path / f"arm.{ending}"
+    if ending == "npz":
+        np.savez(path, **arrays)
+    else:
+        path.write_text(json.dumps({name: x.tolist() for name, x in arrays.items()}))
+    with pytest.raises(RecordingRefused, match="give the drive, drive=") as refused:
+        read(path)
+    assert refused.value.options == {"drive": "pd"}
+    recording, _ = read(path, drive="pd")
+    assert_told(recording)
+    assert_array_equal(recording.signals["kp"], [KP] * N)
+    assert_allclose(recording.tau[3:-3], law(recording)[3:-3], atol=1e-2)
+
+
 def test_several_files_are_one_recording(tmp_path):
     paths = [write(tmp_path / f"{k}.csv", columns()) for k in "ab"]
     t, q, aim = motion(n=2 * N)
@@ -361,3 +380,7 @@ def test_bad_files_of_commands(tmp_path):
     still = columns() | {f"q_desired{j}": np.zeros(N) for j in (1, 2)}
     with pytest.raises(ValueError, match="constant on every joint that moves"):
         read(write(tmp_path / "d.csv", still), drive=TEXT)
+    t, q, aim = motion()
+    np.savez(tmp_path / "e.npz", t=t, q=q, q_desired=aim, kp=np.ones(3), kd=1.0)
+    with pytest.raises(ValueError, match=r"kp has the shape \(3,\); expected one"):
+        read(tmp_path / "e.npz", drive="pd")

@@ -84,6 +84,12 @@ class Drive(BaseEstimator):
                 f"{name} must have one row per sample and one column per joint, shape "
                 f"{shape}; got {values.shape}."
             )
+        bad = np.argwhere(~np.isfinite(values))
+        if bad.size:
+            raise ValueError(
+                f"{name} holds {values[tuple(bad[0])]} in row {bad[0][0]}, joint "
+                f"{recording.joint_names[bad[0][1]]}; leave such rows out."
+            )
         return values
 
     def _number(self, name, joints, least=0.0, finite=True):

@@ -202,14 +202,6 @@ def test_matlab_of_the_wrong_version_or_damaged(tmp_path, monkeypatch):
 # -- npy -------------------------------------------------------------------------------
 
 
-def test_feather(tmp_path):
-    feather = pytest.importorskip("pyarrow.feather")
-    columns = table()
-    frame = pytest.importorskip("pandas").DataFrame(columns)
-    feather.write_feather(frame, tmp_path / "arm.feather")
-    assert_same(read_recording(tmp_path / "arm.feather"), columns)
-
-
 def test_npy_with_named_fields(tmp_path):
     columns, arrays = matrices()
     kinds = [("t", float), ("q", float, 2), ("tau", float, 2)]

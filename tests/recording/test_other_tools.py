@@ -150,22 +150,6 @@ def test_joints_with_units_of_their_own(tmp_path, urdf):
     same(recording)
 
 
-def test_efforts_of_sliding_joints_are_forces(tmp_path, urdf):
-    columns = table()
-    stamp = [str(round(1e9 * t)) for t in columns["t"]]
-    header = ["%time", "field.name0", "field.name1", "field.position0"]
-    header += ["field.position1", "field.effort0", "field.effort1"]
-    lines = [",".join(header)]
-    for k in range(N):
-        values = [columns[x][k] for x in ("q1", "q2", "tau1", "tau2")]
-        lines.append(",".join([stamp[k], *JOINTS, *(f"{x:.10g}" for x in values)]))
-    path = tmp_path / "rostopic.csv"
-    path.write_text("\n".join(lines))
-    recording, _ = read(path, urdf=urdf)
-    same(recording)
-    assert recording.torque_units == ("N m", "N")
-
-
 # -- arrays ----------------------------------------------------------------------------
 
 

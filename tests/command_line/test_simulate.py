@@ -229,7 +229,7 @@ def test_no_file_is_written_by_half(good, saved, capsys, monkeypatch):
     folder.mkdir()
     (folder / "simulation.csv").write_text("old")
 
-    def full(simulated):
+    def full(*given):
         raise OSError("No space left on device")
 
     monkeypatch.setattr("sklearn_vbjfa._cli._simulate.errors_table", full)

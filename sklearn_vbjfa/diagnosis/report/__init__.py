@@ -23,7 +23,6 @@ _MODULES = {
         "environment",
         "figure",
         "mathml",
-        "sentence",
         "style",
     ),
 }

@@ -103,12 +103,6 @@ _FUNCTIONS = {
 }
 
 
-def sentence(name, *values):
-    """Return a sentence of the templates that needs no outcome, by its name."""
-    module = environment(False).get_template("sentences.j2").module
-    return line(getattr(module, name)(*values))
-
-
 class Voice:
     """The sentences of a report on an outcome, by names of macros in the templates."""
 

@@ -63,12 +63,11 @@ class Figure:
     stacked: bool = False  # charts below one another, on one axis
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Frame:
-    """Ranges of both axes, and where values lie in the frame."""
+class _Plot:
+    """A chart in the making: ranges of both axes, and shapes from the back on."""
 
-    x: tuple
-    y: tuple
+    def __init__(self, x, y):
+        self.x, self.y, self.shapes = x, y, []
 
     def across(self, values):
         low, high = self.x
@@ -79,49 +78,107 @@ class _Frame:
         share = (np.asarray(values, dtype=float) - low) / (high - low)
         return HEIGHT * (1.0 - np.clip(share, -0.02, 1.02))
 
-    def level(self, value):
-        """Path of a horizontal line."""
-        return f"M0 {self.down(value):.1f}H{WIDTH}"
+    def add(self, kind, path):
+        """Add a shape, unless there is nothing to draw."""
+        if path:
+            self.shapes.append(Shape(kind=kind, path=path))
 
-    def x_ticks(self):
-        return tuple(
-            (100 * (value - self.x[0]) / (self.x[1] - self.x[0]), text)
-            for value, text in ticks(*self.x)
+    def zero(self):
+        """Add a horizontal line at zero."""
+        self.add("zero", f"M0 {self.down(0.0):.1f}H{WIDTH}")
+
+    def line(self, kind, *pieces):
+        """Add a line of pieces (x, y); points that are nan interrupt it."""
+        out = []
+        for x, y in pieces:
+            pen = "M"
+            for a, b in zip(self.across(x), self.down(y)):
+                out += [f"{pen}{a:.1f} {b:.1f}"] if np.isfinite(b) else []
+                pen = "L" if np.isfinite(b) else "M"
+        self.add(kind, "".join(out))
+
+    def cloud(self, x, y, most=_CLOUD):
+        """Add dots, as strokes of no length."""
+        rows = np.linspace(0, x.size - 1, min(x.size, most)).astype(int)
+        rows = rows[(x[rows] >= self.x[0]) & (x[rows] <= self.x[1])]
+        places = zip(self.across(x[rows]), self.down(y[rows]))
+        self.add("cloud", "".join(f"M{a:.1f} {b:.1f}h0" for a, b in places))
+
+    def band(self, kind, x, low, high):
+        """Add the outline of a band; of constant ends over the whole width."""
+        if x is None:
+            up, down = self.down([high, low])
+            self.add(kind, f"M0 {up:.1f}H{WIDTH}V{down:.1f}H0Z")
+            return
+        x = self.across(x)
+        up = [f"{a:.1f} {b:.1f}" for a, b in zip(x, self.down(high))]
+        down = [f"{a:.1f} {b:.1f}" for a, b in zip(x, self.down(low))]
+        self.add(kind, f"M{'L'.join([*up, *down[::-1]])}Z")
+
+    def spans(self, kind, spans):
+        """Add rectangles over the whole height."""
+        ends = (self.across(np.clip(span, *self.x)) for span in spans)
+        self.add(
+            kind, "".join(f"M{a:.1f} 0H{b:.1f}V{HEIGHT}H{a:.1f}Z" for a, b in ends)
         )
 
-    def y_ticks(self):
-        return tuple(
-            (100 * (self.y[1] - value) / (self.y[1] - self.y[0]), text)
-            for value, text in ticks(*self.y)
+    def verticals(self, kind, places):
+        """Add vertical lines."""
+        places = self.across(list(places))
+        self.add(kind, "".join(f"M{a:.1f} 0V{HEIGHT}" for a in places))
+
+    def beyond(self, curves):
+        """Describe how far values go that are cut off; empty if none is."""
+        values = np.concatenate([own[np.isfinite(own)] for own in curves])
+        low, high = np.min(values, initial=0.0), np.max(values, initial=0.0)
+        far = [words.number(low)] if low < self.y[0] else []
+        far += [words.number(high)] if high > self.y[1] else []
+        return f"Cut off: values to {' and '.join(far)}." if far else ""
+
+    def chart(self, x_label, y_label, title=""):
+        """Return the chart."""
+        width, height = self.x[1] - self.x[0], self.y[1] - self.y[0]
+        return Chart(
+            title=title,
+            x_label=x_label,
+            y_label=y_label,
+            x_ticks=tuple(
+                (100 * (x - self.x[0]) / width, t) for x, t in ticks(*self.x)
+            ),
+            y_ticks=tuple(
+                (100 * (self.y[1] - y) / height, t) for y, t in ticks(*self.y)
+            ),
+            shapes=tuple(self.shapes),
         )
 
 
-# -- the figures ------------------------------------------------------------------
+# -- the figures -----------------------------------------------------------------------
 
 
 def effect_figure(curves, *, title, x_label, y_label, about=None, anchor=""):
     """Draw what a model leaves without and with an effect, over the effect's signal."""
     # Two charts on the same axes; anchor: its place on a page, empty for none.
-    values = np.r_[curves.without, curves.after, curves.law_mean]
-    frame = _Frame(x=_ends(curves.center), y=_range(values))
+    y = _range(np.r_[curves.without, curves.after, curves.law_mean])
     way = ", in the direction of motion" if curves.with_motion else ""
-    pairs = (
-        (f"without the effect{way}", curves.without, "mean-before"),
-        (f"with it{way}", curves.after, "mean-after"),
-    )
     charts = []
-    for k, (name, points, kind) in enumerate(pairs):
-        mean, half = curves.mean[k], curves.deviation[k]
-        shapes = [
-            Shape(kind="zero", path=frame.level(0.0)),
-            Shape(kind="cloud", path=_cloud(frame, curves.x, points)),
-            Shape(kind="spread", path=_band(frame, curves.center, mean, half)),
-            Shape(kind=kind, path=_line(frame, curves.center, mean)),
-        ]
+    for k, (name, points, kind) in enumerate(
+        (
+            (f"without the effect{way}", curves.without, "mean-before"),
+            (f"with it{way}", curves.after, "mean-after"),
+        )
+    ):
+        plot, mean, half = (
+            _Plot(_ends(curves.center), y),
+            curves.mean[k],
+            curves.deviation[k],
+        )
+        plot.zero()
+        plot.cloud(curves.x, points)
+        plot.band("spread", curves.center, mean - half, mean + half)
+        plot.line(kind, (curves.center, mean))
         if k == 0:
-            law = _line(frame, curves.center, curves.law_mean)
-            shapes.append(Shape(kind="law", path=law))
-        charts.append(_chart(frame, name, x_label, y_label, shapes))
+            plot.line("law", (curves.center, curves.law_mean))
+        charts.append(plot.chart(x_label, y_label, name))
     return Figure(
         title=title,
         charts=tuple(charts),
@@ -135,67 +192,55 @@ def effect_figure(curves, *, title, x_label, y_label, about=None, anchor=""):
     )
 
 
-def torque_figure(
-    torques,
-    line,
-    floor,
-    *,
-    title,
-    y_labels,
-    x_label="",
-    border="",
-    finer=1.0,
-    from_zero=True,
-):
+def torque_figure(torques, line, floor, *, title, y_labels, **settings):
     """Draw measured and predicted torque over time, and both residuals below."""
+    # settings: x_label and border of the legend; finer: factor of the residuals;
+    # from_zero: whether the upper axis contains zero.
     seconds, counts = torques.seconds, torques.counts
-    # The declared model on top, or the completed one would hide where they agree.
-    values = (torques.measured, torques.after, torques.before)
-    kinds = ("measured", "line-after", "line-before")
+    finer, from_zero = settings.get("finer", 1.0), settings.get("from_zero", True)
+    x_label = settings.get("x_label") or ("time [s]" if line.in_seconds else "row")
     left = [
         np.where(counts, finer * (torques.measured - own), np.nan)
         for own in (torques.before, torques.after)
     ]
-    x_label = x_label or ("time [s]" if line.in_seconds else "row")
     rows = np.union1d(
         extremes(torques.measured, _CURVE // 2),
         extremes(np.nan_to_num(left[1]), _CURVE // 2),
     )
-    x, charts, beyond = _ends(seconds), [], []
-    # What the declared model leaves goes behind what the completed one does.
-    for own, names, y_label in (
-        (values, kinds, y_labels[0]),
-        (left, kinds[:0:-1], y_labels[1]),
-    ):
-        zero = from_zero or own is left
-        frame = _Frame(x=x, y=_range(np.concatenate(own), zero))
-        beyond.append(_beyond(frame, own))
-        shapes = [Shape(kind="held-out", path=_spans(frame, line.held_out))]
-        if own is left and floor > 0:
-            edges = frame.down([floor, -floor])
-            path = f"M0 {edges[0]:.1f}H{WIDTH}V{edges[1]:.1f}H0Z"
-            shapes.append(Shape(kind="floor", path=path))
+    # The declared model on top, or the completed one would hide where they agree; its
+    # residual goes behind that of the completed one.
+    upper = {
+        "measured": torques.measured,
+        "line-after": torques.after,
+        "line-before": torques.before,
+    }
+    lower = {"line-before": left[0], "line-after": left[1]}
+    charts, notes = [], []
+    for own, y_label in ((upper, y_labels[0]), (lower, y_labels[1])):
+        zero, curves = from_zero or own is lower, list(own.values())
+        plot = _Plot(_ends(seconds), _range(np.concatenate(curves), zero))
+        plot.spans("held-out", line.held_out)
+        if own is lower and floor > 0:
+            plot.band("floor", None, -floor, floor)
         if zero:
-            shapes.append(Shape(kind="zero", path=frame.level(0.0)))
-        shapes += [
-            Shape(kind=kind, path=_line(frame, seconds[rows], one[rows]))
-            for kind, one in zip(names, own)
-        ]
-        shapes.append(Shape(kind="border", path=_verticals(frame, line.borders)))
-        charts.append(_chart(frame, "", x_label, y_label, shapes))
-    names = ("measured", "completed model", "declared model")
-    keys = list(zip(kinds, names))
+            plot.zero()
+        for kind, values in own.items():
+            plot.line(kind, (seconds[rows], values[rows]))
+        plot.verticals("border", line.borders)
+        notes.append(plot.beyond(curves))
+        charts.append(plot.chart(x_label, y_label))
+    keys = list(zip(upper, ("measured", "completed model", "declared model")))
     if line.held_out:
         keys.append(("held-out", "held-out part"))
     if floor > 0:
         keys.append(("floor", "noise floor, one standard deviation"))
     if line.borders:
-        keys.append(("border", border or "next recording"))
+        keys.append(("border", settings.get("border", "next recording")))
     return Figure(
         title=title,
         charts=tuple(charts),
         keys=tuple(keys),
-        note="; ".join(filter(None, beyond)),
+        note="; ".join(filter(None, notes)),
         stacked=True,
     )
 
@@ -203,67 +248,47 @@ def torque_figure(
 def friction_figure(curves, *, title, y_label):
     """Draw the friction of a joint over its speed, measured and of both models."""
     before, after = curves.before, curves.after
-    frame = _Frame(x=_ends(after.x), y=_range(np.r_[after.without, after.law]))
-    x_label = f"speed [{after.unit}]"
-    lines = [("mean-after", "completed model", after.center, after.law_mean)]
-    if before is not None:
-        # The declared model may have too little friction for a curve.
-        lines.append(("law", "declared model", before.center, before.law_mean))
-    shapes = [
-        Shape(kind="zero", path=frame.level(0.0)),
-        Shape(kind="zero", path=_verticals(frame, [0.0])),
-        Shape(kind="cloud", path=_cloud(frame, after.x, after.without)),
-    ]
-    # The mean jumps with the sign of the speed.
-    shapes += [
-        Shape(
-            kind=kind,
-            path="".join(_line(frame, x[way], y[way]) for way in (x < 0, x > 0)),
-        )
-        for kind, _, x, y in lines
-    ]
-    keys = [("cloud", "measured"), *(line[:2] for line in lines)]
+    plot = _Plot(_ends(after.x), _range(np.r_[after.without, after.law]))
+    plot.zero()
+    plot.verticals("zero", [0.0])
+    plot.cloud(after.x, after.without)
+    keys = [("cloud", "measured")]
+    # The declared model may have too little friction for a curve.
+    models = ("mean-after", "completed model", after), ("law", "declared model", before)
+    for kind, name, own in models:
+        if own is not None:
+            # The mean jumps with the sign of the speed.
+            ways = own.center < 0, own.center > 0
+            plot.line(kind, *((own.center[way], own.law_mean[way]) for way in ways))
+            keys.append((kind, name))
     return Figure(
         title=title,
-        charts=(_chart(frame, "", x_label, y_label, shapes),),
+        charts=(plot.chart(f"speed [{after.unit}]", y_label),),
         keys=tuple(keys),
-        note=_beyond(frame, [after.without]),
+        note=plot.beyond([after.without]),
     )
 
 
 def residual_figure(curves, *, title, unit):
     """Draw a residual over the predicted torque, and its autocorrelation."""
-    x, y = curves.predicted, curves.residual
-    frame = _Frame(x=_ends(x), y=_range(y))
-    cloud = [
-        Shape(kind="zero", path=frame.level(0.0)),
-        Shape(kind="cloud", path=_cloud(frame, x, y, _FEW)),
-    ]
-    charts = [_chart(frame, "", f"predicted [{unit}]", f"residual [{unit}]", cloud)]
-    frame = _Frame(x=_ends(curves.lags), y=_range(curves.correlation))
-    up, down = frame.down([curves.chance, -curves.chance])
-    lines = [
-        Shape(kind="floor", path=f"M0 {up:.1f}H{WIDTH}V{down:.1f}H0Z"),
-        Shape(kind="zero", path=frame.level(0.0)),
-        Shape(kind="mean-after", path=_line(frame, curves.lags, curves.correlation)),
-    ]
-    charts.append(_chart(frame, "", "lag [s]", "autocorrelation [1]", lines))
-    keys = (
-        ("cloud", "rows in which the joint moves"),
-        ("mean-after", "autocorrelation"),
-    )
-    keys += (("floor", "white noise, 90 %"),)
-    return Figure(title=title, charts=tuple(charts), keys=keys)
-
-
-def _chart(frame, title, x_label, y_label, shapes):
-    return Chart(
+    cloud = _Plot(_ends(curves.predicted), _range(curves.residual))
+    cloud.zero()
+    cloud.cloud(curves.predicted, curves.residual, _FEW)
+    lags = _Plot(_ends(curves.lags), _range(curves.correlation))
+    lags.band("floor", None, -curves.chance, curves.chance)
+    lags.zero()
+    lags.line("mean-after", (curves.lags, curves.correlation))
+    return Figure(
         title=title,
-        x_label=x_label,
-        y_label=y_label,
-        x_ticks=frame.x_ticks(),
-        y_ticks=frame.y_ticks(),
-        shapes=tuple(shape for shape in shapes if shape.path),
+        charts=(
+            cloud.chart(f"predicted [{unit}]", f"residual [{unit}]"),
+            lags.chart("lag [s]", "autocorrelation [1]"),
+        ),
+        keys=(
+            ("cloud", "rows in which the joint moves"),
+            ("mean-after", "autocorrelation"),
+            ("floor", "white noise, 90 %"),
+        ),
     )
 
 
@@ -305,62 +330,3 @@ def _range(values, zero=True):
         return -1.0, 1.0
     room = 0.06 * (high - low)
     return low - room, high + room
-
-
-def _beyond(frame, curves):
-    """Say how far what is cut off goes beyond a frame; empty if nothing is."""
-    values = np.concatenate([own[np.isfinite(own)] for own in curves])
-    ends = np.min(values, initial=0.0), np.max(values, initial=0.0)
-    far = [
-        words.number(x)
-        for x, cut in zip(ends, (ends[0] < frame.y[0], ends[1] > frame.y[1]))
-        if cut
-    ]
-    return f"Cut off: values to {' and '.join(far)}." if far else ""
-
-
-# -- paths ------------------------------------------------------------------------
-
-
-def _line(frame, x, y):
-    return _path(frame.across(x), frame.down(y))
-
-
-def _path(x, y):
-    """Path data; points that are nan interrupt the line."""
-    out, pen = [], "M"
-    for a, b in zip(x, y):
-        if np.isfinite(b):
-            out.append(f"{pen}{a:.1f} {b:.1f}")
-            pen = "L"
-        else:
-            pen = "M"
-    return "".join(out)
-
-
-def _cloud(frame, x, y, most=_CLOUD):
-    """Dots, as strokes of no length."""
-    rows = np.linspace(0, x.size - 1, min(x.size, most)).astype(int)
-    inside = (x[rows] >= frame.x[0]) & (x[rows] <= frame.x[1])
-    places = zip(frame.across(x[rows][inside]), frame.down(y[rows][inside]))
-    return "".join(f"M{a:.1f} {b:.1f}h0" for a, b in places)
-
-
-def _band(frame, x, mean, half):
-    """Outline of a band."""
-    up = [f"{a:.1f} {b:.1f}" for a, b in zip(frame.across(x), frame.down(mean + half))]
-    low = zip(frame.across(x), frame.down(mean - half))
-    down = [f"{a:.1f} {b:.1f}" for a, b in low]
-    return f"M{'L'.join([*up, *down[::-1]])}Z"
-
-
-def _spans(frame, spans):
-    """Rectangles over the whole height."""
-    return "".join(
-        f"M{a:.1f} 0H{b:.1f}V{HEIGHT}H{a:.1f}Z"
-        for a, b in (frame.across(np.clip(span, *frame.x)) for span in spans)
-    )
-
-
-def _verticals(frame, places):
-    return "".join(f"M{a:.1f} 0V{HEIGHT}" for a in frame.across(list(places)))

@@ -1,4 +1,4 @@
-"""Figures of an outcome, and what an effect is."""
+"""Figures of an outcome, and the description of an effect."""
 
 import importlib.metadata
 import inspect
@@ -20,55 +20,44 @@ from sklearn_vbjfa.effects import available
 
 
 def effects(outcome):
-    """Draw each effect over its own signal, and say what it is."""
-    # One with too few rows for a picture has the words alone.
+    """Draw each effect over its own signal, and describe it."""
+    shown, drawn = outcome.findings["effects"], outcome.curves.get("effects", ())
     found = []
-    drawn = outcome.curves.get("effects", ())
-    for effect, curves, anchor in zip(
-        outcome.findings["effects"], drawn, anchors(outcome)
-    ):
+    for effect, curves, anchor in zip(shown, drawn, anchors(outcome)):
+        kind, joint = effect.effect, effect.joint
         if not anchor:
             continue
-        kind = effect.effect
-        named = effect.name, effect.joint, effect.parameters
-        title = words.capital(words.effect_at(outcome, *named))
-        about = None if kind is None else about_effect(kind)
+        title = words.effect_at(outcome, effect.name, joint, effect.parameters)
+        title = words.capital(title)
+        about = {"about": kind and about_effect(kind), "anchor": anchor}
         if curves is None:
-            more = {"about": about, "anchor": anchor}
-            found.append(Figure(title=title, charts=(), keys=(), **more))
+            # Too few rows for a picture.
+            found.append(Figure(title=title, charts=(), keys=(), **about))
             continue
-        joint = words.joint_label(outcome.robot["joints"], curves.joint)
-        if curves.joint != effect.joint or (kind is not None and kind.whole_robot):
-            title += f", seen on {joint}"
-        label = curves.signal
-        if curves.kind != "signal":
-            what = {"time": "time", "": f"torque of the effect on {joint}"}
-            what = what.get(curves.kind, f"{curves.kind} of {joint}")
-            label = f"{what} [{curves.unit}]"
-        found.append(
-            effect_figure(
-                curves,
-                title=title,
-                x_label=label,
-                y_label=f"residual [{outcome.errors[curves.joint].unit}]",
-                about=about,
-                anchor=anchor,
-            )
-        )
+        place, unit = _label(outcome, curves.joint), outcome.errors[curves.joint].unit
+        if curves.joint != joint or (kind is not None and kind.whole_robot):
+            title += f", seen on {place}"
+        labels = {"signal": curves.signal, "time": f"time [{curves.unit}]"}
+        labels[""] = f"torque of the effect on {place} [{curves.unit}]"
+        label = labels.get(curves.kind, f"{curves.kind} of {place} [{curves.unit}]")
+        axes = {"x_label": label, "y_label": f"residual [{unit}]"}
+        found.append(effect_figure(curves, title=title, **axes, **about))
     return found
+
+
+def _label(outcome, joint):
+    return words.joint_label(outcome.robot["joints"], joint)
 
 
 def torques(outcome):
     """Draw the torque of each joint over time, and both residuals below."""
-    line = outcome.curves.get("line")
-    floor, found = outcome.floor * outcome.column("spread"), []
+    line, found = outcome.curves.get("line"), []
     for one in () if line is None else line.torques:
-        unit = outcome.errors[one.joint].unit
-        what = "torque" if unit == "N m" else "force"
-        title = words.joint_label(outcome.robot["joints"], one.joint)
-        labels = f"{what} [{unit}]", f"residual [{unit}]"
-        drawn = torque_figure(one, line, floor[one.joint], title=title, y_labels=labels)
-        found.append(drawn)
+        own = outcome.errors[one.joint]
+        what = "torque" if own.unit == "N m" else "force"
+        labels = f"{what} [{own.unit}]", f"residual [{own.unit}]"
+        known = {"title": _label(outcome, one.joint), "y_labels": labels}
+        found.append(torque_figure(one, line, own.floor * own.spread, **known))
     return found
 
 
@@ -78,19 +67,18 @@ def positions(outcome):
     for one in () if line is None else line.torques:
         unit = outcome.findings["commands_alone"]["units"][one.joint]
         factor, fine = FINE[unit]
-        found.append(
-            torque_figure(
-                one,
-                line,
-                np.nan,
-                title=words.joint_label(outcome.robot["joints"], one.joint),
-                y_labels=(f"position [{unit}]", f"error [{fine}]"),
-                x_label="held-out time, its stretches joined [s]",
-                border="next stretch",
-                finer=factor,
-                from_zero=False,
-            )
+        drawn = torque_figure(
+            one,
+            line,
+            np.nan,
+            title=_label(outcome, one.joint),
+            y_labels=(f"position [{unit}]", f"error [{fine}]"),
+            x_label="held-out time, its stretches joined [s]",
+            border="next stretch",
+            finer=factor,
+            from_zero=False,
         )
+        found.append(drawn)
     return found
 
 
@@ -99,7 +87,7 @@ def friction(outcome):
     return [
         friction_figure(
             one,
-            title=words.joint_label(outcome.robot["joints"], one.joint),
+            title=_label(outcome, one.joint),
             y_label=f"friction [{outcome.errors[one.joint].unit}]",
         )
         for one in outcome.curves.get("friction", ())
@@ -110,30 +98,29 @@ def residuals(outcome):
     """Draw each residual over the predicted torque, and its autocorrelation."""
     return [
         residual_figure(
-            one,
-            title=words.joint_label(outcome.robot["joints"], one.joint),
-            unit=outcome.errors[one.joint].unit,
+            one, title=_label(outcome, one.joint), unit=outcome.errors[one.joint].unit
         )
         for one in outcome.curves.get("residuals", ())
     ]
 
 
-# -- what an effect is -----------------------------------------------------------------
+# -- description of an effect ----------------------------------------------------------
 
 
 def about_effect(effect):
-    """Return what an effect is, an `About`: formula, docstring, source, page."""
-    shown_by = f"To identify it, record {effect.record}."
-    told = [*explanation(type(effect)), shown_by, source_of(type(effect))]
+    """Return formula, docstring, source and page of an effect, an `About`."""
+    kind = type(effect)
+    texts = [*explanation(kind), f"To identify it, record {effect.record}."]
+    texts.append(source_of(kind))
     return About(
         formula=added_torque(effect.formula) if effect.formula else "",
-        paragraphs=tuple(words.without_markup(one) for one in told if one),
+        paragraphs=tuple(words.without_markup(one) for one in texts if one),
         link=documentation_of(effect.name),
     )
 
 
 def explanation(kind):
-    """Return what a class says it is: its docstring up to the sections, a tuple."""
+    """Return the docstring of a class up to its sections, a tuple of paragraphs."""
     text = inspect.getdoc(kind) or ""
     paragraphs = re.split(r"\n\n\w+\n-{3,}\n", text)[0].split("\n\n")
     return tuple(" ".join(one.split()) for one in paragraphs if one.strip())
@@ -153,14 +140,12 @@ def added_torque(formula):
 
 def documentation_of(name):
     """Address of an effect's page; empty where the package names no documentation."""
-    if name not in available():
-        return ""
     try:
         given = importlib.metadata.metadata("sklearn-vbjfa").get_all("Project-URL", [])
     except importlib.metadata.PackageNotFoundError:
         return ""
-    for entry in given:
-        label, _, address = entry.partition(",")
-        if label.strip().lower() == "documentation":
-            return f"{address.strip().rstrip('/')}/effects/{name}.html"
-    return ""
+    pairs = (entry.partition(",") for entry in given)
+    found = {label.strip().lower(): address.strip() for label, _, address in pairs}
+    if name not in available() or "documentation" not in found:
+        return ""
+    return f"{found['documentation'].rstrip('/')}/effects/{name}.html"

@@ -35,28 +35,16 @@ class _Display:
         estimator : EffectDiscovery or RobotIdentifier
             Fitted. A discovery shows its declared model before and its completed model
             after.
-        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions or states.
-        y : array-like of shape (n_samples, nv)
-            Torques [N m or N].
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
-        t : array-like of shape (n_samples,), default=None
-            Time [s], on the clock of the fit.
+        X, y, groups, t, signals : array-like
+            Positions or states and torques of the recording, as for
+            `RobotIdentifier.residuals`.
         joints : list of int, default=None
             Joints to show, from zero; None shows all.
-        signals : mapping of str to array-like of shape (n_samples,), default=None
-            Recorded signals, for effects that vary with them.
 
         Returns
         -------
         display : object
             Display; call `plot`.
-
-        Raises
-        ------
-        ValueError
-            If the estimator or the joints do not fit.
         """
         check_is_fitted(estimator)
         models = (estimator,)
@@ -86,10 +74,9 @@ class _Display:
         """Take axes with one row a joint, or make a figure with them."""
         shape = len(self.joint_names), columns
         if ax is None:
-            name = "matplotlib.pyplot"
             try:
                 # By name, so that nothing here imports an optional package.
-                pyplot = importlib.import_module(name)
+                pyplot = importlib.import_module("matplotlib.pyplot")
             except ImportError as error:
                 raise ImportError(
                     f"{type(self).__name__}.plot needs matplotlib; install it with pip "
@@ -145,12 +132,10 @@ class ResidualDisplay(_Display):
 
     Attributes
     ----------
-    figure_ : matplotlib Figure
-        Figure, after `plot`.
-    axes_ : ndarray of Axes, shape (nv, n_signals)
-        Axes, after `plot`.
+    figure_, axes_ : matplotlib Figure, and ndarray of Axes (nv, n_signals)
+        Those of `plot`.
     lines_, median_lines_ : list of matplotlib Line2D
-        Samples and running medians of each panel, after `plot`.
+        Samples and running medians of each panel.
 
     Examples
     --------
@@ -176,31 +161,23 @@ class ResidualDisplay(_Display):
         """Return the arguments of the display."""
         values = [np.where(r.weight > 0, r.residual, np.nan)[:, joints] for r in found]
         return {
-            "residual_before": values[0],
-            "residual_after": values[1] if len(values) > 1 else None,
+            **dict(zip(("residual_before", "residual_after"), values)),
             "signals": _signals(robot, X, groups, clock, found[0].index, joints),
             "floor": np.asarray(robot.noise_floor_, dtype=float)[joints],
         }
 
     def plot(self, ax=None):
-        """Draw.
+        """Draw into axes, one row a joint and one column a signal.
 
         Parameters
         ----------
         ax : array-like of Axes, default=None
-            One row a joint, one column a signal; None makes a figure.
+            Axes to draw into; None makes a figure.
 
         Returns
         -------
         self : object
             With `figure_`, `axes_`, `lines_` and `median_lines_`.
-
-        Raises
-        ------
-        ImportError
-            If matplotlib is not installed.
-        ValueError
-            If the axes do not match.
         """
         rows, columns = len(self.joint_names), len(self.signals)
         size = 3.0 * columns + 0.6, 1.7 * rows + 0.7
@@ -258,12 +235,10 @@ class TorqueDisplay(_Display):
 
     Attributes
     ----------
-    figure_ : matplotlib Figure
-        Figure, after `plot`.
-    axes_ : ndarray of Axes, shape (nv, 1)
-        Axes, after `plot`.
+    figure_, axes_ : matplotlib Figure, and ndarray of Axes (nv, 1)
+        Those of `plot`.
     lines_ : list of matplotlib Line2D
-        Curves of each joint, after `plot`: measured, before, after.
+        Curves of each joint: measured, before, after.
 
     Examples
     --------
@@ -293,29 +268,21 @@ class TorqueDisplay(_Display):
         return {
             "time": index if clock is None else clock[index],
             "measured": found[0].torque[:, joints],
-            "before": predicted[0],
-            "after": predicted[1] if len(predicted) > 1 else None,
+            **dict(zip(("before", "after"), predicted)),
         }
 
     def plot(self, ax=None):
-        """Draw.
+        """Draw into axes, one for each joint.
 
         Parameters
         ----------
         ax : array-like of Axes, default=None
-            One for each joint; None makes a figure.
+            Axes to draw into; None makes a figure.
 
         Returns
         -------
         self : object
             With `figure_`, `axes_` and `lines_`.
-
-        Raises
-        ------
-        ImportError
-            If matplotlib is not installed.
-        ValueError
-            If the axes do not match.
         """
         size = 8.0, 1.6 * len(self.joint_names) + 0.7
         self._axes(ax, 1, sharex=True, figsize=size)

@@ -306,7 +306,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             # Signs of rows that are not fitted follow from what was.
             split = split_in_time(self.identifier, whole, self.test_size)
             part = split.searched(whole)
-            whole = _fitted(clone(self.identifier), part).signed(whole)
+            whole = clone(self.identifier).fit_inspected(part).signed(whole)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         told = replace(whole, signals={**signals, **whole.signals})
         whole = replace(whole, signals=signals)
@@ -327,9 +327,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         with stage("declared model"):
             split = split_in_time(self.identifier, whole, self.test_size)
             part = split.searched(whole)
-            self.declared_ = self.baseline_ = _fitted(clone(self.identifier), part)
+            self.declared_ = clone(self.identifier).fit_inspected(part)
+            self.baseline_ = self.declared_
             if set(declarable()) - set(self.declared_.features_.friction_):
-                self.baseline_ = _fitted(self._with_plain_terms(), part)
+                self.baseline_ = self._with_plain_terms().fit_inspected(part)
         begins = tuple(whole.t[rows.start] for rows in whole.segments)
         repetition = find_repetition(whole.q, whole.t, whole.segments)
         if not repetition:
@@ -346,12 +347,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         with stage("held-out judgement"):
             self.judged_ = self.baseline_
             if found.effects:
-                again = self._with(found.effects).begin_with(self.baseline_)
-                self.judged_ = _fitted(again, part)
+                self.judged_ = self._with(found.effects, self.judged_, part)
             unnamed = self._unnamed(found)
             if unnamed:
-                again = self._with((*found.effects, *unnamed))
-                self.judged_ = _fitted(again.begin_with(self.judged_), part)
+                effects = (*found.effects, *unnamed)
+                self.judged_ = self._with(effects, self.judged_, part)
             models = Models(
                 declared=self.declared_, plain=self.baseline_, judged=self.judged_
             )
@@ -471,11 +471,16 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         asked = {"friction": declarable(), "effects": effects}
         return clone(self.identifier).set_params(**asked)
 
-    def _with(self, effects):
-        """Return the model with the plain terms and effects, not fitted."""
-        asked = _asked_again(self.baseline_)
-        asked["effects"] = (*asked["effects"], *effects)
-        return clone(self.baseline_).set_params(**asked)
+    def _with(self, effects, begin, recording, **settings):
+        """Fit the model with the plain terms and effects; begin: where values start."""
+        plain = self.baseline_
+        settings["effects"] = (*plain.effects_, *effects)
+        if plain.gains_ is not None:
+            # Channels that were the units of gains stay that.
+            names = plain.joint_names_
+            settings["gains"] = tuple(names[j] for j in plain.gains_.references)
+        again = clone(plain).set_params(**settings)
+        return again.begin_with(begin).fit_inspected(recording)
 
     def _unnamed(self, found):
         """Find the joint torque beyond the effects; none where few were looked for."""
@@ -508,8 +513,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         else:
             effects = tuned_on(view, found.effects, found.settings)
         effects = (*effects, *unnamed)
-        again = self._with(effects).set_params(**band).begin_with(self.judged_)
-        self.identifier_ = _fitted(again, whole)
+        self.identifier_ = self._with(effects, self.judged_, whole, **band)
         effects = added_effects(self.identifier_, len(effects))
         share = seen.n_samples / whole.n_samples
         return FinalFit(self.baseline_, self.identifier_, view, effects, share)
@@ -534,19 +538,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions or states.
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
-        t : array-like of shape (n_samples,), default=None
-            Time [s], on the clock of the fit.
-        signals : mapping of str to array-like of shape (n_samples,), default=None
-            Recorded signals, as for `fit`; required if one of
-            `effects_` varies with them.
+        X, groups, t, signals : array-like
+            Positions or states, labels, time [s] on the clock of the fit, and recorded
+            signals, as for `fit`.
         return_std : bool, default=False
             Whether to return the standard deviation of measured torques about the
-            predicted ones as well; see `RobotIdentifier.predict`. That effects were
-            chosen and their shapes tuned on the same data is not in it.
+            predicted ones as well; see `RobotIdentifier.predict`. It does not include
+            that effects were chosen and their shapes tuned on the same data.
 
         Returns
         -------
@@ -589,16 +587,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         return error, np.stack([low, high])
 
 
-def _asked_again(identifier):
-    """Parameters for a fit with the effects of a fitted identifier, a dict."""
-    # Channels that were the units of gains stay that.
-    asked = {"effects": identifier.effects_}
-    if identifier.gains_ is not None:
-        names = identifier.joint_names_
-        asked["gains"] = tuple(names[j] for j in identifier.gains_.references)
-    return asked
-
-
 def _is_plain(effect):
     """Whether an effect of one joint is a friction term without shape parameters."""
     plain = effect.name in declarable()
@@ -613,8 +601,3 @@ def _names(whole, groups):
         if given != list(range(len(given))):
             labels = given
     return tuple(str(label) for label in labels)
-
-
-def _fitted(identifier, recording):
-    """Fit an identifier to a recording and return it."""
-    return identifier.fit_inspected(recording)

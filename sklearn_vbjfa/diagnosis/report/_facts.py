@@ -1,7 +1,6 @@
 """Groups and rows of an outcome, as the page and the terminal show them."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,77 +40,54 @@ def grouped(items, key):
 # -- effects of the robot model --------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Plain:
-    """A parameter in the unit of an instrument."""
-
-    value: float
-    interval: tuple | None  # 90 %
-    unit: str  # "degrees", "mm" or "%"
-
-    @property
-    def text(self):
-        """The value with half its interval, without the unit."""
-        return words.with_error(self.value, self.interval)
-
-    @property
-    def excess(self):
-        """A gain as what is read too much or too little."""
-        sign = 1.0 if self.value >= 0 else -1.0
-        ends = self.interval and tuple(sorted(sign * end for end in self.interval))
-        size = words.with_error(abs(self.value), ends, "%")
-        return f"{size} too {'much' if sign > 0 else 'little'}"
-
-
 def in_model(outcome, effect):
     """Whether an effect, or a hidden one, is part of the robot model."""
     known = outcome.robot["library"].get(effect.name)
     return known is not None and known.in_model
 
 
-def plain_values(effect):
-    """Return the parameters of an effect in the model, symbol -> `Plain`."""
+def plain_texts(effect):
+    """Write the parameters of an effect in the model, symbol -> value, unit."""
+    # In degrees, mm, and per cent that a gain is too much or too little.
     found = {}
     for name, value in effect.parameters.items():
-        if name == "gain":
-            scale, shift, unit = 100.0, 1.0, "%"
-        elif effect.units.get(name) in _FINE:
-            (scale, unit), shift = _FINE[effect.units[name]], 0.0
-        else:
-            continue
         ends = effect.intervals.get(name)
-        ends = ends and tuple(scale * (float(end) - shift) for end in ends)
-        value = scale * (float(value) - shift)
-        found[name] = Plain(value=value, interval=ends, unit=unit)
+        if name == "gain":
+            sign = 1.0 if value >= 1.0 else -1.0
+            excess = [100 * sign * (float(x) - 1.0) for x in (value, *(ends or ()))]
+            size = words.with_error(excess[0], tuple(sorted(excess[1:])) or None, "%")
+            found[name] = f"{size} too {'much' if sign > 0 else 'little'}", "%"
+        elif effect.units.get(name) in _FINE:
+            scale, unit = _FINE[effect.units[name]]
+            ends = ends and tuple(scale * float(end) for end in ends)
+            found[name] = words.with_error(scale * float(value), ends), unit
     return found
 
 
 def statement(outcome, effect):
     """State an effect of the robot model by the text of its class."""
-    values = plain_values(effect)
+    values = plain_texts(effect)
     joint = words.joint_label(outcome.robot["joints"], effect.joint)
     text = outcome.robot["library"][effect.name].text
     if not text:
         # A custom class.
         label = words.effect_label(outcome, effect.name, effect.parameters)
-        parts = [f"{name} = {one.text} {one.unit}" for name, one in values.items()]
+        parts = [f"{name} = {value} {unit}" for name, (value, unit) in values.items()]
         stated = ", ".join([label, *parts])
         return stated if effect.scope == "robot" else f"{joint}: {stated}"
     axes = outcome.robot["corrections"].axes
     turned = [x.about for x in axes if x.joint == effect.joint]
     first, second = turned[0] if turned else ("first cross axis", "second cross axis")
-    texts = {k: x.excess if k == "gain" else x.text for k, x in values.items()}
-    unit = next(iter(values.values())).unit
+    texts = {name: value for name, (value, _) in values.items()}
+    *_, unit = next(iter(values.values()))
     return text.format(joint=joint, first=first, second=second, unit=unit, **texts)
 
 
 def value_cells(effect):
     """Write each parameter of an effect in the model in its plain unit, a tuple."""
     return tuple(
-        one.excess
-        if name == "gain"
-        else f"{name.replace('_', ' ')} {one.text} {one.unit}"
-        for name, one in plain_values(effect).items()
+        value if name == "gain" else f"{name.replace('_', ' ')} {value} {unit}"
+        for name, (value, unit) in plain_texts(effect).items()
     )
 
 
@@ -277,12 +253,6 @@ def to_record(outcome, signal_advice, no_period):
         if one.reason == "excitation":
             add(words.record_for(outcome, one.name) or one.remedy, one)
     return wanted
-
-
-def saturated(outcome):
-    """List the joints whose drive saturates, and how often."""
-    shares = outcome.robot["drive"].get("saturated", ())
-    return [(j, share) for j, share in enumerate(shares) if share > 0]
 
 
 def position_errors(outcome, name):

@@ -91,7 +91,6 @@ _FUNCTIONS = {
     "half_width": HALF_WIDTH,
     "height": _pictures.HEIGHT,
     "inf": float("inf"),
-    "plain_values": _facts.plain_values,
     # To a thousandth of a degree, without the sign of a zero.
     "rpy": lambda angles: f'"{" ".join(f"{round(x, 5) + 0.0:.5f}" for x in angles)}"',
     "scaled": lambda ends, factor: ends and tuple(factor * x for x in ends),

@@ -19,7 +19,7 @@ from sklearn_vbjfa.design import (
     design_motion,
     read_report,
 )
-from sklearn_vbjfa.model import NoShapes, load_shapes
+from sklearn_vbjfa.model import joint_names
 
 # Sample period of a motion where none is known [s].
 _PERIOD = 0.01
@@ -91,10 +91,7 @@ def _motion(arguments, robot, found):
     """Design the motion, refused if it goes beyond the limits."""
     names = robot.known.joint_names
     limits = _limits(arguments, robot)
-    task = f"designing {arguments.duration:g} s for {len(names)} joints"
-    if not _has_shapes(robot):
-        task += ", SELF-COLLISION IS NOT CHECKED"
-    with stage(task):
+    with stage(f"designing {arguments.duration:g} s for {len(names)} joints"):
         motion = design_motion(
             robot.known,
             duration=arguments.duration,
@@ -110,15 +107,6 @@ def _motion(arguments, robot, found):
             "give a longer --duration or another --seed."
         )
     return motion
-
-
-def _has_shapes(robot):
-    """Whether shapes of the links are known, which keep them apart."""
-    try:
-        load_shapes(robot.known.description, robot.known.features.model_)
-    except NoShapes:
-        return False
-    return True
 
 
 def _per_joint(arguments, option, names):
@@ -172,8 +160,6 @@ def _described(arguments, found, folder):
 
 def _identified(arguments, path, found, folder):
     """Take a robot from the file that identify wrote."""
-    from sklearn_vbjfa.design import KnownRobot
-
     for name in {"urdf", "base_orientation"} & set(arguments.typed):
         raise ValueError(f"{spelled(name)} is that of {path}; leave it out.")
     robot = load_identified(path)
@@ -223,8 +209,6 @@ def _period(robot, found):
 
 def _limits(arguments, robot):
     """Collect the limits, joints in the order of the robot."""
-    from sklearn_vbjfa.model import joint_names
-
     # Limits of the description are in its own order.
     names, described = robot.known.joint_names, joint_names(robot.model)
     order = [names.index(name) for name in described]

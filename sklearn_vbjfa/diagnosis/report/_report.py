@@ -91,7 +91,14 @@ class Report:
     def _warnings(self, gains):
         """List what forbids a use, faults of the recording first."""
         findings, names = self.outcome.findings, self.outcome.robot["joints"]
-        silent = [one for one in self.joints if one.status in NO_ANSWER]
+        own = [c.joints for c in findings["channels"] if c.kind in LEFT_OUT]
+        known = {joint for joints in own for joint in joints}
+        silent = [
+            one
+            for one in self.joints
+            if one.status in NO_ANSWER
+            or (one.status == "unsearched" and one.joint not in known)
+        ]
         joints = [
             f"{text} ({words.joint_list(names, [one.joint for one in own], 0)})"
             for text, own in _facts.grouped(silent, lambda one: one.text)

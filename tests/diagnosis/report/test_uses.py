@@ -1,10 +1,12 @@
 """What a result can be used for agrees with the verdicts on the joints."""
 
 import numpy as np
+import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from tests.diagnosis.report._outcomes import finding, make_outcome
 from tests.diagnosis.report._pages import make_mass
+from tests.diagnosis.report.test_report import STATUS
 
 
 def of(report):
@@ -42,6 +44,13 @@ def test_a_faulty_channel_forbids_every_use():
     report = Report(make_outcome(channels=(finding("Wrong sign.", "doubt"),)))
     assert report.status == "faulty"
     assert set(of(report).values()) == {False}
+
+
+@pytest.mark.parametrize("status", STATUS)
+def test_a_use_of_the_torques_is_forbidden_with_a_warning(status):
+    report = Report(make_outcome(**({"channels": ()} | STATUS[status])))
+    forbidden = not all(of(report)[x] for x in ("feedforward", "simulation"))
+    assert forbidden <= bool(report.warnings)
 
 
 def test_masses_are_split_by_what_the_motion_determines():

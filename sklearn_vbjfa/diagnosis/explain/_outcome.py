@@ -318,26 +318,29 @@ def parameter_values(robot):
         nominal[at] = nominal_parameters(robot.features_.nominal_)
         followers = nominal_followers(robot.features_).ravel()
         nominal[count : count + followers.size] = followers
-    columns = {
-        "name": robot.parameter_names_,
-        "value": robot.theta_.tolist(),
-        "unit": robot.parameter_units_,
-        "described": nominal.tolist(),
-        "source": robot.robot_.known_,
-        "described_std": robot.theta_prior_std_.tolist(),
-    }
+    rows = zip(
+        robot.parameter_names_,
+        robot.theta_.tolist(),
+        robot.theta_std_.tolist(),
+        robot.parameter_units_,
+        robot.robot_.known_,
+        nominal.tolist(),
+        robot.theta_prior_std_.tolist(),
+    )
     return tuple(
         Fact(
             kind="parameter",
-            joint=_joint_of(row["name"], robot.joint_names_),
-            interval=_interval(row["value"], std),
-            learned=_learned(std, row["described_std"]),
-            **row,
+            name=name,
+            joint=_joint_of(name, robot.joint_names_),
+            value=value,
+            interval=_interval(value, std),
+            unit=unit,
+            source=known,
+            described=described,
+            described_std=prior,
+            learned=_learned(std, prior),
         )
-        for std, row in (
-            (float(std), dict(zip(columns, values)))
-            for std, *values in zip(robot.theta_std_, *columns.values())
-        )
+        for name, value, std, unit, known, described, prior in rows
     )
 
 

@@ -21,7 +21,7 @@ USABLE, REFUSED, DOUBTFUL = 0, 2, 3
 
 # Longest message [characters].
 _LONGEST = 900
-# Warnings that the last line names, and characters for each.
+# Warnings that the last line names, and characters for each if a page has them whole.
 _NAMED, _BRIEF = 3, 60
 # Age at which unfinished files are those of a killed run [s].
 _ABANDONED = 3600.0
@@ -74,7 +74,7 @@ def run(arguments):
     doubts = list(dict.fromkeys([*done.doubts, *doubts]))
     if not doubts:
         return USABLE
-    say(wrapped(one_line(f"note: {_exit_line(doubts)}"), sys.stderr))
+    say(wrapped(one_line(f"note: {_exit_line(doubts, done.page)}"), sys.stderr))
     return DOUBTFUL
 
 
@@ -164,9 +164,11 @@ def _tabulated(columns):
     )
 
 
-def _exit_line(doubts):
-    """Return a line with the first warnings, in brief."""
-    named = [brief(" ".join(x.split()).rstrip("."), _BRIEF) for x in doubts[:_NAMED]]
+def _exit_line(doubts, page):
+    """Return a line with the first warnings; in brief if a page has them whole."""
+    named = [" ".join(one.split()).rstrip(".") for one in doubts[:_NAMED]]
+    if page:
+        named = [brief(one, _BRIEF) for one in named]
     if len(doubts) > len(named):
         named.append(f"and {len(doubts) - len(named)} more")
     return f"exit code {DOUBTFUL}: {'; '.join(named)}"

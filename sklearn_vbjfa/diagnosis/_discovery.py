@@ -249,15 +249,15 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Warns
         -----
         DoubtWarning
-            If a channel makes the result doubtful, such as torques of another unit.
+            If a channel may be wrong, such as torques in an unexpected unit.
         """
         library = self._check_parameters()
         model = load_model(self.identifier.model)
         whole = self._recording(model, X, y, groups, sample_weight, t)
         drive = self.identifier.drive
         if drive is not None:
-            told, signals = drive.taken(whole.tau, signals)
-            whole = drive.driven(replace(whole, signals=told))
+            commanded, signals = drive.taken(whole.tau, signals)
+            whole = drive.driven(replace(whole, signals=commanded))
         beside = columns_beside(X, self.joint_names_)
         named = carries_names(X, self.joint_names_)
         whole = replace(whole, joints_named=named)
@@ -308,21 +308,25 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             part = split.searched(whole)
             whole = clone(self.identifier).fit_inspected(part).signed(whole)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
-        told = replace(whole, signals={**signals, **whole.signals})
+        commanded = replace(whole, signals={**signals, **whole.signals})
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
-            found = self._close(model, whole, told, offered, library, unusable, names)
+            found = self._close(
+                model, whole, commanded, offered, library, unusable, names
+            )
         return self._set(*found)
 
     # -- stages ---------------------------------------------------------------------
 
-    def _close(self, model, whole, told, offered, library, unusable, names):
+    def _close(self, model, whole, commanded, offered, library, unusable, names):
         """Close the loop on a checked recording; return what `make_outcome` does."""
         with stage("channels"):
             channels, silent = self._check_channels(model, whole)
             for found in (x.value for x in channels if x.kind == "delay"):
                 late = clone(self.identifier).fit_inspected(whole, found).torque_lag_
-                whole, told = (x.with_torques_shifted(late) for x in (whole, told))
+                whole, commanded = (
+                    x.with_torques_shifted(late) for x in (whole, commanded)
+                )
             channels += unusable
         with stage("declared model"):
             split = split_in_time(self.identifier, whole, self.test_size)
@@ -334,7 +338,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         begins = tuple(whole.t[rows.start] for rows in whole.segments)
         repetition = find_repetition(whole.q, whole.t, whole.segments)
         if not repetition:
-            # A robot that is pushed about was told the same all the same.
+            # Commands of a robot that is pushed repeat although its motion does not.
             commands = commands_among(offered.numbers(whole.n_samples), whole.q)
             if commands.size:
                 repetition = find_repetition(commands, whole.t, whole.segments)
@@ -357,7 +361,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             )
             # Copies of most rows are not needed any more.
             del part, seen
-            judged = judge(models, found, split, near, whole, told)
+            judged = judge(models, found, split, near, whole, commanded)
         with stage("final model"):
             asked = whole, split.moving, silent, known
             final = self._hand_over(found, unnamed, *asked)
@@ -560,7 +564,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     def expected_error(self, X, groups=None, t=None, signals=None):
         """Expect an error of the completed model for a motion.
 
-        It is what is left on held-out data, larger for speeds, accelerations and loads
+        It is the error on held-out data, larger for speeds, accelerations and loads
         beyond those of the fit, and what parameters (friction, gains, offsets, the
         load) differ by between recordings. The report has the same for motion like the
         fitted, and where the differences are from.

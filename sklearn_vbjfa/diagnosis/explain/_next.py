@@ -1,4 +1,4 @@
-"""The error on the next recording: what is left here, and what differs between them."""
+"""Error to expect of the next recording, from held-out data and left-out recordings."""
 
 import numpy as np
 from scipy import special
@@ -8,30 +8,31 @@ from sklearn_vbjfa.diagnosis.explain._curves import friction_columns, is_frictio
 # Share by which parameters differ between recordings of one robot, median over robots.
 # Friction follows the temperature; offsets are shares of the deviation of the torque.
 _KINDS = {"friction": 0.03, "gain": 0.003, "offset": 0.004, "load": 0.003}
-# Deviation of its logarithm, and how much of that variance kinds have in common: robots
-# whose one parameter stays the same are left alone in other ways as well.
+# Deviation of its logarithm, and the share of that variance which all kinds have in
+# common.
 _WIDTH, _COMMON = 2.4, 0.5
 # Kinds that differ on all joints at once: temperature, and what the robot carries.
 _SHARED = (True, False, False, True)
-# What a model lacks is larger where it was not fitted: logarithm of the factor, a part
-# of it over the number of recordings that were fitted, and how much it differs between
-# motions. Means and deviations over robots.
+# Model errors are larger where the model was not fitted: logarithm of the factor, a
+# part of it over the number of fitted recordings, and its deviation between motions.
+# Means and deviations over robots.
 _AGAIN, _FIRST, _DIFFER = (0.1, 0.1), (0.2, 0.2), (0.35, 0.5)
-# From so many recordings on the differences are called measured.
+# Recordings from which on the differences are measured.
 _MEASURED = 3
 _ENDS = (0.5, 0.05, 0.95)
-# Draws of what is not known, and the least difference over an error that is seen.
+# Draws of the unknown parameters, and the smallest visible difference over an error.
 _DRAWS, _SLACK = 4000, 0.2
 # Rows of which the size of torques is taken.
 _ROWS = 4000
 
 
 class Expectation:
-    """What is expected of another recording, by its motion.
+    """Error to expect of another recording, by its motion.
 
-    The squared error is what is left here (noise, and what the model lacks) plus what
-    parameters differ by, times the torques that they act on. How much they differ has
-    a prior by kind; recordings that were left out in turns weigh its draws.
+    The squared error is that on held-out data (noise and model errors) plus the
+    differences of parameters between recordings, times the torques that they act on.
+    The differences have a prior by kind, whose draws are weighted by recordings that
+    were left out in turn.
     """
 
     # left, floor (nv,): error on held-out data and that of the noise alone, over the
@@ -52,16 +53,16 @@ class Expectation:
         self._weights = special.softmax(self._evidence())
 
     def _parts(self):
-        """Split what is left: variance between recordings, and what the model lacks."""
+        """Split the squared error: variance between recordings, and model errors."""
         # Squares (n_draws, nv). The model is a mean over r recordings: held-out data of
         # these have (r - 1) / r of the variance. One that was left out has r / (r - 1)
-        # of it, and more of what the model lacks.
+        # of it, and larger model errors.
         r, most = self.recordings, self._left**2 - self._noise
         if r < 2:
             return 0.0, most + np.zeros((_DRAWS, 1))
         more, share = np.exp(2 * _robots(r - 1)[1]), (r - 1) / r
         between = self._out - self._noise - more * most
-        # Where what is lacking grows as much as the variance does, there is none.
+        # No variance is visible if model errors grow as much as it does.
         room = 1 / share - more * share
         between = np.where(room > 0, between / np.where(room > 0, room, 1.0), 0.0)
         between = np.clip(np.nan_to_num(between), 0.0, most / share)
@@ -74,7 +75,7 @@ class Expectation:
             return np.zeros(_DRAWS)
         sizes = self._motion.sizes[:, used] ** 2
         expected = (_robots(1)[0][:, :, None] ** 2 * sizes).sum(axis=1)
-        # Of one kind as a rule, so that the variance has a chi-squared distribution.
+        # Usually one kind dominates, and the variance is chi-squared.
         least = (_SLACK * self._left[used]) ** 2
         ratio = (self._parts()[0][:, used] + least) / (expected + least)
         # Joints differ alike.

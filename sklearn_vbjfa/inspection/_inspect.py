@@ -179,8 +179,8 @@ def inspect_channels(
     rows, parts = thinned(parts, log.every)
     q, tau, usable = (x[rows] for x in (log.q, tau, log.usable))
     dt *= log.every
-    known = {"drive": drive, "named": named, "folded": folded}
-    reading = Reading(model, names, q, tau, dt, parts, usable, **known)
+    known = drive, named, folded
+    reading = Reading(model, names, q, tau, dt, parts, usable, *known)
     found = _compared(reading)
     if any(one.severity != "warning" for one in log.findings):
         # Which robot it is cannot be said of rows that are wrong.

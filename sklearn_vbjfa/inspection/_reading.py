@@ -64,29 +64,30 @@ class Change:
             moved = moved | np.not_equal(value, usual)
         return tuple(np.flatnonzero(moved).tolist())
 
+    def position(self, values):
+        """Read channels (..., nv) of positions."""
+        return values if self.positions is None else values[..., self.positions]
+
+    def torque(self, values):
+        """Read channels (n, nv) of torques."""
+        values = values if self.torques is None else values[:, self.torques]
+        return values * self.scale
+
     def signals(self, signals):
         """Return filtered signals that are read in this way."""
-        nv, tau = signals.sign.shape[1], signals.tau
-        tau = tau if self.torques is None else tau[:, self.torques]
-        tau = tau * self.scale
+        tau, slope = self.torque(signals.tau), self.torque(signals.slope)
+        signals = replace(signals, tau=tau, slope=slope)
         if not self.moves:
-            return replace(signals, tau=tau)
-        states = signals.states.reshape(-1, 3, nv)
-        sign, weight = signals.sign, signals.weight
-        if self.positions is not None:
-            states = states[:, :, self.positions]
-            sign, weight = sign[:, self.positions], weight[:, self.positions]
-        factor = np.broadcast_to(self.factor, nv)
-        states = states * factor / self.period ** np.arange(3)[:, None]
+            return signals
+        states = self.position(signals.states.reshape(len(tau), 3, -1)) * self.factor
+        states = states / self.period ** np.arange(3)[:, None]
         states[:, 0] += self.offset
-        states, sign = states.reshape(len(states), -1), sign * np.sign(factor)
-        return replace(signals, states=states, sign=sign, weight=weight, tau=tau)
-
-    def arrays(self, q, tau, dt):
-        """Return positions, torques and period of a log that is changed in this way."""
-        q = q if self.positions is None else q[:, self.positions]
-        tau = tau if self.torques is None else tau[:, self.torques]
-        return q * self.factor + self.offset, tau * self.scale, dt * self.period
+        return replace(
+            signals,
+            states=states.reshape(len(states), -1),
+            sign=self.position(signals.sign) * np.sign(self.factor),
+            weight=self.position(signals.weight),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,34 +186,26 @@ def _cutoffs(q, dt, parts):
     return float(cutoff), float(max(top, least))
 
 
+@dataclass(eq=False)
 class Reading:
     """A log, its filtered signals and the described robot in its motion."""
 
-    # usable (n, nv): samples without known faults; drive: what made the torques; named:
-    # whether columns carry the joints' names; folded: the robot with its followers.
+    model: object
+    names: tuple
+    q: np.ndarray
+    tau: np.ndarray
+    dt: float
+    parts: list  # slices of the recordings
+    usable: np.ndarray  # (n, nv): samples without known faults
+    drive: object = None  # what made the torques
+    named: bool = False  # whether columns carry the joints' names
+    folded: object = None  # the robot with its followers
 
-    def __init__(
-        self,
-        model,
-        names,
-        q,
-        tau,
-        dt,
-        parts,
-        usable,
-        *,
-        drive=None,
-        named=False,
-        folded=None,
-    ):
-        self.model, self.names = model, tuple(names)
-        self.drive, self.named, self.folded = drive, named, folded
-        self.q, self.tau, self.dt = q, tau, dt
-        self.parts, self.usable = parts, usable
-        self.nv, self.every = model.nv, tuple(range(model.nv))
-        self.slides = is_prismatic(model)
+    def __post_init__(self):
+        self.nv, self.every = self.model.nv, tuple(range(self.model.nv))
+        self.slides = is_prismatic(self.model)
         # Whether torques are what motors were commanded.
-        self.commanded = drive is not None and drive.told in COMMANDS
+        self.commanded = self.drive is not None and self.drive.told in COMMANDS
         self.measured, self.turns = not self.commanded, not self.slides.all()
 
     @functools.cached_property
@@ -316,17 +309,14 @@ class Reading:
 
     def changed(self, change):
         """Return the log after a change, filtered again."""
-        q, tau, dt = change.arrays(self.q, self.tau, self.dt)
-        usable, model = self.usable, self.model
+        q = change.position(self.q) * change.factor + change.offset
+        tau, usable = change.torque(self.tau), change.position(self.usable)
+        dt, model = self.dt * change.period, self.model
         if change.gravity is not None:
             model = under_gravity(model, change.gravity)
-        if change.positions is not None:
-            usable = usable[:, change.positions]
         if change.lag:
             tau, usable = _late(tau, change.lag, self.parts, usable)
-        known = q, tau, dt, self.parts, usable
-        how = {"drive": self.drive, "named": self.named, "folded": self.folded}
-        return Reading(model, self.names, *known, **how)
+        return replace(self, model=model, q=q, tau=tau, dt=dt, usable=usable)
 
 
 def _left(model, signals, joints, tau):

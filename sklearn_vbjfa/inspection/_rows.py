@@ -62,8 +62,14 @@ class Rows:
             moving[part] = (travel > 0.02 * high).any(axis=1)
         return moving
 
-    def report(self, kind, joints, severity, **facts):
-        """Add a finding."""
+    def report(self, kind, joints, severity, runs=(), **facts):
+        """Add a finding, perhaps on runs of rows (first, last)."""
+        if len(runs):
+            longest = max(b - a + 1 for a, b in runs)
+            facts |= {"times": len(runs), "row": self.rows[runs[0][0]]}
+            facts |= {"count": sum(b - a + 1 for a, b in runs), "longest": longest}
+            facts |= {"share": percent(facts["count"] / len(self.q))}
+            facts |= {"seconds": longest * self.dt}
         self.findings.append(finding(kind, self.names, joints, severity, **facts))
 
 
@@ -253,18 +259,15 @@ def _repeated_rows(log):
             found.append((a, b))
     count = sum(b - a + 1 for a, b in found)
     longest = max((b - a + 2 for a, b in found), default=0)
-    share = count / len(log.q)
     few = count < max(number.FEWEST_REPEATED, number.REPEATED_SHARE * len(log.q))
     if not found or (few and longest < number.FROZEN_ROWS):
         return
     log.lost |= _marked(log.lost, found)
     # A few are recognisable from the motion around them; many make the speed and the
     # sample period wrong.
-    frozen = longest >= number.FROZEN_ROWS or share > number.MANY_REPEATED
-    facts = {"count": count, "share": percent(share), "longest": longest}
-    facts |= {"row": log.rows[found[0][0] - 1]}
+    many = longest >= number.FROZEN_ROWS or count > number.MANY_REPEATED * len(log.q)
     every = range(len(log.names))
-    log.report("repeated_rows", every, "doubt" if frozen else "warning", **facts)
+    log.report("repeated_rows", every, "doubt" if many else "warning", found)
 
 
 # -- torques ---------------------------------------------------------------------------
@@ -358,42 +361,38 @@ def _dropped(log, j, x):
     bad = _marked(x, found)
     if not found or repeats[~bad].mean() > number.STUCK_REPEATS:
         return np.zeros_like(bad)
-    longest = max(b - a + 1 for a, b in found)
     # Adding zero leaves no minus before it.
-    facts = {"level": x[found[0][0]] + 0.0, "count": len(found)}
-    facts |= {"share": percent(bad.mean()), "longest": longest * log.dt}
-    log.report("torque_dropouts", j, "doubt", **facts)
+    level = x[found[0][0]] + 0.0
+    log.report("torque_dropouts", j, "doubt", found, level=level)
     return bad
 
 
 def _clipped(log, j, x, moving):
     """Find plateaus at the highest or the lowest torque."""
-    bad, ends, longest = np.zeros(x.shape, dtype=bool), [], 0
+    bad, ends = [], []
     width = number.PLATEAU * np.ptp(x)
-    # If a torque hardly ever repeats a value, one plateau is proof enough.
+    # If a torque seldom repeats a value, one plateau is proof enough.
     rare = (log.steps(x) == 0).mean() < 0.25
     # No drive has the limit zero: these are sizes, or readings that were lost.
     for level in {x.max(), x.min()} - {0.0}:
         away = np.abs(x - level)
         runs = log.runs((away <= width) & moving)
         runs = [(a, b) for a, b in runs if b - a + 1 >= number.PLATEAU_RUN]
-        found = _marked(x, runs)
         long = max((b - a + 1 for a, b in runs), default=0)
         near = ((away > width) & (away <= 6 * width) & moving).sum() / 5
         dense = ((away <= width) & moving).sum() >= number.DENSITY * max(near, 0.5)
-        exact = (x[found] == level).all() and long >= number.LONG_PLATEAU
+        exact = (x[_marked(x, runs)] == level).all() and long >= number.LONG_PLATEAU
         if dense and (len(runs) >= number.PLATEAU_RUNS or (rare and exact)):
             ends.append(level)
-            bad |= found
-            longest = max(longest, long)
+            bad += runs
+    found = _marked(x, bad)
     if ends:
         where = " and ".join(f"{level:.4g}" for level in sorted(ends))
         if len(ends) == 2 and np.isclose(ends[0], -ends[1], rtol=number.PLATEAU):
             where = f"+-{max(ends):.4g}"
-        facts = {"where": where, "share": percent(bad.mean()), "longest": longest}
-        severity = "doubt" if bad.mean() > number.MANY_CLIPPED else "warning"
-        log.report("clipped_torque", j, severity, **facts)
-    return bad
+        severity = "doubt" if found.mean() > number.MANY_CLIPPED else "warning"
+        log.report("clipped_torque", j, severity, sorted(bad), where=where)
+    return found
 
 
 def _marked(x, runs):
@@ -442,13 +441,10 @@ def _stuck(log, j):
         if b - a >= number.LEAST_STOP and sudden and not pauses:
             found.append((a - 1, b))
     if found:
-        count = sum(b - a + 1 for a, b in found)
-        first, last = max(found, key=lambda run: run[1] - run[0])
-        longest = last - first + 1
-        facts = {"level": x[first], "longest": longest, "seconds": longest * log.dt}
-        facts |= {"row": log.rows[first], "count": count}
-        severity = "error" if count > number.STUCK_SHARE * len(x) else "warning"
-        log.report("stuck_position", j, severity, **facts)
+        level = x[max(found, key=lambda run: run[1] - run[0])[0]]
+        many = _marked(x, found).mean() > number.STUCK_SHARE
+        severity = "error" if many else "warning"
+        log.report("stuck_position", j, severity, found, level=level)
     return _marked(x, [(a, min(b + 1, len(x) - 1)) for a, b in found])
 
 

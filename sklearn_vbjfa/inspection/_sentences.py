@@ -46,8 +46,8 @@ SENTENCES = {
     "{name} within {range:.3g} of {mean:.4g}. Check the position columns, or record a "
     "motion that excites the joints.",
     "repeated_rows": "{count} rows ({share}) equal the row before them in every "
-    "channel though the robot moves, the longest {longest} rows, the first from row "
-    "{row} on. Drop them, and split the recording there (groups) or resample it.",
+    "channel though the robot moves, up to {longest} in a row, the first in row {row}. "
+    "Drop them, and split the recording there (groups) or resample it.",
     "held_position": _HELD,
     "held_torque": _HELD,
     "two_torques": "The torque of {who} has two values only ({low:.6g} and {high:.6g}"
@@ -58,15 +58,15 @@ SENTENCES = {
     "coarse_torque": "The torque of {who} goes in steps of {step:.3g} and has a spread "
     "of {spread:.3g}: too coarse for an identification. Leave the joint out, or record "
     "its torque finer.",
-    "torque_dropouts": "The torque of {who} stays at {level:.4g} {count} time(s) while "
-    "the robot moves ({share} of its samples, up to {longest:.3g} s): readings were "
+    "torque_dropouts": "The torque of {who} stays at {level:.4g} {times} time(s) while "
+    "the robot moves ({share} of its samples, up to {seconds:.3g} s): readings were "
     "lost. Remove these rows, or record again.",
     "clipped_torque": "The torque of {who} is clipped at {where}: {share} of its "
     "samples lie there, up to {longest} in a row. Record with a wider range, or a "
     "slower motion.",
     "stuck_position": "The position of {who} stays at {level:.4g} for {longest} rows "
-    "({seconds:.3g} s) from row {row} on, without the noise or the braking of a stop "
-    "({count} rows in all): the encoder was stuck. Leave these rows out.",
+    "({seconds:.3g} s), without the noise or the braking of a stop ({count} rows in "
+    "all, the first is row {row}): the encoder was stuck. Leave these rows out.",
     "position_jumps": "The position of {who} jumps {count} time(s), first {step:.3g} "
     "to row {row}, which its speed around contradicts. Split the recording there "
     "(groups), or leave single wrong samples out.",

@@ -51,28 +51,24 @@ def signs(reading):
     best = every if every in near else min(near, key=len)
     if not best:
         return None
-    joints, hidden = tuple(sorted(best)), []
+    joints, also = tuple(sorted(best)), ""
     # Joints that are explained too badly to be judged may say that theirs is right.
     others = [j for j in robot.joints.tolist() if j not in judge]
     right = sum(_of_other_sign(robot, j) for j in others) < -number.RIVAL
     if best == every and not right:
         joints = reading.every
-        hidden = [j for j in joints if j not in turned and nv > 1]
-    also = listed_joints(reading.names, hidden)
+        hidden = listed_joints(reading.names, [j for j in joints if j not in turned])
+        if hidden and nv > 1:
+            also = f" As all that show are wrong, so is the sign of {hidden}."
     change = _negative(joints, nv)
+    variants = nv if len(best) == 1 else 1
     return Candidate(
         change=change,
         joints=joints,
-        log_odds=scores[best].evidence
-        - now.evidence
-        - np.log(nv if len(best) == 1 else 1),
+        log_odds=scores[best].evidence - now.evidence - np.log(variants),
         fall=scores[best].fall(now),
         remedy={"gains": tuple(change.scale.tolist())},
-        facts={
-            "also": f" As all that can be seen are wrong, so is the sign of {also}."
-            if hidden
-            else ""
-        },
+        facts={"also": also},
     )
 
 

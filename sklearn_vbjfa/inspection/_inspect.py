@@ -14,7 +14,12 @@ from sklearn_vbjfa.inspection._rows import inspect_rows, shuffled_rows
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.inspection._table import TABLE
 from sklearn_vbjfa.inspection._torques import unsigned_torques
-from sklearn_vbjfa.model import is_prismatic, joint_names, load_folded
+from sklearn_vbjfa.model import (
+    is_prismatic,
+    joint_names,
+    load_folded,
+    movable_joints,
+)
 from sklearn_vbjfa.recording import (
     ChannelFinding,
     RecordingRefused,
@@ -57,6 +62,10 @@ def inspect_recording(recording, model=None):
     >>> [f.kind for f in inspect_recording(replace(recording, tau=wrong))]
     ['torque_sign']
     """
+    urdf = recording.urdf
+    if model is None and urdf and movable_joints(urdf) == recording.joint_names:
+        # With the joints that follow others.
+        model = urdf
     robot = recording.robot_model() if model is None else model
     channels = recording.q, recording.tau, recording.dt, recording.groups
     gains = None if _are_torques(recording.torque_units) else "unknown"

@@ -146,12 +146,13 @@ DROPOUT_STEP, LEAST_DROPOUT, DROPOUT_RUNS = 4.0, 0.05, 3
 # A torque is stuck if it keeps a value for this many samples, and repeats itself no
 # more often than this in the others.
 STUCK_RUN, STUCK_REPEATS = 50, 0.1
-# A stop of a joint within one sample takes this many times its usual acceleration and
-# lasts this many samples; all of them are this share of the recording.
-SUDDEN, LEAST_STOP, STUCK_SHARE, USUAL = 3.5, 10, 0.03, 0.99
-# ... or a joint is stuck if it keeps a value for this many samples though its noise is
-# so many times its resolution, and it repeats no more than this share of other values.
-DEAD_RUN, NOISY, SELDOM = 50, 3.0, 0.005
+# A position keeps its value over so many samples if it travels less than this share of
+# what it usually does there. Within one sample a joint stops with this many times its
+# usual acceleration; all samples of such stops are this share of the recording.
+LEAST_STOP, STANDS, SUDDEN, USUAL, STUCK_SHARE = 10, 3e-3, 3.5, 0.99, 0.03
+# ... or an encoder is dead if for this many samples it has less than this share of its
+# noise, which is so many times its resolution elsewhere.
+DEAD_RUN, QUIET, NOISY = 50, 0.25, 3.0
 # Steps and spikes, in robust standard deviations of the prediction by the neighbours,
 # in recordings of at least this many samples, and at least this share of the channel's
 # range. A larger share of outliers is noise, not a fault of single samples.

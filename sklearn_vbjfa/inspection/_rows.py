@@ -6,6 +6,7 @@ Most are runs of rows in which a channel keeps its value although the robot move
 from itertools import pairwise
 
 import numpy as np
+import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._sentences import finding, percent
@@ -408,59 +409,59 @@ def _marked(x, runs):
 
 def _positions(log):
     """Find positions that are stuck, or jump."""
+    stands = _stands(log) if log.every == 1 else None
     for j in np.flatnonzero(~log.still):
-        if log.every == 1:
-            log.usable[_stuck(log, j)] = False
+        if stands is not None:
+            log.usable[_stuck(log, j, stands)] = False
         log.usable[_jumps(log, j)] = False
 
 
-def _stuck(log, j):
-    """Find positions that stop within one sample, or keep a value despite noise."""
+def _stands(log):
+    """Mark rows (n, nv) in which a position keeps its value, but for some noise."""
+    width = number.LEAST_STOP
+    kept = np.zeros(log.q.shape, dtype=bool)
+    for part in log.parts:
+        x = log.q[part]
+        high = scipy.ndimage.maximum_filter1d(x, width, axis=0)
+        travel = high - scipy.ndimage.minimum_filter1d(x, width, axis=0)
+        inside = travel <= number.STANDS * np.quantile(travel, 0.99, axis=0)
+        # All rows of the windows in which it does.
+        kept[part] = scipy.ndimage.maximum_filter1d(inside, width, axis=0, origin=-1)
+    return kept
+
+
+def _stuck(log, j, stands):
+    """Find positions that stop within one sample, or lose their noise."""
     x, step = log.q[:, j], log.steps(log.q[:, j])
-    moves = (step[1:] != 0) & (step[:-1] != 0)
-    change, speed = np.abs(np.diff(step))[moves], np.abs(step)
-    others = ~log.still
-    others[j] = False
-    stands = (log.steps(log.q[:, others]) == 0) & ~log.first[:, None]
+    moves, speed = ~stands[:, j], np.abs(step)
+    change = np.abs(np.diff(step))[moves[1:] & moves[:-1]]
     if not change.size:
         return _marked(x, [])
     usual = number.SUDDEN * np.quantile(change, number.USUAL)
-    fast, found = max(usual, 0.5 * np.median(speed[speed > 0])), []
-    runs = log.runs((step == 0) & ~log.first & ~log.lost)
-    noisy = _repeats_by_chance(x, step, runs)
-    for a, b in runs:
-        # Rows a - 1 to b are equal.
+    fast, found = max(usual, 0.5 * np.median(speed[moves])), []
+    # Third differences are those of the noise; of rounding alone there may be none.
+    bend = np.abs(np.diff(x, n=3, prepend=x[:3]))
+    noise, resolution = np.median(bend[moves]), speed[speed > 0].min()
+    others = ~log.still
+    others[j] = False
+    noisy = noise > number.NOISY * resolution
+    for a, b in log.runs(stands[:, j] & ~log.lost):
+        if b - a <= number.LEAST_STOP:
+            continue
         inside = log.parts[log.label[a]]
-        before = speed[max(a - 2, inside.start) : a]
-        around = np.r_[before, speed[b + 1 : min(b + 3, inside.stop)]]
+        ends = speed[max(a - 1, inside.start) : a + 1], speed[b + 1 : inside.stop][:2]
+        sudden = np.concatenate(ends).max(initial=0.0) > fast
         # When several joints stop together, the robot paused.
-        pauses = stands[a + 2 : b - 1].all(axis=0).any()
-        sudden = around.max(initial=0.0) > fast or (
-            noisy and b - a >= number.DEAD_RUN and log.moving[a : b + 1].any()
-        )
-        if b - a >= number.LEAST_STOP and sudden and not pauses:
-            found.append((a - 1, b))
+        pauses = stands[a + 3 : b - 1, others].all(axis=0).any()
+        dead = noisy and np.median(bend[a + 3 : b + 1]) < number.QUIET * noise
+        if (sudden or (dead and b - a > number.DEAD_RUN)) and not pauses:
+            found.append((a, b))
     if found:
         level = x[max(found, key=lambda run: run[1] - run[0])[0]]
         many = _marked(x, found).mean() > number.STUCK_SHARE
         severity = "error" if many else "warning"
         log.report("stuck_position", j, severity, found, level=level)
     return _marked(x, [(a, min(b + 1, len(x) - 1)) for a, b in found])
-
-
-def _repeats_by_chance(x, step, runs):
-    """Whether noise is so far above the resolution that no value comes twice."""
-    longest = max((b - a + 1 for a, b in runs), default=0)
-    rest = np.ones(x.size, dtype=bool)
-    for a, b in runs:
-        if b - a + 1 > 0.1 * longest:
-            rest[max(a - 2, 0) : b + 3] = False
-    bends = np.diff(x, n=3)[rest[3:] & rest[:-3]]
-    smallest = np.abs(step[(step != 0) & rest]).min(initial=np.inf)
-    repeats = (step[rest] == 0).mean() if rest.any() else 1.0
-    # The bends of rounding alone are those of a noise of its step over root twelve.
-    noise = np.median(np.abs(bends)) / (0.6745 * np.sqrt(20)) if bends.size else 0.0
-    return noise > number.NOISY * smallest and repeats < number.SELDOM
 
 
 def position_jumps(names, q, parts):

@@ -14,8 +14,8 @@ ROBOT_FILES: tuple[str, ...] = (
     "identified.xml",
     "identified.json",
 )
-_COLUMNS = ("parameter", "value", "unit", "std", "identifiable", "known")
-_COLUMNS += ("description", "description_std", "learned", "scatter")
+_COLUMNS: tuple[str, ...] = ("parameter", "value", "unit", "std", "identifiable")
+_COLUMNS += ("known", "description", "description_std", "learned", "scatter")
 # Effects that a line names.
 _NAMED = 3
 

@@ -26,8 +26,8 @@ _TABLE = "simulation.csv"
 _SHARE = 0.7
 # Sample periods may differ by this share.
 _JITTER = 0.01
-_OF_IDENTIFICATION = ("urdf", "base_orientation", "friction", "bodies", "cutoff")
-_OF_IDENTIFICATION += ("known_mass", "shared_drives")
+_OF_IDENTIFICATION: tuple[str, ...] = ("urdf", "base_orientation", "friction")
+_OF_IDENTIFICATION += ("bodies", "cutoff", "known_mass", "shared_drives")
 # The robot, and the one whose bodies are those of the description.
 _ROBOT, _DESCRIBED = "simulated", "as described"
 

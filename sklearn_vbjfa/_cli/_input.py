@@ -11,6 +11,7 @@ import numpy as np
 
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa._cli._parser import Refused, number
+from sklearn_vbjfa.diagnosis.explain import NO_INFORMATION
 from sklearn_vbjfa.fit import FitOptions
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model import (
@@ -33,8 +34,6 @@ from sklearn_vbjfa.recording import (
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # Fewest samples in a row.
 _MIN_SAMPLES = 64
-# Warnings about channels that are left out of what was asked for.
-_LEFT_OUT = ("coarse_torque", "still_joint")
 
 
 # -- recordings ------------------------------------------------------------------------
@@ -231,7 +230,7 @@ def channel_doubts(findings):
     return [
         one.message
         for one in findings
-        if one.severity != "warning" or one.kind in _LEFT_OUT
+        if one.severity != "warning" or one.kind in NO_INFORMATION
     ]
 
 

@@ -9,6 +9,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core._progress import show_progress, stage
 from sklearn_vbjfa.diagnosis.explain import (
+    NO_INFORMATION,
     FinalFit,
     Models,
     added_effects,
@@ -49,10 +50,6 @@ from sklearn_vbjfa.recording import (
     torques_in_order,
 )
 from sklearn_vbjfa.robot._windows import unfollowed
-
-# Channels with these faults are reported and not searched: the search would find the
-# fault.
-_NO_INFORMATION = ("coarse_torque", "still_joint")
 
 
 class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
@@ -441,7 +438,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         wrong = refusal(findings, whole.torque_units if measured else ())
         if wrong is not None:
             raise wrong
-        silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
+        silent = [j for f in findings if f.kind in NO_INFORMATION for j in f.joints]
         return findings, silent
 
     def _seen(self, recording, moving):

@@ -13,8 +13,8 @@ _MODULES = {
     "_errors": "Models NEXT_SECONDS error_intervals judge",
     "_final": "EffectEstimate FinalFit added_effects",
     "_gaps": """
-        ABOVE_FLOOR Dependence Hidden Unexplained dependences inseparable
-        motion_signals p_value
+        ABOVE_FLOOR Dependence Hidden NO_INFORMATION Unexplained dependences
+        inseparable motion_signals p_value
     """,
     "_next": "Expectation Motions given_motion",
     "_outcome": "Fact JointErrors Outcome make_outcome parameter_values",

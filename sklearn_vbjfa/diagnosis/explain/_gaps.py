@@ -26,6 +26,9 @@ _BINS, _LEVEL, _SIGNALS = 12, 0.01, 4
 _UNSEEN, _IN_SPAN = 1e-3, 1e-6
 # Columns are equal if this share of what the model leaves of them is outside others.
 _EQUAL = 1e-3
+# Faults of channels that carry too little information: these are reported and not
+# searched, since the search would find the fault.
+NO_INFORMATION = ("coarse_torque", "still_joint")
 # Prior deviation, in torques of the joint, that leaves a coefficient free.
 _LOOSE = 1e4
 # Nats that a scale and a value cost an effect.

@@ -3,13 +3,11 @@
 import dataclasses
 import functools
 
+from sklearn_vbjfa.diagnosis.explain import NO_INFORMATION
 from sklearn_vbjfa.diagnosis.report import _facts
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._render import Voice
 from sklearn_vbjfa.diagnosis.report._verdict import NO_ANSWER, judge
-
-# Channels with these faults are left out of what was asked for.
-LEFT_OUT = ("coarse_torque", "still_joint")
 
 
 class Report:
@@ -91,7 +89,7 @@ class Report:
     def _warnings(self, gains):
         """List what forbids a use, faults of the recording first."""
         findings, names = self.outcome.findings, self.outcome.robot["joints"]
-        own = [c.joints for c in findings["channels"] if c.kind in LEFT_OUT]
+        own = [c.joints for c in findings["channels"] if c.kind in NO_INFORMATION]
         known = {joint for joints in own for joint in joints}
         silent = [
             one
@@ -105,7 +103,7 @@ class Report:
         ]
         channels = {True: [], False: []}
         for one in findings["channels"]:
-            if one.severity != "warning" or one.kind in LEFT_OUT:
+            if one.severity != "warning" or one.kind in NO_INFORMATION:
                 channels[one.severity != "warning"].append(one.message)
         apart = [self._voice("contradiction")] if findings["contradictions"] else []
         return (*apart, *channels[True], *joints, *gains, *channels[False])

@@ -11,7 +11,6 @@ import numpy as np
 
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa._cli._parser import Refused, number
-from sklearn_vbjfa.diagnosis.explain import NO_INFORMATION
 from sklearn_vbjfa.fit import FitOptions
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model import (
@@ -227,6 +226,8 @@ def read(arguments, urdf, joints, gains, *, identified=True):
 
 def channel_doubts(findings):
     """Return the messages of findings that forbid a use."""
+    from sklearn_vbjfa.diagnosis.explain import NO_INFORMATION
+
     return [
         one.message
         for one in findings

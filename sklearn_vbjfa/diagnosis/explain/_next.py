@@ -11,6 +11,8 @@ _KINDS = {"friction": 0.03, "gain": 0.003, "offset": 0.004, "load": 0.003}
 # Deviation of its logarithm, and the share of that variance which all kinds have in
 # common.
 _WIDTH, _COMMON = 2.4, 0.5
+# Share that such differences hardly exceed.
+_LARGEST = 0.3
 # Kinds that differ on all joints at once: temperature, and what the robot carries.
 _SHARED = (True, False, False, True)
 # Model errors are larger where the model was not fitted: logarithm of the factor, a
@@ -132,6 +134,7 @@ def _robots(count):
     drawn = common * rng.standard_normal((_DRAWS, 1))
     drawn = drawn + own * rng.standard_normal((_DRAWS, medians.size))
     differ = medians * np.exp(_WIDTH * drawn)
+    differ /= 1.0 + differ / _LARGEST
     first, other, motions = rng.standard_normal((3, _DRAWS, 1))
     again = _AGAIN[0] + _AGAIN[1] * first + (_FIRST[0] + _FIRST[1] * other) / count
     return differ, again, _DIFFER[0] * np.exp(_DIFFER[1] * motions)

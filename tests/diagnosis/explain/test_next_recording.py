@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis.explain import Expectation, Motions
-from sklearn_vbjfa.diagnosis.explain._next import _COMMON, _KINDS, _WIDTH
+from sklearn_vbjfa.diagnosis.explain._next import _COMMON, _KINDS, _LARGEST, _WIDTH
 from tests.diagnosis._recordings import SPRINGY
 
 LEFT, FLOOR, SCATTER = 0.05, 0.04, 0.05
@@ -63,7 +63,9 @@ def test_nine_of_ten_next_recordings_of_robots_like_those_assumed(r):
     for seed in range(150):
         rng = np.random.default_rng(seed)
         drawn = common * rng.standard_normal() + own * rng.standard_normal(4)
-        values = rng.standard_normal((count + 1, 4)) * medians * np.exp(_WIDTH * drawn)
+        shares = medians * np.exp(_WIDTH * drawn)
+        shares /= 1.0 + shares / _LARGEST
+        values = rng.standard_normal((count + 1, 4)) * shares
         fitted, following = values[:count], values[count]
 
         # A model that lacks nothing, whose parameters are means over its recordings.
@@ -78,7 +80,7 @@ def test_nine_of_ten_next_recordings_of_robots_like_those_assumed(r):
 
 
 def test_noise_is_no_evidence_that_recordings_agree():
-    at, small = expected(left=FLOOR), expected(left=FLOOR, friction=0.01)
+    at, small = (expected(left=FLOOR, friction=size) for size in (2.0, 0.01))
     assert at.interval[1, 0] > 2 * small.interval[1, 0]
 
 

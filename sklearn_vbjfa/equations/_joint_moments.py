@@ -271,8 +271,8 @@ def piece_moments(Phi, tau, weight, difference=None):
     every = joint_entries(np.ones((nv, p), dtype=bool), np.arange(nv * p))
     sums = MomentSums(every, p, tau, weight, noise=difference is not None)
     if difference is not None:
-        difference = difference.reshape(n, -1)
-    sums.add(0, Phi.reshape(n, -1), difference)
+        difference = difference.reshape(n, -1).copy()
+    sums.add(0, Phi.reshape(n, -1).copy(), difference)
     return sums.moments()
 
 
@@ -309,6 +309,7 @@ class MomentSums:
 
     def add(self, first, rows, difference=None):
         """Add entries (n, n_entries) of rows from the piece's row `first` on."""
+        # Rows that do not count are set to zero.
         stop = first + rows.shape[0]
         for i, (start, end) in enumerate(zip(self._starts.tolist(), self._ends)):
             own = slice(max(start, first), min(end, stop))
@@ -319,21 +320,28 @@ class MomentSums:
 
     def _add(self, part, own, rows, difference):
         weight, tau = self._weight[own], self._tau[own]
-        # Where all rows have one weight they need not be multiplied with it.
-        same = (weight == weight[0]).all(axis=0).tolist()
-        factor = np.where(same, weight[0], 1.0)
-        torque = (np.where(same, 1.0, np.sqrt(weight)) * tau).T
+        # Where rows have one weight, or none, they need not be multiplied with it.
+        factor, out = weight.max(axis=0), weight == 0
+        same = ((weight == factor) | out).all(axis=0).tolist()
         for j, (where, _) in enumerate(self._entries):
-            root = None if same[j] else np.sqrt(weight[:, j, None])
-            values = rows[:, where] if same[j] else rows[:, where] * root
+            values, torque = rows[:, where], tau[:, j]
+            apart = None if difference is None else difference[:, where]
+            also = None if self._apart is None else self._apart[own, j]
+            if same[j]:
+                some = np.flatnonzero(out[:, j])
+                for one in (values, apart):
+                    if some.size and one is not None:
+                        one[some] = 0.0
+            else:
+                factor[j], root = 1.0, np.sqrt(weight[:, j])
+                values, torque = values * root[:, None], torque * root
+                apart = None if apart is None else apart * root[:, None]
+                also = None if also is None else also * root
             self._G[j][part] += _gram(values, factor[j])
-            self._g[j][part] += factor[j] * (torque[j] @ values)
-            if difference is not None:
-                apart = difference[:, where]
-                apart = apart if same[j] else apart * root
+            self._g[j][part] += factor[j] * (torque @ values)
+            if apart is not None:
                 self._noise[j][0] += _gram(apart, 0.25 * factor[j])
-                if self._apart is not None:
-                    also = self._apart[own, j] * (1.0 if same[j] else root[:, 0])
+                if also is not None:
                     self._common[j][0] += 0.25 * factor[j] * (also @ apart)
 
     def moments(self):

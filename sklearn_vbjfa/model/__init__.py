@@ -10,6 +10,7 @@ _MODULES = {
         "TreeRegressor",
         "rounding_entries",
     ),
+    "_kernel": ("compiler",),
     "_loading": (
         "build_model",
         "description_text",

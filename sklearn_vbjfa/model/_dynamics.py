@@ -485,24 +485,15 @@ class TreeRegressor:
         )
         return lambda q, v, a: compute(model, data, q, v, a).reshape(shape)
 
-    def __call__(self, q, v, a, out=None):
-        """Compute (n, nv, nv, k), the torque of a joint by parameters of a body."""
-        # q, v, a (n, nv); out: C-contiguous with k >= 10, whose columns after the tenth
-        # become zero. Parameters are m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
-        n, nv = q.shape[0], self.nv
-        if out is None:
-            out = np.empty((n, nv, nv, 10))
-        k = out.shape[-1]
-        if out.shape != (n, nv, nv, k) or k < 10 or not out.flags.c_contiguous:
-            raise ValueError(
-                f"out must be C-contiguous, of shape ({n}, {nv}, {nv}, at least 10); "
-                f"got shape {out.shape}."
-            )
-        out[...] = 0.0
-        places = np.arange(nv * nv * k).reshape(nv, nv, k)[:, :, :10]
+    def __call__(self, q, v, a):
+        """Compute (n, nv, nv, 10), the torque of a joint by parameters of a body."""
+        # q, v, a (n, nv). Parameters are m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz,
+        # Izz.
+        out = np.zeros((len(q), self.support.size))
+        places = np.arange(self.support.size).reshape(self.support.shape)
         places = np.where(self.support, places, -1)
-        self.entries(np.hstack([q, v, a]), places, out.reshape(n, nv * nv * k))
-        return out
+        self.entries(np.hstack([q, v, a]), places, out)
+        return out.reshape(-1, *self.support.shape)
 
     def entries(self, states, places, out):
         """Compute single entries of the regressor matrices of states (n, 3 nv)."""

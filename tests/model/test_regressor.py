@@ -7,9 +7,7 @@ from hypothesis import strategies as st
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.model import (  # noqa: E402
-    TreeRegressor,
-)
+from sklearn_vbjfa.model import TreeRegressor, compiler  # noqa: E402
 from tests.model._trees import (  # noqa: E402
     ALIGNED,
     OBLIQUE,
@@ -94,3 +92,15 @@ def test_neighbours_of_a_sample_do_not_matter_to_the_last_bit(size):
     regressor = TreeRegressor(model)
     parts = [regressor(*(x[i : i + size] for x in states)) for i in range(0, 70, size)]
     np.testing.assert_array_equal(np.concatenate(parts), regressor(*states))
+
+
+def test_machine_code_belongs_to_the_sources_that_it_calls(tmp_path):
+    source, names = tmp_path / "called.py", []
+    for text in ("one = 1", "one = 2", "one = 1"):
+        source.write_text(text)
+
+        def function(x):
+            return x
+
+        names.append(compiler(source)(function).py_func.__qualname__)
+    assert names[0] == names[2] != names[1]

@@ -36,13 +36,12 @@ class Latent:
     """Gaussian of the latent inputs: H, P, Sigma_t and more, all (d, d)."""
 
     # E[t | x] = H x, Cov[t | x] = P, Cov[t] = Sigma_t. With ``exact`` the noise is zero
-    # and t is x; ``clipped`` are the eigenvalues of S/n - Psi that were negative.
+    # and t is x.
 
     H: np.ndarray
     P: np.ndarray
     Sigma_t: np.ndarray
     exact: bool
-    clipped: np.ndarray
 
 
 def infer_latent(S, n, psi, floor=1e-12):
@@ -57,10 +56,8 @@ def infer_latent(S, n, psi, floor=1e-12):
             P=np.zeros((d, d)),
             Sigma_t=covariance,
             exact=True,
-            clipped=np.array([]),
         )
     eigen = scaled_eigen(covariance - psi, 0.0, scale=1.0)
-    clipped = eigen.values[eigen.values < -floor * max(eigen.values[-1], 0.0)]
     Sigma_t = eigen.matrix()  # [C1]
     total = Sigma_t + psi
     # Exactly redundant columns make `total` singular; the pseudo-inverse is restricted
@@ -68,7 +65,7 @@ def infer_latent(S, n, psi, floor=1e-12):
     H = Sigma_t @ scaled_eigen(total, floor, scale=1.0).inverse()  # [C2]
     P = Sigma_t - H @ Sigma_t  # [C3]
     P = 0.5 * (P + P.T)
-    return Latent(H=H, P=P, Sigma_t=Sigma_t, exact=False, clipped=clipped)
+    return Latent(H=H, P=P, Sigma_t=Sigma_t, exact=False)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -89,7 +89,14 @@ def write(path, robot):
         "parameters": robot.parameter_names_,
         "units": robot.parameter_units_,
     }
-    write_whole(path, f"{readable(encode(head) | encode(robot))}\n")
+    try:
+        text = readable(encode(head) | encode(robot))
+    except TypeError as error:
+        raise ValueError(
+            f"an effect has a parameter that cannot be saved, {error}; expected "
+            "numbers, texts, true, false, None and tuples of these."
+        ) from error
+    write_whole(path, f"{text}\n")
 
 
 def read(path, effects=()):
@@ -218,24 +225,12 @@ def _of_library(name):
 def _encode_effect(effect):
     shape = effect.get_params(deep=False)
     shape.pop("joint")
-    for key, value in shape.items():
-        if not _is_setting(value):
-            raise ValueError(
-                f"{key} of the effect {effect.name!r} is {value!r}, and only numbers, "
-                "texts, true, false, None and tuples of these can be saved."
-            )
     return {
         "name": effect.name,
         "of_library": type(effect) is _of_library(effect.name),
         "joint": effect.joint,
         "shape": encode(shape),
     }
-
-
-def _is_setting(value):
-    if isinstance(value, (tuple, list)):
-        return all(map(_is_setting, value))
-    return value is None or isinstance(value, (bool, int, float, str, np.generic))
 
 
 def _decode_setting(value):

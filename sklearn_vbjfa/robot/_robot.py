@@ -1034,11 +1034,11 @@ class IdentifiedRobot:
             self.joint_names_, self.plan.dt, X, y, groups, weight, t, signals
         )
 
-    def prepare(self, X, groups=None, t=None, weight=None, signals=None):
+    def prepare(self, X, groups=None, t=None, signals=None):
         """Make the `Inputs` of the rows of a recording."""
         clock = self.clock(t, X.shape[0])
         return self.prepare_recording(
-            self.recording(X, None, groups, weight, clock, signals)
+            self.recording(X, None, groups, None, clock, signals)
         )
 
     def prepare_recording(self, recording):

@@ -1,7 +1,6 @@
 """Low-pass filtered equations of motion of a recording, piece by piece."""
 
 import functools
-import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -187,37 +186,10 @@ class RegressorRows:
             at = stop
         self.used = np.concatenate(used)
 
-    @classmethod
-    def with_effects(
-        cls, features, states, effects, motion, rest=None, *, tangents=False, ranges=()
-    ):
-        """Compute the columns of effects (n rows) from a motion, held within ranges."""
-        # Those of effects that are in the model are zero unless their `tangents` are
-        # wanted.
-        shown = [tangents or not effect.in_model for effect in effects]
-        for effect in itertools.compress(effects, shown):
-            reason = effect.applies(motion)
-            if reason:
-                raise ValueError(
-                    f"effects holds {effect.name} on joint {effect.joint}: {reason}."
-                )
-        n, nv = motion.q.shape
-
-        made, held = [], own_motions(effects, ranges, motion)
-        for effect, own, counts in zip(effects, held, shown):
-            if counts:
-                made.append((effect, effect.columns(own)))
-                continue
-            shape = (n, nv) if effect.whole_robot else (n,)
-            zeros = np.broadcast_to(0.0, (*shape, len(effect.coefficients)))
-            made.append((effect, zeros))
-        return cls(features, states, made, rest)
-
-    def part(self, rows, states=None):
-        """Restrict to a slice of rows, renumbered from zero; states: of these rows."""
+    def part(self, rows):
+        """Restrict to a slice of rows, renumbered from zero."""
         columns = [(effect, values[rows]) for effect, values in self.columns]
-        states = self.states[rows] if states is None else states
-        return RegressorRows(self._features, states, columns, self._rest)
+        return RegressorRows(self._features, self.states[rows], columns, self._rest)
 
     @property
     def n_rows(self):
@@ -377,17 +349,31 @@ def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
         recording.command if plan.lag is None else recording.tau,
         recording.before,
     )
-    rows = RegressorRows.with_effects(
-        features,
-        whole,
-        plan.effects,
-        motion,
-        rest,
-        tangents=plan.tangents,
-        ranges=plan.ranges,
-    )
+    columns = _effect_columns(plan, motion)
     # Splines are a third of the states of all rows, which end here.
-    return [rows.part(*both) for both in zip(recording.segments, states)]
+    return [
+        RegressorRows(features, own, [(e, x[part]) for e, x in columns], rest)
+        for part, own in zip(recording.segments, states)
+    ]
+
+
+def _effect_columns(plan, motion):
+    """Pair effects with their columns (n, [nv,] k) along a motion."""
+    found = []
+    own_motion = own_motions(plan.effects, plan.ranges, motion)
+    for effect, own in zip(plan.effects, own_motion):
+        shape = motion.q.shape if effect.whole_robot else motion.q.shape[:1]
+        # The values of effects that are in the model are held by it.
+        columns = np.broadcast_to(0.0, (*shape, len(effect.coefficients)))
+        if plan.tangents or not effect.in_model:
+            reason = effect.applies(motion)
+            if reason:
+                raise ValueError(
+                    f"effects holds {effect.name} on joint {effect.joint}: {reason}."
+                )
+            columns = effect.columns(own)
+        found.append((effect, columns))
+    return found
 
 
 # -- segments --------------------------------------------------------------------------

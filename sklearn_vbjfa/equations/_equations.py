@@ -274,21 +274,18 @@ class RegressorRows:
                 at = stop
         return out.reshape(-1, self.n_joints, self.n_parameters)
 
-    def predict(self, theta, n_jobs=1):
+    def predict(self, theta):
         """Torques (n, nv) predicted by parameters (p,), without their columns."""
         bodies, coefs = np.split(theta, [self.n_rigid])
         bodies = bodies.reshape(self.n_joints, -1)
         torque = np.empty((self.states.shape[0], self.n_joints))
-        begins = range(0, len(torque), _SPAN_ROWS)
-        spans = [slice(one, min(one + _SPAN_ROWS, len(torque))) for one in begins]
-        tasks = (
-            (self._features, self._rest, bodies, self.states[rows]) for rows in spans
-        )
-        made = (_plain_torques(*task) for task in tasks)
-        if n_jobs != 1 and len(spans) > 1:
-            made = in_parallel(_plain_torques, tasks, n_jobs)
-        for rows, own in zip(spans, made):
-            torque[rows] = own
+        for first in range(0, len(torque), _SPAN_ROWS):
+            rows = slice(first, min(first + _SPAN_ROWS, len(torque)))
+            states = self.states[rows]
+            motion = np.split(states, 3, axis=1)
+            friction = self._features.declared(states, self._rest)
+            torque[rows] = self._features.torques(*motion, bodies[:, :10])
+            torque[rows] += np.einsum("njk,jk->nj", friction, bodies[:, 10:])
             self._add_effects(torque[rows], rows, coefs)
         return self._read(torque, np.arange(self.n_joints))
 
@@ -310,14 +307,6 @@ class RegressorRows:
         """Yield the regressor matrices (n, nv, p) of all rows, block by block."""
         for _, entries in self.spans(slice(0, self.states.shape[0]), _BLOCK_ROWS):
             yield self.spread(entries)
-
-
-def _plain_torques(features, rest, bodies, states):
-    """Torques (n, nv) of bodies and declared friction (nv, k) in states (n, 3 nv)."""
-    inertial = np.ascontiguousarray(bodies[:, :10])
-    torque = features.torques(*np.split(states, 3, axis=1), inertial)
-    friction = features.declared(states, rest)
-    return torque + np.einsum("njk,jk->nj", friction, bodies[:, 10:])
 
 
 def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):

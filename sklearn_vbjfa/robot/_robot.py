@@ -1063,10 +1063,9 @@ class IdentifiedRobot:
 
     # -- answers --------------------------------------------------------------------
 
-    def torques(self, asked, n_jobs=1):
+    def torques(self, asked):
         """Torques (n, nv) that are predicted for `Inputs`."""
-        rows = self._rows(asked)
-        return np.concatenate([one.predict(self.theta_, n_jobs) for one in rows])
+        return np.concatenate([x.predict(self.theta_) for x in self._rows(asked)])
 
     def _rows(self, asked):
         recording = asked.recording
@@ -1190,7 +1189,7 @@ class IdentifiedRobot:
             own = {name: values[rows] for name, values in recording.signals.items()}
             asked = self.prepare(recording.inputs[rows], t=t, signals=own)
             asked, y = asked.noiseless(self.plan), torques[rows]
-            residual = y - self.torques(asked, n_jobs)
+            residual = y - self.torques(asked)
             found.append(noise_facts(residual, y, asked.states, *band, n_jobs))
         return found
 

@@ -19,8 +19,7 @@ from sklearn_vbjfa.diagnosis.search._refine import searched_on, stepped
 from sklearn_vbjfa.diagnosis.search._shapes import best_shape, searched
 from sklearn_vbjfa.effects import closure
 
-# Times that load, spectrum and geometry are made anew; and the rounds in which the
-# first and the second one look for what the noise is without.
+# Times that load, spectrum and geometry are made anew.
 _TURNS = 2
 # Times that a model is tuned on another recording, until its evidence [nats] stays.
 _CLOSER, _STAYS = 20, 0.5
@@ -185,8 +184,12 @@ class Path:
         """Return a candidate as a member."""
         scale = self.settings.scale
         found = best_shape(fit, candidate.effect, candidate.family, scale)
-        family = fit.problem.shaped([found])
-        return family.member(0, float(fit.groups(family).best_scale(scale)[0]))
+        if found is candidate.effect:
+            family, best = candidate.family, candidate.best
+        else:
+            family, best = fit.problem.shaped([found]), 0
+        own = fit.groups(family).best_scale(scale)[best]
+        return family.member(best, float(own))
 
     def _stand(self, fit, first):
         """Which of the last members stand once robot and load are made anew, a list."""

@@ -61,6 +61,16 @@ def test_a_constant_is_no_spring():
     assert found(now) == [("offset", 0)]
 
 
+def test_what_saves_next_to_nothing_is_not_in_the_model():
+    """However probable it is: a name asks for twice as much."""
+    long = record("Y", seed=0, duration=600.0)
+    for worth, expected in ((0.02, 0), (0.001, 1)):
+        settings = SearchSettings(worth=worth)
+        torque = long.torque(joint_1=spring(0.01))
+        now = search(torque, ["spring"], long, settings=settings).run()
+        assert len(now.effects) == expected
+
+
 # -- shapes
 
 

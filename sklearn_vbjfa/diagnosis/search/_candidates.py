@@ -8,7 +8,7 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.diagnosis.search._problem import Family, stacked
-from sklearn_vbjfa.diagnosis.search._shapes import best_shape
+from sklearn_vbjfa.diagnosis.search._shapes import jump
 from sklearn_vbjfa.effects import closure
 
 # Share of the error that its mirror image saves of what an effect with a direction
@@ -110,7 +110,8 @@ class Candidates:
         family, best, coef = candidate.family, candidate.best, candidate.coef
         if getattr(candidate.effect, "jumping", ()):
             # Beside its instant a jump leaves a residual of its own size.
-            found = best_shape(fit, candidate.effect, family, self.settings.scale)
+            scale = self.settings.scale
+            found = jump(fit, candidate.effect, family, scale, near=True)
             family, best = fit.problem.shaped([found]), 0
             coef = fit.groups(family).coefficients()[0]
         excess = fit.excess(family, best, coef, self.noise)

@@ -36,14 +36,16 @@ def bank(fit, effect, scale, again=False):
     return found.only(coef > 0)
 
 
-def jump(fit, effect, family, scale):
-    """Return an effect that jumps with its most probable instant."""
+def jump(fit, effect, family, scale, near=False):
+    """Return an effect that jumps with its most probable instant, or one near it."""
 
     def evidence(effects):
         return fit.groups(fit.problem.shaped(effects)).evidence(scale)
 
-    near = [effect, *_instants(fit, effect, family, scale)]
-    return instant(near, evidence, fit.problem.motion)
+    tried = [effect, *_instants(fit, effect, family, scale)]
+    if near:
+        return tried[int(np.argmax(evidence(tried)))]
+    return instant(tried, evidence, fit.problem.motion)
 
 
 def _instants(fit, effect, family, scale):

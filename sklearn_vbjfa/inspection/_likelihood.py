@@ -280,11 +280,10 @@ def _solve(joints, branch, prior, m):
         inside = np.flatnonzero(branch == one)
         some = [joints[k] for k in inside]
         places = np.unique(np.concatenate([used for used, *_ in some]))
-        found = _solve_together(some, places)
-        evidence, left[inside], power[inside] = evidence + found[0], *found[1:3]
+        more, rest, friction, theta, shared = _solve_together(some, places)
+        evidence, left[inside], power[inside] = evidence + more, rest, friction
         of_factors = np.flatnonzero(places >= first)
         if of_factors.size:
-            theta, shared = found[3:]
             at, size = places[of_factors] - first, prior[places[of_factors]]
             factors[at] = theta[of_factors] * size
             shared = shared[np.ix_(of_factors, of_factors)] * size * size[:, None]
@@ -330,8 +329,9 @@ def _solve_together(joints, places):
         error = speed @ covariance[np.ix_(friction, friction)] @ speed
         power.append(speed @ theta[friction] / np.sqrt(max(error, 1e-300)))
     friction = np.maximum(scipy.special.log_ndtr(power), -number.FRICTION).sum()
-    found = theta[: places.size], covariance[: places.size, : places.size]
-    return friction - 0.5 * missed, np.log(noise / size), power, *found
+    evidence, rest = friction - 0.5 * missed, np.log(noise / size)
+    bodies = slice(places.size)
+    return evidence, rest, np.array(power), theta[bodies], covariance[bodies, bodies]
 
 
 def _solved(A, b):

@@ -150,9 +150,10 @@ STUCK_RUN, STUCK_REPEATS = 50, 0.1
 # what it usually does there. Within one sample a joint stops with this many times its
 # usual acceleration; all samples of such stops are this share of the recording.
 LEAST_STOP, STANDS, SUDDEN, USUAL, STUCK_SHARE = 10, 3e-3, 3.5, 0.99, 0.03
-# ... or an encoder is dead if for this many samples it has less than this share of its
-# noise, which is so many times its resolution elsewhere.
-DEAD_RUN, QUIET, NOISY = 50, 0.25, 3.0
+# ... or an encoder is dead if for this many samples nearly this share equals the one
+# before, although its noise is so many times its resolution and less than the last
+# share of all other samples does.
+DEAD_RUN, EXACT, NOISY, SELDOM = 50, 0.8, 3.0, 0.005
 # Steps and spikes, in robust standard deviations of the prediction by the neighbours,
 # in recordings of at least this many samples, and at least this share of the channel's
 # range. A larger share of outliers is noise, not a fault of single samples.

@@ -438,13 +438,13 @@ def _stuck(log, j, stands):
     if not change.size:
         return _marked(x, [])
     usual = number.SUDDEN * np.quantile(change, number.USUAL)
-    fast, found = max(usual, 0.5 * np.median(speed[moves])), []
-    # Third differences are those of the noise; of rounding alone there may be none.
-    bend = np.abs(np.diff(x, n=3, prepend=x[:3]))
-    noise, resolution = np.median(bend[moves]), speed[speed > 0].min()
-    others = ~log.still
+    fast, found, stops = max(usual, 0.5 * np.median(speed[moves])), [], False
+    # Third differences are those of the noise. Of a noise that is far above the
+    # resolution no value comes twice, at rest or not.
+    noise = np.median(np.abs(np.diff(x, n=3, prepend=x[:3]))[moves])
+    noisy = noise > number.NOISY * speed[speed > 0].min()
+    same, others = (step == 0) & ~log.first, ~log.still
     others[j] = False
-    noisy = noise > number.NOISY * resolution
     for a, b in log.runs(stands[:, j] & ~log.lost):
         if b - a <= number.LEAST_STOP:
             continue
@@ -453,13 +453,17 @@ def _stuck(log, j, stands):
         sudden = np.concatenate(ends).max(initial=0.0) > fast
         # When several joints stop together, the robot paused.
         pauses = stands[a + 3 : b - 1, others].all(axis=0).any()
-        dead = noisy and np.median(bend[a + 3 : b + 1]) < number.QUIET * noise
-        if (sudden or (dead and b - a > number.DEAD_RUN)) and not pauses:
+        rest = same.sum() - same[a : b + 1].sum()
+        dead = noisy and b - a > number.DEAD_RUN and rest < number.SELDOM * len(x)
+        dead = dead and same[a : b + 1].mean() > number.EXACT
+        if (sudden or dead) and not pauses:
             found.append((a, b))
+            stops = stops or sudden
     if found:
         level = x[max(found, key=lambda run: run[1] - run[0])[0]]
-        many = _marked(x, found).mean() > number.STUCK_SHARE
-        severity = "error" if many else "warning"
+        severity = "error" if stops else "doubt"
+        if _marked(x, found).mean() <= number.STUCK_SHARE:
+            severity = "warning"
         log.report("stuck_position", j, severity, found, level=level)
     return _marked(x, [(a, min(b + 1, len(x) - 1)) for a, b in found])
 

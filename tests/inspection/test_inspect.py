@@ -338,20 +338,36 @@ def test_a_frozen_logger(arm):
     assert "up to 59 in a row, the first in row 1001" in findings[0].message
 
 
-def test_a_robot_that_pauses_is_not_frozen(arm):
-    """Without noise all rows of a pause are equal; the motion runs out before it."""
-    recording, model = arm
-    q = recording.states[:, :6]
+def with_a_pause(x):
+    """Slow a motion down to a pause, and go on."""
     stop = 1200
     ramp = np.cumsum(0.5 * (1 + np.cos(np.linspace(0, np.pi, 200))))
     back = np.cumsum(0.5 * (1 - np.cos(np.linspace(0, np.pi, 200))))
     clock = np.r_[np.arange(stop), stop + ramp, np.full(100, stop + ramp[-1])]
     clock = np.r_[clock, clock[-1] + back]
-    at = np.arange(len(q))
-    slow = np.column_stack([np.interp(clock, at, x) for x in q.T])
-    tau = np.column_stack([np.interp(clock, at, x) for x in recording.tau_clean.T])
+    clock = np.r_[clock, np.arange(clock[-1] + 1, len(x))]
+    return np.column_stack([np.interp(clock, np.arange(len(x)), y) for y in x.T])
+
+
+def test_a_robot_that_pauses_is_not_frozen(arm):
+    """Without noise all rows of a pause are equal; the motion runs out before it."""
+    recording, model = arm
+    slow, tau = map(with_a_pause, (recording.states[:, :6], recording.tau_clean))
     findings = inspect_channels(model, slow, tau, recording.dt)
     assert not grave(findings, "repeated_rows")
+
+
+@pytest.mark.parametrize("noise", [0.0, 2e-5])
+def test_a_joint_that_pauses_alone_is_not_stuck(arm, noise):
+    """Its encoder, with a resolution or with noise, is as it was."""
+    recording, model = arm
+    q = with_a_pause(recording.states[:, :6])
+    n, rng = len(q), np.random.default_rng(0)
+    q[: len(recording.q), [0, 1, 2, 4, 5]] = recording.states[:n, [0, 1, 2, 4, 5]]
+    q = q[: len(recording.q)] + noise * rng.normal(size=(len(q), 6))[: len(recording.q)]
+    q = q if noise else np.round(q, 5)
+    findings = inspect_channels(model, q, recording.tau[: len(q)], recording.dt)
+    assert not grave(findings, "stuck_position")
 
 
 def test_a_torque_is_coarse_by_its_step_against_its_spread():

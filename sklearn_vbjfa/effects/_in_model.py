@@ -364,7 +364,7 @@ class JointAxis(InModel):
         behind = made.nominal_rotation(self.joint) @ rotation(vector)
         behind = behind.T @ made.rotation(self.joint)
         turns = [behind.T @ turned_by(vector, axis) for axis in axes]
-        return without_rounding(made.by_turn(self.joint) @ np.transpose(turns))
+        return without_rounding(made.by_turn(self.joint, np.transpose(turns)))
 
 
 class TorqueGain(InModel):

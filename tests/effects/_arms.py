@@ -69,8 +69,8 @@ class Derivatives:
         rise = inverse_dynamics(high, shifted[0]) - inverse_dynamics(low, shifted[1])
         return rise / (2 * self._step)
 
-    def by_turn(self, joint):
-        """By turns of a joint's placement about its own axes, (n, nv, 3)."""
+    def by_turn(self, joint, turns):
+        """By turns (3, k) of a joint's placement in its own axes, (n, nv, k)."""
         import pinocchio as pin
 
         def about(axis):
@@ -80,7 +80,7 @@ class Derivatives:
 
             return self._change(change)
 
-        return np.stack([about(axis) for axis in np.eye(3)], axis=2)
+        return np.stack([about(axis) for axis in np.eye(3)], axis=2) @ turns
 
     def by_position(self, joint):
         """By the position of a joint, (n, nv)."""

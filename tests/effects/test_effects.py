@@ -298,7 +298,7 @@ walks = st.lists(st.integers(-40, 40), min_size=2, max_size=40).map(
 )
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=25)
 @given(q=walks, displacement=st.sampled_from([0.03125, 0.25, 1.0, 4.0]))
 def test_stops_on_any_walk(q, displacement):
     z = stops(q, (displacement, 2 * displacement))
@@ -333,7 +333,7 @@ def test_a_bank_needs_positive_displacements(values):
         effects.MaxwellSlip(displacements=values).check()
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=40)
 @given(q=walks, width=st.sampled_from([0.0, 0.125, 1.0, 3.0]))
 def test_play_on_any_walk(q, width):
     p = play(q, width)
@@ -343,7 +343,7 @@ def test_play_on_any_walk(q, width):
     assert_allclose(play(p, width), play(q, 2 * width), atol=1e-12)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=25)
 @given(q=walks, repeats=st.integers(2, 4))
 def test_hysteresis_does_not_depend_on_the_speed(q, repeats):
     """More samples of the same path change nothing."""

@@ -70,7 +70,7 @@ def assert_near(found, expected, size):
     assert_allclose(found, expected, atol=1e-7 * size)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(kinds=trees, seed=seeds)
 def test_of_random_trees_are_those_of_differences(kinds, seed):
     model, states, inertial = problem(kinds, seed)

@@ -34,7 +34,7 @@ def torques(model, states):
     return np.array([pin.rnea(model, data, *x) for x in states])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     seed=st.integers(0, 99),
     kinds=st.lists(st.sampled_from(ALIGNED + OBLIQUE), min_size=1, max_size=6),

@@ -41,7 +41,7 @@ trees = st.lists(st.sampled_from(ALIGNED + OBLIQUE + OTHERS), min_size=1, max_si
 seeds = st.integers(0, 2**32 - 1)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(kinds=trees, seed=seeds, n=st.integers(0, 12))
 def test_regressor_of_random_trees(kinds, seed, n):
     rng = np.random.default_rng(seed)
@@ -58,7 +58,7 @@ def test_regressor_of_random_trees(kinds, seed, n):
     np.testing.assert_allclose(Phi, np.concatenate(halves), rtol=1e-10, atol=1e-10)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(kinds=trees, seed=seeds, n=st.integers(0, 12))
 def test_torques_of_random_trees(kinds, seed, n):
     rng = np.random.default_rng(seed)

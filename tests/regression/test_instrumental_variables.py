@@ -37,7 +37,7 @@ def literal_two_stages(X, y, Z):
 
 
 @pytest.mark.parametrize("n_instruments", [3, 7])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_two_literal_stages(seed, n_instruments):
     X, y, Z, _ = make_repeated(seed, n_instruments=n_instruments)
     model = InstrumentalVariables().fit(X, y, instruments=Z)

@@ -397,19 +397,8 @@ class MaxwellSlip(Shaped, Stateful):
         return curve @ np.concatenate([plain, falling])
 
     def parameters(self, coef):
-        """Total friction Fc, displacement `half` at half of it, and sums mu and Fs.
-
-        Parameters
-        ----------
-        coef : array-like of shape (k,)
-            Coefficients.
-
-        Returns
-        -------
-        dict of str to float
-            Values by symbol: friction Fc well above the Stribeck speed, and Fs more at
-            very low speed.
-        """
+        """Total friction Fc, displacement `half` at half of it, and sums mu and Fs."""
+        # Fc well above the Stribeck speed, and Fs more at very low speed.
         plain, loaded, falling = self._split(np.asarray(coef, dtype=float))
         found = {}
         if plain.size or falling.size:

@@ -87,16 +87,16 @@ class TorqueDerivatives:
         def turned(angle):
             return self._changed("frames", joint, turn(angle * axis).T @ frame)
 
-        quarter, eighth = (turned(x) - turned(-x) for x in (np.pi / 2, np.pi / 4))
-        return size * (eighth + (0.5 - np.sqrt(0.5)) * quarter)
+        angles = np.pi * np.array([0.5, -0.5, 0.25, -0.25])
+        weights = size * np.array([1.0, -1.0, 1.0, -1.0])
+        weights[:2] *= 0.5 - np.sqrt(0.5)
+        return _combined(list(map(turned, angles)), weights)
 
     def _by_shift(self, joint, vector):
         """By a shift of a joint by a vector (3,) in its placement, (n, nv)."""
         place, way = self._tree.offsets[joint], vector @ self._tree.frames[joint]
-        ahead, behind = (
-            self._changed("offsets", joint, place + one) for one in (way, -way)
-        )
-        return 0.5 * (ahead - behind)
+        ends = [self._changed("offsets", joint, place + one) for one in (way, -way)]
+        return _combined(ends, (0.5, -0.5))
 
     def _changed(self, name, joint, value):
         """Torques (n, nv) with another value of a joint in the tree."""
@@ -121,6 +121,16 @@ class TorqueDerivatives:
     def nominal_gravity(self):
         """Gravity before the robot was corrected, ndarray of shape (3,)."""
         return self._nominal.gravity.linear
+
+
+def _combined(torques, weights):
+    """Weighted sum of torques (n, nv); what is rounding of a zero is zero."""
+    # A joint's torque that does not change would be information in a regression in
+    # scaled columns.
+    found = sum(weight * one for weight, one in zip(weights, torques))
+    largest = np.max([np.abs(one).max(axis=0) for one in torques], axis=0)
+    largest = largest * np.abs(weights).max()
+    return np.where(np.abs(found).max(axis=0) > _ROUNDING * largest, found, 0.0)
 
 
 class CorrectedModel:

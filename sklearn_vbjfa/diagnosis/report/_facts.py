@@ -422,7 +422,7 @@ def effects_by_label(outcome, label):
         if len(same) == 1:
             odds = words.odds_text(same[0].log_odds).removesuffix(" : 1")
             evidence += f", odds {odds}"
-        evidence += ", has rivals" if any(e.rivals for e in same) else ""
+        evidence += ", rivals" if any(e.rivals for e in same) else ""
         rows.append([f"- {words.join(places, len(places))}", text, evidence])
     return rows
 

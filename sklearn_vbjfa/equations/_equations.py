@@ -50,10 +50,17 @@ class Equations:
     weight: np.ndarray  # (n, nv): zero leaves an equation out
     # (n,) or None: row of the recording at the centre of each filtered row
     index: np.ndarray | None = None
+    # (n, nv, p) or None: regressors of another measurement of the motion
+    instruments: np.ndarray | None = None
 
     def zeroed(self, entries):
         """Return the same equations with entries (nv, p), bool, set to zero."""
-        return replace(self, Phi=np.where(entries, 0.0, self.Phi))
+        instruments = self.instruments
+        if instruments is not None:
+            # Rounding, in the scale of its column, would be an instrument as well.
+            instruments = np.where(entries, 0.0, instruments)
+        Phi = np.where(entries, 0.0, self.Phi)
+        return replace(self, Phi=Phi, instruments=instruments)
 
 
 def joined(pieces):

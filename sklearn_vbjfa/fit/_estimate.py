@@ -353,7 +353,15 @@ def _fit_rows(regressor, rows, joint_weights, total):
     scale = np.where(scale > 0, scale, 1.0)
     y_scale = np.sqrt(total.S_yy / n) or 1.0
     root = np.sqrt(joint_weights)[:, None]
-    A = np.concatenate([(one.Phi * root)[one.weight > 0] / scale for one in rows])
+
+    def stacked(name):
+        return np.concatenate(
+            [(getattr(one, name) * root)[one.weight > 0] / scale for one in rows]
+        )
+
+    A, fit_params = stacked("Phi"), {}
+    if rows[0].instruments is not None:
+        fit_params["instruments"] = stacked("instruments")
     b = np.concatenate([(one.tau * root[:, 0])[one.weight > 0] for one in rows])
     b = b / y_scale
     weight = np.concatenate([one.weight[one.weight > 0] for one in rows])
@@ -361,6 +369,7 @@ def _fit_rows(regressor, rows, joint_weights, total):
         # Scale the rows: not every regressor takes sample_weight.
         own = np.sqrt(weight / weight.mean())
         A, b = A * own[:, None], b * own
+        fit_params = {name: Z * own[:, None] for name, Z in fit_params.items()}
     parameters = regressor.get_params(deep=True)
     names = {name.split("__")[-1] for name in parameters}
     intercepts = [n for n in parameters if n.split("__")[-1] == "fit_intercept"]
@@ -369,7 +378,8 @@ def _fit_rows(regressor, rows, joint_weights, total):
         # What always centres (PLS, a scaler in a pipeline) sees each equation with
         # its mirror image: the means are zero and nothing is lost.
         A, b = _mirror(A), _mirror(b)
-    regressor.fit(A, b)
+        fit_params = {name: _mirror(Z) for name, Z in fit_params.items()}
+    regressor.fit(A, b, **fit_params)
     theta = _read_coefficients(regressor, A[:50])
     std = getattr(regressor, "coef_std_", None)
     unit = y_scale / scale

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
+from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._progress import stage
@@ -70,6 +71,35 @@ class FitData:
             robot.features_,
             theta=robot.load_parameters,
         )
+
+    def instrumented(self, robot):
+        """Equations of a robot, with instruments free of their noise, a list."""
+        # The commanded motion, where a drive makes its torque of it (what commands add
+        # to the torque, in units of the positions), else odd samples beside even ones.
+        recording, estimator = self.recording, robot.plan.state_estimator
+        if estimator is None:
+            raise ValueError(
+                "a regressor that takes instruments needs positions, of which the even "
+                "samples are measured beside the odd ones; got states. Pass positions, "
+                "or another regressor."
+            )
+        feedback, groups = recording.feedback, recording.groups
+        if feedback is None or not (feedback[0] > 0).all():
+            both = estimator.split_transform(recording.q, groups)
+        else:
+            own = np.concatenate([one[:] for one in self.states.own])
+            command = recording.command / feedback[0]
+            both = own, estimator.transform(command, groups=groups)
+        pieces = []
+        for states in both:
+            states = RecordingStates.of_rows(recording.segments, states)
+            made = replace(self, states=states).segments(robot)
+            pieces.append(equations(made, robot.plan.lowpass))
+        # An equation counts only where the joint moves in both.
+        return [
+            replace(x, weight=np.minimum(x.weight, z.weight), instruments=z.Phi)
+            for x, z in zip(*pieces)
+        ]
 
     def moments(self, made, plan):
         how = {"n_jobs": self.n_jobs, "numbering": self.numbering}
@@ -221,7 +251,9 @@ class Recipe:
         """Fit a robot to its recording, in parallel where second moments suffice."""
         made, rows = source.segments(robot), ()
         if not from_moments(self.regressor):
-            rows = list(equations(made, robot.plan.lowpass))
+            takes = has_fit_parameter(self.regressor, "instruments")
+            rows = equations(made, robot.plan.lowpass)
+            rows = source.instrumented(robot) if takes else list(rows)
         return self.of_moments(robot, source.moments(made, robot.plan), rows, made)
 
     def _shown(self, found):

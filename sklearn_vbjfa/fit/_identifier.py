@@ -126,7 +126,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     regressor : estimator, default=None
         Linear regressor, see `JointTorqueRegressor`. None is weighted least squares
         with the description as prior or, without one (see `bodies`),
-        ``VBJFARegressor(latent="correlated", input_noise=0.0)``.
+        ``VBJFARegressor(latent="correlated", input_noise=0.0)``. If its `fit` takes
+        `instruments` (`InstrumentalVariables`), these are the commanded motion of the
+        `drive`, or the odd samples without a drive.
     projector : "default", PhysicalProjector or None, default="default"
         Projection of the parameters. None leaves them as estimated.
     cutoff : "auto", float or None, default="auto"

@@ -7,10 +7,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
+from sklearn.linear_model import LinearRegression
 
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import (  # noqa: E402
+    InstrumentalVariables,
     RobotIdentifier,
     load_identified,
 )
@@ -453,6 +455,31 @@ def test_noise_in_inputs_and_torques_is_taken_off_both(where):
     # of the inputs alone, and of none
     assert rotor(apart) > rotor(recording) + 0.04
     assert rotor(recording, input_noise=None) < -0.5
+
+
+@pytest.mark.parametrize("where", ["log", pytest.param("loop", marks=pytest.mark.slow)])
+def test_commands_are_instruments_of_the_motion(where):
+    drive, recording = pendulum(where)
+    settings = {
+        "dt": DT,
+        "cutoff": 40.0,
+        "options": FitOptions(state_cutoff=70.0),
+        "projector": None,
+    }
+
+    def off(regressor):
+        """How far inertia, damping and dry friction are off, as shares."""
+        robot = RobotIdentifier(bob(), drive=drive, regressor=regressor, **settings)
+        robot.fit_recording(recording)
+        asked = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+        pushed, still = robot.features_.matrices(asked)[:, 0] @ robot.theta_
+        terms = dict(zip(robot.parameter_names_, robot.theta_))
+        found = [pushed - still, terms["j:viscous"], terms["j:coulomb"]]
+        return np.array(found) / [0.09, 0.3, 0.4] - 1
+
+    plain, instrumented = off(LinearRegression()), off(InstrumentalVariables())
+    assert (np.abs(plain) > 0.07).all()
+    assert (np.abs(instrumented) < np.abs(plain) / 3).all()
 
 
 def test_noise_in_common_is_a_quarter_of_the_products_of_differences():

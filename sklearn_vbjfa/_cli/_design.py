@@ -175,7 +175,7 @@ def _identified(arguments, path, found, folder):
     description = folder / "described.urdf"
     description.write_text(robot.description_, encoding="utf-8")
     if file != str(path) and Path(file).is_file():
-        # Meshes lie beside the file itself.
+        # Paths of meshes are relative to the file.
         description = Path(file)
     gains = robot.gains_
     is_relative = gains is not None and not gains.absolute

@@ -317,7 +317,7 @@ def spelled(name):
 
 def command_line(arguments, options):
     """Return a command with some options in place of those given."""
-    # A drive has gains of its own.
+    # The gains are those of the drive.
     options = {"gains": None} | options if "drive" in options else options
     texts = {spelled(name): text for name, text in arguments.typed.items()}
     texts |= {spelled(name): value for name, value in options.items()}

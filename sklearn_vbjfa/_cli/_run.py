@@ -152,7 +152,7 @@ def rendered(template, **values):
 
 
 def _tabulated(columns):
-    """Return a table of columns by their heads; the units beside names are words."""
+    """Return a table of columns by their heads; units next to names are words."""
     from tabulate import tabulate
 
     words = 1 + ("unit" in columns)

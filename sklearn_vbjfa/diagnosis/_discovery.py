@@ -402,8 +402,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             library = [one for one in library if not isinstance(one, TorqueGain)]
         if given.drive is None or not given.drive.of_positions:
             return library
-        # No channel reads its torques, and values that were found beside what its
-        # simulation goes without are not those of the robot that is simulated.
+        # Effects that its simulation cannot have would change the values of the others.
         left = {one.name: unfollowed(one) for one in library if unfollowed(one)}
         if left and not isinstance(self.effects, str):
             names = "; ".join(f"{name} ({why})" for name, why in left.items())

@@ -97,7 +97,7 @@ def discovered_effects(search, final, names, prismatic, seconds):
 
 
 def named_beside(effect, chosen, names):
-    """Name an effect as a rival of another one, with its joint if that differs."""
+    """Name a rival of an effect, with its joint if that differs."""
     name, apart = effect.name, effect.split_by if isinstance(effect, Shaped) else ()
     if apart:
         name += f": {getattr(effect, apart[0])}"

@@ -158,7 +158,7 @@ def unexplained(model, names, spread, floors, errors):
 def memory_seconds(model):
     """How long the residual of each joint of a model stays correlated, list [s]."""
     view, seconds = model.view, []
-    # The low-pass hardly correlates rows further apart than half a period of its
+    # The low-pass does not correlate rows further apart than half a period of its
     # cut-off.
     stride = max(1, int(np.ceil(0.5 / (view.robot.cutoff_ * view.step) - 1e-9)))
     for residual, root in zip(model.residual, view.root.T):

@@ -29,7 +29,7 @@ _ROWS = 4000
 
 
 class Expectation:
-    """Error to expect of another recording, by its motion.
+    """Error to expect of the next recording, by its motion.
 
     The squared error is that on held-out data (noise and model errors) plus the
     differences of parameters between recordings, times the torques that they act on.
@@ -160,7 +160,7 @@ class Motions:
         self._moments = np.einsum("nj,njk,njl->jkl", weight / total, rows, rows)
 
     def distance(self, other):
-        """Leverage of the rows of another motion over that of these, at least 1."""
+        """Leverage of the rows of a motion over that of these, at least 1."""
         found = [
             np.trace(np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ rows)
             / np.linalg.matrix_rank(own, tol=1e-9 * np.trace(own), hermitian=True)

@@ -131,7 +131,7 @@ class Parts:
 
     def left_out(self, spread):
         """Errors (r, nv) on each recording of fits to the others, over the spread."""
-        # Recordings of one motion are left out together: none of them is another one.
+        # Recordings of one motion are left out together.
         repetition = self._view.repetition
         motion = repetition.motion if repetition else np.arange(self.count)
         names = np.unique(motion)

@@ -329,7 +329,7 @@ def parameter_groups(outcome):
     """Group the parameters by joint, a list of dict."""
     names, groups = outcome.robot["joints"], []
     for joint, own in grouped(outcome.facts_of("parameter"), lambda one: one.joint):
-        # A prior leaves each parameter of a joint an interval of its own.
+        # With a prior each parameter of a joint has an interval.
         prior = any(np.isfinite(p.described_std) for p in own)
         largest = {}
         for one in own:

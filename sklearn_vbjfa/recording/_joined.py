@@ -55,7 +55,7 @@ def joined(tables, joints, path) -> Table:
             values = _at(part.table.values(name), at[keep])
             if name in columns and not np.array_equal(columns[name], values):
                 one = replace(part.table, frame=part.table.frame[[name]])
-                if by_names(one, joints).roles:
+                if by_names(one, joints).kinds - {"t", "segment"}:
                     raise ValueError(
                         f"{path}: column {name!r} is in {of[name]} and in {part.name}, "
                         "with other values; leave one of the files out, or rename the "

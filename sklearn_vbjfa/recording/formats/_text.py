@@ -97,7 +97,7 @@ def _decoded(path):
         notes = ("is not UTF-8, read as Windows text (cp1252), as Excel saves CSV.",)
     if "\0" in text:
         raise ValueError(f"{path}: is binary, not text; save it as CSV in UTF-8.")
-    if encoding == "utf-16" or notes or ("\r" in text and "\r\n" not in text):
+    if encoding == "utf-16" or notes or ("\r" in text and "\n" not in text):
         content = text.replace("\r\n", "\n").replace("\r", "\n").encode()
     return content.removeprefix(b"\xef\xbb\xbf"), notes
 

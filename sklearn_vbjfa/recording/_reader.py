@@ -138,8 +138,9 @@ def read_recording(
         time_unit=time_unit,
         drive=drive,
     )
-    is_one = isinstance(path, (str, PathLike))
-    paths = [path] if is_one else list(dict.fromkeys(Path(x) for x in path))
+    paths: list = [path]
+    if not isinstance(path, (str, PathLike)):
+        paths = list(dict.fromkeys(Path(x) for x in path))
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []
@@ -150,7 +151,7 @@ def read_recording(
         files = _read(paths, options, notes)
     notes += _named((str(file.path), file.notes) for file in files)
     recording = files[0].recording
-    if len(files) > 1 or not (join or is_one):
+    if len(files) > 1 or not (join or isinstance(path, (str, PathLike))):
         recording = _concatenated(files, notes)
     recording = replace(recording, name=name) if name else recording
     if options.drive is not None:

@@ -34,9 +34,8 @@ _UNVERIFIED = (
 )
 SENTENCES = {
     # -- rows
-    "shuffled_rows": "The rows are not in the order of time: {evidence}. Give whole "
-    "recordings as logged, split by time and not at random (shuffle=False), or sort "
-    "them by time.",
+    "shuffled_rows": "The rows are not in the order of time: {evidence}. Sort them by "
+    "time, and split whole recordings by time and not at random (shuffle=False).",
     "wrapped_position": "The position of {who} is wrapped: it jumps by {turn} {count} "
     "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
@@ -56,8 +55,7 @@ SENTENCES = {
     "joints move: nothing was measured there. Log the torques or currents, or lock "
     "the joints in the model.",
     "coarse_torque": "The torque of {who} goes in steps of {step:.3g} and has a spread "
-    "of {spread:.3g}: too coarse for an identification. Leave the joint out, or record "
-    "its torque finer.",
+    "of {spread:.3g}: too coarse. Leave the joint out, or record its torque finer.",
     "torque_dropouts": "The torque of {who} stays at {level:.4g} {times} time(s) while "
     "the robot moves ({share} of its samples, up to {seconds:.3g} s): readings were "
     "lost. Remove these rows, or record again.",
@@ -127,28 +125,27 @@ SENTENCES = {
     "the described robot, in the median over the joints: check {numbers}.",
     "other_robot": "The torques are {size:.2g} times as large as those of the "
     "description, in the median over the joints, and do not follow them, which leaves "
-    "{share} of them: the description is that of another robot, or the torques are in "
-    "another unit. Check both.",
+    "{share} of them: check whether it describes this robot, and their unit.",
     "silent_torque": "The torque of {who} does not follow the motion and is {size:.2g} "
-    "times what the description requires: only noise was recorded. Check the cable or "
-    "the column, or leave the joint out (--joints).",
+    "times what the description requires: noise alone. Check the cable or the column, "
+    "or leave the joint out (--joints).",
     "unsigned_torque": "The torques of {who} have one sign only, and with signs that "
     "change the motion explains them better: their signs were not logged, as of "
     'unsigned currents. Give --drive "{drive}", which finds the signs (Python: '
     "drive=CurrentDrive(signed=False)).",
     "no_gravity": "The torques contain no weight of the links: the factor of gravity "
-    "is {share:.2f} ± {error:.2f} (described weight: up to {heavy:.3g} N m on {who})."
-    "{other} Controllers that compensate gravity report such torques: log the full "
-    "torque, or add the weight.",
+    "is {share:.2f} ± {error:.2f} (described weight: up to {heavy:.3g} N m on "
+    "{who}).{other} Log the torques before the controller takes the weight off, or add "
+    "it.",
     "gravity_only": "The torques contain the weight of the links alone: the factor of "
-    "their inertia is {part:.2f} ± {error:.2f}. A model of gravity was logged, not a "
-    "measurement: log the torques or currents of the motors.",
+    "their inertia is {part:.2f} ± {error:.2f}. Log the torques or currents of the "
+    "motors, not a model of gravity.",
     "computed_torque": "The torques are those of the description to {share}, without "
-    "friction: a model was logged, not a measurement, and nothing can be identified "
-    "beyond it. Log the torques or currents of the motors.",
+    "friction: a model was logged, not a measurement. Log the torques or currents of "
+    "the motors.",
     "base_orientation": "By the torques, gravity pulls along ({pull}) of the base "
-    "frame, {angle:.0f} degrees from the description: the base is mounted in another "
-    "orientation, as on a wall or a ceiling. Turn it in the description.",
+    "frame, {angle:.0f} degrees from the description: the base is mounted otherwise, "
+    "as on a wall or a ceiling. Turn it in the description.",
     "delay": "All torques are {size:.3g} ± {error:.2g} ms {late} against the positions "
     "({evidence}): two clocks, or a delay of the torques. The search shifts them by "
     "this lag.",
@@ -156,8 +153,8 @@ SENTENCES = {
     "of about {size:.2g} ms ({evidence}): log them before the filter, or with a higher "
     "cut-off frequency.",
     "external_force": "From {begin:.1f} to {end:.1f} s after the start something else "
-    "acts on the robot ({pushes}; {evidence}): a contact, a load, or an external "
-    "force. Leave this interval out.",
+    "acts on the robot ({pushes}; {evidence}), such as a contact. Leave this interval "
+    "out.",
     "unverified:massless": _UNVERIFIED + "a body of the description has no mass.",
     "unverified:weightless": _UNVERIFIED + "gravity loads no joint of the description.",
     "unverified:size": "The size of the torques cannot be verified from this motion: "

@@ -32,6 +32,8 @@ __all__ = ["ChannelFinding", "inspect_channels", "inspect_recording"]
 
 # What is found of torques whose unit is not N m or N, or not known.
 _OF_SIZE = ("torque_unit", "torque_factors", "gear_factor", "other_robot")
+# What changes the speeds of a log.
+_OF_SPEED = ("position_unit", "wrong_dt")
 
 
 def inspect_recording(recording, model=None):
@@ -255,7 +257,9 @@ def _examined(reading):
 
 def _proposed(reading, when):
     """Return hypotheses that are probable, each with its candidate and log odds."""
-    rows = [one for one in TABLE if one.when == when]
+    # At impossible speeds only what changes them is asked.
+    fast = any(one.severity == "error" for one in implausible_speed(reading))
+    rows = [x for x in TABLE if x.when == when and (not fast or x.name in _OF_SPEED)]
     found = [(one, one.candidate(reading)) for one in rows]
     return [pair for pair in found if pair[1] is not None]
 

@@ -235,7 +235,7 @@ def units(reading):
     unit, short, factor, tried = "degrees", "deg", np.pi / 180, []
     if far.any() or many:
         tried = [revolute, far] if far.any() and (far != revolute).any() else [revolute]
-    elif not out.any():
+    elif not out.any() and (_speeds(reading) < _fastest(model)).all():
         unit, short, factor, tried = "turns", "rev", 2 * np.pi, [revolute]
     # Limits that are exceeded by far are evidence as well.
     known, least = (2 * number.DECISIVE, -np.inf) if far.any() else (0.0, None)

@@ -67,7 +67,7 @@ TABLE = (
     Hypothesis("position_sign", "error", positions.mirrored, when="poor"),
     # A doubt: another mounting or tool looks the same, with a wrong geometry only.
     Hypothesis("position_zero", "doubt", positions.zero, when="poor"),
-    Hypothesis("wrong_dt", "error", positions.periods, when="poor"),
+    Hypothesis("wrong_dt", "error", positions.periods),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs),
     Hypothesis("torque_unit", "doubt", torques.scaled, "measured"),

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._candidates import Candidate, clear_of_all, most_probable
+from sklearn_vbjfa.inspection._candidates import Candidate, most_probable
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._reading import Change
 from sklearn_vbjfa.model import import_pinocchio
@@ -101,10 +101,11 @@ def turned(reading):
     angle = float(np.arccos(np.clip(pull @ start / usual**2, -1, 1)))
     # A spring that more than balances a single joint looks the same.
     heavy = 1 / number.AS_HEAVY < size / usual < number.AS_HEAVY
-    if not heavy or len(_loaded(robot, robot.by_gravity @ pull)[0]) < 2:
+    loaded = len(_loaded(robot, robot.by_gravity @ pull)[0])
+    if not heavy or loaded < 2:
         return None
     found = robot.fit(robot.pulled(pull))
-    if _as_springs(robot) > found.evidence - number.RIVAL:
+    if _as_springs(robot) > found.evidence - number.DECISIVE:
         return None
     along, fall = ", ".join(f"{x:.2f}" for x in pull / usual), found.fall(robot.now)
     return Candidate(
@@ -112,7 +113,7 @@ def turned(reading):
         joints=reading.every,
         log_odds=found.evidence - robot.now.evidence,
         fall=fall,
-        clear=angle > number.TURNED and fall >= clear_of_all(reading),
+        clear=angle > number.TURNED and fall >= number.CLEAR * loaded,
         facts={"angle": np.degrees(angle), "pull": along},
     )
 

@@ -14,21 +14,19 @@ if TYPE_CHECKING:
 # Users get `Recording` and `read_recording` from `sklearn_vbjfa.datasets`; the rest is
 # for other rooms.
 _MODULES = {
-    "_frames": (
-        "carries_names",
-        "columns_beside",
-        "positions_in_order",
-        "torques_in_order",
-    ),
     "_signals": (
         "ChannelFinding",
         "OfferedSignals",
+        "carries_names",
         "check_useful",
+        "columns_beside",
         "fault",
         "in_order",
         "listed_joints",
+        "positions_in_order",
         "signals_for",
         "survey",
+        "torques_in_order",
     ),
     "_drives": (
         "COMMANDS",
@@ -46,11 +44,12 @@ _MODULES = {
         "check_clock",
         "check_cutoff",
         "check_dt",
+        "commands_among",
         "contiguous_groups",
+        "find_repetition",
         "take_arrays",
         "take_rows",
     ),
-    "_repetition": ("commands_among", "find_repetition"),
     "_clock": ("check_time_stamps", "inspect_time_stamps"),
     "_grid": ("Log", "interpolate", "join", "median_period"),
     "_table": ("RecordingRefused", "listed", "quoted"),

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from sklearn_vbjfa.recording._clock import (
     DT_TOLERANCE,
     GAP_PERIODS,
+    SAME_DT,
     STEADY,
     inspect_time_stamps,
     prediction_errors,
@@ -18,8 +19,6 @@ from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._recording import contiguous_groups, labels_of
 from sklearn_vbjfa.recording._table import Loss, Table
 
-# Relative difference below which periods count as one.
-SAME_DT = 1e-3
 # Rows are sorted by their stamps if the sum of second differences falls below this
 # share.
 _SMOOTHER = 0.99

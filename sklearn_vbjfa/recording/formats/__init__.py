@@ -18,8 +18,8 @@ from sklearn_vbjfa.recording._table import (
     no_rows,
     parsing,
 )
-from sklearn_vbjfa.recording.formats import _arrays, _parquet
-from sklearn_vbjfa.recording.formats._bags import BAGS, bag_files, read_bag
+from sklearn_vbjfa.recording.formats import _arrays
+from sklearn_vbjfa.recording.formats._arrays import BAGS, bag_files, read_bag
 from sklearn_vbjfa.recording.formats._text import read_sheet, read_text
 
 # What a file may be, for the help of commands.
@@ -38,7 +38,7 @@ _READERS = {
     ".npz": _arrays.read_npz,
     ".npy": _arrays.read_npy,
     ".mat": _arrays.read_mat,
-    **dict.fromkeys(_parquet.PARQUET, _parquet.read_parquet),
+    **dict.fromkeys(_arrays.PARQUET, _arrays.read_parquet),
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), _arrays.read_json),
 }
 # Modules by which packed files are opened.
@@ -90,7 +90,7 @@ def _read_folder(path, topic):
     """Read the folder of a LeRobot data set."""
     if (path / "meta" / "info.json").is_file():
         _check_topic(path, "", topic)
-        return _parquet.read_lerobot(path)
+        return _arrays.read_lerobot(path)
     names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
     raise ValueError(
         f"{path}: is a folder; give a file, or the folder of a bag (.db3, .mcap) or of "

@@ -17,13 +17,13 @@ from sklearn_vbjfa.recording._table import (
     Table,
     check_names,
     check_size,
+    is_unit,
     missing,
     no_rows,
     pandas_of,
     parsing,
     quoted,
 )
-from sklearn_vbjfa.recording._units import is_unit
 
 # Note of a file that ends within a line.
 CUT = "the last line is cut, as where a logger is stopped: it is left out."

@@ -44,7 +44,7 @@ SCALE, SINGLE, COMMANDED = 2.5, 20.0, 10.0
 BEYOND_LIMITS, NO_LIMIT = 5.0, 1e6
 # A torque is noise if it is less than this share of the described one, and its relative
 # error above this. Torques are computed if they agree to the last share.
-SILENT, UNRELATED, COMPUTED = 0.1, 0.9, 0.007
+SILENT, UNRELATED, COMPUTED = 0.1, 0.85, 0.007
 # Torques are those of another robot if its description leaves this share of them and
 # they are small, or this one of some joints.
 OF_ANOTHER, UNFOLLOWED = 0.3, 0.65

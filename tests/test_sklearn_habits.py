@@ -67,6 +67,8 @@ def transformers():
         "features": (RigidBodyFeatures(model, friction=("viscous", "offset")), "qva"),
         "states": (StateEstimator(0.01, cutoff=20.0), "q"),
         "projector": (PhysicalProjector(), "theta"),
+        "viscous": (effects.Viscous(joint=1), "qva"),
+        "ripple": (effects.Ripple(joint=0), "qva"),
     }
 
 
@@ -89,6 +91,16 @@ def test_transformers_return_frames(name, given, states):
     np.testing.assert_array_equal(frame.to_numpy(), plain)
     if given == "frame":
         assert list(frame.index) == list(X.index)
+
+
+def test_effects_of_time_and_load_return_frames(states):
+    pandas = pytest.importorskip("pandas")
+    signals = {"t": np.arange(40.0), "load": states[:, :2]}
+    for effect in (effects.Drift(), effects.LoadFriction(joint=1)):
+        effect.set_output(transform="pandas").fit(states)
+        frame = effect.transform(states, **signals)
+        assert isinstance(frame, pandas.DataFrame)
+        assert list(frame.columns) == list(effect.get_feature_names_out())
 
 
 def test_frames_all_through_the_chain(recording):
@@ -150,6 +162,7 @@ def estimators():
         StepwiseRegressor(),
         TotalLeastSquares(),
         VBJFARegressor(input_noise=np.eye(3)),
+        *effects.resolve(),
     ]
 
 

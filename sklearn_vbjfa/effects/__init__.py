@@ -1,4 +1,4 @@
-"""Effects that a rigid-body model may lack.
+"""Effects that a rigid-body model may lack, each a small transformer.
 
 Names that are not in ``__all__`` are for other rooms of the package and for tests.
 """

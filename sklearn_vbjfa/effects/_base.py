@@ -1,13 +1,15 @@
 """What an effect is: columns of a joint's torque, computed from the motion."""
 
 import functools
+import itertools
 from dataclasses import dataclass
 from numbers import Integral, Real
 
 import numpy as np
-from sklearn.base import BaseEstimator
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils.validation import check_array
 
-from sklearn_vbjfa.effects._motion import Arrays, rows_of
+from sklearn_vbjfa.effects._motion import Arrays, Motion, rows_of
 
 # Units for a revolute and for a prismatic joint.
 TORQUE, STIFFNESS = ("N m", "N"), ("N m/rad", "N/m")
@@ -41,7 +43,7 @@ class InFiles:
         return cls(urdf=reason, mjcf=reason)
 
 
-class Effect(BaseEstimator):
+class Effect(TransformerMixin, BaseEstimator):
     """Base class of joint torques that are linear in their coefficients.
 
     A subclass needs `name`, `coefficients`, `units`, and its torque as `law` or
@@ -109,7 +111,7 @@ class Effect(BaseEstimator):
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_vbjfa.effects import Effect, Motion
+    >>> from sklearn_vbjfa.effects import Effect
     >>> class Cubic(Effect):
     ...     '''Cubic spring, tau = k3 q^3.'''
     ...     name = "cubic"
@@ -117,8 +119,7 @@ class Effect(BaseEstimator):
     ...     units = (("N m/rad^3", "N/m^3"),)
     ...     def columns(self, motion):
     ...         return motion.q[:, [self.joint]] ** 3
-    >>> still = np.zeros((1, 2))
-    >>> Cubic(joint=1).columns(Motion(q=np.array([[0.0, 2.0]]), v=still, a=still))
+    >>> Cubic(joint=1).fit_transform(np.array([[0.0, 2.0, 0, 0, 0, 0]]))
     array([[8.]])
     """
 
@@ -335,6 +336,103 @@ class Effect(BaseEstimator):
         fixed = {k: v for k, v in self.shape().items() if k not in tuned}
         return (self.name, self.joint, tuple(sorted(fixed.items())))
 
+    def fit(self, X, y=None):
+        """Check the states.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, 3 * nv)
+            States [q | v | a].
+        y : None
+            Ignored.
+
+        Returns
+        -------
+        self : object
+            Fitted transformer.
+        """
+        self._motion(X)
+        self.n_features_in_ = np.shape(X)[1]
+        return self
+
+    def transform(self, X, *, t=None, load=None, groups=None, signals=None):
+        """Compute the effect's columns.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, 3 * nv)
+            States [q | v | a].
+        t : array-like of shape (n_samples,), default=None
+            Time [s]; needed by effects that change with time.
+        load : array-like of shape (n_samples, nv), default=None
+            Torques of the rigid bodies [N m or N]; needed by effects of the load.
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Recorded signals; required by effects that vary with them.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, k)
+            Columns, one for each coefficient.
+
+        Raises
+        ------
+        ValueError
+            If a signal that the effect needs is missing.
+        """
+        motion = self._motion(X, t, load, groups, signals)
+        reason = self.applies(motion)
+        if reason:
+            raise ValueError(f"{self.name} on joint {self.joint + 1}: {reason}.")
+        return self.columns(motion)
+
+    def _motion(self, X, t=None, load=None, groups=None, signals=None):
+        self.check()
+        X = check_array(X, dtype=np.float64)
+        n, nv = X.shape[0], X.shape[1] // 3
+        if X.shape[1] % 3:
+            raise ValueError(
+                f"X must hold states [q | v | a], three columns a joint; got "
+                f"{X.shape[1]} columns."
+            )
+        if not 0 <= self.joint < nv:
+            raise ValueError(
+                f"joint must be one of 0 to {nv - 1}, for {nv} joints; got "
+                f"{self.joint!r}."
+            )
+        q, v, a = np.split(X, 3, axis=1)
+        return Motion(
+            q=q,
+            v=v,
+            a=a,
+            t=None if t is None else _checked("t", t, (n,)),
+            load=None if load is None else _checked("load", load, (n, nv)),
+            parts=_parts(groups, n),
+            signals={
+                name: _checked(f"signals[{name!r}]", values, (n,))
+                for name, values in ({} if signals is None else signals).items()
+            },
+        )
+
+    def get_feature_names_out(self, input_features=None):
+        """Names of the columns, such as "joint 2:coulomb:Fc".
+
+        Parameters
+        ----------
+        input_features : None
+            Ignored.
+
+        Returns
+        -------
+        ndarray of str
+            Names.
+        """
+        return np.array(
+            [f"joint {self.joint + 1}:{self.name}:{c}" for c in self.coefficients],
+            dtype=object,
+        )
+
 
 class Shaped(Effect):
     """An effect with shape parameters: values to search that are not coefficients.
@@ -417,3 +515,23 @@ class OfTime(Effect):
     def later(self, coef, t):
         """Return the coefficients at a time [s], symbol -> value; empty if constant."""
         return {}
+
+
+def _parts(groups, n):
+    if groups is None:
+        return (slice(0, n),)
+    labels = np.asarray(groups)
+    if labels.shape != (n,):
+        raise ValueError(
+            f"groups must hold one label per row, shape ({n},); got {labels.shape}."
+        )
+    edges = np.r_[0, np.flatnonzero(labels[1:] != labels[:-1]) + 1, n]
+    return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
+
+
+def _checked(name, values, shape):
+    """Return an argument as an array of floats of this shape."""
+    values = check_array(values, ensure_2d=False, dtype=np.float64)
+    if values.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}; got {values.shape}.")
+    return values

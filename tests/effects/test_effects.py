@@ -1,5 +1,7 @@
 """Columns of the effects against closed forms and literal loops."""
 
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -68,10 +70,9 @@ def signals(prismatic=(False, False), scale=1.0, **changed):
     )
 
 
-def along(q):
-    """Motion (n,) of one joint whose speeds are positive."""
-    q = q[:, None]
-    return Motion(q=q, v=np.ones_like(q), a=np.zeros_like(q))
+def transform(effect, **given):
+    given = {"t": T, "load": LOAD, "signals": RECORDED, **given}
+    return effect.fit(X).transform(X, **given)
 
 
 # -- the library
@@ -97,6 +98,9 @@ def test_numbers_of_coefficients_units_and_columns_agree(name):
     columns = effect.columns(signals())
     assert columns.shape == ((T.size, 2, k) if effect.whole_robot else (T.size, k))
     assert np.isfinite(columns).all()
+    assert list(effect.get_feature_names_out()) == [
+        f"joint {effect.joint + 1}:{name}:{c}" for c in effect.coefficients
+    ]
     assert set(continuous(effect)) <= set(effect.get_params())
     assert set(effect.needs) <= {"time", "load", "signals"}
     assert effect.record
@@ -123,6 +127,31 @@ def test_parameters_have_units(name, prismatic):
     assert "rad" not in " ".join(
         unit for key, unit in units.items() if prismatic and key not in angles
     )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_scikit_learn_contract(name):
+    effect = library_effect(name)
+    twin = clone(effect)
+    assert twin is not effect
+    assert twin.get_params() == effect.get_params()
+    used = set(effect.get_params()) - {"joint"}
+    if name == "counterbalance":
+        used -= {"ratio", "angle"}  # of its other form
+    if name == "torque_gain":
+        used -= {"limit"}  # of what is plausible
+    if name == "payload":
+        used -= {"centre"}  # of the linearisation
+    assert set(effect.shape()) == used
+    assert effect.set_params(joint=1) is effect
+    assert effect.joint == 1
+    assert repr(effect).startswith(type(effect).__name__)
+    again = pickle.loads(pickle.dumps(effect))
+    assert again.get_params() == effect.get_params()
+    assert effect.fit(X) is effect
+    assert effect.n_features_in_ == 6
+    for shape in effect.shapes(signals())[:2]:
+        assert clone(effect).set_params(**shape).shape() == effect.shape() | shape
 
 
 @pytest.mark.parametrize(
@@ -270,14 +299,12 @@ def closed_forms():
 def test_columns_are_what_the_formula_says(case):
     parameters, expected = closed_forms()[case]
     effect = library_effect(case.split()[0], joint=1).set_params(**parameters)
-    assert_allclose(
-        effect.columns(signals()), np.column_stack(expected), rtol=1e-9, atol=1e-12
-    )
+    assert_allclose(transform(effect), np.column_stack(expected), rtol=1e-9, atol=1e-12)
 
 
 def test_a_spring_over_two_joints_has_the_work_of_its_deflection():
     effect = effects.CouplingSpring(0, 1, ratio=0.7)
-    torque = effect.columns(signals()) @ [3.0, -0.6]
+    torque = transform(effect) @ [3.0, -0.6]
     expected = 3.0 * (Q[:, 0] - 0.7 * Q[:, 1] - 0.2)
     assert_allclose(torque, np.outer(expected, [1.0, -0.7]).reshape(-1, 2), atol=1e-12)
     assert effect.parameters([3.0, -0.6]) == {"k": 3.0, "q0": pytest.approx(0.2)}
@@ -287,9 +314,9 @@ def test_a_spring_over_two_joints_has_the_work_of_its_deflection():
 def test_delay_by_whole_samples_shifts_the_torque(samples):
     shift = samples * 0.01
     effect = effects.Delay(joint=0, delay=shift)
-    columns = effect.columns(signals())[:, 0] * shift + LOAD[:, 0]
+    columns = transform(effect)[:, 0] * shift + LOAD[:, 0]
     assert_allclose(columns[samples:], LOAD[:-samples, 0], atol=1e-12)
-    early = clone(effect).set_params(delay=-shift).columns(signals())[:, 0] * -shift
+    early = transform(clone(effect).set_params(delay=-shift))[:, 0] * -shift
     assert_allclose((early + LOAD[:, 0])[:-samples], LOAD[samples:, 0], atol=1e-12)
 
 
@@ -310,7 +337,8 @@ def test_stops_on_any_walk(q, displacement):
 def test_a_virgin_curve_is_the_torque_of_a_motion_from_rest():
     effect = effects.MaxwellSlip(displacements=(0.01, 0.04))
     coef, x = [2.0, 1.0], np.linspace(0.0, 0.06, 13)
-    curve = effect.columns(along(x)) @ coef
+    states = np.column_stack([x, np.ones((13, 2))])
+    curve = effect.fit_transform(states) @ coef
     assert_allclose(effect.virgin_curve(coef, x), curve)
     found = effect.parameters(coef)
     assert found["Fc"] == 3.0
@@ -322,15 +350,14 @@ def test_elements_that_are_left_keep_their_columns():
         displacements=(0.01, 0.04), loaded=(0.1,), falling=(0.02, 0.03), vs=0.3
     )
     mask = np.array([False, True, True, False, True])
-    left = bank.only(mask).columns(signals())
-    assert_array_equal(left, bank.columns(signals())[:, mask])
+    assert_array_equal(transform(bank.only(mask)), transform(bank)[:, mask])
     assert bank.only(mask).coefficients == ("F1", "mu1", "S1")
 
 
 @pytest.mark.parametrize("values", [(), (0.0,), (0.1, -1.0), (np.nan,)])
 def test_a_bank_needs_positive_displacements(values):
     with pytest.raises(ValueError, match="displacements"):
-        effects.MaxwellSlip(displacements=values).check()
+        transform(effects.MaxwellSlip(displacements=values))
 
 
 @settings(deadline=None, max_examples=40)
@@ -442,14 +469,21 @@ def test_a_payload_is_a_ball_around_its_centre_of_mass():
 
 def recordings_of(effect):
     """Columns of two recordings together, and of each alone."""
-    halves = slice(0, T.size // 2), slice(T.size // 2, T.size)
-    parts = []
-    for half in halves:
-        cut = {"q": Q[half], "v": V[half], "a": A[half], "t": T[half]}
-        recorded = {key: values[half] for key, values in RECORDED.items()}
-        parts.append(effect.columns(signals(**cut, load=LOAD[half], signals=recorded)))
-    together = effect.columns(signals(parts=halves))
-    return together, np.concatenate(parts), effect.columns(signals())
+    half = T.size // 2
+    groups = np.r_[np.zeros(half), np.ones(T.size - half)]
+    effect = effect.fit(X)
+    given = {"t": T, "load": LOAD}
+    together = effect.transform(X, **given, signals=RECORDED, groups=groups)
+    parts = [
+        effect.transform(
+            X[part],
+            **{key: values[part] for key, values in given.items()},
+            signals={key: values[part] for key, values in RECORDED.items()},
+        )
+        for part in (slice(0, half), slice(half, None))
+    ]
+    whole = effect.transform(X, **given, signals=RECORDED)
+    return together, np.concatenate(parts), whole
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in BODIES])
@@ -497,7 +531,7 @@ def test_parameters_mean_what_they_are_called():
     assert ripple["A"] == pytest.approx(3.0)
     assert ripple["phase"] == pytest.approx(0.7)
     q = np.linspace(-1, 1, 50)
-    columns = effects.Ripple(period=0.3).columns(along(q))
+    columns = effects.Ripple(period=0.3).fit_transform(np.c_[q, q, q])
     assert_allclose(
         columns @ [3 * np.cos(0.7), 3 * np.sin(0.7)],
         3 * np.cos(2 * np.pi * q / 0.3 - 0.7),
@@ -535,17 +569,33 @@ def test_keys_tell_uses_apart_but_not_shapes():
 def test_missing_signals_are_named(name):
     effect = library_effect(name)
     for need in effect.needs:
-        missing = {"time": "t"}.get(need, need)
-        left = {} if need == "signals" else None
-        assert effect.applies(signals(**{missing: left})).startswith("needs")
+        given = {"t": T, "load": LOAD, "signals": RECORDED}
+        given.pop({"time": "t"}.get(need, need))
+        with pytest.raises(ValueError, match=f"{name} on joint . *: needs"):
+            effect.fit(X).transform(X, **given)
 
 
 @pytest.mark.parametrize("name", BODIES)
 def test_effects_of_the_bodies_ask_for_them(name):
-    none = dict.fromkeys(("rigid", "last_body", "derivatives"))
-    assert library_effect(name).applies(signals(**none)) == (
-        "needs the rigid-body dynamics"
-    )
+    with pytest.raises(ValueError, match="needs the rigid-body dynamics"):
+        transform(library_effect(name))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"t": T[:-1]}, r"t must have shape \(600,\)"),
+        ({"load": LOAD[:, :1]}, r"load must have shape \(600, 2\)"),
+        (
+            {"groups": np.zeros(5)},
+            r"groups must hold one label per row, shape \(600,\)",
+        ),
+        ({"load": LOAD * np.nan}, "NaN"),
+    ],
+)
+def test_wrong_signals_are_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        transform(effects.LoadFriction(), **given)
 
 
 def test_a_linkage_cannot_be_longer_than_long_or_of_another_form():
@@ -553,9 +603,9 @@ def test_a_linkage_cannot_be_longer_than_long_or_of_another_form():
         with pytest.raises(
             ValueError, match="ratio of counterbalance must lie between"
         ):
-            effects.Counterbalance(form="linkage", ratio=ratio).check()
+            transform(effects.Counterbalance(form="linkage", ratio=ratio))
     with pytest.raises(ValueError, match="form of counterbalance must be one of"):
-        effects.Counterbalance(form="cam").check()
+        transform(effects.Counterbalance(form="cam"))
 
 
 @given(
@@ -568,7 +618,7 @@ def test_a_linkage_has_the_work_of_its_spring(ratio, angle, rest):
     energy = 0.5 * 7.0 * (distance(q - angle, ratio) - rest) ** 2
     effect = effects.Counterbalance(form="linkage", ratio=ratio, angle=angle)
     coef = [-7.0 * rest * ratio, 7.0 * ratio]
-    torque = effect.columns(along(q)) @ coef
+    torque = effect.fit_transform(np.c_[q, q, q]) @ coef
     assert_allclose(torque[1:-1], np.gradient(energy, q)[1:-1], atol=2e-3)
 
 
@@ -588,7 +638,7 @@ class Cubic(Effect):
 
 def test_an_effect_needs_a_name_units_and_columns_only():
     cubic = Cubic(joint=1)
-    assert_array_equal(cubic.columns(signals()), Q[:, [1]] ** 3)
+    assert_array_equal(cubic.fit_transform(X), Q[:, [1]] ** 3)
     assert cubic.parameters([2.0]) == {"k3": 2.0}
     assert cubic.parameter_units(prismatic=True) == {"k3": "N/m^3"}
     assert effects.resolve(["coulomb", Cubic])[1].name == "cubic"
@@ -611,7 +661,7 @@ def test_an_effect_needs_a_name_units_and_columns_only():
 )
 def test_shape_parameters_of_zero_are_refused(effect):
     with pytest.raises(ValueError, match=effect.continuous[0]):
-        effect.check()
+        transform(effect)
 
 
 # -- outside the time of a fit

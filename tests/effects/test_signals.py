@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.effects import Motion
@@ -53,4 +53,25 @@ def test_all_signals_that_vary_are_tried_about_their_mean():
 
 def test_what_cannot_vary_is_refused():
     with pytest.raises(ValueError, match="of of signal must be one of"):
-        effects.Signal(signal="temperature", of="inertia").check()
+        effects.Signal(signal="temperature", of="inertia").fit(X)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (WARM[:-1], r"signals\['temperature'\] must have shape"),
+        (np.column_stack([WARM, WARM]), "must have shape"),
+        (np.where(T > 1, np.nan, WARM), "NaN"),
+    ],
+)
+def test_bad_signals_are_refused(values, message):
+    effect = effects.Signal(signal="temperature").fit(X)
+    with pytest.raises(ValueError, match=message):
+        effect.transform(X, signals={"temperature": values})
+
+
+def test_a_data_frame_of_signals_will_do():
+    pandas = pytest.importorskip("pandas")
+    effect = effects.Signal(signal="voltage").fit(X)
+    expected = effect.transform(X, signals=SIGNALS)
+    assert_array_equal(effect.transform(X, signals=pandas.DataFrame(SIGNALS)), expected)

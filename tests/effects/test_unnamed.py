@@ -7,12 +7,11 @@ from numpy.testing import assert_allclose
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, load_identified
-from sklearn_vbjfa.effects import MaxwellSlip, Motion, Ripple, Spring, UnnamedTorque
+from sklearn_vbjfa.effects import MaxwellSlip, Ripple, Spring, UnnamedTorque
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 T, X = motion(1, duration=40.0, dt=0.02, seed=5)
-Q, V, A = np.split(X, 3, axis=1)
-SIGNALS = {"q": Q, "v": V, "a": A}
+Q, V, _ = np.split(X, 3, axis=1)
 MODEL = arm("Y")
 NOISE = 0.02 * np.random.default_rng(3).normal(size=Q.shape)
 
@@ -30,10 +29,11 @@ def step(q):
 @pytest.mark.parametrize("of", UnnamedTorque.kinds)
 def test_columns_are_the_weighted_terms_of_library_effects(of):
     effect = UnnamedTorque(of=of, reach=2.0, fast=3.0)
-    states = Motion(**SIGNALS, load=2.0 * Q)
-    terms = np.hstack([part.columns(states) for part in effect.parts])
+    states, given = X[:200], {"load": 2.0 * X[:200, :1]}
+    terms = np.hstack([p.fit(states).transform(states, **given) for p in effect.parts])
     effect.weights = tuple(np.arange(1.0, terms.shape[1] + 1))
-    assert_allclose(effect.columns(states)[:, 0], terms @ effect.weights)
+    found = effect.fit(states).transform(states, **given)
+    assert_allclose(found[:, 0], terms @ effect.weights)
 
 
 def test_position_terms_are_a_spring_and_three_ripples():
@@ -44,7 +44,7 @@ def test_position_terms_are_a_spring_and_three_ripples():
 
 def test_an_unknown_quantity_is_refused():
     with pytest.raises(ValueError, match="one of"):
-        UnnamedTorque(of="time").check()
+        UnnamedTorque(of="time").fit(X)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def robot():
         UnnamedTorque(of="position", weights=(0.5, 0.1, *6 * [0.2]), reach=1.5),
         UnnamedTorque(of="memory", weights=(0.3, 0.2, 0.1, 0.4), reach=1.5),
     )
-    torque = sum(part.columns(Motion(**SIGNALS)) for part in parts)
+    torque = sum(part.fit_transform(X) for part in parts)
     robot = RobotIdentifier(MODEL, dt=0.02, friction=("viscous",), effects=parts)
     return robot.fit(Q, recorded(torque))
 

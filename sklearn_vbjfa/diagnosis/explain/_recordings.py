@@ -19,8 +19,9 @@ _KNOWN = 1e-9
 # Most deviations that are named.
 _MOST_FOUND = 8
 # What may differ on a joint, with its columns: offset, viscous and Coulomb friction,
-# and the torque of the robot of the other recordings.
-_CAUSES = {"offset": [0], "gain": [3], "friction": [1, 2]}
+# and the torques of the robot of the other recordings and of its last body.
+_CAUSES = {"offset": [0], "gain": [3], "friction": [1, 2], "payload": [4]}
+# The first of these columns find a difference; the last body's only names it.
 _COLUMNS = 4
 # Nats by which all columns must explain more than the best cause to be one.
 _NATS = 3.0
@@ -36,10 +37,11 @@ class Contradiction:
     # fitted: by a fit to the rest of this recording, and by one to the rest of all
     alone: float
     together: float
-    # what differs: "offset", "gain" (of the torque) or "friction"; "model" for more
+    # what differs: "offset", "gain" (of the torque), "friction" or "payload"; "model"
+    # for more
     cause: str
-    # of an offset: how much larger it is [N m or N]; of a gain: how many times as large
-    # the torque is; else nan
+    # of an offset: how much larger it is [N m or N]; of a gain or a payload: how many
+    # times as large the torque is, or that of the last body; else nan
     value: float
     p_value: float  # of the F test, times the number of tests
 
@@ -213,11 +215,16 @@ class Parts:
         return found
 
     def columns_of(self, r, j):
-        """Columns of what may differ on a joint of a recording, (k, 4)."""
+        """Columns of what may differ on a joint of a recording, (k, 5)."""
         n = self._columns[j].size
-        columns = np.zeros((n + 3, _COLUMNS))
+        columns = np.zeros((n + 3, _COLUMNS + 1))
         columns[n:, :3] = np.eye(3)
-        columns[:n, 3] = self.solve(self.recording != r)[self._columns[j]]
+        theta = self.solve(self.recording != r)
+        columns[:n, 3] = theta[self._columns[j]]
+        features = self._fit.identifier.features_
+        last = features.n_parameters_ // self.nv * (self.nv - 1)
+        of_last = np.isin(self._columns[j], np.arange(last, last + 10))
+        columns[:n, 4] = columns[:n, 3] * of_last
         return columns
 
     def fitted(self, added):
@@ -296,18 +303,22 @@ def contradictions(parts, spread, alpha):
         suspects = sorted({r for r, _ in suffering})
     joints = sorted({j for _, j in suffering})
     columns = {(r, j): parts.columns_of(r, j) for r in suspects for j in joints}
-    chosen = {}
+    chosen, named = {}, {}
     while columns and len(chosen) < _MOST_FOUND:
-        trials = {key: _tested(parts, chosen, key, A) for key, A in columns.items()}
+        trials = {
+            key: _tested(parts, chosen, key, A[:, :_COLUMNS])
+            for key, A in columns.items()
+        }
         key = max(trials, key=lambda key: trials[key][0])
         if not trials[key][1] < alpha:
             break
-        chosen[key] = columns.pop(key)
+        named[key] = columns.pop(key)
+        chosen[key] = named[key][:, :_COLUMNS]
     found = []
     for key, A in chosen.items():
         others = {other: own for other, own in chosen.items() if other != key}
         _, p_value, unit = _tested(parts, others, key, A)
-        cause, value = _cause(parts, others, key, A, unit)
+        cause, value = _cause(parts, others, key, named[key], unit)
         alone, together = suffering.get(key, (np.nan, np.nan))
         found.append(
             Contradiction(
@@ -342,5 +353,5 @@ def _cause(parts, others, key, A, unit):
         score = 0.5 * (gain / unit - len(own) * np.log(parts.n_blocks))
         scores[name] = score - _NATS * (name == "model"), float(coefs[-1][0])
     name = max(scores, key=lambda name: scores[name][0])
-    value = scores[name][1] + (name == "gain")
-    return name, value if name in ("offset", "gain") else np.nan
+    value = scores[name][1] + (name in ("gain", "payload"))
+    return name, np.nan if name in ("friction", "model") else value

@@ -13,7 +13,9 @@ PAIR = TWO_MOTIONS.parts
 FOUR = tuple(record("ZY", seed=seed, duration=16.0) for seed in (13, 14, 15, 16))
 
 
-def compared(recordings, spoil=lambda k, torque, r: torque, order=None, unit=1.0):
+def compared(
+    recordings, spoil=lambda k, torque, r: torque, order=None, unit=1.0, bodies="free"
+):
     """Contradictions between recordings of an arm, the k-th of them spoilt."""
     order = range(len(recordings)) if order is None else order
     X = np.concatenate([recordings[k].position for k in order])
@@ -21,7 +23,7 @@ def compared(recordings, spoil=lambda k, torque, r: torque, order=None, unit=1.0
     y = unit * np.concatenate(y)
     lengths = [len(recordings[k].t) for k in order]
     groups = np.repeat(np.arange(len(lengths)), lengths)
-    robot = recordings[0].robot(friction=("viscous", "coulomb"), bodies="free")
+    robot = recordings[0].robot(friction=("viscous", "coulomb"), bodies=bodies)
     robot.fit(X, y, groups)
     measured = take_arrays(
         X, y, groups, np.ones_like(y), dt=robot.dt, joint_names=robot.joint_names_
@@ -107,6 +109,21 @@ def test_another_load_in_one_recording():
         return torque + last_body_regressor(recording.model, states) @ ball
 
     assert {one.recording for one in compared(FOUR, load)[1]} == {1}
+
+
+def test_a_last_link_that_is_heavier_is_a_payload():
+    def heavier(k, torque, recording):
+        states = np.hstack([recording.q, recording.v, recording.a])
+        last = recording.model.inertias[recording.model.nv].toDynamicParameters()
+        return (
+            torque
+            + 0.3 * (k == 1) * last_body_regressor(recording.model, states) @ last
+        )
+
+    found = compared(FOUR, heavier, bodies="prior")[1]
+    assert {(one.cause, one.recording) for one in found} == {("payload", 1)}
+    for one in found:
+        assert one.value == pytest.approx(1.3, abs=0.05)
 
 
 def test_recordings_that_differ_each_in_its_way():

@@ -45,7 +45,9 @@ def _of_joint(view, motion, joint, residual, settings):
     before, after = blocks.sums(residual**2), blocks.sums(left**2)
     gain = before - after
     errors = np.sqrt(gain.size) * gain.std(ddof=1)
-    if not gain.sum() > max(settings.chance * errors, settings.worth * before.sum()):
+    if not gain.sum() > max(
+        settings.significance * errors, settings.min_gain * before.sum()
+    ):
         return []
     weights = _weights(moments, (0.0, 0.0), penalties, residual.size) / size
     return [

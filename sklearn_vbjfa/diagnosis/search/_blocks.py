@@ -218,11 +218,10 @@ def make_blocks(time, starts, correlation, filter_length, order=None):
     least = max(_CORRELATION_TIMES * correlation, filter_length)
     if total / FEWEST < filter_length:
         raise ValueError(
-            f"The recordings hold {total:.3g} s behind the low-pass, too little for "
-            f"{FEWEST} blocks of time that are longer than the filter "
-            f"({filter_length:.3g} s each); record at least "
-            f"{FEWEST * filter_length:.3g} s more than is kept for the test, or raise "
-            "the identifier's cutoff."
+            f"Recording too short: {total:.3g} s are left after filtering, and "
+            f"{FEWEST} blocks of {filter_length:.3g} s are needed. Record at least "
+            f"{FEWEST * filter_length:.3g} s besides the held-out data, or raise the "
+            "identifier's cutoff."
         )
     wanted = int(np.clip(total / least, *_WANTED))
     wanted = min(wanted, int(total / filter_length))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logit
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._groups import Overdispersion
@@ -63,7 +64,7 @@ class Candidates:
         self.count = sum(map(len, found.values()))
         self.log_prior = np.log(settings.expected / max(self.count, 1))
         # Log odds above which an effect is in the model.
-        self.least = float(np.log(settings.undecided / (1.0 - settings.undecided)))
+        self.least = float(logit(settings.min_probability))
         self._known = {}
 
     # -- of one family --------------------------------------------------------------

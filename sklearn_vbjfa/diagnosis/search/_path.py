@@ -171,7 +171,7 @@ class Path:
         new = self.scaled(stepped(fit, numbers))
         left_out, stands = self.held_out(new), self._stand(new, first)
         # What predicts other motion no better is refused beside this model.
-        least = LEAST * self.settings.worth
+        least = LEAST * self.settings.min_gain
         kept = [i for i in numbers if stands[i - first] and left_out.helps(i, least)]
         if len(kept) < len(chosen):
             members = [*new.members[:first], *(new.members[i] for i in kept)]
@@ -240,7 +240,7 @@ class Path:
                 self.held_out(one).error_of(joint) for one in (alone, fit, base)
             )
             # Most of what both save.
-            if own - both <= self.settings.worth * (none - both):
+            if own - both <= self.settings.min_gain * (none - both):
                 return alone
         return fit
 

@@ -15,43 +15,38 @@ from sklearn_vbjfa.effects import Effect, Motion, OfChannel
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings:
-    """Numbers that decide what `EffectDiscovery` names, keeps and predicts.
+    """Constants of the search for effects.
 
-    None of them has a unit of the robot: torques count in shares of the joint's torque,
-    evidence in nats (natural logarithms of odds). The guide has them under "Numbers
-    that decide".
+    None has a unit of the robot: torques are relative to the joint's torque, evidence
+    is in nats (natural logarithms of odds).
 
     Parameters
     ----------
     expected : float, default=1.0
-        Effects that a robot is expected to lack, before its recording is looked at. The
-        prior odds of each candidate (a joint and an effect) are this number over that
-        of all candidates, so that a larger library asks for more evidence.
+        Number of missing effects that is expected a priori. The prior odds of each
+        candidate (a joint and an effect) are this number over that of all candidates.
     scale : float, default=0.1
-        Size of an effect that is expected: its torque over the standard deviation of
-        the joint's torque. The scale of the half-Cauchy prior of that ratio, which is
-        integrated over.
+        Scale of the half-Cauchy prior of an effect's size: its torque over the standard
+        deviation of the joint's torque.
     rivals : float, default=3.0
-        An effect that replaces another within so many nats is listed as its rival.
-    undecided : float, default=0.5
-        Probability from which on an effect is listed as possible, up to ``1 - alpha``,
-        from which on it is reported; less probable effects are not in the model.
-    smoothness : float, default=1.0
-        How far the residual's spectrum may bend: prior deviation of the change of its
-        logarithmic slope from one band of frequency to the next. It says how much of a
-        slow residual is expected from faster ones.
-    chance : float, default=1.645
-        Standard errors within which something is chance: by more of them a name must
-        lower the error of stretches of time that were not fitted, and weights by the
-        spectrum may not lead farther from least squares.
-    worth : float, default=0.02
-        Share of the squared error of the plain terms, on stretches that were not
-        fitted, that a reported effect saves in addition to the others.
+        An effect that could replace another within so many nats is its rival.
+    min_probability : float, default=0.5
+        Least probability of an effect of the model; it is listed as possible up to
+        ``1 - alpha``, and reported from there on.
+    spectrum_roughness : float, default=1.0
+        Prior standard deviation of the change of the logarithmic slope of the
+        residual's spectrum from one band of frequency to the next.
+    significance : float, default=1.645
+        Standard errors by which a reported effect must reduce the cross-validated
+        error, and within which spectral weights may differ from least squares.
+    min_gain : float, default=0.02
+        Share of the cross-validated squared error of the friction terms that a reported
+        effect saves in addition to the others.
     known : float, default=3.0
-        Deviations that a correction (a zero, a tilt, a gain) must be away from zero to
-        be reported.
+        Standard deviations by which a correction (a zero, a tilt, a gain) must differ
+        from zero to be reported.
     above_motion : float, default=2.0
-        A filter of a channel is a name only if it acts above so many times the
+        A filter of a channel is reported only if its corner is above so many times the
         frequency below which 90 % of the motion's power lies.
     most : int, default=6
         Maximum number of effects of one joint that are tried together.
@@ -66,10 +61,10 @@ class SearchSettings:
     expected: float = 1.0
     scale: float = 0.1
     rivals: float = 3.0
-    undecided: float = 0.5
-    smoothness: float = 1.0
-    chance: float = 1.645
-    worth: float = 0.02
+    min_probability: float = 0.5
+    spectrum_roughness: float = 1.0
+    significance: float = 1.645
+    min_gain: float = 0.02
     known: float = 3.0
     above_motion: float = 2.0
     most: int = 6
@@ -85,10 +80,10 @@ class SearchSettings:
                 raise ValueError(
                     f"{field.name} of SearchSettings must be {expected}; got {value!r}."
                 )
-        for name in ("undecided", "worth"):
+        for name in ("min_probability", "min_gain"):
             if getattr(self, name) >= 1:
                 raise ValueError(
-                    f"{name} of SearchSettings is a share below 1; got "
+                    f"{name} of SearchSettings must be below 1; got "
                     f"{getattr(self, name)!r}."
                 )
 
@@ -165,7 +160,7 @@ def search(view, library, settings, alpha, max_effects=None):
     path = Path(view, library, settings, max_effects)
     needed = float(np.log((1.0 - alpha) / alpha))
     fit, odds, worths = _settled(path, path.run())
-    worths = worths | (worthwhile := _worthwhile(path.held_out(fit), settings.worth))
+    worths = worths | (worthwhile := _worthwhile(path.held_out(fit), settings.min_gain))
     usual = path.candidates.log_odds(fit, usual=True)
     problem, motion, findings = fit.problem, fit.problem.motion, []
     for i, (member, own) in enumerate(zip(fit.members, odds)):
@@ -228,8 +223,8 @@ def _settled(path, fit):
                 own.gain
                 if member.effect.natural(fit.coefficients(i))
                 # In most blocks as well, or nobody would call it probable.
-                and ndtr(own.errors) >= path.settings.undecided
-                and left_out.share_of(i) > LEAST * path.settings.worth
+                and ndtr(own.errors) >= path.settings.min_probability
+                and left_out.share_of(i) > LEAST * path.settings.min_gain
                 else -np.inf
                 for i, (member, own) in enumerate(zip(fit.members, worths.values()))
             ]
@@ -261,7 +256,7 @@ def _warning(fit, member, evidence, needed, path):
     """Say why an effect is not named, whatever it saves; "" if nothing is."""
     if evidence.log_odds < needed:
         return UNDECIDED
-    if not evidence.errors > max(path.settings.chance, ndtri(expit(needed))):
+    if not evidence.errors > max(path.settings.significance, ndtri(expit(needed))):
         return CHANCE
     filters = isinstance(member.effect, OfChannel) and member.effect.corner is not None
     if filters and not path.above_motion(fit, member.effect):

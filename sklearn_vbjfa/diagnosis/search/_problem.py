@@ -772,7 +772,7 @@ def spectrum_of(fit, settings, rounds=3, share=None):
         return _following(fit, settings, rounds, share)
     problem = fit.problem
     plain = weighed(Fit(declared_weights(problem), fit.members))
-    most = _by_chance(plain.base, _spectrum(plain, settings), settings.chance)
+    most = _by_chance(plain.base, _spectrum(plain, settings), settings.significance)
     for start, share in ((fit, 1.0), *((plain, own) for own in _SHARES)):
         found = _following(start, settings, rounds, share)
         away = ((found.residual - plain.residual) ** 2).sum(axis=1)
@@ -795,7 +795,7 @@ def _spectrum(fit, settings):
     """Spectrum of the residual of a fit."""
     power, freedom = fit.powers()
     octave = fit.problem.cosines.octave
-    return Spectrum.of(power, freedom, octave, settings.smoothness)
+    return Spectrum.of(power, freedom, octave, settings.spectrum_roughness)
 
 
 def _by_chance(plain, spectrum, chance):

@@ -16,13 +16,13 @@ def assert_consistent(report):
         told = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
         assert effect.warning == "", told
         assert effect.probability >= 1 - settings["alpha"] - 1e-12, told
-        assert effect.evidence.errors > own["chance"], told
-        assert effect.evidence.gain > own["worth"], told
+        assert effect.evidence.errors > own["significance"], told
+        assert effect.evidence.gain > own["min_gain"], told
         assert _is_known(effect), f"{told}, {effect.intervals}"
     for effect in possible:
         told = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
         assert effect.warning, told
-        assert effect.probability >= own["undecided"], told
+        assert effect.probability >= own["min_probability"], told
     for effect in (*effects, *possible):
         _assert_values(effect)
         assert settings["n_candidates"] > 0

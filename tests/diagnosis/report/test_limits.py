@@ -135,7 +135,8 @@ def test_the_motion_of_each_joint_and_what_it_does_not_show():
         ("offset", -0.5, "An offset of -0.5 N m on joint 2"),
         ("gain", 1.2, "A torque of joint 2 that is 1.2 times as large"),
         ("friction", np.nan, "Different friction of joint 2"),
-        ("model", np.nan, "such as a load"),
+        ("payload", 1.3, "A load on the last link"),
+        ("model", np.nan, "friction or a load on the last link"),
     ],
 )
 def test_recordings_that_contradict_each_other(cause, value, said):

@@ -70,9 +70,9 @@ def test_no_block_is_shorter_than_the_filter():
 
 
 def test_too_short_recordings_are_refused():
-    with pytest.raises(ValueError, match=r"hold 4\.95 s .* too little for 12 blocks"):
+    with pytest.raises(ValueError, match=r"4\.95 s .* 12 blocks"):
         blocks_of([100], filter_length=1.0)
-    with pytest.raises(ValueError, match="record at least 12 s"):
+    with pytest.raises(ValueError, match="at least 12 s"):
         blocks_of([100], filter_length=1.0)
 
 

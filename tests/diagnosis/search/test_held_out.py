@@ -92,7 +92,7 @@ def test_what_an_effect_is_worth_is_what_refits_without_it_lose(fitted, i):
     # The first two are there.
     assert (worth.gain > 0.5) == (i < 2)
     settings = SearchSettings()
-    told = worth.errors > settings.chance and worth.gain > settings.worth
+    told = worth.errors > settings.significance and worth.gain > settings.min_gain
     assert told == (i < 2)
 
 
@@ -132,7 +132,7 @@ def test_what_helps_in_too_few_blocks_is_not_possible_either(monkeypatch):
 
     monkeypatch.setattr(HeldOutFit, "gain_of", unsure)
     for undecided, count in ((0.8, 2), (0.9, 0)):
-        settings = SearchSettings(undecided=undecided)
+        settings = SearchSettings(min_probability=undecided)
         run = search(TORQUE, ["coulomb", "spring"], settings=settings).run()
         assert len(run.effects) == count
 

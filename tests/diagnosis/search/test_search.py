@@ -65,7 +65,7 @@ def test_what_saves_next_to_nothing_is_not_in_the_model():
     """However probable it is: a name asks for twice as much."""
     long = record("Y", seed=0, duration=600.0)
     for worth, expected in ((0.02, 0), (0.001, 1)):
-        settings = SearchSettings(worth=worth)
+        settings = SearchSettings(min_gain=worth)
         torque = long.torque(joint_1=spring(0.01))
         now = search(torque, ["spring"], long, settings=settings).run()
         assert len(now.effects) == expected
@@ -247,8 +247,8 @@ def test_one_in_place_of_two():
 def test_no_effect_is_named_in_the_search():
     """What must be known of an effect is read off its class."""
     # A signal is also what an effect may need, in plain English; a delay of a channel
-    # a finding of its own; and an offset a kind of parameter.
-    names = set(effects.available()) - {"signal", "delay", "offset"}
+    # a finding of its own; and recordings may differ by an offset or a payload.
+    names = set(effects.available()) - {"signal", "delay", "offset", "payload"}
     for path in Path(_path.__file__).parents[1].rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         texts = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)}

@@ -32,11 +32,9 @@ def test_values_that_are_none_are_refused(name, value):
         SearchSettings(**{name: value})
 
 
-@pytest.mark.parametrize("name", ["undecided", "worth"])
+@pytest.mark.parametrize("name", ["min_probability", "min_gain"])
 def test_shares_are_below_one(name):
-    with pytest.raises(
-        ValueError, match=f"{name} of SearchSettings is a share below 1"
-    ):
+    with pytest.raises(ValueError, match=f"{name} of SearchSettings must be below 1"):
         SearchSettings(**{name: 1.0})
 
 
@@ -76,7 +74,7 @@ def test_the_report_prints_what_was_applied(springy):
     settings = springy.report_.to_dict()["provenance"]["settings"]
     assert settings["n_candidates"] == 4
     assert settings["search"]["expected"] == 1.0
-    assert settings["search"]["worth"] == 0.02
+    assert settings["search"]["min_gain"] == 0.02
     said = text_of(springy.report_)
     assert "An effect is reported if its probability is at least 95 % (4 cand" in said
     assert "it removes at least 2 % of the squared error" in said
@@ -97,8 +95,8 @@ def test_half_the_expected_effects_are_half_the_odds(springy):
 def test_what_a_name_must_save_and_how_surely(springy):
     (effect,) = springy.effects_
     for name, value in (
-        ("worth", 0.5 * (1 + effect.evidence.gain)),
-        ("chance", 1.1 * effect.evidence.errors),
+        ("min_gain", 0.5 * (1 + effect.evidence.gain)),
+        ("significance", 1.1 * effect.evidence.errors),
     ):
         loop = close(settings=replace(SearchSettings(), **{name: value}))
         assert loop.effects_ == ()

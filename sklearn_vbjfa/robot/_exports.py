@@ -1,4 +1,4 @@
-"""An identified robot as URDF and MJCF, what these lack, and what makes up for it."""
+"""Export to URDF and MJCF: omitted effects, and their approximation."""
 
 import warnings
 from dataclasses import dataclass, replace
@@ -14,7 +14,6 @@ from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, Tendon, write_mjcf
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
 from sklearn_vbjfa.simulation import (
     LeftOut,
-    SimulationError,
     simulate,
     with_bodies,
     without_limits,
@@ -408,6 +407,8 @@ _ROWS, _FREQUENCIES, _REST = 6000, (0.35, 0.7, 1.0, 1.6), 0.02
 _WINDOWS, _SECONDS, _LEAST = 6, 1.0, 20
 # Change of the simulated positions, as a share of their spread, that is too large.
 _CHANGED = 0.02
+# Least and most of a term of the file, over what was identified.
+_FACTORS = np.array([0.5, 2.0])
 # A torque below this share of the joint's whole torque is rounding.
 _ROUNDING = 1e-9
 
@@ -445,7 +446,8 @@ def typical_motion(ranges, nv, dt):
 
 def refitted(robot, totals):
     """Fit the joints of a file to what it lacks of an identified robot, (nv, 3)."""
-    # totals (nv, 3): of `TERMS` in the file, which are to stay positive.
+    # totals (nv, 3): of `TERMS` in the file. What was identified changes by a factor of
+    # two at most: a joint without armature would be another joint for a controller.
     nv, added = len(totals), np.zeros(totals.shape)
     pairs = list(zip(robot.effects_, robot.split(robot.theta_)))
     left = [without_place(*pair) for pair in pairs]
@@ -465,9 +467,9 @@ def refitted(robot, totals):
         rows = np.abs(v[:, j]) > _REST * np.abs(v[:, j]).max()
         X = np.column_stack([plain[name][rows, j] for name in TERMS])
         size, y = np.sqrt((X**2).mean(axis=0)), lacking[rows, j]
-        most = np.maximum(totals[j], 0.0)
-        found = lsq_linear(X / size, y, (-most * size - _ROUNDING, np.inf)).x / size
-        found = np.maximum(found, -most)
+        least, most = (_FACTORS - 1.0)[:, None] * np.maximum(totals[j], 0.0)
+        ends = least * size - _ROUNDING, most * size + _ROUNDING
+        found = np.clip(lsq_linear(X / size, y, ends).x / size, least, most)
         if ((y - X @ found) ** 2).sum() < (y**2).sum():
             added[j] = found
     return added
@@ -477,7 +479,7 @@ def _is_known(robot):
     return robot.plan.dt is not None and len(robot.effect_ranges_) > 0
 
 
-def warn_of_motion(robot, joints):
+def warn_of_motion(robot, joints, file_name):
     """Warn of joints that move differently with what an MJCF file has of a robot."""
     # joints: declared friction of the file, (nv,) by name.
     model = robot.torque_model()
@@ -502,17 +504,24 @@ def warn_of_motion(robot, joints):
             for effect, x, gone in zip(model.effects, model.coefficients, left)
         ),
     )
-    shares = changed_motion(robot, model, file)
-    lines = [
-        f"{100 * share:.2g} % on {name}"
-        for name, share in zip(robot.joint_names_, shares)
-        if share > _CHANGED
+    try:
+        shares = changed_motion(robot, model, file)
+    except ValueError as error:
+        text = "The identified robot cannot be simulated from torques without feedback"
+        warnings.warn(f"{text}: {error}", DoubtWarning, stacklevel=3)
+        return
+    worst = [j for j in np.argsort(-shares, kind="stable") if shares[j] > _CHANGED]
+    sizes = [
+        f"{robot.joint_names_[j]} "
+        + (f"{100 * shares[j]:.0f} %" if shares[j] <= 1 else "over 100 %")
+        for j in worst
     ]
-    if lines:
+    if sizes:
         warnings.warn(
-            "The MJCF file moves differently: positions simulated over a second change "
-            f"by {', '.join(lines)} (of their spread). MuJoCo lacks such friction: "
-            "simulate the saved robot (identified.json).",
+            f"{file_name} moves differently from the identified robot "
+            f"({', '.join(sizes)}). "
+            "Changes are those of positions within a second, over their standard "
+            "deviation. MuJoCo lacks such friction: simulate identified.json.",
             DoubtWarning,
             stacklevel=3,
         )
@@ -521,7 +530,8 @@ def warn_of_motion(robot, joints):
 def changed_motion(robot, model, other):
     """Root mean square change (nv,) of simulated positions, over their spread."""
     # model, other: `TorqueModel`, both driven by the torques of the first in a typical
-    # motion; infinite where the other one diverges.
+    # motion; infinite where the other one diverges. Raises the `SimulationError` of the
+    # first one if no window can be simulated.
     nv, dt = model.n_joints, robot.plan.dt
     states, moves = typical_motion(robot.effect_ranges_, nv, dt)
     length = min(max(round(_SECONDS / dt), _LEAST), _ROWS)
@@ -529,24 +539,27 @@ def changed_motion(robot, model, other):
     starts = np.linspace(0, _ROWS - length, count).astype(int)
     tau = robot.torques(robot.prepare(states).noiseless(robot.plan))
     changes, spread = [], states[:, :nv].std(axis=0)
+    failure = None
     for rows in (slice(start, start + length) for start in starts):
         q, v, _ = np.split(states[rows.start], 3)
-        own = _simulated(model, tau[rows], q, v)
-        if own is not None:
-            changed = _simulated(other, tau[rows], q, v)
-            changes.append(np.inf if changed is None else changed - own)
+        try:
+            own = _simulated(model, tau[rows], q, v)
+        except ValueError as error:
+            failure = error
+            continue
+        try:
+            changes.append(_simulated(other, tau[rows], q, v) - own)
+        except ValueError:
+            changes.append(np.inf)
     if not changes:
-        return np.zeros(nv)
+        raise failure
     squares = np.mean([np.mean(np.square(x), axis=0) for x in changes], axis=0)
     return np.where(moves, np.sqrt(squares) / np.where(moves, spread, 1.0), 0.0)
 
 
 def _simulated(model, tau, q, v):
-    """Positions (n, nv) under torques, None where they cannot be followed."""
+    """Positions (n, nv) under torques."""
     with warnings.catch_warnings():
         # What a simulation leaves out is left out of both.
         warnings.simplefilter("ignore")
-        try:
-            return simulate(model, tau, q, v)[:, : q.size]
-        except (SimulationError, ValueError):
-            return None
+        return simulate(model, tau, q, v)[:, : q.size]

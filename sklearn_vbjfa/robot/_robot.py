@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from sklearn.utils.validation import check_array
@@ -908,7 +909,8 @@ class IdentifiedRobot:
         DoubtWarning
             If friction that MuJoCo lacks changes the simulated positions of a joint
             within a second by more than 2 % of their spread, after damping,
-            frictionloss and armature were fitted again.
+            frictionloss and armature were fitted again, each by a factor of at most
+            two; or if the robot itself diverges.
 
         Notes
         -----
@@ -925,7 +927,7 @@ class IdentifiedRobot:
         left = to_mjcf(
             path, model, robot.min_eigenvalues_, notes, robot._servo(drive), added
         )
-        warn_of_motion(robot, friction_of_file(model, added))
+        warn_of_motion(robot, friction_of_file(model, added), Path(path).name)
         return left
 
     def columns_of(self, states):

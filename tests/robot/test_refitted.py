@@ -40,7 +40,7 @@ def away(robot, path):
 
 def test_the_file_is_nearer_to_the_robot(robot, tmp_path, monkeypatch):
     pytest.importorskip("mujoco")
-    with pytest.warns(DoubtWarning, match=r"moves differently: .* % on joint_3"):
+    with pytest.warns(DoubtWarning, match=r"again.xml moves .* \(.*joint_3 \d+ %"):
         left = robot.to_mjcf(tmp_path / "again.xml")
     assert {(one.name, one.joint) for one in left} == {
         ("stribeck", 1),
@@ -54,6 +54,21 @@ def test_the_file_is_nearer_to_the_robot(robot, tmp_path, monkeypatch):
     plain = away(robot, tmp_path / "before.xml")
     assert (again[[1, 2]] < 0.7 * plain[[1, 2]]).all()
     np.testing.assert_allclose(again[[0, 3, 4, 5]], plain[[0, 3, 4, 5]], atol=1e-9)
+
+
+def test_terms_of_the_file_change_by_a_factor_of_two_at_most(robot):
+    totals = _robot.plain_totals(robot.torque_model())
+    file = totals + _robot.refitted(robot, totals)
+    assert (file[[1, 2]] != totals[[1, 2]]).any()
+    assert (0.5 * totals <= file).all()
+    assert (file <= 2 * totals).all()
+
+
+def test_a_robot_that_diverges_is_simulated_with_feedback(robot, tmp_path):
+    theta = robot.theta_.copy()
+    theta[robot.parameter_names_.index("joint_3:viscous")] = -1000.0
+    with pytest.warns(DoubtWarning, match="without feedback"):
+        replace(robot, theta_=theta).to_mjcf(tmp_path / "runs_away.xml")
 
 
 def test_a_small_torque_that_is_lacking_is_no_warning(robot, tmp_path):

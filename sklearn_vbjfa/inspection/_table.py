@@ -69,7 +69,7 @@ TABLE = (
     Hypothesis("position_zero", "doubt", positions.zero, when="poor"),
     Hypothesis("wrong_dt", "error", positions.periods),
     # -- torques
-    Hypothesis("torque_sign", "error", torques.signs),
+    Hypothesis("torque_sign", "error", torques.signs, "measured"),
     Hypothesis("torque_unit", "doubt", torques.scaled, "measured"),
     Hypothesis("torque_factors", "doubt", torques.scaled_each, "measured"),
     Hypothesis("gear_factor", "doubt", torques.commanded_size, "commanded"),

@@ -17,8 +17,7 @@ def main(argv=None):
     Returns
     -------
     int
-        Exit code: 0 the result can be used, 2 nothing was done, 3 finished with a
-        warning that forbids a use.
+        Exit code: 0 success, 2 nothing was done, 3 finished with warnings.
     """
     arguments = None
     try:

@@ -1,6 +1,6 @@
 """The command ``design``: the motion to record next."""
 
-import shlex
+import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _gravity, _input
-from sklearn_vbjfa._cli._parser import Refused, spelled
+from sklearn_vbjfa._cli._parser import Refused, command_line, spelled
 from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa._core._progress import stage
 from sklearn_vbjfa.design import (
@@ -23,6 +23,10 @@ from sklearn_vbjfa.model import joint_names
 
 # Sample period of a motion where none is known [s].
 _PERIOD = 0.01
+# Options of identify that describe the robot and hold for its next recording, and those
+# that describe the file of the last one.
+_OF_ROBOT = ("joints", "base_orientation", "gain", "known_mass", "drive", "friction")
+_OF_FILE = {"columns", "preset", "topic", "dt", "time_unit", "join"}
 # Options that replace limits of the description.
 _LIMITS = ("velocity", "acceleration", "torque")
 # What to give where the description lacks a limit.
@@ -52,8 +56,8 @@ def design(arguments, folder):
         return _gravity.design_poses(arguments, folder)
     if arguments.urdf is None and arguments.report is None:
         raise ValueError(
-            "give --urdf FILE, the description of the robot, or --report FOLDER, what "
-            "identify wrote of it."
+            "give --urdf FILE (robot description) or --report FOLDER (output of "
+            "identify)."
         )
     out = _input.expanded(arguments.out or "motion.csv")
     _input.check_file(out, "--out", arguments.force)
@@ -136,8 +140,7 @@ def _robot(arguments, report, found, folder):
         return _identified(arguments, identified, found, folder)
     if arguments.urdf is None:
         raise ValueError(
-            f"{identified} does not exist, which holds the robot of the report; give "
-            "its description by --urdf FILE."
+            f"{identified} (robot of the report) not found; give --urdf FILE."
         )
     return _described(arguments, found, folder)
 
@@ -161,7 +164,7 @@ def _described(arguments, found, folder):
 def _identified(arguments, path, found, folder):
     """Take a robot from the file that identify wrote."""
     for name in {"urdf", "base_orientation"} & set(arguments.typed):
-        raise ValueError(f"{spelled(name)} is that of {path}; leave it out.")
+        raise ValueError(f"{spelled(name)} is taken from {path}; leave it out.")
     robot = load_identified(path)
     names, model = robot.joint_names_, robot.features_.nominal_
     joints = arguments.joints
@@ -219,9 +222,8 @@ def _limits(arguments, robot):
         typed[name] = None if values is None else values[order]
     if robot.is_relative and typed["acceleration"] is typed["torque"] is None:
         raise Refused(
-            "the gains of the torque channels are relative, so that the description's "
-            "limits of torque in N m or N do not hold; give --acceleration, or "
-            "--torque in the units of the channels",
+            "torque gains are relative, so the torque limits of the description do not "
+            "apply; give --acceleration, or --torque in units of the channels",
             acceleration=tuple(2 * np.array(robot.model.velocityLimit)[back]),
         )
     try:
@@ -243,29 +245,36 @@ def _limits(arguments, robot):
 # -- next steps ------------------------------------------------------------------------
 
 
-def _files(found):
-    """Files of the recordings so far."""
-    files = (found.get("provenance") or {}).get("file") or "before.csv"
-    files = [files] if isinstance(files, str) else files
+def _before(found):
+    """Files of recordings so far that can be read together with the next one."""
+    provenance = (found or {}).get("provenance") or {}
+    files = provenance.get("file") or ()
+    files = [files] if isinstance(files, str) else list(files)
     # What came through a pipe is not there any more.
-    return ["before.csv" if file == "-" else file for file in files]
+    is_plain = not _OF_FILE & set(provenance.get("options", ()))
+    return files if is_plain and "-" not in files else []
 
 
 def _step(out, found):
     """Return what to do with the motion."""
-    like = ""
-    if found is not None:
-        like = f", with the columns of {_files(found)[0]}, and give both to identify"
-    return f"Run {out} and record q and tau while it runs{like}."
+    options = ((found or {}).get("provenance") or {}).get("options") or {}
+    torque = "tau"
+    if "drive" in options:
+        torque = f"the channels of --drive {options['drive']}"
+    return (
+        f"Run {out} and record q and {torque} while it runs, in columns named as its "
+        "own."
+    )
 
 
 def _next_command(arguments, robot, found):
     """Return the command to type once the motion was recorded."""
-    before = [] if found is None else _files(found)
-    urdf = "ROBOT.urdf" if robot.file.endswith(".json") else robot.file
-    words = ["identify", *before, "recording.csv", "--urdf", urdf]
+    typed = dict(((found or {}).get("provenance") or {}).get("options") or {})
+    typed = {name: typed[name] for name in _OF_ROBOT if name in typed}
+    typed |= {x: arguments.typed[x] for x in _OF_ROBOT[:2] if x in arguments.typed}
     if robot.is_reduced:
-        words += ["--joints", ",".join(robot.known.joint_names)]
-    if arguments.base_orientation is not None:
-        words += ["--base-orientation", arguments.typed["base_orientation"]]
-    return shlex.join(["python", "-m", "sklearn_vbjfa", *words])
+        typed["joints"] = ",".join(robot.known.joint_names)
+    typed["urdf"] = "ROBOT.urdf" if robot.file.endswith(".json") else robot.file
+    recording = [*_before(found), "recording.csv"]
+    words = argparse.Namespace(command="identify", recording=recording, typed=typed)
+    return command_line(words, {})

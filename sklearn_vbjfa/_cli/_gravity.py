@@ -8,6 +8,7 @@ import numpy as np
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done
+from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 
 def correct(arguments, folder):
@@ -85,22 +86,22 @@ def _lines(data):
     ]
     for one in data["links"]:
         masses = " or ".join(
-            f"{link} {factor:.2f} ± {std:.2f}"
+            f"{link} {factor:.2f} ± {HALF_WIDTH * std:.2f}"
             for link, factor, std in zip(one["links"], one["factors"], one["stds"])
         )
-        lines.append(f"Mass over the described mass, link of joint: {masses}")
+        lines.append(f"Mass (identified / described), link of joint: {masses}")
     if data["payload"] is not None:
         mass, std = data["payload"]
         lines.append(
             "Alternative: the description is right and the last link carries "
-            f"{mass:.3g} ± {std:.2g} kg more."
+            f"{mass:.3g} ± {HALF_WIDTH * std:.2g} kg more."
         )
     widest = max(data["joints"], key=lambda one: one["interval"] or 0.0)
     return [
         *lines,
-        f"Next: {len(data['next_poses'])} more poses narrow the interval of "
-        f"{widest['joint']} from ±{widest['interval']:.2g} to "
-        f"±{widest['interval_after_next']:.2g}; next_poses in report.json lists them.",
+        f"Next: {len(data['next_poses'])} more poses (next_poses in report.json) "
+        f"reduce the 90 % interval of {widest['joint']} from ±{widest['interval']:.2g} "
+        f"to ±{widest['interval_after_next']:.2g}.",
         "Use for: gravity compensation. Not for: feedforward and simulation (inertias "
         "follow the masses, friction in motion is not identified).",
     ]

@@ -2,13 +2,16 @@
 
 import json
 import shlex
+import shutil
 import time
+import warnings
 from dataclasses import replace
 
 from sklearn_vbjfa._cli import _gravity, _input
 from sklearn_vbjfa._cli._parser import Refused
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done
+from sklearn_vbjfa.model import DoubtWarning
 
 # The report as a page and as data, and the robot.
 _FILES = ("report.html", "report.json", *ROBOT_FILES)
@@ -22,9 +25,7 @@ def identify(arguments, folder):
 
     library = "all" if arguments.effects is None else arguments.effects
     if arguments.no_search and arguments.effects:
-        raise Refused(
-            "--no-search leaves out --effects; give one of them", effects=None
-        )
+        raise Refused("--no-search and --effects exclude each other", effects=None)
     out = _input.output_folder(arguments, "report")
     ranges = arguments.ranges and _input.expanded(arguments.ranges)
     if ranges:
@@ -43,28 +44,34 @@ def identify(arguments, folder):
             **settings,
         )
 
+    robot = folder / "robot"
+    robot.mkdir()
+    lacking, export = _exported(loop.identifier_, robot)
+    outcome, more = loop.report_.outcome, {"export": export}
+    if loop.report_.has_open_questions:
+        words = ["python", "-m", "sklearn_vbjfa", "design", "--report", str(out)]
+        more["command"] = shlex.join(words)
+    more |= {
+        "file": files[0] if len(files) == 1 else files,
+        "description": str(_input.expanded(arguments.urdf)),
+        "options": dict(arguments.typed),
+        "held": loaded.held,
+        "files": _FILES[1:],
+        "date": time.strftime("%Y-%m-%d"),
+    }
+    outcome = replace(outcome, provenance=outcome.provenance | more)
+    printed = Report(outcome)
+
     def write(folder, notes):
-        lacking = write_robot(loop.identifier_, folder)
-        outcome, more = loop.report_.outcome, {}
-        if loop.report_.has_open_questions:
-            words = ["python", "-m", "sklearn_vbjfa", "design", "--report", str(out)]
-            more["command"] = shlex.join(words)
-        more |= {
-            "file": files[0] if len(files) == 1 else files,
-            "description": str(_input.expanded(arguments.urdf)),
-            "held": loaded.held,
-            "warnings": (*notes, *lacking),
-            "files": _FILES[1:],
-            "date": time.strftime("%Y-%m-%d"),
-        }
-        provenance = outcome.provenance | more
-        report = Report(replace(outcome, provenance=provenance))
+        shutil.copytree(robot, folder, dirs_exist_ok=True)
+        told = {"warnings": (*notes, *lacking)}
+        report = Report(replace(outcome, provenance=outcome.provenance | told))
         text = json.dumps(report.to_dict(), indent=1, allow_nan=False)
         folder.joinpath("report.html").write_text(report.to_html(), encoding="utf-8")
         folder.joinpath("report.json").write_text(text, encoding="utf-8")
-        lines = [f"The motion for it: {more['command']}"] if "command" in more else []
+        lines = [f"Next motion: {more['command']}"] if "command" in more else []
         if lacking:
-            lines.append("only identified.json has every effect (page)")
+            lines.append("only identified.json holds the whole model (page)")
         if ranges:
             loop.identifier_.ranges().save(ranges)
             lines.append(f"ranges for domain randomisation: {ranges}")
@@ -73,14 +80,25 @@ def identify(arguments, folder):
     # Joints that are named by the user leave the others out on purpose.
     others = [] if arguments.joints else loaded.other_joints()
     return Done(
-        text="\n".join([str(loaded.recording), *others, str(loop.report_)]),
-        doubts=loop.report_.warnings,
+        text="\n".join([str(loaded.recording), *others, str(printed)]),
+        doubts=printed.warnings,
         data="report.json",
         folder=out,
         files=_FILES,
         write=write,
         page=True,
     )
+
+
+def _exported(robot, folder):
+    """Write a robot; return lines on what its files lack, and warnings of them."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        lacking = write_robot(robot, folder)
+    for one in caught:
+        warnings.warn(one.message, stacklevel=2)
+    doubts = [x for x in caught if issubclass(x.category, DoubtWarning)]
+    return lacking, tuple(str(one.message) for one in doubts)
 
 
 def identify_demo(arguments, folder):

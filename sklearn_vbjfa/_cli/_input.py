@@ -77,8 +77,7 @@ class LoadedRecording:
         for name in names:
             if name not in offered.names:
                 raise ValueError(
-                    f"{self.source}: --signals does not know {name!r}; other columns "
-                    "than time, positions, velocities, accelerations and torques: "
+                    f"{self.source}: --signals: no column {name!r}; available: "
                     f"{', '.join(offered.names) or 'none'}."
                 )
         with blaming(self.source):
@@ -97,6 +96,8 @@ class LoadedRecording:
 def load(arguments, folder, *, assumed=None):
     """Read a recording and its robot; derived descriptions go to a folder."""
     # assumed: gains of the torque channels if none are given.
+    if arguments.urdf is None:
+        raise ValueError("give --urdf FILE, the robot description (URDF or MJCF).")
     urdf, held = robot(arguments, expanded(arguments.urdf), arguments.joints, folder)
     gains = arguments.gain or (assumed if arguments.drive is None else None)
     recording = read(arguments, urdf, arguments.joints, gains)
@@ -212,9 +213,8 @@ def read(arguments, urdf, joints, gains, *, identified=True):
     longest = max(rows.stop - rows.start for rows in recording.segments)
     if longest < _MIN_SAMPLES:
         raise ValueError(
-            f"{source}: the longest recording has {longest} samples in a row "
-            f"({longest * recording.dt:.3g} s), too few; record some tens of seconds "
-            "of motion."
+            f"{source}: the longest recording without a gap has {longest} samples "
+            f"({longest * recording.dt:.3g} s); record at least 30 s of motion."
         )
     if not np.ptp(np.asarray(recording.q), axis=0).any():
         raise ValueError(

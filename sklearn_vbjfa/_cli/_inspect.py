@@ -1,5 +1,7 @@
 """The commands ``inspect`` and ``effects``."""
 
+import re
+
 import numpy as np
 from tabulate import tabulate
 
@@ -13,12 +15,14 @@ _TOO_SHORT = "too short to examine the motion"
 
 def list_effects(arguments, folder):
     """List the library of effects."""
-    rows = [
-        [one.name, type(one).__doc__.splitlines()[0].rstrip("."), one.record]
-        for one in resolve("all")
-    ]
+    rows = [[one.name, _title(one), one.record] for one in resolve("all")]
     heads = ["name", "effect", "what to record"]
     return Done(text=tabulate(rows, headers=heads, maxcolwidths=[None, 46, 34]))
+
+
+def _title(effect):
+    """Return what an effect is, without marks of citations."""
+    return re.sub(r" ?\[\d+\]_", "", type(effect).__doc__.splitlines()[0]).rstrip(".")
 
 
 def inspect(arguments, folder):

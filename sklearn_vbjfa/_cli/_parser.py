@@ -10,9 +10,8 @@ from functools import lru_cache
 from importlib.resources import files
 
 EXIT_CODES = (
-    "exit codes: 0 the result can be used; 2 nothing was done, for the reason on "
-    "stderr; 3 finished with a warning that forbids a use, named in the last line on "
-    "stderr"
+    "exit codes: 0 success; 2 nothing was done, for the reason on stderr; 3 finished "
+    "with warnings, named in the last line on stderr"
 )
 
 
@@ -227,8 +226,8 @@ def _parser():
 
     parser = _Parser(
         prog="sklearn-vbjfa",
-        description="Robot identification with noise in inputs and outputs. Without a "
-        "command, identify the robot of the recording that comes with the package.",
+        description="Identify a robot from a log and find effects missing from its "
+        "model. Without a command: a demonstration.",
         epilog=EXIT_CODES,
     )
     parser.add_argument("--version", action="version", version=__version__)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sklearn_vbjfa._cli._parser import Refused
 
-# The result can be used; nothing was done; finished with a warning that forbids a use.
+# Success; nothing was done; finished with warnings.
 USABLE, REFUSED, DOUBTFUL = 0, 2, 3
 
 # Longest message [characters].
@@ -181,9 +181,11 @@ def say(text):
 
 def brief(text, width):
     """Return the first clauses of a message, as many as a width [characters] takes."""
-    # A first word with a colon is the name of a file.
+    # A first word with a colon is the name of a file; asides are not cut.
     ends = [end.start() for end in re.finditer(r"[;:.](?= )", text)]
-    ends = [end for end in ends if " " in text[:end]]
+    begins = (text[:end] for end in ends)
+    begins = [x for x in begins if " " in x and x.count("(") == x.count(")")]
+    ends = [len(x) for x in begins]
     if len(text) <= width or not ends:
         return text
     return text[: max([end for end in ends if end <= width], default=ends[0])]

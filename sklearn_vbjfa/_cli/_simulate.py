@@ -112,8 +112,8 @@ def _check(arguments):
     for name in _OF_IDENTIFICATION if arguments.model else ():
         if name in arguments.typed:
             raise ValueError(
-                f"{spelled(name)} belongs to an identification, and the robot of "
-                "--model is identified; give one of the two."
+                f"{spelled(name)} cannot be combined with --model: that robot is "
+                "identified."
             )
 
 

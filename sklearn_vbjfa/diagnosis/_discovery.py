@@ -1,4 +1,4 @@
-"""The discovery loop: residual, effect, refit, and the error on held-out data."""
+"""Search for missing effects, with errors on held-out data."""
 
 import warnings
 from dataclasses import replace
@@ -74,7 +74,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         or several intervals of a single one, standstill excluded. It is increased up to
         0.4 if a joint would move too little in it.
     alpha : float, default=0.05
-        Accepted share of recordings of complete robots with a reported effect: effects
+        Accepted probability that an effect is reported for a complete model: effects
         need a posterior probability of ``1 - alpha``. It is also the level of the test
         for contradicting recordings.
     max_effects : int or None, default=None
@@ -207,7 +207,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         t=None,
         signals=None,
     ):
-        """Close the loop.
+        """Search for effects.
 
         Parameters
         ----------
@@ -407,8 +407,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if left and not isinstance(self.effects, str):
             names = "; ".join(f"{name} ({why})" for name, why in left.items())
             warnings.warn(
-                f"Under a {type(given.drive).__name__} these effects are not looked "
-                f"for: {names}.",
+                f"Not available with {type(given.drive).__name__}: {names}.",
                 UserWarning,
                 stacklevel=4,
             )
@@ -558,7 +557,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         return self.identifier_.predict(X, **known, return_std=return_std)
 
     def expected_error(self, X, groups=None, t=None, signals=None):
-        """Expect an error of the completed model for a motion.
+        """Predict the error of the completed model on another motion.
 
         It is the error on held-out data, larger for speeds, accelerations and loads
         beyond those of the fit, and what parameters (friction, gains, offsets, the

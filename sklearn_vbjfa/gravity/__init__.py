@@ -370,16 +370,16 @@ def _check_weight(samples, gravity):
     if (np.ptp(samples.q, axis=0) < _ONE_POSE).all():
         raise ValueError(
             "All poses are the same to 0.2 rad: one pose does not determine masses. "
-            "Record poses over the range of the joints; "
-            "`sklearn-vbjfa design --urdf ROBOT.urdf --for gravity` proposes some."
+            "Record poses over the range of the joints; `sklearn-vbjfa design --urdf "
+            "ROBOT.urdf --for gravity` proposes some."
         )
     columns = gravity[:, :, None]
     factor, std, _ = _explained(samples, columns, samples.tau, samples.weight)
     if gravity.any() and factor + _SURE * std < _NO_WEIGHT:
         raise ValueError(
-            f"The torques contain no weight: {factor:.2f} ± {std:.2f} times the "
-            "described gravity torque. The controller has probably subtracted its "
-            "gravity model; record the torques before that."
+            f"The torques contain no weight: {factor:.2f} ± {HALF_WIDTH * std:.2f} "
+            "times the described gravity torque. The controller has probably "
+            "subtracted its gravity model; record the torques before that."
         )
 
 

@@ -138,13 +138,14 @@ def _visible(speeds, reversals, reach, slides, load, torque):
     even = one_speed(np.abs(speeds)) is not None
     # Effects, and why they are hidden if they are.
     reasons = {
-        "Coulomb friction beside an offset": "it never reverses" * (not reversals),
-        "viscous beside Coulomb friction": "it keeps to one speed" * even,
-        "hysteresis and backlash": (
+        "Coulomb friction, separate from offset": "it never reverses" * (not reversals),
+        "viscous friction, separate from Coulomb friction": "one speed only" * even,
+        "friction with memory, backlash": (
             f"it reverses {reversals} time(s), {few} are needed" * (reversals < few)
         ),
         "what varies with the position": (
-            f"it covers {np.degrees(reach):.3g} of some 60 degrees" * bool(narrow)
+            f"range of {np.degrees(reach):.3g} degrees, at least 60 needed"
+            * bool(narrow)
         ),
         "friction that varies with the load": _alike(load, torque, slides),
     }

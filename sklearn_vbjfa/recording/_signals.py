@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -237,7 +237,20 @@ def survey(given, offered, recording, effects):
         )
         for name, reason in reasons.items()
     ]
-    return found, tuple(findings)
+    return found, _together(findings, [x for x in reasons if _COPIED in reasons[x]])
+
+
+def _together(findings, copies):
+    """Return findings, with one on all copies, such as the commands of every joint."""
+    if len(copies) < 2:
+        return tuple(findings)
+    message = (
+        f"The columns {', '.join(map(repr, copies))} are not used as signals: they are "
+        "positions, velocities or torques under other names."
+    )
+    others = [one for one in findings if one.kind != "copied_signal"]
+    first = next(one for one in findings if one.kind == "copied_signal")
+    return (*others, replace(first, message=message))
 
 
 # -- what is no condition of the robot -------------------------------------------------

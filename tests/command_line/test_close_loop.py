@@ -140,7 +140,7 @@ def test_files_are_written(urdf, recording, tmp_path, monkeypatch, capsys):
     assert spring["mujoco"] == "stiffness"
     assert spring["low"] < effect["parameters"]["k"] < spring["high"]
     # MuJoCo has springs, offsets and the inertia of rotors, URDF has none of them.
-    assert "only identified.json has every effect (page)" in told
+    assert "only identified.json holds the whole model (page)" in told
     (left,) = report["provenance"]["warnings"]
     assert re.match(r"identified.urdf has no place for .*spring on", left)
     assert "identified.xml" not in left
@@ -500,7 +500,7 @@ def test_signals_are_chosen_by_name(warm, urdf, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        ("temprature", "--signals does not know 'temprature'"),
+        ("temprature", "--signals: no column 'temprature'"),
         ("", "--signals has an empty name"),
         ("gain,gain", "--signals has gain twice"),
         ("temperature,fixed", "'fixed' is constant (24 in all rows)"),
@@ -520,4 +520,4 @@ def test_signals_that_cannot_be_are_refused_in_one_line(
 
 def test_a_file_without_other_columns_has_no_signals(good, urdf, capsys):
     line = refusal(capsys, good, "--urdf", urdf, "--signals", "temperature")
-    assert "does not know 'temperature'" in line
+    assert "no column 'temperature'" in line

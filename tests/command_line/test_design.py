@@ -6,13 +6,14 @@ import io
 import json
 import re
 import shlex
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa import RobotIdentifier, load_identified
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from tests.command_line.test_close_loop import LINK, URDF
@@ -161,6 +162,27 @@ def test_the_summary_names_what_is_decided_and_what_no_motion_shows(designed):
     assert share == pytest.approx(100 * largest, abs=1.0)
 
 
+def test_the_command_after_it_works(home, here, capsys):
+    """The log of the report had columns and gains of its own."""
+    folder = shutil.copytree(home / "report", here / "report")
+    content = json.loads((folder / "report.json").read_text())
+    own = {"columns": "q=x{i}", "dt": "0.01", "gain": "2,2", "friction": "viscous"}
+    content["provenance"] |= {"options": own}
+    (folder / "report.json").write_text(json.dumps(content))
+    assert main(["design", "--report", str(folder), *FAST]) == UNCHECKED
+    text = capsys.readouterr().out
+    command = shlex.split(re.findall("python -m sklearn_vbjfa (identify .*)", text)[-1])
+    assert "slow.csv" not in text
+    assert command[command.index("--gain") + 1] == "2,2"
+    found = read(Path("motion.csv"))
+    states = [[found[f"{x}_{name}"] for name in JOINTS] for x in "qva"]
+    tau = load_identified(folder / "identified.json").predict(np.vstack(states).T)
+    names = [*found, *(f"tau_{name}" for name in JOINTS)]
+    table = np.column_stack([*found.values(), 0.5 * tau])
+    np.savetxt("recording.csv", table, "%.8g", ",", header=",".join(names), comments="")
+    assert main([*command, "--no-search"]) in (0, 3)
+
+
 def test_a_motion_that_exists_is_not_replaced(designed, capsys):
     out, _, argv = designed
     before = out.read_bytes()
@@ -264,7 +286,7 @@ def test_a_robot_is_needed(here, capsys):
     content = {"effects": [], "joint_names": ["a"]}
     Path("empty/report.json").write_text(json.dumps(content))
     line = refusal(capsys, "--report", "empty")
-    assert "identified.json does not exist" in line
+    assert "identified.json (robot of the report) not found" in line
     assert "--urdf FILE" in line
 
 
@@ -272,7 +294,7 @@ def test_the_report_of_another_robot(home, here, capsys):
     report = home / "report"
     Path("other.urdf").write_text(URDF.replace('"elbow"', '"knee"'))
     line = refusal(capsys, "--report", report, "--urdf", "other.urdf")
-    assert "--urdf is that of" in line
+    assert "--urdf is taken from" in line
     line = refusal(capsys, "--report", report, "--joints", "elbow")
     assert "--joints must name the joints" in line
     # without identified.json the report names the joints

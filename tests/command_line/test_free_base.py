@@ -88,7 +88,7 @@ def test_refuses_what_is_no_orientation(run, text, said):
 
 def test_an_orientation_without_a_description_is_refused(capsys):
     assert main(["simulate", "a.csv", "--model", "a.json", *GIVEN]) == 2
-    said = "--base-orientation belongs to an identification"
+    said = "--base-orientation cannot be combined"
     assert said in capsys.readouterr().err
 
 

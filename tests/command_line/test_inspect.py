@@ -23,6 +23,16 @@ def inspect(capsys, *argv, code=0):
     return captured.out, captured.err
 
 
+def test_the_library_is_listed_without_markup(capsys):
+    assert main(["effects"]) == 0
+    assert "]_" not in capsys.readouterr().out
+
+
+def test_a_robot_description_is_asked_for(capsys):
+    assert main(["inspect", "log.csv"]) == 2
+    assert "give --urdf FILE" in capsys.readouterr().err
+
+
 def test_a_sound_recording(made, tmp_path, capsys):
     before = set(tmp_path.iterdir())
     path = plain(made, tmp_path)
@@ -33,7 +43,7 @@ def test_a_sound_recording(made, tmp_path, capsys):
     assert len(rows) == 6
     span = np.rad2deg([made.q[:, 0].min(), made.q[:, 0].max()])
     assert f"{span[0]:.4g} to {span[1]:.4g} deg" in rows[0]
-    assert "- none that the robot description shows" in out
+    assert "- none detected" in out
     assert "friction that varies with the load: gravity does not load it" in out
     assert set(tmp_path.iterdir()) == before | {path}
 

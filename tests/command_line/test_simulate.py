@@ -182,9 +182,9 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
     ("argv", "message"),
     [
         ("arm.csv", "give --urdf FILE, the description of the robot, or --model"),
-        ("arm.csv --urdf U --model M", "--urdf belongs to an identification"),
-        ("arm.csv --model M --friction none", "--friction belongs to an identif"),
-        ("arm.csv --model M --known-mass upper=1", "--known-mass belongs to an id"),
+        ("arm.csv --urdf U --model M", "--urdf cannot be combined"),
+        ("arm.csv --model M --friction none", "--friction cannot be combined"),
+        ("arm.csv --model M --known-mass upper=1", "--known-mass cannot be combined"),
         ("arm.csv --model none.json", "none.json"),
         ("arm.csv --model arm.csv", "arm.csv"),
         ("arm.csv --urdf none.urdf", "none.urdf: no such robot description"),
@@ -201,7 +201,7 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
             "arm.csv --urdf U --cutoff 60",
             "cutoff must lie below the Nyquist frequency 50 Hz",
         ),
-        ("arm.csv --urdf U --signals temperature", "does not know 'temperature'"),
+        ("arm.csv --urdf U --signals temperature", "no column 'temperature'"),
         (
             "arm.csv --urdf U --out arm.csv",
             "arm.csv is not a folder",

@@ -728,7 +728,7 @@ def test_channels_that_a_drive_has_not_are_not_looked_for():
     measured = EffectDiscovery(robot, **asked).fit(recording.states, recording.tau)
     assert [one.joint for one in measured.effects_] == [1]
     made = EffectDiscovery(clone(robot).set_params(drive=drive), **asked)
-    left_out = r"not looked for: jerk \(.*; torque_filter \("
+    left_out = r"Not available with PDDrive: jerk \(.*; torque_filter \("
     with pytest.warns(UserWarning, match=left_out):
         made.fit_recording(recording)
     assert made.effects_ + made.possible_ == ()

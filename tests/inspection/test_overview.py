@@ -55,7 +55,7 @@ def test_reversals_ranges_and_speeds_of_a_sine(urdf):
     assert first.resting < 0.1
     assert "what varies with the position" in first.shows
     (hidden,) = [x for x in second.hides if "position" in x]
-    assert hidden.endswith("it covers 22.9 of some 60 degrees")
+    assert hidden.endswith("range of 22.9 degrees, at least 60 needed")
 
 
 def test_loads_are_gravity_at_the_poses(urdf):
@@ -76,8 +76,8 @@ def test_one_way_one_speed_and_rest(urdf):
     turning, still = motion_of(recording(urdf, q))
     assert turning.reversals == 0
     hidden = " ".join(turning.hides)
-    assert "Coulomb friction beside an offset: it never reverses" in hidden
-    assert "viscous beside Coulomb friction: it keeps to one speed" in hidden
+    assert "Coulomb friction, separate from offset: it never reverses" in hidden
+    assert "viscous friction, separate from Coulomb friction: one speed only" in hidden
     assert still.hides == ("everything: it does not move",)
     assert still.shows == ()
     assert still.resting == 1.0

@@ -25,7 +25,7 @@ _UNITS = {"position": ("rad", "m"), "speed": ("rad/s", "m/s"), "load": ("N m", "
 _WHERE = {"position": "positions", "speed": "speeds", "load": "loads"}
 # Time that decides most questions [s], and the slowest of its speeds over the fastest.
 _SECONDS, _SLOWEST = 60, 0.1
-# Joints that a terminal has room for; of more, so many that gain most and that lose.
+# Joints that a terminal has room for; of more, so many of the worst and of the best.
 _ROWS, _FIRST, _LAST = 8, 3, 2
 
 
@@ -360,15 +360,12 @@ def parameter_groups(outcome):
 
 
 def error_rows(outcome):
-    """Cells of the errors of each joint, the largest gain first, a list of dict."""
+    """Cells of the errors of each joint, the largest error first, a list of dict."""
     percent, rows = words.bare_percent, []
     left_out = [] if outcome.robot["added"] else ["four terms"]
     left_out += [] if np.isfinite(outcome.robot["wide_cutoff"]) else ["wide"]
 
-    def gain(one):
-        return np.round(np.nan_to_num(100 * (one.before - one.after)), 1)
-
-    for one in sorted(outcome.errors, key=lambda one: -gain(one)):
+    for one in sorted(outcome.errors, key=lambda x: -np.nan_to_num(x.after, nan=-1)):
         ends = one.intervals.get("after", (np.nan, np.nan))
         known = np.isfinite(ends).all()
         reach = f" [{percent(ends[0])}, {percent(ends[1])}]" if known else ""

@@ -51,7 +51,7 @@ def environment(is_page, package=__package__):
         "mathml": mathml,
         "wrap": _wrapped,
         "groups": lambda items, key: _facts.grouped(items, lambda x: getattr(x, key)),
-        "subject": lambda text: re.split("[:,;] ", text)[0].rstrip("."),
+        "subject": lambda text: re.split("[:;] |(?<!'), ", text)[0].rstrip("."),
         "without_asides": lambda text: re.sub(r" \([^()]*\)", "", text),
     }
     environment.globals |= _FUNCTIONS
@@ -207,7 +207,8 @@ class Voice:
 
 def _read(body):
     """Return what is read of a section, without what an effect is."""
-    body = re.sub(r"<details><summary>What it is.*?</details>", "", body, flags=re.S)
+    about = r"<details><summary>About this effect.*?</details>"
+    body = re.sub(about, "", body, flags=re.S)
     return html.unescape(re.sub("<[^>]*>", "\n", body)).replace("\u00a0", " ").strip()
 
 

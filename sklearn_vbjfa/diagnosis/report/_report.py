@@ -61,9 +61,9 @@ class Report:
             for one in found.joints
         )
         self.uses = tuple(
-            one
-            if one.allowed
-            else dataclasses.replace(one, reason=say("use_reason", one))
+            dataclasses.replace(one, reason=say("use_reason", one))
+            if one.reason
+            else one
             for one in found.uses
         )
         self.headline = say("headline")
@@ -106,7 +106,8 @@ class Report:
             if one.severity != "warning" or one.kind in NO_INFORMATION:
                 channels[one.severity != "warning"].append(one.message)
         apart = [self._voice("contradiction")] if findings["contradictions"] else []
-        return (*apart, *channels[True], *joints, *gains, *channels[False])
+        export = self.outcome.provenance.get("export", ())
+        return (*apart, *channels[True], *joints, *gains, *channels[False], *export)
 
     @property
     def has_open_questions(self):

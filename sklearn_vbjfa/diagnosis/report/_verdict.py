@@ -216,11 +216,14 @@ def _uses(outcome, status, joints):
         for one in joints if not whole else ():
             if one.status in forbidden:
                 own.setdefault(one.status, []).append(one.joint)
+        reason = whole or ("joints" if own else "")
+        if name == "simulation" and outcome.provenance.get("export"):
+            reason = reason or "approximate"
         found.append(
             Use(
                 name=name,
                 allowed=not (whole or own),
-                reason=whole or ("joints" if own else ""),
+                reason=reason,
                 joints=tuple(own.items()),
             )
         )

@@ -156,9 +156,9 @@ def test_sound_recordings_need_no_words():
 @pytest.mark.parametrize(
     ("source", "said"),
     [
-        ("assumed", "from other"),
-        ("partly measured", "partly measured"),
-        ("measured", "from 4 left out"),
+        ("assumed", "record a second motion"),
+        ("partly measured", "4 recordings partly measured"),
+        ("measured", "4 recordings measured"),
     ],
 )
 def test_the_next_recording_says_what_it_rests_on(source, said):
@@ -167,7 +167,7 @@ def test_the_next_recording_says_what_it_rests_on(source, said):
     left_out = 0 if source == "assumed" else 4
     report = Report(make_outcome(facts=(one,), left_out=left_out))
     text = section_of(report, "Next steps")
-    expected = "5.0 %, in 9 of 10 recordings between 3.0 and 9.0 %"
+    expected = "5.0 % (90 %: 3.0 to 9.0 %"
     assert_said(text, expected, said)
     # What is only assumed is on the page.
     told = " ".join(str(report).split())
@@ -200,8 +200,8 @@ def test_gains_are_relative_to_a_channel():
     assert_said(
         text, "joint 1 0.500 +- 0.016 relative to joint 2", "joint 2 1 the unit"
     )
-    assert "more than five times" not in text
-    assert_said(text_of(gains_of(first=0.19)), "more than five times")
+    assert "factor of five" not in text
+    assert_said(text_of(gains_of(first=0.19)), "factor of five")
     hidden = gains_of((1, 1, 2))
     assert_said(text_of(hidden), "joint 3 not identifiable")
     (line,) = (x for x in str(hidden).splitlines() if "relative to" in x)
@@ -222,8 +222,8 @@ def test_a_known_mass_fixes_the_common_gain():
 @pytest.mark.parametrize(
     ("mass", "said"),
     [
-        (known("hand", shown=False), "only together with"),
-        (known("hand"), "too poorly"),
+        (known("hand", shown=False), "not identifiable apart from"),
+        (known("hand"), "not identifiable from this recording"),
         (known(found=np.nan), "no change of payload"),
     ],
 )

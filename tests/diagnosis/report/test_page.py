@@ -131,7 +131,7 @@ def test_terms_are_explained_where_they_come_first(case):
 def read(part):
     """Return what is read of a part of a page but for what terms mean."""
     part = re.sub(r"<(nav|dl)\b.*?</\1>", "", part, flags=re.DOTALL)
-    what = r"<details><summary>What it is.*?</details>"
+    what = r"<details><summary>About this effect.*?</details>"
     part = re.sub(what, "", part, flags=re.DOTALL)
     labels = re.sub('aria-label="[^"]*"', "", part)
     return re.sub("<[^>]*>", "\n", labels).strip()

@@ -195,11 +195,13 @@ def test_an_effect_has_value_gain_odds_and_rivals(shown):
 
 def test_rows_of_the_error_table():
     outcome = make_outcome(nv=3, n_effects=0)
-    before = outcome.column("after") + np.array([0.01, 0.05, 0.0])
-    report = Report(changed(outcome, before=before))
-    # The largest gain comes first.
+    after = outcome.column("after") * np.array([1.0, 3.0, 0.3])
+    report = Report(changed(outcome, after=after))
+    # The largest error comes first, on the page as well.
     first = [x[:7] for x in str(report).splitlines() if x.startswith("joint ")]
     assert first == ["joint 2", "joint 1", "joint 3"]
+    table = section_of(report, "Error of each joint on held-out data")
+    assert table.index("joint 2") < table.index("joint 1") < table.index("joint 3")
     # In N m as well, and in a wider band.
     size = f"{outcome.errors[0].after * outcome.errors[0].spread:.2g}"
     assert size in line_of(report)
@@ -398,3 +400,26 @@ def test_odds_are_written_as_bets(log_odds, expected):
 )
 def test_joints_are_counted_from_one_or_named(name, expected):
     assert words.joint_label(("first", name), 1) == expected
+
+
+# -- sentences that must not say too much
+
+
+def test_without_a_search_nothing_is_said_of_what_is_missing():
+    for status in ({}, {"unexplained": (1,)}):
+        outcome = make_outcome(n_effects=0, channels=(), **status)
+        settings = outcome.provenance["settings"] | {"effects": ()}
+        provenance = outcome.provenance | {"settings": settings}
+        headline = Report(replace(outcome, provenance=provenance)).headline
+        assert "o search was made" in headline
+        assert "missing" not in headline
+
+
+def test_a_note_on_a_terminal_is_not_cut_in_an_aside():
+    said = "The columns are in the order of the robot (hip. knee; foot): name them"
+    printed = " ".join(str(Report(make_outcome(channels=(finding(said),)))).split())
+    assert "order of the robot. " in printed
+
+
+def test_what_an_effect_saves_has_its_interval_of_90_percent():
+    assert "46 % (39 to 53 %)" in text_of(Report(make_outcome()))

@@ -1,5 +1,7 @@
 """What a result can be used for agrees with the verdicts on the joints."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,16 @@ def test_at_the_noise_floor_torques_can_be_used_for_everything():
     printed = str(report)
     assert "Use for: feedforward, simulation, collision detection." in printed
     assert "Do not use for" not in printed
+
+
+def test_a_mujoco_file_that_moves_differently_qualifies_the_simulation():
+    outcome, said = make_outcome(channels=()), "identified.xml moves (joint2 4 %)"
+    known = outcome.provenance | {"export": (said,)}
+    report = Report(replace(outcome, provenance=known))
+    printed = " ".join(str(report).split())
+    assert "simulation (identified.json; the MuJoCo file is an approx" in printed
+    assert report.uses[1].allowed
+    assert report.to_dict()["warnings"] == [said]
 
 
 def test_a_residual_above_the_noise_forbids_collision_detection_alone():

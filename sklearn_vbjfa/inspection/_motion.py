@@ -76,7 +76,7 @@ def motion_of(recording, model=None):
     >>> from sklearn_vbjfa.inspection import motion_of
     >>> first = motion_of(load_demo_recording())[0]
     >>> first.name, first.reversals > 10, first.hides
-    ('joint_1', True, ('friction that varies with the load: gravity does not load it',))
+    ('joint_1', True, ('load-dependent friction: gravity does not load it',))
     """
     model = load_model(recording.robot_model() if model is None else model)
     rows, parts = long_parts(recording.n_samples, recording.groups)
@@ -143,14 +143,14 @@ def _visible(speeds, reversals, reach, slides, load, torque):
         "friction with memory, backlash": (
             f"it reverses {reversals} time(s), {few} are needed" * (reversals < few)
         ),
-        "what varies with the position": (
+        "position-dependent effects": (
             f"range of {np.degrees(reach):.3g} degrees, at least 60 needed"
             * bool(narrow)
         ),
-        "friction that varies with the load": _alike(load, torque, slides),
+        "load-dependent friction": _alike(load, torque, slides),
     }
     if slides:
-        del reasons["what varies with the position"]
+        del reasons["position-dependent effects"]
     shows = tuple(what for what, reason in reasons.items() if not reason)
     hides = tuple(f"{what}: {reason}" for what, reason in reasons.items() if reason)
     return shows, hides

@@ -1,5 +1,6 @@
 """Exit codes: 0 can be used, 2 nothing done, 3 done with a doubt that is stated."""
 
+import json
 import re
 from pathlib import Path
 
@@ -252,6 +253,28 @@ def test_a_low_pass_longer_than_the_recording_is_refused(here, capsys):
         code, out, (line,) = run(capsys, command, *argv)
         assert (code, out) == (2, "")
         assert "The low-pass at 0.05 Hz is" in line
+
+
+def test_a_file_that_moves_differently_is_named_with_the_joint(here, capsys):
+    table = columns()
+    speed = np.gradient(table["q2"], DT)
+    table["tau2"] = table["tau2"] * (1 + 0.2 * np.sign(speed * table["tau2"]))
+    argv = [
+        "identify",
+        write(table),
+        "--urdf",
+        "arm.urdf",
+        "--effects",
+        "load_friction",
+    ]
+    assert main([*argv, "--out", "out"]) == 3
+    captured = capsys.readouterr()
+    assert "MuJoCo file is an approximation" in " ".join(captured.out.split())
+    said = r"identified.xml moves differently from the identified robot \(.*elbow \d+ %"
+    assert re.search(f"exit code 3: .*{said}.*\\)", captured.err.splitlines()[-1])
+    report = json.loads(Path("out/report.json").read_text(encoding="utf-8"))
+    assert any(re.match(said, one) for one in report["warnings"])
+    assert "moves differently" in Path("out/report.html").read_text(encoding="utf-8")
 
 
 def test_a_simulation_goes_without_an_effect(here, capsys):

@@ -53,7 +53,7 @@ def test_reversals_ranges_and_speeds_of_a_sine(urdf):
     assert first.fastest == pytest.approx(0.8 * np.pi, rel=0.01)
     assert (first.lowest, first.highest) == pytest.approx((-0.8, 0.8), abs=1e-6)
     assert first.resting < 0.1
-    assert "what varies with the position" in first.shows
+    assert "position-dependent effects" in first.shows
     (hidden,) = [x for x in second.hides if "position" in x]
     assert hidden.endswith("range of 22.9 degrees, at least 60 needed")
 

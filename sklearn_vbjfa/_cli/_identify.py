@@ -8,7 +8,7 @@ import warnings
 from dataclasses import replace
 
 from sklearn_vbjfa._cli import _gravity, _input
-from sklearn_vbjfa._cli._parser import Refused
+from sklearn_vbjfa._cli._parser import Refused, in_options
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa.model import DoubtWarning
@@ -59,12 +59,20 @@ def identify(arguments, folder):
         "files": _FILES[1:],
         "date": time.strftime("%Y-%m-%d"),
     }
-    outcome = replace(outcome, provenance=outcome.provenance | more)
+    channels = [
+        replace(one, message=in_options(one.message))
+        for one in outcome.findings["channels"]
+    ]
+    outcome = replace(
+        outcome,
+        provenance=outcome.provenance | more,
+        findings=outcome.findings | {"channels": channels},
+    )
     printed = Report(outcome)
 
     def write(folder, notes):
         shutil.copytree(robot, folder, dirs_exist_ok=True)
-        told = {"warnings": (*notes, *lacking)}
+        told = {"warnings": (*map(in_options, notes), *lacking)}
         report = Report(replace(outcome, provenance=outcome.provenance | told))
         text = json.dumps(report.to_dict(), indent=1, allow_nan=False)
         folder.joinpath("report.html").write_text(report.to_html(), encoding="utf-8")

@@ -224,15 +224,9 @@ def read(arguments, urdf, joints, gains, *, identified=True):
     return recording
 
 
-def channel_doubts(findings):
-    """Return the messages of findings that forbid a use."""
-    from sklearn_vbjfa.diagnosis.explain import NO_INFORMATION
-
-    return [
-        one.message
-        for one in findings
-        if one.severity != "warning" or one.kind in NO_INFORMATION
-    ]
+def channel_warnings(findings):
+    """Return the messages of errors and warnings among findings."""
+    return [one.message for one in findings if one.severity != "note"]
 
 
 # -- robots ----------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import numpy as np
 from tabulate import tabulate
 
 from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli._parser import in_options
 from sklearn_vbjfa._cli._run import Done, rendered
 from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.inspection import motion_of
@@ -32,7 +33,7 @@ def inspect(arguments, folder):
     loaded.signals(arguments.signals)
     recording, findings = loaded.recording, loaded.findings()
     motions = motion_of(recording, str(loaded.urdf))
-    faults = [f"{one.severity}: {one.message}" for one in findings]
+    faults = [f"{one.severity}: {in_options(one.message)}" for one in findings]
     units = _input.motor_units(recording)
     if units and arguments.drive is None:
         unknown = ", or --gain unknown" if recording.nv > 1 else ""
@@ -62,7 +63,11 @@ def inspect(arguments, folder):
         "held": list(loaded.held),
         "faults": faults,
         "findings": [
-            {"kind": one.kind, "severity": one.severity, "message": one.message}
+            {
+                "kind": one.kind,
+                "severity": one.severity,
+                "message": in_options(one.message),
+            }
             | {"joints": [int(j) for j in one.joints]}
             for one in findings
         ],
@@ -70,7 +75,7 @@ def inspect(arguments, folder):
         "not_identifiable": {one.name: list(one.hides) for one in motions},
     }
     doubts = [] if motions else [_TOO_SHORT]
-    return Done(text=text, data=data, doubts=doubts + _input.channel_doubts(findings))
+    return Done(text=text, data=data, doubts=doubts + _input.channel_warnings(findings))
 
 
 def _columns(motions, units):

@@ -314,6 +314,27 @@ def spelled(name):
     return f"--{_OPTION_OF.get(name, name).replace('_', '-')}"
 
 
+# Parameters in messages: with a value, or alone in brackets.
+_PARAMETER = re.compile(
+    r"(?<![-\w])(columns|gains|bodies|joint_names|join)="
+    r"""(?:(["'])(?P<text>.*?)\2|(?P<number>[-+\w.]*\w))"""
+    r"|(?<=\()(columns|gains|joint_names)(?=\))"
+)
+
+
+def in_options(message):
+    """Return a message with options in place of parameters of Python."""
+
+    def option(match):
+        key, text = match[1] or match[5], match["text"] or match["number"] or ""
+        words = [spelled(key), text and shlex.quote(text)]
+        return " ".join(words[: 1 if text in ("", "True") else 2])
+
+    message = str(message).replace("drive=CurrentDrive(", "--drive 'current ")
+    message = message.replace("signed=False)", "signed=no'")
+    return _PARAMETER.sub(option, message)
+
+
 def command_line(arguments, options):
     """Return a command with some options in place of those given."""
     # The gains are those of the drive.

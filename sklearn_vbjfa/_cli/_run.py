@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from sklearn_vbjfa._cli._parser import Refused
+from sklearn_vbjfa._cli._parser import Refused, in_options
 
 # Success; nothing was done; finished with warnings.
 USABLE, REFUSED, DOUBTFUL = 0, 2, 3
@@ -57,7 +57,7 @@ def run(arguments):
         warnings.simplefilter("always")
         done = command(arguments, Path(folder))
         if not as_json:
-            print(done.text)
+            print(in_options(done.text))
         folder, lines = done.folder, []
         if done.write is not None:
             folder, lines = _write(done, arguments, _notes(caught))
@@ -176,7 +176,7 @@ def _exit_line(doubts, page):
 
 def say(text):
     """Print to stderr."""
-    print(text, file=sys.stderr, flush=True)
+    print(in_options(text), file=sys.stderr, flush=True)
 
 
 def brief(text, width):

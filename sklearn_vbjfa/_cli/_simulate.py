@@ -217,7 +217,7 @@ def _check_channels(loaded):
     if wrong is not None:
         with _input.blaming(loaded.source, loaded.gains):
             raise wrong
-    for message in _input.channel_doubts(findings):
+    for message in _input.channel_warnings(findings):
         warnings.warn(f"{loaded.source}: {message}", DoubtWarning, stacklevel=2)
 
 

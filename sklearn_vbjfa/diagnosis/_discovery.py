@@ -260,7 +260,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         whole = replace(whole, joints_named=named)
         self._fit(model, whole, library, signals, beside, _names(whole, groups))
         for found in self.report_.outcome.findings["channels"]:
-            if found.severity == "doubt":
+            if found.severity == "warning":
                 warnings.warn(found.message, DoubtWarning, stacklevel=3)
         return self
 

@@ -362,7 +362,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         lag = sum(one.value for one in findings if one.kind == "delay")
         if lag and (self.drive, self.asked_gains) == (None, None):
             self.fit_inspected(recording, lag)
-        return [one for one in findings if one.severity != "warning"]
+        return [one for one in findings if one.severity != "note"]
 
     def findings(self, recording):
         """Return what `inspect_channels` finds in a recording under these settings."""

@@ -19,7 +19,7 @@ class Candidate:
 
     joints: tuple
     log_odds: float  # against the log as it is, before the prior odds
-    change: Change = field(default_factory=Change)
+    change: Change | None = None  # which undoes what was done
     fall: float = 0.0  # sum over joints of the fall of the log squared errors
     clear: bool = True
     kind: str = ""  # of the sentence and the severity, if not the hypothesis's

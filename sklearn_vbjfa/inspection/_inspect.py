@@ -144,7 +144,7 @@ def inspect_channels(
     -------
     findings : tuple of ChannelFinding
         Findings, the worst first. An "error" is what a search for effects would find
-        instead of effects; a "doubt" rules out a favourable verdict; a "warning" is
+        instead of effects; a "warning" rules out a favourable verdict; a "note" is
         harmless, or says what this motion of this robot cannot show ("unverified").
 
     Notes
@@ -193,7 +193,7 @@ def inspect_channels(
     known = drive, named, folded
     reading = Reading(model, names, q, tau, dt, parts, usable, *known)
     found = _compared(reading)
-    if any(one.severity != "warning" for one in log.findings):
+    if any(one.severity != "note" for one in log.findings):
         # Which robot it is cannot be said of rows that are wrong.
         found = [one for one in found if one.kind != "other_robot"]
     found = [one for one in found if one.kind not in unknown]
@@ -233,7 +233,7 @@ def _examined(reading):
             proposed += _proposed(reading, "poor")
         proposed.sort(key=lambda one: -one[1][1])
         for hypothesis, (candidate, odds) in proposed:  # noqa: B007
-            after = reading.changed(candidate.change) if hypothesis.repairs else None
+            after = candidate.change and reading.changed(candidate.change)
             if after is None or _scores_better(reading, after):
                 break
         else:
@@ -287,7 +287,7 @@ def _unverified(reading):
         reason = "size"
     elif not reading.named and _order_assumed(reading):
         reason = "order"
-    args = reading.names, reading.every, "warning"
+    args = reading.names, reading.every, "note"
     return [finding(f"unverified:{reason}", *args)] if reason else []
 
 

@@ -76,6 +76,8 @@ CONTACT, SHORTEST_CONTACT, CONTACT_ENDS = 3.0, 20, 80
 # degrees run beyond limits by more than this [rad], and encoder counts are whole
 # numbers that span at least this range.
 LARGEST_TURN, FAR_BEYOND, FEWEST_COUNTS = 25.0, 5.0, 25.0
+# Factors against which a unit of positions has to explain the torques better.
+OTHER_UNITS = (1 / 200, 1 / 20, 1 / 8, 1 / 4, 1 / 2, 2, 4)
 # Signs must lower the squared error of a torque of one sign by this factor, and both
 # must be had by this share of the rows. Rows with which signs are looked for, most
 # rounds, and dry friction to begin with, in root mean squares of the rigid torque.
@@ -120,7 +122,7 @@ SHUFFLED, LEAST_MOTION, STILL_TRAVEL = 0.7, 0.01, 12.0
 RUNS_PER_LABEL, SHORT_RUN = 4, 16
 # A jump is a full turn to within this fraction of one.
 TURN_LEFT = 0.15
-# Repeated rows that are reported; above the last share they are a doubt.
+# Repeated rows that are reported; above the last share they are a warning.
 FEWEST_REPEATED, REPEATED_SHARE, MANY_REPEATED = 3, 0.002, 0.1
 # The logger was frozen if this many rows are equal while a joint moves at this share of
 # its speed over this many samples right before and right after them.
@@ -137,8 +139,8 @@ COARSE, NOTHING = 0.05, 1e-9
 # length, in a channel that does not repeat itself), and denser by this factor than the
 # torques next to the extreme value: for a sine without noise the factor is 3.4.
 PLATEAU, PLATEAU_RUN, PLATEAU_RUNS, LONG_PLATEAU, DENSITY = 1e-3, 5, 3, 12, 8.0
-# Clipped samples are a doubt from this share of a torque's: on simulated arms, 0.3 % of
-# them raise the error of no joint by more than 3 %, and 1 % of them by up to 70 %.
+# Clipped samples are a warning from this share on: on simulated arms, 0.3 % of them
+# raise the error of no joint by more than 3 %, and 1 % of them by up to 70 %.
 MANY_CLIPPED = 0.005
 # Torques of zero are dropouts if the values before and after are this many times the
 # usual step and this share of the spread, in at least this many places.

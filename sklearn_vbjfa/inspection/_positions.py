@@ -16,6 +16,7 @@ from sklearn_vbjfa.inspection._candidates import (
 )
 from sklearn_vbjfa.inspection._reading import Change
 from sklearn_vbjfa.inspection._sentences import finding
+from sklearn_vbjfa.inspection._torques import torque_factors
 from sklearn_vbjfa.model import is_prismatic
 
 # -- order -----------------------------------------------------------------------------
@@ -227,20 +228,23 @@ def _beyond(model, q):
 
 
 def units(reading):
-    """Return positions in degrees or turns."""
+    """Return positions in degrees, turns, or another unit, such as those of motors."""
     revolute, q, model = ~reading.slides, reading.q, reading.model
     out = _beyond(model, q) * revolute
     far = (out > number.FAR_BEYOND) & _limits(model)[2]
     many = np.count_nonzero(out > 0.1) > 0.5 * np.count_nonzero(revolute)
-    unit, short, factor, tried = "degrees", "deg", np.pi / 180, []
+    tried = [(revolute, "degrees", "deg", np.pi / 180)] if reading.poor else []
     if far.any() or many:
-        tried = [revolute, far] if far.any() and (far != revolute).any() else [revolute]
+        tried = [
+            (x, "degrees", "deg", np.pi / 180)
+            for x in ([revolute, far] if 0 < far.sum() < revolute.sum() else [revolute])
+        ]
     elif not out.any() and (_speeds(reading) < _fastest(model)).all():
-        unit, short, factor, tried = "turns", "rev", 2 * np.pi, [revolute]
+        tried.append((revolute, "turns", "rev", 2 * np.pi))
     # Limits that are exceeded by far are evidence as well.
     known, least = (2 * number.DECISIVE, -np.inf) if far.any() else (0.0, None)
     least, found = clear_of_all(reading) if least is None else least, []
-    for joints in tried:
+    for joints, unit, short, factor in tried:
         change = Change(factor=np.where(joints, factor, 1.0))
         # Of a joint without limits any angle may be right.
         if (_beyond(model, q * change.factor) * joints > 0).any():
@@ -253,7 +257,25 @@ def units(reading):
         facts = {"unit": unit, "short": short, "column": "{i}" if whole else str(j + 1)}
         facts |= {"name": reading.names[j], "low": q[:, j].min(), "high": q[:, j].max()}
         found.append(replace(one, log_odds=one.log_odds + known, facts=facts))
-    return most_probable(found)
+    best = most_probable(found)
+    if best is None or not _of_any_factor(reading, best.change.factor):
+        return best
+    # Smaller positions in general explain the torques, not this unit.
+    return replace(best, kind="position_unit", change=None)
+
+
+def _of_any_factor(reading, factor):
+    """Whether another factor of the positions than (nv,) explains torques as well."""
+
+    def evidence(size):
+        change = Change(factor=np.where(factor == 1.0, 1.0, size * factor))
+        robot = reading.robot_at(change)
+        # The unit of the torques may be another one, too.
+        scale = torque_factors(robot, alike=True)[0][0]
+        return max(robot.fit(scale=x).evidence for x in (1.0, scale) if x > 0)
+
+    most = max(evidence(size) for size in number.OTHER_UNITS)
+    return most > evidence(1.0) - number.RIVAL
 
 
 def counts(reading):
@@ -307,7 +329,7 @@ def implausible_speed(reading):
     if speed[j] > limit[j]:
         kind, severity = "wrong_dt:fast", "error"  # accelerations by the square
     elif slow and dt >= number.LONG_PERIOD:
-        kind, severity = "wrong_dt:slow", "doubt"  # such a motion may be on purpose
+        kind, severity = "wrong_dt:slow", "warning"  # such a motion may be on purpose
     else:
         return []
     facts = {"dt": dt, "name": reading.names[j], "other": _other_units(dt)}

@@ -200,7 +200,7 @@ def _rest(log):
 def _held(log):
     """Find channels that have new values at a lower rate."""
     # They lag by half a period and change in steps, which looks like delay, elasticity
-    # and friction at reversals, but they show the recorded motion: a doubt.
+    # and friction at reversals, but they show the recorded motion: a warning.
     rates = {}
     for what, channels in (("position", log.q), ("torque", log.tau)):
         rates[what] = np.zeros(len(log.names))
@@ -210,7 +210,7 @@ def _held(log):
         if joints.size:
             k = round(float(np.median(rates[what][joints])))
             facts = {"k": k, "late": 500 * (k - 1) * log.dt, "dt": k * log.dt}
-            log.report(f"held_{what}", joints, "doubt", what=what, **facts)
+            log.report(f"held_{what}", joints, "warning", what=what, **facts)
     log.held = rates["torque"] > 0
     moving = rates["position"][~log.still]
     if moving.size and moving.all():
@@ -268,7 +268,7 @@ def _repeated_rows(log):
     # sample period wrong.
     many = longest >= number.FROZEN_ROWS or count > number.MANY_REPEATED * len(log.q)
     every = range(len(log.names))
-    log.report("repeated_rows", every, "doubt" if many else "warning", found)
+    log.report("repeated_rows", every, "warning" if many else "note", found)
 
 
 # -- torques ---------------------------------------------------------------------------
@@ -364,7 +364,7 @@ def _dropped(log, j, x):
         return np.zeros_like(bad)
     # Adding zero leaves no minus before it.
     level = x[found[0][0]] + 0.0
-    log.report("torque_dropouts", j, "doubt", found, level=level)
+    log.report("torque_dropouts", j, "warning", found, level=level)
     return bad
 
 
@@ -391,7 +391,7 @@ def _clipped(log, j, x, moving):
         where = " and ".join(f"{level:.4g}" for level in sorted(ends))
         if len(ends) == 2 and np.isclose(ends[0], -ends[1], rtol=number.PLATEAU):
             where = f"+-{max(ends):.4g}"
-        severity = "doubt" if found.mean() > number.MANY_CLIPPED else "warning"
+        severity = "warning" if found.mean() > number.MANY_CLIPPED else "note"
         log.report("clipped_torque", j, severity, sorted(bad), where=where)
     return found
 
@@ -461,9 +461,9 @@ def _stuck(log, j, stands):
             stops = stops or sudden
     if found:
         level = x[max(found, key=lambda run: run[1] - run[0])[0]]
-        severity = "error" if stops else "doubt"
+        severity = "error" if stops else "warning"
         if _marked(x, found).mean() <= number.STUCK_SHARE:
-            severity = "warning"
+            severity = "note"
         log.report("stuck_position", j, severity, found, level=level)
     return _marked(x, [(a, min(b + 1, len(x) - 1)) for a, b in found])
 
@@ -483,7 +483,7 @@ def position_jumps(names, q, parts):
     log = Rows(names, whole, whole, 1.0, parts, np.arange(len(whole)))
     for j in joints:
         _jumps(log, j)
-    return [one for one in log.findings if one.severity == "doubt"]
+    return [one for one in log.findings if one.severity == "warning"]
 
 
 def _jumps(log, j):
@@ -510,7 +510,7 @@ def _jumps(log, j):
     sizes = np.array([x[k] - x[k - 1] for k in jumps])
     back = abs(sizes.sum()) < 0.5 * abs(sizes[0])
     facts = {"count": len(jumps), "step": sizes[0], "row": log.rows[jumps[0]]}
-    log.report("position_jumps", j, "warning" if back else "doubt", **facts)
+    log.report("position_jumps", j, "note" if back else "warning", **facts)
     return _marked(x, [(max(k - 2, 0), k + 1) for k in jumps])
 
 

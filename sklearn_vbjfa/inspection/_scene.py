@@ -45,7 +45,7 @@ def weightless(reading):
     severity = ""
     if len(joints) < 2:
         # What balances a single joint is likelier a spring.
-        severity, facts["other"] = "doubt", " Or a spring balances it."
+        severity, facts["other"] = "warning", " Or a spring balances it."
     now = max(robot.now.evidence, robot.fit(scale=scale).evidence)
     known = {"log_odds": best - now, "severity": severity, "facts": facts}
     return Candidate(joints=tuple(joints), **known)

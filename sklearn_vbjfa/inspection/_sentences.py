@@ -14,7 +14,7 @@ _HELD = (
 )
 _COPIED = (
     "The {what} of {second} is {factor:.4g} times that of {first} in every row: one "
-    "channel was logged twice. Log the other one, or leave the joint out (--joints)."
+    "channel was logged twice. Log the other one, or leave the joint out (joint_names)."
 )
 _SWAPPED = (
     "The {what} of {pair} appear to be swapped ({evidence}). Exchange the columns."
@@ -25,8 +25,8 @@ _ORDER = (
 )
 _UNIT = (
     "The positions of {who} look like {unit}: {name} runs from {low:.4g} to "
-    "{high:.4g}, and in {unit} they explain the torques better ({evidence}). Give the "
-    'mapping "q=q{column} [{short}]" with the names of your columns (--columns).'
+    "{high:.4g}, and in {unit} they explain the torques better ({evidence}). Convert "
+    'them, or give columns="q=q{column} [{short}]" with the names of your columns.'
 )
 _UNVERIFIED = (
     "The size and the signs of the torques, the zeros and the direction of gravity "
@@ -71,13 +71,17 @@ SENTENCES = {
     "copied_position": _COPIED,
     "copied_torque": _COPIED,
     "motion_as_torque": "The torques are the {what} of the joints to {share}: the "
-    "wrong columns were taken. Give those of the torques (--columns).",
+    "wrong columns were taken. Give those of the torques (columns).",
     # -- positions and time
     "position_degrees": _UNIT,
     "position_turns": _UNIT,
+    "position_unit": "The positions of {who} are not in radians: {name} runs from "
+    "{low:.4g} to {high:.4g}, and several units explain the torques as well "
+    "({evidence}). Divide positions of motors by the gear ratios, or give their unit "
+    "(columns).",
     "position_counts": "The positions of {who} are not in {units}: {name} has "
-    "{numbers} from {low:.6g} to {high:.6g}, more than it can move; they look like "
-    "{guess}. Convert them to {unit}, from the joint's zero.",
+    "{numbers} from {low:.6g} to {high:.6g}; they look like {guess} or positions of "
+    "the motors. Convert them to {unit}, from the joint's zero.",
     "position_zero": "The zero of {who} appears to be off by about {off:.0f} degrees "
     "({evidence}). Add {add:+.0f} degrees to its position or, if the robot is mounted "
     "in another way or carries a tool, correct the model.",
@@ -110,14 +114,14 @@ SENTENCES = {
     "Multiply it by -1.",
     "torque_unit": "All torques together are {factor:.3g} ({low:.2g} to {high:.2g}) "
     "times what the described masses require: they are {what} than N m{inside}, or the "
-    "described masses are wrong. Give the factor to N m (--gain {gain:.3g}){unknown}; "
-    'if they are N m, use --bodies free (Python: bodies="free").',
+    "described masses are wrong. Give the factor to N m (gains={gain:.3g}){unknown}; "
+    'if they are N m, use bodies="free".',
     "torque_unit:limits": "The torques of {who} reach {most:.3g} times the limits of "
     "the description, in the median: they are in another unit than N m or N, or the "
-    "limits are wrong. Give the factors to N m (--gain), or correct the limits.",
+    "limits are wrong. Give the factors to N m (gains), or correct the limits.",
     "torque_factors": "The torques have different factors against what the described "
     "masses require ({each}): motor currents, or shares of each joint's rated torque. "
-    'Give the factors to N m (--gain), or --gain unknown (Python: gains="unknown").',
+    'Give the factors to N m (gains), or gains="unknown".',
     "gear_factor": "The torque of {who} is {factor:.3g} times what the described "
     "masses require: torque of the motor, a current, or another unit. Multiply it by "
     "the gear ratio (about {ratio} would fit).",
@@ -128,11 +132,10 @@ SENTENCES = {
     "{share} of them: check whether it describes this robot, and their unit.",
     "silent_torque": "The torque of {who} does not follow the motion and is {size:.2g} "
     "times what the description requires: noise alone. Check the cable or the column, "
-    "or leave the joint out (--joints).",
+    "or leave the joint out (joint_names).",
     "unsigned_torque": "The torques of {who} have one sign only, and with signs that "
     "change the motion explains them better: their signs were not logged, as of "
-    'unsigned currents. Give --drive "{drive}", which finds the signs (Python: '
-    "drive=CurrentDrive(signed=False)).",
+    "unsigned currents. Give drive=CurrentDrive(signed=False), which finds the signs.",
     "no_gravity": "The torques contain no weight of the links: the factor of gravity "
     "is {share:.2f} ± {error:.2f} (described weight: up to {heavy:.3g} N m on "
     "{who}).{other} Log the torques before the controller takes the weight off, or add "

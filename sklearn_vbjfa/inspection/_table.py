@@ -23,8 +23,7 @@ class Hypothesis:
     # When it is looked for: always, only if torques agree badly with the description
     # or another hypothesis is probable, after all others, or if nothing was found.
     when: str = "always"
-    repairs: bool = True  # whether its change undoes what was done
-    unclear: str = ""  # kind of the warning if a candidate is probable but not clear
+    unclear: str = ""  # kind of the note if a candidate is probable but not clear
     prior: float = number.PRIOR  # log odds against the log as it is
 
     def candidate(self, reading):
@@ -44,7 +43,7 @@ class Hypothesis:
             self.unclear if unclear else candidate.kind or self.name,
             reading.names,
             candidate.joints,
-            "warning" if unclear else candidate.severity or self.severity,
+            "note" if unclear else candidate.severity or self.severity,
             value=candidate.value,
             remedy=None if unclear else candidate.remedy,
             rivals=rivals,
@@ -65,26 +64,24 @@ TABLE = (
     Hypothesis("swapped_joints", "error", positions.joint_orders, "several", "poor"),
     Hypothesis("flipped_joint", "error", positions.flipped, when="poor"),
     Hypothesis("position_sign", "error", positions.mirrored, when="poor"),
-    # A doubt: another mounting or tool looks the same, with a wrong geometry only.
-    Hypothesis("position_zero", "doubt", positions.zero, when="poor"),
+    # A warning: another mounting or tool looks the same, with a wrong geometry only.
+    Hypothesis("position_zero", "warning", positions.zero, when="poor"),
     Hypothesis("wrong_dt", "error", positions.periods),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),
-    Hypothesis("torque_unit", "doubt", torques.scaled, "measured"),
-    Hypothesis("torque_factors", "doubt", torques.scaled_each, "measured"),
-    Hypothesis("gear_factor", "doubt", torques.commanded_size, "commanded"),
-    Hypothesis("computed_torque", "doubt", torques.computed, "measured", repairs=False),
-    Hypothesis("silent_torque", "error", torques.silent, "measured", repairs=False),
+    Hypothesis("torque_unit", "warning", torques.scaled, "measured"),
+    Hypothesis("torque_factors", "warning", torques.scaled_each, "measured"),
+    Hypothesis("gear_factor", "warning", torques.commanded_size, "commanded"),
+    Hypothesis("computed_torque", "warning", torques.computed, "measured"),
+    Hypothesis("silent_torque", "error", torques.silent, "measured"),
     # -- scene
-    Hypothesis("no_gravity", "error", scene.weightless, "weighs", repairs=False),
-    Hypothesis("gravity_only", "error", scene.weight_alone, "weighs", repairs=False),
+    Hypothesis("no_gravity", "error", scene.weightless, "weighs"),
+    Hypothesis("gravity_only", "error", scene.weight_alone, "weighs"),
     Hypothesis("base_orientation", "error", scene.turned, "weighs"),
-    Hypothesis("external_force", "doubt", scene.contact, "unexplained", "last",
-               repairs=False),
-    Hypothesis("delay", "warning", scene.late, "measured", "last", repairs=False),
-    Hypothesis("torque_unit", "doubt", torques.beyond_limits, "measured", "last",
-               repairs=False),
-    Hypothesis("other_robot", "doubt", torques.of_another, "unexplained",
-               "nothing else", repairs=False),
+    Hypothesis("external_force", "warning", scene.contact, "unexplained", "last"),
+    Hypothesis("delay", "note", scene.late, "measured", "last"),
+    Hypothesis("torque_unit", "warning", torques.beyond_limits, "measured", "last"),
+    Hypothesis("other_robot", "warning", torques.of_another, "unexplained",
+               "nothing else"),
 )
 # fmt: on

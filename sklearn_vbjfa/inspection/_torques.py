@@ -85,7 +85,7 @@ def _negative(joints, nv):
 # -- size ------------------------------------------------------------------------------
 
 
-def _factors(robot, alike):
+def torque_factors(robot, alike):
     """Return factors of torques against the described ones, and their errors."""
     # alike: one for all joints; factors that are not shown stay as sizes say.
     nv, sizes = robot.bodies.nv, robot.sizes
@@ -113,14 +113,14 @@ def _factors(robot, alike):
 
 def scaled(reading):
     """Return all torques over a factor against the described ones."""
-    factors, error, *_ = _factors(reading.robot, alike=True)
+    factors, error, *_ = torque_factors(reading.robot, alike=True)
     factor, error = float(factors[0]), float(error[0])
     if factor <= 0 or 1 / number.SCALE < factor < number.SCALE:
         return None
     low, high = factor * np.exp([-error, error])
     units = " or ".join(name for name, x in _UNITS.items() if low < 1 / x < high)
     what = "motor currents, or in another unit" if factor < 1 else "in another unit"
-    unknown = ', or --gain unknown (Python: gains="unknown")' if reading.nv > 1 else ""
+    unknown = ', or gains="unknown"' if reading.nv > 1 else ""
     robot = reading.robot
     return Candidate(
         change=Change(scale=1 / factor),
@@ -136,7 +136,7 @@ def scaled(reading):
 def scaled_each(reading):
     """Return torques of which one has another factor than the rest, or all have."""
     nv = reading.nv
-    factors, _, known, seen = _factors(reading.robot, alike=False)
+    factors, _, known, seen = torque_factors(reading.robot, alike=False)
     # Far from those of others, a factor may be uncertain.
     shown = np.flatnonzero(seen)
     if not shown.size:
@@ -147,7 +147,7 @@ def scaled_each(reading):
     away = np.abs(logs - middle) > np.log(number.SINGLE)
     # Of two joints, it is the one whose torque is farther from the described one.
     if away.sum() == 1 or (away.any() and shown.size == 2):
-        # A doubt and not an error: a description with invented inertias looks the same.
+        # No error: a description with invented inertias looks the same.
         j = int(shown[np.argmax(np.abs(logs) * away)])
         ratio = 1 / factors[j]
         change = Change(scale=np.where(np.arange(nv) == j, ratio, 1.0))
@@ -284,7 +284,7 @@ def unsigned_torques(reading):
     if not found:
         return []
     args = "unsigned_torque", reading.names, one_way, "error"
-    return [finding(*args, remedy={"drive": UNSIGNED}, drive=UNSIGNED)]
+    return [finding(*args, remedy={"drive": UNSIGNED})]
 
 
 def signed_columns(regressor, states, bodies):

@@ -20,6 +20,7 @@ from sklearn_vbjfa.recording._recording import Recording
 from sklearn_vbjfa.recording._table import (
     Loss,
     NotATable,
+    RecordingRefused,
     Table,
     is_clock,
     is_current,
@@ -385,7 +386,16 @@ def read_recording(
         tables = [one for path in paths for one in tables_in(path) or [Path(path)]]
         files = [_joined([_table(one, options) for one in tables], options)]
     else:
-        files = _read(paths, options, notes)
+        try:
+            files = _read(paths, options, notes)
+        except RecordingRefused as error:
+            if len(paths) < 2 or not _is_joined(paths, options):
+                raise
+            raise RecordingRefused(
+                f"{error.reason}; files of one recording are read side by side with "
+                "join=True",
+                {"join": True},
+            ) from None
     notes += _named((str(file.path), file.notes) for file in files)
     recording = files[0].recording
     if len(files) > 1 or not (join or isinstance(path, (str, PathLike))):
@@ -485,6 +495,15 @@ def _joined(tables, options):
     read = _file(joined(tables, options.joints, path), options)
     name = common_folder([one.path for one in tables]) or read.recording.name
     return replace(read, recording=replace(read.recording, name=name))
+
+
+def _is_joined(paths, options):
+    """Whether files are one recording side by side."""
+    try:
+        _joined([_table(path, options) for path in paths], options)
+    except ValueError:
+        return False
+    return True
 
 
 def _table(path, options):

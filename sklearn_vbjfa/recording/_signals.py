@@ -27,7 +27,7 @@ _ROUNDING = 1e-12
 
 
 # From worst to least.
-SEVERITIES = ("error", "doubt", "warning")
+SEVERITIES = ("error", "warning", "note")
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class ChannelFinding:
         Name of the fault, such as "torque_sign"; see `inspect_channels`.
     joints : tuple of int
         Affected joints, counted from 0.
-    severity : {"error", "doubt", "warning"}
-        "error": a fit would be wrong and identify the fault. "doubt": a fit may be
+    severity : {"error", "warning", "note"}
+        "error": a fit would be wrong and identify the fault. "warning": a fit may be
         wrong and supports no favourable verdict, but the evidence has another
-        explanation or the harm is limited. "warning": a fit would be needlessly
+        explanation or the harm is limited. "note": a fit would be needlessly
         inaccurate, or something cannot be verified.
     message : str
         One line: the channel by name, the evidence in numbers, the remedy.
@@ -232,7 +232,7 @@ def survey(given, offered, recording, effects):
             # What is known already is not left out.
             kind="copied_signal" if _COPIED in reason else "unusable_signal",
             joints=(),
-            severity="warning",
+            severity="note",
             message=f"The column {name!r} is not used as a signal: it {reason}.",
         )
         for name, reason in reasons.items()

@@ -211,7 +211,7 @@ def run(task):
         used = real(model, made.inertial) if what == "base turned" else model
         q, tau, dt, strength = function(used, q, tau, dt, *known)
     found = inspect_channels(model, q, tau, dt)
-    grave = [x for x in found if x.severity != "warning" or x.kind == "delay"]
+    grave = [x for x in found if x.severity != "note" or x.kind == "delay"]
     kinds = {x.kind for x in grave}
     right = bool(kinds) and kinds <= set(names.split())
     if right and what == "late":
@@ -262,7 +262,7 @@ def measured(data_home):
             found = inspect_channels(one.robot_model(), *known)
             if any(unit not in ("N m", "N", "") for unit in one.torque_units):
                 found = [x for x in found if x.kind != "torque_unit"]
-            cells.append(", ".join(x.kind for x in found if x.severity != "warning"))
+            cells.append(", ".join(x.kind for x in found if x.severity != "note"))
         rows.append([cells[0], *(cell or "none" for cell in cells[1:])])
     return rst_table(rows, ["set", "whole", "first half", "second half"], n_labels=4)
 

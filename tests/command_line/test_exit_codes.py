@@ -95,7 +95,7 @@ RECORDINGS = {
         lambda x: x | {k: np.abs(x[k]) for k in ("tau1", "tau2")},
         {
             "": (2, "signs were not logged.*--drive 'current signed=no'$"),
-            "inspect": (3, 'signs were not logged.*--drive "current signed=no"'),
+            "inspect": (3, "signs were not logged.*--drive 'current signed=no'"),
         },
     ),
     "a lower rate": (

@@ -1,5 +1,7 @@
 """The command inspect: what the data are, what is wrong, what they can show."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -55,6 +57,13 @@ def test_what_is_wrong_is_said(made, tmp_path, capsys):
     wrong = out.partition("Faults\n")[2]
     assert wrong.startswith("- error: ")
     assert "joint_1" in wrong.splitlines()[0]
+
+
+def test_a_refusal_gives_options(made, tmp_path, capsys):
+    path = plain(made, tmp_path)
+    path.write_text(re.sub(r"\b(q|tau)(\d)", r"x\1_\2x", path.read_text()))
+    assert main(["inspect", str(path), "--urdf", made.urdf]) == 2
+    assert "--columns 'q=NAME{i}," in capsys.readouterr().err
 
 
 def test_currents_are_no_fault(made, tmp_path, capsys):

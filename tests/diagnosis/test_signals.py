@@ -201,7 +201,7 @@ def test_columns_of_a_frame_are_candidates_and_the_report_says_which_are_not(war
     }
     assert set(found) == {"gaps", "fixed", "operator", "reference", "clock", "t"}
     assert {c.kind for c in found.values()} == {"unusable_signal"}
-    assert {c.severity for c in found.values()} == {"warning"}
+    assert {c.severity for c in found.values()} == {"note"}
     said = text_of(loop.report_)
     for reason in (
         "'gaps' is not used as a signal: it has gaps",

@@ -1,5 +1,6 @@
 """A fit that contradicts the description says what is wrong with its log."""
 
+import re
 import warnings
 
 import numpy as np
@@ -9,7 +10,8 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
-from sklearn_vbjfa.model import DoubtWarning
+from sklearn_vbjfa.model import DoubtWarning, described_torques
+from tests.inspection.test_many_joints import arms, recorded
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +42,34 @@ def test_a_fit_warns_of_a_wrong_sign_and_of_another_unit(recording):
     # Which scale torques have is nobody's business if gains are to be identified.
     for settings in ({"gains": "unknown"}, {"bodies": "free"}):
         assert told(recording, recording.q, 10.2 * recording.tau, **settings) == []
+
+
+@pytest.mark.parametrize(
+    ("factor", "size", "said"),
+    [
+        (180 / np.pi, 1.0, 'look like degrees.* columns="q=q{i} .deg."'),
+        (180 / np.pi, 0.2, "look like degrees"),
+        (100.0, 1.0, "several units explain .*Divide positions of motors"),
+    ],
+)
+def test_units_of_positions_come_before_the_size_of_torques(factor, size, said):
+    model, dt = arms(1), 0.01
+    q = recorded(model).q
+    q = q.mean(axis=0) + size * (q - q.mean(axis=0))
+    v = np.gradient(q, dt, axis=0)
+    a = np.gradient(v, dt, axis=0)
+    tau = described_torques(model, q, v, a)
+    noise = 0.05 * np.random.default_rng(0).normal(size=q.shape)
+    robot = RobotIdentifier(model, dt=dt)
+    with pytest.warns(DoubtWarning, match="positions of all joints") as caught:
+        robot.fit(factor * q, sum(tau) + 0.5 * np.sign(v) + 0.3 * v + noise)
+    assert re.search(said, str(caught[0].message))
+    assert "--" not in str(caught[0].message)
+
+
+def test_a_fit_warns_of_torques_of_the_other_sign(recording):
+    (message,) = told(recording, recording.q, -recording.tau)
+    assert "The torque of all joints has the wrong sign" in message
 
 
 def test_a_fit_warns_of_a_stuck_encoder(recording):

@@ -61,7 +61,7 @@ def inspect(arm, q=None, tau=None):
     findings = inspect_channels(model, q, tau, recording.dt)
     for finding in findings:
         assert isinstance(finding, ChannelFinding)
-        assert finding.severity in {"error", "doubt", "warning"}
+        assert finding.severity in {"error", "warning", "note"}
         assert "\n" not in finding.message
         if len(finding.joints) < recording.nv:
             for j in finding.joints:
@@ -119,7 +119,7 @@ def test_nothing_wrong_is_found_in_measured_recordings(measured_data_home, name)
     findings = inspect_recording(recording)
     told = found(one for one in findings if one.kind != "unverified")
     assert told == TRUE_FINDINGS.get(name, set())
-    assert all(finding.severity == "warning" for finding in findings)
+    assert all(finding.severity == "note" for finding in findings)
 
 
 # -- what is wrong is found, and nothing else ------------------------------------------
@@ -140,7 +140,7 @@ def test_motor_torques_are_told_by_their_size(arm):
     tau = arm[0].tau.copy()
     tau[:, 1] /= 100.0
     findings = inspect(arm, tau=tau)
-    message = only(findings, "gear_factor", (1,), "doubt")
+    message = only(findings, "gear_factor", (1,), "warning")
     factor = float(message.split("about ")[1].split()[0])
     assert 60 < factor < 160
 
@@ -151,7 +151,7 @@ def test_torques_out_of_step(arm, late):
     q, tau = recording.q, recording.tau
     q, tau = (q[late:], tau[:-late]) if late > 0 else (q[:late], tau[-late:])
     findings = inspect_channels(model, q, tau, recording.dt)
-    message = only(findings, "delay", tuple(range(6)), "warning")
+    message = only(findings, "delay", tuple(range(6)), "note")
     assert f"{'late' if late > 0 else 'early'} against" in message
     milliseconds = float(message.split(" are ")[1].split()[0])
     assert milliseconds == pytest.approx(15, abs=2)
@@ -163,7 +163,7 @@ def test_clipped_torque(arm):
     tau[:, 1] = np.clip(tau[:, 1], -limit, limit)
     share = np.mean(np.abs(arm[0].tau[:, 1]) >= limit)
     assert share > 0.02
-    message = only(inspect(arm, tau=tau), "clipped_torque", (1,), "doubt")
+    message = only(inspect(arm, tau=tau), "clipped_torque", (1,), "warning")
     told = re.search(f"clipped at \\+-{limit:.4g}: (.*) % of its samples", message)
     # Those of short runs are not counted.
     assert 0.8 * share < 0.01 * float(told[1]) < 1.01 * share
@@ -173,7 +173,7 @@ def test_torques_that_drop_to_zero_are_no_friction(arm):
     tau = arm[0].tau.copy()
     rows = np.concatenate([np.arange(k, k + 30) for k in range(200, 3000, 400)])
     tau[rows, 3] = 0.0
-    message = only(inspect(arm, tau=tau), "torque_dropouts", (3,), "doubt")
+    message = only(inspect(arm, tau=tau), "torque_dropouts", (3,), "warning")
     assert "up to 0.15 s" in message
     times = int(message.split(" time(s)")[0].split()[-1])
     # Some begin or end where the torque is near zero by itself.
@@ -183,7 +183,7 @@ def test_torques_that_drop_to_zero_are_no_friction(arm):
 def test_torques_that_stay_at_a_value_are_no_friction(arm):
     tau = arm[0].tau.copy()
     tau[1500:2300, 3] = tau[1500, 3]
-    message = only(inspect(arm, tau=tau), "torque_dropouts", (3,), "doubt")
+    message = only(inspect(arm, tau=tau), "torque_dropouts", (3,), "warning")
     assert f"stays at {tau[1500, 3]:.4g} " in message
     longest = float(message.split("up to ")[1].split(" s)")[0])
     # Without the time that the joint is at rest.
@@ -208,8 +208,8 @@ def test_coarse_torques_are_that_and_nothing_else(arm):
 )
 def test_currents_do_not_pass_for_torques(arm, constant):
     (finding,) = inspect(arm, tau=arm[0].tau / constant)
-    assert (finding.kind, finding.severity) == ("torque_unit", "doubt")
-    assert "--gain unknown" in finding.message
+    assert (finding.kind, finding.severity) == ("torque_unit", "warning")
+    assert 'gains="unknown"' in finding.message
     factor = float(finding.message.split("are ")[1].split()[0])
     assert factor == pytest.approx(1 / np.median(constant), rel=0.5)
 
@@ -219,7 +219,7 @@ def test_frozen_positions(arm):
     fast = np.flatnonzero(np.abs(arm[0].states[:, 6 + 2]) > 0.5)
     start = fast[fast > 1000][0]
     q[start : start + 20, 2] = q[start, 2]
-    message = only(inspect(arm, q=q), "stuck_position", (2,), "warning")
+    message = only(inspect(arm, q=q), "stuck_position", (2,), "note")
     assert "for 20 rows (0.1 s)" in message
     assert f"the first is row {start})" in message
 
@@ -228,16 +228,14 @@ def test_repeated_rows(arm):
     q, tau = arm[0].q.copy(), arm[0].tau.copy()
     rows = 100 + 40 * np.arange(60)
     q[rows], tau[rows] = q[rows - 1], tau[rows - 1]
-    message = only(
-        inspect(arm, q=q, tau=tau), "repeated_rows", tuple(range(6)), "warning"
-    )
+    message = only(inspect(arm, q=q, tau=tau), "repeated_rows", tuple(range(6)), "note")
     assert message.startswith("60 rows")
 
 
 def test_spikes(arm):
     q = arm[0].q.copy()
     q[777, 3] += 0.1
-    assert "row 777" in only(inspect(arm, q=q), "position_jumps", (3,), "warning")
+    assert "row 777" in only(inspect(arm, q=q), "position_jumps", (3,), "note")
 
 
 def test_channels_without_information(arm):
@@ -334,7 +332,7 @@ def test_a_frozen_logger(arm):
     q[1000:1060], tau[1000:1060] = q[1000], tau[1000]
     findings = inspect(arm, q=q, tau=tau)
     ((joints, severity),) = grave(findings, "repeated_rows")
-    assert (joints, severity) == (tuple(range(6)), "doubt")
+    assert (joints, severity) == (tuple(range(6)), "warning")
     assert "up to 59 in a row, the first in row 1001" in findings[0].message
 
 
@@ -401,7 +399,7 @@ def test_encoder_counts_of_a_joint_without_limits():
     rng = np.random.default_rng(0)
     tau = np.cos(turning) + 0.2 + 0.01 * rng.normal(size=t.size)
     sound = inspect_channels(model, turning[:, None], tau[:, None], 0.01)
-    assert not {f.severity for f in sound} & {"error", "doubt"}
+    assert not {f.severity for f in sound} & {"error", "warning"}
     counts = np.round(turning * 4096 / (2 * np.pi))
     found_ = inspect_channels(model, counts[:, None], tau[:, None], 0.01)
     assert grave(found_, "position_counts") == [((0,), "error")]

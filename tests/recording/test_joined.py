@@ -67,7 +67,9 @@ def test_files_are_joined_where_that_is_asked_for(two, made):
     paths = [two / "positions.csv", two / "efforts.csv"]
     recording, _ = read(paths, made, join=True)
     assert_same(recording, made)
-    assert "no torques: expected columns tau1" in str(refused(paths, made))
+    error = refused(paths, made)
+    assert "no torques: expected columns tau1" in str(error)
+    assert "try join=True" in str(error)
 
 
 def test_the_names_of_files_name_columns_that_have_none(five, made):

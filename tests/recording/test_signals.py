@@ -138,7 +138,7 @@ def test_what_is_offered_is_taken_or_said():
     found, said = survey(None, offered, MEASURED, (Uses(),))
     assert list(found) == ["warm"]
     assert [one.message.split("'")[1] for one in said] == ["label", "torque", "gap"]
-    assert all(one.joints == () and one.severity == "warning" for one in said)
+    assert all(one.joints == () and one.severity == "note" for one in said)
     # What is known already is not left out.
     kinds = ["unusable_signal", "copied_signal", "unusable_signal"]
     assert [one.kind for one in said] == kinds

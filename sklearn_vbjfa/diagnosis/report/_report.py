@@ -103,8 +103,8 @@ class Report:
         ]
         channels = {True: [], False: []}
         for one in findings["channels"]:
-            if one.severity != "warning" or one.kind in NO_INFORMATION:
-                channels[one.severity != "warning"].append(one.message)
+            if one.severity != "note":
+                channels[one.kind not in NO_INFORMATION].append(one.message)
         apart = [self._voice("contradiction")] if findings["contradictions"] else []
         export = self.outcome.provenance.get("export", ())
         return (*apart, *channels[True], *joints, *gains, *channels[False], *export)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR
+from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR, NO_INFORMATION
 from sklearn_vbjfa.diagnosis.report import _words as words
 
 # A refit moves the errors of all joints; a rise below this factor is no harm.
@@ -88,7 +88,11 @@ def judge(outcome, label):
     """Judge an outcome, as a `Verdict`; label: joint -> its name in a sentence."""
     findings = outcome.findings
     joints = tuple(_judge_joint(outcome, own, label) for own in outcome.errors)
-    faults = tuple(c.message for c in findings["channels"] if c.severity == "doubt")
+    faults = tuple(
+        one.message
+        for one in findings["channels"]
+        if one.severity == "warning" and one.kind not in NO_INFORMATION
+    )
     status, errors = _status(outcome, joints, faults), mean_errors(outcome)
     worse = [outcome.errors[one.joint] for one in joints if one.status == "worse"]
     fell = errors.after < min(errors.before, errors.plain)

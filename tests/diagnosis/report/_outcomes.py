@@ -34,7 +34,7 @@ KINDS = (
 )
 
 
-def finding(message, severity="warning"):
+def finding(message, severity="note"):
     return ChannelFinding("some_fault", (0,), severity, message)
 
 

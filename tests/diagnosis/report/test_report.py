@@ -66,7 +66,7 @@ STATUS = {
     "failed": {"after": np.full(6, 1.0)},
     "no data": {"before": UNKNOWN, "after": UNKNOWN},
     "unsearched": {"n_effects": 0, "searched": np.zeros(6, dtype=bool)},
-    "faulty": {"channels": (finding("Joint 2 is swapped.", "doubt"),)},
+    "faulty": {"channels": (finding("Joint 2 is swapped.", "warning"),)},
 }
 
 
@@ -122,7 +122,7 @@ def test_each_joint_has_a_verdict():
 
 def test_a_faulty_channel_comes_first():
     message = "The torque of joint 1 is 0.1 times what the model asks for."
-    faults = (finding("Joint 2 stands still."), finding(message, "doubt"))
+    faults = (finding("Joint 2 stands still."), finding(message, "warning"))
     for case in CASES.values():
         report = Report(make_outcome(**(case | {"channels": faults})))
         assert message in report.headline[:100]

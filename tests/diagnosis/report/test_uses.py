@@ -53,7 +53,7 @@ def test_a_joint_that_got_worse_forbids_feedforward():
 
 
 def test_a_faulty_channel_forbids_every_use():
-    report = Report(make_outcome(channels=(finding("Wrong sign.", "doubt"),)))
+    report = Report(make_outcome(channels=(finding("Wrong sign.", "warning"),)))
     assert report.status == "faulty"
     assert set(of(report).values()) == {False}
 

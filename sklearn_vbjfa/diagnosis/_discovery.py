@@ -378,8 +378,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             )
         if given.criterion != "torque":
             raise ValueError(
-                'identifier must have criterion="torque", as the search looks at what '
-                f"torques leave; got {given.criterion!r}. Refine the result "
+                'identifier must have criterion="torque"; the search needs torque '
+                f"residuals. Got {given.criterion!r}. Refine the result "
                 'afterwards: loop.identifier_.set_params(criterion="simulation").'
             )
         if not (isinstance(self.alpha, (int, float)) and 0 < self.alpha < 1):

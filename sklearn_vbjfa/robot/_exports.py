@@ -521,7 +521,8 @@ def warn_of_motion(robot, joints, file_name):
             f"{file_name} moves differently from the identified robot "
             f"({', '.join(sizes)}). "
             "Changes are those of positions within a second, over their standard "
-            "deviation. MuJoCo lacks such friction: simulate identified.json.",
+            "deviation. MuJoCo lacks such friction: simulate the saved robot "
+            "(identified.json).",
             DoubtWarning,
             stacklevel=3,
         )

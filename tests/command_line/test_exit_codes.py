@@ -259,15 +259,8 @@ def test_a_file_that_moves_differently_is_named_with_the_joint(here, capsys):
     table = columns()
     speed = np.gradient(table["q2"], DT)
     table["tau2"] = table["tau2"] * (1 + 0.2 * np.sign(speed * table["tau2"]))
-    argv = [
-        "identify",
-        write(table),
-        "--urdf",
-        "arm.urdf",
-        "--effects",
-        "load_friction",
-    ]
-    assert main([*argv, "--out", "out"]) == 3
+    argv = ["identify", write(table), "--urdf", "arm.urdf", "--out", "out"]
+    assert main([*argv, "--effects", "load_friction"]) == 3
     captured = capsys.readouterr()
     assert "MuJoCo file is an approximation" in " ".join(captured.out.split())
     said = r"identified.xml moves differently from the identified robot \(.*elbow \d+ %"

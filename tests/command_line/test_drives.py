@@ -118,7 +118,7 @@ def test_the_report_has_positions_from_commands_alone(run, told, tmp_path):
     assert found["units"] == ["rad", "rad"]
     assert found["failed"] == {}
     assert found["plain"] == found["after"]
-    before, after, aim = (np.array(found[x]) for x in ("before", "after", "told"))
+    before, after, aim = (np.array(found[x]) for x in ("before", "after", "commands"))
     assert (after < 3e-3).all()
     assert (before > 5 * after).all()
     assert (aim > 20 * after).all()

@@ -7,14 +7,14 @@ import numpy as np
 import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._candidates import (
+from sklearn_vbjfa.inspection._reading import (
+    Change,
     best_of,
     clear,
     clear_of_all,
     judged,
     most_probable,
 )
-from sklearn_vbjfa.inspection._reading import Change
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.inspection._torques import torque_factors
 from sklearn_vbjfa.model import is_prismatic

@@ -3,9 +3,8 @@
 import numpy as np
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._candidates import Candidate, most_probable
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
-from sklearn_vbjfa.inspection._reading import Change
+from sklearn_vbjfa.inspection._reading import Candidate, Change, most_probable
 from sklearn_vbjfa.model import import_pinocchio
 
 # -- weight ----------------------------------------------------------------------------

@@ -4,8 +4,7 @@ import numpy as np
 import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._candidates import Candidate, judged
-from sklearn_vbjfa.inspection._reading import Change
+from sklearn_vbjfa.inspection._reading import Candidate, Change, judged
 from sklearn_vbjfa.inspection._sentences import finding, percent
 from sklearn_vbjfa.model import TreeRegressor, nominal_parameters
 from sklearn_vbjfa.recording import UNSIGNED, listed_joints

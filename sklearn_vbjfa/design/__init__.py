@@ -1,4 +1,4 @@
-"""Motions to record next: they determine the model and part what may be missing."""
+"""Design of exciting trajectories."""
 
 from typing import TYPE_CHECKING
 

@@ -376,8 +376,8 @@ def best_drawn(problem, rng):
             found.append((-worth(M, problem.questions).value, k, z))
     if not found:
         raise ValueError(
-            f"The limits leave no room: torques hold the robot in few poses, and none "
-            f"of {_DRAWN} random motions starts in one. Give larger torque limits."
+            "Infeasible torque limits: static torques exceed them at the start of all "
+            f"{_DRAWN} random motions. Raise the torque limits."
         )
     return [z for _, _, z in sorted(found, key=lambda one: one[:2])[:_STARTS]]
 
@@ -436,9 +436,9 @@ def _check_held(problem, names, rng):
     if best[j] < _HELD:
         distance, links = problem.clearance.nearest(poses[:1])
         raise ValueError(
-            f"The limits leave no room: bodies meet in all of {POSES} random poses; "
-            f"{' and '.join(links)} are {1e3 * distance:.0f} mm apart, where "
-            f"{1e3 * problem.room:.0f} mm are kept. Give other limits of position."
+            f"Infeasible position limits: self-collision in all {POSES} random poses; "
+            f"{' and '.join(links)} are {1e3 * distance:.0f} mm apart "
+            f"({1e3 * problem.room:.0f} mm required). Change the position limits."
         )
     enough = rounded_up(np.maximum(limits.torque, best * limits.torque / _HELD))
     raise MotionRefused(

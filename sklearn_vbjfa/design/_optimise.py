@@ -1,4 +1,4 @@
-"""What a motion is worth, and the best motion within limits.
+"""Objective and optimisation of trajectories.
 
 With rows x_tj, weights w_tj and noise sigma_j the information on all coefficients is M
 = sum_tj w_tj x_tj x_tj' / sigma_j^2, that on the model alone its block M_AA, of n

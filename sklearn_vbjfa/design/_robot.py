@@ -171,9 +171,8 @@ def _tell_unknown(unknown, names):
     named = [name for name, bad in zip(names, unknown) if bad]
     if named:
         warnings.warn(
-            f"The encoder noise of {', '.join(named)} is not known, as no recording of "
-            "the robot is long enough to show it, and counts as none: the motion may "
-            "be quicker than is good. Identify from a recording of 16 samples or more.",
+            f"The encoder noise of {', '.join(named)} is unknown (no recording of 16 "
+            "samples or more) and assumed zero: the motion may be too fast.",
             UserWarning,
             stacklevel=5,
         )

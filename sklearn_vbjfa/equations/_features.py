@@ -385,11 +385,9 @@ def parameter_names_of(names, nv):
         if all(_one_joint(block, parameters) for block in blocks):
             return tuple(parameters)
     raise ValueError(
-        "Columns of RigidBodyFeatures were left out, renamed or put in another order "
-        f"before this regressor: {len(names)} columns from {names[0]} to {names[-1]} "
-        f"are not the same parameters for each of {nv} joints. Take the step between "
-        "the two out of the pipeline; a selection of columns belongs inside the "
-        "regressor, as in make_pipeline(SelectFromModel(...), Lasso())."
+        "Columns of RigidBodyFeatures were removed, renamed or reordered before this "
+        f"regressor ({len(names)} for {nv} joints). Select columns inside the "
+        "regressor: make_pipeline(SelectFromModel(...), Lasso())."
     )
 
 

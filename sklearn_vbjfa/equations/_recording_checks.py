@@ -95,9 +95,8 @@ def check_channels(names, positions, torques, n_rows):
     dead = [name for name, bad in zip(names, flat & moves) if bad]
     if dead:
         raise ValueError(
-            f"The torque of {', '.join(dead)} is constant while the joint moves: "
-            "a channel without information cannot be fitted. Check the recording, "
-            "or lock the joint in the model with pinocchio.buildReducedModel."
+            f"The torque of {', '.join(dead)} is constant while the joint moves. Check "
+            "the recording, or lock the joint (joint_names of read_recording)."
         )
     if n_rows >= _ENOUGH_ROWS:
         for finding in two_values(names, moves, torques):
@@ -105,10 +104,8 @@ def check_channels(names, positions, torques, n_rows):
     still = [name for name, moving in zip(names, moves) if not moving]
     if still:
         warnings.warn(
-            f"{', '.join(still)} never move(s) in this recording: the torque there "
-            "is left out (stiction may have any value), friction is not "
-            "identifiable, and inertial parameters only as far as other joints "
-            "feel them.",
+            f"{', '.join(still)} never move(s): torques are left out, friction is not "
+            "identifiable, and inertias only through other joints.",
             DoubtWarning,
             stacklevel=5,
         )

@@ -1,4 +1,4 @@
-"""Values of drives near those of alike joints and of the description."""
+"""Shared parameters of joints with the same drive."""
 
 import functools
 import re

@@ -1,4 +1,4 @@
-"""How far values of a drive are off from one recording to another, by their moments."""
+"""Variance of drive parameters between recordings, by their moments."""
 
 import numpy as np
 

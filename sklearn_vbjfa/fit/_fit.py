@@ -662,8 +662,8 @@ class ModelValues:
             ]
         if lines:
             warnings.warn(
-                f"{', '.join(lines)} reached the limit of what is plausible: the "
-                "recording shows something else, or does not show it. "
+                f"{', '.join(lines)} reached a plausible limit: not identifiable from "
+                "this recording, or another cause. "
                 f"{' '.join(dict.fromkeys(advice))}",
                 DoubtWarning,
                 stacklevel=6,
@@ -695,9 +695,8 @@ def _within(effect, step):
 def warn_unsettled(values):
     names = [effect.name for effect in values.effects if effect.in_model]
     warnings.warn(
-        f"The values of {', '.join(dict.fromkeys(names))} still moved by more than a "
-        f"tenth of their standard errors after {MOST_CORRECTIONS} corrections: the "
-        "recording hardly tells them apart. Declare fewer of them.",
+        f"The values of {', '.join(dict.fromkeys(names))} did not converge in "
+        f"{MOST_CORRECTIONS} corrections (nearly equal columns). Declare fewer.",
         ConvergenceWarning,
         stacklevel=7,
     )

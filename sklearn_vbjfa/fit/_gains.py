@@ -265,7 +265,7 @@ def check_gains(gains, joint_names):
     if len(joint_names) == 1:
         raise ValueError(
             "gains='unknown' needs several joints that move the same bodies: the gain "
-            f"of the only one, {joint_names[0]}, is in every parameter."
+            f"of {joint_names[0]} alone is not identifiable."
         )
 
 

@@ -1,4 +1,4 @@
-"""Output error: parameters whose simulated motion is the measured one."""
+"""Output-error identification."""
 
 # A recording is divided into windows. In each, the robot is simulated from the measured
 # state of its first row, driven by the measured torques. The errors of a window are
@@ -327,10 +327,9 @@ def refine(predictor, found, recording, states, window, projector):
     count = int(windows.observations.sum())
     if count < _LEAST_OBSERVATIONS * refined.determined:
         warnings.warn(
-            f"The simulation has {count} windows of joints and determined "
-            f"{refined.determined:.0f} directions of the parameters by them: they "
-            "follow these windows and not the robot. Give shorter windows (window) or "
-            "a longer recording, and compare on one that is not fitted.",
+            f"Overfitting: {count} windows of joints for {refined.determined:.0f} "
+            "directions of the parameters. Give shorter windows (window) or a longer "
+            "recording.",
             UserWarning,
             stacklevel=5,
         )

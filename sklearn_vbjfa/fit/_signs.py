@@ -1,4 +1,4 @@
-"""Signs of torques of which only the sizes were recorded, by EM."""
+"""Signs of unsigned torques, by EM."""
 
 from dataclasses import replace
 

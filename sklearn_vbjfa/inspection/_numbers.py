@@ -1,4 +1,4 @@
-"""The numbers that decide whether something is said of a log."""
+"""Thresholds of the log inspection."""
 
 import numpy as np
 

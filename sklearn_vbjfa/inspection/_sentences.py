@@ -127,9 +127,8 @@ SENTENCES = {
     "the gear ratio (about {ratio} would fit).",
     "gear_factor:commanded": "The commanded torques are {factor:.2g} times those of "
     "the described robot, in the median over the joints: check {numbers}.",
-    "other_robot": "The torques are {size:.2g} times as large as those of the "
-    "description, in the median over the joints, and do not follow them, which leaves "
-    "{share} of them: check whether it describes this robot, and their unit.",
+    "other_robot": "The torques are {size:.2g} times the described ones (median) and "
+    "{share} of them is not explained: wrong description, or another unit.",
     "silent_torque": "The torque of {who} does not follow the motion and is {size:.2g} "
     "times what the description requires: noise alone. Check the cable or the column, "
     "or leave the joint out (joint_names).",
@@ -160,8 +159,8 @@ SENTENCES = {
     "out.",
     "unverified:massless": _UNVERIFIED + "a body of the description has no mass.",
     "unverified:weightless": _UNVERIFIED + "gravity loads no joint of the description.",
-    "unverified:size": "The size of the torques cannot be verified from this motion: "
-    "weight looks like an offset there, and inertia like that of the motors.",
+    "unverified:size": "The size of the torques cannot be verified: gravity is nearly "
+    "constant in this motion, and inertia is like rotor inertia.",
     "unverified:zeros": "All positions begin at zero, and other zeros explain the "
     "torques better, though not clearly ({evidence}). If the encoders were set to zero "
     "at power-up, add to the positions, about [rad]: {values}.",

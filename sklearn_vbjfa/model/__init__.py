@@ -1,4 +1,4 @@
-"""Robot descriptions in and out, and regressor matrices: the only door to Pinocchio."""
+"""Robot descriptions and regressor matrices: the interface to Pinocchio."""
 
 from sklearn_vbjfa import _lazily
 

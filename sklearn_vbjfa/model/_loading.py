@@ -285,8 +285,8 @@ def description_text(source, model):
         text = urdf_to_fill(source)
     if not alike(load_text(text, source), model):
         raise ValueError(
-            f"The robot description {str(source)!r} is another one than when the robot "
-            "was identified; put the old file back, or identify again."
+            f"The robot description {str(source)!r} has changed since the "
+            "identification; restore it, or identify again."
         )
     return text
 

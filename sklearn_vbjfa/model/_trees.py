@@ -445,8 +445,7 @@ def hold_base(robot, orientation):
         if orientation is not None:
             raise ValueError(
                 f"{robot.called} has no free joint that alone carries all other "
-                "joints, so that its base stands as described; leave base_orientation "
-                "out."
+                "joints; leave base_orientation out."
             )
         return robot, []
     turn = None if orientation is None else rotation_of(orientation)
@@ -546,16 +545,16 @@ def foldable(carriers, links, called):
     for name, link in links.items():
         if link.leader not in carriers:
             raise ValueError(
-                f"{called}: joint {name!r} is to follow {link.leader!r}, which is "
-                "not a moving joint of the robot; correct the description."
+                f"{called}: joint {name!r} mimics {link.leader!r}, which is not a "
+                "moving joint of the robot; correct the description."
             )
         seen = [name]
         while seen[-1] in links:
             seen.append(links[seen[-1]].leader)
             if seen[-1] in seen[:-1]:
                 raise ValueError(
-                    f"{called}: the joints {', '.join(seen[:-1])} follow each "
-                    "other in a ring; correct the description."
+                    f"{called}: mimic joints {', '.join(seen[:-1])} form a cycle; "
+                    "correct the description."
                 )
     kept = dict(links)
     while True:

@@ -104,8 +104,7 @@ def parse_text(content, path):
         ) from error
     if any("xacro" in str(one.tag).rpartition("}")[0] for one in root.iter()):
         raise ValueError(
-            f"{str(path)!r} is a xacro file, from which a URDF is made first: "
-            f"{_expanding(path)}"
+            f"{str(path)!r} is a xacro file; expand it first: {_expanding(path)}"
         )
     return ElementTree.ElementTree(root)
 
@@ -324,9 +323,8 @@ def _check_tree(root, called):
             return
         if child in above:
             raise ValueError(
-                f"{called}: link {child!r} hangs on two joints, {above[child][1]!r} "
-                f"and {joint.get('name')!r}: that is a loop, {_TREE}; take one of "
-                "them out."
+                f"{called}: link {child!r} has two parent joints, "
+                f"{above[child][1]!r} and {joint.get('name')!r}: {_TREE}; remove one."
             )
         above[child] = parent, joint.get("name")
     for link in above:
@@ -406,8 +404,8 @@ def _check_ring(link, above, called):
         if link in seen:
             ring = " - ".join([*seen[seen.index(link) :], link])
             raise ValueError(
-                f"{called}: the links {ring} hang on each other in a ring, {_TREE}"
-                "; correct the parent of one joint."
+                f"{called}: links {ring} form a closed loop, {_TREE}; "
+                "correct the parent of one joint."
             )
         seen.append(link)
 

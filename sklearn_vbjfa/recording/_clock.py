@@ -78,8 +78,8 @@ def inspect_time_stamps(
     period, whole = _first_period(t, step)
     if dt is None and period >= _SLOWEST:
         raise ValueError(
-            f"time steps by {period:.6g} s at the median, too slow for a motion; t "
-            "must be in seconds: give its unit, time_unit ms, us or ns."
+            f"time steps by {period:.6g} s at the median: t is probably not in "
+            "seconds; give time_unit ms, us or ns."
         )
     gaps = _gaps(t, step, period)
     pieces = [slice(a, b) for a, b in zip(np.r_[0, gaps + 1], np.r_[gaps + 1, t.size])]

@@ -342,7 +342,7 @@ def _values(table: Table, role):
     if far.size:
         raise ValueError(
             f"{table.path}: {values[far[0]]:.3g} in {table.where(far[0])}, column "
-            f"{role.column!r}, is beyond all robots; correct or remove that row."
+            f"{role.column!r}, is implausible; correct or remove that row."
         )
     return values, None if unit is None else unit.base
 

@@ -109,10 +109,7 @@ class Drive(BaseEstimator):
                 f"joint in the order {', '.join(joints)}; got {given!r}."
             )
         if least is not None and (values < least).any():
-            raise ValueError(
-                f"{owner}: {name} is negative, which drives a joint away from its "
-                f"command; got {given!r}."
-            )
+            raise ValueError(f"{owner}: {name} must not be negative; got {given!r}.")
         return np.broadcast_to(values, (nv,)).copy()
 
 
@@ -306,8 +303,8 @@ class PDDrive(Drive):
         if share[j] > _MOSTLY:
             raise ValueError(
                 f"{names[j]} is at its limit of {most[j]:.4g} for "
-                f"{100 * share[j]:.0f} % of the samples: its law says little of its "
-                "torque. Check the limit, or record a gentler motion."
+                f"{100 * share[j]:.0f} % of the samples: its torque is unreliable. "
+                "Check the limit, or record a slower motion."
             )
         weight = np.ones(full.shape) if recording.weight is None else recording.weight
         return replace(
@@ -457,9 +454,9 @@ class CurrentDrive(_MotorDrive):
         below = np.flatnonzero((current < 0).any(axis=0))
         if below.size:
             raise ValueError(
-                "CurrentDrive(signed=False) takes sizes of currents, and "
-                f"{recording.joint_names[below[0]]} has negative ones: they have their "
-                "sign, leave signed=True."
+                "CurrentDrive(signed=False) expects magnitudes, and "
+                f"{recording.joint_names[below[0]]} has negative currents; use "
+                "signed=True."
             )
         return replace(recording, tau=current)
 
@@ -549,10 +546,9 @@ def check_wait(delay, recording):
     if abs(delay) * pieces > _UNKNOWN * time:
         each = f"{pieces} recordings of {time:.3g} s in all"
         raise ValueError(
-            f"The delay of the commands is {delay:.3g} s, of "
-            f"{each if pieces > 1 else f'a recording of {time:.3g} s'}: for more than "
-            "a tenth of it nobody knows what was commanded. Record longer, or shift "
-            "the commands by what is known. delay is in seconds."
+            f"The delay of the commands is {delay:.3g} s, more than a tenth of "
+            f"{each if pieces > 1 else f'a recording of {time:.3g} s'}: first commands "
+            "are unknown. Record longer, or shift the commands; delay is in seconds."
         )
 
 

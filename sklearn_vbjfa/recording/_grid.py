@@ -357,8 +357,7 @@ def _losses(counts):
 _IRREGULAR = {
     "sampled": "the positions say that the robot was sampled at these times; all is "
     "interpolated on a uniform grid",
-    "late": "the positions do not follow them, so that only the stamps are irregular "
-    "and not the sampling; rows are taken as equidistant",
+    "late": "the sampling was regular by the positions; rows are taken as equidistant",
 }
 
 
@@ -383,7 +382,7 @@ def _irregularities(table, stamps, runs, dt):
     gaps = [rows[x.gaps] for rows, x in zip(runs, stamps) if x.gaps.size]
     if gaps:
         yield Loss(
-            f"{sum(x.size for x in gaps)} gap(s) of more than {GAP_PERIODS:g} periods "
+            f"{sum(x.size for x in gaps)} gap(s) of {GAP_PERIODS:g} periods or more "
             f"in time, the first after {table.where(gaps[0][0])}: the recording is "
             "split there."
         )

@@ -120,9 +120,9 @@ def _parts(tables, joints, path):
         parts = [x for x in parts if x.kind != "t"]
     if len(parts) < 2:
         raise ValueError(
-            f"{path}: holds {listed([x.path.name for x in tables])}, of which less "
-            "than two can stand side by side; expected files called after what they "
-            "hold: positions, velocities, torques, currents or time."
+            f"{path}: fewer than two of {listed([x.path.name for x in tables])} "
+            "can be joined; name them after what they hold: positions, velocities, "
+            "torques, currents or time."
         )
     stamped = [x for x in parts if x.time is not None] or parts[:1]
     base = next((x for x in stamped if x.time and x.has_positions), stamped[0])
@@ -204,9 +204,8 @@ def _rows(part, base):
     t, at = _seconds(part), _seconds(base)
     if (np.diff(t) <= 0).any():
         raise ValueError(
-            f"{part.table.path}: time does not rise in each row, so that its rows "
-            f"cannot be joined with those of {base.name}; sort it, and leave out what "
-            "is there twice."
+            f"{part.table.path}: time must increase from row to row to join it with "
+            f"{base.name}; sort it, and remove duplicates."
         )
     period = np.median(np.diff(t))
     if n == n_base and np.abs(t - at).max() <= STEADY * period:
@@ -607,7 +606,7 @@ def _check_agreement(files):
                     raise ValueError(
                         f"{other.path} has {one} and {file.path} has {two}; expected "
                         "files with the same joints and channels: correct one of "
-                        "them, or take them one by one."
+                        "them, or process them separately."
                     )
             # Their evidence would count twice.
             a, b = file.recording, other.recording
@@ -620,7 +619,7 @@ def _check_agreement(files):
         raise ValueError(
             f"{fast} has a sample period of {min(dts):.6g} s and {slow} one of "
             f"{max(dts):.6g} s, which differ by more than {100 * _DT_TOLERANCE:g} %: "
-            "resample one of the files, or take them one by one."
+            "resample one of the files, or process them separately."
         )
 
 

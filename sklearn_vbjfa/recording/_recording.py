@@ -259,7 +259,7 @@ class Recording:
             return self.tau
         if self.command is None:
             raise ValueError(
-                f"The robot follows its commands {delay:.4g} s late, and the recording "
+                f"The robot has a command delay of {delay:.4g} s, and the recording "
                 "has no commands: give them as in the fit (drive=PDDrive(...)), or "
                 "predict torques without measured ones."
             )

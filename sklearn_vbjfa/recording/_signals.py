@@ -176,9 +176,9 @@ def _asked_for(effects, given, offered, n_samples):
     missing = sorted(wanted - set(found))
     if missing:
         raise ValueError(
-            f"The effects hold one that varies with the recorded signal {missing[0]!r}"
-            f", which is missing; give signals={{{missing[0]!r}: ...}} with one value "
-            "per row, or a column of that name in a data frame X."
+            f"The signal {missing[0]!r}, which an effect needs, is missing; give "
+            f"signals={{{missing[0]!r}: ...}} with one value per row, or a column of "
+            "that name in a data frame X."
         )
     return found, wanted, offered
 

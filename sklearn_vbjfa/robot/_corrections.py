@@ -1,4 +1,4 @@
-"""What effects of the robot model ask for: of its base, its encoders, its files."""
+"""Corrections of base, encoders and descriptions by effects of the robot model."""
 
 from dataclasses import dataclass
 

@@ -147,11 +147,11 @@ def _robot_of(content, name, classes):
     try:
         features = RigidBodyFeatures(model, head["friction"]).load()
     except ValueError as error:
-        raise _Wrong("friction", f"is of no use: {error}") from error
+        raise _Wrong("friction", f"is invalid: {error}") from error
     try:
         effects = check_effects(values["plan"].effects, model.nv)
     except ValueError as error:
-        raise _Wrong("plan.effects", f"is of no use: {error}") from error
+        raise _Wrong("plan.effects", f"is invalid: {error}") from error
     robot = IdentifiedRobot(features_=features.corrected(effects), **values)
     if head["parameters"] != robot.parameter_names_:
         raise _Wrong(

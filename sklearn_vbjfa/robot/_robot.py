@@ -1,4 +1,4 @@
-"""Identified robots: what a fit leaves when data and estimator are put away."""
+"""Identified robots: parameters and predictions without data."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

@@ -223,7 +223,7 @@ def held_text(found, label=str):
     found = [one for one in found if one.quantity != "direction"]
     held = [name for one in found for name in one.held]
     others = [name for one in found for name in one.names if name not in one.held]
-    texts = {"Held beyond the margin": held, "Going on by the law": others}
+    texts = {"Held constant beyond the margin": held, "Extrapolated": others}
     return ". ".join(
         f"{what}: {', '.join(label(name) for name in dict.fromkeys(names))}"
         for what, names in texts.items()
@@ -235,7 +235,7 @@ def warn_outside(messages, stacklevel):
     """Warn of a prediction outside the range of the fit, once for all that is said."""
     if messages:
         warnings.warn(
-            f"Predicted outside what the fit has seen. {'. '.join(messages)}.",
+            f"Prediction outside the range of the fit. {'. '.join(messages)}.",
             UserWarning,
             stacklevel=stacklevel + 1,
         )

@@ -248,8 +248,8 @@ joint_5, joint_6
     y = _torques(y, names, len(X))
     if predictor.plan.dt is None:
         raise ValueError(
-            "The robot was identified without a sample period; give RobotIdentifier "
-            "one as dt, which windows are counted with."
+            "The robot was identified without a sample period; give dt to "
+            "RobotIdentifier."
         )
     if beside is None:
         made = _measured(predictor, X, groups, t, signals, window)

@@ -281,10 +281,8 @@ def _check_inertia(robot, dynamics, q0):
     if not values[0] > 0:
         name = robot.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
         raise ValueError(
-            f"The inertia of {name} at q0 is not positive ({values[0]:.3g} kg m^2): it "
-            "would be accelerated against its torque. Its rotor inertia or coupling is "
-            "negative, or its bodies are not determined; identify with "
-            'projector="default" and more motion.'
+            f"The inertia of {name} at q0 is not positive ({values[0]:.3g} kg m^2); "
+            'identify with projector="default" and more motion.'
         )
 
 
@@ -323,11 +321,9 @@ def warn_held(robot, motion, stacklevel):
     ]
     if named:
         warnings.warn(
-            f"A simulated joint stops more than {MOST_STOPS} times within a sample "
-            f"period and is held to its end: {', '.join(named)}, first at t = "
-            f"{motion.held_since:.6g} s. It moves faster than the torques are sampled: "
-            "look for a stiffness too high or an inertia too small for this period "
-            "among the parameters of this joint, or simulate in shorter periods.",
+            f"{', '.join(named)}: more than {MOST_STOPS} stops within a sample period, "
+            f"first at t = {motion.held_since:.6g} s; held to its end. Check stiffness "
+            "and inertia of this joint, or simulate in shorter periods.",
             UserWarning,
             stacklevel=stacklevel,
         )

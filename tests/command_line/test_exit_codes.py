@@ -122,7 +122,7 @@ RECORDINGS = {
     ),
     "a gap": (
         lambda x: without(x, slice(700, 800)),
-        {"": (3, r"1 gap\(s\) of more than 5 periods")},
+        {"": (3, r"1 gap\(s\) of 5 periods or more")},
     ),
     "a lost piece": (
         lambda x: without(x, np.r_[700:800, 805:905]),

@@ -64,7 +64,7 @@ def test_a_log_with_two_problems(arm, log, capsys):
     assert "Record with a wider range, or a slower motion." in text
     last = text[text.index("note: exit code 3: ") :]
     assert "The torque of joint_2 is clipped at" in last
-    assert "2 gap(s) of more than 5 periods" in last
+    assert "2 gap(s) of 5 periods or more" in last
     assert len(last) <= 2 * WIDTH
     # Once whole, and once in brief.
     assert text.count("clipped") == 2

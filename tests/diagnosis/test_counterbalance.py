@@ -46,7 +46,7 @@ def found(kind):
     torque = FITTED.torque(joint_2=gas_spring)
     loop = FITTED.discover(torque, [*library, kind()])
     truth = WIDER.torque(joint_2=gas_spring)
-    with pytest.warns(UserWarning, match="Predicted outside what the fit has seen"):
+    with pytest.warns(UserWarning, match="Prediction outside the range of the fit"):
         predicted = loop.identifier_.predict(WIDER.position)
     error = (predicted - truth)[:, 1]
     return loop, float(error.std() / truth[:, 1].std())

@@ -144,7 +144,7 @@ def test_signals_that_go_together_are_rivals(both):
 
 def test_a_prediction_needs_the_signal(warm):
     X = ONE.position[:400]
-    with pytest.raises(ValueError, match="varies with the recorded signal 'temperatu"):
+    with pytest.raises(ValueError, match="signal 'temperature', which an effect needs"):
         warm.predict(X)
     cold, hot = (
         warm.predict(X, signals={"temperature": np.full(400, degrees)})

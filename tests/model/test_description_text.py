@@ -90,7 +90,7 @@ def test_another_file_by_now(tmp_path):
         ("0 1 0", "1 0 0"),
     ):
         path.write_text(TREE.replace(old, new))
-        with pytest.raises(ValueError, match=r"tree\.urdf' is another one"):
+        with pytest.raises(ValueError, match=r"tree\.urdf' has changed"):
             description_text(path, model)
     path.unlink()
     with pytest.raises(FileNotFoundError, match=r"tree\.urdf"):

@@ -159,9 +159,9 @@ def test_one_that_carries_a_joint_of_its_own_cannot_be_folded(write):
 @pytest.mark.parametrize(
     ("mimic", "message"),
     [
-        ('joint="gone"', "'f' is to follow 'gone', which is not a moving joint"),
-        ('multiplier="2"', "'f' is to follow '', which is not a moving joint"),
-        ('joint="f"', "the joints f follow each other in a ring"),
+        ('joint="gone"', "'f' mimics 'gone', which is not a moving joint"),
+        ('multiplier="2"', "'f' mimics '', which is not a moving joint"),
+        ('joint="f"', "mimic joints f form a cycle"),
         ('joint="j2" multiplier="x"', "with the multiplier 'x', which is not a number"),
         ('joint="j2" offset="inf"', "with the offset 'inf', which is not a number"),
     ],

@@ -229,7 +229,7 @@ def put(name, row, value):
         (put("q1", 4, "off"), "'off' in line 6, column 'q1' is not a number"),
         (lambda x: x.update(q_2=x["q2"]), "columns 'q2' and 'q_2' could both be meant"),
         (lambda x: x.update(T=x["q2"]), "columns 't' and 'T' could both be meant"),
-        (put("tau2", 4, "1e13"), r"1e\+13 in line 6, column 'tau2', is beyond all"),
+        (put("tau2", 4, "1e13"), r"1e\+13 in line 6, column 'tau2', is implausible"),
         (put("tau2", 4, "1_0"), "'1_0' in line 6, column 'tau2' is not a number"),
         (put("t", 7, 0.001), r"time runs backwards to 0\.001 s in line 9"),
     ],
@@ -357,7 +357,7 @@ def test_missing_samples_are_bridged_and_gaps_are_not(csv):
     with pytest.warns(UserWarning, match="arm.csv: ") as caught:
         recording = read_recording(csv(columns))
     text = " ".join(str(w.message) for w in caught)
-    assert "2 gap(s) of more than 5 periods in time, the first after line 148" in text
+    assert "2 gap(s) of 5 periods or more in time, the first after line 148" in text
     assert "1 piece(s) of fewer than 16 samples" in text
     assert "3 single sample(s) are missing and were interpolated" in text
     assert "irregular" not in text

@@ -81,7 +81,7 @@ def test_recordings_in_a_file_keep_their_own_names(here):
     assert recording.group_names == ("two up", "two down", "one", "gap [1]", "gap [2]")
     assert recording.select("two down").n_samples == N // 2
     ((message, doubt),) = said
-    assert message.startswith("runs/gap.csv: 1 gap(s) of more than 5 periods")
+    assert message.startswith("runs/gap.csv: 1 gap(s) of 5 periods or more")
     assert doubt
 
 

@@ -100,7 +100,7 @@ def test_wrong_shapes(recording):
 
 def test_a_joint_that_never_moves(recording):
     q = changed(recording.q, (slice(None), 3), 0.25)
-    with pytest.warns(UserWarning, match=r"joint_4 never move\(s\).*is left out"):
+    with pytest.warns(UserWarning, match=r"joint_4 never move\(s\).*are left out"):
         robot = identify(recording, q=q)
     for name in ("theta_", "theta_unconstrained_", "min_eigenvalues_"):
         assert np.isfinite(getattr(robot, name)).all()

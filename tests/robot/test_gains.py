@@ -205,5 +205,5 @@ def test_one_joint_has_no_relative_gain():
     _, states = motion(1, duration=8.0, dt=DT, seed=1)
     model = arm("Y")
     tau = torques(0.0, np.ones(1), 0, states, model)
-    with pytest.raises(ValueError, match=r"the gain of the only one, joint_1, is in"):
+    with pytest.raises(ValueError, match=r"the gain of joint_1 alone is not"):
         fit(tau, states, model)

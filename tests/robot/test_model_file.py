@@ -319,7 +319,7 @@ BAD = {
     ),
     "unknown friction": (
         assign("friction", value=["sticky"]),
-        "'friction' is of no use: .*sticky",
+        "'friction' is invalid: .*sticky",
     ),
     "gravity": (assign("gravity", value=[0, 0]), "'gravity' must hold values of"),
     "no text": (assign("package", value=None), "'package' must hold a text"),
@@ -337,11 +337,11 @@ BAD = {
     ),
     "partner": (
         assign("plan", "effects", value=effect("coupling", 1, other=-2)),
-        r"'plan\.effects' is of no use: .*joint -2 for coupling",
+        r"'plan\.effects' is invalid: .*joint -2 for coupling",
     ),
     "joint of an effect": (
         assign("plan", "effects", value=effect(joint=6)),
-        r"'plan\.effects' is of no use: .*joint 6 for ripple; expected 0 to 5",
+        r"'plan\.effects' is invalid: .*joint 6 for ripple; expected 0 to 5",
     ),
 }
 

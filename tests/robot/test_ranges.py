@@ -119,7 +119,7 @@ def springy(states):
     return own
 
 
-@pytest.mark.filterwarnings("ignore:Predicted outside:UserWarning")
+@pytest.mark.filterwarnings("ignore:Prediction outside:UserWarning")
 def test_a_spring_is_held_and_declared_friction_is_not(tmp_path):
     far = 2.0 * STATES
     exact = robot(SPRING, **EXACT).fit(STATES, TORQUE)
@@ -133,7 +133,7 @@ def test_a_spring_is_held_and_declared_friction_is_not(tmp_path):
     assert_allclose(one, springy(far)[::50], atol=1e-8)
 
 
-@pytest.mark.filterwarnings("ignore:Predicted outside:UserWarning")
+@pytest.mark.filterwarnings("ignore:Prediction outside:UserWarning")
 def test_a_ripple_is_followed_beyond_its_range(tmp_path):
     def law(states):
         torque = inverse_dynamics(MODEL, states)

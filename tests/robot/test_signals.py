@@ -82,9 +82,9 @@ def test_a_prediction_outside_the_fitted_signal_is_told_of(found):
 @pytest.mark.parametrize("call", ["predict", "residuals", "score"])
 def test_one_error_names_the_missing_column(found, call):
     args = (ARM.q, TAU) if call in {"residuals", "score"} else (ARM.q,)
-    with pytest.raises(ValueError, match="varies with the recorded signal 'temperatu"):
+    with pytest.raises(ValueError, match="signal 'temperature', which an effect needs"):
         getattr(found, call)(*args)
-    with pytest.raises(ValueError, match="varies with the recorded signal 'temperatu"):
+    with pytest.raises(ValueError, match="signal 'temperature', which an effect needs"):
         getattr(found, call)(*args, signals={"voltage": WARM})
 
 

@@ -192,7 +192,7 @@ def columns_of(states):
     return np.column_stack([a, v, np.sign(v)])
 
 
-@pytest.mark.filterwarnings("ignore:Predicted outside:UserWarning")
+@pytest.mark.filterwarnings("ignore:Prediction outside:UserWarning")
 def test_predicted_deviations_are_those_of_least_squares():
     """They are s^2 (1 + w x (X'X)^-1 x'), w for the scatter between blocks of time."""
     model, states, tau = pendulum(3, 0.0, duration=4.0)

@@ -357,7 +357,7 @@ class PDDrive(Drive):
                 'line: --drive "pd kp=20,20,40 kd=...").'
             )
         if (values < 0).any():
-            raise ValueError(f"PDDrive: {name} of the recording is negative.")
+            raise ValueError(f"PDDrive: {name} of the recording must not be negative.")
         return values
 
     def torque(self, q_desired, v_desired, q, v, names=None):

@@ -225,9 +225,13 @@ def test_an_effect_may_name_the_one_that_it_is_meant_for():
     found = the_signal(close(heated(CYCLES), signals, meant))
     assert found.parameters["signal"] == "kp"
     assert not [rival for rival in found.rivals if "temperature" in rival]
-    with pytest.raises(ValueError, match="the recorded signal 'x', which is missing"):
+    with pytest.raises(
+        ValueError, match="signal 'x', which an effect needs, is missing"
+    ):
         close(heated(CYCLES), signals, [Signal(signal="x")])
-    with pytest.raises(ValueError, match="the recorded signal 'x', which is missing"):
+    with pytest.raises(
+        ValueError, match="signal 'x', which an effect needs, is missing"
+    ):
         close(heated(CYCLES), None, [Signal(signal="x")])
 
 

@@ -334,7 +334,7 @@ BAD = {
         {},
         "kp must be one finite number or 3, one for each joint in the order joint_1",
     ),
-    "negative": ({"drive": PDDrive(KP, -KD)}, {}, "kd is negative"),
+    "negative": ({"drive": PDDrive(KP, -KD)}, {}, "kd must not be negative"),
     "by name": (
         {"drive": PDDrive({"joint_1": 1.0}, KD)},
         {},
@@ -357,7 +357,7 @@ BAD = {
     "recorded gains": (
         {"drive": PDDrive()},
         {"kp": np.full((2400, 3), -1.0)},
-        "kp of the recording is negative",
+        "kp of the recording must not be negative",
     ),
 }
 
@@ -377,7 +377,9 @@ def test_bad_input_is_named(case):
 
 @pytest.mark.parametrize("drive", [PDDrive(KP, KD), PDDrive(KP, KD, delay=0.09)])
 def test_a_delay_longer_than_a_tenth_of_the_motion_is_refused(drive):
-    message = r"is 0\.0\d+ s, of a recording of 0\.8 s: .* Record longer"
+    message = (
+        r"is 0\.0\d+ s, more than a tenth of a recording of 0\.8 s: .* Record longer"
+    )
     with pytest.raises(ValueError, match=message):
         identify(told(0.09, duration=0.8), drive)
     assert np.isfinite(identify(told(0.09, duration=3.0), drive).theta_).all()

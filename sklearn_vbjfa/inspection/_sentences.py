@@ -76,7 +76,7 @@ SENTENCES = {
     "position_degrees": _UNIT,
     "position_turns": _UNIT,
     "position_unit": "The positions of {who} are not in radians: {name} runs from "
-    "{low:.4g} to {high:.4g}, and several units explain the torques as well "
+    "{low:.4g} to {high:.4g}, and degrees and other units explain the torques better "
     "({evidence}). Divide positions of motors by the gear ratios, or give their unit "
     "(columns).",
     "position_counts": "The positions of {who} are not in {units}: {name} has "

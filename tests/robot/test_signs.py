@@ -97,7 +97,7 @@ def test_a_voltage_makes_a_torque_and_its_back_emf():
 
 
 BAD = {
-    "negative": (CurrentDrive(signed=False), ARM.tau, "has negative ones: they have"),
+    "negative": (CurrentDrive(signed=False), ARM.tau, "has negative currents"),
     "word": (CurrentDrive("known"), ARM.tau, "'unknown' or numbers in N m/A"),
     "no resistance": (VoltageDrive(0.1), ARM.tau, "needs the resistance"),
     "zero resistance": (VoltageDrive(0.1, 0.0), ARM.tau, "resistance must be positive"),

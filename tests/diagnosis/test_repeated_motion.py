@@ -66,7 +66,7 @@ def test_a_curve_of_the_phase_has_no_name(case):
     assert motion.seconds == pytest.approx(PERIOD, abs=0.05)
     assert motion.count == pytest.approx(TIMES, rel=0.01)
     assert "Repeated motion: one of" in text_of(loop.report_)
-    assert "a motion that does not repeat (design makes one)" in text_of(loop.report_)
+    assert "a longer motion that does not repeat" in text_of(loop.report_)
 
 
 def test_an_effect_that_the_phases_show_is_named():

@@ -77,7 +77,7 @@ def test_the_report_prints_what_was_applied(springy):
     assert settings["search"]["min_gain"] == 0.02
     said = text_of(springy.report_)
     assert "An effect is reported if its probability is at least 95 % (4 cand" in said
-    assert "it removes at least 2 % of the squared error" in said
+    assert "removes at least 2 % of the squared error" in said
 
 
 @pytest.mark.slow

@@ -54,7 +54,7 @@ def test_plain_terms_are_added_and_not_discovered(loops):
         for robot in (loop.baseline_, loop.judged_, loop.identifier_):
             assert set(robot.features_.friction_) == set(PLAIN)
         assert not {e.name for e in loop.effects_} & set(PLAIN)
-        assert ("Added on every joint" in text_of(loop.report_)) == bool(loop.added_)
+        assert ("Added to every joint" in text_of(loop.report_)) == bool(loop.added_)
     assert loops[PLAIN].declared_ is loops[PLAIN].baseline_
     assert (loops[PLAIN].error_before_ == loops[PLAIN].error_plain_).all()
     assert (loops[()].error_before_ > 1.5 * loops[()].error_plain_).all()

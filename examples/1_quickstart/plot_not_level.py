@@ -134,6 +134,6 @@ with tempfile.TemporaryDirectory() as folder:
 for line in text[text.index("<!--") + 4 : text.index("-->")].strip().splitlines():
     print(line.strip())
 
-corrections = search.report_.to_dict()["corrections"]
+corrections = search.report_.to_dict()["robot"]["corrections"]
 print({name: corrections["tilt"][name] for name in ("gravity", "lean_rpy_degrees")})
 print(corrections["gains"])

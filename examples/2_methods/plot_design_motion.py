@@ -149,7 +149,7 @@ for symbol, (low, high) in cables.intervals.items():
 # warn because the designed motion leaves the range of their fit.
 
 (spring,) = (effect for effect in loop.effects_ if effect.name == "spring")
-shapes = {"spring": {}} | {trial.name: trial.shape for trial in spring.trials[:1]}
+shapes = {"spring": {}} | {trial["name"]: trial["shape"] for trial in spring.trials[:1]}
 
 
 def fitted(name):

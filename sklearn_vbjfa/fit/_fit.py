@@ -251,9 +251,10 @@ class Recipe:
         """Fit a robot to its recording, in parallel where second moments suffice."""
         made, rows = source.segments(robot), ()
         if not from_moments(self.regressor):
-            takes = has_fit_parameter(self.regressor, "instruments")
-            rows = equations(made, robot.plan.lowpass)
-            rows = source.instrumented(robot) if takes else list(rows)
+            if has_fit_parameter(self.regressor, "instruments"):
+                rows = source.instrumented(robot)
+            else:
+                rows = list(equations(made, robot.plan.lowpass))
         return self.of_moments(robot, source.moments(made, robot.plan), rows, made)
 
     def _shown(self, found):

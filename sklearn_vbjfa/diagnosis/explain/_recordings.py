@@ -303,22 +303,19 @@ def contradictions(parts, spread, alpha):
         suspects = sorted({r for r, _ in suffering})
     joints = sorted({j for _, j in suffering})
     columns = {(r, j): parts.columns_of(r, j) for r in suspects for j in joints}
-    chosen, named = {}, {}
-    while columns and len(chosen) < _MOST_FOUND:
-        trials = {
-            key: _tested(parts, chosen, key, A[:, :_COLUMNS])
-            for key, A in columns.items()
-        }
+    candidates = {key: A[:, :_COLUMNS] for key, A in columns.items()}
+    chosen = {}
+    while candidates and len(chosen) < _MOST_FOUND:
+        trials = {key: _tested(parts, chosen, key, A) for key, A in candidates.items()}
         key = max(trials, key=lambda key: trials[key][0])
         if not trials[key][1] < alpha:
             break
-        named[key] = columns.pop(key)
-        chosen[key] = named[key][:, :_COLUMNS]
+        chosen[key] = candidates.pop(key)
     found = []
     for key, A in chosen.items():
         others = {other: own for other, own in chosen.items() if other != key}
         _, p_value, unit = _tested(parts, others, key, A)
-        cause, value = _cause(parts, others, key, named[key], unit)
+        cause, value = _cause(parts, others, key, columns[key], unit)
         alone, together = suffering.get(key, (np.nan, np.nan))
         found.append(
             Contradiction(

@@ -1,7 +1,8 @@
 """Write ``docs/evidence.md`` from the tables in ``docs/tables``.
 
 Run ``python docs/evidence.py`` after a benchmark has written a table; with ``--check``
-it writes nothing and ends with exit code 1 if the page differs. Every figure of the
+it writes nothing, ends with exit code 1 if the page differs, and names the tables that
+other code than today's made, which are an error with ``--fresh``. Every figure of the
 page is read from ``docs/tables/NAME.json``.
 """
 
@@ -728,12 +729,17 @@ def main():
     """Write or check the page."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--check", action="store_true", help="compare only")
-    check = arguments.parse_args().check
+    arguments.add_argument("--fresh", action="store_true", help="refuse stale tables")
+    given = arguments.parse_args()
+    check = given.check or given.fresh
     text = page()
     if check and PAGE.read_text(encoding="utf-8") != text:
         sys.exit(
             "docs/evidence.md differs from docs/tables: run python docs/evidence.py"
         )
+    if check and (stale := recorded.stale()):
+        told = f"The code has changed since these tables: {', '.join(stale)}."
+        sys.exit(told) if given.fresh else print(f"Warning: {told}")
     if not check:
         PAGE.write_text(text, encoding="utf-8")
 

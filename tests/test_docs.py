@@ -295,3 +295,19 @@ sys.meta_path.insert(0, Absent())
         check=False,
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_a_table_is_stale_once_code_of_its_rooms_has_changed(recorded, tmp_path):
+    package, folder = tmp_path / "package", tmp_path / "tables"
+    (package / "room").mkdir(parents=True)
+    code = package / "room" / "_code.py"
+    code.write_text('"""Text."""\n\nx = 1\n')
+    record = {"rooms": ["room"], "digest": recorded.digest(["room"], package)}
+    folder.mkdir()
+    (folder / "made.json").write_text(json.dumps(record))
+    (folder / "old.json").write_text("{}")
+    assert recorded.stale(folder, package) == ["old"]
+    code.write_text('"""Another text."""\n\nx = 1  # a comment\n')
+    assert recorded.stale(folder, package) == ["old"]
+    code.write_text('"""Text."""\n\nx = 2\n')
+    assert recorded.stale(folder, package) == ["made", "old"]

@@ -1,15 +1,19 @@
 """The tables in ``docs/tables`` as values.
 
 A benchmark writes NAME.rst, paragraphs and tables between lines of equals signs, and
-NAME.json with the same tables, the script, and the commits that they were made at.
+NAME.json with the same tables, the script, the commits that they were made at, and a
+digest of the code that made them.
 """
 
+import ast
+import hashlib
 import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
 TABLES = Path(__file__).resolve().parents[1] / "tables"
+PACKAGE = TABLES.parents[1] / "sklearn_vbjfa"
 _BORDER = re.compile(r"=+(  +=+)+")
 
 
@@ -78,13 +82,48 @@ def made(name, folder=TABLES):
     return f"Source: {record['script']} at {' and '.join(record['commits'])}{note}."
 
 
-def write(name, text, script, commits, folder=TABLES):
-    """Write NAME.rst and NAME.json."""
+def write(name, text, script, commits, rooms, folder=TABLES):
+    """Write NAME.rst and NAME.json; `rooms` of the package made the tables."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{name}.rst").write_text(text, encoding="utf-8")
     tables = [{"headers": x.headers, "rows": x.rows} for x in tables_in(text)]
     record = {"script": script, "commits": commits}
+    # Results of several commits were made by code that is no longer here.
+    if len(commits) == 1:
+        record |= {"rooms": rooms, "digest": digest(rooms)}
     (folder / f"{name}.json").write_text(_json(record, tables), encoding="utf-8")
+
+
+def digest(rooms, package=PACKAGE):
+    """Digest of the code of some rooms, without comments and docstrings."""
+    found = hashlib.sha256()
+    for room in sorted(rooms):
+        for path in sorted((package / room).rglob("*.py")):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            for node in ast.walk(tree):
+                body = getattr(node, "body", None)
+                if isinstance(body, list):
+                    node.body = [x for x in body if not _is_text(x)]
+            found.update(ast.dump(tree).encode())
+    return found.hexdigest()[:16]
+
+
+def _is_text(node):
+    """Whether a statement is a docstring."""
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+
+
+def stale(folder=TABLES, package=PACKAGE):
+    """Names of the tables that other code than today's made."""
+    records = {
+        path.stem: json.loads(path.read_text(encoding="utf-8"))
+        for path in sorted(folder.glob("*.json"))
+    }
+    return [
+        name
+        for name, record in records.items()
+        if record.get("digest") != digest(record.get("rooms", ()), package)
+    ]
 
 
 def _json(record, tables):

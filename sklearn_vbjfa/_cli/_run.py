@@ -68,13 +68,16 @@ def run(arguments):
     for line in () if as_json else lines:
         print(wrapped(line, sys.stdout))
     sys.stdout.flush()
-    for text in () if done.page else _notes(caught):
-        say(wrapped(f"note: {text}", sys.stderr))
     doubts = [str(x.message) for x in caught if issubclass(x.category, DoubtWarning)]
-    doubts = list(dict.fromkeys([*done.doubts, *doubts]))
+    doubts = [" ".join(one.split()) for one in (*done.doubts, *doubts)]
+    doubts = list(dict.fromkeys(doubts))
+    notes = [x for x in _notes(caught) if x not in doubts[:_NAMED]]
+    for text in () if done.page else notes:
+        say(wrapped(f"note: {text}", sys.stderr))
     if not doubts:
         return USABLE
-    say(wrapped(one_line(f"note: {_exit_line(doubts, done.page)}"), sys.stderr))
+    line = one_line(f"warning: {_named(doubts, done.page)}")
+    say(wrapped(f"{line} (exit code {DOUBTFUL})", sys.stderr))
     return DOUBTFUL
 
 
@@ -164,14 +167,14 @@ def _tabulated(columns):
     )
 
 
-def _exit_line(doubts, page):
-    """Return a line with the first warnings; in brief if a page has them whole."""
-    named = [" ".join(one.split()).rstrip(".") for one in doubts[:_NAMED]]
+def _named(doubts, page):
+    """Return the first warnings in one line; in brief if a page has them whole."""
+    named = [one.rstrip(".") for one in doubts[:_NAMED]]
     if page:
         named = [brief(one, _BRIEF) for one in named]
     if len(doubts) > len(named):
         named.append(f"and {len(doubts) - len(named)} more")
-    return f"exit code {DOUBTFUL}: {'; '.join(named)}"
+    return "; ".join(named)
 
 
 def say(text):

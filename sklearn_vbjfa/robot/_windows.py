@@ -120,7 +120,7 @@ class SimulatedWindows:
     def verdict(self):
         """Say whether it is clearly better than all robots without a model."""
         better = self.clearly_better
-        without = "a robot that stays and one that keeps its velocity"
+        without = "a robot at rest and one with constant velocity"
         if self.commanded is not None:
             without = "a robot at its commanded positions"
         if better.all():
@@ -132,11 +132,12 @@ class SimulatedWindows:
     @property
     def rivals(self):
         """The same windows of robots without a model, by what they do."""
-        # Driven by torques, of one that stays and one that goes on; driven by
+        # Driven by torques, of one at rest and one with constant velocity; driven by
         # positions, of one that follows at once.
         if self.commanded is None:
             v = self.velocities[:, 0]
-            return {"stays": self._moving(0.0 * v), "goes on": self._moving(v)}
+            rest = self._moving(0.0 * v)
+            return {"at rest": rest, "constant velocity": self._moving(v)}
         v = np.gradient(self.commanded, self.t[0, 1] - self.t[0, 0], axis=1)
         states = np.concatenate([self.commanded, v, np.zeros_like(v)], axis=2)
         return {"as commanded": replace(self, simulated=states, failures=())}
@@ -239,8 +240,8 @@ def simulate_windows(
     >>> found.errors.shape
     (4, 6)
     >>> print(found.verdict())
-    not clearly better than a robot that stays and one that keeps its velocity on \
-joint_5, joint_6
+    not clearly better than a robot at rest and one with constant velocity on joint_5, \
+joint_6
     """
     predictor = robot.robot_
     names = predictor.joint_names_

@@ -355,7 +355,6 @@ COMMANDS = (
     "inspect arm.csv --urdf arm.urdf",
     "inspect gap.csv --urdf arm.urdf",
     "inspect commands.csv --urdf arm.urdf --drive LAW",
-    "simulate arm.csv --urdf arm.urdf --window 0.5 --out simulated",
     "simulate b.csv --model report/identified.json --window 0.3 --out again",
     "design --urdf arm.urdf --duration 4 --acceleration 3 --out motion.csv",
     "design --report report --duration 4 --acceleration 3 --out next.csv",
@@ -368,7 +367,7 @@ COMMANDS = (
     "close-loop arm.csv --urdf arm.urdf --out .",
     "close-loop arm.csv",
     "inspect other.csv --urdf arm.urdf",
-    "simulate arm.csv --urdf arm.urdf --window 100",
+    "simulate arm.csv --model report/identified.json --window 100",
     "design --urdf arm.urdf --duration -1",
     "no-command",
 )

@@ -77,7 +77,7 @@ def designed(home):
     with contextlib.redirect_stdout(text), contextlib.redirect_stderr(errors):
         assert main(["design", *argv]) == UNCHECKED
     (line,) = errors.getvalue().splitlines()
-    assert line.startswith("note: exit code 3: SELF-COLLISION WAS NOT CHECKED")
+    assert line.startswith("warning: SELF-COLLISION WAS NOT CHECKED")
     return out, text.getvalue(), argv
 
 
@@ -359,7 +359,7 @@ def test_what_a_slow_motion_does_not_tell_apart_is_said(home, here, capsys):
     assert float(least) > 100
     assert "It tells apart" not in captured.out
     line = captured.err.splitlines()[-1]
-    assert line.startswith("note: exit code 3: SELF-COLLISION WAS NOT CHECKED")
+    assert line.startswith("warning: SELF-COLLISION WAS NOT CHECKED")
     assert "; not told apart on joint 1 (shoulder)" in line
 
 

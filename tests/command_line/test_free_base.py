@@ -86,12 +86,6 @@ def test_refuses_what_is_no_orientation(run, text, said):
     assert said in line
 
 
-def test_an_orientation_without_a_description_is_refused(capsys):
-    assert main(["simulate", "a.csv", "--model", "a.json", *GIVEN]) == 2
-    said = "--base-orientation cannot be combined"
-    assert said in capsys.readouterr().err
-
-
 def test_a_motion_is_designed_for_the_orientation(folder, tmp_path, capsys):
     urdf = str(folder / "legs.xml")
     limits = ["--velocity", "3", "--acceleration", "3", "--torque", "1"]

@@ -147,13 +147,6 @@ def test_what_a_command_does_not_take_is_refused(argv, words, here, capsys):
     assert words in capsys.readouterr().err
 
 
-def test_a_simulation_takes_one_recording(here, capsys):
-    argv = ["simulate", "runs/a.csv", "--urdf", "arm.urdf", "runs/b.csv"]
-    assert main(argv) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "simulate takes one recording, got 2 files" in line
-
-
 # -- folders ---------------------------------------------------------------------------
 
 

@@ -62,7 +62,7 @@ def test_a_log_with_two_problems(arm, log, capsys):
     text = " ".join(lines)
     assert "Fix the recording first. The torque of joint_2 is clipped at" in text
     assert "Record with a wider range, or a slower motion." in text
-    last = text[text.index("note: exit code 3: ") :]
+    last = text[text.index("warning: ") :]
     assert "The torque of joint_2 is clipped at" in last
     assert "2 gap(s) of 5 periods or more" in last
     assert len(last) <= 2 * WIDTH

@@ -101,14 +101,13 @@ def _warm_up(task):
     from sklearn_vbjfa._cli import main
 
     os.chdir(task["folder"])
-    for command in ("close-loop", "simulate"):
-        with (
-            tempfile.TemporaryDirectory() as out,
-            open(os.devnull, "w", encoding="utf-8") as null,
-            contextlib.redirect_stdout(null),
-            contextlib.redirect_stderr(null),
-        ):
-            main([command, *task["argv"][1:], "--out", out])
+    with (
+        tempfile.TemporaryDirectory() as out,
+        open(os.devnull, "w", encoding="utf-8") as null,
+        contextlib.redirect_stdout(null),
+        contextlib.redirect_stderr(null),
+    ):
+        main([*task["argv"], "--out", out])
     os.chdir("/")
 
 

@@ -78,7 +78,7 @@ def test_a_true_robot_stays_at_the_measured_motion(found):
     assert not found.failed.any()
     assert found.failures == ()
     # Torques go straight between rows, with a jump at every turn; the robot's did not.
-    for rival in (found.rivals["stays"], found.rivals["goes on"]):
+    for rival in (found.rivals["at rest"], found.rivals["constant velocity"]):
         assert np.median(found.errors) < 0.02 * np.median(rival.errors)
         speeds = np.median(rival.velocity_errors)
         assert np.median(found.velocity_errors) < 0.02 * speeds
@@ -97,7 +97,10 @@ def test_rivals_stay_and_go_on(found):
     nv = len(found.joint_names)
     since = DT * np.arange(51)
     q0, v0 = found.start_positions, found.velocities[:, 0]
-    stays, goes_on = found.rivals["stays"].simulated, found.rivals["goes on"].simulated
+    stays, goes_on = (
+        found.rivals["at rest"].simulated,
+        found.rivals["constant velocity"].simulated,
+    )
     np.testing.assert_array_equal(stays[..., :nv], np.repeat(q0[:, None], 51, axis=1))
     assert not stays[..., nv:].any()
     np.testing.assert_allclose(

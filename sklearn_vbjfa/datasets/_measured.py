@@ -10,7 +10,7 @@ import sys
 import textwrap
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path, PurePosixPath
 from urllib.parse import quote
@@ -187,12 +187,10 @@ def _loader(name, read) -> Callable[..., Recording]:
         folder, source = Path(home).expanduser() / name, entry.get("source", "")
         files = _Files(name, folder, download_if_missing, source)
         logs = read(files)
-        columns = join(
-            logs,
-            dt=entry.get("dt") or median_period(logs),
-            resample=resample,
-            drop_repeated=entry.get("drop_repeated", False),
-        )
+        dt = entry.get("dt") or median_period(logs)
+        if resample and entry.get("drop_repeated"):
+            logs = [_without_repeats(log) for log in logs]
+        columns = join(logs, dt=dt, resample=resample)
         return Recording(
             name=name,
             **columns,
@@ -209,6 +207,14 @@ def _loader(name, read) -> Callable[..., Recording]:
     fetch.__name__ = fetch.__qualname__ = f"fetch_{name}"
     fetch.__doc__ = _documentation(name)
     return fetch
+
+
+def _without_repeats(log):
+    """Leave out rows that equal the one before in every channel."""
+    rows = np.column_stack([log.q, log.v, log.tau])
+    keep = np.r_[True, (np.diff(rows, axis=0) != 0).any(axis=1)]
+    channels = {key: getattr(log, key)[keep] for key in ("t", "q", "v", "tau")}
+    return replace(log, **channels)
 
 
 def _units(entry, key, usual):

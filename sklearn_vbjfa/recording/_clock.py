@@ -32,16 +32,12 @@ _SLOWEST = 1.0
 SAME_DT = 1e-3
 # Steps this near to whole periods, nine in ten of them, show how many rows are missing.
 _NEAR, _NEARLY_ALL = 0.15, 0.9
-# Rows over which the period is averaged, against late stamps; and over which it is
-# compared with that of the rest, by the standard deviation of its ratio.
-_WINDOW, _LONG_WINDOW, _CHANGES = 16, 64, 0.08
-# Stamps of which fewer change than this must change by small shares of the recording.
-_SOME_TICKS, _FINE_TICKS = 0.3, 0.02
+# Rows over which the period is compared with that of the rest, and the standard
+# deviation of its ratio that is refused.
+_LONG_WINDOW, _CHANGES = 64, 0.08
 # Positions must fit the stamps better by this much, in the sum over the joints of the
 # logarithms of their roughness, than they fit a steady sampling.
 _CLEARLY = 0.2
-# Share of steps over several periods from which rows are missing.
-_SEVERAL = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,11 +53,6 @@ class TimeStamps:
     steps: np.ndarray  # between stamps, gaps left out [s]
     gaps: np.ndarray  # rows after which more than five periods are missing
 
-    @property
-    def jitter(self):
-        """Standard deviation of the steps from the period [s]."""
-        return float(np.sqrt(np.mean((self.steps - self.dt) ** 2)))
-
 
 def inspect_time_stamps(
     t, dt=None, where="row {}".format, positions=None, tolerance=DT_TOLERANCE
@@ -75,28 +66,29 @@ def inspect_time_stamps(
         raise ValueError(f"t must hold two time stamps or more, got shape {t.shape}.")
     step = np.diff(t)
     _check_rise(t, step, where)
-    period, whole = _first_period(t, step)
+    period, counts = _first_period(step)
     if dt is None and period >= _SLOWEST:
         raise ValueError(
             f"time steps by {period:.6g} s at the median: t is probably not in "
             "seconds; give time_unit ms, us or ns."
         )
-    gaps = _gaps(t, step, period)
+    gaps = np.flatnonzero(step > GAP_PERIODS * period)
     pieces = [slice(a, b) for a, b in zip(np.r_[0, gaps + 1], np.r_[gaps + 1, t.size])]
-    # Rows are missing, as of a second source, and stamps are not merely rounded.
-    missing = whole and np.mean(step > 1.5 * period) > _SEVERAL
-    steady, found = _steady(t, step, pieces, period, rounded=not missing)
-    slots, sampled = _counted(pieces), False
-    if not steady:
-        found, slots, sampled = _irregular(t, pieces, period, whole, positions)
-        if not sampled:
-            _check_period(t, pieces, slots, found, where)
+    slots = np.concatenate([np.r_[0, np.cumsum(counts[x][:-1])] for x in pieces])
+    rows = sum(slots[x.stop - 1] for x in pieces)
+    found = sum(t[x.stop - 1] - t[x.start] for x in pieces) / rows if rows else period
+    off = max(np.ptp(t[x] - found * slots[x]) for x in pieces)
+    late, sampled = off > 2 * STEADY * found, False
+    if late and positions is not None:
+        steady, stamped = _roughness([found * slots, t], pieces, positions)
+        sampled = stamped < steady - _CLEARLY
+    if late and not sampled:
+        _check_period(t, pieces, slots, found, where)
     check_given(found, dt, tolerance=tolerance)
-    off = [np.ptp(t[x] - found * slots[x]) for x in pieces]
     return TimeStamps(
         dt=float(f"{found:.7g}") if dt is None else float(dt),
-        sampled=sampled,
-        late=not steady and not sampled and max(off) > 2 * STEADY * found,
+        sampled=bool(sampled),
+        late=bool(late and not sampled),
         slots=slots,
         steps=np.delete(step, gaps),
         gaps=gaps,
@@ -105,21 +97,15 @@ def inspect_time_stamps(
 
 def _check_rise(t, step, where):
     """Refuse time that runs backwards or stands still."""
-    back = np.flatnonzero(step < 0)
-    if back.size:
-        row = back[0] + 1
-        raise ValueError(
-            f"time runs backwards to {t[row]:.9g} s in {where(row)} ({back.size} such "
-            "row(s)); sort the rows, or mark separate recordings in a column segment."
-        )
-    ticks = step[step > 0]
-    few = ticks.size < _SOME_TICKS * step.size
-    if not ticks.size or (few and np.max(ticks) > _FINE_TICKS * (t[-1] - t[0])):
-        raise ValueError(
-            f"time repeats {t[0]:.9g} s in all rows or in most of them "
-            f"({ticks.size + 1} different stamps in {t.size} rows); write the stamps "
-            "with more digits, or leave them out and give dt."
-        )
+    for wrong, what in ((step < 0, "runs backwards to"), (step == 0, "repeats")):
+        if wrong.any():
+            row = int(np.argmax(wrong)) + 1
+            raise ValueError(
+                f"time {what} {t[row]:.9g} s in {where(row)} ({wrong.sum()} of "
+                f"{t.size} rows): sort the rows, write the stamps with more digits, "
+                "mark separate recordings in a column segment, or leave the stamps out "
+                "and give dt."
+            )
 
 
 def check_given(found, dt, what="time steps by", tolerance=DT_TOLERANCE):
@@ -131,133 +117,24 @@ def check_given(found, dt, what="time steps by", tolerance=DT_TOLERANCE):
         )
 
 
-# -- the period ------------------------------------------------------------------------
-
-
-def _first_period(t, step):
-    """Return a first period [s], and whether steps are whole multiples of it."""
+def _first_period(step):
+    """Return a first period [s], and how many of it each step takes, (n - 1,) int."""
     # Without the rows of a second source, steps of two sizes may be equally frequent.
     for share in (0.5, 0.25):
-        period = float(np.quantile(step[step > 0], share, method="lower"))
-        counts = np.round(step / period)
-        near = (np.abs(step / period - counts) < _NEAR) & (counts > 0)
-        if near.mean() < _NEARLY_ALL:
-            continue
-        near &= counts <= GAP_PERIODS
-        for _ in range(2):
-            count = np.maximum(np.round(step[near] / period), 1.0).sum()
-            period = float(step[near].sum() / count)
-        return period, True
-    m = min(_WINDOW, step.size)
-    period = float(np.median(t[m:] - t[:-m])) / m
-    # Many rows with one stamp, and then a long step.
-    return (period if period > 0 else (t[-1] - t[0]) / step.size), False
-
-
-def _gaps(t, step, period):
-    """Return rows after which rows are missing, not only stamps late."""
-    gaps = []
-    for row in np.flatnonzero(step > GAP_PERIODS * period):
-        excess = step[row] / period - 1.0
-        count = int(np.ceil(3 * excess))
-        after = t[row + 1 : row + 2 + count] - t[row]
-        before = t[row + 1] - t[max(row - count, 0) : row + 1][::-1]
-        # Rows that waited come quickly afterwards; those of a packet came before.
-        left = [np.min(x / period - np.arange(1, x.size + 1)) for x in (after, before)]
-        if min(left) > excess / 3:
-            gaps.append(row)
-    return np.array(gaps, dtype=int)
-
-
-def _steady(t, step, pieces, period, rounded):
-    """Return whether stamps are equidistant but for rounding, and their period [s]."""
-    rows = sum(x.stop - x.start - 1 for x in pieces)
-    found = sum(t[x.stop - 1] - t[x.start] for x in pieces) / max(rows, 1)
-    if found <= 0:
-        return rows < 1, period
-    steady = max(2 * STEADY * found, 1.01 * _resolution(t, found) * rounded)
-    if np.mean(step == 0) > 1 - _NEARLY_ALL:
-        # A clock that ticks more slowly than the robot is sampled.
-        steady = max(steady, 1.01 * float(np.median(step[step > 0])))
-    late = [t[x] - t[x.start] - found * np.arange(x.stop - x.start) for x in pieces]
-    return max(float(np.ptp(x)) for x in late) <= steady, found
-
-
-def _resolution(t, dt):
-    """Return the decimal step to which stamps were rounded [s], 0 for a fine one."""
-    for step in 10.0 ** -np.arange(7):
-        if step < 0.5 * dt:
-            digits = round(-np.log10(step))
-            if np.abs(t - np.round(t, digits)).max() < 1e-6 * step:
-                return step
-            if step < STEADY * dt:
-                break
-    return 0.0
-
-
-def _counted(pieces):
-    """Count the rows of each piece from 0."""
-    return np.concatenate([np.arange(x.stop - x.start) for x in pieces])
-
-
-# -- irregular stamps ------------------------------------------------------------------
-
-
-def _irregular(t, pieces, period, whole, positions):
-    """Return the period [s], slots, and whether the stamps are the times of sampling.
-
-    Three hypotheses are compared by the roughness of the positions: the rows are
-    equidistant, some rows are missing, or the robot was sampled at the stamps. `whole`
-    tells whether the steps show how many rows are missing.
-    """
-    followed = np.concatenate([_slots_of_piece(t[x], period, whole) for x in pieces])
-    candidates = [_counted(pieces), followed]
-    if whole:
-        candidates.reverse()
-    took = sum(t[x.stop - 1] - t[x.start] for x in pieces)
-    periods = [took / sum(one[x.stop - 1] for x in pieces) for one in candidates]
-    best = 0
-    if positions is not None:
-        times = [dt * slots for dt, slots in zip(periods, candidates)]
-        rough = _roughness([*times, t], pieces, positions)
-        best = int(rough[1] < rough[0] - _CLEARLY)
-        if rough[-1] < rough[best] - _CLEARLY:
-            return periods[0], candidates[0], True
-    return periods[best], candidates[best], False
-
-
-def _slots_of_piece(t, period, whole):
-    """Return the periods in which rows without a gap were sampled."""
-    slots = np.arange(t.size)
-    for _ in range(2):
-        slots = _followed_slots(t, period, whole)
-        took = t[-1] - t[0]
-        period = took / slots[-1] if slots[-1] and took > 0 else period
-    return slots
-
-
-def _followed_slots(t, dt, whole):
-    """Count periods, following a clock that wanders and stamps that are late."""
-    # Stamps at whole periods begin at one; among late ones the first may be the latest.
-    start = 1 if whole else min(_WINDOW, t.size)
-    phase = float(np.median(t[:start] - dt * np.arange(start)))
-    slots = np.empty(t.size, dtype=int)
-    slot, delay = -1, 0.0
-    for row, stamp in enumerate(t.tolist()):
-        found = (stamp - phase) / dt
-        slot = max(slot + 1, round(found - delay))
-        # The clock of the stamps against that of the rows, averaged.
-        delay += 0.1 * (found - slot - delay)
-        slots[row] = slot
-    return slots - slots[0]
+        period = float(np.quantile(step, share, method="lower"))
+        counts = np.maximum(np.rint(step / period).astype(int), 1)
+        if np.mean(np.abs(step / period - counts) < _NEAR) >= _NEARLY_ALL:
+            return period, np.r_[counts, 1]
+    # Nothing shows which rows are missing.
+    return float(np.median(step)), np.ones(step.size + 1, dtype=int)
 
 
 def _check_period(t, pieces, slots, dt, where):
     """Refuse rows whose period changes within the recording."""
     ends = [np.arange(x.start, x.stop, _LONG_WINDOW) for x in pieces]
     rate = np.concatenate([np.diff(t[x]) / np.diff(slots[x]) / dt for x in ends])
-    row = np.concatenate([x[:-1] for x in ends])
     if rate.size > 3 and np.std(rate) > _CHANGES:
+        row = np.concatenate([x[:-1] for x in ends])
         slow, fast = row[rate.argmax()], row[rate.argmin()]
         raise ValueError(
             f"time steps by {rate.min() * dt:.4g} s on average after {where(fast)} and "
@@ -365,8 +242,7 @@ def without_odd_rows(table, layout, options, notes):
     are missing.
     """
     n, q, tau = table.n_rows, layout.of("q"), layout.of("tau")
-    if options.drive is not None:
-        table, tau = _with_commands_held(table, layout, options, notes), ()
+    tau = tau if options.drive is None else ()
     roles = [*q, *tau, *layout.of("v"), *layout.of("a")]
     values = _matrix(table, [*q, *tau])
     keep = ~np.isnan(values).all(axis=1)
@@ -398,7 +274,7 @@ def without_odd_rows(table, layout, options, notes):
         return table, None
     rows = np.flatnonzero(keep)
     # Rows of other topics, and of a second source, are no samples that are missing.
-    lost = table.n_rows == n and not second.any() and rows.size >= (1 - _LACKING) * n
+    lost = not second.any() and rows.size >= (1 - _LACKING) * n
     return table.take(rows), rows if lost else None
 
 
@@ -408,23 +284,6 @@ def _matrix(table, roles):
     if not values or any(x.dtype.kind not in "iuf" for x in values):
         return np.zeros((table.n_rows, 0))
     return np.column_stack(values).astype(float)
-
-
-def _with_commands_held(table, layout, options, notes):
-    """Hold commands that have separate rows until the next one comes."""
-    kinds = [kind for kind in options.recorded if kind != "tau"]
-    known = table.frame[[role.column for role in layout.of(*kinds)]]
-    known = known.select_dtypes("number").dropna(axis=1, how="all")
-    known = known.loc[:, known.isna().any()]
-    if known.empty:
-        return table
-    rows = int(known.notna().sum().max())
-    begin = int(known.notna().to_numpy().argmax(axis=0).max())
-    notes.append(
-        f"commands stand in {rows} of {table.n_rows} rows: each holds until the next "
-        f"one comes{f'; {begin} row(s) before the first are left out' * (begin > 0)}."
-    )
-    return replace(table, frame=table.frame.assign(**known.ffill()).iloc[begin:])
 
 
 def _second_source(q, tau, keep):

@@ -9,7 +9,7 @@ import numpy as np
 
 from sklearn_vbjfa.recording._clock import given_period, time_of, without_odd_rows
 from sklearn_vbjfa.recording._drives import UNSIGNED, PDDrive
-from sklearn_vbjfa.recording._grid import on_grid, sorted_by_time
+from sklearn_vbjfa.recording._grid import on_grid
 from sklearn_vbjfa.recording._layout import (
     ESTIMATES,
     ReadOptions,
@@ -267,8 +267,6 @@ def recording_of(table: Table, options: ReadOptions):
     # What was read is held no longer than needed.
     table = replace(table, frame=table.frame.iloc[:, :0])
     channels |= signals
-    if t is not None and labels is None:
-        t, channels, table = sorted_by_time(table, t, channels, notes)
     recording = Recording(
         # Without any of its endings.
         name=re.sub(r"(?<=.)\.[^.]*(\.(gz|bz2|xz))?$", "", table.path.name)

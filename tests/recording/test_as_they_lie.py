@@ -205,14 +205,6 @@ def test_a_last_line_that_is_cut_is_left_out_with_a_word(cut, made, text, tmp_pa
     assert any("the last line is cut" in x for x in notes)
 
 
-def test_rows_out_of_order_are_sorted_with_a_word(made, text, tmp_path):
-    path, order = tmp_path / "log.csv", np.random.default_rng(0).permutation(1000)
-    path.write_text("\n".join([text[0], *(text[1][k] for k in order)]))
-    recording, notes = read(path, made)
-    assert_same(recording, made)
-    assert any("they were sorted by it" in x for x in notes)
-
-
 def test_two_recordings_one_behind_the_other_are_not_mixed(made, text, tmp_path):
     path = tmp_path / "log.csv"
     again = [

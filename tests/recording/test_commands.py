@@ -173,25 +173,6 @@ def test_commands_hold_where_rows_are_missing(tmp_path):
     assert recording.torque_noise is None
 
 
-def test_commands_on_rows_of_their_own_hold(tmp_path):
-    t, q, _ = motion(n=100)
-    rows = []
-    for k in range(100):
-        rows.append((t[k], *q[k], "", ""))
-        if k % 10 == 3:
-            rows.append((t[k] + 0.004, "", "", 0.1 * k, 0.2 * k))
-    text = "t,q1,q2,q_des_1,q_des_2\n"
-    text += "\n".join(",".join(map(str, row)) for row in rows)
-    (tmp_path / "a.csv").write_text(text)
-    recording, said = read(tmp_path / "a.csv", drive=TEXT)
-    assert "commands stand in 10 of 110 rows: each holds until the next" in said
-    assert "4 row(s) before the first are left out" in said
-    held = 10 * ((np.arange(4, 100) - 4) // 10) + 3
-    expected = np.column_stack([0.1 * held, 0.2 * held])
-    assert_allclose(recording.signals["q_desired"], expected, atol=1e-12)
-    assert_allclose(recording.q, q[4:], atol=1e-12)
-
-
 # -- Unitree ---------------------------------------------------------------------------
 
 

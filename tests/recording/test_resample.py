@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
 
 from sklearn_vbjfa.recording import Log, interpolate, join, median_period
 
@@ -23,7 +22,7 @@ def test_cubic_reproduces_a_cubic_and_linear_a_line(make_stamps):
         "tau": np.column_stack([3 * t, 1 - t]),
         "temperature": 20 + t,
     }
-    grid, part = interpolate(t - t[0], channels, 0.01, CubicSpline)
+    grid, part = interpolate(t - t[0], channels, 0.01)
     np.testing.assert_allclose(np.diff(grid), 0.01)
     assert grid[0] == 0
     assert 0 <= (t[-1] - t[0]) - grid[-1] < 0.01

@@ -120,7 +120,7 @@ def test_rows_with_the_stamp_of_the_one_before_are_left_out(tmp_path):
     assert "60 row(s) have the stamp of the one before: left out" in said
     np.testing.assert_array_equal(recording.tau, tau)
     # Stamps of so few digits say little.
-    with pytest.raises(ValueError, match="time repeats .* leave the stamps out"):
+    with pytest.raises(ValueError, match=r"time repeats .* leave the stamps out"):
         save(tmp_path / "b.npz", np.round(t, 2), motion(t), tau)
 
 

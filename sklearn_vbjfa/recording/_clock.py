@@ -35,6 +35,8 @@ _NEAR, _NEARLY_ALL = 0.15, 0.9
 # Rows over which the period is compared with that of the rest, and the standard
 # deviation of its ratio that is refused.
 _LONG_WINDOW, _CHANGES = 64, 0.08
+# Steps without a common period of which more than this share are gaps are refused.
+_MANY_GAPS = 0.02
 # Positions must fit the stamps better by this much, in the sum over the joints of the
 # logarithms of their roughness, than they fit a steady sampling.
 _CLEARLY = 0.2
@@ -66,13 +68,18 @@ def inspect_time_stamps(
         raise ValueError(f"t must hold two time stamps or more, got shape {t.shape}.")
     step = np.diff(t)
     _check_rise(t, step, where)
-    period, counts = _first_period(step)
+    period, counts, is_common = _first_period(step)
     if dt is None and period >= _SLOWEST:
         raise ValueError(
             f"time steps by {period:.6g} s at the median: t is probably not in "
             "seconds; give time_unit ms, us or ns."
         )
     gaps = np.flatnonzero(step > GAP_PERIODS * period)
+    if not is_common and gaps.size > _MANY_GAPS * step.size:
+        raise ValueError(
+            f"time steps by {step.min():.4g} to {step.max():.4g} s, without a period; "
+            "correct t, or leave it out and give dt if rows are equidistant."
+        )
     pieces = [slice(a, b) for a, b in zip(np.r_[0, gaps + 1], np.r_[gaps + 1, t.size])]
     slots = np.concatenate([np.r_[0, np.cumsum(counts[x][:-1])] for x in pieces])
     rows = sum(slots[x.stop - 1] for x in pieces)
@@ -118,15 +125,15 @@ def check_given(found, dt, what="time steps by", tolerance=DT_TOLERANCE):
 
 
 def _first_period(step):
-    """Return a first period [s], and how many of it each step takes, (n - 1,) int."""
+    """Return a period [s], how many of it each step takes, and whether it has one."""
     # Without the rows of a second source, steps of two sizes may be equally frequent.
     for share in (0.5, 0.25):
         period = float(np.quantile(step, share, method="lower"))
         counts = np.maximum(np.rint(step / period).astype(int), 1)
         if np.mean(np.abs(step / period - counts) < _NEAR) >= _NEARLY_ALL:
-            return period, np.r_[counts, 1]
+            return period, np.r_[counts, 1], True
     # Nothing shows which rows are missing.
-    return float(np.median(step)), np.ones(step.size + 1, dtype=int)
+    return float(np.median(step)), np.ones(step.size + 1, dtype=int), False
 
 
 def _check_period(t, pieces, slots, dt, where):

@@ -8,7 +8,7 @@ from os import fspath
 import numpy as np
 
 from sklearn_vbjfa.recording._clock import given_period, time_of, without_odd_rows
-from sklearn_vbjfa.recording._drives import UNSIGNED, PDDrive
+from sklearn_vbjfa.recording._drives import PDDrive
 from sklearn_vbjfa.recording._grid import on_grid
 from sklearn_vbjfa.recording._layout import (
     ESTIMATES,
@@ -18,7 +18,6 @@ from sklearn_vbjfa.recording._layout import (
     in_order,
     laid_out,
     matches,
-    name_and_unit,
     refuse_two,
 )
 from sklearn_vbjfa.recording._recording import Recording, contiguous_groups
@@ -30,7 +29,6 @@ from sklearn_vbjfa.recording._table import (
     Table,
     is_clock,
     is_current,
-    is_measured,
     kinds_in,
     listed,
     split_unit,
@@ -48,23 +46,17 @@ _WHAT = {"q": "positions", "tau": "torques", "q_desired": "desired positions"}
 def refusal(table, layout, options, robot, missing):
     """Return the refusal that lists everything that is missing."""
     near = {kind: _nearest(table, kind, robot.names) for kind in missing}
-    nearest = {k: f" (nearest: {listed(x)})" if x else "" for k, x in near.items()}
-    kinds = [kind for kind in missing if kind != "t"]
-    parts = [
-        f"no {_WHAT.get(kind, kind)}: expected columns {kind}1, {kind}2, ..."
-        f"{nearest[kind]}"
-        for kind in kinds
-    ]
-    if kinds and layout.joints and layout.joints != robot.names:
+    parts = []
+    if layout.joints and layout.joints != robot.names:
         joints = f"its joints {listed(layout.joints)} are not those of the robot"
-        parts.insert(0, f"{joints}, {listed(robot.names)}")
-    if "t" in missing:
-        parts.append(
-            f"no column t and no dt{nearest['t']}; add time stamps [s] as column t, or "
-            "give the sample period dt in seconds (command line: --dt 0.002)"
-        )
+        parts.append(f"{joints}, {listed(robot.names)}")
+    for kind, names in near.items():
+        what = f"no {_WHAT.get(kind, kind)}: expected columns {kind}1, {kind}2, ..."
+        if kind == "t":
+            what = "no time: expected a column t [s], or the period dt [s] (--dt 0.002)"
+        parts.append(f"{what}{f' (nearest: {listed(names)})' if names else ''}")
     offered = _offered(table, options, robot, near)
-    if kinds == ["tau"] and not near["tau"]:
+    if missing[0] == "tau" and not near["tau"]:
         parts.append(
             "if the motors follow commands, give the drive, drive=... (command line: "
             '--drive "pd kp=... kd=...")'
@@ -72,9 +64,8 @@ def refusal(table, layout, options, robot, missing):
         driven = laid_out(table, replace(options, drive=PDDrive()), robot)
         if driven.kinds | {*table.scalars} >= {"q_desired", "kp", "kd"}:
             offered = {"drive": "pd"}
-    if kinds:
-        parts.append(f"found {listed(table.names)}")
-    if kinds and not offered:
+    parts.append(f"found {listed(table.names)}")
+    if not offered and missing != ["t"]:
         parts.append(
             "rename them in the header, or give "
             f'columns="q=NAME{{i}},{options.kinds[1]}=NAME{{i}},t=NAME"'
@@ -96,26 +87,15 @@ def _offered(table, options, robot, near):
         return {}
     (mapping,) = found
     offered = {"columns": ",".join(f"{key}={x}" for key, x in mapping.items())}
-    columns = matches(mapping["q"], table, "q") if "q" in mapping else []
-    numbered = columns and all(isinstance(x.key, int) for x in columns)
-    if numbered and len(columns) < len(robot.names) and not robot.chosen:
-        offered["joint_names"] = robot.names[: len(columns)]
     if "t" in near and not split_unit(mapping["t"])[1]:
         unit = unit_of_steps(usual_step(table.values(mapping["t"]).astype(float)))
         offered |= {} if unit in ("", "s") else {"time_unit": unit}
     if "tau" in near and options.gains is None:
-        offered |= _gains_for(table, mapping["tau"])
+        columns = matches(mapping["tau"], table, "tau")
+        bases = {unit.base for x in columns if (unit := unit_of("tau", x.unit))}
+        if bases - {"N m", "N"} or (not bases and is_current(mapping["tau"])):
+            offered["gains"] = "unknown"
     return offered
-
-
-def _gains_for(table, pattern):
-    """Return the option that takes columns of currents or the like, {} for torques."""
-    columns = matches(pattern, table, "tau")
-    bases = {unit.base for x in columns if (unit := unit_of("tau", x.unit))}
-    if not bases and is_current(pattern):
-        signed = any((table.values(x.column) < 0).any() for x in columns)
-        return {"gains": "unknown"} if signed else {"drive": UNSIGNED}
-    return {"gains": "unknown"} if bases - {"N m", "N"} else {}
 
 
 def _works(table, options, robot):
@@ -130,27 +110,23 @@ def _works(table, options, robot):
     except ValueError:
         return False
     counts = {len(found[kind]) for kind in options.kinds[:2]}
-    return len(counts) == 1 and max(counts) <= (len(robot.names) or max(counts))
+    return len(counts) == 1 and counts <= {len(robot.names) or max(counts)}
 
 
 # -- the nearest names -----------------------------------------------------------------
 
 
 def _nearest(table, kind, joints):
-    """Return the patterns of columns nearest to a kind."""
+    """Return the patterns of columns nearest to a kind, those of all joints first."""
     if kind == "t":
         return _clocks(table)
     wanted = {"q_desired": {"q", "command"}}.get(kind, {kind})
-    found: dict[tuple, list] = {}
-    for pattern, columns in _families(table, joints).items():
-        kinds = {_KIND.get(x, x) for x in kinds_in(pattern)}
-        # A unit tells the kind of what has words of another language.
-        unit = name_and_unit(table, next(iter(columns.values())))[1]
-        if (kinds or {x for x in KINDS if unit and unit_of(x, unit)}) == wanted:
-            others = len(columns) != (len(joints) or len(columns))
-            rank = others, not is_measured(pattern)
-            found.setdefault(rank, []).append(pattern)
-    return found[min(found)] if found else []
+    near = {
+        pattern: len(columns) == (len(joints) or len(columns))
+        for pattern, columns in _families(table, joints).items()
+        if {_KIND.get(x, x) for x in kinds_in(pattern)} == wanted
+    }
+    return [x for x, whole in near.items() if whole] or list(near)
 
 
 def _families(table, joints):
@@ -182,18 +158,15 @@ def _counts(numbers, joints):
 
 
 def _clocks(table):
-    """Return the column whose name has to do with time and that rises like a clock."""
+    """Return the columns whose name has to do with time and that rise like a clock."""
     # A column that goes up by one counts rows.
-    found = [
+    return [
         name
         for name in table.names
         if ("t" in kinds_in(name) or unit_of("t", split_unit(name)[1] or name))
         and is_clock(table.values(name))
         and usual_step(table.values(name)) != 1
     ]
-    first = next((table.values(x) for x in found), None)
-    same = all(np.allclose(table.values(x), first, rtol=0, atol=1e-6) for x in found)
-    return found[:1] if same else []
 
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.

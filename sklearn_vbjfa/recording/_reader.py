@@ -30,7 +30,7 @@ from sklearn_vbjfa.recording._table import (
 )
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
-# What holds commands; of these only the ones of the motion are of use.
+# Files of commands, by the kind of what is commanded; others are of no use.
 _COMMANDS = {"q": "q_desired", "v": "v_desired"}
 
 
@@ -39,84 +39,21 @@ class _Part:
     """A file that is joined with others."""
 
     table: Table
-    time: Role | None  # of its stamps
-    kind: str = ""  # of its columns, by the name of the file
+    kind: str  # of its columns, by the name of the file; "" for none
+    time: Role | None = None  # of its stamps
 
     @property
     def name(self):
         """Name of the file."""
         return self.table.path.name
 
-    @property
-    def has_positions(self):
-        """Whether its columns are positions, by their names or that of the file."""
-        return self.kind == "q" or "q" in by_names(self.table).kinds
-
 
 def joined(tables, joints, path) -> Table:
-    """Put tables of one recording side by side."""
+    """Put tables of one recording side by side, at the stamps of the positions."""
     # joints: names of the robot's, empty if unknown; path: as messages name the whole.
-    base, others, left_out = _parts(tables, joints, path)
-    rows = [_rows(part, base) for part in others]
-    notes = list(filter(None, map(_how, others, rows, [base] * len(rows))))
-    keep = np.flatnonzero(np.isfinite(rows).all(axis=0))
-    if not keep.size:
-        raise ValueError(
-            f"{path}: the files have no time in common; expected one clock in one unit."
-        )
-    lost = base.table.n_rows - keep.size
-    if lost:
-        text = f"{lost} row(s) of {base.name} are not in all files: left out."
-        notes.append(Loss(text) if np.ptp(keep) + 1 > keep.size else text)
-    frame = base.table.frame.iloc[keep]
-    columns, of = {x: frame[x] for x in frame}, dict.fromkeys(frame, base.name)
-    for part, at in zip(others, rows):
-        stamps = () if part.time is None else part.time.columns
-        for name in (x for x in part.table.names if x not in stamps):
-            values = _at(part.table.values(name), at[keep])
-            if name in columns and not np.array_equal(columns[name], values):
-                one = replace(part.table, frame=part.table.frame[[name]])
-                if by_names(one, joints).kinds - {"t", "segment"}:
-                    raise ValueError(
-                        f"{path}: column {name!r} is in {of[name]} and in {part.name}, "
-                        "with other values; leave one of the files out, or rename the "
-                        "column."
-                    )
-                name = f"{part.table.path.stem}.{name}"
-            columns[name], of[name] = values, part.name
-    how = f"at the stamps of {base.name}" if notes else "row by row"
-    parts = [base, *others]
-    what = sorted(x.name + (f" ({x.kind})" if x.kind else "") for x in parts)
-    notes.insert(0, f"{len(parts)} files of one recording, {how}: {listed(what)}.")
-    if left_out:
-        notes.insert(1, f"{listed(left_out)}: not needed, left out.")
-    tables = [part.table for part in parts]
-    return Table(
-        path=path,
-        frame=pandas_of(path).DataFrame(columns, index=frame.index),
-        place=f"{base.table.place} of {base.name}",
-        scalars={key: x for one in tables for key, x in one.scalars.items()},
-        units={key: x for one in tables for key, x in one.units.items()},
-        joints=next((x.joints for x in tables if x.joints), ()),
-        notes=(*(f"{x.path.name}: {y}" for x in tables for y in x.notes), *notes),
-    )
-
-
-# -- the content of a file -------------------------------------------------------------
-
-
-def _parts(tables, joints, path):
-    """Return the file at whose rows others stand, these, and names of those left."""
-    parts, left_out = [], []
-    for table in tables:
-        kind = _kind_of_file(table)
-        if kind is None or (table.nameless and not kind):
-            left_out.append(table.path.name)
-        else:
-            parts.append(_part(table, kind, joints))
+    parts = [x for x in (_part(table, joints) for table in tables) if x is not None]
     if any(x.time is not None and x.kind != "t" for x in parts):
         # The others have stamps.
-        left_out += [x.name for x in parts if x.kind == "t"]
         parts = [x for x in parts if x.kind != "t"]
     if len(parts) < 2:
         raise ValueError(
@@ -124,38 +61,95 @@ def _parts(tables, joints, path):
             "can be joined; name them after what they hold: positions, velocities, "
             "torques, currents or time."
         )
-    stamped = [x for x in parts if x.time is not None] or parts[:1]
-    base = next((x for x in stamped if x.time and x.has_positions), stamped[0])
-    return base, [x for x in parts if x is not base], left_out
+    parts.sort(key=lambda x: (x.time is None, "q" not in by_names(x.table).kinds))
+    base, *others = parts
+    rows = np.array([_rows(part, base) for part in others])
+    keep = np.flatnonzero(np.isfinite(rows).all(axis=0))
+    if not keep.size:
+        raise ValueError(
+            f"{path}: the files have no time in common; expected one clock in one unit."
+        )
+    names = sorted(x.name + (f" ({x.kind})" if x.kind else "") for x in parts)
+    what = f"{len(parts)} files of one recording, at the rows of {base.name}"
+    notes, lost = [f"{what}: {listed(names)}."], base.table.n_rows - keep.size
+    if lost:
+        text = f"{lost} row(s) of {base.name} are not in all files: left out."
+        notes.append(Loss(text) if np.ptp(keep) + 1 > keep.size else text)
+    used = [x.table for x in parts]
+    left_out = [x.path.name for x in tables if x.path not in [y.path for y in used]]
+    if left_out:
+        notes.append(f"{listed(left_out)}: not needed, left out.")
+    frame = base.table.frame.iloc[keep]
+    columns = {x: frame[x] for x in frame}
+    for part, at in zip(others, rows):
+        columns |= _columns_beside(path, columns, part, at[keep], joints)
+    return Table(
+        path=path,
+        frame=pandas_of(path).DataFrame(columns, index=frame.index),
+        place=f"{base.table.place} of {base.name}",
+        scalars={key: x for one in used for key, x in one.scalars.items()},
+        units={key: x for one in used for key, x in one.units.items()},
+        joints=next((x.joints for x in used if x.joints), ()),
+        notes=(*(f"{x.path.name}: {y}" for x in used for y in x.notes), *notes),
+    )
 
 
-def _kind_of_file(table):
-    """Return the kind that a file is called after, "" for none; None: of no use."""
+def _columns_beside(path, columns, part, at, joints):
+    """Return the columns of a file at some rows, numbers on lines between them."""
+    found, stamps = {}, () if part.time is None else part.time.columns
+    for name in (x for x in part.table.names if x not in stamps):
+        values = part.table.values(name)
+        if values.dtype.kind in "iuf" and (at % 1).any():
+            values = np.interp(at, np.arange(len(values)), values)
+        else:
+            values = values[at.astype(int)]
+        if name in columns and not np.array_equal(columns[name], values):
+            one = replace(part.table, frame=part.table.frame[[name]])
+            if by_names(one, joints).kinds - {"t", "segment"}:
+                raise ValueError(
+                    f"{path}: column {name!r} is in {part.name} and in another file, "
+                    "with other values; leave one of the files out, or rename the "
+                    "column."
+                )
+            name = f"{part.table.path.stem}.{name}"
+        found[name] = values
+    return found
+
+
+# -- the content of a file -------------------------------------------------------------
+
+
+def _part(table: Table, joints):
+    """Return a file, its columns called after the file if they have no other names."""
     named = kinds_in(table.path.stem)
     kinds = {"tau" if x in ("torque", "current") else x for x in named}
     kinds -= {"command", "other"}
     kind = kinds.pop() if len(kinds) == 1 else ""
-    return _COMMANDS.get(kind) if kind and "command" in named else kind
-
-
-def _part(table: Table, kind, joints):
-    """Return a file, its columns called after the file if they have no other names."""
+    if kind and "command" in named:
+        kind = _COMMANDS.get(kind)
+    if kind is None or (table.nameless and not kind):
+        return None
     plain = by_names(table, joints)
     time = next(iter(plain.of("t")), None)
-    stamps = () if time is None else time.columns
     if table.nameless:
-        names = _names_of_places(table, kind, joints)
-        time = Role(kind="t", column="t") if "t" in names.values() else None
+        n, first = len(table.names), kind == "t"
+        # Time may stand before the columns of the joints.
+        if not first and n > 1 and n != len(joints):
+            first = is_clock(table.values("1"))
+        time = Role(kind="t", column="t") if first else None
+        names = {str(k + 1): f"{kind}{k + 1 - first}" for k in range(n)}
+        names |= {"1": "t"} if first else {}
     elif kind in ("", "t") or plain.kinds - {"t", "segment"}:
-        return _Part(table=table, time=time)
+        return _Part(table=table, kind="", time=time)
     else:
+        stamps = () if time is None else time.columns
         names = _names([x for x in table.names if x not in stamps], kind, joints)
     units = {names.get(key, key): x for key, x in table.units.items()}
     if is_current(table.path.stem):
         units |= {x: "A" for x in names.values() if x not in units and x != "t"}
     frame = table.frame.rename(columns=names)
     table = replace(table, frame=frame, units=units, nameless=False)
-    return _Part(table=table, time=time, kind=kind if names else "")
+    return _Part(table=table, kind=kind if names else "", time=time)
 
 
 def _names(columns, kind, joints):
@@ -167,21 +161,6 @@ def _names(columns, kind, joints):
     if len(columns) == (len(joints) or len(columns)):
         return {x: f"{kind}{k}" for k, x in enumerate(columns, start=1)}
     return {}
-
-
-def _names_of_places(table: Table, kind, joints):
-    """Return names of the columns of a table without names, by its file."""
-    count, n = len(table.names), len(joints)
-    if kind == "t" and count == 1:
-        return {"1": "t"}
-    stamped = count > 1 and count != n and is_clock(table.values("1"))
-    if n not in (0, count - stamped):
-        raise ValueError(
-            f"{table.path}: has {count} column(s) without names; expected {n} of "
-            f"{kind}, one for each joint, or {n + 1} with time before them."
-        )
-    names = {str(k + stamped): f"{kind}{k}" for k in range(1, count - stamped + 1)}
-    return {"1": "t"} | names if stamped else names
 
 
 # -- which rows go together ------------------------------------------------------------
@@ -202,23 +181,21 @@ def _rows(part, base):
     if np.array_equal(*same_column) and not part.time.nanoseconds:
         return np.arange(float(n))
     t, at = _seconds(part), _seconds(base)
-    if (np.diff(t) <= 0).any():
+    step = np.diff(t)
+    if (step <= 0).any():
         raise ValueError(
             f"{part.table.path}: time must increase from row to row to join it with "
             f"{base.name}; sort it, and remove duplicates."
         )
-    period = np.median(np.diff(t))
-    if n == n_base and np.abs(t - at).max() <= STEADY * period:
-        return np.arange(float(n))
-    rows = np.interp(at, t, np.arange(n), left=np.nan, right=np.nan)
+    period = np.median(step)
+    rows = np.interp(at, t, np.arange(n))
     # Stamps that differ by rounding are the same.
-    nearest = np.clip(np.searchsorted(t, at - period / 2), 0, n - 1)
-    same = np.abs(t[nearest] - at) <= STEADY * period
-    rows[same] = nearest[same]
+    nearest = np.rint(rows).astype(int)
+    rows = np.where(np.abs(t[nearest] - at) <= STEADY * period, nearest, rows)
+    outside = (at < t[0] - STEADY * period) | (at > t[-1] + STEADY * period)
     # Nothing is put between samples that are far from each other.
-    inside = np.flatnonzero(~same & np.isfinite(rows))
-    low = rows[inside].astype(int)
-    rows[inside[t[np.minimum(low + 1, n - 1)] - t[low] > GAP_PERIODS * period]] = np.nan
+    far = step[np.minimum(rows.astype(int), n - 2)] > GAP_PERIODS * period
+    rows[outside | (far & (rows % 1 != 0))] = np.nan
     return rows
 
 
@@ -235,26 +212,6 @@ def _seconds(part):
     if part.time.nanoseconds:
         seconds += 1e-9 * part.table.values(part.time.nanoseconds)
     return seconds
-
-
-def _how(part, rows, base):
-    """Return a note on how a file was joined, "" if it was row by row."""
-    if np.array_equal(rows, np.arange(part.table.n_rows)):
-        return ""
-    between = int((np.isfinite(rows) & (rows % 1 != 0)).sum())
-    if not between:
-        return f"{part.name}: rows taken by their stamps."
-    return (
-        f"{part.name}: interpolated by straight lines at {between} of the {rows.size} "
-        f"stamps of {base.name}."
-    )
-
-
-def _at(values, rows):
-    """Return a column at rows, numbers on straight lines between them."""
-    if values.dtype.kind in "iuf" and (rows % 1).any():
-        return np.interp(rows, np.arange(len(values)), values)
-    return values[rows.astype(int)]
 
 
 # Relative difference between the periods of two files that is refused: accelerations
@@ -388,13 +345,10 @@ def read_recording(
         try:
             files = _read(paths, options, notes)
         except RecordingRefused as error:
-            if len(paths) < 2 or not _is_joined(paths, options):
+            if len(paths) < 2:
                 raise
-            raise RecordingRefused(
-                f"{error.reason}; files of one recording are read side by side with "
-                "join=True",
-                {"join": True},
-            ) from None
+            reason = f"{error.reason}; files of one recording need join=True (--join)"
+            raise RecordingRefused(reason, error.options) from None
     notes += _named((str(file.path), file.notes) for file in files)
     recording = files[0].recording
     if len(files) > 1 or not (join or isinstance(path, (str, PathLike))):
@@ -494,15 +448,6 @@ def _joined(tables, options):
     read = _file(joined(tables, options.joints, path), options)
     name = common_folder([one.path for one in tables]) or read.recording.name
     return replace(read, recording=replace(read.recording, name=name))
-
-
-def _is_joined(paths, options):
-    """Whether files are one recording side by side."""
-    try:
-        _joined([_table(path, options) for path in paths], options)
-    except ValueError:
-        return False
-    return True
 
 
 def _table(path, options):

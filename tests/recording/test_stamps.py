@@ -124,6 +124,12 @@ def test_rows_with_the_stamp_of_the_one_before_are_left_out(tmp_path):
         save(tmp_path / "b.npz", np.round(t, 2), motion(t), tau)
 
 
+def test_steps_of_all_sizes_are_refused():
+    steps = DT * np.random.default_rng(1).lognormal(0, 1, N)
+    with pytest.raises(ValueError, match=r"time steps by .* without a period"):
+        inspect_time_stamps(np.cumsum(steps), positions=motion(DT * np.arange(N)))
+
+
 @pytest.mark.parametrize("share", [-0.02, 0.02])
 def test_a_drifting_clock_loses_no_row(share):
     t = DT * np.arange(N)

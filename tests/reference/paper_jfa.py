@@ -169,43 +169,6 @@ def posterior_zt(
     )
 
 
-def posterior_zt_precision(
-    X, y, *, w_z_mean, w_z_var, w_x_mean, w_x_var, psi_y, psi_z, psi_x
-):
-    """q(Z, T) from the quadratic form of E[log p(y, z, x, t)], by one dense inverse.
-
-    Collecting the terms of eq. 6 that hold z_i or t_i, with the moments of q(w), gives
-    -1/2 (z, t)' precision (z, t) + (z, t)' linear.
-    """
-    n_samples, n_features = X.shape
-    precision = np.zeros((2 * n_features, 2 * n_features))
-    for m in range(n_features):
-        for k in range(n_features):
-            precision[m, k] += 1.0 / psi_y
-        z, t = m, n_features + m
-        precision[z, z] += 1.0 / psi_z[m]
-        precision[z, t] -= w_z_mean[m] / psi_z[m]
-        precision[t, z] -= w_z_mean[m] / psi_z[m]
-        precision[t, t] += (w_z_mean[m] ** 2 + w_z_var[m]) / psi_z[m]
-        precision[t, t] += (w_x_mean[m] ** 2 + w_x_var[m]) / psi_x[m]
-        precision[t, t] += 1.0
-    Sigma = np.linalg.inv(precision)
-    E_z, E_t = np.empty_like(X), np.empty_like(X)
-    for i in range(n_samples):
-        linear = np.concatenate(
-            [np.full(n_features, y[i] / psi_y), w_x_mean * X[i] / psi_x]
-        )
-        mean = Sigma @ linear
-        E_z[i], E_t[i] = mean[:n_features], mean[n_features:]
-    return Posterior(
-        E_z=E_z,
-        E_t=E_t,
-        Sigma_zz=Sigma[:n_features, :n_features],
-        Sigma_zt=Sigma[:n_features, n_features:],
-        Sigma_tt=Sigma[n_features:, n_features:],
-    )
-
-
 def joint_covariance(params):
     """Dense covariance of (t, z, x, y) for point estimates, from eqs. 3-4.
 
@@ -236,27 +199,6 @@ def condition_gaussian(Sigma, hidden, observed):
     Sigma_oo = Sigma[np.ix_(observed, observed)]
     gain = Sigma_ho @ np.linalg.inv(Sigma_oo)
     return gain, Sigma[np.ix_(hidden, hidden)] - gain @ Sigma_ho.T
-
-
-def posterior_zt_joint(params, X, y):
-    """p(z, t | x, y) for point estimates, by conditioning the dense joint Gaussian."""
-    n_samples, n_features = X.shape
-    t = np.arange(n_features)
-    z, x = t + n_features, t + 2 * n_features
-    hidden = np.concatenate([z, t])
-    observed = np.concatenate([x, [3 * n_features]])
-    gain, Sigma = condition_gaussian(joint_covariance(params), hidden, observed)
-    E_z, E_t = np.empty_like(X), np.empty_like(X)
-    for i in range(n_samples):
-        mean = gain @ np.append(X[i], y[i])
-        E_z[i], E_t[i] = mean[:n_features], mean[n_features:]
-    return Posterior(
-        E_z=E_z,
-        E_t=E_t,
-        Sigma_zz=Sigma[:n_features, :n_features],
-        Sigma_zt=Sigma[:n_features, n_features:],
-        Sigma_tt=Sigma[n_features:, n_features:],
-    )
 
 
 # ---------------------------------------------------------------------------------
@@ -532,16 +474,6 @@ def beta_noise_eq27(w_z, w_x, psi_y, psi_z, psi_x, *, w_z_var=None, w_x_var=None
     return scale @ Psi_z_inv @ W_z @ A_inv @ W_x.T @ Psi_x_inv  # [eq. 27]
 
 
-def beta_noise_closed(w_z, w_x, psi_x):
-    """Eq. 27 for point estimates, per dimension."""
-    return w_z * w_x / (w_x**2 + psi_x)  # [eq. 27]
-
-
-def beta_noise_closed_second_moments(w_z, w_x, psi_z, psi_x, w_z_var, w_x_var):
-    """Eq. 27 with <W'W> read as second moments, per dimension."""
-    return w_z * w_x / (w_x**2 + w_x_var + psi_x * (1.0 + w_z_var / psi_z))  # [eq. 27]
-
-
 def beta_jfa_eq28(w_z, w_x, psi_x):
     """Coefficients of joint factor analysis, with the corrected A_JFA.
 
@@ -569,66 +501,3 @@ def beta_true_eq29(w_z, w_x, psi_y, psi_z):
     C_inv = np.linalg.inv(np.outer(one, one) / psi_y + Psi_z_inv)  # [eq. 29]
     scale = psi_y * one @ C_inv / (psi_y - one @ C_inv @ one)  # [eq. 29]
     return scale @ Psi_z_inv @ W_z.T @ np.linalg.inv(W_x)  # [eq. 29]
-
-
-def beta_true_closed(w_z, w_x):
-    """Eq. 29, per dimension."""
-    return w_z / w_x  # [eq. 29]
-
-
-# ---------------------------------------------------------------------------------
-# Virtual parameters of section 4, one degree of freedom
-# ---------------------------------------------------------------------------------
-
-
-def virtual_to_theta(virtual):
-    """Map 11 virtual parameters to theta, the order of the paper.
-
-    theta = (mass, mass * com (3), Ixx, Ixy, Ixz, Iyy, Iyz, Izz, viscous friction), the
-    inertia about the joint. virtual = (sqrt(mass), com (3), the lower Cholesky factor
-    of the inertia about the centre of mass, by columns, sqrt(friction)).
-    """
-    v = np.append(np.nan, virtual)  # the paper counts from 1
-    theta = np.empty(12)
-    theta[1] = v[1] ** 2  # [eq. 30]
-    theta[2] = v[2] * v[1] ** 2  # [eq. 30]
-    theta[3] = v[3] * v[1] ** 2  # [eq. 30]
-    theta[4] = v[4] * v[1] ** 2  # [eq. 30]
-    theta[5] = v[5] ** 2 + (v[4] ** 2 + v[3] ** 2) * v[1] ** 2  # [eq. 30]
-    theta[6] = v[5] * v[6] - v[2] * v[3] * v[1] ** 2  # [eq. 30]
-    theta[7] = v[5] * v[7] - v[2] * v[4] * v[1] ** 2  # [eq. 30]
-    theta[8] = v[6] ** 2 + v[8] ** 2 + (v[2] ** 2 + v[4] ** 2) * v[1] ** 2  # [eq. 30]
-    theta[9] = v[6] * v[7] + v[8] * v[9] - v[3] * v[4] * v[1] ** 2  # [eq. 30]
-    theta[10] = (
-        v[7] ** 2 + v[9] ** 2 + v[10] ** 2 + (v[2] ** 2 + v[3] ** 2) * v[1] ** 2
-    )  # [eq. 30]
-    theta[11] = v[11] ** 2  # [eq. 30]
-    return theta[1:]
-
-
-def theta_to_inertia(theta):
-    """Inertia matrix (3, 3) about the joint from the six entries of theta."""
-    Ixx, Ixy, Ixz, Iyy, Iyz, Izz = theta[4:10]
-    return np.array([[Ixx, Ixy, Ixz], [Ixy, Iyy, Iyz], [Ixz, Iyz, Izz]])
-
-
-def theta_to_inertia_com(theta):
-    """Inertia matrix (3, 3) about the centre of mass, by the parallel-axis theorem."""
-    com = theta[1:4] / theta[0]
-    shift = theta[0] * ((com @ com) * np.eye(3) - np.outer(com, com))
-    return theta_to_inertia(theta) - shift
-
-
-def pseudo_inertia(theta):
-    """Second moments (4, 4) of the mass distribution in homogeneous coordinates."""
-    inertia = theta_to_inertia(theta)
-    second_moment = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    return np.block(
-        [[second_moment, theta[1:4, None]], [theta[None, 1:4], theta[:1, None]]]
-    )
-
-
-def projection_objective(virtual, theta_uc, metric):
-    """Cost of the projection as a function of the virtual parameters."""
-    difference = virtual_to_theta(virtual) - theta_uc
-    return 0.5 * difference @ metric @ difference  # [eq. 35]

@@ -10,8 +10,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy import stats
 from scipy.special import gammaln, logsumexp
@@ -111,59 +109,31 @@ def condition_on_pseudo_observation(params, X, y):
 
 
 @pytest.mark.parametrize("n_features", N_FEATURES)
-@pytest.mark.parametrize("seed", SEEDS)
-def test_posterior_of_point_estimates(seed, n_features):
-    X, y = make_data(seed, n_features)
-    params = make_jfa_params(seed, n_features)
-    literal = ref.posterior_zt(X, y, **params.moments())
-    assert_same_posterior(literal, ref.posterior_zt_joint(params, X, y))
-    assert_same_posterior(literal, ref.posterior_zt_precision(X, y, **params.moments()))
-
-
-@pytest.mark.parametrize("n_features", N_FEATURES)
-@pytest.mark.parametrize("seed", SEEDS)
-def test_posterior_with_uncertain_loadings(seed, n_features):
-    X, y = make_data(seed, n_features)
-    params = make_vb_params(seed, n_features)
-    literal = ref.posterior_zt(X, y, **params.moments())
-    assert_same_posterior(literal, condition_on_pseudo_observation(params, X, y)[0])
-    assert_same_posterior(literal, ref.posterior_zt_precision(X, y, **params.moments()))
-
-
-log_scale = st.floats(-2.0, 2.0)
-
-
-@settings(max_examples=30, deadline=None, derandomize=True, database=None)
-@given(
-    seed=st.integers(0, 1000),
-    n_features=st.integers(1, 5),
-    log_psi_y=log_scale,
-    log_psi_z=log_scale,
-    log_psi_x=log_scale,
-)
-def test_posterior_over_scales_of_noise(
-    seed, n_features, log_psi_y, log_psi_z, log_psi_x
-):
-    X, y = make_data(seed, n_features, n_samples=4)
-    params = make_vb_params(seed, n_features)
+@pytest.mark.parametrize("uncertain", [0.0, 1.0])
+@pytest.mark.parametrize("log_psi", [-2.0, 0.0, 2.0])
+def test_posterior_is_a_conditional_gaussian(log_psi, uncertain, n_features):
+    X, y = make_data(n_features, n_features)
+    params = make_vb_params(n_features, n_features)
+    scale = 10.0**log_psi
     params = replace(
         params,
-        psi_y=params.psi_y * 10.0**log_psi_y,
-        psi_z=params.psi_z * 10.0**log_psi_z,
-        psi_x=params.psi_x * 10.0**log_psi_x,
+        w_z_var=uncertain * params.w_z_var,
+        w_x_var=uncertain * params.w_x_var,
+        psi_z=scale * params.psi_z,
+        psi_x=params.psi_x / scale,
     )
-    # The precision matrix has a condition number up to about 1e8 here.
-    assert_same_posterior(
-        ref.posterior_zt(X, y, **params.moments()),
-        ref.posterior_zt_precision(X, y, **params.moments()),
-        rtol=1e-7,
-    )
+    literal = ref.posterior_zt(X, y, **params.moments())
+    dense, bound = condition_on_pseudo_observation(params, X, y)
+    assert_same_posterior(literal, dense)
+    terms = ref.data_terms(X, y, literal, **params.moments())
+    assert_allclose(sum(terms.values()), bound, rtol=1e-10)
 
 
 def test_eq19_printed_is_false():
     X, y = make_data(0, 3)
-    params = make_jfa_params(0, 3)
-    dense = ref.posterior_zt_joint(params, X, y)
+    params = make_vb_params(0, 3)
+    params = replace(params, w_z_var=np.zeros(3), w_x_var=np.zeros(3))
+    dense, _ = condition_on_pseudo_observation(params, X, y)
     printed = ref.posterior_zt(
         X, y, cross_covariance=ref.sigma_zt_printed, **params.moments()
     )
@@ -267,17 +237,6 @@ def gradient(objective, params, name, step=1e-5):
     return slopes
 
 
-@pytest.mark.parametrize("n_features", N_FEATURES)
-@pytest.mark.parametrize("seed", SEEDS)
-def test_data_terms_equal_dense_gaussian(seed, n_features):
-    X, y = make_data(seed, n_features)
-    params = make_vb_params(seed, n_features)
-    posterior = ref.posterior_zt(X, y, **params.moments())
-    terms = ref.data_terms(X, y, posterior, **params.moments())
-    _, expected = condition_on_pseudo_observation(params, X, y)
-    assert_allclose(sum(terms.values()), expected, rtol=1e-10)
-
-
 def test_prior_terms_by_integration():
     params = make_vb_params(4, 1)
     terms = ref.prior_terms(params, **ARD)
@@ -370,17 +329,6 @@ def test_each_block_is_stationary(n_features, block):
     assert objective(new) > objective(params)
 
 
-def test_vb_step_is_the_blocks_in_order():
-    X, y = make_data(3, 3)
-    params = make_vb_params(3, 3)
-    posterior = ref.posterior_zt(X, y, **params.moments())
-    stepped = ref.vb_step(params, X, y, **ARD)
-    for block in BLOCKS:
-        params = update_block(block, params, posterior, X, y, **ARD)
-    for name, value in vars(params).items():
-        assert_allclose(getattr(stepped, name), value, rtol=1e-12)
-
-
 @pytest.mark.parametrize("ard", [1e-6, 1.0])
 @pytest.mark.parametrize("n_features", [1, 2, 3, 4, 5])
 def test_vb_step_never_decreases_the_bound(n_features, ard):
@@ -446,19 +394,6 @@ def fit_fixed_noise(params, X, y, ard_shape, ard_rate, n_iter):
         for block in ("w_z", "w_x", "alpha"):
             params = update_block(block, params, posterior, X, y, ard_shape, ard_rate)
     return params
-
-
-def test_prior_integral_over_alpha():
-    q_alpha = stats.gamma(ARD["ard_shape"], scale=1.0 / ARD["ard_rate"])
-    for w_z, w_x in ((0.0, 0.3), (1.2, -0.8)):
-
-        def density(alpha, w_z=w_z, w_x=w_x):
-            std = 1.0 / np.sqrt(alpha)
-            return stats.norm.pdf(w_z, 0.0, std) * stats.norm.pdf(w_x, 0.0, std)
-
-        expected = np.log(q_alpha.expect(density))
-        actual = log_prior_w(w_z**2 + w_x**2, 2, **ARD)
-        assert_allclose(actual, expected, rtol=1e-7)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -565,7 +500,7 @@ def test_eq27_is_the_conditional_expectation(seed, n_features):
     expected = expected_y_given_x(params)
     literal = ref.beta_noise_eq27(**vars(params))
     assert_allclose(literal, expected, rtol=1e-9)
-    closed = ref.beta_noise_closed(params.w_z, params.w_x, params.psi_x)
+    closed = params.w_z * params.w_x / (params.w_x**2 + params.psi_x)
     assert_allclose(closed, expected, rtol=1e-9)
 
 
@@ -580,20 +515,10 @@ def test_eq27_with_second_moments():
         w_z_var=params.w_z_var,
         w_x_var=params.w_x_var,
     )
-    closed = ref.beta_noise_closed_second_moments(
-        params.w_z_mean,
-        params.w_x_mean,
-        params.psi_z,
-        params.psi_x,
-        params.w_z_var,
-        params.w_x_var,
-    )
-    assert_allclose(literal, closed, rtol=1e-9)
     # The slope of sum_m <z_m> in x when y is unknown, i.e. infinitely noisy.
     blind = {**params.moments(), "psi_y": 1e9}
     slope = [
-        ref.posterior_zt_precision(row[None], np.zeros(1), **blind).E_z.sum()
-        for row in np.eye(3)
+        ref.posterior_zt(row[None], np.zeros(1), **blind).E_z.sum() for row in np.eye(3)
     ]
     assert_allclose(literal, slope, rtol=1e-6)
 
@@ -603,7 +528,7 @@ def test_eq27_with_second_moments():
 def test_eq29_is_the_limit_without_input_noise(seed, n_features):
     params = make_jfa_params(seed, n_features)
     literal = ref.beta_true_eq29(params.w_z, params.w_x, params.psi_y, params.psi_z)
-    closed = ref.beta_true_closed(params.w_z, params.w_x)
+    closed = params.w_z / params.w_x
     assert_allclose(literal, closed, rtol=1e-9)
     for scale, rtol in ((1e-3, 0.05), (1e-6, 5e-5)):
         quiet = replace(params, psi_x=scale * params.psi_x)
@@ -629,7 +554,7 @@ def test_eq29_is_not_the_limit_with_second_moments():
     )
     second_moment = params.w_x_mean**2 + params.w_x_var
     assert_allclose(limit, params.w_z_mean * params.w_x_mean / second_moment, rtol=1e-5)
-    ratio = limit / ref.beta_true_closed(params.w_z_mean, params.w_x_mean)
+    ratio = limit / (params.w_z_mean / params.w_x_mean)
     assert np.all(ratio < 0.99)
 
 
@@ -654,130 +579,3 @@ def test_eq28_printed_is_false():
     wrong = ref.beta_jfa_eq28_printed(*arguments) * units
     assert_allclose(right, ref.beta_jfa_eq28(params.w_z, params.w_x, params.psi_x))
     assert np.abs(wrong / printed - 1.0).min() > 0.01
-
-
-# ---------------------------------------------------------------------------------
-# Virtual parameters
-# ---------------------------------------------------------------------------------
-
-
-def point_masses(seed, n_points=6):
-    """Random point masses (n_points,) and their positions (n_points, 3)."""
-    rng = np.random.default_rng(seed)
-    return rng.uniform(0.1, 1.0, n_points), rng.normal(size=(n_points, 3))
-
-
-def inertia_of(masses, positions):
-    inertia = np.zeros((3, 3))
-    for mass, position in zip(masses, positions):
-        inertia += mass * (position @ position * np.eye(3))
-        inertia -= mass * np.outer(position, position)
-    return inertia
-
-
-def virtual_of(mass, com, inertia_com, friction):
-    """Virtual parameters of a body: square roots and a lower Cholesky factor."""
-    L = np.linalg.cholesky(inertia_com)
-    by_columns = [L[0, 0], L[1, 0], L[2, 0], L[1, 1], L[2, 1], L[2, 2]]
-    return np.concatenate([[np.sqrt(mass)], com, by_columns, [np.sqrt(friction)]])
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_eq30_encodes_a_body(seed):
-    masses, positions = point_masses(seed)
-    mass = masses.sum()
-    com = masses @ positions / mass
-    about_com = inertia_of(masses, positions - com)
-    about_joint = inertia_of(masses, positions)
-    theta = ref.virtual_to_theta(virtual_of(mass, com, about_com, 0.3))
-    assert_allclose(theta[0], mass)
-    assert_allclose(theta[1:4], mass * com)
-    assert_allclose(theta[4:10], about_joint[np.triu_indices(3)])
-    assert_allclose(theta[10], 0.3)
-    assert_allclose(ref.theta_to_inertia(theta), about_joint)
-    assert_allclose(ref.theta_to_inertia_com(theta), about_com)
-    moments = np.column_stack([positions, np.ones(len(masses))])
-    assert_allclose(
-        ref.pseudo_inertia(theta), (moments.T * masses) @ moments, atol=1e-12
-    )
-
-
-def test_eq30_admits_an_inertia_without_mass_distribution():
-    # The paper: "any arbitrary set of virtual parameters gives rise to a physically
-    # consistent set of actual parameters".
-    inertia_com = np.diag([1.0, 1.0, 3.0])
-    virtual = virtual_of(2.0, np.array([0.1, -0.2, 0.3]), inertia_com, 0.1)
-    theta = ref.virtual_to_theta(virtual)
-    moments = np.linalg.eigvalsh(ref.theta_to_inertia_com(theta))
-    assert moments.min() > 0.0
-    assert moments[0] + moments[1] < moments[2] - 0.5
-    assert np.linalg.eigvalsh(ref.pseudo_inertia(theta)).min() < -0.1
-    # No set of point masses has it: Izz = sum m (x^2 + y^2) <= Ixx + Iyy.
-    for seed in range(20):
-        masses, positions = point_masses(seed)
-        com = masses @ positions / masses.sum()
-        real = np.linalg.eigvalsh(inertia_of(masses, positions - com))
-        assert real[0] + real[1] >= real[2]
-
-
-def test_eq30_does_not_keep_mass_and_friction_positive():
-    theta = ref.virtual_to_theta(np.zeros(11))
-    assert theta[0] == 0.0
-    assert theta[10] == 0.0
-
-
-def random_virtual(seed):
-    """Draw a body where eq. 30 is one to one: positive roots and diagonal."""
-    masses, positions = point_masses(seed)
-    com = masses @ positions / masses.sum()
-    return virtual_of(masses.sum(), com, inertia_of(masses, positions - com), 0.3)
-
-
-def random_metric(seed):
-    rows = np.random.default_rng([seed, 3]).normal(size=(40, 11))
-    return rows.T @ rows
-
-
-def test_projection_has_many_global_minima():
-    virtual = random_virtual(0)
-    theta, metric = ref.virtual_to_theta(virtual), random_metric(0)
-    objective = partial(ref.projection_objective, theta_uc=theta, metric=metric)
-    mirrored = virtual * np.array([-1.0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1])
-    assert_allclose(objective(virtual), 0.0, atol=1e-12)
-    assert_allclose(objective(mirrored), 0.0, atol=1e-12)
-    # Convex would mean at most 0 at the midpoint, a body without mass.
-    assert objective(0.5 * (virtual + mirrored)) > 1.0
-
-
-def test_projection_is_not_convex_among_positive_roots():
-    # Nor is it the mirror images alone: m c = 1 is a curved set of (sqrt(m), c). Two
-    # bodies with one first moment, the metric weighing nothing else.
-    light = virtual_of(1.0, np.array([1.0, 0.0, 0.0]), np.eye(3), 0.1)
-    heavy = virtual_of(4.0, np.array([0.25, 0.0, 0.0]), np.eye(3), 0.1)
-    target = ref.virtual_to_theta(light)
-    metric = np.diag([0.0, 1.0, 0, 0, 0, 0, 0, 0, 0, 0, 0])
-    objective = partial(ref.projection_objective, theta_uc=target, metric=metric)
-    assert_allclose([objective(light), objective(heavy)], 0.0, atol=1e-12)
-    # sqrt(m) = 1.5 and c = 0.625 give m c = 1.40625.
-    assert_allclose(objective(0.5 * (light + heavy)), 0.5 * 0.40625**2, rtol=1e-12)
-    # The same with every parameter weighed: add a small positive definite metric.
-    objective = partial(
-        ref.projection_objective, theta_uc=target, metric=metric + 1e-3 * np.eye(11)
-    )
-    chord = 0.5 * (objective(light) + objective(heavy))
-    assert objective(0.5 * (light + heavy)) > chord + 0.05
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_set_of_eq30_is_convex_in_theta(seed):
-    # What can be said instead: in theta the feasible set is convex, as the inertia
-    # about the centre of mass is a Schur complement of [[I, S], [S', m 1]].
-    left = ref.virtual_to_theta(random_virtual(seed))
-    right = ref.virtual_to_theta(random_virtual(seed + 100))
-    theta = 0.5 * (left + right)
-    assert theta[0] > 0.0
-    assert np.linalg.eigvalsh(ref.theta_to_inertia_com(theta)).min() > 0.0
-    x, y, z = theta[1:4]
-    S = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    schur = ref.theta_to_inertia(theta) - S @ S.T / theta[0]
-    assert_allclose(ref.theta_to_inertia_com(theta), schur, atol=1e-12)

@@ -26,17 +26,6 @@ _FACTOR_ROW = np.array([0, 0, 0, 1, 1, 2])
 _FACTOR_COLUMN = np.array([0, 1, 2, 1, 2, 2])
 
 
-def _check_virtual(virtual):
-    """Return the virtual parameters as a float array of shape (..., 10)."""
-    virtual = np.asarray(virtual, dtype=float)
-    if virtual.ndim == 0 or virtual.shape[-1] != 10:
-        raise ValueError(
-            "The last axis of virtual must hold the 10 virtual parameters of a body "
-            f"(eq. 30); got an array of shape {virtual.shape}."
-        )
-    return virtual
-
-
 def inertia_matrix(phi):
     """Inertia (..., 3, 3) about the origin of the body's frame."""
     inertia = np.empty((*phi.shape[:-1], 3, 3))
@@ -46,31 +35,8 @@ def inertia_matrix(phi):
 
 
 def inertial_from_virtual(virtual):
-    r"""Inertial parameters of a body from its virtual parameters (eq. 30).
-
-    Parameters
-    ----------
-    virtual : array-like of shape (..., 10)
-        Square root of the mass [kg^0.5], centre of mass [m], factor of the inertia at
-        the centre of mass [kg^0.5 m], in the paper's order.
-
-    Returns
-    -------
-    phi : ndarray of shape (..., 10)
-        Inertial parameters [kg, kg m, kg m^2] in Pinocchio's order.
-
-    Raises
-    ------
-    ValueError
-        If the last axis does not have ten entries.
-
-    Examples
-    --------
-    >>> from tests.reference.virtual_parameters import inertial_from_virtual
-    >>> inertial_from_virtual([2.0, 0, 0, 1, 1, 0, 0, 1, 0, 1])
-    array([4., 0., 0., 4., 5., 0., 5., 0., 0., 1.])
-    """
-    v = np.moveaxis(_check_virtual(virtual), -1, 0)
+    """Inertial parameters (..., 10) of virtual ones, by eq. 30."""
+    v = np.moveaxis(np.asarray(virtual, dtype=float), -1, 0)
     # The paper prints theta_1 = theta_1; the lines that follow multiply by the square,
     # and its text calls the first virtual parameter the square root of the mass.
     m = v[0] ** 2
@@ -90,51 +56,14 @@ def inertial_from_virtual(virtual):
 
 
 def virtual_from_inertial(phi):
-    """Virtual parameters of a consistent body: `inertial_from_virtual` undone.
-
-    Parameters
-    ----------
-    phi : array-like of shape (..., 10)
-        Inertial parameters [kg, kg m, kg m^2] in Pinocchio's order.
-
-    Returns
-    -------
-    virtual : ndarray of shape (..., 10)
-        Virtual parameters of eq. 30, in the paper's order, with positive square root
-        and positive diagonal of the factor.
-
-    Raises
-    ------
-    ValueError
-        If a mass or an inertia at the centre of mass is not positive: no virtual
-        parameters give such a body.
-
-    Examples
-    --------
-    >>> from tests.reference.virtual_parameters import virtual_from_inertial
-    >>> virtual_from_inertial([4, 0, 0, 4, 5, 0, 5, 0, 0, 1])
-    array([2., 0., 0., 1., 1., 0., 0., 1., 0., 1.])
-    """
+    """Virtual parameters with positive roots of consistent bodies."""
     phi = np.asarray(phi, dtype=float)
     mass = phi[..., 0]
-    if not np.all(mass > 0):
-        raise ValueError(
-            "Virtual parameters exist for positive masses alone; the smallest mass is "
-            f"{np.min(mass):.6g} kg. Project the parameters first."
-        )
     centre = phi[..., 1:4] / mass[..., None]
     square = np.sum(centre**2, axis=-1)[..., None, None] * np.eye(3)
     outer = centre[..., :, None] * centre[..., None, :]
     inertia = inertia_matrix(phi) - mass[..., None, None] * (square - outer)
-    try:
-        factor = np.linalg.cholesky(inertia)
-    except np.linalg.LinAlgError:
-        raise ValueError(
-            "Virtual parameters exist only where the inertia at the centre of mass is "
-            f"positive definite; its smallest eigenvalue is "
-            f"{np.linalg.eigvalsh(inertia).min():.6g} kg m^2. Project the parameters "
-            "first."
-        ) from None
+    factor = np.linalg.cholesky(inertia)
     virtual = np.empty(phi.shape)
     virtual[..., 0] = np.sqrt(mass)
     virtual[..., 1:4] = centre
@@ -144,31 +73,8 @@ def virtual_from_inertial(phi):
 
 
 def virtual_jacobian(virtual):
-    """Differentiate eq. 30: parameters by virtual parameters.
-
-    Parameters
-    ----------
-    virtual : array-like of shape (..., 10)
-        Virtual parameters in the paper's order.
-
-    Returns
-    -------
-    jacobian : ndarray of shape (..., 10, 10)
-        ``jacobian[..., k, l]`` is the derivative of inertial parameter `k` (Pinocchio's
-        order) with respect to virtual parameter `l`.
-
-    Raises
-    ------
-    ValueError
-        If the last axis does not have ten entries.
-
-    Examples
-    --------
-    >>> from tests.reference.virtual_parameters import virtual_jacobian
-    >>> float(virtual_jacobian([3.0, 0, 0, 0, 1, 0, 0, 1, 0, 1])[0, 0])
-    6.0
-    """
-    virtual = _check_virtual(virtual)
+    """Differentiate eq. 30, as (..., 10, 10), by the virtual parameters."""
+    virtual = np.asarray(virtual, dtype=float)
     v = np.moveaxis(virtual, -1, 0)
     m = v[0] ** 2
     jacobian = np.zeros((10, 10, *v.shape[1:]))
@@ -208,38 +114,12 @@ def virtual_jacobian(virtual):
 
 
 def virtual_curvature(virtual, gradient):
-    r"""Second derivative of a gradient times `inertial_from_virtual`.
+    """Second derivative of a gradient times `inertial_from_virtual`.
 
-    With :math:`G` the symmetric matrix for which the inertia's share of the product
-    is :math:`\langle G, I \rangle` and :math:`Q = \operatorname{tr}(G) E - G`, the
-    product is :math:`v_0^2 (g_m + g_h^\top c + c^\top Q c) + \langle G, U^\top U
-    \rangle`, a polynomial whose second derivative is immediate.
-
-    Parameters
-    ----------
-    virtual : array-like of shape (..., 10)
-        Virtual parameters in the paper's order.
-    gradient : array-like of shape (..., 10)
-        Weight of each inertial parameter (Pinocchio's order).
-
-    Returns
-    -------
-    curvature : ndarray of shape (..., 10, 10)
-        Symmetric matrix of second derivatives by the virtual parameters.
-
-    Raises
-    ------
-    ValueError
-        If a last axis does not have ten entries.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from tests.reference.virtual_parameters import virtual_curvature
-    >>> float(virtual_curvature(np.ones(10), np.eye(10)[0])[0, 0])
-    2.0
+    With the symmetric matrix G for which the inertia's share of the product is <G, I>,
+    and Q = tr(G) E - G, the product is v_0^2 (g_m + g_h' c + c' Q c) + <G, U' U>.
     """
-    virtual = _check_virtual(virtual)
+    virtual = np.asarray(virtual, dtype=float)
     gradient = np.asarray(gradient, dtype=float)
     # An off-diagonal parameter stands at two places of I: half its weight at each.
     G = inertia_matrix(gradient) * np.where(np.eye(3) == 1.0, 1.0, 0.5)
@@ -266,28 +146,12 @@ def virtual_curvature(virtual, gradient):
 
 
 def descend(problem, starts, *, max_steps):
-    """Minimise eq. 35 in the virtual parameters of eq. 30 from several starts.
+    """Minimise eq. 35 in the virtual parameters of eq. 30 from consistent starts.
 
-    Parameters
-    ----------
-    problem : object
-        What is minimised, in any units: ``body_columns`` (n_bodies, 10),
-        ``nonnegative`` columns, the ``margin`` by which the spatial inertias exceed
-        zero, ``root`` (n_features, n_features), and the functions ``residual`` and
-        ``distance`` of a vector, of which the former's derivative is the root.
-    starts : sequence of ndarray of shape (n_features,)
-        Strictly consistent vectors.
-    max_steps : int
-        Largest number of trust-region steps from each start.
-
-    Returns
-    -------
-    vector : ndarray of shape (n_features,)
-        Best consistent vector found.
-    n_iter : int
-        Steps taken in all.
-    message : str
-        The optimiser's own word on its end.
+    The problem has ``body_columns`` (n_bodies, 10), ``nonnegative`` columns, the
+    ``margin`` by which spatial inertias exceed zero, and the functions ``residual`` and
+    ``distance`` of a vector, of which the former's derivative is ``root``.
+    Returned are the best vector, the steps of all starts and the optimiser's message.
     """
     bodies = problem.body_columns
     nonnegative = problem.nonnegative

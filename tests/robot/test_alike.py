@@ -4,11 +4,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy import integrate
-from scipy.special import logsumexp
-from scipy.stats import multivariate_normal
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.fit import DESCRIBED, SCALES, Site, _alike
+from sklearn_vbjfa.fit import DESCRIBED, SCALES, _alike
 from sklearn_vbjfa.robot import FitOptions
 
 LEGS = ("FL", "FR", "RL", "RR")
@@ -98,29 +96,6 @@ def recording(model):
 # -- closed forms ----------------------------------------------------------------------
 
 
-def a_problem(n=4, seed=0):
-    """Values that are known more or less, and not independently."""
-    rng = np.random.default_rng(seed)
-    A = rng.standard_normal((n, 2 * n))
-    S = 0.01 * A @ A.T
-    return _alike._AlikeProblem(1.0 + rng.standard_normal(n), S, (np.arange(n),))
-
-
-def test_without_a_limit_each_value_is_its_own():
-    problem = a_problem()
-    mean, covariance = problem.solved([Site.of_scale(1e8, 3)])
-    np.testing.assert_allclose(mean, problem.y, rtol=1e-9)
-    np.testing.assert_allclose(covariance, problem.S, rtol=1e-9)
-
-
-def test_without_scatter_there_is_one_value():
-    problem = a_problem()
-    mean, covariance = problem.solved([Site.of_scale(1e-8, 3)])
-    weight = np.linalg.inv(problem.S).sum(axis=0)
-    np.testing.assert_allclose(mean, weight @ problem.y / weight.sum(), rtol=1e-9)
-    np.testing.assert_allclose(covariance, 1.0 / weight.sum(), rtol=1e-9)
-
-
 def test_two_values_are_as_near_as_the_integral_over_their_scatter_has_them():
     y, S = np.array([1.2, 0.8]), np.diag([0.02, 0.03])
     problem = _alike._AlikeProblem(y, S, (np.arange(2),))
@@ -140,67 +115,7 @@ def test_two_values_are_as_near_as_the_integral_over_their_scatter_has_them():
     assert along @ covariance @ along == pytest.approx(variance, rel=5e-3)
 
 
-def test_odds_of_another_value_are_those_of_the_integral_over_both_scales():
-    y, S = np.array([1.0, 1.1, 2.0]), np.diag([0.02, 0.01, 0.03])
-    found = _alike._Apart.of(y, S).log_odds
-    # A mean that is free is a normal one of a huge deviation.
-    wide = 1e6 * np.ones((3, 3))
-    scale = np.geomspace(1e-4, 1e2, 25)
-    prior = (scale / DESCRIBED) / (1 + (scale / DESCRIBED) ** 2)
-    usual = SCALES * np.exp(-0.5 * (SCALES / 0.1) ** 2)
-
-    def evidence(one=None):
-        others = [0.0] if one is None else scale
-        own = np.eye(3) * (np.arange(3) == one)
-        made = [
-            [
-                multivariate_normal.logpdf(
-                    y, cov=S + wide + s**2 * np.eye(3) + t**2 * own
-                )
-                for t in others
-            ]
-            for s in SCALES
-        ]
-        weight = [1.0] if one is None else prior / prior.sum()
-        return logsumexp(np.array(made), b=usual[:, None] * np.array(weight))
-
-    expected = [evidence(k) - evidence() for k in range(3)]
-    np.testing.assert_allclose(found, expected, atol=1e-4)
-    assert found.argmax() == 2
-
-
-def test_where_there_is_no_scatter_a_group_has_one_value(model, recording, monkeypatch):
-    def equal(problem, labels):
-        one = [Site.of_scale(1e-6, part.size - 1) for part in problem.parts]
-        return problem, one, [[] for _ in problem.parts]
-
-    monkeypatch.setattr(_alike, "_depart", equal)
-    robot = fitted(model, recording)
-    own = found_drives(robot).reshape(4, 2, 3)
-    np.testing.assert_allclose(own, np.broadcast_to(own[0], own.shape), rtol=1e-6)
-
-
 # -- robots ----------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_legs_are_found_and_their_values_are_nearer_to_the_truth():
-    model = a_quadruped()
-    away = {}
-    for seed in range(3):
-        true = drives(model, 0.03, seed)
-        weak = recorded(model, true, noise=0.3, amplitude=0.1, seed=seed, n=1200)
-        for alike in (None, "auto"):
-            robot = fitted(model, weak, alike=alike)
-            error = found_drives(robot) / true - 1.0
-            away.setdefault(alike, []).append(np.sqrt((error**2).mean(axis=0)))
-    names = [(one.group, one.parameter, len(one.joints)) for one in robot.alike_]
-    assert ("hip", "rotor_inertia", 4) in names
-    assert len(names) == 6
-    shared, alone = (np.mean(away[way], axis=0) for way in ("auto", None))
-    # Friction, which is seen well, and rotor inertias, which are not.
-    assert np.all(shared[:2] < 0.9 * alone[:2])
-    assert shared[2] < 0.7 * alone[2]
 
 
 def test_a_drive_that_is_another_one_is_told_with_its_factor(model):

@@ -70,14 +70,6 @@ def test_wrong_settings(recording, setting, value, message):
         identify(recording, **{setting: value})
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_values_that_are_not_finite(recording, value):
-    with pytest.raises(ValueError, match=r"X contains (NaN|infinity)"):
-        identify(recording, q=changed(recording.q, (7, 2), value))
-    with pytest.raises(ValueError, match=r"y contains (NaN|infinity)"):
-        identify(recording, tau=changed(recording.tau, (7, 2), value))
-
-
 def test_wrong_shapes(recording):
     q, tau = recording.q, recording.tau
     with pytest.raises(

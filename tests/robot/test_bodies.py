@@ -107,35 +107,6 @@ def test_without_torques_a_body_is_as_described():
     assert np.isinf(np.diagonal(found.covariance)[10:14]).all()
 
 
-def equations_of(description, factors, width=14):
-    """Return normal equations of bodies that weigh so many times as described."""
-    # As sharp for each direction of a body as two per cent of it.
-    p = width * len(description.names)
-    A, b = np.zeros((p, p)), np.zeros(p)
-    for k, factor in enumerate(factors):
-        own = description.places[k]
-        A[np.ix_(own, own)] = 2500.0 * description.root[k].T @ description.root[k]
-        b[own] = A[np.ix_(own, own)] @ (factor * description.centre[k])
-    return A, b
-
-
-def test_each_further_body_is_one_more_that_may_depart():
-    odds = []
-    for masses in ((3.0, 2.0), (3.0, 2.0, 1.0)):
-        own = BodyPrior.of(a_robot(masses), 14)
-        # The third tells nothing.
-        (found,) = around(own, *equations_of(own, (1.0, 4.0))).departures
-        odds.append(found.log_odds)
-    assert odds[0] - odds[1] == pytest.approx(np.log(3 / 2), abs=1e-6)
-
-
-def test_no_body_weighs_less_than_nothing():
-    own = BodyPrior.of(a_robot(), 14)
-    found = around(own, *equations_of(own, (1.0, -2.0, 1.0)))
-    assert all(min(one.factors) > 0 for one in found.departures)
-    assert "joint_2" not in [name for one in found.departures for name in one.bodies]
-
-
 def test_the_site_of_one_body_is_exact():
     # One direction of one body is seen: mean and variance by quadrature over the scale.
     precision, product = 40.0, 5.0
@@ -171,21 +142,6 @@ def test_values_that_the_motion_does_not_tell_apart_are_near_the_truth():
         rotor = robot.theta_.reshape(3, -1)[:, 13]
         away[way] = np.abs(rotor / 0.05 - 1.0).mean()
     assert away["prior"] < 0.5 * away["free"]
-
-
-@pytest.mark.slow
-def test_the_unit_of_the_torque_and_of_the_masses_do_not_matter(recording):
-    q, tau = recording
-    robot = fitted(a_robot(), recording)
-    assert robot.common_size_ == pytest.approx(1.0, abs=0.05)
-    for factor in (1e-3, 1e3):
-        grams = fitted(scaled(a_robot(), factor), recording)
-        np.testing.assert_allclose(bodies(grams), bodies(robot), rtol=1e-5, atol=1e-7)
-        assert grams.common_size_ == pytest.approx(robot.common_size_ / factor)
-        other = fitted(a_robot(), (q, factor * tau))
-        np.testing.assert_allclose(
-            other.theta_, factor * robot.theta_, rtol=1e-5, atol=1e-7 * factor
-        )
 
 
 @pytest.mark.parametrize("joint", [1, 2])

@@ -10,7 +10,7 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, StateEstimator, load_identified  # noqa: E402
 from sklearn_vbjfa.effects import Rest, mean_sign  # noqa: E402
-from sklearn_vbjfa.fit import _fit, jump  # noqa: E402
+from sklearn_vbjfa.fit import jump  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
 from sklearn_vbjfa.robot import FitOptions, PDDrive  # noqa: E402
 
@@ -140,26 +140,3 @@ def test_what_was_smoothed_is_not_taken_for_inertia(tmp_path):
     plan = replace(robot.robot_.plan, corners=None)
     without = replace(robot.robot_, plan=plan)
     assert np.abs(without.predict(asked) - known.predict(asked)).max() > 0.1
-
-
-@pytest.mark.slow
-def test_a_fifth_of_what_corners_moved_is_not_known(monkeypatch):
-    """Delay, armature and friction together, as they were moved together."""
-    drive, recording = driven()
-    drive.set_params(delay="auto")
-    robot = fitted(drive, recording)
-    monkeypatch.setattr(_fit, "_in_doubt", lambda fit, other: fit)
-    certain = fitted(drive, recording)
-    monkeypatch.setattr(_fit, "with_corners", lambda *known: None)
-    before = fitted(drive, recording)
-    moved = 0.2 * (certain.theta_unconstrained_ - before.theta_unconstrained_)
-    moved[~(certain.theta_std_ > 0)] = 0.0
-    delay = robot.parameter_names_.index("drive:delay")
-    assert robot.theta_std_[delay] > 1.2 * certain.theta_std_[delay]
-    assert_allclose(robot.theta_, certain.theta_)
-    assert_allclose(robot.theta_std_, np.hypot(certain.theta_std_, moved))
-    whole, rest = (x.robot_.prediction_covariance.covariance for x in (robot, certain))
-    told = np.isfinite(np.diagonal(rest))
-    both = np.ix_(told, told)
-    expected = rest[both] + np.outer(moved, moved)[both]
-    assert_allclose(whole[both], expected, rtol=1e-9, atol=1e-15)

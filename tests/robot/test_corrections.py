@@ -42,15 +42,15 @@ FIXED = (
 )
 
 
-@pytest.fixture(scope="module", params=[FRICTION, ()], ids=["friction", "none"])
-def moved(request):
+@pytest.fixture(scope="module")
+def moved():
     """Record an arm of which everything is wrong."""
     return make_robot_recording(
         duration=16.0,
         dt=0.01,
         frequency=1.0,
         torque_noise=0.01,
-        friction=request.param,
+        friction=FRICTION,
         base_tilt=np.deg2rad([4.0, 2.0]),
         joint_zero={2: np.deg2rad(3.0)},
         joint_axis={3: np.deg2rad([2.0, 0.0, 0.0])},

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 from sklearn.linear_model import LinearRegression
 
@@ -14,10 +13,8 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import (  # noqa: E402
     InstrumentalVariables,
     RobotIdentifier,
-    load_identified,
 )
 from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
-from sklearn_vbjfa.equations import RecordingStates, build_segments  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
 from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
 from sklearn_vbjfa.robot import FitOptions, PDDrive  # noqa: E402
@@ -240,79 +237,6 @@ def test_the_column_is_the_derivative_by_the_delay():
     assert_allclose(made.Phi[20:-20, :, -1], -slope[20:-20], rtol=1e-4, atol=1e-3)
 
 
-def test_units_do_not_matter():
-    recording = told(0.008)
-    rng = np.random.default_rng(0)
-    recording.signals["q_desired"] += 1e-3 * rng.normal(size=recording.q.shape)
-    one = identify(recording, bodies="free")
-    milli = identify(recording, PDDrive(1e3 * KP, 1e3 * KD), bodies="free")
-    assert_allclose(delay_of(milli), delay_of(one), rtol=1e-6)
-
-
-def literal_covariance(recording, robot, sigma):
-    """Covariance of all that was fitted, by differences of a literal residual.
-
-    Without a filter, all joints alike: what the commands say a delay later, less the
-    torque of bodies, armature and damping.
-    """
-    t = DT * np.arange(len(recording.q))
-    _, v, a = np.split(recording.states, 3, axis=1)
-    rigid = inverse_dynamics(ARM, recording.states)
-    commands = CubicSpline(t, recording.command)
-
-    def left(x):
-        armature, viscous, delay = x[:3], x[3:6], x[6]
-        late = commands(np.maximum(t - delay, 0.0)) - commands(t)
-        law = recording.tau + late
-        return (law - rigid - armature * a - viscous * v)[20:-20].ravel()
-
-    x = np.r_[ARMATURE, VISCOUS, delay_of(robot)[0]]
-    slopes = []
-    for k in range(7):
-        step = np.zeros(7)
-        step[k] = 1e-5
-        slopes.append((left(x + step) - left(x - step)) / 2e-5)
-    J = np.transpose(slopes)
-    names = [f"{joint}:{term}" for term in FRICTION[::-1] for joint in NAMES]
-    places = [robot.parameter_names_.index(one) for one in [*names, "drive:delay"]]
-    return sigma**2 * np.linalg.inv(J.T @ J), places
-
-
-def test_samples_of_delay_and_damping_belong_together(tmp_path):
-    """An arm that follows closely: a later command is a smaller damping."""
-    stiff = PDDrive(20 * KP, KD)
-    recording = told()
-    t = DT * np.arange(len(recording.q))
-    recording.signals["q_desired"][:] = command(t, 0.008, kp=20 * KP)
-    recording = stiff.driven(recording)
-    noise = np.random.default_rng(3).normal(size=recording.q.shape)
-    # Commands of before the recording, and after it, are not known.
-    weight = np.ones(recording.q.shape)
-    weight[:20] = weight[-20:] = 0.0
-    recording = replace(recording, tau=recording.tau + 0.4 * noise, weight=weight)
-    robot = identify(
-        recording,
-        stiff,
-        bodies="fixed",
-        options=FitOptions(standstill=None, joint_weights=None),
-    )
-    expected, at = literal_covariance(recording, robot, 0.4)
-    size = np.sqrt(np.diagonal(expected))
-    correlation = expected / np.outer(size, size)
-    assert (correlation[6, 3:6] < -0.5).all()
-    robot.save(tmp_path / "arm.json")
-    for one in (robot.robot_, load_identified(tmp_path / "arm.json")):
-        # Within a recording, as the covariance is.
-        drawn = replace(one, recording_variance=None).sample(4000, random_state=0)[
-            :, at
-        ]
-        assert_allclose(np.corrcoef(drawn.T), correlation, atol=0.08)
-        assert_allclose(drawn.std(axis=0), size, rtol=0.25)
-        assert_allclose(drawn.std(axis=0), robot.theta_std_[at], rtol=0.2)
-    among = replace(robot.robot_, recording_variance=None).ranges().correlation
-    assert_allclose(among[np.ix_(at, at)], correlation, atol=0.08)
-
-
 def test_saturated_samples_count_nothing():
     recording = told()
     exact = PDDrive(KP, KD).driven(recording)
@@ -329,31 +253,15 @@ BAD = {
     "no drive": ({"drive": "pd"}, {}, "drive must be a PDDrive, CurrentDrive"),
     "gains of channels": ({"gains": "unknown"}, {}, "cannot be combined with gains"),
     "no kp": ({"drive": PDDrive(kd=KD)}, {}, "kp is missing: give kp="),
-    "wrong number": (
-        {"drive": PDDrive(KP[:2], KD)},
-        {},
-        "kp must be one finite number or 3, one for each joint in the order joint_1",
-    ),
     "negative": ({"drive": PDDrive(KP, -KD)}, {}, "kd must not be negative"),
     "by name": (
         {"drive": PDDrive({"joint_1": 1.0}, KD)},
         {},
         "one key in each joint's name; none of its keys is in 'joint_2'",
     ),
-    "two names": (
-        {"drive": PDDrive({"joint": 1.0, "_1": 2.0}, KD)},
-        {},
-        "2 of its keys are in 'joint_1'",
-    ),
     "delay": ({"drive": PDDrive(KP, KD, delay="long")}, {}, "'auto' or a time in s"),
     "no commands": ({}, {"q_desired": None}, "needs the channel 'q_desired'"),
     "constant": ({}, {"q_desired": np.ones((2400, 3))}, "constant on every joint"),
-    "shape": ({}, {"q_desired": np.ones((2400, 2))}, r"shape \(2400, 3\)"),
-    "nan": (
-        {},
-        {"v_desired": np.full((2400, 3), np.nan)},
-        "v_desired holds nan in row",
-    ),
     "recorded gains": (
         {"drive": PDDrive()},
         {"kp": np.full((2400, 3), -1.0)},
@@ -482,36 +390,6 @@ def test_commands_are_instruments_of_the_motion(where):
     plain, instrumented = off(LinearRegression()), off(InstrumentalVariables())
     assert (np.abs(plain) > 0.07).all()
     assert (np.abs(instrumented) < np.abs(plain) / 3).all()
-
-
-def test_noise_in_common_is_a_quarter_of_the_products_of_differences():
-    """Written out, row by row, from the even and the odd samples."""
-    drive, recording = pendulum("log", seconds=20.0)
-    robot = RobotIdentifier(
-        bob(),
-        dt=DT,
-        cutoff=None,
-        options=FitOptions(standstill=None),
-        bodies="fixed",
-        drive=drive,
-    ).fit_recording(recording)
-    estimator = robot.state_estimator_
-    even, odd = estimator.split_transform(recording.q, groups=recording.groups)
-    own = RecordingStates.of_rows(
-        recording.segments,
-        robot.robot_.states(recording.q, recording.groups),
-        (even, odd),
-    )
-    (segment,) = build_segments(recording, own, robot.robot_.plan, robot.features_)
-    lowpass = robot.robot_.plan.lowpass
-    moments = segment.moments(lowpass, slice(0, segment.n_rows))
-    turning = robot.robot_.plan.turning
-    first, second = (robot.features_.matrices(x, turning) for x in (even, odd))
-    difference = first - second
-    apart = -(200.0 * (even - odd)[:, 0] + 2.0 * (even - odd)[:, 1])
-    weight = segment.counts(slice(0, segment.n_rows), own.own[0][:, 1:2])[:, 0]
-    expected = 0.25 * (weight * apart) @ difference[:, 0]
-    assert_allclose(np.asarray(moments.in_common)[0], expected, rtol=1e-9)
 
 
 # -- the closed loop, from commands alone ----------------------------------------------

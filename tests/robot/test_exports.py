@@ -15,20 +15,15 @@ from sklearn_vbjfa.effects import (
     BaseTilt,
     Coulomb,
     Coupling,
-    Drift,
     JointAxis,
     JointZero,
-    LoadFriction,
-    MaxwellSlip,
     Motion,
     Offset,
-    Ripple,
     RotorInertia,
     Spring,
     Stribeck,
     TorqueGain,
     Viscous,
-    ViscousQuadratic,
 )
 from sklearn_vbjfa.physical import min_eigenvalue
 from sklearn_vbjfa.robot import as_tendons, in_line, to_mjcf
@@ -167,44 +162,6 @@ def test_file_and_left_outs_make_the_robot(seed, tmp_path):
     for one in ElementTree.parse(path).iter():
         for key in ("damping", "frictionloss", "armature", "stiffness"):
             assert float(one.get(key, 0.0)) >= 0.0
-
-
-def test_mjcf_lists_what_it_has_not(tmp_path):
-    robot = robot_of(
-        [
-            (Stribeck(0, vs=0.2), [1.5]),
-            (LoadFriction(1), [0.1]),
-            (Ripple(1, period=0.1), [0.3, 0.4]),
-            (ViscousQuadratic(2), [0.2]),
-            (Drift(3, "coulomb", 10.0), [0.5]),
-            (AsymmetricFriction(2), [0.1, 0.2]),
-            (MaxwellSlip(3, (0.05, 0.2), loaded=(0.1,)), [0.5, 0.2, 0.1]),
-            (Viscous(1), [-2.0]),
-            (Spring(2), [3.0, 0.0]),
-        ],
-        friction=[("viscous", np.ones(4)), ("coulomb", [0.4, -0.3, 0.2, 0.1])],
-    )
-    path = tmp_path / "robot.xml"
-    left = written(robot, path)
-    assert {(one.name, one.joint) for one in left} == {
-        ("viscous", 1),
-        ("coulomb", 1),
-        ("maxwell_slip", 3),
-        ("stribeck", 0),
-        ("load_friction", 1),
-        ("ripple", 1),
-        ("viscous_quadratic", 2),
-        ("drift", 3),
-        ("asymmetric_friction", 2),
-    }
-    for one in left:
-        assert one.joint_name == f"joint_{one.joint}"
-        assert str(one).replace("--", "- -") in path.read_text()
-    reasons = {(one.name, one.joint): one.reason for one in left}
-    assert "negative (-1), which would drive" in reasons["viscous", 1]
-    assert 'MuJoCo 4 takes it as damping="1 0.2"' in reasons["viscous_quadratic", 2]
-    loss = ElementTree.parse(path).find(".//joint[@name='joint_3']").get("frictionloss")
-    assert float(loss) == pytest.approx(0.1 + 0.7)
 
 
 # -- whole identifications -------------------------------------------------------------

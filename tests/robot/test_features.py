@@ -44,15 +44,6 @@ def test_inverse_dynamics_of_random_trees(seed, n_joints):
     assert_torques(Phi, bodies.ravel(), inverse_dynamics(model, states))
 
 
-def test_inverse_dynamics_of_the_demo_arm_with_its_tool():
-    rng = np.random.default_rng(0)
-    model = pin.buildModelFromUrdf(demo_arm_urdf())
-    states = states_of(rng, model, 20)
-    Phi = RigidBodyFeatures(demo_arm_urdf(), friction=()).fit_transform(states)
-    theta = np.array([body.toDynamicParameters() for body in model.inertias[1:]])
-    assert_torques(Phi, theta.ravel(), inverse_dynamics(model, states))
-
-
 @properties
 @given(
     seed=st.integers(0, 2**31 - 1),

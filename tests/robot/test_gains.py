@@ -10,8 +10,6 @@ from scipy import linalg, optimize
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.equations import piece_moments, sum_moments  # noqa: E402
-from sklearn_vbjfa.fit import relative_gains  # noqa: E402
 from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
@@ -95,34 +93,6 @@ def test_gains_are_those_of_nonlinear_least_squares():
     assert_allclose(found.gain[first], 1.0)
     assert found.std[first] == 0.0
     assert not found.hidden
-
-
-def test_least_squares_takes_noise_of_the_torques_for_signal():
-    """Inverse gains h of h_j y_j = Phi_j theta, all other channels as inputs."""
-    _, states = motion(NV, duration=160.0, dt=2 * DT, seed=1)
-    tau, rows = torques(0.1, seed=3, states=states), regressor(states)
-    moments = sum_moments([piece_moments(rows, tau, np.ones_like(tau))])
-    found = relative_gains(moments)
-    (first,) = found.references
-    others = np.delete(np.arange(NV), first)
-    weight = 1 / tau.std(axis=0)
-    inputs = np.zeros((*tau.shape, NV - 1))
-    inputs[:, others, np.arange(NV - 1)] = -tau[:, others]
-    A = np.concatenate([rows, inputs], axis=2) * weight[:, None]
-    b = np.zeros_like(tau)
-    b[:, first] = tau[:, first] * weight[first]
-    # Minimum norm in columns of unit length.
-    size = np.linalg.norm(A.reshape(-1, A.shape[2]), axis=0)
-    size[size == 0] = 1.0
-    plain = np.linalg.lstsq(A.reshape(-1, A.shape[2]) / size, b.ravel(), rcond=1e-9)[0]
-    inverse = (plain / size)[-(NV - 1) :]
-    truth = 1 / relative(GAINS, found)[others]
-    short = inverse / truth - 1
-    ours = 1 / found.gains[others] / truth - 1
-    # Noise of 1 % of the mean square is much beside what tells the gains apart.
-    assert np.all(short < -0.1)
-    assert np.abs(ours).max() < 0.03
-    assert np.all(np.abs(ours) < 3 * found.std[others])
 
 
 def test_gains_do_not_depend_on_units():

@@ -145,13 +145,3 @@ def test_states_one_by_one_have_the_torques_of_all(read, new_motion):
         np.testing.assert_array_equal(one_by_one(other, X), found)
     read.reset()
     np.testing.assert_array_equal(one_by_one(read, X), found)
-
-
-def test_a_robot_from_a_file_simulates_as_the_fitted_one(loaded, simulated, tmp_path):
-    loaded.save(tmp_path / "robot.json")
-    read = load_identified(tmp_path / "robot.json")
-    start = simulated.states[0]
-    arguments = simulated.tau[:20], start[:6], start[6:12]
-    np.testing.assert_array_equal(
-        read.simulate(*arguments), loaded.simulate(*arguments)
-    )

@@ -63,22 +63,6 @@ def test_noiseless_states_and_torques_give_the_torque_exactly(simulated, new_mot
     assert np.all(error < 1e-18)
 
 
-def test_prediction_from_states_is_inverse_dynamics(identified, simulated, new_motion):
-    model = load_model(simulated.urdf).copy()
-    theta = identified.theta_.reshape(6, 12)
-    for j in range(6):
-        model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(theta[j, :10])
-    data = model.createData()
-    expected = []
-    for row in new_motion.states[::50]:
-        q, v, a = row.reshape(3, 6)
-        rigid = pin.rnea(model, data, q, v, a)
-        expected.append(rigid + theta[:, 10] * v + theta[:, 11] * np.sign(v))
-    np.testing.assert_allclose(
-        identified.predict(new_motion.states[::50]), expected, rtol=1e-9, atol=1e-9
-    )
-
-
 def test_groups_of_a_query_are_kept_apart(identified, simulated):
     parts = [simulated.q[simulated.groups == k][:500] for k in (0, 1)]
     groups = np.repeat([0, 1], 500)
@@ -271,13 +255,6 @@ def test_noise_floor_is_what_noise_alone_leaves(encoder_noise):
         robot.torque_noise_**2 + robot.input_noise_torque_**2,
         rtol=1e-12,
     )
-
-
-def test_residuals_never_cross_a_border(identified, simulated):
-    found = identified.residuals(simulated.q, simulated.tau, groups=simulated.groups)
-    half, border = identified.estimator_.lowpass_.half, simulated.q.shape[0] // 2
-    assert not np.any(np.abs(found.index - border + 0.5) < half)
-    assert found.index.min() >= half
 
 
 # -- robots of other kinds

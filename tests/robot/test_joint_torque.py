@@ -169,14 +169,6 @@ def test_weight_two_is_the_sample_twice(rng, regressor):
 # -- low-pass
 
 
-def test_parallel_filtering_leaves_exact_equations_exact(rng):
-    # Both sides pass the same filter: white regressors, a tenth of the band kept.
-    Phi, tau, theta = joint_equations(rng, n=600)
-    model = fitted(Phi, tau, dt=0.01, cutoff=5.0)
-    np.testing.assert_allclose(model.theta_, theta, rtol=1e-8)
-    assert 0 < model.n_rows_[0] < 600 / 4
-
-
 def test_groups_are_filtered_apart(rng):
     Phi, tau, _ = joint_equations(rng, n=900, noise=NOISE)
     groups = np.repeat([1, 0, 3], [300, 350, 250])

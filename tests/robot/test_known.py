@@ -4,7 +4,6 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.model import body_names
 from sklearn_vbjfa.robot import FitOptions, body_masses, note_of_masses
 from tests.effects._arms import arm, inverse_dynamics, motion
 
@@ -70,11 +69,6 @@ def test_friction_is_known_beside_unknown_bodies():
     assert known["joint_1:viscous"] == known["joint_2:viscous"] == "yes"
     assert known["joint_1:m"] == "no"
     assert known["joint_2:m"] == "in combination"
-
-
-def test_bodies_are_those_of_the_links():
-    # without links a body is called after its joint
-    assert body_names(arm("ZY")) == ("joint_1", "joint_2")
 
 
 def test_beside_a_description_its_values_say_so():

@@ -65,12 +65,6 @@ def own(robot, parameters):
     return parameters[robot.features_.n_parameters_ :]
 
 
-def assert_same(robot, reference, share=0.01):
-    """Compare values by their deviations."""
-    std = own(reference, reference.theta_std_)
-    assert np.all(np.abs(values(robot) - values(reference)) < share * std)
-
-
 FAULTS = {
     "tilt": (ARM, [BaseTilt(0, 0.07, -0.1)]),
     "large tilt": (ARM, [BaseTilt(0, -0.24, 0.2)]),
@@ -200,48 +194,11 @@ def test_values_are_those_of_nonlinear_least_squares(truth):
     assert found.stay()
 
 
-def test_deviations_allow_for_residuals_correlated_in_time():
-    truth = [JointZero(1, 0.1)]
-    exact = torques(ARM, truth)
-    white = np.random.default_rng(3).normal(size=exact.shape)
-    slow = np.apply_along_axis(np.convolve, 0, white, np.ones(20) / np.sqrt(20), "same")
-    stds = [
-        fit(ARM, idle(truth), exact + 0.1 * noise).theta_std_[-1]
-        for noise in (white, slow)
-    ]
-    assert stds[1] > 1.5 * stds[0]
-
-
 # -- what must not matter, and what must
 
 
 TRUTH = [BaseTilt(0, 0.07, -0.1), TorqueGain(1, 1.3)]
 NOISY = torques(ARM, TRUTH, noise=0.2)
-
-
-@pytest.fixture(scope="module")
-def reference():
-    return fit(ARM, idle(TRUTH), NOISY)
-
-
-def test_a_weight_of_two_is_a_row_twice():
-    rng = np.random.default_rng(0)
-    twice = rng.random(T.size) < 0.3
-    rows = np.repeat(np.arange(T.size), 1 + twice)
-    given = {
-        "options": FitOptions(standstill=None, joint_weights=None),
-        "input_noise": None,
-        "bodies": "free",
-    }
-    weighted = fit(ARM, idle(TRUTH), NOISY, weight=1.0 + twice, **given)
-    repeated = fit(ARM, idle(TRUTH), NOISY[rows], STATES[rows], **given)
-    plain = fit(ARM, idle(TRUTH), NOISY, **given)
-    assert_same(weighted, repeated, 1e-6)
-    assert np.abs(values(plain) - values(repeated)).max() > 1e-6
-    # A weight of nothing leaves a row out.
-    some = fit(ARM, idle(TRUTH), NOISY, weight=1.0 * twice, **given)
-    only = fit(ARM, idle(TRUTH), NOISY[twice], STATES[twice], **given)
-    assert_same(some, only, 1e-6)
 
 
 # -- what no recording shows, and what is implausible

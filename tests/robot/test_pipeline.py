@@ -9,13 +9,11 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import (
     JointTorqueRegressor,
-    PhysicalProjector,
     RigidBodyFeatures,
     RobotIdentifier,
     StateEstimator,
 )
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.physical import Options
 from sklearn_vbjfa.robot import FitOptions
 
 FRICTION = ("viscous", "coulomb")
@@ -35,50 +33,6 @@ def pipeline(recording, **settings):
             ("identify", JointTorqueRegressor(**settings)),
         ]
     )
-
-
-def test_from_positions_to_a_possible_robot(recording):
-    friction = [12 * j + 10 + k for j in range(6) for k in range(2)]
-    chain = Pipeline(
-        [
-            ("states", StateEstimator(recording.dt)),
-            ("features", RigidBodyFeatures(recording.urdf, friction=FRICTION)),
-            (
-                "identify",
-                JointTorqueRegressor(
-                    projector=PhysicalProjector(
-                        options=Options(
-                            body_starts=12 * np.arange(6), nonnegative=friction
-                        )
-                    ),
-                    dt=recording.dt,
-                    cutoff=5.0,
-                ),
-            ),
-        ]
-    )
-    groups = recording.groups
-    chain.fit(
-        recording.q,
-        recording.tau,
-        states__groups=groups,
-        identify__groups=groups,
-    )
-    theta = chain["identify"].theta_.reshape(6, 12)
-    assert np.all(theta[:, 10:] >= 0)
-    # A consistent vector comes back as it is.
-    row = theta.reshape(1, -1)
-    assert np.array_equal(chain["identify"].projector_.transform(row), row)
-    test = make_robot_recording(
-        duration=8.0,
-        dt=0.02,
-        inertial=recording.inertial,
-        friction=recording.friction,
-        random_state=6,
-    )
-    error = chain.predict(test.q) - test.tau_clean
-    # positions of 1e-4 rad at 50 Hz, Coulomb friction at the wrong sample
-    assert np.all(np.mean(error**2, axis=0) < 0.02 * test.tau_clean.var(axis=0))
 
 
 # -- features, regressor and projector in one

@@ -10,7 +10,6 @@ from sklearn.linear_model import LinearRegression
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects, load_identified
-from sklearn_vbjfa.equations import SignalRanges
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion
 
@@ -66,20 +65,6 @@ def test_ranges_are_those_of_the_rows_that_were_fitted():
         assert_allclose(one.position, ends(Q[rows, one.joint]), rtol=1e-12)
         assert_allclose(one.speed, ends(np.abs(V[rows, one.joint])), rtol=1e-12)
         assert_allclose(one.load, ends(LOAD[rows, one.joint]), rtol=1e-6)
-
-
-def test_ranges_of_disjoint_rows_add_up():
-    rng = np.random.default_rng(0)
-    x, counts = rng.normal(size=(2, 30, 3)), rng.random((30, 3)) > 0.3
-    counts[:, 2] = False
-    parts = [slice(0, 1), slice(1, 12), slice(12, 30)]
-    total, *others = (SignalRanges.of(x[:, p], counts[p]) for p in parts)
-    for one in others:
-        total = total + one
-    for pairs, values in zip(total.pairs(), x):
-        for j in (0, 1):
-            assert pairs[j] == ends(values[counts[:, j], j])
-        assert np.isnan(pairs[2]).all()
 
 
 # -- what is said of a prediction

@@ -51,7 +51,7 @@ def test_signs_explain_a_torque_of_gravity_and_friction():
 
 
 @pytest.mark.parametrize(
-    "constant", [pytest.param(0.5, marks=pytest.mark.slow), "unknown"]
+    "constant", [0.5, pytest.param("unknown", marks=pytest.mark.slow)]
 )
 def test_an_unsigned_current_is_identified_as_one_with_its_sign(constant):
     one = identify(ARM.tau, CurrentDrive(constant))

@@ -13,9 +13,8 @@ from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
-from sklearn_vbjfa.equations import BlockAssignment, _equations
+from sklearn_vbjfa.equations import _equations
 from sklearn_vbjfa.robot import FitOptions
-from tests.model._trees import build, by_sample
 
 FRICTION = ("viscous", "coulomb")
 MOMENTS = ("n", "n_rows", "yy", "g", "G", "noise")
@@ -126,80 +125,6 @@ def test_any_pieces_and_blocks(recording, chunk, block):
         patch.setattr(_equations, "CHUNK_BYTES", chunk)
         patch.setattr(_lowpass, "_BLOCK_BYTES", block)
         assert_same(fit(recording, **settings), expected)
-
-
-KINDS = ("RX", "PZ", "RevoluteUnaligned", "HY", "RY", "PrismaticUnaligned", "RZ")
-PARENTS = (0, 1, 1, 3, 2, 0, 4)
-
-
-@pytest.fixture(scope="module")
-def branched():
-    """Segment of a tree of branches, some of them sliding, and its dense matrices."""
-    rng = np.random.default_rng(5)
-    model = build(rng, KINDS, PARENTS)
-    features = RigidBodyFeatures(model, friction=FRICTION).load()
-    n, nv = 700, model.nv
-    halves = [rng.normal(size=(n, 3 * nv)) for _ in range(2)]
-    segment = _equations.Segment(
-        first=0,
-        states=halves[0],
-        rows=None,
-        halves=tuple(_equations.RegressorRows(features, half) for half in halves),
-        torque=rng.normal(size=(n, nv)),
-        weight=rng.choice([0.0, 1.0, 2.0], size=(n, nv), p=[0.1, 0.6, 0.3]),
-        standstill=np.full(nv, 0.1),
-    )
-    matrices = []
-    for half in halves:
-        q, v, a = np.split(half, 3, axis=1)
-        friction = np.zeros((n, nv, nv, 2))
-        for j in range(nv):
-            friction[:, j, j] = np.stack([v[:, j], np.sign(v[:, j])], axis=1)
-        Phi = np.concatenate([by_sample(model, q, v, a), friction], axis=-1)
-        matrices.append(Phi.reshape(n, nv, -1))
-    return segment, matrices
-
-
-@pytest.mark.parametrize("lowpass", [_lowpass.design(0.01, 5.0), None])
-@pytest.mark.parametrize("chunk", [1 << 14, 1 << 17, 1 << 30])
-@pytest.mark.parametrize("n_jobs", [None, 2])
-def test_a_tree_has_the_moments_of_dense_matrices(
-    monkeypatch, branched, lowpass, chunk, n_jobs
-):
-    segment, (even, odd) = branched
-    lowpass = lowpass or _lowpass.design(0.01, np.inf)
-    monkeypatch.setattr(_equations, "CHUNK_BYTES", chunk)
-    moves = np.abs(segment.states[:, 7:14]) > 0.1
-    counts = segment.weight * moves
-    w = lowpass.efficiency * lowpass.average(counts)
-    w[lowpass.average((counts > 0).astype(float)) < 0.5] = 0.0
-    Phi, apart = lowpass(0.5 * (even + odd)), lowpass(even - odd)
-    tau = lowpass(segment.torque)
-    expected = {
-        "n": w.sum(axis=0),
-        "n_rows": (w > 0).sum(axis=0),
-        "yy": (w * tau**2).sum(axis=0),
-        "g": np.einsum("nj,njp,nj->jp", w, Phi, tau),
-        "G": np.einsum("nj,njp,njr->jpr", w, Phi, Phi),
-        "noise": 0.25 * np.einsum("nj,njp,njr->jpr", w, apart, apart),
-    }
-    numbering = BlockAssignment.of([w.shape[0]])
-    found = _equations.accumulate(
-        [segment], lowpass, n_jobs=n_jobs, numbering=numbering
-    )
-    for name, values in expected.items():
-        size = np.abs(values).max()
-        got = getattr(found, name)
-        assert_allclose(got, values, rtol=0, atol=1e-12 * size, err_msg=name)
-    # Blocks of time are parts of the same sums.
-    for j in range(7):
-        total = np.zeros_like(found.G[j])
-        for part in found.blocks:
-            total[part.columns[j], part.columns[j]] += part.G[j].sum(axis=0)
-        assert_allclose(total, found.G[j], rtol=0, atol=1e-12 * np.abs(total).max())
-    # Whoever needs the equations themselves gets these.
-    rows = _equations.joined(list(_equations.equations([segment], lowpass)))
-    assert_allclose(rows.Phi, Phi, rtol=0, atol=1e-12 * np.abs(Phi).max())
 
 
 @pytest.mark.parametrize("backend", ["threading", "loky"])

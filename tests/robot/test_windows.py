@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sklearn_vbjfa import RobotIdentifier, load_identified
+from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.effects import Drift
@@ -137,31 +137,6 @@ def test_clearly_smaller_is_a_test_at_five_per_cent():
     assert naive.mean() > 0.18
     assert clearly_smaller(slow, np.zeros_like(slow)).mean() < 0.6 * naive.mean()
     assert not clearly_smaller(-np.ones((1, 3)), np.zeros((1, 3))).any()
-
-
-def test_a_saved_robot_is_simulated_alike(found, robot, recording, tmp_path):
-    robot.save(tmp_path / "arm.json")
-    again = simulate_windows(
-        load_identified(tmp_path / "arm.json"),
-        recording.q,
-        recording.tau,
-        recording.groups,
-        window=0.5,
-    )
-    np.testing.assert_array_equal(again.simulated, found.simulated)
-
-
-@pytest.mark.slow
-def test_robots_are_compared_on_the_same_windows(found, recording):
-    poor = RobotIdentifier(recording.urdf, dt=DT, friction=(), cutoff=3.0)
-    poor.fit(recording.q, recording.tau, groups=recording.groups)
-    given = recording.q, recording.tau, recording.groups
-    alone = simulate_windows(poor, *given, window=0.5)
-    assert not np.array_equal(alone.start_positions, found.start_positions)
-    other = simulate_windows(poor, *given, beside=found)
-    for name in ("starts", "t", "positions", "velocities", "start_positions"):
-        np.testing.assert_array_equal(getattr(other, name), getattr(found, name))
-    assert np.median(other.errors) > 3 * np.median(found.errors)
 
 
 def test_effects_of_time_have_the_clock_of_the_fit(recording):

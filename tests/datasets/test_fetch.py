@@ -9,7 +9,6 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
-from scipy.signal import butter, filtfilt
 
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa.datasets import SETS, _measured, remote_files
@@ -124,41 +123,6 @@ def test_values_are_those_of_an_independent_conversion(fetch, converted):
             for joint in (1, 2):
                 expected = columns[f"{key}_meas{joint}"]
                 np.testing.assert_array_equal(values[:, joint - 1], expected)
-
-
-def test_emps_gives_the_published_mass(fetch):
-    emps = fetch("emps").select("DATA_EMPS")
-    _, v, a, tau = (x[100:17389, 0] for x in _filtered(emps, 60.0))
-    design = np.column_stack([a, v, np.sign(v), np.ones_like(a)])
-    mass, viscous, dry, _ = np.linalg.lstsq(design, tau, rcond=None)[0]
-    assert mass == pytest.approx(95.1, rel=0.01)
-    assert viscous == pytest.approx(203.5, rel=0.05)
-    assert dry == pytest.approx(20.4, rel=0.05)
-
-
-@pytest.mark.filterwarnings("ignore:The robot description 'go2.xml'")
-@pytest.mark.parametrize(
-    ("dataset", "options", "select", "cutoff", "min_speed", "limits"),
-    [
-        ("kuka_kr300", {}, ["A", "B"], 12.0, 0.02, [0.1] * 6),
-        ("staubli_tx40", {}, [0], 25.0, 0.1, [0.05, 0.055, 0.071, 0.075, 0.11, 0.1]),
-        ("franka_panda", {}, [0], 10.0, 0.0, [0.1, 0.02, 0.03, 0.04, 0.1, 0.05]),
-        ("ur5", {}, ["No6"], 8.0, 0.03, [0.08, 0.06, 0.08, 0.25, 0.2, 0.3]),
-        ("tiago", {}, [0], 5.0, 0.02, [1.0, 0.25, 0.3, 0.25, 0.2]),
-        ("unitree_go2", {}, ["run_0"], 10.0, 0.1, [0.2] * 12),
-    ],
-)
-def test_rigid_body_regression_explains_the_torque(
-    fetch, dataset, options, select, cutoff, min_speed, limits
-):
-    # A wrong sign, zero, unit or joint order leaves far more behind.
-    recording = fetch(dataset, **options).select(*select)
-    residual, viscous, dry = _regression(recording, cutoff, min_speed)
-    n_joints = len(limits)
-    assert (residual[:n_joints] < limits).all(), residual
-    good = slice(1 if dataset == "tiago" else 0, min(n_joints, 5))
-    assert (dry[good] > 0).all(), dry
-    assert (viscous[good] > 0).all(), viscous
 
 
 def test_ur5_gains_scale_the_torque(fetch):
@@ -287,50 +251,3 @@ def test_description_comes_from_example_robot_data(monkeypatch, tmp_path, undesc
 
     monkeypatch.setattr(importlib.metadata, "files", lambda name: [Entry(urdf)])
     assert undescribed().urdf == str(urdf)
-
-
-def _filtered(recording, cutoff):
-    """Zero-phase q, v, a, tau of all recordings, without 0.3 s at the ends."""
-    b, a = butter(4, 2 * cutoff * recording.dt)
-    trim = int(0.3 / recording.dt)
-    parts = []
-    for label in range(len(recording.group_names)):
-        rows = recording.groups == label
-        q, tau = (filtfilt(b, a, x[rows], axis=0) for x in (recording.q, recording.tau))
-        v = np.gradient(q, recording.dt, axis=0)
-        acceleration = np.gradient(v, recording.dt, axis=0)
-        parts.append([x[trim:-trim] for x in (q, v, acceleration, tau)])
-    return [np.concatenate(x) for x in zip(*parts, strict=True)]
-
-
-def _regression(recording, cutoff, min_speed):
-    """Weighted least squares on moving samples: relative residual, Fv, Fc."""
-    pin = pytest.importorskip("pinocchio")
-    model = recording.robot_model()
-    data, nv = model.createData(), model.nv
-    step = max(1, recording.n_samples // 1500)
-    q, v, a, tau = (x[::step] for x in _filtered(recording, cutoff))
-    blocks = []
-    for row in range(len(q)):
-        body = pin.computeJointTorqueRegressor(model, data, q[row], v[row], a[row])
-        friction = [np.diag(x) for x in (v[row], np.sign(v[row]), np.ones(nv), a[row])]
-        # Counterbalance of the KR300's axis 2; without effect elsewhere.
-        angle = q[row, 1] * np.array([1, 1, 2, 2]) + np.array([0, 1, 0, 1]) * np.pi / 2
-        balance = np.zeros((nv, 4))
-        balance[1] = np.sin(angle)
-        # Both wrist motors of the TX40 move with joint 5 or 6.
-        wrist = np.zeros((nv, 3))
-        if recording.name == "staubli_tx40":
-            wrist[4] = a[row, 5], v[row, 5], np.sign(v[row, 4] + v[row, 5])
-            wrist[5] = a[row, 4], v[row, 4], np.sign(v[row, 4] + v[row, 5])
-        blocks.append(np.hstack([body, *friction, balance, wrist]))
-    design, moving = np.stack(blocks), np.abs(v) > min_speed
-    scale = np.array([tau[moving[:, j], j].std() for j in range(nv)])
-    weight = np.broadcast_to(1 / scale, tau.shape)[moving]
-    matrix = design[moving] * weight[:, None]
-    norms = np.linalg.norm(matrix, axis=0)
-    norms[norms == 0] = 1
-    theta = np.linalg.lstsq(matrix / norms, tau[moving] * weight, rcond=1e-6)[0] / norms
-    residual = tau - design @ theta
-    relative = [residual[moving[:, j], j].std() / scale[j] for j in range(nv)]
-    return np.array(relative), theta[10 * nv : 11 * nv], theta[11 * nv : 12 * nv]

@@ -72,11 +72,3 @@ def test_what_is_no_text_is_refused(content, message, tmp_path):
     with pytest.raises(ValueError, match=re.escape(message)) as told:
         read_recording(path)
     assert str(told.value).endswith("save it as CSV in UTF-8.")
-
-
-def test_thousands_with_points_are_no_numbers(tmp_path):
-    text, _ = german(";")
-    path = tmp_path / "log.csv"
-    path.write_text(re.sub(r"\n0,", "\n1.000,", text, count=1), "utf-8")
-    with pytest.raises(ValueError, match=r"'1\.000,0"):
-        read_recording(path)

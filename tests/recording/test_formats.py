@@ -5,16 +5,14 @@ import datetime
 import gzip
 import json
 import lzma
-import os
 import sys
-import threading
 import warnings
 
 import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.recording import _reader, _table, recordings_in
+from sklearn_vbjfa.recording import _table, recordings_in
 from tests.recording._reading import refusal
 from tests.recording.test_reader import DT, N, assert_same, table, write
 
@@ -39,15 +37,6 @@ def test_packed_text(tmp_path, ending):
     assert "'off' in line 3, column 't' is not a number" in str(refusal(path))
 
 
-def test_a_packed_bomb_is_refused_early(tmp_path, monkeypatch):
-    monkeypatch.setattr(_table, "LARGEST", 1 << 20)
-    path = tmp_path / "arm.csv.gz"
-    path.write_bytes(gzip.compress(bytes(3 << 20)))
-    assert "too large to be read at once; give a shorter recording" in str(
-        refusal(path)
-    )
-
-
 # -- pipes -----------------------------------------------------------------------------
 
 
@@ -66,18 +55,6 @@ def test_standard_input(tmp_path, monkeypatch, ending):
         monkeypatch.setattr(sys, "stdin", stream)
         recording = read_recording("-")
     assert_same(recording, columns)
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are POSIX's")
-def test_a_named_pipe(tmp_path):
-    columns = table()
-    content = write(tmp_path / "arm.csv", columns).read_bytes()
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    writer = threading.Thread(target=pipe.write_bytes, args=(content,))
-    writer.start()
-    assert_same(read_recording(pipe), columns)
-    writer.join()
 
 
 def test_a_pipe_that_ends_early(tmp_path, monkeypatch):
@@ -261,21 +238,6 @@ def test_a_lerobot_data_set(lerobot, nested):
     with pytest.warns(UserWarning, match="taken as a LeRobot data set"):
         recording = read_recording(one)
     np.testing.assert_allclose(recording.q[:, 0], table()["q1"][N // 2 :], atol=1e-9)
-
-
-def test_a_folder_that_is_written_to_while_it_is_read(lerobot, monkeypatch):
-    folder, read = lerobot(), _reader.read_table
-    *_, last = sorted(folder.rglob("*.parquet"))
-    changed = last.stat().st_mtime_ns + 10**9
-
-    def late(path, *rest):
-        found = read(path, *rest)
-        os.utime(last, ns=(changed, changed))
-        return found
-
-    monkeypatch.setattr(_reader, "read_table", late)
-    with pytest.raises(ValueError, match="set was written to while it was read"):
-        read_recording(folder)
 
 
 def test_recordings_in_a_folder(lerobot, tmp_path):

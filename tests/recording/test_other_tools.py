@@ -153,18 +153,6 @@ def test_joints_with_units_of_their_own(tmp_path, urdf):
 # -- arrays ----------------------------------------------------------------------------
 
 
-def test_matrices_of_other_names(tmp_path):
-    columns = table()
-    q = np.column_stack([columns["q1"], columns["q2"]])
-    tau = np.column_stack([columns["tau1"], columns["tau2"]])
-    path = tmp_path / "arm.npz"
-    np.savez(path, time=columns["t"], positions=q, efforts=tau, note="x")
-    with pytest.raises(RecordingRefused) as caught:
-        read_recording(path)
-    assert caught.value.options == {"columns": "q=positions{i},tau=efforts{i}"}
-    same(read(path, **caught.value.options)[0])
-
-
 def test_thousandths_are_tenths_of_a_hundredth(tmp_path):
     t = 0.01 * np.arange(100)
     found = []

@@ -1,10 +1,5 @@
 """Recording: validation, selection, models of single-joint benches."""
 
-import pickle
-import subprocess
-import sys
-from dataclasses import FrozenInstanceError
-
 import numpy as np
 import pytest
 
@@ -86,17 +81,6 @@ def test_inconsistent_fields_are_refused_by_name(make_recording, changes):
     assert "must" in str(caught.value)
 
 
-def test_recording_is_frozen_and_survives_pickle(make_recording):
-    recording = make_recording()
-    with pytest.raises(FrozenInstanceError):
-        recording.dt = 1.0
-    copy = pickle.loads(pickle.dumps(recording))
-    np.testing.assert_array_equal(copy.q, recording.q)
-    assert repr(copy) == (
-        "Recording 'bench': 9 samples, 2 joints, dt = 0.1 s, 3 recordings"
-    )
-
-
 def test_no_description_gives_a_remedy(make_recording):
     pytest.importorskip("pinocchio")
     with pytest.raises(FileNotFoundError, match=r"dataclasses\.replace"):
@@ -143,15 +127,3 @@ def test_double_pendulum_model_has_the_published_dynamics(make_recording):
     gravity = 9.81 * np.array([(m1 * r1 + m2 * l1) * np.sin(q[0]) + tip, tip])
     torque = pin.rnea(model, model.createData(), q, np.zeros(2), a)
     np.testing.assert_allclose(torque, mass @ a + gravity, rtol=1e-9)
-
-
-def test_import_loads_no_heavy_package():
-    code = (
-        "import sys, sklearn_vbjfa.datasets; "
-        "print([m for m in ('pinocchio', 'matplotlib', 'pooch', 'requests') "
-        "if m in sys.modules])"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert result.stdout.strip() == "[]"

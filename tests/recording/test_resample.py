@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.recording import Log, interpolate, join, median_period
+from sklearn_vbjfa.recording import interpolate
 
 
 @pytest.fixture
@@ -37,32 +37,3 @@ def test_a_joint_that_stands_does_not_move_by_rounding(make_stamps):
     channels = {"q": np.column_stack([np.sin(t), np.full(t.size, 0.1038)])}
     _, part = interpolate(t - t[0], channels, 0.01)
     assert (part["q"][:, 1] == 0.1038).all()
-
-
-def test_join_labels_logs_and_their_parts(make_stamps):
-    t = make_stamps(60)
-    gapped = np.concatenate([t, t + 2.0])
-    logs = [
-        Log(name="a", t=t, q=t[:, None], tau=t[:, None], signals={"x": t}),
-        Log(
-            name="b",
-            t=gapped,
-            q=gapped[:, None],
-            tau=gapped[:, None],
-            signals={"x": gapped},
-        ),
-    ]
-    assert median_period(logs) == pytest.approx(0.01, rel=0.1)
-    joined = join(logs, dt=0.01)
-    assert joined["group_names"] == ("a", "b [1]", "b [2]")
-    assert joined["v"] is None
-    np.testing.assert_array_equal(np.unique(joined["groups"]), [0, 1, 2])
-    starts = np.flatnonzero(np.diff(joined["groups"], prepend=-1))
-    np.testing.assert_array_equal(joined["t"][starts], 0)
-    same = np.diff(joined["groups"]) == 0
-    np.testing.assert_allclose(np.diff(joined["t"])[same], 0.01)
-    np.testing.assert_allclose(joined["signals"]["x"], joined["q"][:, 0])
-
-    raw = join(logs, dt=0.01, resample=False)
-    assert raw["group_names"] == ("a", "b")
-    np.testing.assert_array_equal(raw["t"], np.concatenate([t, gapped]))

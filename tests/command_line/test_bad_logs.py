@@ -2,11 +2,8 @@
 
 import csv
 import json
-import os
 import shlex
 import shutil
-import sys
-import threading
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -92,44 +89,3 @@ def test_bad_logs(name, arm, sound, capsys):
     if offered:
         # The command does what it says.
         assert main(shlex.split(command)) in (0, 3), capsys.readouterr().err
-
-
-def read_while_written(arm, path, pieces, capsys):
-    """Inspect a file while pieces are written to it; exit code and what is printed."""
-
-    def write():
-        with path.open("ab") as file:
-            for piece in pieces:
-                file.write(piece)
-                file.flush()
-
-    writer = threading.Thread(target=write)
-    writer.start()
-    code = main(["inspect", str(path), "--urdf", str(arm.urdf), "--json", "-q"])
-    writer.join()
-    return code, *capsys.readouterr()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no named pipes")
-def test_a_pipe_that_ends_early(arm, capsys):
-    content = _bad_logs.encoded(arm).read_bytes()
-    pipe = arm.folder / "pipe"
-    os.mkfifo(pipe)
-    half = content[: len(content) // 2]
-    code, out, err = read_while_written(arm, pipe, [half], capsys)
-    assert code == 0, err
-    assert "the last line is cut" in err
-    assert json.loads(out)["samples"] == half.count(b"\n") - 1
-    code, _, err = read_while_written(arm, pipe, [], capsys)
-    assert code == 2
-    assert "is empty" in err
-
-
-def test_a_file_that_grows_while_it_is_read(arm, capsys):
-    lines = _bad_logs.encoded(arm).read_bytes().splitlines(keepends=True)
-    half = len(lines) // 2
-    log = arm.folder / "growing.csv"
-    log.write_bytes(b"".join(lines[:half]))
-    code, out, err = read_while_written(arm, log, lines[half:], capsys)
-    assert code == 0, err
-    assert half - 1 <= json.loads(out)["samples"] <= len(lines) - 1

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sklearn_vbjfa import EffectDiscovery, load_identified
+from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model import load_model
@@ -210,24 +210,6 @@ def test_alike_joints_are_rows_of_the_parameters(good, urdf, capsys):
         assert float(row["value"]) == pytest.approx(np.mean(own))
     assert main([*command, "--shared-drives", "wrist", "--force"]) == 2
     assert "'wrist', of 0 joint(s)" in capsys.readouterr().err
-
-
-def test_options_reach_the_estimators(good, urdf, monkeypatch):
-    seen = {}
-
-    def fit(self, *arguments, **given):
-        seen.update(self.get_params(deep=True))
-        raise ValueError("seen")
-
-    monkeypatch.setattr(EffectDiscovery, "fit", fit)
-    options = "--friction viscous --effects coulomb,spring --cutoff none"
-    main(["identify", str(good), "--urdf", str(urdf), *options.split()])
-    assert seen["identifier__friction"] == ("viscous",)
-    assert seen["effects"] == ("coulomb", "spring")
-    assert seen["identifier__cutoff"] is None
-    main(["identify", str(good), "--urdf", str(urdf), "--cutoff", "8"])
-    assert seen["identifier__cutoff"] == 8.0
-    assert seen["effects"] == "all"
 
 
 # -- gains -----------------------------------------------------------------------------
@@ -516,8 +498,3 @@ def test_signals_that_cannot_be_are_refused_in_one_line(
     line = refusal(capsys, warm, "--urdf", urdf, "--signals", names)
     assert message in line
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_without_other_columns_has_no_signals(good, urdf, capsys):
-    line = refusal(capsys, good, "--urdf", urdf, "--signals", "temperature")
-    assert "no column 'temperature'" in line

@@ -8,7 +8,6 @@ import re
 import shlex
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -195,14 +194,6 @@ def test_a_motion_that_exists_is_not_replaced(designed, capsys):
     out.write_bytes(before)
 
 
-@pytest.mark.slow
-def test_the_same_again_gives_the_same(designed):
-    out, _, argv = designed
-    before = out.read_bytes()
-    assert main(["design", *argv, "--force"]) == UNCHECKED
-    assert out.read_bytes() == before
-
-
 # Bars about the links of the arm: those of one joint apart need not be looked at.
 GEOMETRY = """<collision><origin xyz="0.1 0 0"/><geometry><box size="0.2 0.02 0.02"/>
 </geometry></collision></link>"""
@@ -243,34 +234,6 @@ def test_a_described_robot_with_held_joints_and_slow(here, capsys):
     assert "--joints shoulder,elbow" in text
     assert "held" not in text
     assert "Noise was not measured" in text
-
-
-@pytest.mark.slow
-def test_bodies_are_kept_apart_where_the_description_has_shapes(here, capsys):
-    shape = "<collision><origin xyz='{} 0 0'/><geometry><sphere radius='0.1'/>"
-    shape += "</geometry></collision></link>"
-    more = {"name": "hand", "joint": "grip", "parent": "lower", "origin": 0.3}
-    robot = URDF.replace("</robot>", LINK.format(**more, centre=0.1, mass=1))
-    base, upper, lower, hand = robot.replace(
-        '<link name="base"/>', '<link name="base"></link>'
-    ).split("</link>")[:4]
-    rest = robot.split("</link>")[-1]
-    places = zip((base, upper, lower, hand), (0, 0.2, 0.2, 0.1))
-    Path("arm.urdf").write_text(
-        "".join(link + shape.format(x) for link, x in places) + rest + "</robot>"
-    )
-    argv = ["--urdf", "arm.urdf", "--joints", "shoulder,elbow", *QUICK]
-    assert main(["design", *argv]) == 0
-    (said,) = re.findall(r"Bodies stay (.*) mm apart", capsys.readouterr().out)
-    elbow = read(here / "motion.csv")["q_elbow"]
-    # Lower arm and hand to the base, hand to the upper arm.
-    far = [
-        np.hypot(pivot + x * np.cos(elbow), x * np.sin(elbow)).min()
-        for pivot, x in ((0.4, 0.2), (0.4, 0.4), (0.2, 0.4))
-    ]
-    nearest = 1e3 * (min(far) - 0.2)
-    assert nearest >= 9.9
-    assert float(said) == pytest.approx(nearest, abs=1.0)
 
 
 # -- bad input -------------------------------------------------------------------------
@@ -414,30 +377,3 @@ def test_places_where_nothing_can_be_written(here, capsys):
     assert "arm.urdf is not a folder" in line
     assert offered(line)[-1] == "arm-report"
     assert "arm.urdf exists" in refusal(capsys, *urdf, "--out", "arm.urdf")
-
-
-@pytest.mark.parametrize("folder", [".", "new/folder"])
-def test_a_run_that_is_interrupted_writes_nothing(folder, here, capsys, monkeypatch):
-    def stopped(*args, **kwargs):
-        # What Ctrl-C does, in a process that may ignore the signal.
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("sklearn_vbjfa._cli._design.design_motion", stopped)
-    argv = ["--urdf", "arm.urdf", "--out", f"{folder}/motion.csv"]
-    assert main(["design", *argv]) == 130
-    assert capsys.readouterr().err == "sklearn-vbjfa: interrupted\n"
-    assert [x.name for x in here.iterdir()] == ["arm.urdf"]
-
-
-def test_a_motion_outside_its_limits_is_not_written(here, capsys, monkeypatch):
-    names = ("position", "velocity", "acceleration", "torque")
-    margins = {name: np.full(2, 0.1) for name in names}
-    margins["velocity"] = np.array([0.5, -0.031])
-    found = SimpleNamespace(within_limits=False, margins=margins, joint_names=JOINTS)
-    monkeypatch.setattr(
-        "sklearn_vbjfa._cli._design.design_motion", lambda *_, **__: found
-    )
-    line = refusal(capsys, "--urdf", "arm.urdf", *QUICK)
-    assert "speed of joint 2 (elbow) is exceeded by 3.1 %" in line
-    assert "--seed" in line
-    assert [x.name for x in here.iterdir()] == ["arm.urdf"]

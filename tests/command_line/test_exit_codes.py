@@ -228,12 +228,6 @@ def test_joints_that_are_held_by_choice_are_no_doubt(here, capsys):
     assert run(capsys, "inspect", *argv)[0] == 0
 
 
-def test_signals_that_nobody_asks_for_are_no_doubt(here, capsys):
-    source = write(columns() | {"state": ["run", "stop"] * (N // 2)})
-    argv = (source, "--urdf", "arm.urdf", "--signals", "none")
-    assert run(capsys, "identify", *argv)[0] == 0
-
-
 def test_the_motion_under_another_name_is_no_doubt(here, capsys):
     speeds = {f"arm_{j}.vel": np.gradient(columns()[f"q{j}"], DT) for j in (1, 2)}
     source = write(columns() | speeds)
@@ -241,14 +235,6 @@ def test_the_motion_under_another_name_is_no_doubt(here, capsys):
     assert (code, err) == (0, [])
     assert out.count("Channel:") == 1
     assert "Channel: The columns 'arm_1.vel', 'arm_2.vel' are not used" in out
-
-
-def test_a_low_pass_longer_than_the_recording_is_refused(here, capsys):
-    source = write(columns())
-    argv = (source, "--urdf", "arm.urdf", "--cutoff", "0.05")
-    code, out, (line,) = run(capsys, "identify", *argv)
-    assert (code, out) == (2, "")
-    assert "The low-pass at 0.05 Hz is" in line
 
 
 def test_a_file_that_moves_differently_is_named_with_the_joint(here, capsys):

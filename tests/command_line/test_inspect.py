@@ -1,7 +1,5 @@
 """The command inspect: what the data are, what is wrong, what they can show."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -23,11 +21,6 @@ def inspect(capsys, *argv, code=0):
     captured = capsys.readouterr()
     assert found == code, captured.err
     return captured.out, captured.err
-
-
-def test_the_library_is_listed_without_markup(capsys):
-    assert main(["effects"]) == 0
-    assert "]_" not in capsys.readouterr().out
 
 
 def test_a_robot_description_is_asked_for(capsys):
@@ -59,13 +52,6 @@ def test_what_is_wrong_is_said(made, tmp_path, capsys):
     assert "joint_1" in wrong.splitlines()[0]
 
 
-def test_a_refusal_gives_options(made, tmp_path, capsys):
-    path = plain(made, tmp_path)
-    path.write_text(re.sub(r"\b(q|tau)(\d)", r"x\1_\2x", path.read_text()))
-    assert main(["inspect", str(path), "--urdf", made.urdf]) == 2
-    assert "--columns 'q=NAME{i}," in capsys.readouterr().err
-
-
 def test_currents_are_no_fault(made, tmp_path, capsys):
     path = KINDS["UR RTDE record"](made, tmp_path)
     out, err = inspect(capsys, path, "--urdf", made.urdf)
@@ -74,15 +60,6 @@ def test_currents_are_no_fault(made, tmp_path, capsys):
     assert "or --gain unknown" in line
     assert "gear" not in out
     assert "taken as RTDE of a Universal Robots controller" in err
-
-
-def test_joints_that_were_not_recorded(made, tmp_path, capsys):
-    path = KINDS["PlotJuggler"](made, tmp_path)
-    path.write_text(path.read_text().replace("joint_6/", "sensor/"))
-    out, err = inspect(capsys, path, "--urdf", made.urdf, code=3)
-    assert "held at zero: joint_6" in out
-    assert "no columns of joint(s) joint_6: held at zero" in err
-    assert len([x for x in out.splitlines() if x.startswith("joint_")]) >= 5
 
 
 def test_a_refusal_names_the_command(made, tmp_path, capsys):
@@ -95,14 +72,3 @@ def test_a_refusal_names_the_command(made, tmp_path, capsys):
     command = line.partition("this would work: python -m sklearn_vbjfa ")[2]
     assert command.startswith("inspect ")
     assert command.endswith("--columns 'q=angle{i},tau=torque{i}'")
-
-
-def test_a_mapping_of_other_columns_lists_those_there_are(made, tmp_path, capsys):
-    path = plain(made, tmp_path)
-    path.write_text(path.read_text().replace("q1,q2,q3,q4,q5,q6", "p1,p2,p3,p4,p5,p6"))
-    path.write_text(path.read_text().replace("p", "pos"))
-    argv = ["inspect", str(path), "--columns=q=x{i}", "--urdf", made.urdf]
-    assert main(argv) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "has no column x{i}, which columns asks for" in line
-    assert "found t, pos1, pos2" in line

@@ -16,7 +16,6 @@ from sklearn_vbjfa.datasets import make_robot_recording
 from tests.command_line.test_close_loop import FILES, URDF, write_csv
 
 RUNS = ("runs/a.csv", "runs/b.csv", "runs/c.csv")
-COMMANDS = ("identify", "inspect")
 # Options that keep the runs short.
 SHORT = {"identify": ("--effects", "spring")}
 
@@ -164,18 +163,3 @@ def test_a_bad_file_is_refused_by_its_name(here, capsys):
     assert "runs/d.csv is a copy of runs/b.csv; leave one of them out" in line
     Path("runs/d.csv").write_text("")
     assert "runs/d.csv: no rows of data" in refusal(capsys, "inspect", "runs")
-
-
-@pytest.mark.slow
-def test_signals_that_a_file_lacks_are_said(here, capsys):
-    for name in ("a", "b"):
-        path = Path(f"runs/{name}.csv")
-        head, *rows = path.read_text().splitlines()
-        rows = [f"{row},{20 + 1e-3 * k**0.5}" for k, row in enumerate(rows)]
-        path.write_text("\n".join([f"{head},temperature", *rows]))
-    line = refusal(capsys, "identify", *RUNS, "--signals", "temperature")
-    assert "The column 'temperature' is missing in runs/c.csv" in line
-    assert run(capsys, "identify", *RUNS)[0] == 0
-    report = json.loads(Path("runs-report/report.json").read_text("utf-8"))
-    told = " ".join(one["message"] for one in report["channels"])
-    assert "it is missing in runs/c.csv" in told

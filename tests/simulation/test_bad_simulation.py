@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.effects import Effect, Elastic, Jerk, Spring
+from sklearn_vbjfa.effects import Elastic, Jerk, Spring
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.robot import FitOptions
 from sklearn_vbjfa.simulation import SimulationError, simulate
@@ -104,34 +104,6 @@ def test_negative_friction_is_a_warning():
         states = simulate(robot, np.zeros((100, 1)), [0.0], [1.0])
     # m dv/dt = v
     assert states[-1, 1] == pytest.approx(np.exp(0.5 * 0.99), rel=1e-6)
-
-
-class Everywhere(Effect):
-    """Friction of all joints, which says nothing of a simulation."""
-
-    name = "everywhere"
-    coefficients = ("F",)
-    units = (("", ""),)
-    whole_robot = True
-
-    def columns(self, motion):
-        return motion.v[:, :, None]
-
-
-class Rewritten(Spring):
-    """What a class says of its torque anew takes back what its base says elsewhere."""
-
-    law = Spring.law
-
-
-@pytest.mark.parametrize("effect", [Everywhere(), Rewritten()])
-def test_effects_without_terms_are_left_out_with_a_warning(effect):
-    coef = np.ones(len(effect.coefficients))
-    robot = wheel(effects=[(effect, coef), (Spring(), [2.0, 0.0])])
-    with pytest.warns(DoubtWarning, match="leaves out .* on wheel .*has no terms"):
-        states = simulate(robot, np.zeros((20, 1)), [0.1])
-    bare = simulate(wheel(effects=[(Spring(), [2.0, 0.0])]), np.zeros((20, 1)), [0.1])
-    np.testing.assert_array_equal(states, bare)
 
 
 def test_negative_inertia():

@@ -3,16 +3,13 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.special import ellipj, ellipk
 
 from sklearn_vbjfa.effects import Spring
 from sklearn_vbjfa.simulation import simulate, with_bodies
 from tests.model._robots import random_body
 from tests.model._trees import random_placement
 from tests.simulation._machines import (
-    GRAVITY,
     machine,
-    pendulum,
     slider,
     wheel,
 )
@@ -80,19 +77,6 @@ def test_viscous_decay(rate):
     np.testing.assert_allclose(states[:, 0], gone, atol=1e-7 / rate)
 
 
-@pytest.mark.parametrize("q0", [0.1, 1.0, 2.5, 3.1])
-def test_pendulum_by_elliptic_functions(q0):
-    m, length, own = 1.5, 0.4, 0.02
-    rate = np.sqrt(m * GRAVITY * length / (own + m * length**2))
-    k = np.sin(0.5 * q0) ** 2
-    t = 0.01 * np.arange(501)
-    states = simulate(pendulum(m, length, own), nothing(t.size), [q0])
-    sn = ellipj(ellipk(k) - rate * t, k)[0]
-    # Near the top small errors grow.
-    exact = 1e-6 if q0 < 2 else 1e-5 if q0 < 3 else 1e-4
-    np.testing.assert_allclose(states[:, 0], 2 * np.arcsin(np.sqrt(k) * sn), atol=exact)
-
-
 def chain(rng, n_joints, kinds=("RX", "RY", "RZ")):
     """Robot whose joints follow one another, of moderate size."""
     model, bodies = pin.Model(), []
@@ -128,34 +112,3 @@ def test_energy_over_ten_seconds_without_friction(n_joints, dt):
     kinetic, potential = energies(robot, states)
     total = kinetic + potential
     assert np.abs(total - total[0]).max() < 1e-6 * kinetic.max()
-
-
-def test_tree_of_revolute_and_prismatic_joints_numbered_in_any_order():
-    """Joints 0 and 1 branch off the base; 2 and 3 hang on them crosswise."""
-    rng = np.random.default_rng(3)
-    model, bodies = pin.Model(), []
-    for j, (parent, kind) in enumerate([(0, "RX"), (0, "RY"), (1, "RZ"), (2, "RX")]):
-        joint = getattr(pin, f"JointModel{kind}")()
-        model.addJoint(parent, joint, random_placement(rng), f"joint_{j}")
-        bodies.append(random_body(rng))
-    robot = machine(model, bodies)
-    states = simulate(robot, nothing(201, 4), *rng.normal(size=(2, 4)))
-    kinetic, potential = energies(robot, states)
-    total = kinetic + potential
-    assert np.abs(total - total[0]).max() < 1e-7 * kinetic.max()
-
-
-def test_base_that_leans_turns_gravity():
-    lean = 0.3
-    upright, leaning = pendulum(), pendulum()
-    turned = np.array([-np.sin(lean), 0.0, -np.cos(lean)]) * GRAVITY
-    leaning.model.gravity.linear = turned
-    one = simulate(upright, nothing(101), [0.5 + lean])
-    other = simulate(leaning, nothing(101), [0.5])
-    moved = np.minimum(
-        np.abs(other[:, 0] + lean - one[:, 0]).max(),
-        np.abs(
-            other[:, 0] - lean - simulate(upright, nothing(101), [0.5 - lean])[:, 0]
-        ).max(),
-    )
-    assert moved < 1e-9

@@ -10,11 +10,9 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects  # noqa: E402
 from sklearn_vbjfa.effects import (  # noqa: E402
-    Counterbalance,
     Effect,
     EffectRange,
     LoadFriction,
-    Ripple,
     Spring,
     ViscousQuadratic,
 )
@@ -149,45 +147,6 @@ def test_a_prediction_is_the_torque_at_the_end(effect, coef, share, law):
     unheld = torques(replace(own, effect_ranges_=()), X)
     assert_array_equal(torques(own, X)[inside], unheld[inside])
     assert np.abs(torques(own, X) - unheld)[~inside].max() > 1e-3
-
-
-# Torques of bounded laws by the position.
-FOLLOWED = [
-    (
-        Ripple(1, period=0.4),
-        [0.6, -0.3],
-        lambda q: 0.6 * np.cos(5 * np.pi * q) - 0.3 * np.sin(5 * np.pi * q),
-    ),
-    (
-        Counterbalance(1),
-        [2.0, 1.0, -0.5, 0.3, 0.1],
-        lambda q: (
-            2.0 * np.cos(q)
-            + np.sin(q)
-            - 0.5 * np.cos(2 * q)
-            + 0.3 * np.sin(2 * q)
-            + 0.1
-        ),
-    ),
-    (
-        Counterbalance(1, form="linkage", ratio=0.6, angle=0.3),
-        [-4.0, 1.5],
-        lambda q: np.sin(q - 0.3) * (1.5 - 4.0 / np.sqrt(1.36 - 1.2 * np.cos(q - 0.3))),
-    ),
-]
-
-
-@pytest.mark.parametrize(("effect", "coef", "law"), FOLLOWED)
-def test_a_bounded_law_is_followed_beyond_the_range(effect, coef, law):
-    rng = np.random.default_rng(2)
-    own, X = held(with_effect(rng, effect, coef)), random_motion(rng, 3)
-    X[:, 1] *= 20.0
-    assert np.mean((X[:, 1] < -0.25) | (X[:, 1] > 0.3)) > 0.9
-    bare = replace(own, theta_=np.r_[own.theta_[: -len(coef)], np.zeros(len(coef))])
-    for answer in (torques, stepped):
-        alone = answer(own, X) - answer(bare, X)
-        assert_allclose(alone[:, 1], law(X[:, 1]), rtol=0, atol=1e-10)
-        assert_array_equal(alone[:, [0, 2]], 0.0)
 
 
 def stepped(predictor, X):

@@ -3,52 +3,13 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.effects import (
-    AsymmetricFriction,
-    Backlash,
-    Coulomb,
-    Counterbalance,
-    Coupling,
-    Drift,
-    LoadFriction,
-    MaxwellSlip,
-    Ripple,
-    RotorInertia,
-    Spring,
-    Stribeck,
-    ViscousQuadratic,
-)
 from sklearn_vbjfa.simulation import Integrator, _dynamics, simulate
 from tests.simulation._machines import Arm, machine
 
 FRICTION = {"viscous": [0.3, 0.1], "coulomb": [1.0, 0.4], "offset": [0.1, 0.0]}
-EFFECTS = [
-    (Stribeck(0, 0.2, 2), [0.6]),
-    (Coulomb(1), [0.3]),
-    (LoadFriction(0), [0.1]),
-    (LoadFriction(1), [0.1]),
-    (AsymmetricFriction(0), [0.2, 0.05]),
-    (ViscousQuadratic(1), [0.02]),
-    (MaxwellSlip(0, (0.02, 0.1), (0.05,), (0.02,)), [0.3, 0.2, 0.1, 0.2]),
-    (Backlash(1, 0.05), [4.0, 0.2]),
-    (Spring(0), [4.0, 0.3]),
-    (Counterbalance(0), [1.0, -0.5, 0.2, 0.1, 0.3]),
-    (Counterbalance(1, "linkage", 0.6, 0.3), [-1.0, 1.5]),
-    (Ripple(1, 0.3), [0.1, 0.2]),
-    (RotorInertia(0), [0.2]),
-    (Coupling(1, 0, 1.0), [0.05, 0.1, 0.02]),
-    (Drift(0, "coulomb", 2.0), [0.5]),
-    (Drift(1, "offset", 1.0), [0.3]),
-]
 T = 0.01 * np.arange(101)
 TAU = np.column_stack([6 * np.sin(5 * T), 2 * np.cos(8 * T)])
 START = [0.4, -0.6], [1.0, -2.0]
-
-
-def test_order_of_effects():
-    one = simulate(Arm().robot(FRICTION, EFFECTS), TAU, *START)
-    other = simulate(Arm().robot(FRICTION, EFFECTS[::-1]), TAU, *START)
-    np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("factor", [1e-4, 1e4])

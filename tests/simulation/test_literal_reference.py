@@ -6,19 +6,14 @@ import pytest
 from sklearn_vbjfa.effects import (
     AsymmetricFriction,
     Backlash,
-    Counterbalance,
     Coupling,
     Drift,
     LoadFriction,
     MaxwellSlip,
-    Offset,
-    Payload,
     Ripple,
     RotorInertia,
-    Signal,
     Spring,
     Stribeck,
-    ViscousQuadratic,
 )
 from sklearn_vbjfa.simulation import simulate
 from tests.simulation._literal import Law, follow
@@ -77,44 +72,12 @@ def test_coulomb_friction_through_reversals_and_rest():
     assert (found[:, 2:4] == 0).sum() > 5
 
 
-@pytest.mark.parametrize("k", [1, 2])
-def test_stribeck(k):
-    Fc, Fs, vs = np.array([2.0, 0.5]), np.array([1.5, 0.8]), 0.2
-    law = Law(
-        smooth=viscous,
-        dry=lambda v, t: Fc + Fs * np.exp(-(np.abs(v / vs) ** k)),
-        sticks=(True, True),
-    )
-    effects = [(Stribeck(j, vs, k), [Fs[j]]) for j in range(2)]
-    compare(effects, law, {"viscous": VISCOUS, "coulomb": Fc})
-
-
 def test_load_friction():
     mu = np.array([0.25, 0.3])
     law = Law(smooth=viscous, mu=mu, sticks=(True, True))
     effects = [(LoadFriction(j), [mu[j]]) for j in range(2)]
     found = compare(effects, law)
     assert sum(turns(found)) >= 1
-
-
-def test_asymmetric_friction():
-    law = Law(
-        smooth=beside(lambda q, v, t: (0.6 + 0.2 * abs(v[0]), -0.1 + 0.05 * abs(v[1]))),
-        watched=(True, True),
-        dry=lambda v, t: np.array([2.0, 0.5]),
-        sticks=(True, True),
-    )
-    effects = [
-        (AsymmetricFriction(0), [0.6, 0.2]),
-        (AsymmetricFriction(1), [-0.1, 0.05]),
-    ]
-    compare(effects, law, {"viscous": VISCOUS, "coulomb": [2.0, 0.5]})
-
-
-def test_quadratic_friction():
-    F2 = np.array([0.2, 0.05])
-    law = Law(smooth=beside(lambda q, v, t: F2 * v * np.abs(v)), watched=(True, True))
-    compare([(ViscousQuadratic(j), [F2[j]]) for j in range(2)], law)
 
 
 def test_maxwell_slip():
@@ -157,90 +120,6 @@ def test_backlash():
     assert turns(found)[1] >= 2
 
 
-def test_spring_and_offset():
-    k, c = np.array([30.0, 8.0]), np.array([-2.0, 1.0])
-    law = Law(smooth=beside(lambda q, v, t: k * q + c + (0.5, -0.2)))
-    effects = [(Spring(j), [k[j], c[j]]) for j in range(2)]
-    effects += [(Offset(0), [0.5]), (Offset(1), [-0.2])]
-    compare(effects, law)
-
-
-def test_counterbalance_with_harmonics():
-    a, b, c, d, e = -4.0, 3.0, 0.5, -0.7, 1.0
-    law = Law(
-        smooth=beside(
-            lambda q, v, t: (
-                a * np.cos(q[0])
-                + b * np.sin(q[0])
-                + c * np.cos(2 * q[0])
-                + d * np.sin(2 * q[0])
-                + e,
-                0.0,
-            )
-        )
-    )
-    compare([(Counterbalance(0), [a, b, c, d, e])], law)
-
-
-def test_counterbalance_on_a_linkage():
-    Fr, krL, ratio, angle = -6.0, 9.0, 0.6, 0.3
-
-    def balance(q, v, t):
-        x = q[0] - angle
-        length = np.sqrt(1 + ratio**2 - 2 * ratio * np.cos(x))
-        return (Fr / length + krL) * np.sin(x), 0.0
-
-    effect = Counterbalance(0, "linkage", ratio, angle)
-    compare([(effect, [Fr, krL])], Law(smooth=beside(balance)))
-
-
-def test_ripple():
-    c, s, period = 0.4, -0.3, 0.15
-    law = Law(
-        smooth=beside(
-            lambda q, v, t: (
-                0.0,
-                c * np.cos(2 * np.pi * q[1] / period)
-                + s * np.sin(2 * np.pi * q[1] / period),
-            )
-        )
-    )
-    compare([(Ripple(1, period), [c, s])], law)
-
-
-@pytest.mark.parametrize("own", [0, 1, -1, 0.4])
-def test_coupling(own):
-    # Friction and inertia of a difference act against it.
-    Fv, Ia = (-0.2, -0.03) if own < 0 else (0.2, 0.03)
-    law = Law(
-        smooth=beside(lambda q, v, t: (0.0, Fv * (v[0] + own * v[1]))),
-        inertia=np.array([[0.0, 0.0], [Ia, own * Ia]]),
-    )
-    compare([(Coupling(1, 0, own), [Fv, 0.0, Ia])], law)
-
-
-def test_dry_friction_of_a_coupled_speed_turns_over_slow_speeds():
-    # The documented law: the sign of w, straight between -1 and 1 mm/s or mrad/s.
-    Fc, slow = 0.4, 1e-3
-    law = Law(
-        smooth=beside(
-            lambda q, v, t: (
-                0.0,
-                Fc * np.clip((v[0] - v[1]) / slow, -1.0, 1.0),
-            )
-        )
-    )
-    effect = Coupling(1, 0, -1.0)
-    compare([(effect, [0.0, Fc, 0.0])], law, exact=5e-4, method="Radau")
-
-
-def test_rotor_inertia():
-    rotors = np.array([0.4, 0.1])
-    law = Law(smooth=viscous, inertia=np.diag(rotors))
-    compare([(RotorInertia(j), [rotors[j]]) for j in range(2)], law)
-    compare([], law, {"viscous": VISCOUS, "rotor_inertia": rotors})
-
-
 @pytest.mark.parametrize("of", ["offset", "viscous", "coulomb"])
 def test_drift(of):
     D, constant, since = 1.5, 0.3, 0.2
@@ -258,35 +137,6 @@ def test_drift(of):
     effect = Drift(0, of, constant)
     friction = {"viscous": VISCOUS, "coulomb": Fc}
     compare([(effect, [D])], law, friction, since=since, breaks=(since,))
-
-
-@pytest.mark.parametrize("of", ["offset", "viscous", "coulomb"])
-def test_signal(of):
-    k, reference = 0.8, 20.0
-    Fc = np.array([2.0, 1.0])
-    factor = {"offset": 1.0, "coulomb": 0.0}
-
-    def size(t):
-        return k * (reference + 1.0 + 0.5 * t - reference)
-
-    law = Law(
-        smooth=beside(lambda q, v, t: (0.0, size(t) * factor.get(of, v[1]))),
-        dry=lambda v, t: Fc + np.array([0.0, size(t) * (of == "coulomb")]),
-        sticks=(True, True),
-    )
-    friction = {"viscous": VISCOUS, "coulomb": Fc}
-    effect = Signal(1, "grease", of, reference)
-    signals = {"grease": reference + 1.0 + 0.5 * T}
-    compare([(effect, [k])], law, friction, signals=signals)
-
-
-@pytest.mark.parametrize("instant", [0.37, 0.4567])
-def test_payload(instant):
-    mass, length = 0.7, Arm.lengths[1]
-    effect = Payload(1, instant, (0.0, 0.0, -length))
-    law = Law(smooth=viscous, payload=lambda t: mass * (t >= instant))
-    coefficients = [mass, 0.0, 0.0, -mass * length, 0.0]
-    compare([(effect, coefficients)], law, breaks=(instant,))
 
 
 def test_everything_at_once():

@@ -79,15 +79,6 @@ def test_random_robots_with_random_effects(seed, nv, names, timed):
     check(predictor, X, t, signals)
 
 
-@pytest.mark.parametrize("name", LIBRARY)
-@pytest.mark.parametrize("seed", range(2))
-def test_each_effect_of_the_library(name, seed):
-    rng = np.random.default_rng(seed)
-    predictor = random_predictor(rng, 3, [name])
-    signals = {"warmth": rng.normal(size=200)}
-    check(predictor, random_motion(rng, 3), None, signals)
-
-
 def test_bodies_that_are_none():
     rng = np.random.default_rng(0)
     predictor = random_predictor(rng, 3, ["load_friction", "payload"])

@@ -29,16 +29,3 @@ def test_columns_are_those_of_the_effects(joint, rest):
     for k, effect in enumerate(effects.resolve(names)):
         own = effect.set_params(joint=joint).columns(signals)
         assert_array_equal(columns[:, [joint], k], own)
-
-
-@pytest.mark.parametrize(
-    ("names", "message"),
-    [
-        (("viscous", "stiction"), r"Unknown friction.*stiction.*expected.*'viscous'"),
-        (("spring",), "Unknown friction"),
-        (("viscous", "viscous"), "names a column twice"),
-    ],
-)
-def test_other_names_are_refused(names, message):
-    with pytest.raises(ValueError, match=message):
-        effects.check_declared(names)

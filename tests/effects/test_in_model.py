@@ -4,52 +4,26 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 from sklearn.base import clone
 
-pin = pytest.importorskip("pinocchio")
+pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.effects import (  # noqa: E402  # noqa: E402
+from sklearn_vbjfa.effects import (
     BaseTilt,
     JointAxis,
     JointZero,
     Motion,
     TorqueGain,
-    turned_by,
 )
-from sklearn_vbjfa.model import (  # noqa: E402
+from sklearn_vbjfa.model import (
     CorrectedModel,
     TorqueDerivatives,
 )
-from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
-from tests.effects._faults import measured  # noqa: E402
+from tests.effects._arms import arm, inverse_dynamics, motion
+from tests.effects._faults import measured
 
 STEP = 1e-5
-vectors = st.tuples(*3 * [st.floats(-1.5, 1.5)]).map(np.array)
-
-
-# -- turns
-
-
-@settings(deadline=None)
-@given(
-    vector=vectors, change=vectors, size=st.sampled_from([0.0, 1e-6, 1e-3, 0.1, 1.0])
-)
-def test_turned_by_is_the_derivative_of_the_rotation_vector(vector, change, size):
-    """R(w)' R(w + h c), for a small h, is a turn by h times what is returned."""
-    w, h = size * vector, 1e-5
-    high, low = (Rotation.from_rotvec(w + s * h * change) for s in (1, -1))
-    expected = (low.inv() * high).as_rotvec() / (2 * h)
-    # R(w - hc)' R(w + hc) is seen in the frame of the lower end: to second order the
-    # middle one.
-    assert_allclose(turned_by(w, change), expected, atol=1e-4)
-    middle = Rotation.from_rotvec(w)
-    up, down = (middle.inv() * end for end in (high, low))
-    central = (up.as_rotvec() - down.as_rotvec()) / (2 * h)
-    assert_allclose(turned_by(w, change), central, atol=1e-8)
 
 
 # -- columns

@@ -11,7 +11,7 @@ from scipy.special import digamma, gammaln
 from scipy.stats import multivariate_normal
 
 from sklearn_vbjfa._core import _correlated
-from sklearn_vbjfa._core._moments import from_data, square_root, standardise
+from sklearn_vbjfa._core._moments import from_data, standardise
 from sklearn_vbjfa._core._solver import PlainSteps, climb
 from tests.core._problems import ARD_RATE, ARD_SHAPE, as_gram
 
@@ -181,70 +181,6 @@ def test_bound_never_falls(n_features, n_samples, seed, exact, common):
     assert solution.status in {"converged", "max_iter"}
     slack = 1e-11 * max(np.abs(solution.history).max(), n_samples)
     assert np.diff(solution.history).min(initial=0.0) >= -slack
-
-
-def test_exact_inputs_are_ard_regression():
-    # A literal variational ARD regression, with a dense inverse in each iteration.
-    X, y, _, coef = make_problem(5, 6, 80)
-    y = y - X[:, :2] @ coef[:2]  # two inputs that hardly matter
-    solution = solve(X, y, np.zeros((6, 6)), max_iter=20_000, tol=1e-14)
-    s2, alpha = y @ y / 80, np.ones(6)
-    cov = np.linalg.inv(X.T @ X / s2 + np.diag(alpha))
-    for _ in range(2000):
-        cov = np.linalg.inv(X.T @ X / s2 + np.diag(alpha))
-        mean = cov @ X.T @ y / s2
-        alpha = (ARD_SHAPE + 0.5) / (ARD_RATE + 0.5 * (mean**2 + np.diagonal(cov)))
-        s2 = (np.sum((y - X @ mean) ** 2) + np.trace(X.T @ X @ cov)) / 80
-    # The loop stops at a gain of 1e-14 per sample, a root of which is left.
-    assert_allclose(solution.state.beta_mean, mean, rtol=1e-6)
-    assert_allclose(solution.state.beta_cov, cov, atol=1e-6 * np.abs(cov).max())
-    assert_allclose(solution.state.E_alpha, alpha, rtol=1e-6)
-    assert_allclose(solution.state.psi_y, s2, rtol=1e-6)
-
-
-def test_known_noise_gives_corrected_least_squares():
-    X, y, psi, _ = make_problem(7, 3, 400)
-    S, xy, yy = X.T @ X, X.T @ y, y @ y + 400.0
-    corrected = np.linalg.solve(S - 400 * psi, xy)
-    errors = []
-    # The same second moments from more and more samples: the prior and the posterior
-    # variances, in which the variational estimate differs, fade as 1 / n.
-    for repeat in (1e2, 1e3):
-        solution = _correlated.solve_correlated(
-            square_root(repeat * 400.0, repeat * S, repeat * xy, repeat * yy),
-            psi,
-            max_iter=5000,
-            tol=1e-15,
-        )
-        errors.append(np.abs(solution.state.beta_mean - corrected).max())
-    assert errors[0] < 1e-3
-    assert_allclose(errors[0] / errors[1], 10.0, rtol=0.05)
-    plain = np.linalg.solve(S, xy)
-    assert np.abs(corrected - plain).max() > 0.05
-
-
-@pytest.mark.parametrize("n_samples", [60, 3])
-def test_both_forms_of_the_posterior_agree(monkeypatch, n_samples):
-    X, y, _, _ = make_problem(12, 4, n_samples)
-    S, alpha, s2 = X.T @ X, np.array([0.1, 1.0, 10.0, 1e3]), 0.1
-    root = as_gram(X, y)
-    assert root.R.shape[0] == min(n_samples, 4)
-    assert_allclose(root.S, S, atol=1e-13 * np.abs(S).max())
-    assert_allclose(root.xy, X.T @ y, rtol=1e-10)
-    args = S, X.T @ y, float(y @ y), s2, alpha, lambda: root
-    results = [_correlated.posterior_beta(*args)]
-    monkeypatch.setattr(_correlated, "_SAFE_ROUNDING", 0.0)
-    results.append(_correlated.posterior_beta(*args))
-    # S has a condition of 1e3, or no inverse; the prior is what keeps to 1e-9.
-    cov = np.linalg.inv(S / s2 + np.diag(alpha))
-    mean = cov @ X.T @ y / s2
-    logdet = np.linalg.slogdet(cov)[1]
-    residual = np.sum((y - X @ mean) ** 2) + np.trace(S @ cov)
-    for result in results:
-        assert_allclose(result.mean, mean, atol=1e-9)
-        assert_allclose(result.cov, cov, atol=1e-9 * np.abs(cov).max())
-        assert_allclose(result.logdet, logdet, rtol=1e-9)
-        assert_allclose(result.squares, residual, rtol=1e-9)
 
 
 @pytest.mark.parametrize("d", [1, 3])

@@ -98,18 +98,6 @@ def test_overdispersion_discounts_the_likelihood(k):
     assert scatter.discounted(-10.0, k) == -4.0
 
 
-def test_one_scale_is_the_closed_form_of_a_single_column():
-    """Tipping and Faul (2003), equation 18: sparsity S, quality Q, precision alpha."""
-    X, y = problem(1, size=10.0)
-    unit, scale = np.array([0.7]), 0.3
-    groups = groups_of(X, y, unit)
-    alpha = 1.0 / (scale * unit[0]) ** 2
-    S, Q = float(X[:, 0] @ X[:, 0]), float(X[:, 0] @ y)
-    expected = 0.5 * (Q**2 / (alpha + S) + np.log(alpha / (alpha + S)))
-    found = groups.evidence(0.1) - groups.integrated(0.1, scale)
-    assert_allclose(found, [expected], rtol=1e-10)
-
-
 @pytest.mark.parametrize("k", [1, 2, 3])
 def test_one_scale_is_the_density_of_the_torques(k):
     X, y = problem(k, seed=4, size=5.0)

@@ -30,28 +30,6 @@ def test_frequency_response(dt, cutoff):
     assert_allclose(passed, 1.0, atol=2e-3)
 
 
-@pytest.mark.parametrize("step", [1, 2, 3, 7])
-@pytest.mark.parametrize("n", [61, 100, 101])
-def test_decimation_picks_the_centres(n, step):
-    rng = np.random.default_rng(n)
-    x = rng.normal(size=(n, 2, 3))
-    every = _lowpass.design(0.01, 12.0, step=1)
-    some = _lowpass.design(0.01, 12.0, step=step)
-    assert 2 * every.half < n
-    centres = some.centres(n)
-    assert centres[0] == some.half
-    assert_array_equal(np.diff(centres), step)
-    assert centres[-1] <= n - 1 - some.half < centres[-1] + step
-    result = some(x)
-    assert result.shape == (centres.size, 2, 3)
-    assert_allclose(result, every(x)[centres - every.half], rtol=0, atol=1e-15)
-    # and each is the plain weighted sum around its centre
-    for row, centre in zip(result, centres):
-        around = x[centre - some.half : centre + some.half + 1]
-        expected = np.einsum("k,kij->ij", some.taps, around)
-        assert_allclose(row, expected, atol=1e-14)
-
-
 def test_too_short_a_recording_gives_no_output():
     filt = _lowpass.design(0.01, 5.0)
     assert filt(np.ones((2 * filt.half, 3))).shape == (0, 3)

@@ -31,19 +31,6 @@ def assert_same(first, second, rtol=1e-12):
     assert_allclose(difference, 0.0, atol=rtol)
 
 
-@pytest.mark.parametrize("weighted", [True, False])
-def test_equal_to_numpy(weighted):
-    X, y, weight = make_rows(0)
-    w = weight if weighted else None
-    stats = _moments.from_data(X, y, w)
-    joint = np.column_stack([X, y])
-    mean = np.average(joint, axis=0, weights=w)
-    scatter = np.cov(joint, rowvar=False, aweights=w, ddof=0) * stats.n_samples
-    assert_allclose(stats.n_samples, weight.sum() if weighted else 300.0, rtol=1e-14)
-    assert_allclose(stats.mean, mean, rtol=1e-13)
-    assert_allclose(stats.scatter, scatter, atol=1e-13 * np.abs(scatter).max())
-
-
 @settings(max_examples=25, derandomize=True, deadline=None)
 @given(
     seed=st.integers(0, 2**20),
@@ -62,17 +49,6 @@ def test_merge_in_any_chunks_and_order(seed, cuts, order, weighted):
     order.shuffle(pieces)
     total = functools.reduce(operator.add, pieces)
     assert_same(total, _moments.from_data(X, y, w))
-
-
-@settings(max_examples=15, derandomize=True, deadline=None)
-@given(seed=st.integers(0, 2**20), n_samples=st.integers(3, 40))
-def test_weight_is_repetition(seed, n_samples):
-    X, y, _ = make_rows(seed, n_samples)
-    count = np.random.default_rng(seed).integers(0, 4, n_samples)
-    count[:2] = 1, 3
-    weighted = _moments.from_data(X, y, count.astype(float))
-    repeated = _moments.from_data(np.repeat(X, count, axis=0), np.repeat(y, count))
-    assert_same(weighted, repeated)
 
 
 @pytest.mark.parametrize("split", [1, 7])

@@ -69,11 +69,3 @@ def test_integers_against_exact_fractions():
     assert_allclose(model.coef_, exact[1:], rtol=1e-2)
     fitted = exact[0] + X @ exact[1:]
     assert relative(model.predict(X), fitted) < 1e-9
-
-
-def test_partial_fit_keeps_the_digits():
-    X, y, reference = make_problem(600, 1e9, 1e-5)
-    model = make_model()
-    for rows in np.array_split(np.arange(600), 3):
-        model.partial_fit(X[rows], y[rows])
-    assert relative(model.predict(X), reference) < 1e-6

@@ -28,23 +28,6 @@ def test_rank_does_not_depend_on_units(dependent):
     assert scaled_eigen(A, scale=1.0).rank < 4
 
 
-def test_full_rank_is_the_inverse():
-    A, rows = make_gram(1)
-    eigen = scaled_eigen(A)
-    unit = np.outer(UNITS, UNITS)
-    assert_allclose(eigen.inverse() * unit, np.linalg.inv(A / unit), rtol=1e-9)
-    L = eigen.inverse_root()
-    assert_allclose(L @ L.T * unit, np.linalg.inv(A / unit), rtol=1e-9)
-    F = eigen.root()
-    assert_allclose(F.T @ F / unit, A / unit, atol=1e-12 * 50)
-    b = rows.T @ np.arange(50.0)
-    expected = np.linalg.lstsq(rows / UNITS, np.arange(50.0), rcond=None)[0] / UNITS
-    assert_allclose(eigen.solve(b), expected, rtol=1e-9)
-    both = eigen.solve(np.column_stack([b, -2 * b]))
-    assert_allclose(both, np.column_stack([expected, -2 * expected]), rtol=1e-9)
-    assert eigen.null_space.shape == (5, 0)
-
-
 def test_singular_is_the_least_norm_in_scaled_columns():
     A, rows = make_gram(2, dependent=True)
     eigen = scaled_eigen(A)

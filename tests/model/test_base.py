@@ -20,18 +20,10 @@ from sklearn_vbjfa.model import (  # noqa: E402
 )
 from tests.model._legs import JOINTS, legs_mjcf, legs_model, legs_urdf  # noqa: E402
 
-LEVEL = "ignore:.*the base, which root.* is held level"
 HALF = np.sqrt(0.5)
 # A quarter turn about x, and any turn; lengths do not matter.
 ON_ITS_SIDE = (HALF, HALF, 0.0, 0.0)
 ASKEW = (1.4, 0.6, -0.8, 1.0)
-# A link of 2 kg whose mass is 0.3 m below its hinge.
-SWING = '<inertial pos="0 0 -0.3" mass="2" diaginertia="0.1 0.1 0.1"/>'
-SWINGS = f"""<mujoco><worldbody><body name="base"><freejoint name="root"/>
-<inertial pos="0 0 0" mass="5" diaginertia="1 1 1"/>
-<body name="a"><joint name="about_x" axis="1 0 0"/>{SWING}</body>
-<body name="b"><joint name="about_y" axis="0 1 0"/>{SWING}</body>
-</body></worldbody></mujoco>"""
 
 
 def turned(orientation):
@@ -69,23 +61,6 @@ def write(tmp_path):
 @pytest.fixture
 def states():
     return np.random.default_rng(0).normal(size=(3, 8, 6))
-
-
-@pytest.mark.filterwarnings("ignore:.*is held turned by rpy 90 0 0 degrees")
-@pytest.mark.filterwarnings(LEVEL)
-def test_gravity_of_two_pendulums_on_their_side(write):
-    q = np.linspace(-2, 2, 9)
-    still = np.zeros((9, 2))
-    weight = 2 * 9.81 * 0.3
-    path = write(SWINGS)
-    level = torques(load_model(path), np.column_stack([q, q]), still, still)
-    np.testing.assert_allclose(level, weight * np.sin([q, q]).T, atol=1e-12)
-    # What was below lies to the side of the pendulum about x; the axis of the other
-    # one stands upright.
-    side = load_model(path, ON_ITS_SIDE)
-    found = torques(side, np.column_stack([q, q]), still, still)
-    np.testing.assert_allclose(found[:, 0], weight * np.cos(q), atol=1e-12)
-    np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-12)
 
 
 @pytest.mark.filterwarnings("ignore:.*the base, which root")

@@ -95,26 +95,3 @@ def test_of_random_trees_are_those_of_differences(kinds, seed):
         assert_near(made.by_turn(j, np.eye(3)), expected["turn"][j], size)
         assert_near(made.by_position(j), expected["position"][j], size)
     assert_near(made.by_gravity(), expected["gravity"], size)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("parents", [[0, 1, 2], [0, 1, 1], [0, 0, 2]])
-def test_by_position_is_pinocchios_at_every_place(kind, parents):
-    """With possible bodies, against the analytic derivatives."""
-    rng = np.random.default_rng(len(kind))
-    for place in range(3):
-        kinds = [*rng.choice(KINDS, size=3)]
-        kinds[place] = kind
-        model, states, _ = problem(kinds, place, parents=parents)
-        for i in range(1, model.njoints):
-            model.inertias[i] = pin.Inertia.Random()
-        inertial = np.array([b.toDynamicParameters() for b in model.inertias[1:]])
-        made = TorqueDerivatives(model, *states, inertial)
-        data = model.createData()
-        for i, state in enumerate(zip(*states)):
-            pin.computeRNEADerivatives(model, data, *state)
-            size = np.abs(data.dtau_dq).max() + 1.0
-            for j in range(3):
-                assert_allclose(
-                    made.by_position(j)[i], data.dtau_dq[:, j], atol=1e-10 * size
-                )

@@ -1,8 +1,6 @@
 """Robot models: what is read, what is refused, and how."""
 
 import re
-import subprocess
-import sys
 import warnings
 
 import numpy as np
@@ -149,34 +147,6 @@ def test_a_body_that_cannot_be_is_told_of(write, change):
     with pytest.warns(UserWarning, match=r"what hinge move\(s\) has no mass, or an in"):
         model = load_model(write(text))
     assert not solid_bodies(nominal_parameters(model)).any()
-
-
-def test_without_pinocchio_one_line_says_how_to_get_it():
-    code = (
-        "import sys\n"
-        "class Block:\n"
-        "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name.split('.')[0] == 'pinocchio':\n"
-        "            raise ImportError('blocked')\n"
-        "sys.meta_path.insert(0, Block())\n"
-        "import sklearn_vbjfa as s\n"
-        "assert 'pinocchio' not in sys.modules\n"
-        "s.StateEstimator(0.1, cutoff=1.0).fit([[0.0]] * 9)\n"
-        "for make in (s.RigidBodyFeatures, s.RobotIdentifier):\n"
-        "    try:\n"
-        "        make('robot.urdf').fit([[0.0]] * 9, [[0.0]] * 9)\n"
-        "    except ImportError as error:\n"
-        "        print(error)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    # PyPI has no Pinocchio for Windows.
-    how = 'pip install "pin>=3.3.1"'
-    if sys.platform == "win32":
-        how = "conda install -c conda-forge pinocchio"
-    message = f"Robot models need Pinocchio, which is not installed: {how}"
-    assert done.stdout.splitlines() == [message, message]
 
 
 def branches(*joints, inertia=0.1):

@@ -1,5 +1,6 @@
 """Second moments of the equations of joints that share one parameter vector."""
 
+import functools
 import itertools
 from dataclasses import dataclass, replace
 
@@ -127,7 +128,7 @@ def block_scatter(stats, weight, theta):
         )
     grams, scores = _weighted_parts(stats, stats.blocks, weight, theta)
     order = np.lexsort(keys.T[::-1])
-    squares = stats.yy - 2 * stats.g @ theta + (stats.G @ theta) @ theta
+    squares = stats.yy - 2 * stats.g @ theta + stats.products(theta) @ theta
     noise = weight @ np.maximum(squares, 0.0) / stats.n[weight > 0].sum()
     if (np.diff(order) != 1).any():
         grams, scores, keys = grams[order], scores[order], keys[order]
@@ -145,7 +146,7 @@ def _weighted_parts(stats, parts, weight, theta):
     p, count = theta.size, sum(moments.keys.shape[0] for moments in parts)
     grams, scores = np.zeros((count, p, p)), np.zeros((count, p))
     # The scores do not sum to zero with input noise or a prior: shared by all rows.
-    excess = weight[:, None] * (stats.g - stats.G @ theta)
+    excess = weight[:, None] * (stats.g - stats.products(theta))
     excess /= np.where(stats.n > 0, stats.n, 1.0)[:, None]
     first = 0
     for moments in parts:
@@ -204,11 +205,12 @@ class JointMoments:
     def zeroed(self, entries):
         """Return the moments with regressor entries (nv, p), bool, set to zero."""
         keep = ~entries
-        both = keep[:, :, None] * keep[:, None, :]
-        noise = None if self.noise is None else self.noise * both
         common = None if self.in_common is None else self.in_common * keep
-        g = self.g * keep
-        return replace(self, G=self.G * both, g=g, noise=noise, in_common=common)
+        G, noise = (
+            own if parts is None else _without(own, parts, entries)
+            for own, parts in ((self.G, self.parts), (self.noise, self.noise_parts))
+        )
+        return replace(self, G=G, g=self.g * keep, noise=noise, in_common=common)
 
     def columns(self, chosen):
         """Return the moments of some of the columns, without those of their parts."""
@@ -225,10 +227,31 @@ class JointMoments:
             recordings=None,
         )
 
+    @functools.cached_property
+    def parts(self):
+        """Columns that are not zero in the rows of each joint, and their moments."""
+        # A joint has rows of the bodies that it moves alone.
+        return _parts_of(self.G)
+
+    @functools.cached_property
+    def noise_parts(self):
+        """The same of the input noise; None if it is not measured."""
+        return None if self.noise is None else _parts_of(self.noise)
+
+    def products(self, theta):
+        """Products of the moments of each joint with parameters (p,), (nv, p)."""
+        out = np.zeros(self.g.shape)
+        for row, (own, moments) in zip(out, self.parts):
+            row[own] = moments @ theta[own]
+        return out
+
+    def gram(self, weight):
+        """Sum the moments of the joints with weights (nv,), (p, p)."""
+        return _summed(self.parts, weight, self.g.shape[1])
+
     def residual_squares(self, theta):
         """Weighted sum of squared residuals of each joint, ndarray of shape (nv,)."""
-        squares = self.yy - 2 * self.g @ theta
-        squares += (self.G @ theta) @ theta
+        squares = self.yy - 2 * self.g @ theta + squares_of(self.parts, theta)
         # A difference of sums: below this fraction of yy it is rounding.
         return np.maximum(squares, 1e-13 * self.yy)
 
@@ -239,7 +262,7 @@ class JointMoments:
         n = np.where(self.n > 0, self.n, np.nan)
         through = np.zeros(n.size)
         if self.noise is not None:
-            through = (self.noise @ theta) @ theta / n
+            through = squares_of(self.noise_parts, theta) / n
             through = np.maximum(through, 0.0)  # rounding
         rest = self.residual_squares(theta) / n - through
         return np.sqrt(through), np.sqrt(np.maximum(rest, 0.0))
@@ -250,7 +273,7 @@ class JointMoments:
         g = self.g if self.in_common is None else self.g - self.in_common
         return Scatter(
             n_samples=float(self.n[weight > 0].sum()),
-            S_xx=np.einsum("j,jik->ik", weight, self.G),
+            S_xx=self.gram(weight),
             S_xy=weight @ g,
             S_yy=float(weight @ self.yy),
         )
@@ -260,7 +283,40 @@ class JointMoments:
         if self.noise is None:
             return None
         total = self.n[weight > 0].sum()
-        return np.einsum("j,jik->ik", weight, self.noise) / total
+        return _summed(self.noise_parts, weight, self.g.shape[1]) / total
+
+
+def _parts_of(matrices):
+    """Rows that are not zero in matrices (nv, p, p), and these without the others."""
+    found = []
+    for one in matrices:
+        own = np.flatnonzero(one.diagonal())
+        found.append((own, one[np.ix_(own, own)]))
+    return found
+
+
+def _summed(parts, weight, p):
+    """Sum matrices by their parts with weights (nv,), (p, p)."""
+    out = np.zeros((p, p))
+    for factor, (own, one) in zip(weight, parts):
+        out[np.ix_(own, own)] += factor * one
+    return out
+
+
+def squares_of(parts, theta):
+    """Return theta' M theta of matrices by their parts, (nv,)."""
+    return np.array([theta[own] @ one @ theta[own] for own, one in parts])
+
+
+def _without(matrices, parts, entries):
+    """Return matrices (nv, p, p) with the rows and columns of entries (nv, p) zero."""
+    if not any(gone[own].any() for gone, (own, _) in zip(entries, parts)):
+        return matrices
+    out = np.zeros(matrices.shape)
+    for kept, gone, (own, one) in zip(out, entries, parts):
+        left = ~gone[own]
+        kept[np.ix_(own[left], own[left])] = one[np.ix_(left, left)]
+    return out
 
 
 def piece_moments(Phi, tau, weight, difference=None):

@@ -574,9 +574,7 @@ def noise_weights(moments, max_iter=30, tol=1e-6):
     variance = np.where(used & (moments.yy > 0), moments.yy / n, np.inf)
     for _ in range(max_iter):
         weight = 1.0 / variance
-        theta = least_squares(
-            np.einsum("j,jik->ik", weight, moments.G), weight @ moments.g
-        )
+        theta = least_squares(moments.gram(weight), weight @ moments.g)
         new = moments.residual_squares(theta) / n
         new = np.where(np.isfinite(variance), new, np.inf)
         # An exactly fitted joint would get infinite weight.

@@ -57,7 +57,10 @@ class TorqueSpread:
         through, rest = found.noise()
         # A fit takes part of the noise for its own: residuals of its rows are smaller,
         # in the mean by the variance of what is predicted in them.
-        taken = np.einsum("jik,ik->j", moments.G[:, finite][:, :, finite], fitted)
+        known = np.where(finite & finite[:, None], found.covariance, 0.0)
+        taken = np.array(
+            [np.vdot(one, known[np.ix_(own, own)]) for own, one in moments.parts]
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
             taken = np.where(moments.n > 0, taken / moments.n, 0.0)
         made = cls(covariance=fitted, through=through**2, rest=rest**2 + taken)

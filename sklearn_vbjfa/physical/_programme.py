@@ -7,7 +7,7 @@ nonsingular:
     x_k >= 0 for the non-negative columns.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -67,6 +67,7 @@ class Programme:
     root: np.ndarray
     # (n_features,): `c`: the distance of a vector is ``|T (vector - point) - c|``
     shift: np.ndarray
+    resolution: float  # distance below which rounding decides
 
     @classmethod
     def pulled(cls, point, *, metric_root, anchor, **constraints):
@@ -80,7 +81,54 @@ class Programme:
         right = np.zeros(len(metric_root) + len(pull))
         right[len(metric_root) :] = pull @ (anchor - point)
         Q, root = np.linalg.qr(np.vstack([metric_root, pull]))
-        return cls(point=point, root=root, shift=Q.T @ right, **constraints)
+        return cls(
+            point=point,
+            root=root,
+            shift=Q.T @ right,
+            resolution=_RESOLUTION * float(np.linalg.norm(root @ point)),
+            **constraints,
+        )
+
+    @cached_property
+    def free_minimum(self):
+        """Nearest vector without any constraint."""
+        return self.point + solve_triangular(self.root, self.shift)
+
+    def broken(self, vector):
+        """Which bodies and which columns break their constraints, two arrays, bool."""
+        lowest = min_eigenvalue(vector[self.body_columns], self.constraint)
+        return lowest < self.margin, vector[self.nonnegative] < 0.0
+
+    def restricted(self, bodies, columns):
+        """State the programme with the constraints of some bodies and columns alone.
+
+        Returns it, in the variables of these, and a function that completes its vector.
+        """
+        # The others are free: they follow, by a triangular factor in which they come
+        # first.
+        own, kept = self.body_columns[bodies], self.nonnegative[columns]
+        left = np.union1d(own, kept)
+        rest = np.setdiff1d(np.arange(self.n_features), left)
+        Q, root = np.linalg.qr(self.root[:, np.r_[rest, left]])
+        shift, k = Q.T @ self.shift, rest.size
+        part = replace(
+            self,
+            body_columns=np.searchsorted(left, own),
+            nonnegative=np.searchsorted(left, kept),
+            point=self.point[left],
+            root=root[k:, k:],
+            shift=shift[k:],
+        )
+
+        def completed(vector):
+            out = self.point.copy()
+            out[left] = vector
+            known = shift[:k] - root[:k, k:] @ (vector - part.point)
+            if k:
+                out[rest] += solve_triangular(root[:k, :k], known)
+            return out
+
+        return part, completed
 
     @property
     def n_features(self):
@@ -96,11 +144,6 @@ class Programme:
     def gram(self):
         """T'T, shape (n_features, n_features)."""
         return self.root.T @ self.root
-
-    @cached_property
-    def resolution(self):
-        """Distance below which rounding decides."""
-        return _RESOLUTION * float(np.linalg.norm(self.root @ self.point))
 
     def residual(self, vector):
         """T (vector - point) - c, shape (n_features,)."""

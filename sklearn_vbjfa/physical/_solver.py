@@ -78,7 +78,6 @@ def solve(programme):
 
 def _solve_together(programme):
     """Solve a programme with clarabel, refine the answer and certify it."""
-
     # The least lift is an answer by itself where hardly anything has to move; no vector
     # is nearer than nothing, so its own squared distance bounds its excess.
     vector = programme.lift(programme.point, programme.margin)

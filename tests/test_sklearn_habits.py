@@ -93,16 +93,6 @@ def test_transformers_return_frames(name, given, states):
         assert list(frame.index) == list(X.index)
 
 
-def test_effects_of_time_and_load_return_frames(states):
-    pandas = pytest.importorskip("pandas")
-    signals = {"t": np.arange(40.0), "load": states[:, :2]}
-    for effect in (effects.Drift(), effects.LoadFriction(joint=1)):
-        effect.set_output(transform="pandas").fit(states)
-        frame = effect.transform(states, **signals)
-        assert isinstance(frame, pandas.DataFrame)
-        assert list(frame.columns) == list(effect.get_feature_names_out())
-
-
 def test_frames_all_through_the_chain(recording):
     pandas = pytest.importorskip("pandas")
     q = pandas.DataFrame(recording.q, columns=recording.joint_names)
@@ -241,7 +231,7 @@ def test_copies(estimator, copy):
 
 
 @pytest.mark.parametrize("kind", ["path", "model"])
-def test_fitted_identifiers_are_pickled(recording, kind, tmp_path):
+def test_fitted_identifiers_are_pickled(recording, kind):
     model = recording.urdf if kind == "path" else recording.robot_model()
     robot = RobotIdentifier(model, dt=recording.dt, friction=("viscous",))
     robot.fit(recording.q, recording.tau, groups=recording.groups)
@@ -252,30 +242,5 @@ def test_fitted_identifiers_are_pickled(recording, kind, tmp_path):
         found.predict(recording.q, groups=groups),
         robot.predict(recording.q, groups=groups),
     )
-    one, other = (
-        r.residuals(recording.q, recording.tau, groups) for r in (robot, found)
-    )
-    np.testing.assert_array_equal(one.residual, other.residual)
     again = clone(found).fit(recording.q, recording.tau, groups=groups)
     np.testing.assert_array_equal(again.theta_, robot.theta_)
-    if kind == "path":
-        robot.to_urdf(tmp_path / "one.urdf")
-        found.to_urdf(tmp_path / "other.urdf")
-        first, second = (tmp_path / f"{n}.urdf" for n in ("one", "other"))
-        assert first.read_text() == second.read_text()
-    body = re.sub(r"<(style|script)>.*?</\1>", "", robot._repr_html_(), flags=re.DOTALL)
-    assert len(re.sub(r"<[^>]+>", "", body).split()) < 900
-
-
-def test_fitted_discoveries_are_pickled(recording):
-    robot = RobotIdentifier(
-        recording.robot_model(), dt=recording.dt, friction=("viscous",)
-    )
-    loop = EffectDiscovery(robot, effects=["coulomb"], max_effects=1, random_state=0)
-    loop.fit(recording.q, recording.tau, groups=recording.groups)
-    found = pickle.loads(pickle.dumps(loop))
-    assert str(found.report_) == str(loop.report_)
-    assert [e.name for e in found.effects_] == [e.name for e in loop.effects_]
-    np.testing.assert_array_equal(
-        found.predict(recording.q[:50]), loop.predict(recording.q[:50])
-    )

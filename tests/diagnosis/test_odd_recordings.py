@@ -108,34 +108,6 @@ def test_a_robot_that_comes_to_rest():
     assert np.all(loop.error_after_ < 0.1)
 
 
-@pytest.mark.slow
-def test_joints_that_move_one_at_a_time():
-    t = seconds(80.0)
-    loop = close(*measure(t, pauses(t, [(1, 40)], [(41, 79)])))
-    true_of_a_complete_robot(loop)
-    assert np.all(loop.report_.outcome.column("seconds") > 5.0)
-
-
-def test_two_seconds_of_motion_in_sixty():
-    t = seconds(60.0)
-    q, tau = measure(t, pauses(t, [(30, 32)], [(30, 32)]), extra=elbow_spring)
-    try:
-        report = close(q, tau).report_
-    except ValueError as error:
-        said = str(error)
-        assert "record" in said or "give a longer" in said
-    else:
-        assert report.status in ("no data", "exhausted", "partial", "complete")
-        if report.status == "no data":
-            assert "record more motion" in report.headline
-        if report.status == "complete":
-            assert named_of(report) == [("spring", 1)]
-
-
-def named_of(report):
-    return sorted((e.name, e.joint) for e in report.outcome.findings["effects"])
-
-
 def groups_of(t):
     return (np.arange(2 * t.size) >= t.size).astype(int)
 
@@ -177,17 +149,6 @@ def test_a_torque_in_another_unit_is_told_before_anything(two_motions):
     # The masses of the description say which of the two is right.
     (one,) = report.outcome.findings["channels"]
     assert (one.kind, one.joints) == ("gear_factor", (1,))
-
-
-@pytest.mark.slow
-def test_forgotten_groups_are_told_before_anything():
-    q, tau, _ = two(lambda k, t: measure(t, pace_of(k, t), seed=k))
-    q[q.shape[0] // 2 :] += 0.3  # the second begins elsewhere
-    with pytest.warns(UserWarning, match="groups"):
-        report = close(q, tau).report_
-    assert report.status == "faulty"
-    assert "jumps" in report.headline
-    assert "groups" in report.headline
 
 
 def test_columns_are_found_by_the_names_of_joints(two_motions):

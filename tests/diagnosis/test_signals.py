@@ -233,30 +233,3 @@ def test_an_effect_may_name_the_one_that_it_is_meant_for():
         ValueError, match="signal 'x', which an effect needs, is missing"
     ):
         close(heated(CYCLES), None, [Signal(signal="x")])
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        (np.full(SHARE.size, 3.0), "'other' is constant"),
-        (np.where(SHARE > 0.5, np.inf, 1.0), "'other' has gaps"),
-        (2 - 3 * ONE.position[:, 1], "'other' is the position of"),
-        (heated(CYCLES)[:, 0] / 8.0, "'other' is the torque of"),
-        (ONE.t + 1.7e9, "'other' is a clock"),
-        (CYCLES[:-1], "'other' has the shape"),
-        (np.where(SHARE > 0.5, "on", "off"), "'other' holds 'off' and not numbers"),
-    ],
-)
-def test_bad_signals_are_refused(values, message):
-    with pytest.raises(ValueError, match=message):
-        close(heated(CYCLES), {"temperature": CYCLES, "other": values})
-
-
-def test_a_declared_signal_goes_through_the_loop():
-    declared = Signal(joint=0, signal="temperature", reference=35.0)
-    robot = ONE.robot(friction=("viscous", "coulomb"), effects=(declared,))
-    torque = heated(CYCLES) + 4.0 * np.c_[0 * SHARE, ONE.q[:, 1]]
-    loop = EffectDiscovery(robot, effects=["spring", "offset"])
-    loop.fit(ONE.position, torque, signals={"temperature": CYCLES})
-    assert named(loop) == [("spring", 1)]
-    assert loop.identifier_.theta_[-3] == pytest.approx(-FRICTION * FALL / 20, rel=0.1)

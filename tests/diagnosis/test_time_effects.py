@@ -77,13 +77,6 @@ def test_the_report_says_what_is_left_and_how_well_it_is_known(warming):
     assert "after 30 s it fades on from 0.2" in text_of(warming.report_)
 
 
-def test_what_is_left_is_by_the_delta_method(warming):
-    (drift,) = (e for e in warming.effects_ if e.name == "drift")
-    d, constant = (drift.parameters[key] for key in ("D", "time_constant"))
-    t = drift.afterwards["seconds"]
-    assert drift.afterwards["left"]["D"] == pytest.approx(d * np.exp(-t / constant))
-
-
 def test_the_motion_after_the_recording_is_predicted(warming):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

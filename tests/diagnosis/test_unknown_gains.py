@@ -101,22 +101,11 @@ def test_the_reference_stays_and_gains_are_not_searched(recording):
     assert high - low < 0.1 * found.parameters["k"]
 
 
-@pytest.mark.slow
-def test_a_doubt_about_the_unit_of_torques_is_none(recording):
-    model, X, y = recording
-    loop = close((model, X[:, :NV], 40.0 * y), None, ["spring"])
-    kinds = {one.kind for one in loop.report_.outcome.findings["channels"]}
-    assert "gear_factor" not in kinds
-
-
 @pytest.mark.parametrize(
     ("unit", "gains", "options"),
     [
         ("N m", None, {"gains": (-1, 1, 1, 1, 1, 1)}),
-        # Signs as gains would declare currents to be in N m.
-        pytest.param("A", None, {}, marks=pytest.mark.slow),
         ("A", "unknown", {}),
-        pytest.param("N m", "unknown", {}, marks=pytest.mark.slow),
     ],
 )
 def test_signs_are_offered_as_gains_of_torques_alone(unit, gains, options):

@@ -70,15 +70,6 @@ def test_curves_have_the_stretches_one_after_the_other(found, recording):
         assert curves.seconds[-1] == pytest.approx(159 * DT)
 
 
-def test_of_long_stretches_the_beginnings_are_simulated(models, recording, monkeypatch):
-    monkeypatch.setattr(_commands, "_SIMULATED", 40 * DT)
-    one, _ = commands_alone(models, STRETCHES, recording)
-    assert one["seconds"] == pytest.approx(40 * DT)
-    rows = np.r_[300:320, 700:720]
-    aim = recording.signals["q_desired"]
-    assert_allclose(one["commands"], size((aim - recording.q)[rows]))
-
-
 def test_a_model_that_diverges_has_no_error_and_a_reason(
     models, recording, monkeypatch
 ):

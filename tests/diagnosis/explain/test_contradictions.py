@@ -176,14 +176,6 @@ def test_errors_are_those_of_fits_made_one_by_one():
     assert worst.together == pytest.approx(together, rel=1e-3)
 
 
-def test_neither_order_nor_unit_matters():
-    _, (cause,) = compared(FOUR, gain)
-    _, (again,) = compared(FOUR, gain, order=(2, 1, 0, 3), unit=1e3)
-    assert again.value == pytest.approx(cause.value, rel=1e-3)
-    assert again.p_value == pytest.approx(cause.p_value, rel=1e-3, abs=1e-12)
-    assert again.recording == cause.recording == 1
-
-
 def test_a_single_recording_contradicts_nothing():
     assert compared(PAIR[:1])[1] == ()
 

@@ -55,21 +55,6 @@ def test_rows_count_by_their_weight():
     np.testing.assert_allclose(found.deviation, np.sqrt(0.75))
 
 
-@pytest.mark.parametrize(("waves", "n_bins"), [(0.5, 24), (9.0, 96), (18.0, 192)])
-def test_there_are_as_many_bins_as_the_law_needs(waves, n_bins):
-    x = np.linspace(0.0, 1.0, 50_000)
-    law = np.sin(2 * np.pi * waves * x)
-    found = curves_over(x, 0.0 * x, law, np.ones(x.size), **NAMED)
-    assert found.center.size == n_bins
-    assert np.abs(found.law_mean).max() > 0.8
-
-
-@pytest.mark.parametrize("x", [np.zeros(100), np.arange(10.0), np.zeros(0)])
-def test_too_little_is_not_drawn(x):
-    ones = np.ones(x.size)
-    assert curves_over(x, ones, ones, ones, **NAMED) is None
-
-
 def test_a_thinned_curve_keeps_its_peaks_and_its_gaps():
     values = np.sin(np.arange(100_000) / 50.0)
     values[12_345], values[60_000], values[70_000] = 9.0, -9.0, np.nan

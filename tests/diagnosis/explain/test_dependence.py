@@ -24,18 +24,6 @@ def noise(seed=0):
     return np.random.default_rng(seed).normal(size=VIEW.index.size)
 
 
-def test_signals_are_those_of_all_joints_and_the_time():
-    motion = VIEW.motion(None)
-    expected = {
-        f"{what} of {name}"
-        for what in ("position", "speed", "acceleration")
-        for name in NAMES
-    }
-    assert set(motion_signals(motion, NAMES)) == expected | {"time"}
-    loaded = VIEW.motion(np.ones(VIEW.Z.shape[2]))
-    assert "load of elbow" in motion_signals(loaded, NAMES)
-
-
 def test_what_a_residual_follows_is_named_first():
     seen = signals()
     position = seen["position of elbow"]
@@ -51,8 +39,3 @@ def test_what_a_residual_follows_is_named_first():
 def test_white_noise_follows_nothing(seed):
     weight = VIEW.equations.weight[:, 0]
     assert dependences(noise(seed), weight, signals(), VIEW.blocks) == ()
-
-
-def test_without_rows_nothing_is_said():
-    nothing = np.zeros(VIEW.index.size)
-    assert dependences(noise(), nothing, signals(), VIEW.blocks) == ()

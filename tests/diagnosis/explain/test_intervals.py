@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy import signal
 
 pytest.importorskip("pinocchio")
@@ -18,7 +18,7 @@ from sklearn_vbjfa.diagnosis.explain import (
 )
 from sklearn_vbjfa.effects import AsymmetricFriction, Stribeck
 from sklearn_vbjfa.robot import FitOptions, TorqueResiduals
-from tests.diagnosis._recordings import SPRINGY, named, record
+from tests.diagnosis._recordings import named, record
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 NV, DT = 2, 0.1
@@ -146,13 +146,6 @@ def test_intervals_lie_around_the_errors():
         assert_allclose(low * high, error**2)
 
 
-def test_equal_models_do_not_differ():
-    rng = np.random.default_rng(0)
-    found = intervals_of((residuals(rng, 60.0), residuals(rng, 20.0)))
-    assert_array_equal(found["difference"], 0.0)
-    assert_array_equal(found["before"], found["after"])
-
-
 # -- effects, through the loop
 
 STEP = 0.02
@@ -206,28 +199,6 @@ def test_half_widths_are_those_of_ninety_per_cent():
         assert 1.5 < np.mean(own) < 1.9
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("n", [24])
-def test_shape_parameters_scatter_as_their_intervals_say(n):
-    """Period of a ripple, against estimates from other noise."""
-    estimates, halves = [], []
-    quiet = record("Z", duration=40.0, noise=0.0, seed=0)
-    clean = quiet.torque(ripple_1=lambda r: 0.3 * np.cos(2 * np.pi * r.q[:, 0] / 0.9))
-    for seed in range(n):
-        rng = np.random.default_rng(seed)
-        tau = clean + 0.1 * coloured(rng, clean.shape, 0.5)
-        loop = quiet.discover(tau, ["ripple"])
-        assert named(loop) == [("ripple", 0)]
-        (effect,) = loop.effects_
-        low, high = effect.intervals["period"]
-        estimates.append(effect.parameters["period"])
-        halves.append(0.5 * (high - low))
-    # a deviation from 24 estimates is right to a seventh, from 8 to a quarter
-    within = 2.7 / np.sqrt(2 * (n - 1))
-    assert np.std(estimates, ddof=1) == pytest.approx(np.mean(halves) / 1.7, rel=within)
-    assert np.mean(estimates) == pytest.approx(0.9, abs=3 * np.mean(halves))
-
-
 def test_a_variance_that_is_not_known_is_no_variance_of_nothing():
     """It is that of what depends on it, and of nothing else."""
     covariance = np.array([[4.0, np.nan], [np.nan, np.nan]])
@@ -278,14 +249,6 @@ def test_centres_are_those_of_the_completed_model():
     for effect in loop.effects_:
         for key, (low, high) in effect.intervals.items():
             assert 0.5 * (low + high) == pytest.approx(effect.parameters[key])
-
-
-@pytest.mark.slow
-def test_results_do_not_depend_on_the_seed(springy):
-    other = EffectDiscovery(SPRINGY.robot(), effects=SPRINGY.library, random_state=1)
-    other.fit(SPRINGY.position, SPRINGY.torque)
-    assert springy.report_.outcome.errors == other.report_.outcome.errors
-    assert springy.effects_[0].intervals == other.effects_[0].intervals
 
 
 def test_of_two_effects_with_a_constant_one_is_told_with_it():

@@ -135,12 +135,6 @@ def test_a_short_recording_gives_more_for_a_verdict():
     assert rows_of(short.stretches).size == pytest.approx(0.15 * 400, rel=0.6)
 
 
-@pytest.mark.parametrize("share", [0, 1, np.nan, None, "a quarter"])
-def test_wrong_shares_are_refused(share):
-    with pytest.raises(ValueError, match="test_size must be the share"):
-        divided(robot(), motion(20.0), None, share)
-
-
 def test_a_stretch_in_which_something_jumps_is_not_judged():
     q = motion(60.0)
     split = divided(robot(cutoff=4.0), q, None, 0.25)

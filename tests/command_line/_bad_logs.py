@@ -1,9 +1,7 @@
 """Logs of one simulated arm, each with one thing wrong with it."""
 
-import gzip
 import pickle
 import re
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +10,7 @@ import numpy as np
 
 @dataclass
 class Arm:
-    """Motion of the arm, its rigid-body torques, and where files are written."""
+    """Motion of the arm, its torques, and where files are written."""
 
     folder: Path
     urdf: Path
@@ -20,33 +18,13 @@ class Arm:
     q: np.ndarray
     tau: np.ndarray
 
-    def __post_init__(self):
-        import pinocchio as pin
+    @property
+    def nv(self):
+        return self.q.shape[1]
 
-        self.pin, self.model = pin, pin.buildModelFromUrdf(str(self.urdf))
-        self.data = self.model.createData()
-        self.dt = self.t[1] - self.t[0]
-        self.v = np.gradient(self.q, self.dt, axis=0)
-
-    def gravity(self, direction=(0, 0, -9.81)):
-        """Return the torques of the weight (n, nv)."""
-        model = self.model.copy()
-        model.gravity.linear = np.array(direction)
-        return np.array(
-            [self.pin.computeGeneralizedGravity(model, self.data, x) for x in self.q]
-        )
-
-    def contact(self, newtons):
-        """Return the torques of a vertical force at the last link (n, nv)."""
-        pin, force = self.pin, np.array([0, 0, newtons, 0, 0, 0])
-        found = np.zeros_like(self.q)
-        for row, q in enumerate(self.q):
-            pin.computeJointJacobians(self.model, self.data, q)
-            J = pin.getJointJacobian(
-                self.model, self.data, self.model.nv, pin.LOCAL_WORLD_ALIGNED
-            )
-            found[row] = J.T @ force
-        return found
+    @property
+    def dt(self):
+        return self.t[1] - self.t[0]
 
 
 def heads(nv, names=None):
@@ -66,15 +44,9 @@ def text(header, *columns, sep=","):
 
 
 def torque(arm, factor, joint=None):
-    factors = np.ones(arm.model.nv)
+    factors = np.ones(arm.nv)
     factors[slice(None) if joint is None else joint - 1] = factor
     return {"tau": arm.tau * factors}
-
-
-def position(arm, factor, joint):
-    q = arm.q.copy()
-    q[:, joint - 1] *= factor
-    return {"q": q}
 
 
 def exchanged(arm, channel, joints):
@@ -84,11 +56,6 @@ def exchanged(arm, channel, joints):
     return {channel: values}
 
 
-def late(arm, seconds):
-    k = round(seconds / arm.dt)
-    return {"q": arm.q[k:], "tau": arm.tau[:-k], "t": arm.t[k:]}
-
-
 def rows(arm, stop=None, step=1):
     return {name: getattr(arm, name)[:stop:step] for name in ("t", "q", "tau")}
 
@@ -96,11 +63,6 @@ def rows(arm, stop=None, step=1):
 def jittery(arm):
     steps = arm.dt * np.random.default_rng(1).lognormal(0, 1, len(arm.t))
     return {"t": np.cumsum(steps)}
-
-
-def pushed(arm, newtons):
-    on = (arm.t > 8) & (arm.t < 11)
-    return {"tau": arm.tau + on[:, None] * arm.contact(newtons)}
 
 
 def stopped(arm, joint):
@@ -113,47 +75,10 @@ def stopped(arm, joint):
     return {"q": q, "tau": tau}
 
 
-def braked(arm, joint):
-    q, tau = arm.q.copy(), arm.tau.copy()
-    q[:, joint - 1], tau[:, joint - 1] = q[0, joint - 1], 0
-    return {"q": q, "tau": tau}
-
-
 def disconnected(arm, joint, noise):
     tau = arm.tau.copy()
     tau[:, joint - 1] = noise * np.random.default_rng(1).normal(size=len(tau))
     return {"tau": tau}
-
-
-def frozen(arm, joint):
-    q, half = arm.q.copy(), len(arm.q) // 2
-    q[half:, joint - 1] = q[half, joint - 1]
-    return {"q": q}
-
-
-def weightless(arm):
-    return {"tau": arm.tau - arm.gravity()}
-
-
-def hanging(arm):
-    """Hang the base from the ceiling."""
-    return {"tau": arm.tau - arm.gravity() + arm.gravity((0, 0, 9.81))}
-
-
-def weight_alone(arm):
-    return {"tau": arm.gravity()}
-
-
-def velocities(arm):
-    return {"tau": arm.v}
-
-
-def rigid_bodies(arm):
-    a = np.gradient(arm.v, arm.dt, axis=0)
-    torques = [
-        arm.pin.rnea(arm.model, arm.data, *row).copy() for row in zip(arm.q, arm.v, a)
-    ]
-    return {"tau": np.array(torques)}
 
 
 def filtered(arm, hertz):
@@ -170,26 +95,13 @@ def warming(arm, joint):
     return {"tau": tau}
 
 
-def zeroed(arm):
-    return {"q": arm.q - arm.q[0]}
-
-
-def held(arm, times):
-    q, tau = (np.repeat(x, times, axis=0) for x in (arm.q, arm.tau))
-    return {"q": q, "tau": tau, "t": np.arange(len(q)) * arm.dt / times}
-
-
-def per_cent(arm, rated):
-    return {"tau": 100 * arm.tau / np.array(rated)}
-
-
 # -- files -----------------------------------------------------------------------------
 
 # Each writes a file and returns its path, or the path and that of the robot.
 
 
 def renamed(arm, header):
-    header = header or heads(arm.model.nv)
+    header = header or heads(arm.nv)
     return write(arm, "log.csv", text(header, arm.t, arm.q, arm.tau))
 
 
@@ -204,21 +116,12 @@ def gripper(arm, names=None):
 def quaternion(arm, instead):
     half = arm.q[:, 0] / 2
     four = [0 * half, 0 * half, np.sin(half), np.cos(half)]
-    names = heads(arm.model.nv)
+    names = heads(arm.nv)
     if instead:
-        header = ["t", "q_x", "q_y", "q_z", "q_w", *names[1 + arm.model.nv :]]
+        header = ["t", "q_x", "q_y", "q_z", "q_w", *names[1 + arm.nv :]]
         return write(arm, "log.csv", text(header, arm.t, *four, arm.tau))
     header = [*names, "qx", "qy", "qz", "qw"]
     return write(arm, "log.csv", text(header, arm.t, arm.q, arm.tau, *four))
-
-
-def stamps(arm, header):
-    """Seconds and nanoseconds in columns of their own."""
-    t = arm.t + 0.5
-    seconds = [f"{1_700_000_000 + int(x)},{round(x % 1 * 1e9)}" for x in t]
-    values = text(heads(arm.model.nv)[1:], arm.q, arm.tau).splitlines()
-    lines = [f"{a},{b}" for a, b in zip([header, *seconds], values)]
-    return write(arm, "log.csv", "\n".join(lines))
 
 
 def times(arm, form):
@@ -231,34 +134,18 @@ def times(arm, form):
             f"{int(x // 3600) % 24:02d}:{int(x // 60) % 60:02d}:{x % 60:07.4f}"
             for x in since
         ]
-    values = text(heads(arm.model.nv)[1:], arm.q, arm.tau).splitlines()
+    values = text(heads(arm.nv)[1:], arm.q, arm.tau).splitlines()
     return write(
         arm, "log.csv", "\n".join(f"{a},{b}" for a, b in zip(["t", *written], values))
     )
 
 
-def empty_rows(arm):
-    lines = text(heads(arm.model.nv), arm.t, arm.q, arm.tau).splitlines()
-    for k in range(50, len(lines), 100):
-        lines[k] = lines[k].split(",")[0] + "," * 2 * arm.model.nv
-    return write(arm, "log.csv", "\n".join(lines))
-
-
 def encoded(arm, encoding="utf-8", replace=(), before="", name="log.csv"):
     """Write the log in another encoding, with some characters replaced."""
-    content = text(heads(arm.model.nv), arm.t, arm.q, arm.tau)
+    content = text(heads(arm.nv), arm.t, arm.q, arm.tau)
     for old, new in replace:
         content = content.replace(old, new)
     return write(arm, name, (before + content).encode(encoding))
-
-
-def packed(arm, name):
-    content = text(heads(arm.model.nv), arm.t, arm.q, arm.tau).encode()
-    if not name.endswith(".zip"):
-        return write(arm, name, gzip.compress(content))
-    with zipfile.ZipFile(arm.folder / name, "w") as file:
-        file.writestr("run.csv", content)
-    return arm.folder / name
 
 
 def binary(arm, name, begin):

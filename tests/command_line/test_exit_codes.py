@@ -69,14 +69,6 @@ def half(table):
 # commands that differ from the rest under their own names.
 RECORDINGS = {
     "sound": (lambda x: x, {"": (0, "")}),
-    "another unit": (
-        lambda x: x | {"tau1": 100 * x["tau1"]},
-        {"": (3, "The torque of shoulder is .* times what the described masses")},
-    ),
-    "torques in another unit": (
-        lambda x: x | {k: x[k] / 9 for k in ("tau1", "tau2")},
-        {"": (3, "All torques together are .* motor currents, .*--gain unknown")},
-    ),
     "a clipped torque": (
         lambda x: x | {"tau1": np.clip(x["tau1"], *np.quantile(x["tau1"], [0.2, 0.8]))},
         {
@@ -105,10 +97,6 @@ RECORDINGS = {
         lambda x: x | {"tau1": steps(x["tau1"], 0.5)},
         {"": (3, "The torque of shoulder goes in steps of ")},
     ),
-    "coarse torques": (
-        lambda x: x | {k: steps(x[k], 0.3) for k in ("tau1", "tau2")},
-        {"": (3, r"The torque of shoulder goes in steps of .*; ")},
-    ),
     "a joint at rest": (
         lambda x: x | {"q2": np.full(N, 0.3)},
         {
@@ -123,10 +111,6 @@ RECORDINGS = {
         lambda x: without(x, slice(700, 800)),
         {"": (3, r"1 gap\(s\) of 5 periods or more")},
     ),
-    "a lost piece": (
-        lambda x: without(x, np.r_[700:800, 805:905]),
-        {"": (3, r"1 piece\(s\) of fewer than 16 samples between gaps are left out")},
-    ),
     "missing rows that are interpolated": (
         lambda x: without(x, [700, 900]),
         {"": (0, "")},
@@ -134,10 +118,6 @@ RECORDINGS = {
     "no columns of a joint": (
         by_joint,
         {"": (3, r"no columns of joint\(s\) wrist: held at zero")},
-    ),
-    "a signal that is none": (
-        lambda x: x | {"state": ["run", "stop"] * (N // 2)},
-        {"": (0, "")},
     ),
     "two robots": (
         lambda x: x | {"segment": 1 * half(x), "tau1": x["tau1"] + 12 * half(x)},
@@ -153,14 +133,6 @@ RECORDINGS = {
             "identify": (3, r"noise floor unknown \(joint 1 \(shoulder\)\)"),
         },
     ),
-    "torques of one value": (
-        lambda x: x | {"tau1": np.full(N, 0.5), "tau2": np.full(N, 0.5)},
-        {"": (2, r"constant \(0\.5\)"), "inspect": (3, r"constant \(0\.5\)")},
-    ),
-    "torques of two values": (
-        lambda x: x | {k: np.sign(x[k]) for k in ("tau1", "tau2")},
-        {"": (2, "two values only"), "inspect": (3, "two values only")},
-    ),
     "a robot at rest": (
         lambda x: (
             x
@@ -170,10 +142,6 @@ RECORDINGS = {
             }
         ),
         {"": (2, "No joint moves"), "inspect": (3, "No joint moves")},
-    ),
-    "swapped torques": (
-        lambda x: x | {"tau1": x["tau2"], "tau2": x["tau1"]},
-        {"": (2, "appear to be swapped"), "inspect": (3, "appear to be swapped")},
     ),
     "no positions": (
         lambda x: {"t": x["t"], "tau1": x["tau1"]},

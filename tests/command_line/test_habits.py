@@ -75,9 +75,6 @@ def test_options_in_a_command(options, command, refused, capsys):
     assert capsys.readouterr().err == f"sklearn-vbjfa: no{command}\n"
 
 
-# -- the end of a process --------------------------------------------------------------
-
-
 # -- being stopped ---------------------------------------------------------------------
 
 

@@ -92,19 +92,6 @@ def test_a_folder_that_takes_no_files_is_told_first(here, capsys, nothing_read, 
     assert expected in line
 
 
-def test_a_xacro_file_is_refused_with_the_command_that_expands_it(here, capsys):
-    text = URDF.replace("<robot ", '<robot xmlns:xacro="http://ros.org/wiki/xacro" ')
-    text = text.replace("</robot>", '<xacro:include filename="a"/></robot>')
-    for name, command in (
-        ("arm.urdf.xacro", "xacro arm.urdf.xacro > arm.urdf"),
-        ("a b.xacro", "xacro 'a b.xacro' > 'a b.urdf'"),
-        ("other.urdf", "xacro other.urdf > other-expanded.urdf"),
-    ):
-        Path(name).write_text(text)
-        assert main(["inspect", "arm.csv", "--urdf", name]) == 2
-        assert command in capsys.readouterr().err
-
-
 def test_a_description_without_masses_is_named_and_not_the_period(here, capsys):
     import re
 

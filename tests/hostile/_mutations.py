@@ -142,11 +142,6 @@ def _doubled(content, rng):
     return content[:last] + content[first:]
 
 
-def _inserted(content, rng):
-    first, _ = _block(content, rng)
-    return content[:first] + rng.bytes(50) + content[first:]
-
-
 def _replaced(content, rng):
     return rng.bytes(5000)
 
@@ -155,7 +150,7 @@ def _emptied(content, rng):
     return b""
 
 
-BYTES = (_truncated, _flipped, _head_flipped, _zeroed, _removed, _doubled, _inserted)
+BYTES = (_truncated, _flipped, _head_flipped, _zeroed, _removed, _doubled)
 BYTES += (_replaced, _emptied)
 
 # -- mutations of text -----------------------------------------------------------------
@@ -272,43 +267,12 @@ def _constant(table, rng):
     return table | {name: np.full_like(table[name], table[name][0])}
 
 
-def _negated(table, rng):
-    name = _channel(table, rng)
-    return table | {name: -table[name]}
-
-
-def _unsigned(table, rng):
-    return table | {name: np.abs(table[name]) for name in ("tau1", "tau2")}
-
-
-def _swapped(table, rng):
-    names = [_channel(table, rng), _channel(table, rng)]
-    return table | {names[0]: table[names[1]], names[1]: table[names[0]]}
-
-
-def _rounded(table, rng):
-    name = _channel(table, rng)
-    step = rng.uniform(0.05, 2.0) * table[name].std()
-    return table | {name: np.round(table[name] / step) * step}
-
-
 def _spiked(table, rng):
     name, column = _channel(table, rng), None
     column = table[name].copy()
     at = rng.integers(len(column), size=rng.integers(1, 20))
     column[at] = rng.choice([0.0, 1e3, 1e200, np.nan, np.inf])
     return table | {name: column}
-
-
-def _noisy(table, rng):
-    name = _channel(table, rng)
-    size = table[name].std() * 10.0 ** rng.uniform(-2, 1)
-    return table | {name: table[name] + size * rng.normal(size=len(table[name]))}
-
-
-def _lost_column(table, rng):
-    name = str(rng.choice(list(table)))
-    return {key: x for key, x in table.items() if key != name}
 
 
 def _short(table, rng):
@@ -321,8 +285,7 @@ def _cut_in_parts(table, rng):
     return table | {"segment": labels}
 
 
-COLUMNS = (_scaled, _constant, _negated, _unsigned, _swapped, _rounded, _spiked)
-COLUMNS += (_noisy, _lost_column, _short, _cut_in_parts)
+COLUMNS = (_scaled, _constant, _spiked, _short, _cut_in_parts)
 
 # -- mutations of time stamps ----------------------------------------------------------
 
@@ -343,19 +306,6 @@ def _gapped(table, rng):
     return _at(table, keep)
 
 
-def _dropped(table, rng):
-    return _at(table, rng.random(len(table["t"])) >= rng.uniform(0.01, 0.6))
-
-
-def _repeated(table, rng):
-    n = len(table["t"])
-    return _at(table, np.sort(np.r_[np.arange(n), rng.choice(n, n // 10)]))
-
-
-def _shuffled(table, rng):
-    return _at(table, rng.permutation(len(table["t"])))
-
-
 def _restarted(table, rng):
     first = rng.integers(100, len(table["t"]) - 100)
     return table | {"t": np.r_[table["t"][:first], table["t"][:-first]]}
@@ -366,26 +316,14 @@ def _other_unit(table, rng):
     return table | {"t": table["t"] * factor + rng.choice([0.0, 1.7e9])}
 
 
-def _coarse(table, rng):
-    step = rng.choice([0.001, 0.01, 0.1, 1.0])
-    return table | {"t": np.floor(table["t"] / step) * step}
-
-
-STAMPS = (_jittered, _gapped, _dropped, _repeated, _shuffled, _restarted)
-STAMPS += (_other_unit, _coarse)
+STAMPS = (_jittered, _gapped, _restarted, _other_unit)
 
 # -- options ---------------------------------------------------------------------------
 
 OPTIONS = ("--dt", "--columns", "--preset", "--topic", "--time-unit", "--gain")
 OPTIONS += ("--drive", "--signals", "--friction", "--known-mass", "--bodies")
-OPTIONS += (
-    "--shared-drives",
-    "--cutoff",
-    "--effects",
-    "--joints",
-    "--base-orientation",
-)
-OPTIONS += ("--out", "--ranges", "--join", "--unknown")
+OPTIONS += ("--shared-drives", "--cutoff", "--effects", "--joints")
+OPTIONS += ("--out", "--ranges", "--join", "--unknown", "--base-orientation")
 VALUES = (*WORDS, "auto", "none", "unknown", "1,1", "q=q{i},tau=q{i}", "pd kp=1 kd=1")
 
 # -- cases -----------------------------------------------------------------------------

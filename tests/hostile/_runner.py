@@ -28,25 +28,13 @@ _ADDRESS_SPACE = 3 << 30
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of a run.
+    """What became of a run."""
 
-    Attributes
-    ----------
-    code : int
-        Exit code; negative for a signal.
-    out, err : str
-        What was printed.
-    seconds : float
-        Time of the processor.
-    memory : int
-        Largest memory in use [bytes].
-    """
-
-    code: int
+    code: int  # negative for a signal
     out: str
     err: str
-    seconds: float
-    memory: int
+    seconds: float  # of the processor
+    memory: int  # the largest in use [bytes]
 
 
 class Runner:

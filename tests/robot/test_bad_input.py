@@ -42,22 +42,15 @@ def changed(values, where, value):
     [
         ("dt", None, "dt must be the sample period in seconds, positive.*got None"),
         ("dt", 0.0, r"dt must be .*got 0\.0"),
-        ("dt", -0.01, r"dt must be .*got -0\.01"),
         ("dt", np.nan, "dt must be .*got nan"),
-        ("dt", np.inf, "dt must be .*got inf"),
-        ("cutoff", "low", "cutoff must be 'auto', a frequency in Hz, or None; got"),
         (
             "cutoff",
             50.0,
             "cutoff must lie below the Nyquist frequency 50 Hz.*Give None",
         ),
-        ("cutoff", 0.0, "cutoff must be a positive frequency.*got 0"),
         ("state_cutoff", "low", "cutoff must be 'auto', a frequency in Hz, or None"),
-        ("state_cutoff", 51.0, "below the Nyquist frequency 50 Hz"),
-        ("state_cutoff", [1.0, 2.0], "one for each of the 6 joints"),
         ("standstill", "slow", "standstill must be 'auto', a speed, or None; got"),
         ("standstill", -1.0, "one non-negative speed or 6 of them; got -1"),
-        ("standstill", [0.1, 0.2], "one non-negative speed or 6 of them"),
         ("standstill", 99.0, "Every sample is masked as standstill; lower"),
         ("joint_weights", "even", "joint_weights must be 'auto', None or an array"),
         ("input_noise", "some", "input_noise must be 'auto' .* or None .*got 'some'"),
@@ -80,14 +73,10 @@ def test_wrong_shapes(recording):
         identify(recording, q=q[:, :5])
     with pytest.raises(ValueError, match=r"y must have 6 column\(s\).*got 5"):
         identify(recording, tau=tau[:, :5])
-    with pytest.raises(ValueError, match="inconsistent numbers of samples"):
-        identify(recording, tau=tau[:-1])
     with pytest.raises(ValueError, match=r"one label per row, shape \(1200,\); got"):
         identify(recording, groups=np.zeros(1199))
     with pytest.raises(ValueError, match="requires y to be passed"):
         RobotIdentifier(demo_arm_urdf(), dt=0.01, friction=("viscous",)).fit(q, None)
-    with pytest.raises(ValueError, match="Expected 2D array"):
-        identify(recording, q=q[:, 0])
 
 
 def test_a_joint_that_never_moves(recording):
@@ -120,9 +109,6 @@ def test_no_motion_at_all(recording):
         identify(recording, q=np.ones_like(recording.q))
 
 
-# Recordings without torques or motion; what is asked of the positions is noise.
-
-
 def test_too_few_equations(recording):
     states = recording.states[:10]
     with pytest.raises(
@@ -137,16 +123,9 @@ def test_too_few_equations(recording):
         )
 
 
-@pytest.mark.parametrize(
-    ("n", "message"),
-    [
-        (5, "needs a recording of at least 16 samples; the longest has 5"),
-        (15, "needs a recording of at least 16 samples; the longest has 15"),
-    ],
-)
-def test_too_short_to_differentiate(recording, n, message):
-    with pytest.raises(ValueError, match=message):
-        identify(recording, q=recording.q[:n], tau=recording.tau[:n])
+def test_too_short_to_differentiate(recording):
+    with pytest.raises(ValueError, match="at least 16 samples; the longest has 15"):
+        identify(recording, q=recording.q[:15], tau=recording.tau[:15])
 
 
 def test_too_short_for_the_filter(recording):

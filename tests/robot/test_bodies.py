@@ -68,27 +68,6 @@ def recording():
     return recorded(a_robot())
 
 
-def test_the_distance_from_a_description_has_no_frame():
-    rng = np.random.default_rng(1)
-    model, change = a_robot(), rng.normal(size=10)
-    body = model.inertias[2]
-    turn = pin.SE3.Random()
-    distance = []
-    for frame in (pin.SE3.Identity(), turn):
-        model.inertias[2] = frame.act(body)
-        own = BodyPrior.of(model, 10)
-        # The change is one of mass distributions: sums of point masses turn with it.
-        points = [
-            w
-            * frame.act(
-                pin.Inertia(1.0, np.array(c), np.zeros((3, 3)))
-            ).toDynamicParameters()
-            for w, c in zip(change, np.random.default_rng(2).normal(size=(10, 3)))
-        ]
-        distance.append(np.linalg.norm(own.root[1] @ np.sum(points, axis=0)))
-    assert distance[0] == pytest.approx(distance[1], rel=1e-9)
-
-
 def test_without_torques_a_body_is_as_described():
     own = BodyPrior.of(a_robot(), 14)
     found = around(own, np.zeros((42, 42)), np.zeros(42))

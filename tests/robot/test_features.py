@@ -114,16 +114,3 @@ def test_what_a_torque_does_not_depend_on_is_exactly_zero():
     # the second turns about y at a distance: its m c_y is not felt by itself
     assert size[1, 1, 2] == 0.0
     assert size[size > 0].min() > 1e-6
-
-
-@pytest.mark.parametrize(
-    ("friction", "message"),
-    [
-        (("viscous", "stiction"), r"Unknown friction.*stiction.*expected.*'viscous'"),
-        (("viscous", "viscous"), "names a column twice"),
-        ("sticky", "Unknown friction"),
-    ],
-)
-def test_refuses_unknown_friction(friction, message):
-    with pytest.raises(ValueError, match=message):
-        RigidBodyFeatures(demo_arm_urdf(), friction=friction).fit(np.zeros((1, 18)))

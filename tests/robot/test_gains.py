@@ -140,18 +140,6 @@ def test_a_joint_that_shares_no_body_is_hidden(noise):
     assert not robot.identifiable_[place]
 
 
-def test_a_joint_that_no_other_feels_is_hidden():
-    model = arm("ZYYX")
-    # Next to nothing on the last axis, whose torque is friction and noise.
-    light = pin.Inertia(1e-6, np.zeros(3), 1e-9 * np.eye(3))
-    model.inertias[4] = light
-    robot = fit(torques(model=model), model=model)
-    assert robot.gains_.hidden == (3,)
-    assert robot.gains_.gain[3] == 1.0
-    gains = relative(GAINS, robot.gains_)
-    assert_allclose(robot.gains_.gain[:3], gains[:3], rtol=0.03)
-
-
 # -- in the house
 
 

@@ -1,8 +1,5 @@
 """The whole chain on a simulated arm, whose truth is known."""
 
-import pickle
-from pathlib import Path
-
 import numpy as np
 import pytest
 from sklearn.base import clone
@@ -300,19 +297,6 @@ def test_one_joint_takes_a_flat_torque():
 
 
 # -- scikit-learn
-
-
-def test_clone_pickle_and_refit(identified, simulated, new_motion):
-    expected = identified.predict(new_motion.states[:50])
-    copy = pickle.loads(pickle.dumps(identified))
-    np.testing.assert_array_equal(copy.predict(new_motion.states[:50]), expected)
-    again = clone(identified).set_params(model=Path(simulated.urdf))
-    again.fit(simulated.q, simulated.tau, groups=simulated.groups)
-    np.testing.assert_array_equal(again.predict(new_motion.states[:50]), expected)
-    given = clone(identified).set_params(model=load_model(simulated.urdf))
-    given.fit(simulated.q, simulated.tau, groups=simulated.groups)
-    np.testing.assert_array_equal(given.theta_, identified.theta_)
-    assert identified.score(new_motion.states, new_motion.tau_clean) > 0.999
 
 
 def test_noise_of_encoders_is_what_exact_torques_leave():

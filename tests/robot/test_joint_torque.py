@@ -5,7 +5,6 @@ import pytest
 from scipy.signal import convolve
 from sklearn.base import clone
 from sklearn.cross_decomposition import PLSRegression
-from sklearn.decomposition import PCA
 from sklearn.ensemble import RandomForestRegressor
 from sklearn.linear_model import LassoCV, LinearRegression, Ridge
 from sklearn.model_selection import GridSearchCV, KFold
@@ -14,10 +13,8 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.tree import DecisionTreeRegressor
 
 from sklearn_vbjfa import (
-    InstrumentalVariables,
     JointTorqueRegressor,
     PhysicalProjector,
-    StepwiseRegressor,
     TotalLeastSquares,
     VBJFARegressor,
 )
@@ -87,16 +84,12 @@ def test_automatic_weights_are_iterated_to_their_fixed_point(rng):
         (LinearRegression(), 1e-9),
         (Ridge(alpha=1e-8), 1e-8),
         (PLSRegression(n_components=5, scale=False), 1e-8),
-        (StepwiseRegressor(), 1e-8),
         (TotalLeastSquares(), 1e-6),
-        (InstrumentalVariables(), 1e-8),
         # The smallest penalty, 1e-6 of the largest, shrinks the weakest column, which
         # explains 1e-4 of the torque.
         (LassoCV(cv=KFold(4), alphas=30, eps=1e-6, tol=1e-6, max_iter=20_000), 0.05),
         (VBJFARegressor(latent="correlated"), 1e-6),
-        (make_pipeline(StandardScaler(with_mean=False), Ridge(alpha=1e-8)), 1e-8),
         (make_pipeline(StandardScaler(), LinearRegression()), 1e-8),
-        (make_pipeline(PCA(), LinearRegression()), 1e-8),
         (
             GridSearchCV(
                 PLSRegression(scale=False), {"n_components": [2, 5]}, cv=KFold(4)
@@ -231,15 +224,12 @@ def test_one_output_keeps_one_dimension(rng):
             {},
             r"'auto', None or an array.*\(3,\); got 'even'",
         ),
-        ({"joint_weights": [1.0, 2.0]}, {}, "must hold 3 finite, non-negative numbers"),
         ({"joint_weights": [1.0, -1.0, 1.0]}, {}, "must hold 3 finite, non-negative"),
         ({"cutoff": 5.0}, {}, "dt must be the sample period.*got None"),
         ({"cutoff": 60.0, "dt": 0.01}, {}, "below the Nyquist frequency 50 Hz"),
-        ({"cutoff": -2.0, "dt": 0.01}, {}, "positive frequency.*got -2"),
         ({"cutoff": 0.1, "dt": 0.01}, {}, r"shorter than the low-pass.*longer record"),
         ({}, {"groups": np.zeros(5)}, r"one label per row, shape \(300,\); got"),
         ({}, {"sample_weight": np.ones(5)}, r"shape \(300,\) or \(300, 3\); got \(5,"),
-        ({}, {"sample_weight": -np.ones(300)}, "finite and not negative"),
         ({}, {"sample_weight": np.full(300, np.nan)}, "finite and not negative"),
         ({}, {"sample_weight": np.zeros(300)}, "at least one non-zero number"),
     ],

@@ -149,12 +149,3 @@ def test_cross_validation_of_the_identifier(recording, weight, routing):
             r2_score(recording.tau[test], predicted, sample_weight=weight[test])
         )
     np.testing.assert_allclose(result["test_score"], expected, rtol=1e-10)
-
-
-def test_score_knows_the_borders_of_recordings(recording):
-    groups = recording.groups
-    robot = identifier(recording).fit(recording.q, recording.tau, groups=groups)
-    score = robot.score(recording.q, recording.tau, groups=groups)
-    predicted = robot.predict(recording.q, groups=groups)
-    assert score == r2_score(recording.tau, predicted)
-    assert score > robot.score(recording.q, recording.tau)

@@ -196,18 +196,6 @@ def pair():
     return plain, refined.fit(q, tau, groups), truth, made, (q, tau, groups)
 
 
-def test_torque_is_the_default_and_changes_nothing(pair):
-    plain, refined, *_, data = pair
-    assert plain.criterion == "torque"
-    assert not hasattr(plain, "criteria_")
-    q, tau, groups = data
-    other = RobotIdentifier(
-        arm("ZY"), dt=DT, friction=FRICTION, options=FitOptions(window=3.0)
-    )
-    assert_array_equal(other.fit(q, tau, groups).theta_, plain.theta_)
-    assert (refined.theta_ != plain.theta_).any()
-
-
 def test_the_robot_is_recovered_from_noisy_positions(pair):
     plain, refined, truth, made, _ = pair
     told = refined.criteria_
@@ -323,16 +311,6 @@ def test_deviations_are_those_of_fits_that_are_repeated(W, rows, r, least, most)
 
 
 # -- closed loop -----------------------------------------------------------------------
-
-
-def test_the_controller_sets_the_torque():
-    controller = PDDrive(kp=[2.0, 3.0], kd=0.5)
-    q_ref, v_ref = np.array([1.0, 1.0]), np.array([4.0, 4.0])
-    q, v = np.array([0.5, 2.0]), np.array([1.0, -1.0])
-    assert_allclose(controller.torque(q_ref, 0.0 * v_ref, q, v), [0.5, -2.5])
-    assert_allclose(controller.torque(q_ref, v_ref, q, v), [2.5, -0.5])
-    controller.saturation = [1.0, 0.2]
-    assert_allclose(controller.torque(q_ref, v_ref, q, v), [1.0, -0.2])
 
 
 def test_a_controlled_mass_follows_the_solution_of_its_equation():

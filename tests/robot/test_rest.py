@@ -7,7 +7,6 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording, make_robot_recording
-from sklearn_vbjfa.robot import FitOptions
 
 EPS = np.finfo(float).eps
 FRICTION = ("viscous", "coulomb")
@@ -65,14 +64,6 @@ def test_states_that_move_are_taken_as_they_are(robot, recording):
     )
 
 
-def test_a_state_that_stands_has_no_friction(robot, recording):
-    states = recording.states[:200].copy()
-    states[:, recording.nv :] = 0.0
-    exact = robot.predict(states)
-    states[:, recording.nv : 2 * recording.nv] = 1e-6 * robot.standstill_
-    np.testing.assert_allclose(robot.predict(states), exact, atol=1e-3)
-
-
 def test_reversals_keep_their_sign(robot, recording):
     # Passing through zero in a hundredth of a period is not standing: on the whole
     # motion the mean sign costs less than a per cent of the torque.
@@ -80,18 +71,3 @@ def test_reversals_keep_their_sign(robot, recording):
     sharp = Phi @ robot.theta_
     missed = (robot.predict(recording.states) - sharp).std(axis=0)
     assert np.all(missed < 0.03 * coulomb(robot))
-
-
-def test_nothing_masked_is_the_mean_for_the_noise_alone(recording):
-    model = load_demo_recording().robot_model()
-    robot = RobotIdentifier(
-        model, dt=recording.dt, friction=FRICTION, options=FitOptions(standstill=None)
-    ).fit(recording.q, recording.tau)
-    states = recording.states[:100].copy()
-    states[:, recording.nv :] = 1e-9
-    slow = robot.predict(states)
-    states[:, recording.nv :] = 0.0
-    # Noiseless states without a standstill speed: the sign is what it says.
-    np.testing.assert_allclose(
-        slow - robot.predict(states), np.tile(coulomb(robot), (100, 1)), rtol=1e-5
-    )

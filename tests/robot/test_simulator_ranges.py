@@ -193,27 +193,6 @@ def test_the_scatter_is_found(urdf):
     np.testing.assert_allclose(between, off, rtol=0.4)
 
 
-def test_neither_units_nor_order_nor_pieces_matter(urdf, several, monkeypatch):
-    X, y, labels, _ = recordings(urdf, 0, 6, off=share_of(0.3))
-    first = several.ranges()
-
-    def check(robot, unit=1.0):
-        found = robot.ranges()
-        for name in NAMES:
-            ours, theirs = (
-                [getattr(one, key) for key in ("lower", "upper", "std", "between")]
-                for one in (first[name], found[name])
-            )
-            np.testing.assert_allclose(np.array(theirs) / unit, ours, rtol=1e-6)
-        np.testing.assert_allclose(found.correlation, first.correlation, atol=1e-6)
-
-    order = np.argsort(np.random.default_rng(0).permutation(6)[labels], kind="stable")
-    again = RobotIdentifier(urdf, bodies="fixed")
-    check(again.fit(X[order], y[order], groups=labels[order]))
-    monkeypatch.setattr("sklearn_vbjfa.equations._equations.CHUNK_BYTES", 2_000)
-    check(RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels))
-
-
 # -- samples ---------------------------------------------------------------------------
 
 

@@ -168,10 +168,8 @@ def test_velocity_noise_is_that_of_the_velocities(noisy_wave):
     [
         (100.0, r"below the Nyquist frequency 100 Hz of dt=0\.005 s; got 100 Hz"),
         (-1.0, "positive frequency in Hz, 'auto', or None.*got -1"),
-        (np.nan, "positive frequency"),
         ("high", "cutoff must be 'auto', a frequency in Hz, or None; got 'high'"),
         ([1.0, 2.0, 3.0], r"one for each of the 2 joints; got .* shape \(3,\)"),
-        ([1.0, "x"], "positive frequency"),
     ],
 )
 def test_refuses_a_wrong_cutoff(cutoff, message):

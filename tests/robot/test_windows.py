@@ -163,8 +163,6 @@ def test_effects_of_time_have_the_clock_of_the_fit(recording):
     ("change", "message"),
     [
         ({"window": 0.0}, "window must be a time in seconds, at least the sample"),
-        ({"window": np.nan}, "window must be a time"),
-        ({"window": "long"}, "window must be a time"),
         (
             {"window": 7.0},
             "No recording is as long as a window of 7 s: the longest has",
@@ -173,7 +171,6 @@ def test_effects_of_time_have_the_clock_of_the_fit(recording):
             {"y": np.zeros((5, 6))},
             r"y must hold one row of torques for each of the 1200",
         ),
-        ({"y": np.zeros((1200, 2))}, r"one column for each joint \(joint_1, "),
         ({"t": np.zeros(3)}, r"t must hold one time per row, shape \(1200,\)"),
     ],
 )

@@ -80,25 +80,9 @@ def test_positions_behind_a_filter_ask_for_its_inverse(kind):
     assert np.log2(errors[1] / errors[0]) == pytest.approx(order, abs=0.5)
 
 
-@pytest.mark.parametrize(
-    "given", [{"kind": "notch"}, {"of": "current"}, {"time_constant": 0.0}]
-)
-def test_unknown_filters_are_refused(given):
-    with pytest.raises(ValueError, match=f"{next(iter(given))} of torque_filter"):
-        effects.TorqueFilter(**given).check()
-
-
 def test_jerk_is_the_derivative_of_the_acceleration():
     w = 2 * np.pi * 1.5
     a = np.cos(w * T)[:, None]
     motion = Motion(q=STILL, v=STILL, a=a, t=T)
     column = effects.Jerk().columns(motion)[:, 0]
     assert_allclose(column[1:-1], -w * np.sin(w * T)[1:-1], atol=w**3 * DT**2 / 4)
-
-
-@pytest.mark.parametrize("effect", [effects.Delay(), effects.TorqueFilter()])
-def test_opposites_are_opposites_of_each_other(effect):
-    other = effect.opposite()
-    assert other.key() != effect.key()
-    assert other.opposite().get_params() == effect.get_params()
-    assert effects.Viscous().opposite() is None

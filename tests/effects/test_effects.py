@@ -1,7 +1,5 @@
 """Columns of the effects against closed forms and literal loops."""
 
-import pickle
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import Effect, Motion, play, stops
+from sklearn_vbjfa.effects import Motion, play, stops
 from tests.effects._arms import (
     Derivatives,
     arm,
@@ -78,17 +76,6 @@ def transform(effect, **given):
 # -- the library
 
 
-def test_the_library_holds_every_effect_that_is_exported():
-    everything = effects.resolve("all")
-    assert tuple(e.name for e in everything) == NAMES
-    assert len(set(NAMES)) == len(NAMES)
-    exported = (getattr(effects, name) for name in effects.__all__)
-    classes = {one for one in exported if isinstance(one, type)}
-    assert {type(e) for e in everything} == {
-        one for one in classes if issubclass(one, Effect) and one.name
-    }
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_numbers_of_coefficients_units_and_columns_agree(name):
     effect = library_effect(name)
@@ -127,31 +114,6 @@ def test_parameters_have_units(name, prismatic):
     assert "rad" not in " ".join(
         unit for key, unit in units.items() if prismatic and key not in angles
     )
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_scikit_learn_contract(name):
-    effect = library_effect(name)
-    twin = clone(effect)
-    assert twin is not effect
-    assert twin.get_params() == effect.get_params()
-    used = set(effect.get_params()) - {"joint"}
-    if name == "counterbalance":
-        used -= {"ratio", "angle"}  # of its other form
-    if name == "torque_gain":
-        used -= {"limit"}  # of what is plausible
-    if name == "payload":
-        used -= {"centre"}  # of the linearisation
-    assert set(effect.shape()) == used
-    assert effect.set_params(joint=1) is effect
-    assert effect.joint == 1
-    assert repr(effect).startswith(type(effect).__name__)
-    again = pickle.loads(pickle.dumps(effect))
-    assert again.get_params() == effect.get_params()
-    assert effect.fit(X) is effect
-    assert effect.n_features_in_ == 6
-    for shape in effect.shapes(signals())[:2]:
-        assert clone(effect).set_params(**shape).shape() == effect.shape() | shape
 
 
 @pytest.mark.parametrize(
@@ -361,7 +323,7 @@ def test_play_on_any_walk(q, width):
 
 
 def test_elastic_is_the_derivative_by_the_compliance():
-    """Against the analytic derivatives of inverse dynamics, and a wide difference."""
+    """Against the analytic derivatives of inverse dynamics."""
     pin = pytest.importorskip("pinocchio")
     model = arm("ZYX")
     t, states = motion(3, duration=4.0, dt=0.005, seed=8)
@@ -382,7 +344,7 @@ def test_elastic_is_the_derivative_by_the_compliance():
     curve = -(w[j] ** 2) * load[:, j]
     data = model.createData()
     inside = np.arange(10, t.size - 10, 7)
-    expected, wide = [], []
+    expected = []
     for i in inside:
         pin.computeRNEADerivatives(model, data, *states[i].reshape(3, 3))
         M = data.M + np.triu(data.M, 1).T - np.tril(data.M, -1)
@@ -391,12 +353,8 @@ def test_elastic_is_the_derivative_by_the_compliance():
             - data.dtau_dv[:, j] * rate[i]
             - M[:, j] * curve[i]
         )
-        k, row = 2e4, states[i].copy()
-        row[[j, 3 + j, 6 + j]] -= np.array([load[i, j], rate[i], curve[i]]) / k
-        wide.append(k * np.subtract(*inverse_dynamics(model, [row, states[i]])))
     size = np.abs(expected).max()
     assert_allclose(columns[inside, :, 0], expected, atol=2e-3 * size)
-    assert_allclose(columns[inside, :, 0], wide, atol=5e-3 * size)
 
 
 def test_payload_is_the_torque_of_a_changed_body():
@@ -571,16 +529,6 @@ def test_wrong_signals_are_refused(given, message):
         transform(effects.LoadFriction(), **given)
 
 
-def test_a_linkage_cannot_be_longer_than_long_or_of_another_form():
-    for ratio in (1.0, -0.5):
-        with pytest.raises(
-            ValueError, match="ratio of counterbalance must lie between"
-        ):
-            transform(effects.Counterbalance(form="linkage", ratio=ratio))
-    with pytest.raises(ValueError, match="form of counterbalance must be one of"):
-        transform(effects.Counterbalance(form="cam"))
-
-
 @given(
     ratio=st.floats(0.05, 0.95), angle=st.floats(-3.0, 3.0), rest=st.floats(0.0, 1.5)
 )
@@ -596,26 +544,6 @@ def test_a_linkage_has_the_work_of_its_spring(ratio, angle, rest):
 
 
 # -- an effect of one's own
-
-
-class Cubic(Effect):
-    """Cubic spring."""
-
-    name = "cubic"
-    coefficients = ("k3",)
-    units = (("N m/rad^3", "N/m^3"),)
-
-    def columns(self, motion):
-        return motion.q[:, [self.joint]] ** 3
-
-
-def test_an_effect_needs_a_name_units_and_columns_only():
-    cubic = Cubic(joint=1)
-    assert_array_equal(cubic.fit_transform(X), Q[:, [1]] ** 3)
-    assert cubic.parameters([2.0]) == {"k3": 2.0}
-    assert cubic.parameter_units(prismatic=True) == {"k3": "N/m^3"}
-    assert effects.resolve(["coulomb", Cubic])[1].name == "cubic"
-    assert cubic.shapes(signals()) == [{}]
 
 
 # -- settings that cannot be

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, load_identified
-from sklearn_vbjfa.effects import MaxwellSlip, Ripple, Spring, UnnamedTorque
+from sklearn_vbjfa.effects import UnnamedTorque
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 T, X = motion(1, duration=40.0, dt=0.02, seed=5)
@@ -36,17 +36,6 @@ def test_columns_are_the_weighted_terms_of_library_effects(of):
     assert_allclose(found[:, 0], terms @ effect.weights)
 
 
-def test_position_terms_are_a_spring_and_three_ripples():
-    spring, *ripples = UnnamedTorque(of="position", reach=2.0).parts
-    assert isinstance(spring, Spring)
-    assert [r.period for r in ripples if isinstance(r, Ripple)] == [4.0, 2.0, 1.0]
-
-
-def test_an_unknown_quantity_is_refused():
-    with pytest.raises(ValueError, match="one of"):
-        UnnamedTorque(of="time").fit(X)
-
-
 @pytest.fixture(scope="module")
 def robot():
     parts = (
@@ -69,14 +58,6 @@ def test_shares_are_found_and_saved(robot, tmp_path):
     read.reset()
     one_by_one = [read.step(*np.split(row, 3)) for row in X[:100]]
     assert_allclose(one_by_one, expected[:100], atol=1e-9)
-
-
-def test_it_is_simulated(robot):
-    memory = MaxwellSlip(displacements=robot.effects_[1].parts[0].displacements)
-    assert not robot.robot_.left_out_
-    states = robot.simulate(np.zeros((20, 1)), q0=[0.3])
-    assert np.isfinite(states).all()
-    assert memory.coefficients == ("F1", "F2", "F3", "F4")
 
 
 def test_a_search_adds_it_only_where_something_is_left():

@@ -22,7 +22,6 @@ from sklearn_vbjfa.simulation import (  # noqa: E402
 )
 from tests.simulation._machines import slider  # noqa: E402
 from tests.simulation._random_robots import (  # noqa: E402
-    DT,
     random_motion,
     random_predictor,
 )
@@ -33,7 +32,6 @@ DEPENDENT = [
     if set(effects.resolve([name])[0].depends) - {"direction"}
     and not effects.resolve([name])[0].not_simulated
 ]
-BOUNDED = [name for name in DEPENDENT if effects.resolve([name])[0].bounded]
 
 
 class Cubic(Effect):
@@ -161,42 +159,6 @@ def test_states_one_by_one_have_the_torques_of_all(name, seed):
     predictor = held(random_predictor(rng, 3, [name, "load_friction"]))
     X = random_motion(rng, 3)
     assert_allclose(stepped(predictor, X), torques(predictor, X), atol=1e-11)
-
-
-@pytest.mark.parametrize("name", DEPENDENT)
-def test_a_simulation_has_the_predicted_torques(name):
-    rng = np.random.default_rng(3)
-    predictor = random_predictor(rng, 3, [name])
-    # Positive, so that friction brakes.
-    at = predictor.features_.n_parameters_
-    predictor.theta_[at:] = 0.1 + abs(predictor.theta_[at:])
-    predictor = replace(predictor, load_parameters=predictor.load_parameters.copy())
-    # What is simulated loads the joints as well.
-    bodies = predictor.features_.n_parameters_
-    predictor.load_parameters[:bodies] = predictor.theta_[:bodies]
-    predictor = held(predictor, load=(-0.3, 0.5))
-    t = DT * np.arange(40)
-    tau = torques(predictor, np.zeros((1, 9))) + 4.0 * np.sin(
-        np.outer(t, rng.uniform(5, 9, 3)) + rng.uniform(0, 6, 3)
-    )
-    start = np.zeros(3), rng.choice([-2.0, 2.0], size=3)
-    X = simulate(predictor.torque_model(), tau, *start)
-    v = X[:, 3:6]
-    # Where a joint turned between two rows its memory turned there, not in a row.
-    turned = np.abs(np.diff(np.sign(v), axis=0)).sum(axis=1) > 0
-    last = np.argmax(turned) + 1 if turned.any() else len(t)
-    own = torques(predictor, X)
-    size = np.abs(tau).max()
-    assert last > 5
-    assert_allclose(own[:last], tau[:last], rtol=0, atol=1e-9 * size)
-    beyond = np.abs(own - torques(replace(predictor, effect_ranges_=()), X))[
-        :last
-    ].max()
-    if name in BOUNDED:
-        assert np.ptp(X[:last, predictor.effects_[0].joint]) > 0.45
-        assert beyond == 0.0
-    else:
-        assert beyond > 1e-4
 
 
 # -- closed forms of the motion

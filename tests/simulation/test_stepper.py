@@ -79,14 +79,6 @@ def test_random_robots_with_random_effects(seed, nv, names, timed):
     check(predictor, X, t, signals)
 
 
-def test_bodies_that_are_none():
-    rng = np.random.default_rng(0)
-    predictor = random_predictor(rng, 3, ["load_friction", "payload"])
-    bodies = predictor.bodies(predictor.theta_)
-    bodies[0, 0], bodies[1, :10], bodies[2, 0] = 0.0, 0.0, -1e-9
-    check(predictor, random_motion(rng, 3))
-
-
 def test_reset_begins_a_recording():
     rng = np.random.default_rng(2)
     predictor = random_predictor(rng, 2, ["maxwell_slip", "backlash"])
@@ -102,18 +94,6 @@ def test_reset_begins_a_recording():
     np.testing.assert_allclose(
         np.vstack([first, second]), expected, atol=1e-12 * expected.std()
     )
-
-
-class Cubic(Effect):
-    """Effect of one's own without memory."""
-
-    name = "cubic"
-    coefficients = ("k3", "k5")
-    units = (("N m/rad^3", "N/m^3"), ("N m/rad^5", "N/m^5"))
-
-    def columns(self, motion):
-        q = motion.q[:, [self.joint]]
-        return np.hstack([q**3, q**5]) * np.sign(motion.v[:, [self.joint]])
 
 
 class Everywhere(Effect):
@@ -181,7 +161,7 @@ def with_effects(rng, own, nv=3):
 
 def test_effects_of_ones_own():
     rng = np.random.default_rng(3)
-    own = (Cubic(joint=1), Everywhere(joint=0), Remembering(joint=2))
+    own = (Everywhere(joint=0), Remembering(joint=2))
     predictor = with_effects(rng, own)
     X = random_motion(rng, 3)
     stepper = Stepper(predictor.torque_model())

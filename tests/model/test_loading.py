@@ -67,7 +67,6 @@ def test_continuous_joint_is_one_angle(write, limit):
     [
         ("JointModelFreeFlyer", r"floating \(JointModelFreeFlyer, nq=7, nv=6\)"),
         ("JointModelSpherical", r"\(JointModelSpherical, nq=4, nv=3\)"),
-        ("JointModelPlanar", r"\(JointModelPlanar, nq=4, nv=3\)"),
         ("JointModelRUBX", "nq=2, nv=1"),
     ],
 )

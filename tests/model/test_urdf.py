@@ -137,7 +137,6 @@ def test_refuses_a_description_without_the_joints(tree, simulated, tmp_path):
     ("old", "new", "message"),
     [
         ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "'right' has the axis '0 0 0'"),
-        ('<axis xyz="0 1 0"/>', '<axis xyz="0 inf 0"/>', "which is not a direction"),
         ("</robot>", "<a>" * 200 + "</a>" * 200 + "</robot>", "more than 100 deep"),
         ("<robot", '<!DOCTYPE r [<!ENTITY e "x">]><robot', "declares the entity 'e'"),
         (

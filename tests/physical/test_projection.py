@@ -122,25 +122,6 @@ def test_objective_is_the_optimum_of_an_independent_solver(
     assert result.objective == pytest.approx(delta @ A @ delta, rel=1e-6)
 
 
-@properties
-@given(seeds, constraints, st.sampled_from([1.0, 1e6, 1e10]))
-def test_variational_inequality_holds(seed, constraint, condition):
-    rng = np.random.default_rng(seed)
-    theta = inconsistent_robot(rng, 3)
-    A = metric(rng, theta.size, condition)
-    options = {"constraint": constraint, **PLAIN}
-    result = project(theta, A, **options)
-    pull = A @ (theta - result.theta)
-    for _ in range(20):
-        # Feasible vectors near and far; the set is convex, so is every mixture.
-        other = robot(rng, 3)
-        near = result.theta + 1e-2 * (other - result.theta)
-        length = np.sqrt((other - theta) @ A @ (other - theta))
-        tolerance = 1e-3 * np.sqrt(result.objective) * length
-        assert (other - result.theta) @ pull <= tolerance
-        assert (near - result.theta) @ pull <= 1e-2 * tolerance
-
-
 # -- invariances
 
 
@@ -240,22 +221,15 @@ INDEFINITE[0, 1] = INDEFINITE[1, 0] = 2.0
     [
         ({"metric": np.eye(9)}, "metric"),
         ({"metric": INDEFINITE}, "metric"),
-        ({"metric": -np.eye(10)}, "metric"),
         ({"metric": np.full((10, 10), np.nan)}, "metric"),
         ({"constraint": "triangle"}, "constraint"),
         ({"margin": 0.0}, "margin"),
-        ({"margin": np.nan}, "margin"),
         ({"anchor": np.ones(9)}, "inconsistent"),
-        ({"anchor": np.full(10, np.inf)}, "anchor"),
         ({"mass_scale": [1.0, 2.0]}, "mass_scale"),
         ({"length_scale": -1.0}, "length_scale"),
-        ({"theta": FLAT[None].repeat(2, axis=0)}, "1d array"),
         ({"theta": np.where(np.arange(10) == 3, np.nan, FLAT)}, "theta"),
     ],
 )
 def test_wrong_arguments_are_named(options, name):
     with pytest.raises(ValueError, match=name):
         project(**{"theta": FLAT, **options})
-
-
-# -- the transformer

@@ -35,15 +35,6 @@ def library(monkeypatch):
     return library
 
 
-def test_limit_holds_inside_and_ends_outside(library):
-    with one_blas_thread():
-        assert library.n_threads == 1
-        with one_blas_thread():
-            assert library.n_threads == 1
-        assert library.n_threads == 1
-    assert library.n_threads == 2
-
-
 def test_projection_holds_the_limit_and_gives_it_back_even_when_it_fails(
     library, monkeypatch
 ):

@@ -75,28 +75,6 @@ def test_duplicate_and_constant_features(factor):
     assert_allclose(model.predict(wide), reference.predict(X), rtol=1e-8)
 
 
-@pytest.mark.slow
-def test_attenuation_is_removed_and_uncertainty_is_right():
-    # 400 replications: bias within 4 of its standard errors, coverage of the 95 %
-    # interval within 4 binomial standard errors (0.044).
-    rng = np.random.default_rng(0)
-    coef = np.array([1.0, -2.0])
-    errors, plain, covered = [], [], []
-    for _ in range(400):
-        xi = rng.normal(size=(500, 2))
-        y = xi @ coef + 0.3 * rng.normal(size=500)
-        X, Z = (xi + 0.5 * rng.normal(size=(500, 2)) for _ in range(2))
-        model = InstrumentalVariables().fit(X, y, instruments=Z)
-        errors.append(model.coef_ - coef)
-        covered.append(np.abs(errors[-1]) < 1.96 * model.coef_std_)
-        plain.append(InstrumentalVariables().fit(X, y).coef_ - coef)
-    standard_error = np.std(errors, axis=0) / np.sqrt(400)
-    assert np.all(np.abs(np.mean(errors, axis=0)) < 4 * standard_error)
-    # Least squares shrinks towards zero by 1 / (1 + 0.25).
-    assert_allclose(np.mean(plain, axis=0), -0.2 * coef, atol=0.02)
-    assert_allclose(np.mean(covered, axis=0), 0.95, atol=0.044)
-
-
 def test_bad_input():
     X, y, Z, _ = make_repeated(5)
     with pytest.raises(ValueError, match=r"at least 3 columns, .* got 2\. Add"):

@@ -60,19 +60,3 @@ def test_units_at_the_ends_of_the_range_are_only_units(estimator):
         np.testing.assert_allclose(found / scale, expected, rtol=1e-8, atol=1e-8)
         if hasattr(estimator, "coef_std_"):
             assert np.isfinite(estimator.coef_std_).all()
-
-
-# Known noise that makes no more output noise than there is.
-@pytest.mark.parametrize("input_noise", [None, 1e-4])
-@pytest.mark.parametrize("seed", range(3))
-def test_columns_of_joint_factors_in_another_order(input_noise, seed):
-    rng = np.random.default_rng(seed)
-    X = rng.normal(size=(100, 4))
-    y = X @ [1.0, 2.0, 3.0, 4.0] + 0.1 * rng.normal(size=100)
-    # Copies and a sum: directions in which the likelihood is flat.
-    X = np.column_stack([X, X[:, :2], X[:, 0] + X[:, 1]])
-    order = rng.permutation(7)
-    estimator = JFARegressor(input_noise=input_noise)
-    expected = estimator.fit(X, y).predict(X)
-    found = estimator.fit(X[:, order], y).predict(X[:, order])
-    np.testing.assert_allclose(found, expected, atol=1e-6)

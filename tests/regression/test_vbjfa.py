@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.utils._param_validation import InvalidParameterError
 
 from sklearn_vbjfa import VBJFARegressor
 from tests.regression._problems import assert_same_fit, least_squares, make_regression
@@ -192,19 +191,3 @@ def test_too_few_iterations_are_reported(kind):
     with pytest.warns(ConvergenceWarning, match=r"after max_iter=2 iterations"):
         model = make_model(kind, max_iter=2, tol=0).fit(X, y)
     assert not model.converged_
-
-
-@pytest.mark.parametrize(
-    "params",
-    [
-        {"prior": "none"},
-        {"latent": "full"},
-        {"max_iter": 0},
-        {"query": "clean"},
-    ],
-)
-def test_invalid_parameters(params):
-    X, y, _ = make_regression(18)
-    (name,) = params
-    with pytest.raises(InvalidParameterError, match=f"The '{name}' parameter"):
-        VBJFARegressor(**params).fit(X, y)

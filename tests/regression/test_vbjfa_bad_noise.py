@@ -16,18 +16,13 @@ OFF_DIAGONAL = np.eye(4, k=1) + np.eye(4, k=-1)
     ("noise", "message"),
     [
         (np.nan, r"must be finite, got NaN"),
-        (np.full((4, 4), np.nan), r"must be finite, got NaN"),
-        (1.0, r"fraction of each input's variance in \[0, 1\), got 1;"),
         (1.5, r"in \[0, 1\), got 1\.5; give variances as an array"),
         (-0.1, r"in \[0, 1\), got -0\.1"),
         ([0.1, 0.1, -0.5, 0.1], r"must not be negative, got -0\.5 for feature 2"),
         ([0.1, 0.1], r"shape \(4,\) or a covariance of shape \(4, 4\).*shape \(2,\)"),
-        (np.eye(3), r"for 4 features, got an array of shape \(3, 3\)"),
-        (np.ones((4, 1)), r"for 4 features, got an array of shape \(4, 1\)"),
         (np.ones((1, 4, 4)), r"for 4 features, got an array of shape \(1, 4, 4\)"),
         (np.eye(4) + np.eye(4, k=1), r"must be symmetric"),
         (np.eye(4) - 2 * OFF_DIAGONAL, r"positive semidefinite, got a smallest eigen"),
-        (np.diag([1.0, 1.0, -1.0, 1.0]), r"must be positive semidefinite"),
         # An exact input cannot share noise with another.
         (np.diag([1.0, 0.0, 1.0, 1.0]) + OFF_DIAGONAL, r"must be positive semidef"),
     ],

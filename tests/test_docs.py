@@ -147,14 +147,6 @@ def test_files_named_in_the_guide_exist():
             assert (ROOT / name).is_file(), f"{page.name} names {name}"
 
 
-def test_links_of_the_readme_lead_to_files():
-    links = re.findall(r"\]\(([^)]+)\)", read(ROOT / "README.md"))
-    local = [link for link in links if not link.startswith("https://")]
-    assert "docs/images/residual.png" in local
-    for link in local:
-        assert (ROOT / link).is_file(), link
-
-
 def script(path, patch):
     """Import a script of the documentation for as long as `patch` holds."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -229,24 +221,6 @@ def test_first_numbers_of_the_readme_and_the_first_page_are_measured(recorded):
         assert f"{completed} %" in text
         said = "more than a tenth on seven, by 6 % on one and by less than 1 % on two"
         assert said in text
-
-
-def test_every_page_is_in_one_menu():
-    listed = Counter()
-    for page in DOCS.rglob("*.rst"):
-        for block in re.findall(
-            r"\.\. toctree::\n(?:    :.*\n)*\n((?:    .*\n)+)", read(page)
-        ):
-            names = (
-                re.sub(r".*<(.*)>", r"\1", line).strip() for line in block.split("\n")
-            )
-            folder = page.parent.relative_to(DOCS)
-            listed.update((folder / name).as_posix() for name in names if name)
-    pages = {page.stem for page in (*DOCS.glob("*.rst"), *DOCS.glob("*.md"))} - {
-        "index"
-    }
-    assert pages <= set(listed)
-    assert {name for name, count in listed.items() if count > 1} == set()
 
 
 # Their examples simulate, search or compile, which other tests do with smaller robots.

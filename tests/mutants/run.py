@@ -36,24 +36,12 @@ _LONGEST = 600.0
 
 @dataclass(frozen=True, kw_only=True)
 class Mutant:
-    """A change of one line.
-
-    Attributes
-    ----------
-    name : str
-        Name of its file.
-    test : str
-        The test that must fail, as pytest calls it.
-    file : str
-        What it changes, from the root of the repository.
-    before, after : str
-        Lines with their surroundings, without and with the change.
-    """
+    """A change of one line."""
 
     name: str
-    test: str
-    file: str
-    before: str
+    test: str  # that must fail
+    file: str  # that it changes, from the root of the repository
+    before: str  # lines with their surroundings
     after: str
 
     @classmethod

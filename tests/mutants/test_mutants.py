@@ -53,19 +53,6 @@ BROKEN = """\
 """
 
 
-def test_which_lines_a_mutant_has(tmp_path):
-    path = tmp_path / "one.diff"
-    path.write_text(BROKEN.format(file="x.py"), encoding="utf-8")
-    one = Mutant.read(path)
-    assert (one.name, one.file) == ("one", "x.py")
-    assert one.test.endswith("::test_which_lines_a_mutant_has")
-    # Wherever the lines are, and nowhere else.
-    assert one.applied("zero\nfirst\nsecond\n") == "zero\nfirst\nother\n"
-    for text in ("first\nother\n", 2 * "first\nsecond\n"):
-        with pytest.raises(ValueError, match="one no longer applies"):
-            one.applied(text)
-
-
 def test_diffs_that_are_none(tmp_path):
     path = tmp_path / "one.diff"
     for text, said in (

@@ -147,6 +147,14 @@ def test_files_named_in_the_guide_exist():
             assert (ROOT / name).is_file(), f"{page.name} names {name}"
 
 
+def test_links_of_the_readme_lead_to_files():
+    links = re.findall(r"\]\(([^)]+)\)", read(ROOT / "README.md"))
+    local = [link for link in links if not link.startswith("https://")]
+    assert "docs/images/residual.png" in local
+    for link in local:
+        assert (ROOT / link).is_file(), link
+
+
 def script(path, patch):
     """Import a script of the documentation for as long as `patch` holds."""
     spec = importlib.util.spec_from_file_location(path.stem, path)

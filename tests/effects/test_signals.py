@@ -51,25 +51,6 @@ def test_all_signals_that_vary_are_tried_about_their_mean():
     assert effects.Signal().shapes(moved(signals={})) == []
 
 
-def test_what_cannot_vary_is_refused():
-    with pytest.raises(ValueError, match="of of signal must be one of"):
-        effects.Signal(signal="temperature", of="inertia").fit(X)
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        (WARM[:-1], r"signals\['temperature'\] must have shape"),
-        (np.column_stack([WARM, WARM]), "must have shape"),
-        (np.where(T > 1, np.nan, WARM), "NaN"),
-    ],
-)
-def test_bad_signals_are_refused(values, message):
-    effect = effects.Signal(signal="temperature").fit(X)
-    with pytest.raises(ValueError, match=message):
-        effect.transform(X, signals={"temperature": values})
-
-
 def test_a_data_frame_of_signals_will_do():
     pandas = pytest.importorskip("pandas")
     effect = effects.Signal(signal="voltage").fit(X)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from tests.simulation._machines import GRAVITY, Arm
+from tests.simulation._machines import Arm
 
 NONE = np.zeros(2)
 
@@ -19,31 +19,25 @@ NONE = np.zeros(2)
 class Law:
     """Torques that the drives of the arm must produce beside its bodies'.
 
-    smooth : (q, v, t, way, z) -> (2,), where way is the sign of the velocities since
-    they last turned, and z are states of its own; dry : (v, t) -> (2,), sizes of dry
-    friction; mu : friction over the load (2,); inertia : (2, 2); rate : (q, v, way, z)
-    -> dz/dt; turned : (joint, q), called where a joint turns; payload : (t) -> mass.
+    smooth : (q, v, t) -> (2,); dry : (v, t) -> (2,), sizes of dry friction; mu :
+    friction over the load (2,); inertia : (2, 2); turned : (joint, q), called where a
+    joint turns.
     """
 
-    smooth: object = lambda q, v, t, way, z: NONE
+    smooth: object = lambda q, v, t: NONE
     dry: object = lambda v, t: NONE
     sticks: tuple = (False, False)
     watched: tuple = (False, False)
     mu: np.ndarray = field(default_factory=lambda: np.zeros(2))
     inertia: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
-    z0: tuple = ()
-    rate: object = lambda q, v, way, z: ()
     turned: object = lambda joint, q: None
-    payload: object = lambda t: 0.0
-    gravity: float = GRAVITY
 
 
-def accelerations(law, torque, q, v, z, t, way, stuck):
+def accelerations(law, torque, q, v, t, way, stuck):
     """Accelerations, friction that joints need, and what they have, (2,) each."""
     arm = Arm()
-    M = arm.mass(q, law.payload(t))
-    h = arm.bias(q, v, law.payload(t), law.gravity)
-    dry, smooth = law.dry(v, t), law.smooth(q, v, t, way, z)
+    M, h = arm.mass(q), arm.bias(q, v)
+    dry, smooth = law.dry(v, t), law.smooth(q, v, t)
     moving = np.where(stuck, 0.0, way)
     free = ~stuck
     for signs in itertools.product((1.0, -1.0), repeat=2):
@@ -60,38 +54,37 @@ def accelerations(law, torque, q, v, z, t, way, stuck):
 
 def rests(law, torque, y, t, way):
     """Modes of joints at rest, by trying all of them: way and stuck, (2,) each."""
-    q, v, z = y[:2], y[2:4], y[4:]
+    q, v = y[:2], y[2:]
     still = np.array(law.sticks) & (v == 0)
     choices = [(-1.0, 0.0, 1.0) if s else (w,) for s, w in zip(still, way)]
     for modes in itertools.product(*choices):
         modes = np.array(modes)
         stuck = still & (modes == 0)
-        a, needed, limit = accelerations(law, torque, q, v, z, t, modes, stuck)
+        a, needed, limit = accelerations(law, torque, q, v, t, modes, stuck)
         held = np.abs(needed) <= limit * (1 + 1e-9) + 1e-12
         if np.where(stuck, held, ~still | (a * modes > 0)).all():
             return np.where(still | (v != 0), modes, np.sign(a)), stuck
     raise AssertionError("no modes fit")
 
 
-def follow(law, torque, q0, v0, t, method="DOP853", breaks=()):
-    """States (n, 6), [q | v | a], at times t; breaks are times of jumps."""
-    y = np.array([*q0, *v0, *law.z0], dtype=float)
+def follow(law, torque, q0, v0, t):
+    """States (n, 6), [q | v | a], at times t."""
+    y = np.array([*q0, *v0], dtype=float)
     way, stuck = rests(law, torque, y, t[0], np.sign(v0))
     at, out, row = t[0], np.empty((len(t), 6)), 0
     watched = np.array(law.sticks) | np.array(law.watched)
     while row < len(t):
 
         def rhs(t, x, way=way, stuck=stuck):
-            a, _, _ = accelerations(law, torque, x[:2], x[2:4], x[4:], t, way, stuck)
-            v = np.where(stuck, 0.0, x[2:4])
-            return [*v, *a, *law.rate(x[:2], v, way, x[4:])]
+            a, _, _ = accelerations(law, torque, x[:2], x[2:], t, way, stuck)
+            return [*np.where(stuck, 0.0, x[2:]), *a]
 
         def event(j, way=way, stuck=stuck):
             def turns(t, x):
                 return x[2 + j] * way[j]
 
             def loosens(t, x):
-                state = x[:2], x[2:4], x[4:], t, way, stuck
+                state = x[:2], x[2:], t, way, stuck
                 _, needed, limit = accelerations(law, torque, *state)
                 return limit[j] * (1 + 1e-7) - abs(needed[j])
 
@@ -101,13 +94,12 @@ def follow(law, torque, q0, v0, t, method="DOP853", breaks=()):
 
         events = [event(j) for j in range(2) if watched[j]]
         joints = np.flatnonzero(watched)
-        stop = min([b for b in breaks if b > at] + [t[-1] + 1e-9])
-        wanted = np.array([moment for moment in t[row:] if moment <= stop])
+        wanted = t[row:]
         found = solve_ivp(
             rhs,
-            (at, stop),
+            (at, t[-1] + 1e-9),
             y,
-            method=method,
+            method="DOP853",
             events=events,
             dense_output=True,
             rtol=1e-11,

@@ -146,30 +146,3 @@ def test_a_written_mjcf_has_the_follower(fitted, motion, tmp_path):
     at = fitted.parameter_names_.index("follow:m")
     np.testing.assert_allclose(body.parameters, fitted.theta_[at : at + 10], atol=1e-9)
     assert (body.chain[-1].rate, body.chain[-1].offset) == (-2.5, 0.2)
-
-
-def test_mujoco_closes_the_gripper(fitted, tmp_path):
-    """The equality that is written moves the follower with its leader."""
-    mujoco = pytest.importorskip("mujoco")
-    fitted.to_mjcf(tmp_path / "identified.xml")
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "identified.xml"))
-    data = mujoco.MjData(model)
-    data.qpos[3] = 0.2
-    data.ctrl[2] = 5.0
-    for _ in range(400):
-        mujoco.mj_step(model, data)
-    assert abs(data.qpos[2]) > 0.02
-    assert data.qpos[3] == pytest.approx(0.2 - 2.5 * data.qpos[2], abs=1e-3)
-
-
-def test_fixed_bodies_include_those_of_followers(path, motion):
-    full = pin.buildModelFromUrdf(str(path))
-    tau = torques(full, *motion) + VISCOUS * motion[1]
-    robot = RobotIdentifier(str(path), dt=DT, friction=("viscous",), bodies="fixed")
-    robot.fit(motion[0], tau)
-    at = robot.parameter_names_.index("follow:m")
-    follow = full.inertias[full.getJointId("follow")].toDynamicParameters()
-    np.testing.assert_allclose(robot.theta_[at : at + 10], follow)
-    found = dict(zip(robot.parameter_names_, robot.theta_))
-    for name, value in zip(robot.joint_names_, VISCOUS):
-        assert found[f"{name}:viscous"] == pytest.approx(value, rel=1e-6)

@@ -33,21 +33,6 @@ def noisy_wave():
 # -- exactness
 
 
-@pytest.mark.parametrize("cutoff", [2.0, 10.0, 40.0])
-def test_parabolas_are_exact_up_to_the_ends(cutoff):
-    # The third derivative is what costs: a parabola is free of it.
-    t = np.arange(400) * DT
-    q = np.column_stack([3 - 2 * t, 1 + t - 4 * t**2])
-    states = StateEstimator(DT, cutoff=cutoff).fit_transform(q)
-    ones = np.ones_like(t)
-    np.testing.assert_allclose(states[:, :2], q, atol=1e-9)
-    np.testing.assert_allclose(
-        states[:, 2:4], np.column_stack([-2 * ones, 1 - 8 * t]), atol=1e-7
-    )
-    # second derivatives magnify rounding by 1 / h^2
-    np.testing.assert_allclose(states[:, 4:], [[0.0, -8.0]] * 400, atol=1e-5)
-
-
 def test_interpolation_keeps_samples_and_quintics():
     t = np.arange(400) * DT
     polynomial = np.polynomial.Polynomial([1, -2, 3, 1, -1, 0.5])

@@ -4,7 +4,6 @@ import numpy as np
 
 from sklearn_vbjfa.effects import (
     AsymmetricFriction,
-    Backlash,
     Coupling,
     Drift,
     LoadFriction,
@@ -73,26 +72,6 @@ def test_maxwell_slip():
     )
     found = compare([(MaxwellSlip(0, tuple(d)), F)], law, exact=5e-4)
     assert turns(found)[0] >= 1
-
-
-def test_backlash():
-    k, c, half = 20.0, 0.4, 0.05
-    last = [Q0[1]]
-
-    def follows(q):
-        return min(max(last[0], q - half), q + half)
-
-    def turned(joint, q):
-        if joint == 1:
-            last[0] = follows(q[1])
-
-    law = Law(
-        smooth=beside(lambda q, v, t: (0.0, k * follows(q[1]) + c)),
-        watched=(False, True),
-        turned=turned,
-    )
-    found = compare([(Backlash(1, 2 * half), [k, c])], law, exact=5e-4)
-    assert turns(found)[1] >= 2
 
 
 def test_everything_at_once():

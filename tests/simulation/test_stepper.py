@@ -11,7 +11,7 @@ from hypothesis import given, settings  # noqa: E402
 from hypothesis import strategies as st  # noqa: E402
 
 from sklearn_vbjfa import effects  # noqa: E402
-from sklearn_vbjfa.effects import Effect, Stateful  # noqa: E402
+from sklearn_vbjfa.effects import Stateful  # noqa: E402
 from sklearn_vbjfa.simulation import Stepper  # noqa: E402
 from tests.simulation._random_robots import (  # noqa: E402
     DT,
@@ -96,21 +96,6 @@ def test_reset_begins_a_recording():
     )
 
 
-class Everywhere(Effect):
-    """Effect of one's own on all joints, of everything that a motion has."""
-
-    name = "everywhere"
-    coefficients = ("c",)
-    units = (("N m", "N"),)
-    needs = ("load", "time")
-    whole_robot = True
-
-    def columns(self, motion):
-        moved = motion.rigid(motion.q + 0.1, motion.v, motion.a)
-        own = motion.last_body()[:, :, 0] + motion.load + motion.torque
-        return (moved + own * motion.known_time()[:, None])[:, :, None]
-
-
 class Summed(Stateful):
     """Effect of one's own with a memory: the distance travelled."""
 
@@ -147,22 +132,17 @@ def with_effects(rng, own, nv=3):
     """Return a predictor with effects of one's own, beside a hysteresis."""
     predictor = random_predictor(rng, nv, ["maxwell_slip"])
     widths = sum(len(effect.coefficients) for effect in own)
-    plain = sum(len(e.coefficients) for e in own if "load" not in e.needs)
-    made = replace(
+    return replace(
         predictor,
         plan=replace(predictor.plan, effects=(*predictor.effects_, *own)),
         theta_=np.r_[predictor.theta_, rng.normal(size=widths)],
-        load_parameters=np.r_[predictor.load_parameters, rng.normal(size=plain)],
+        load_parameters=np.r_[predictor.load_parameters, rng.normal(size=widths)],
     )
-    if made.plan.timed:
-        made = replace(made, plan=replace(made.plan, time=(2.0, 4.0)))
-    return made
 
 
 def test_effects_of_ones_own():
     rng = np.random.default_rng(3)
-    own = (Everywhere(joint=0), Remembering(joint=2))
-    predictor = with_effects(rng, own)
+    predictor = with_effects(rng, (Remembering(joint=2),))
     X = random_motion(rng, 3)
     stepper = Stepper(predictor.torque_model())
     assert stepper.left_out_ == ()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sklearn_vbjfa.model._mjcf import write_tree_of
+from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.model._mjcf_reading import read_mjcf
 from sklearn_vbjfa.model._trees import (
     ROUNDING,
@@ -152,8 +152,8 @@ def movable_joints(path):
 
 def write_reduced(path, target, moving, base_orientation=None):
     """Write a copy of a description in which all but some joints are fixed at zero."""
-    # Of an MJCF file the copy has the bodies and joints alone. Returns the joints that
-    # were fixed, without that of a free base.
+    # Of an MJCF file the copy is a URDF of its bodies and joints. Returns the joints
+    # that were fixed, without that of a free base.
     path = Path(path)
     tree = parse_description(path)
     is_mjcf = _is_mjcf(tree, path)
@@ -162,7 +162,8 @@ def write_reduced(path, target, moving, base_orientation=None):
     reduced = robot.held(moving)
     if is_mjcf:
         reduced.check()
-        write_tree_of(reduced, target)
+        _check_gravity(reduced)
+        write_whole(target, text_of_tree(reduced.model, reduced.links))
     else:
         tree, base = parse_description(path), None
         if base_orientation is not None:
@@ -172,6 +173,16 @@ def write_reduced(path, target, moving, base_orientation=None):
         hold_in_urdf(tree, reduced.names, reduced.links, base)
         write_tree(tree, target)
     return tuple(name for name in robot.in_file_order if name not in reduced.names)
+
+
+def _check_gravity(robot):
+    """Refuse a robot whose gravity a URDF, which has none, would change."""
+    usual = import_pinocchio().Model().gravity.linear
+    if not np.allclose(robot.model.gravity.linear, usual):
+        raise ValueError(
+            f"{robot.called} has another gravity than {usual} m/s^2, which a copy "
+            "without the held joints would lose; take them out of the file itself."
+        )
 
 
 def is_urdf(source):
@@ -210,7 +221,7 @@ def _is_mjcf(tree, path):
 def _read(tree, path):
     """Return what a description says, `Description`."""
     if _is_mjcf(tree, path):
-        return read_mjcf(tree.getroot(), path, parse_description)
+        return read_mjcf(path, tree.getroot().get("model", "robot"))
     return read_urdf(tree, path)
 
 
@@ -226,7 +237,7 @@ def _folded(tree, path, moving=None, base=None):
     found = fold(robot.model, folded)
     apart = [name for name in links if name not in folded]
     said = [*said, *robot.left_out]
-    _warn([*said, *_left_out(apart, found.full, robot.massless)], path.name)
+    _warn([*said, *_left_out(apart, found.full)], path.name)
     for one in (found.model, found.still):
         with_extension(one)
     return found
@@ -239,10 +250,9 @@ def _warn(said, name, stacklevel=5):
         warnings.warn(text, UserWarning, stacklevel=stacklevel)
 
 
-def _left_out(mimics, model, between=()):
+def _left_out(mimics, model):
     """Sentences on what of a description does not enter the model."""
-    # mimics: joints that are to follow others and could not be folded; between: those
-    # that move another joint and nothing else.
+    # mimics: joints that are to follow others and could not be folded
     names = joint_names(model)
     found = []
     if mimics:
@@ -253,13 +263,6 @@ def _left_out(mimics, model, between=()):
         )
     possible = solid_bodies(nominal_parameters(model), _POSSIBLE)
     wrong = [name for name, good in zip(names, possible) if not good]
-    between = [name for name in wrong if name in between]
-    wrong = [name for name in wrong if name not in between]
-    if between:
-        found.append(
-            f"there is no mass between {', '.join(between)} and the next joint of the "
-            "same body; it is taken as a ball where the recording cannot tell"
-        )
     if wrong:
         found.append(
             f"what {', '.join(wrong)} move(s) has no mass, or an inertia that no solid "

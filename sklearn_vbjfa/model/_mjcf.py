@@ -5,7 +5,6 @@ URDF is needed, no shape and no mesh. What a passive joint of MuJoCo cannot hold
 constant and a spring without stable rest, is the bias of the joint's motor.
 """
 
-import functools
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 
@@ -176,20 +175,15 @@ def _quaternion(rotation):
     return numbers([turn.w, turn.x, turn.y, turn.z])
 
 
-def _placed_body(carrier, name, placement):
-    """Add a body without mass; return its element."""
-    return ElementTree.SubElement(
+def _body(carrier, name, placement, phi):
+    """Add a body with its mass; return its element."""
+    body = ElementTree.SubElement(
         carrier,
         "body",
         name=name,
         pos=numbers(placement.translation),
         quat=_quaternion(placement.rotation),
     )
-
-
-def _body(carrier, name, placement, phi):
-    """Add a body with its mass; return its element."""
-    body = _placed_body(carrier, name, placement)
     mass, com, inertia = body_about_com(phi)
     # MuJoCo diagonalises full matrices, to six digits only until version 3.3.
     principal, axes = np.linalg.eigh(inertia)
@@ -320,74 +314,3 @@ class _Tree:
             if any(bias):
                 motor.set("biastype", "affine")
                 motor.set("biasprm", numbers(bias))
-
-
-# -- robots to be read again -----------------------------------------------------------
-
-
-def write_tree_of(robot, target):
-    """Write the bodies and joints of a `Description` as MJCF, to be read again."""
-    model, shape = robot.model, describe(robot.model)
-    root = ElementTree.Element("mujoco", model=model.name)
-    ElementTree.SubElement(
-        root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false"
-    )
-    ElementTree.SubElement(root, "option", gravity=numbers(model.gravity.linear))
-    elements = {-1: ElementTree.SubElement(root, "worldbody")}
-    waiting = {}
-    for j, parent in enumerate(shape.parents.tolist()):
-        chain = [*waiting.pop(parent, ()), j]
-        if robot.names[j] in robot.massless:
-            # MuJoCo has several joints of one body rather than bodies without mass.
-            waiting[j] = chain
-            continue
-        places = [model.jointPlacements[k + 1] for k in chain]
-        carrier = elements[int(shape.parents[chain[0]])]
-        elements[j] = _chain_of_joints(carrier, robot, shape, chain, places)
-    if robot.links:
-        equality = ElementTree.SubElement(root, "equality")
-        for name, link in robot.links.items():
-            ElementTree.SubElement(
-                equality,
-                "joint",
-                joint1=name,
-                joint2=link.leader,
-                polycoef=numbers([link.offset, link.multiplier, 0.0, 0.0, 0.0]),
-            )
-    write_tree(ElementTree.ElementTree(root), target)
-
-
-def _chain_of_joints(carrier, robot, shape, chain, places):
-    """Add a body with the joints of a chain; return its element."""
-    pin, model = import_pinocchio(), robot.model
-    placement = functools.reduce(lambda a, b: a * b, places)
-    body = _placed_body(carrier, body_names(model)[chain[-1]], placement)
-    inertia = model.inertias[chain[-1] + 1]
-    if inertia.mass > 0 or inertia.inertia.any():
-        (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.inertia
-        ElementTree.SubElement(
-            body,
-            "inertial",
-            pos=numbers(inertia.lever),
-            mass=number(inertia.mass),
-            fullinertia=numbers([xx, yy, zz, xy, xz, yz]),
-        )
-    behind, joints = pin.SE3.Identity(), []
-    for j, place in zip(reversed(chain), reversed(places)):
-        here = behind.inverse()
-        joint = ElementTree.Element(
-            "joint",
-            name=robot.names[j],
-            type="hinge" if shape.turns[j] else "slide",
-            axis=numbers(here.rotation @ shape.axes[j]),
-            pos=numbers(here.translation),
-        )
-        ends = model.lowerPositionLimit[j], model.upperPositionLimit[j]
-        if np.isfinite(ends).all():
-            joint.set("range", numbers(ends))
-        if model.armature[j] > 0:
-            joint.set("armature", number(model.armature[j]))
-        joints.insert(0, joint)
-        behind = place * behind
-    body.extend(joints)
-    return body

@@ -6,7 +6,6 @@ coordinates, and names what it cannot keep.
 """
 
 import re
-import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 
@@ -18,18 +17,11 @@ from sklearn_vbjfa.model._trees import (
     import_pinocchio,
 )
 
-# Files that one robot may include, and elements inside elements.
-_MOST_FILES, _DEEPEST = 100, 300
-# Elements that MuJoCo's compiler turns into bodies of their own: few characters make
-# any number of them.
-_MACROS = ("composite", "flexcomp", "replicate", "attach")
-# What is read of a file; the rest needs files or memory that joints have no use for.
-_READ = ("compiler", "option", "default", "worldbody", "tendon", "equality")
+# Elements that need files or plugins, and that joints have no use for.
+_UNUSED = ("actuators", "hfields", "keys", "materials", "sensors", "skins", "textures")
+# What of a compiled model must be finite.
+_FINITE = ("body_pos", "body_mass", "body_inertia", "jnt_pos", "jnt_axis", "qpos0")
 _LOOP = "closes a loop, and only trees of joints can be identified"
-_SAVE = (
-    "load the file with MuJoCo, save what it made of it (mujoco.mj_saveLastXML), and "
-    "give that file"
-)
 
 
 def import_mujoco():
@@ -44,92 +36,34 @@ def import_mujoco():
     return mujoco
 
 
-def read_mjcf(root, path, parse):
-    """Read all bodies and joints of an MJCF file; the tree of `root` is changed."""
-    # parse: function of a path to an `ElementTree`, for included files. A ValueError
-    # names the file.
+def read_mjcf(path, name):
+    """Read all bodies and joints of an MJCF file."""
     mujoco = import_mujoco()
     try:
-        _include(root, path, parse, {path.resolve()})
-        n_actuators = sum(map(len, root.findall("actuator")))
-        _keep_what_is_read(root)
-        spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, "unicode"))
-        spec.modelfiledir = str(path.parent)
-        _drop_meshes(mujoco, spec)
+        spec = mujoco.MjSpec.from_file(str(path))
+        n_actuators = len(spec.actuators)
+        _drop_what_is_not_read(mujoco, spec)
         model = spec.compile()
+        for key in _FINITE:
+            if not np.isfinite(getattr(model, key)).all():
+                raise ValueError(f"{key} has a number that is not finite")
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         words = re.sub(r"(XML )?Error: |,? line \d+", " ", str(error))
         raise ValueError(
             f"{str(path)!r} is not readable as MJCF: {' '.join(words.split())}; "
             "correct the description."
         ) from error
-    return _robot(mujoco, model, root.get("model", "robot"), path, n_actuators)
+    return _robot(mujoco, model, name, path, n_actuators)
 
 
-def _include(element, path, parse, files, depth=0):
-    """Put the content of included files in the place of what names them."""
-    if depth > _DEEPEST:
-        raise ValueError(f"elements are nested more than {_DEEPEST} deep")
-    children = []
-    for child in list(element):
-        if child.tag != "include":
-            _include(child, path, parse, files, depth + 1)
-            children.append(child)
-            continue
-        name = child.get("file", "")
-        target = path.parent / name
-        if not name or not target.is_file():
-            raise ValueError(
-                f"it includes {name[:60]!r}, and there is no file {str(target)!r}"
-            )
-        if target.resolve() in files:
-            raise ValueError(f"it includes {name[:60]!r} twice")
-        if len(files) > _MOST_FILES:
-            raise ValueError(f"it includes more than {_MOST_FILES} files")
-        files.add(target.resolve())
-        included = parse(target).getroot()
-        _include(included, path, parse, files, depth)
-        children += included
-    element[:] = children
-
-
-def _keep_what_is_read(root):
-    """Keep bodies, constraints and meshes; refuse macros and numbers that are none."""
-    if root.find("worldbody") is None:
-        raise ValueError("it has no <worldbody>")
-    for assets in root.findall("asset"):
-        assets[:] = assets.findall("mesh")
-    root[:] = [one for one in root if one.tag in (*_READ, "asset")]
-    for element in root.iter():
-        if element.tag in _MACROS:
-            raise ValueError(
-                f"<{element.tag}> creates bodies, which is not supported: {_SAVE}"
-            )
-        element.attrib.pop("material", None)
-        for key, text in element.attrib.items():
-            if not _is_possible(key, text):
-                raise ValueError(
-                    f"<{element.tag}> has {key}={text[:60]!r}, expected finite numbers"
-                )
-
-
-def _is_possible(key, text):
-    """Whether an attribute is not a list of numbers with an infinite one or none."""
-    try:
-        values = np.array([float(x) for x in text.split()])
-    except ValueError:
-        return True
-    wrong = np.isnan(values) if key == "range" else ~np.isfinite(values)
-    return not wrong.any()
-
-
-def _drop_meshes(mujoco, spec):
-    """Take out shapes that need files and have no part in the masses."""
+def _drop_what_is_not_read(mujoco, spec):
+    """Take out what needs files and has no part in the masses."""
     mesh, kinds = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtInertiaFromGeom
     how = spec.compiler.inertiafromgeom
     low, high = spec.compiler.inertiagrouprange
     used = set()
     for geom in list(spec.geoms):
+        geom.material = ""
         if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
             spec.delete(geom)
         elif geom.type == mesh or geom.meshname:
@@ -144,6 +78,9 @@ def _drop_meshes(mujoco, spec):
                 used.add(geom.meshname)
     for one in list(spec.meshes):
         if one.name not in used:
+            spec.delete(one)
+    for kind in _UNUSED:
+        for one in list(getattr(spec, kind)):
             spec.delete(one)
 
 
@@ -160,11 +97,6 @@ def _robot(mujoco, model, name, path, n_actuators):
         called=called,
         links=links,
         closures=tuple(closures),
-        bodies=tuple(
-            tuple(names["joint"][first : first + n])
-            for first, n in zip(model.body_jntadr, model.body_jntnum)
-            if n > 1
-        ),
         left_out=tuple(_left_out(model, tree, n_actuators, nameless)),
     )
 

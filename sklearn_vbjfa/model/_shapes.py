@@ -159,11 +159,8 @@ def _hull(coal, points, mesh):
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        try:
-            hull = ConvexHull(points)
-        except QhullError:
-            # A flat mesh has no volume; jostling its points gives it one.
-            hull = ConvexHull(points, qhull_options="QJ")
+        # A flat mesh has no volume; jostling its points gives it one.
+        hull = ConvexHull(points, qhull_options="QJ")
     except (QhullError, ValueError) as error:
         raise NoShapes(
             f"The mesh {mesh!r} has no convex hull, it has {len(points)} points; "

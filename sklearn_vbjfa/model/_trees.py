@@ -337,7 +337,6 @@ class Description:
     listed: tuple = ()  # names of the joints as listed, which may be any order
     links: dict = field(default_factory=dict)  # name -> `Link`
     closures: tuple = ()
-    bodies: tuple = ()  # names of the joints of one body, for each that has several
     left_out: tuple = ()  # sentences on what does not enter the model
 
     @property
@@ -362,12 +361,6 @@ class Description:
         kinds = [joint.shortname() for joint in self.model.joints][1:]
         pairs = zip(self.names, kinds)
         return [name for name, kind in pairs if kind == "JointModelFreeFlyer"]
-
-    @property
-    def massless(self):
-        """Names of joints that move the next joint of the same body and no mass."""
-        kept = [[x for x in body if x in self.names] for body in self.bodies]
-        return [name for body in kept for name in body[:-1]]
 
     def with_base(self, name, turn=None):
         """Hold the free joint at the root; return the robot, and its base's axes."""

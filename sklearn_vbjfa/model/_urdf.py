@@ -2,18 +2,14 @@
 
 A URDF is a tree by its own rules. Loops are written in extensions of simulators,
 which readers ignore, or against the rules, which they refuse without a reason.
-A description is checked before a parser sees it, since these do not limit the depth.
 """
 
 import contextlib
 import os
 import re
-import shlex
 import tempfile
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from xml.parsers import expat
-from xml.parsers.expat import ExpatError
 
 import numpy as np
 
@@ -33,8 +29,6 @@ from sklearn_vbjfa.model._trees import (
 )
 from sklearn_vbjfa.physical import inertia_matrix
 
-# Robots of a hundred joints stay far below.
-_DEEPEST, _MOST_ELEMENTS, _MOST_ATTRIBUTES = 100, 200_000, 1000
 # Kinds of joints that have an axis, and elements that a fixed joint has no use for.
 _AXIAL = ("revolute", "continuous", "prismatic")
 _MOTION = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
@@ -95,59 +89,17 @@ def parse_description(path):
 def parse_text(content, path):
     """Parse the bytes of a description; path : what messages name."""
     try:
-        _check_structure(content)
         root = ElementTree.fromstring(content)
-    except (ElementTree.ParseError, ExpatError, LookupError, ValueError) as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:
         raise ValueError(
             f"{str(path)!r} is not readable as URDF or MJCF (XML): {error}. "
             "A xacro file must be expanded first: xacro FILE > robot.urdf"
         ) from error
     if any("xacro" in str(one.tag).rpartition("}")[0] for one in root.iter()):
         raise ValueError(
-            f"{str(path)!r} is a xacro file; expand it first: {_expanding(path)}"
+            f"{str(path)!r} is a xacro file; expand it first: xacro FILE > robot.urdf"
         )
     return ElementTree.ElementTree(root)
-
-
-def _expanding(path):
-    """Return the command that makes a URDF of a xacro file."""
-    path = Path(path)
-    stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
-    if not path.name.endswith(".xacro"):
-        stem += "-expanded"
-    return f"xacro {shlex.quote(str(path))} > {shlex.quote(f'{stem}.urdf')}"
-
-
-def _check_structure(content):
-    """Refuse XML that is not a robot's, before a parser makes a tree of it."""
-    # Parsers call themselves once a level: a file of some hundred kilobytes can overrun
-    # the stack of the process.
-    depth, elements = 0, 0
-
-    def start(name, attributes):
-        nonlocal depth, elements
-        depth, elements = depth + 1, elements + 1
-        if depth > _DEEPEST:
-            raise ValueError(f"elements are nested more than {_DEEPEST} deep")
-        if elements > _MOST_ELEMENTS:
-            raise ValueError(f"there are more than {_MOST_ELEMENTS} elements")
-        if len(attributes) > _MOST_ATTRIBUTES:
-            raise ValueError(f"<{name}> has more than {_MOST_ATTRIBUTES} attributes")
-
-    def end(name):
-        nonlocal depth
-        depth -= 1
-
-    def entity(name, *rest):
-        raise ValueError(
-            f"it declares the entity {name[:40]!r}, write what it stands for"
-        )
-
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.EntityDeclHandler = entity
-    parser.Parse(content, True)
 
 
 # -- reading ---------------------------------------------------------------------------
@@ -222,9 +174,9 @@ def _build(root, called):
             limit.set("velocity", "1e12")
         limit.set("lower", "-1e12")
         limit.set("upper", "1e12")
-    text = ElementTree.tostring(root, encoding="unicode")
     build, said = import_pinocchio().buildModelFromXML, []
     try:
+        text = ElementTree.tostring(root, encoding="unicode")
         with _parser_messages(said):
             model = build(text)
     except (ValueError, RuntimeError) as error:

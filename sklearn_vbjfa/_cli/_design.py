@@ -10,7 +10,7 @@ from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _gravity, _input
 from sklearn_vbjfa._cli._parser import Refused, command_line, spelled
 from sklearn_vbjfa._cli._run import Done
-from sklearn_vbjfa._core._progress import stage
+from sklearn_vbjfa._core._progress import say
 from sklearn_vbjfa.design import (
     KnownRobot,
     MotionLimits,
@@ -95,16 +95,16 @@ def _motion(arguments, robot, found):
     """Design the motion, refused if it goes beyond the limits."""
     names = robot.known.joint_names
     limits = _limits(arguments, robot)
-    with stage(f"designing {arguments.duration:g} s for {len(names)} joints"):
-        motion = design_motion(
-            robot.known,
-            duration=arguments.duration,
-            dt=arguments.dt or _period(robot, found),
-            limits=limits,
-            effects=arguments.effects or (),
-            report=found,
-            random_state=arguments.seed,
-        )
+    say(f"designing {arguments.duration:g} s for {len(names)} joints")
+    motion = design_motion(
+        robot.known,
+        duration=arguments.duration,
+        dt=arguments.dt or _period(robot, found),
+        limits=limits,
+        effects=arguments.effects or (),
+        report=found,
+        random_state=arguments.seed,
+    )
     if not motion.within_limits:
         raise ValueError(
             f"no motion within the limits was found: {_summary.exceeded(motion)}; "

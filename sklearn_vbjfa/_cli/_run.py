@@ -101,10 +101,8 @@ def _notes(caught):
 
 def _write(done, arguments, notes):
     """Write all files or none, each complete; return their folder and lines."""
-    from sklearn_vbjfa._core._progress import stage
-
     folder = done.folder
-    with stage("writing"), _reserved(folder) as part:
+    with _reserved(folder) as part:
         there = [name for name in done.files if (folder / name).exists()]
         if there and not arguments.force:
             raise Refused(

@@ -16,13 +16,11 @@ than the noise, as the fit absorbs part of it in each block; the correction is e
 white noise.
 """
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg, optimize
 from scipy.linalg import lapack
-from scipy.sparse import csgraph
 
 # Rounding of a constant column is a few units in the last place of its values; a
 # spread below this fraction of its mean carries no data.
@@ -35,8 +33,6 @@ ROUNDING = 4 * float(np.finfo(float).eps)
 # Share of a standardised column's variance below which a dependency counts as exact:
 # a generous bound on the rounding of second moments.
 DEPENDENCY_TOLERANCE = 1e-9
-# Matrices of at least so many rows are taken apart into what has nothing in common.
-_LARGE = 100
 # Beyond this many dependent columns the search for extreme rays is not worth its cost.
 _MOST_RAYS = 500
 
@@ -194,8 +190,6 @@ class ScaledEigen:
     values: np.ndarray  # (p,): eigenvalues of the scaled matrix, ascending
     vectors: np.ndarray  # (p, p): eigenvectors, in scaled coordinates
     known: np.ndarray  # (p,): directions above the tolerance
-    # places of rows that have nothing in common with others, and their eigenvectors
-    parts: tuple
 
     @property
     def rank(self):
@@ -237,11 +231,8 @@ class ScaledEigen:
 
     def inverse(self):
         """Pseudo-inverse of A in scaled columns, ndarray of shape (p, p)."""
-        scaled = np.zeros(self.vectors.shape)
-        for rows, columns in self.parts:
-            own = columns[self.known[columns]]
-            V = self.vectors[np.ix_(rows, own)]
-            scaled[np.ix_(rows, rows)] = (V * (1.0 / self.values[own])) @ V.T
+        V = self.known_vectors
+        scaled = (V / self.known_values) @ V.T
         return scaled / np.outer(self.scale, self.scale)
 
     def solve(self, b):
@@ -263,36 +254,13 @@ def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
         diagonal = np.diagonal(A)
         scale = np.sqrt(or_one(diagonal))
     scale = np.broadcast_to(np.asarray(scale, dtype=float), (p,))
-    values, vectors, parts = _eigen(A / np.outer(scale, scale))
+    values, vectors = linalg.eigh(A / np.outer(scale, scale))
     limit = p * ROUNDING if tolerance is None else tolerance
     if relative:
         limit = limit * max(values[-1], 0.0) if p else limit
     return ScaledEigen(
-        scale=scale, values=values, vectors=vectors, known=values > limit, parts=parts
+        scale=scale, values=values, vectors=vectors, known=values > limit
     )
-
-
-def _eigen(A):
-    """Eigenvalues, ascending, vectors and `ScaledEigen.parts` of a matrix (p, p)."""
-    p = A.shape[0]
-    label = np.zeros(p, dtype=int)
-    if p >= _LARGE:
-        label = csgraph.connected_components(A != 0, directed=False)[1]
-    if not label.any():
-        every = np.arange(p)
-        return *linalg.eigh(A), ((every, every),)
-    values, vectors, rows = np.empty(p), np.zeros((p, p)), []
-    at = 0
-    for k in range(label.max() + 1):
-        rows.append(np.flatnonzero(label == k))
-        own = np.arange(at, at := at + rows[-1].size)
-        found = linalg.eigh(A[np.ix_(rows[-1], rows[-1])])
-        values[own], vectors[np.ix_(rows[-1], own)] = found
-    order = np.argsort(values, kind="stable")
-    vectors, place = vectors[:, order], np.argsort(order)
-    ends = np.cumsum([0, *map(len, rows)])
-    columns = [np.sort(place[a:b]) for a, b in itertools.pairwise(ends)]
-    return values[order], vectors, tuple(zip(rows, columns))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -400,17 +368,7 @@ def block_variance(grams, scores, place, noise=1.0):
     # H^-1 = L L'
     eigen = scaled_eigen(H, _RANK)
     L = np.where(used[:, None], eigen.inverse_root(), 0.0)
-    # Places of each part among the parameters and among the known directions.
-    parts = [
-        (rows, np.flatnonzero(eigen.known)[None] == columns[:, None])
-        for rows, columns in eigen.parts
-    ]
-    parts = [(rows, np.flatnonzero(own.any(axis=0))) for rows, own in parts]
-    K = np.zeros((grams.shape[0], L.shape[1], L.shape[1]))
-    for rows, own in parts:
-        part = L[np.ix_(rows, own)]
-        every = slice(None), own[:, None], own
-        K[every] = part.T @ (grams[:, rows[:, None], rows] @ part)
+    K = L.T @ (grams @ L)
     s = scores @ L
     place = np.array(place)
     while True:
@@ -420,10 +378,7 @@ def block_variance(grams, scores, place, noise=1.0):
             break
         K, s, place = _join(K, s, place)
     d = s @ L.T
-    through = np.zeros((K.shape[0], L.shape[1], L.shape[0]))
-    for rows, own in parts:
-        part = K[:, own[:, None], own] @ L[np.ix_(rows, own)].T
-        through[:, own[:, None], rows] = part
+    through = K @ L.T
     # Variance of each block without the fit, and what the fit leaves of it.
     alone = np.einsum("ir,bri->bi", L, through)
     left = alone - (through**2).sum(axis=1)

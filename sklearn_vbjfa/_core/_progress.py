@@ -1,73 +1,42 @@
-"""Progress bars of long runs, drawn by tqdm on terminals alone."""
+"""Progress of long runs: one line on a terminal, drawn by tqdm."""
 
 import contextlib
 import contextvars
-import os
 import sys
 
-# The bars under way, the outermost first; None where nothing is shown. Threads that a
-# stage starts have contexts without bars: their caller counts for them.
-_BARS = contextvars.ContextVar("sklearn_vbjfa_bars", default=None)
+# The line that is shown, if any. Threads have contexts without it: their caller counts
+# for them.
+_LINE = contextvars.ContextVar("sklearn_vbjfa_line", default=None)
 
 
 @contextlib.contextmanager
 def show_progress(verbose=1):
-    """Show the stages within a ``with`` on stderr if that is a terminal."""
-    silenced = os.environ.get("TQDM_DISABLE", "") not in ("", "0")
+    """Show what a ``with`` does on stderr if that is a terminal."""
     terminal = sys.stderr is not None and sys.stderr.isatty()
-    if not verbose or silenced or not terminal or _BARS.get() is not None:
+    if not (verbose and terminal) or _LINE.get() is not None:
         yield
-        return
-    token = _BARS.set([])
-    try:
-        yield
-    finally:
-        _BARS.reset(token)
-
-
-@contextlib.contextmanager
-def stage(text, total=None, unit="it"):
-    """Name what is done within a ``with``, of `total` units; yields ``step(count)``."""
-    bars = _BARS.get()
-    if bars is None:
-        yield _ignore
         return
     from tqdm import tqdm
 
-    counted_form = "{desc}: {n_fmt} of {total_fmt} {unit} |{bar:20}| {elapsed}"
-    with tqdm(
-        desc=text,
-        total=total,
-        unit=unit,
-        file=sys.stderr,
-        disable=False,
-        leave=False,
-        dynamic_ncols=True,
-        bar_format="{desc}{postfix} {elapsed}"
-        if total is None
-        else counted_form + "<{remaining}{postfix}",
-    ) as bar:
-        bars.append(bar)
+    form = {"bar_format": "{desc} {elapsed}", "leave": False, "dynamic_ncols": True}
+    with tqdm(file=sys.stderr, **form) as line:
+        token = _LINE.set(line)
         try:
-            yield bar.update
+            yield
         finally:
-            bars.remove(bar)
+            _LINE.reset(token)
 
 
-def counted(items, text, unit="it", sizes=None):
-    """Yield items, in a stage that counts them, or their sizes."""
-    sizes = len(items) * [1] if sizes is None else sizes
-    with stage(text, sum(sizes), unit) as step:
-        for item, size in zip(items, sizes):
-            yield item
-            step(size)
+def say(text):
+    """Say in the line what is done."""
+    line = _LINE.get()
+    if line is not None:
+        line.set_description_str(text, refresh=False)
+        line.update(0)
 
 
-def say(note):
-    """Add a note to the innermost stage."""
-    for bar in (_BARS.get() or [])[-1:]:
-        bar.set_postfix_str(note)
-
-
-def _ignore(count=1):
-    """Take a step that nobody sees."""
+def counted(items, text, total):
+    """Yield items, of which there are so many, and say which."""
+    for k, item in enumerate(items):
+        say(f"{text}: {k + 1} of {total}")
+        yield item

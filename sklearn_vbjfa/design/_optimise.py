@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from sklearn_vbjfa._core._progress import say, stage
+from sklearn_vbjfa._core._progress import counted, say
 
 # Evidence at which two causes count as told apart: a sum of squared differences of 50
 # noise variances is a difference of log likelihoods of 25.
@@ -325,20 +325,16 @@ def optimise(problem, starts):
         options = {"maxiter": _STEPS, "maxcor": 20}
         return minimize(lagrangian, x, jac=True, method="L-BFGS-B", options=options)
 
-    with stage("improving", len(starts) + _ROUNDS - 1, "rounds") as step:
-        tried = []
-        for z in starts:
-            tried.append(improved(z.ravel()))
-            step()
-        first = int(np.argmin([one.fun for one in tried]))
-        found, before = tried[first], np.inf
-        for _ in range(_ROUNDS - 1):
-            worst = lagrangian.tighten(found.x)
-            if worst < _TOLERATED and abs(before - found.fun) < 0.05:
-                break
-            say(f"limits exceeded by {max(worst, 0.0):.1%}")
-            found, before = improved(found.x), found.fun
-            step()
+    some = counted(starts, "improving start", len(starts))
+    tried = [improved(z.ravel()) for z in some]
+    first = int(np.argmin([one.fun for one in tried]))
+    found, before = tried[first], np.inf
+    for _ in range(_ROUNDS - 1):
+        worst = lagrangian.tighten(found.x)
+        if worst < _TOLERATED and abs(before - found.fun) < 0.05:
+            break
+        say(f"limits exceeded by {max(worst, 0.0):.1%}")
+        found, before = improved(found.x), found.fun
     return found.x.reshape(lagrangian.shape), starts[first]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa._core._progress import show_progress, stage
+from sklearn_vbjfa._core._progress import say, show_progress
 from sklearn_vbjfa.diagnosis.explain import (
     NO_INFORMATION,
     FinalFit,
@@ -317,21 +317,21 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _close(self, model, whole, commanded, offered, library, unusable, names):
         """Close the loop on a checked recording; return what `make_outcome` does."""
-        with stage("channels"):
-            channels, silent = self._check_channels(model, whole)
-            for found in (x.value for x in channels if x.kind == "delay"):
-                late = clone(self.identifier).fit_inspected(whole, found).torque_lag_
-                whole, commanded = (
-                    x.with_torques_shifted(late) for x in (whole, commanded)
-                )
-            channels += unusable
-        with stage("declared model"):
-            split = split_in_time(self.identifier, whole, self.test_size)
-            part = split.searched(whole)
-            self.declared_ = clone(self.identifier).fit_inspected(part)
-            self.baseline_ = self.declared_
-            if set(declarable()) - set(self.declared_.features_.friction_):
-                self.baseline_ = self._with_plain_terms().fit_inspected(part)
+        say("channels")
+        channels, silent = self._check_channels(model, whole)
+        for found in (x.value for x in channels if x.kind == "delay"):
+            late = clone(self.identifier).fit_inspected(whole, found).torque_lag_
+            whole, commanded = (
+                x.with_torques_shifted(late) for x in (whole, commanded)
+            )
+        channels += unusable
+        say("declared model")
+        split = split_in_time(self.identifier, whole, self.test_size)
+        part = split.searched(whole)
+        self.declared_ = clone(self.identifier).fit_inspected(part)
+        self.baseline_ = self.declared_
+        if set(declarable()) - set(self.declared_.features_.friction_):
+            self.baseline_ = self._with_plain_terms().fit_inspected(part)
         begins = tuple(whole.t[rows.start] for rows in whole.segments)
         repetition = find_repetition(whole.q, whole.t, whole.segments)
         if not repetition:
@@ -342,31 +342,29 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         near = split.narrowed(*self._seen(part, split.searched_motion))
         known = {"begins": begins, "repetition": repetition}
         seen = part if near is split else near.searched(whole)
-        with stage("search"):
-            given = {"origin": near.origin, **known}
-            found = self._search(seen, silent, given, library)
-        with stage("held-out judgement"):
-            self.judged_ = self.baseline_
-            if found.effects:
-                self.judged_ = self._with(found.effects, self.judged_, part)
-            unnamed = self._unnamed(found)
-            if unnamed:
-                effects = (*found.effects, *unnamed)
-                self.judged_ = self._with(effects, self.judged_, part)
-            models = Models(
-                declared=self.declared_, plain=self.baseline_, judged=self.judged_
-            )
-            # Copies of most rows are not needed any more.
-            del part, seen
-            judged = judge(models, found, split, near, whole, commanded)
-        with stage("final model"):
-            asked = whole, split.moving, silent, known
-            final = self._hand_over(found, unnamed, *asked)
+        say("search")
+        given = {"origin": near.origin, **known}
+        found = self._search(seen, silent, given, library)
+        say("held-out judgement")
+        self.judged_ = self.baseline_
+        if found.effects:
+            self.judged_ = self._with(found.effects, self.judged_, part)
+        unnamed = self._unnamed(found)
+        if unnamed:
+            effects = (*found.effects, *unnamed)
+            self.judged_ = self._with(effects, self.judged_, part)
+        models = Models(
+            declared=self.declared_, plain=self.baseline_, judged=self.judged_
+        )
+        # Copies of most rows are not needed any more.
+        del part, seen
+        judged = judge(models, found, split, near, whole, commanded)
+        say("final model")
+        asked = whole, split.moving, silent, known
+        final = self._hand_over(found, unnamed, *asked)
         asked = self.get_params(deep=False)
-        with stage("explaining"):
-            return make_outcome(
-                found, models, final, judged, channels, asked, whole, names
-            )
+        say("explaining")
+        return make_outcome(found, models, final, judged, channels, asked, whole, names)
 
     def _check_parameters(self):
         """Check what was given; return the library to search."""

@@ -112,7 +112,7 @@ def _identify(identifier, paths):
     def every(text, function, *arguments):
         tasks = [(function, read, path, *arguments) for path in paths]
         results = _on_workers(_of_file, tasks)
-        return counted(results, text, "files", len(tasks) * [1])
+        return counted(results, text, len(tasks))
 
     extents = list(every("lengths", _extent))
     lengths = [n for one in extents for n in one["lengths"]]

@@ -619,9 +619,8 @@ def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
         for segment in made
         for outputs in segment.pieces(lowpass)
     ]
-    rows = [lowpass.step * (outputs.stop - outputs.start) for _, _, outputs, _ in tasks]
     done = in_parallel(_piece_moments, tasks, n_jobs)
-    return sum_moments(counted(done, "equations", "rows", rows))
+    return sum_moments(counted(done, "equations", len(tasks)))
 
 
 def _piece_moments(segment, lowpass, outputs, numbering):

@@ -352,15 +352,8 @@ def smooth(recording, estimator, halves, keep, n_jobs):
         for part in parts
         for own in shares
     )
-    # Each joint is its share of the rows, in whole numbers.
-    ends = np.arange(len(shares) + 1)
-    rows = [
-        int(n)
-        for part in parts
-        for n in np.diff((part.stop - part.start) * ends // len(shares))
-    ]
     done = in_parallel(smooth_with_facts, tasks, n_jobs)
-    done = iter(counted(done, "states", "rows", rows))
+    done = counted(done, "states", len(parts) * len(shares))
     own, both, facts = [], ([], []), None
     for _ in parts:
         splines, apart, several = zip(*itertools.islice(done, len(shares)))

@@ -8,7 +8,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa._core._progress import stage
+from sklearn_vbjfa._core._progress import say
 from sklearn_vbjfa.effects import CommandDelay, TorqueLag
 from sklearn_vbjfa.equations._equations import (
     accumulate,
@@ -242,8 +242,8 @@ class Recipe:
             found = with_positive_rotors(found, robot)
         held = held_columns(robot.features_, robot.effects_)
         found = _without(found, held)
-        with stage("consistent bodies"):
-            found = project(found, self.projector, robot.features_, robot.effects_)
+        say("consistent bodies")
+        found = project(found, self.projector, robot.features_, robot.effects_)
         found = _without(found, held)
         return RobotFit.of(robot, found, self._shown(found), made)
 

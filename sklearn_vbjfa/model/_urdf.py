@@ -113,7 +113,10 @@ def read_urdf(tree, path):
     _check_tree(root, called)
     links = _followers(root, called)
     closures = _closures(root)
+    rotors = _rotors(root)
     model = _build(root, called)
+    for name, armature in rotors.items():
+        model.armature[model.joints[model.getJointId(name)].idx_v] = armature
     return Description(
         model=model,
         called=called,
@@ -154,6 +157,16 @@ def _followers(root, called):
             _fix(joints[name])
             still.add(name)
             del found[name]
+    return found
+
+
+def _rotors(root):
+    """Return rotor inertias by joint, an attribute that `text_of_tree` adds."""
+    found = {}
+    for joint in _joints(root, *_AXIAL):
+        dynamics = joint.find("dynamics")
+        if dynamics is not None and "armature" in dynamics.attrib:
+            found[joint.get("name")] = float(dynamics.get("armature"))
     return found
 
 
@@ -513,6 +526,9 @@ def text_of_tree(model, followers=None):
         if kind != "continuous":
             limits = {"lower": low, "upper": high} | limits
         _add(joint, "limit", **limits)
+        if model.armature[j] > 0:
+            # No attribute of URDF, whose readers ignore it; see `_rotors`.
+            _add(joint, "dynamics", damping=0.0, armature=model.armature[j])
         if followers and name in followers:
             follows = followers[name]
             mimic = {"multiplier": follows.multiplier, "offset": follows.offset}

@@ -393,7 +393,7 @@ class _File:
 def _read(paths, options, notes):
     """Read files and folders, each a recording or several."""
     files = []
-    for path in counted(paths, "reading", "files"):
+    for path in counted(paths, "reading file", len(paths)):
         inside = tables_in(path)
         if len(inside) > 1:
             files += _of_folder(expanded(path), inside, options, notes)

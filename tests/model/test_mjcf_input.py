@@ -234,12 +234,11 @@ def test_held_joints_are_at_zero(write, tmp_path):
     assert held == tuple(name for name in JOINTS if name not in moving)
     again = quiet(load_model, reduced)
     assert joint_names(again) == movable_joints(reduced) == tuple(own)
-    # A URDF has no place for rotors.
-    again.armature = model.armature
     np.testing.assert_allclose(by_pinocchio(again, states), expected, atol=1e-9)
+    limits = model.lowerPositionLimit, model.upperPositionLimit
     np.testing.assert_array_equal(
         [again.lowerPositionLimit, again.upperPositionLimit],
-        [model.lowerPositionLimit, model.upperPositionLimit],
+        np.clip(limits, -1e12, 1e12),
     )
     with pytest.raises(ValueError, match=r"no movable joint 'wheel'; it has a1, a2"):
         load_reduced(path, ["wheel"])

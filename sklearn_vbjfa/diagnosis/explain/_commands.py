@@ -71,7 +71,7 @@ def _reached(models, drive, recording, parts):
     count = sum(rows.stop - rows.start for rows in parts)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        for model in counted(list(three), "closed loop"):
+        for model in counted(list(three), "closed loop", len(three)):
             found[model] = np.full((count, recording.nv), np.nan)
             try:
                 follower = CommandFollower(model.robot_, drive, recording)

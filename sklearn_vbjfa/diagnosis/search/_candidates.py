@@ -53,7 +53,7 @@ class Candidates:
         self.noise, self.rejected = None, set()
         found = {int(j): [] for j in np.flatnonzero(problem.used_joints)}
         asked = [(j, effect) for j in found for effect in library]
-        for j, effect in counted(asked, "candidates"):
+        for j, effect in counted(asked, "candidate", len(asked)):
             one = clone(effect).set_params(joint=j)
             if one.name in problem.view.declared or one.applies(problem.motion):
                 continue

@@ -254,10 +254,7 @@ def _reduced(urdf, moving, folder, base=None):
     """Write a description in which some joints move; return it and the others."""
     # With a part of its name for each time.
     reduced = folder / (f"held-{urdf.name}" if urdf.parent == folder else urdf.name)
-    held = write_reduced(urdf, reduced, moving, base)
-    # Files written from this copy get the permissions of the original.
-    reduced.chmod(urdf.stat().st_mode & 0o666)
-    return reduced, tuple(held)
+    return reduced, tuple(write_reduced(urdf, reduced, moving, base))
 
 
 # -- output ----------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from sklearn_vbjfa.model import (
     CorrectedModel,
     TorqueDerivatives,
     TreeRegressor,
+    description_text,
     is_prismatic,
     joint_names,
     load_folded,
@@ -220,7 +221,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         """Load the model alone, without checking states."""
         folded = load_folded(self.model)
         self.model_ = self.nominal_ = folded.model
-        self.followers_ = folded.followers
+        self.followers_, self._folded = folded.followers, folded
         self.gains_ = np.ones(self.model_.nv)
         self.friction_ = check_declared(self.friction)
         self.n_joints_ = self.model_.nv
@@ -252,6 +253,11 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         found.model_, found.gains_ = robot.model, robot.gains
         found._set_regressor()
         return found
+
+    @property
+    def description(self):
+        """URDF of the robot before it was corrected, and whether it was read so."""
+        return description_text(self._folded), self._folded.text is not None
 
     def derivatives(self, q, v, a, inertial):
         """Differentiate the torques of bodies (nv, 10) by the robot's geometry."""

@@ -14,13 +14,11 @@ _MODULES = {
     "_loading": (
         "build_model",
         "description_text",
-        "is_urdf",
         "load_folded",
         "load_model",
         "load_reduced",
         "load_text",
         "movable_joints",
-        "urdf_to_fill",
         "write_reduced",
     ),
     "_mjcf": ("FollowingJoint", "JointDynamics", "Tendon", "write_mjcf"),

@@ -8,6 +8,7 @@ import os
 import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,16 +17,13 @@ import numpy as np
 from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.model._mjcf_reading import read_mjcf
 from sklearn_vbjfa.model._trees import (
-    ROUNDING,
     Description,
     Folded,
     check_joints,
-    describe,
     fold,
     foldable,
     hold_base,
     import_pinocchio,
-    in_order,
     joint_names,
     nominal_parameters,
     rotation_of,
@@ -34,7 +32,6 @@ from sklearn_vbjfa.model._trees import (
 )
 from sklearn_vbjfa.model._urdf import (
     hold_in_urdf,
-    is_text,
     parse_description,
     parse_text,
     read_urdf,
@@ -185,12 +182,9 @@ def _check_gravity(robot):
         )
 
 
-def is_urdf(source):
-    """Whether a robot comes from a URDF file, whose text can be written again."""
-    if not isinstance(source, (str, os.PathLike)):
-        return False
-    path = Path(source)
-    return not _is_mjcf(parse_description(path), path)
+def description_text(folded):
+    """Return the URDF of a robot as a text, XML without declaration."""
+    return folded.text or text_of_tree(folded.full, folded.links)
 
 
 def load_text(text, path):
@@ -228,13 +222,15 @@ def _read(tree, path):
 def _folded(tree, path, moving=None, base=None):
     """Build and check a robot, `Folded`; say what of it does not enter the model."""
     # moving: joints that are not held, None for all; base: orientation of a free base.
+    is_urdf = not _is_mjcf(tree, path)
+    text = ElementTree.tostring(tree.getroot(), "unicode") if is_urdf else None
     robot, said = hold_base(_read(tree, path), base)
     if moving is not None:
         robot = robot.held(moving)
     robot.check()
     links = robot.links
     folded = foldable(robot.carriers, links, robot.called)
-    found = fold(robot.model, folded)
+    found = replace(fold(robot.model, folded), text=text)
     apart = [name for name in links if name not in folded]
     said = [*said, *robot.left_out]
     _warn([*said, *_left_out(apart, found.full)], path.name)
@@ -271,57 +267,6 @@ def _left_out(mimics, model):
             "of its link)"
         )
     return found
-
-
-def description_text(source, model):
-    """Return the URDF of a robot as a text, XML without declaration."""
-    # A URDF is read again, with its references to meshes and without comments; of MJCF
-    # and a model the URDF is written. ValueError if the file describes another robot by
-    # now.
-    if not isinstance(source, (str, os.PathLike)):
-        return text_of_tree(model)
-    if is_urdf(source):
-        root = parse_description(Path(source)).getroot()
-        ElementTree.indent(root)
-        text = ElementTree.tostring(root, encoding="unicode")
-    else:
-        text = urdf_to_fill(source)
-    if not alike(load_text(text, source), model):
-        raise ValueError(
-            f"The robot description {str(source)!r} has changed since the "
-            "identification; restore it, or identify again."
-        )
-    return text
-
-
-def urdf_to_fill(source):
-    """Return what the URDF of an identified robot is a copy of."""
-    # The source itself; of MJCF the text of a URDF with the same joints.
-    is_path = isinstance(source, (str, os.PathLike)) and not is_text(source)
-    if not is_path or is_urdf(source):
-        return source
-    with _silence():
-        robot = load_folded(source)
-    return text_of_tree(robot.full, robot.links)
-
-
-def alike(one, other):
-    """Whether two models have the same joints in the same places, but for rounding."""
-    if sorted(joint_names(one)) != sorted(joint_names(other)):
-        return False
-    one = in_order(one, joint_names(other))
-    if list(one.parents) != list(other.parents):
-        return False
-    first, second = (describe(m) for m in (one, other))
-    placed = [
-        np.abs(a.translation - b.translation).max()
-        for a, b in zip(one.jointPlacements, other.jointPlacements)
-    ]
-    apart = [
-        np.abs(getattr(first, name) - getattr(second, name)).max()
-        for name in ("frames", "axes", "turns", "slides")
-    ]
-    return max(placed + apart) < ROUNDING
 
 
 # -- nominal models of the measured sets -----------------------------------------------

@@ -25,8 +25,6 @@ _NO_LIMIT, _SLIDE = 1e6, 1.0
 # Radius of the ball that a mass without extension is, over the largest distance between
 # joints.
 _BALL = 0.1
-# Distance of two models by rounding alone [m, and of the axes' components].
-ROUNDING = 1e-9
 # Sine of the angle from the vertical below which a base is called level.
 _LEVEL = 1e-6
 _MOST_JOINTS = 200
@@ -524,6 +522,7 @@ class Folded:
     still: object
     full: object  # robot in which followers are joints of their own
     links: dict
+    text: str | None = None  # of the URDF that it was read from
 
     @classmethod
     def without(cls, model):

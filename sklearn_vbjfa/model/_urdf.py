@@ -9,7 +9,6 @@ import os
 import re
 import tempfile
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import numpy as np
 
@@ -66,14 +65,11 @@ def add_comment(root, note):
         root.insert(0, ElementTree.Comment(f" {lines} "))
 
 
-def write_tree(tree, target, like=None):
+def write_tree(tree, target):
     """Write an indented XML tree to a file, or leave the file as it was."""
-    # like: file whose permissions the new one gets; None leaves them to the system.
     ElementTree.indent(tree)
     text = ElementTree.tostring(tree.getroot(), encoding="unicode")
     write_whole(target, f"<?xml version='1.0' encoding='utf-8'?>\n{text}")
-    if like is not None:
-        os.chmod(target, Path(like).stat().st_mode & 0o666)
 
 
 def parse_description(path):
@@ -410,7 +406,7 @@ def _turn_origin(joint, rotation):
 
 
 def write_urdf(
-    source,
+    text,
     target,
     model,
     parameters,
@@ -419,22 +415,13 @@ def write_urdf(
     turned=None,
     followers=None,
 ):
-    """Write a copy of a URDF with other inertias and friction."""
+    """Write a URDF with other inertias and friction, from its text."""
     # parameters (nv, 10 + n_friction) [kg, kg m, kg m^2]; friction: their names, of
     # which "viscous" and "coulomb" have a place in URDF; note: comment at the top;
     # turned: rotation matrices (3, 3) of joints' origins, in their own axes; followers:
     # bodies (10,) of joints that follow others, by name.
-    if not isinstance(source, (str, os.PathLike)):
-        raise ValueError(
-            "to_urdf needs the URDF that the robot came from: give its path as "
-            "`model` (a pinocchio.Model does not keep the links' shapes)."
-        )
     followers = {} if followers is None else followers
-    if is_text(source):
-        tree, like = ElementTree.ElementTree(ElementTree.fromstring(source)), None
-    else:
-        tree, like = ElementTree.parse(source), source
-    root = tree.getroot()
+    root = ElementTree.fromstring(text)
     add_comment(root, note)
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     links = {link.get("name"): link for link in root.findall("link")}
@@ -472,12 +459,7 @@ def write_urdf(
             dynamics = ElementTree.SubElement(joint, "dynamics")
         dynamics.set("damping", number(values.get("viscous", 0.0)))
         dynamics.set("friction", number(values.get("coulomb", 0.0)))
-    write_tree(tree, target, like)
-
-
-def is_text(source):
-    """Whether a description is given as its text, and not as a path."""
-    return isinstance(source, str) and source.lstrip().startswith("<")
+    write_tree(ElementTree.ElementTree(root), target)
 
 
 def check_possible(model, min_eigenvalues, kind):

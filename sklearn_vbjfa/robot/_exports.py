@@ -66,15 +66,15 @@ def servo_of(drive, names, delay):
     return Servo(kp=kp, kd=kd, most=drive.most(names), delay=max(delay, 0.0))
 
 
-def to_urdf(path, source, robot, min_eigenvalues, notes=(), turned_joints=None):
+def to_urdf(path, text, robot, min_eigenvalues, notes=(), turned_joints=None):
     """Write a `TorqueModel` into a copy of its URDF; see `to_mjcf`."""
-    # source: path or text of the description; turned_joints: see `write_urdf`.
+    # text: of the description; turned_joints: see `write_urdf`.
     account = _Account(robot)
     joints = np.column_stack([account.passive("viscous"), account.passive("coulomb")])
     _left_of_urdf(account)
     check_possible(robot.model, min_eigenvalues, "a URDF")
     write_urdf(
-        source,
+        text,
         path,
         robot.model,
         np.hstack([robot.bodies, joints]),

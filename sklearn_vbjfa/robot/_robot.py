@@ -34,11 +34,8 @@ from sklearn_vbjfa.equations._recording_checks import (
 from sklearn_vbjfa.equations._states import RecordingStates, fit_states, smooth_to
 from sklearn_vbjfa.equations._torque_noise import noise_facts, rows_looked_at, seen
 from sklearn_vbjfa.model._loading import (
-    description_text,
-    is_urdf,
     joint_names,
     nominal_parameters,
-    urdf_to_fill,
 )
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.recording import (
@@ -249,9 +246,8 @@ class IdentifiedRobot:
     output_noise_: np.ndarray | None = None
     joint_weights: np.ndarray | None = None  # (nv,): in the fit
     gains_: ChannelGains | None = None
-    # description that the robot came from, path or model, and its text where that is
-    # all there is; whether it came from a URDF or was written from a model's tree
-    source: object = None
+    # URDF of a robot that was saved; whether it came from a URDF or was written from a
+    # model's tree
     text: str | None = None
     from_urdf: bool | None = None
     package: str = ""  # and version that it was saved with at first; empty if not yet
@@ -279,14 +275,13 @@ class IdentifiedRobot:
     @property
     def description_(self):
         """Robot description (URDF), not corrected."""
-        if self.text is not None:
-            return self.text
-        return description_text(self.source, self.features_.nominal_)
+        return self.features_.description[0] if self.text is None else self.text
 
     @property
     def comes_from_urdf(self):
         """Whether the description is a URDF, or was written from a model's tree."""
-        return is_urdf(self.source) if self.from_urdf is None else self.from_urdf
+        known = self.from_urdf
+        return self.features_.description[1] if known is None else known
 
     @property
     def min_eigenvalues_(self):
@@ -729,10 +724,10 @@ class IdentifiedRobot:
         Raises
         ------
         FileNotFoundError
-            If its folder, or the URDF of `model`, does not exist.
+            If its folder does not exist.
         ValueError
-            If that URDF has changed, `model` is a `pinocchio.Model` with a joint type
-            that URDF lacks, or a custom effect has a parameter that JSON cannot hold.
+            If `model` is a `pinocchio.Model` with a joint type that URDF lacks, or a
+            custom effect has a parameter that JSON cannot hold.
         """
         # What reads a robot makes one.
         from sklearn_vbjfa.robot import _model_file
@@ -852,8 +847,7 @@ class IdentifiedRobot:
         Raises
         ------
         ValueError
-            If `model` is a `pinocchio.Model`, which has no URDF, or the parameters are
-            not physically consistent.
+            If the parameters are not physically consistent.
         """
         robot, which = self._sampled(sample, random_state)
         notes = [
@@ -865,7 +859,7 @@ class IdentifiedRobot:
         ]
         return to_urdf(
             path,
-            urdf_to_fill(self.text or self.source),
+            self.description_,
             robot.torque_model(),
             robot.min_eigenvalues_,
             notes,

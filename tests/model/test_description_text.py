@@ -1,7 +1,5 @@
 """A robot as the text of a URDF: what is built from it is the same robot."""
 
-import warnings
-
 import numpy as np
 import pytest
 
@@ -14,12 +12,11 @@ from sklearn_vbjfa.model import (  # noqa: E402
     description_text,
     in_order,
     joint_names,
-    load_model,
+    load_folded,
     load_text,
 )
 from tests.model._robots import random_body  # noqa: E402
 from tests.model._trees import ALIGNED, OBLIQUE, build, make_joint  # noqa: E402
-from tests.model.test_urdf import TREE  # noqa: E402
 
 
 def with_bodies(model, rng):
@@ -43,7 +40,7 @@ def test_a_written_tree_is_the_same_robot(seed, kinds):
     rng = np.random.default_rng(seed)
     model = with_bodies(build(rng, kinds), rng)
     read = in_order(
-        load_text(description_text(model, model), "x.json"), joint_names(model)
+        load_text(description_text(load_folded(model)), "x.json"), joint_names(model)
     )
     read.gravity = model.gravity
     assert joint_names(read) == joint_names(model)
@@ -63,7 +60,7 @@ def test_branches_in_another_order():
         placed = pin.SE3(np.eye(3), rng.normal(size=3))
         joints[name] = model.addJoint(number, make_joint("RX", rng), placed, name)
     with_bodies(model, rng)
-    read = load_text(description_text(model, model), "x.json")
+    read = load_text(description_text(load_folded(model)), "x.json")
     assert joint_names(read) == joint_names(model)
     ordered = in_order(read, joint_names(model))
     assert joint_names(ordered) == joint_names(model)
@@ -76,22 +73,3 @@ def test_branches_in_another_order():
         in_order(read, ("b", "c", "z", "y", "q"))
     with pytest.raises(ValueError, match="a comes before"):
         in_order(read, ("a", "b", "c", "z", "y"))
-
-
-def test_another_file_by_now(tmp_path):
-    path = tmp_path / "tree.urdf"
-    path.write_text(TREE)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        model = load_model(path)
-    for old, new in (
-        ("0.1 0 0.2", "0.1 0 0.21"),
-        ("left", "links"),
-        ("0 1 0", "1 0 0"),
-    ):
-        path.write_text(TREE.replace(old, new))
-        with pytest.raises(ValueError, match=r"tree\.urdf' has changed"):
-            description_text(path, model)
-    path.unlink()
-    with pytest.raises(FileNotFoundError, match=r"tree\.urdf"):
-        description_text(path, model)

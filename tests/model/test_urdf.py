@@ -1,6 +1,7 @@
 """The identified robot as URDF: what is read back is what was written."""
 
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -86,7 +87,7 @@ def test_links_fixed_to_a_link_are_merged_with_it(tree, tmp_path):
     model = load_model(tree)
     assert tuple(model.names)[1:] == ("right", "left")
     names = ("viscous", "coulomb", "offset")
-    write_urdf(tree, target, model, np.hstack([bodies, friction]), names)
+    write_urdf(tree.read_text(), target, model, np.hstack([bodies, friction]), names)
     again = load_model(target)
     np.testing.assert_allclose(nominal_parameters(again), bodies, rtol=1e-10)
     root = ElementTree.parse(target).getroot()
@@ -127,10 +128,12 @@ def test_refuses_a_description_without_the_joints(tree, simulated, tmp_path):
     rows = np.array([random_body(np.random.default_rng(k)) for k in range(6)])
     model = load_model(simulated.urdf)
     with pytest.raises(ValueError, match="no joint named joint_1, joint_2"):
-        write_urdf(tree, tmp_path / "out.urdf", model, rows, ())
+        write_urdf(tree.read_text(), tmp_path / "out.urdf", model, rows, ())
     rows[3, 0] = -1.0
     with pytest.raises(ValueError, match=r'mass -1: only .* Use projector="default"'):
-        write_urdf(simulated.urdf, tmp_path / "out.urdf", model, rows, ())
+        write_urdf(
+            Path(simulated.urdf).read_text(), tmp_path / "out.urdf", model, rows, ()
+        )
 
 
 @pytest.mark.parametrize(

@@ -429,6 +429,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             signal_ends=ends(signals),
             state_cutoff=self.fit_options.state_cutoff,
             torque_noise_=filtered_white_noise(noise, nv, plan.dt, plan.cutoff),
+            source=self.model,
         )
 
     # -- for other rooms -------------------------------------------------------------

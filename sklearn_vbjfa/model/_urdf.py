@@ -86,7 +86,8 @@ def parse_text(content, path):
     """Parse the bytes of a description; path : what messages name."""
     try:
         root = ElementTree.fromstring(content)
-    except (ElementTree.ParseError, LookupError, ValueError) as error:
+        ElementTree.tostring(root)  # no deeper than can be written again
+    except (ElementTree.ParseError, LookupError, ValueError, RecursionError) as error:
         raise ValueError(
             f"{str(path)!r} is not readable as URDF or MJCF (XML): {error}. "
             "A xacro file must be expanded first: xacro FILE > robot.urdf"
@@ -183,9 +184,9 @@ def _build(root, called):
             limit.set("velocity", "1e12")
         limit.set("lower", "-1e12")
         limit.set("upper", "1e12")
+    text = ElementTree.tostring(root, encoding="unicode")
     build, said = import_pinocchio().buildModelFromXML, []
     try:
-        text = ElementTree.tostring(root, encoding="unicode")
         with _parser_messages(said):
             model = build(text)
     except (ValueError, RuntimeError) as error:

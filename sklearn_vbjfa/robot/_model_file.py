@@ -37,7 +37,7 @@ _HEAD: dict[str, object] = dict.fromkeys(
     ("joints", "friction", "parameters"), tuple[str, ...]
 ) | {"gravity": np.ndarray}
 # Fields that follow from the others, and what is saved of a fitted `StateEstimator`.
-_NOT_SAVED = frozenset({"features_", "_stepper"})
+_NOT_SAVED = frozenset({"features_", "source", "_stepper"})
 _OF_STATES = ("cutoff_", "noise_variance_", "bandwidth_")
 # What JSON has no number for.
 _SPELLED = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}

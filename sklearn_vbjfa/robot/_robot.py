@@ -246,6 +246,7 @@ class IdentifiedRobot:
     output_noise_: np.ndarray | None = None
     joint_weights: np.ndarray | None = None  # (nv,): in the fit
     gains_: ChannelGains | None = None
+    source: object = None  # path or model that the robot came from
     # URDF of a robot that was saved; whether it came from a URDF or was written from a
     # model's tree
     text: str | None = None

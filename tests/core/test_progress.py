@@ -44,11 +44,9 @@ def test_stages_of_a_fit_with_their_counts(recording, monkeypatch):
     assert "states: 1 of" in terminal.getvalue()
 
 
-@pytest.mark.parametrize("silent", ["piped", "disabled", "verbose=0", "no stderr"])
+@pytest.mark.parametrize("silent", ["piped", "verbose=0", "no stderr"])
 def test_silence(silent, recording, monkeypatch):
     streams = {"piped": io.StringIO(), "no stderr": None}
     stream = show_on(monkeypatch, streams.get(silent, Terminal()))
-    if silent == "disabled":
-        monkeypatch.setenv("TQDM_DISABLE", "1")
     fit(recording, verbose=silent != "verbose=0")
     assert stream is None or stream.getvalue() == ""

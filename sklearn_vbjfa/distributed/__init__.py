@@ -110,9 +110,8 @@ def _identify(identifier, paths):
     read = partial(_read, dt=dt, urdf=urdf, names=names)
 
     def every(text, function, *arguments):
-        tasks = [(function, read, path, *arguments) for path in paths]
-        results = _on_workers(_of_file, tasks)
-        return counted(results, text, len(tasks))
+        tasks = [(read, function, path, *arguments) for path in paths]
+        return counted(_on_workers(tasks), text, len(tasks))
 
     extents = list(every("lengths", _extent))
     lengths = [n for one in extents for n in one["lengths"]]
@@ -155,23 +154,17 @@ def _choose_states(identifier, every, extents, lengths):
     )
 
 
-def _on_workers(function, tasks):
-    """Yield ``function(*task)`` for each task, in order, wherever Dask computes."""
+def _on_workers(tasks):
+    """Yield what files reduce to, in order, wherever Dask computes."""
     dask = _import_dask()
     # Arguments go with the task: if they were sent ahead of it, they would be lost
     # with the worker that has them.
-    task = dask.delayed(_alone, pure=False, traverse=False)
+    task = dask.delayed(_of_file, pure=False, traverse=False)
     for first in range(0, len(tasks), _AT_ONCE):
-        some = [task(function, *one) for one in tasks[first : first + _AT_ONCE]]
+        some = [task(*one) for one in tasks[first : first + _AT_ONCE]]
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Sending large graph")
             yield from dask.compute(*some, traverse=False)
-
-
-def _alone(function, *arguments):
-    """Call a function with one thread of linear algebra and without progress."""
-    with one_blas_thread():
-        return contextvars.Context().run(function, *arguments)
 
 
 def _paths(source):
@@ -210,9 +203,10 @@ def _read(path, *, dt, urdf, names):
     return recording
 
 
-def _of_file(function, read, path, *arguments):
-    """Read a file and reduce it."""
-    return function(read(path), path, *arguments)
+def _of_file(read, function, path, *arguments):
+    """Read a file and reduce it, on one thread of linear algebra, without progress."""
+    with one_blas_thread():
+        return contextvars.Context().run(lambda: function(read(path), path, *arguments))
 
 
 def _extent(recording, path):

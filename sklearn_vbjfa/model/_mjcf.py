@@ -83,16 +83,6 @@ class JointDynamics:
     gain: np.ndarray
     tendons: tuple = ()  # what couples joints
 
-    @classmethod
-    def none(cls, nv):
-        """Return the dynamics of free joints, to be filled in."""
-        zeros = {
-            name: np.zeros(nv)
-            for name in cls.__dataclass_fields__
-            if name not in ("gain", "tendons")
-        }
-        return cls(**zeros, gain=np.ones(nv))
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Servo:

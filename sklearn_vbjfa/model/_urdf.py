@@ -31,14 +31,6 @@ from sklearn_vbjfa.physical import inertia_matrix
 # Kinds of joints that have an axis, and elements that a fixed joint has no use for.
 _AXIAL = ("revolute", "continuous", "prismatic")
 _MOTION = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
-# Elements of simulators that join two links of the tree once more.
-_CLOSURES = (
-    "loop_joint",
-    "ball_constraint",
-    "linear_bushing_rpy",
-    "weld_constraint",
-    "distance_constraint",
-)
 _TREE = "and only trees of joints can be identified"
 # What URDF readers take for no limit.
 _UNLIMITED = 1e12
@@ -296,8 +288,6 @@ def _check_tree(root, called):
 def _closures(root):
     """Return what joins links in extensions of simulators, a tuple of `Closure`."""
     names = {link.get("name") for link in root.findall("link")}
-    # Frames of Drake, which bushings name.
-    at = {x.get("name"): x.get("link") for x in root.findall("frame")}
     found = []
     for element in root.iter():
         # Without the namespace of its program.
@@ -305,15 +295,14 @@ def _closures(root):
         if tag == "gazebo" and element.find("joint") is not None:
             # A whole joint of the simulator, beside those of the robot.
             tag, where, element = "joint", " of <gazebo>", element.find("joint")
-        elif tag not in _CLOSURES:
+        elif tag != "loop_joint":
             continue
         words = [
             word.strip()
             for one in element.iter()
             for word in (*one.attrib.values(), one.text or "")
         ]
-        words = dict.fromkeys(at.get(word, word) for word in words)
-        links = tuple(word for word in words if word in names)
+        links = tuple(dict.fromkeys(word for word in words if word in names))
         called = f" {element.get('name')!r}" if element.get("name") else ""
         joined = f" between {' and '.join(links)}" if links else ""
         said = f"<{tag}>{called}{where}{joined} closes a loop, {_TREE}"

@@ -1,6 +1,6 @@
 """The robot as MJCF: MuJoCo computes the torques that Pinocchio does."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -15,6 +15,13 @@ from sklearn_vbjfa.model import (  # noqa: E402
 from tests.model._mujoco import drive_torques, moving_states  # noqa: E402
 from tests.model._robots import random_body, random_tree  # noqa: E402
 from tests.model.test_urdf import TREE  # noqa: E402
+
+
+def free_joints(nv):
+    """Return joints with the bodies alone."""
+    names = [one.name for one in fields(JointDynamics)]
+    zeros = {name: np.zeros(nv) for name in names if name not in ("gain", "tendons")}
+    return JointDynamics(**zeros, gain=np.ones(nv))
 
 
 def rigid(model, bodies, states):
@@ -39,7 +46,7 @@ def test_bodies_of_random_trees(seed, tmp_path):
     model, bodies = random_tree(rng, 8)
     model.gravity.linear = rng.normal(size=3) * 5.0
     path = tmp_path / "tree.xml"
-    write_mjcf(path, model, bodies, JointDynamics.none(8))
+    write_mjcf(path, model, bodies, free_joints(8))
     states = moving_states(rng, 50, 8)
     assert_same(drive_torques(path, states), rigid(model, bodies, states))
 
@@ -52,7 +59,7 @@ def test_names_ranges_and_order(tmp_path):
     with pytest.warns(UserWarning, match="no mass"):
         model = load_model(source)
     bodies = np.array([random_body(np.random.default_rng(k)) for k in range(2)])
-    dynamics = replace(JointDynamics.none(2), ref=np.array([0.0, 0.25]))
+    dynamics = replace(free_joints(2), ref=np.array([0.0, 0.25]))
     write_mjcf(path, model, bodies, dynamics, note="of a--b")
     assert "<!-- of a- -b -->" in path.read_text()
     read = mujoco.MjModel.from_xml_path(str(path))

@@ -24,7 +24,7 @@ def joint(name, parent, child, kind="revolute"):
 
 
 TREE = joint("j1", "base", "a") + joint("j2", "a", "b") + joint("j3", "a", "c")
-# What Isaac Sim, Gazebo and Drake have for loops.
+# What Isaac Sim and Gazebo have for loops.
 CLOSURES = {
     "<loop_joint> 'rod' between b and c": (
         '<loop_joint name="rod" type="spherical"><link1 link="b"/><link2 link="c"/>'
@@ -34,15 +34,6 @@ CLOSURES = {
         '<gazebo><joint name="rod" type="revolute"><parent>b</parent>'
         "<child> c </child></joint></gazebo>"
     ),
-    "<ball_constraint> between b and c": (
-        "<drake:ball_constraint><drake:ball_constraint_body_A name='b'/>"
-        "<drake:ball_constraint_body_B name='c'/></drake:ball_constraint>"
-    ),
-    "<linear_bushing_rpy> between b and c": (
-        "<frame name='f' link='b'/><frame name='g' link='c'/>"
-        "<drake:linear_bushing_rpy><drake:bushing_frameA name='f'/>"
-        "<drake:bushing_frameC name='g'/></drake:linear_bushing_rpy>"
-    ),
 }
 
 
@@ -50,8 +41,7 @@ CLOSURES = {
 def write(tmp_path):
     def to_file(text):
         path = tmp_path / "robot.urdf"
-        drake = "http://drake.mit.edu"
-        path.write_text(f'<robot name="r" xmlns:drake="{drake}">{text}</robot>')
+        path.write_text(f'<robot name="r">{text}</robot>')
         return path
 
     return to_file

@@ -406,10 +406,10 @@ _LARGEST_STRETCH = 5.0
 class _Anderson:
     """Anderson's extrapolation of a fixed-point iteration (Walker and Ni, 2011)."""
 
-    def __init__(self, n_logs):
+    def __init__(self, n_logs, most):
         self.n_logs, self.last = n_logs, None
         # Differences of images and of steps, from one to the next.
-        self.images, self.steps = deque(maxlen=_MEMORY - 1), deque(maxlen=_MEMORY - 1)
+        self.images, self.steps = deque(maxlen=most - 1), deque(maxlen=most - 1)
 
     def forget(self):
         """Start again."""
@@ -443,7 +443,11 @@ class FixedPointSteps(PlainSteps):
 
     def __init__(self, problem, tol):
         super().__init__(problem, tol)
-        self.anderson, self.at = _Anderson(problem.d + 1), None
+        logs = problem.d + 1
+        # More differences than coordinates are not independent: old ones would count
+        # as much as new ones.
+        most = min(_MEMORY, logs) if problem.exact else _MEMORY
+        self.anderson, self.at = _Anderson(logs, most), None
         self.smallest, self.idle = np.inf, 0
 
     def propose(self, point, budget):

@@ -256,3 +256,15 @@ def test_the_order_of_the_rows_does_not_move_the_end(seed, exact):
         ends.append(found.state.beta_mean)
     moved = X / data.x_scale @ (ends[0] - ends[1])
     assert np.abs(moved).max() < 1e-9 * y.std()
+
+
+@pytest.mark.parametrize("common", [True, False])
+@pytest.mark.parametrize("exact", [True, False])
+def test_extrapolation_takes_few_steps(exact, common):
+    X, y, psi, _ = make_problem(20, 5, 100)
+    options = {"max_iter": 50_000, "tol": 1e-13, "common": common}
+    plain = solve_plainly(X, y, psi * (not exact), **options)
+    fast = solve(X, y, psi * (not exact), **options)
+    # It goes on to the fixed point, which takes it some steps where plain ones are few.
+    assert fast.n_iter < max(plain.n_iter, 20)
+    assert_allclose(fast.history[-1], plain.history[-1], atol=1e-8)

@@ -9,7 +9,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.diagnosis.report import explanation, source_of
 
 pytest.importorskip("pinocchio")
 
@@ -62,7 +61,7 @@ def test_a_page_has_its_parts_and_links_to_others(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_what_stands_in_a_formula_is_a_parameter_or_is_explained(name):
     use = USES[name]
-    said = explanation(type(use.effect))
+    said = effect_facts.explanation(type(use.effect))
     assert "---" not in " ".join(said)
     told = page(name) + " ".join(said)
     parameters = effect_facts.parameters_of(use)
@@ -82,7 +81,7 @@ def test_what_stands_in_a_formula_is_a_parameter_or_is_explained(name):
 def test_sources_are_in_the_bibliography(name):
     (effect,) = effects.resolve(name)
     bibliography = " ".join((DOCS / "references.bib").read_text("utf-8").split())
-    source = source_of(type(effect))
+    source = effect_facts.source_of(type(effect))
     assert source
     for doi in re.findall(r":doi:`([^`]+)`", source):
         assert doi in bibliography, doi

@@ -1,10 +1,11 @@
 """Facts of the effect pages, read from the classes: text and LaTeX."""
 
+import inspect
 import re
 
+from effect_curves import STYLE
 from simulated_effects import step_reasons
 
-from sklearn_vbjfa.diagnosis.report import added_torque
 from sklearn_vbjfa.diagnosis.report import style as sheet_of_reports
 from sklearn_vbjfa.effects import Shaped, Stateful
 
@@ -68,6 +69,32 @@ def parameters_of(use):
                 how = "fitted iteratively"
             kinds.setdefault(name, (units.replace("^3", "³"), how))
     return kinds
+
+
+def explanation(kind):
+    """Return the docstring of a class up to its sections, a tuple of paragraphs."""
+    text = inspect.getdoc(kind) or ""
+    paragraphs = re.split(r"\n\n\w+\n-{3,}\n", text)[0].split("\n\n")
+    return tuple(" ".join(one.split()) for one in paragraphs if one.strip())
+
+
+def source_of(kind):
+    """Return the literature that a class names, with its number; empty for none."""
+    text = inspect.getdoc(kind) or ""
+    listed = text.partition("\nReferences\n----------\n")[2].partition("\n\n")[0]
+    return re.sub(r"^\.\. ", "", " ".join(listed.split()))
+
+
+def added_torque(formula):
+    """Write a formula of an effect, LaTeX, as what it adds to the torque."""
+    return rf"\Delta\tau = {formula}"
+
+
+def without_markup(text):
+    """Return a sentence of a docstring without the marks of reStructuredText."""
+    text = re.sub(r":(\w+):`([^`]*)`", r"\1:\2", text)
+    text = re.sub(r"(\[\d+\])_", r"\1", text)
+    return re.sub(r"`+([^`]*)`+", r"\1", text)
 
 
 def typeset(formula):
@@ -139,6 +166,7 @@ def style():
     return "".join(
         [
             sheet,
+            STYLE,
             _THEME,
             f'html[data-theme="light"] .vbjfa{{{light}}}\n',
             f'html[data-theme="dark"] .vbjfa{{{dark}}}\n',

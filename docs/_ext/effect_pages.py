@@ -7,15 +7,16 @@ rivals and export are computed by the package when the documentation is built.
 import inspect
 import re
 import sys
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 from docutils import nodes
 from docutils.statemachine import StringList
 from effect_facts import (
+    explanation,
     file_sentence,
     parameters_of,
+    source_of,
     step_sentence,
     style,
     typeset,
@@ -35,9 +36,7 @@ from sklearn_vbjfa import effects
 from sklearn_vbjfa.diagnosis.report import (
     HEIGHT,
     WIDTH,
-    explanation,
     figure,
-    source_of,
     words,
 )
 
@@ -56,8 +55,7 @@ def all_uses():
 @cache
 def drawn(name):
     """Return the picture of an effect, a `Figure`."""
-    figure = figure_of(all_uses()[name])
-    return replace(figure, charts=figure.charts[:1])
+    return figure_of(all_uses()[name])
 
 
 def described(kind):

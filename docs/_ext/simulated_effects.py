@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from effect_curves import effect_figure
 from sklearn.base import clone
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.diagnosis.explain import curves_over
-from sklearn_vbjfa.diagnosis.report import effect_figure
 from sklearn_vbjfa.effects import Motion, closure, cross_axes, rotation
 from sklearn_vbjfa.equations._equations import make_motion
 from sklearn_vbjfa.model import CorrectedModel
@@ -282,20 +281,11 @@ def figure_of(use):
     drawn = np.tile(drawn, max(1, FEWEST // drawn.size))
     rng = np.random.default_rng(0)
     noise = NOISE * np.sqrt(np.mean(law**2)) * rng.standard_normal(drawn.size)
-    curves = curves_over(
+    return effect_figure(
         x[drawn],
         noise,
         (way * law)[drawn],
-        np.ones(drawn.size),
-        joint=joint,
-        kind=kind,
-        signal="",
-        unit="",
         with_motion=with_motion,
-    )
-    return effect_figure(
-        curves,
-        title="",
         x_label=use.x_label or _label(kind, joint),
         y_label=f"torque of joint {joint + 1} [N m]",
     )

@@ -128,8 +128,6 @@ def test_the_report_has_positions_from_commands_alone(run, told, tmp_path):
     short = f"positions are off by {sizes[0]} before, {sizes[1]} after."
     assert f"From commands alone, {short}" in out
     assert "Closed loop: commands alone" in page
-    # one picture a joint, beside those of torques, friction and spectra
-    assert page.count("held-out time, its stretches joined [s]</div>") == 4
 
 
 @pytest.mark.slow

@@ -5,10 +5,7 @@ from sklearn_vbjfa import _lazily
 # For the report, the command line and tests; users get them from `EffectDiscovery`.
 _MODULES = {
     "_commands": "commands_alone",
-    "_curves": """
-        EffectCurves FrictionCurves ResidualCurves TimeLine TorqueCurves cloud_size
-        curve_size curves_over effect_curves extremes time_line
-    """,
+    "_curves": "ResidualCurves TimeLine TorqueCurves extremes time_line",
     "_effects": "DiscoveredEffect named_values",
     "_errors": "Models NEXT_SECONDS error_intervals judge",
     "_final": "EffectEstimate FinalFit added_effects",

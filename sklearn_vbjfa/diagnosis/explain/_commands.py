@@ -5,7 +5,6 @@ import warnings
 import numpy as np
 
 from sklearn_vbjfa._core._progress import counted
-from sklearn_vbjfa.diagnosis.explain._curves import TimeLine, over_time
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.robot._windows import CommandFollower, warn_once
 
@@ -15,16 +14,16 @@ _SIMULATED = 60.0
 
 
 def commands_alone(models, stretches, recording):
-    """Return errors of simulated positions, and their `TimeLine`; (None, None) without.
+    """Return errors of simulated positions; None without a drive of positions.
 
     The errors ``before``, ``plain``, ``after`` and, of a robot at its commanded
     positions, ``commands`` are (nv,) root mean squares [rad or m]; nan where a
-    simulation did not come to its end, with the reason in ``failed``. Each of
-    ``n_stretches`` is simulated from its measured first state.
+    simulation did not come to its end, with the reason in ``failed``. Each stretch is
+    simulated from its measured first state.
     """
     drive, dt = models.declared.drive, recording.dt
     if drive is None or not drive.of_positions:
-        return None, None
+        return None
     parts = _beginnings(stretches, dt)
     aim = np.reshape(recording.signals[drive.told], recording.q.shape)
     q, aim = (np.concatenate([x[rows] for rows in parts]) for x in (recording.q, aim))
@@ -34,24 +33,12 @@ def commands_alone(models, stretches, recording):
     errors = {name: reached[one] - q for name, one in known.items()}
     errors["commands"] = aim - q
     result = {name: np.sqrt((x**2).mean(axis=0)) for name, x in errors.items()}
-    result |= {
+    return result | {
         "units": tuple("m" if one else "rad" for one in slides),
         "seconds": len(q) * dt,
-        "n_stretches": len(parts),
         "failed": {name: failed[one] for name, one in known.items() if one in failed},
         "left_out": left_out,  # effects of the completed model that are not simulated
     }
-    # The stretches one after the other.
-    starts = np.cumsum([rows.stop - rows.start for rows in parts])[:-1]
-    curves = q, reached[models.declared], reached[models.judged]
-    every = np.ones(q.shape, dtype=bool)
-    line = TimeLine(
-        torques=over_time(dt * np.arange(len(q)), starts, *curves, every, dt),
-        borders=tuple((dt * starts).tolist()),
-        held_out=(),
-        in_seconds=True,
-    )
-    return result, line
 
 
 def _beginnings(stretches, dt):

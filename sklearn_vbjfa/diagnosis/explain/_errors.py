@@ -6,7 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain._commands import commands_alone
-from sklearn_vbjfa.diagnosis.explain._curves import residual_curves, time_line
+from sklearn_vbjfa.diagnosis.explain._curves import (
+    residual_curves,
+    time_line,
+    worst_joints,
+)
 from sklearn_vbjfa.diagnosis.explain._final import FinalFit, added_effects, quantile
 from sklearn_vbjfa.diagnosis.explain._gaps import SMALLEST_GAIN, memory_seconds
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
@@ -90,13 +94,13 @@ def judge(models, found, split, near, whole, commanded):
             (_numbered(of_free, near.searched_parts), of_after),
         )
         columns |= consistency_cost(*pairs, spread, step)
-    commands, positions = commands_alone(models, kept.stretches, commanded)
+    worst = worst_joints(columns["after"])
     begins = [part.start for part in whole.segments]
     return {
         "columns": columns,
         "intervals": intervals,
         "wide_cutoff": wide_cutoff,
-        "commands_alone": commands,
+        "commands_alone": commands_alone(models, kept.stretches, commanded),
         "outside": completed.robot_.outside(completed.robot_.prepare_recording(rest)),
         "looked_at": _looked_at(view, split),
         "settings": {
@@ -108,9 +112,8 @@ def judge(models, found, split, near, whole, commanded):
         },
         "curves": {
             "index": before.index,
-            "residuals": residual_curves(after, dt),
-            "positions": positions,
-            "line": time_line(searched, (before, after), whole.t, begins),
+            "residuals": residual_curves(after, dt, worst),
+            "line": time_line(searched, (before, after), whole.t, begins, worst),
         },
     }
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import special
 
-from sklearn_vbjfa.diagnosis.explain._curves import friction_columns, is_friction
+from sklearn_vbjfa.effects import RotorInertia
 
 # Share by which parameters differ between recordings of one robot, median over robots.
 # Friction follows the temperature; offsets are shares of the deviation of the torque.
@@ -177,13 +177,13 @@ def fitted_motion(final, spread):
     nv, theta = view.nv, identifier.robot_.linear_part(identifier.theta_)
     rows = np.linspace(0, view.index.size - 1, min(view.index.size, _ROWS)).astype(int)
     Phi = view.equations.Phi[rows]
-    columns = friction_columns(final.declared)
+    columns = _friction_columns(final.declared)
     friction = np.stack([Phi[:, j, own] @ theta[own] for j, own in enumerate(columns)])
     load = Phi @ theta[: Phi.shape[2]] - friction.T
     friction = friction.T + sum(
         torque[rows]
         for effect, torque in zip(final.effects, final.effect_torques())
-        if is_friction(effect)
+        if _is_friction(effect)
     )
     v, a = np.split(view.states[view.index[rows]], [nv, 2 * nv], axis=1)[1:]
     weight = view.equations.weight[rows]
@@ -198,8 +198,8 @@ def given_motion(identifier, states, predicted, spread):
     theta = identifier.theta_[: features.n_parameters_]
     Phi = features.matrices(states)
     total, friction = Phi @ theta, np.zeros((len(rows), nv))
-    acts = {e.joint for e in identifier.effects_ if is_friction(e)}
-    for j, own in enumerate(friction_columns(identifier)):
+    acts = {e.joint for e in identifier.effects_ if _is_friction(e)}
+    for j, own in enumerate(_friction_columns(identifier)):
         own = own[own < features.n_parameters_]
         friction[:, j] = Phi[:, j, own] @ theta[own]
     load = total - friction
@@ -208,3 +208,25 @@ def given_motion(identifier, states, predicted, spread):
     _, v, a = np.split(states, [nv, 2 * nv], axis=1)
     moving = np.abs(v) > np.maximum(identifier.standstill_, 0.0)
     return Motions(v, a, load, friction, moving.astype(float), spread)
+
+
+def _friction_columns(identifier):
+    """Parameters of a fitted identifier that are friction, of each joint an array."""
+    features = identifier.features_
+    width = features.n_parameters_ // features.n_joints_
+    terms = [k for k, x in enumerate(features.friction_) if x != RotorInertia.name]
+    terms = np.array(terms, dtype=int) + width - len(features.friction_)
+    found = [j * width + terms for j in range(features.n_joints_)]
+    at = features.n_parameters_
+    for effect in identifier.effects_:
+        count = len(effect.coefficients)
+        if _is_friction(effect):
+            found[effect.joint] = np.r_[found[effect.joint], at : at + count]
+        at += count
+    return found
+
+
+def _is_friction(effect):
+    """Whether the torque of an effect opposes the motion."""
+    of_speed = effect.seen_over == "speed" or "direction" in effect.depends
+    return effect.with_motion or of_speed

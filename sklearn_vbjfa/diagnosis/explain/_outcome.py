@@ -11,7 +11,6 @@ import scipy
 import sklearn
 from sklearn.base import BaseEstimator
 
-from sklearn_vbjfa.diagnosis.explain._curves import effect_curves, friction_curves
 from sklearn_vbjfa.diagnosis.explain._effects import discovered_effects
 from sklearn_vbjfa.diagnosis.explain._errors import NEXT_SECONDS
 from sklearn_vbjfa.diagnosis.explain._gaps import hidden, too_short, unexplained
@@ -89,8 +88,7 @@ class Outcome:
     # declared model ("name", "joints", "friction", ...), "added" terms, "gains" and
     # "corrections" of the exported model, "library" of effects
     robot: dict
-    # of pictures: "effects", "friction", "residuals", "line", "positions"; "index" of
-    # the held-out rows
+    # of pictures: "residuals", "line"; "index" of the held-out rows
     curves: dict
     provenance: dict  # recordings, settings and versions; files and date if known
 
@@ -180,7 +178,6 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
     errors = _errors(names, prismatic, columns, judged["intervals"])
     ends = float(whole.t[-1])
     effects = tuple(discovered_effects(search, final, names, prismatic, ends))
-    reported = [not effect.warning for effect in effects]
     known = np.where(columns["enough"], after, np.nan)
     findings = {
         "effects": tuple(e for e in effects if not e.warning),
@@ -195,11 +192,6 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         "commands_alone": judged["commands_alone"],
         "departures": identifier.mass_deviations_,
         "alike": identifier.alike_,
-    }
-    drawn = effect_curves(final)
-    curves = judged["curves"] | {
-        "effects": tuple(own for own, shown in zip(drawn, reported) if shown),
-        "friction": friction_curves(robot, final),
     }
     plain = models.plain.features_.friction_
     description = {
@@ -238,7 +230,7 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
             *_expected(expectation, names),
         ),
         robot=description,
-        curves=curves,
+        curves=judged["curves"],
         provenance=provenance,
     )
     return outcome, expectation

@@ -460,14 +460,3 @@ def _longest(outcome):
     if sizes.size:
         longest = min(longest, _FAR * sizes[(sizes.size - 1) // 2])
     return longest or 1.0
-
-
-def anchors(outcome):
-    """Where each effect is drawn or explained on a page; empty if it is not."""
-    effects, drawn = outcome.findings["effects"], outcome.curves.get("effects", ())
-    if not drawn:
-        return [""] * len(effects)
-    return [
-        "" if curves is None and effect.effect is None else f"effect-{k}"
-        for k, (effect, curves) in enumerate(zip(effects, drawn), 1)
-    ]

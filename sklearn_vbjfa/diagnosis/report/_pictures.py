@@ -12,8 +12,6 @@ WIDTH, HEIGHT = 400, 200
 _STEPS = 5
 # Points of a cloud and of a curve over time.
 _CLOUD, _CURVE = 200, 480
-# Points of a cloud of which each joint has one.
-_FEW = 120
 # Values farther than a share of their range beyond these quantiles are cut off, or a
 # spike would flatten the rest.
 _MOST, _REACH = (0.01, 0.99), 0.5
@@ -42,15 +40,6 @@ class Chart:
 
 
 @dataclass(frozen=True, kw_only=True)
-class About:
-    """What an effect is."""
-
-    formula: str  # what it adds to the torque, LaTeX; empty where none is given
-    paragraphs: tuple  # in words
-    link: str  # address of its page; empty for none
-
-
-@dataclass(frozen=True, kw_only=True)
 class Figure:
     """Charts that belong together."""
 
@@ -58,12 +47,10 @@ class Figure:
     charts: tuple  # side by side
     keys: tuple  # class and text of each entry of the legend
     note: str = ""  # what is not in the frame
-    about: About | None = None  # what is unfolded below
-    anchor: str = ""  # its place on a page; empty for none
     stacked: bool = False  # charts below one another, on one axis
 
 
-class _Plot:
+class Plot:
     """A chart in the making: ranges of both axes, and shapes from the back on."""
 
     def __init__(self, x, y):
@@ -155,52 +142,12 @@ class _Plot:
 # -- the figures -----------------------------------------------------------------------
 
 
-def effect_figure(curves, *, title, x_label, y_label, about=None, anchor=""):
-    """Draw what a model leaves without and with an effect, over the effect's signal."""
-    # Two charts on the same axes; anchor: its place on a page, empty for none.
-    y = _range(np.r_[curves.without, curves.after, curves.law_mean])
-    way = ", in the direction of motion" if curves.with_motion else ""
-    charts = []
-    for k, (name, points, kind) in enumerate(
-        (
-            (f"without the effect{way}", curves.without, "mean-before"),
-            (f"with it{way}", curves.after, "mean-after"),
-        )
-    ):
-        plot, mean, half = (
-            _Plot(_ends(curves.center), y),
-            curves.mean[k],
-            curves.deviation[k],
-        )
-        plot.zero()
-        plot.cloud(curves.x, points)
-        plot.band("spread", curves.center, mean - half, mean + half)
-        plot.line(kind, (curves.center, mean))
-        if k == 0:
-            plot.line("law", (curves.center, curves.law_mean))
-        charts.append(plot.chart(x_label, y_label, name))
-    return Figure(
-        title=title,
-        charts=tuple(charts),
-        keys=(
-            ("cloud", "rows of the recording"),
-            ("spread", "mean ± one standard deviation"),
-            ("law", "fitted law"),
-        ),
-        about=about,
-        anchor=anchor,
-    )
-
-
-def torque_figure(torques, line, floor, *, title, y_labels, **settings):
+def torque_figure(torques, line, floor, *, title, y_labels):
     """Draw measured and predicted torque over time, and both residuals below."""
-    # settings: x_label and border of the legend; finer: factor of the residuals;
-    # from_zero: whether the upper axis contains zero.
     seconds, counts = torques.seconds, torques.counts
-    finer, from_zero = settings.get("finer", 1.0), settings.get("from_zero", True)
-    x_label = settings.get("x_label") or ("time [s]" if line.in_seconds else "row")
+    x_label = "time [s]" if line.in_seconds else "row"
     left = [
-        np.where(counts, finer * (torques.measured - own), np.nan)
+        np.where(counts, torques.measured - own, np.nan)
         for own in (torques.before, torques.after)
     ]
     rows = np.union1d(
@@ -217,13 +164,12 @@ def torque_figure(torques, line, floor, *, title, y_labels, **settings):
     lower = {"line-before": left[0], "line-after": left[1]}
     charts, notes = [], []
     for own, y_label in ((upper, y_labels[0]), (lower, y_labels[1])):
-        zero, curves = from_zero or own is lower, list(own.values())
-        plot = _Plot(_ends(seconds), _range(np.concatenate(curves), zero))
+        curves = list(own.values())
+        plot = Plot(ends_of(seconds), range_of(np.concatenate(curves)))
         plot.spans("held-out", line.held_out)
         if own is lower and floor > 0:
             plot.band("floor", None, -floor, floor)
-        if zero:
-            plot.zero()
+        plot.zero()
         for kind, values in own.items():
             plot.line(kind, (seconds[rows], values[rows]))
         plot.verticals("border", line.borders)
@@ -235,7 +181,7 @@ def torque_figure(torques, line, floor, *, title, y_labels, **settings):
     if floor > 0:
         keys.append(("floor", "noise floor, one standard deviation"))
     if line.borders:
-        keys.append(("border", settings.get("border", "next recording")))
+        keys.append(("border", "next recording"))
     return Figure(
         title=title,
         charts=tuple(charts),
@@ -245,36 +191,12 @@ def torque_figure(torques, line, floor, *, title, y_labels, **settings):
     )
 
 
-def friction_figure(curves, *, title, y_label):
-    """Draw the friction of a joint over its speed, measured and of both models."""
-    before, after = curves.before, curves.after
-    plot = _Plot(_ends(after.x), _range(np.r_[after.without, after.law]))
-    plot.zero()
-    plot.verticals("zero", [0.0])
-    plot.cloud(after.x, after.without)
-    keys = [("cloud", "measured")]
-    # The declared model may have too little friction for a curve.
-    models = ("mean-after", "completed model", after), ("law", "declared model", before)
-    for kind, name, own in models:
-        if own is not None:
-            # The mean jumps with the sign of the speed.
-            ways = own.center < 0, own.center > 0
-            plot.line(kind, *((own.center[way], own.law_mean[way]) for way in ways))
-            keys.append((kind, name))
-    return Figure(
-        title=title,
-        charts=(plot.chart(f"speed [{after.unit}]", y_label),),
-        keys=tuple(keys),
-        note=plot.beyond([after.without]),
-    )
-
-
 def residual_figure(curves, *, title, unit):
     """Draw a residual over the predicted torque, and its autocorrelation."""
-    cloud = _Plot(_ends(curves.predicted), _range(curves.residual))
+    cloud = Plot(ends_of(curves.predicted), range_of(curves.residual))
     cloud.zero()
-    cloud.cloud(curves.predicted, curves.residual, _FEW)
-    lags = _Plot(_ends(curves.lags), _range(curves.correlation))
+    cloud.cloud(curves.predicted, curves.residual)
+    lags = Plot(ends_of(curves.lags), range_of(curves.correlation))
     lags.band("floor", None, -curves.chance, curves.chance)
     lags.zero()
     lags.line("mean-after", (curves.lags, curves.correlation))
@@ -311,21 +233,18 @@ def _step(length):
     return next(step for step in steps if length / step <= _STEPS + 1e-9)
 
 
-def _ends(values):
+def ends_of(values):
     low, high = float(np.min(values)), float(np.max(values))
     return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
-def _range(values, zero=True):
-    """Find the ends of a vertical axis: all but outliers, and zero unless it is not."""
+def range_of(values):
+    """Find the ends of a vertical axis: all but outliers, and zero."""
     values = values[np.isfinite(values)]
     low, high = np.quantile(values, _MOST) if values.size else (0.0, 0.0)
     reach = _REACH * (high - low)
-    ends = {"initial": 0.0} if zero or not values.size else {}
-    low = max(float(low - reach), float(np.min(values, **ends)))
-    high = min(float(high + reach), float(np.max(values, **ends)))
-    if zero:
-        low, high = min(low, 0.0), max(high, 0.0)
+    low = min(max(float(low - reach), float(np.min(values, initial=0.0))), 0.0)
+    high = max(min(float(high + reach), float(np.max(values, initial=0.0))), 0.0)
     if not high > low:
         return -1.0, 1.0
     room = 0.06 * (high - low)

@@ -1,6 +1,5 @@
 """Templates: sentences as plain text, pages, and the layout of a terminal."""
 
-import contextlib
 import html
 import re
 import textwrap
@@ -48,7 +47,6 @@ def environment(is_page, package=__package__):
         "line": line,
         "capital": words.capital,
         "clause": lambda text: text.partition(": ")[0],
-        "mathml": mathml,
         "wrap": _wrapped,
         "groups": lambda items, key: _facts.grouped(items, lambda x: getattr(x, key)),
         "subject": lambda text: re.split("[:;] |(?<!'), ", text)[0].rstrip("."),
@@ -72,6 +70,7 @@ _FUNCTIONS = {
     name: getattr(words, name)
     for name in (
         "bare_percent",
+        "documentation_of",
         "join",
         "number",
         "odds_text",
@@ -206,9 +205,7 @@ class Voice:
 
 
 def _read(body):
-    """Return what is read of a section, without what an effect is."""
-    about = r"<details><summary>About this effect.*?</details>"
-    body = re.sub(about, "", body, flags=re.S)
+    """Return what is read of a section."""
     return html.unescape(re.sub("<[^>]*>", "\n", body)).replace("\u00a0", " ").strip()
 
 
@@ -224,24 +221,6 @@ def figure(drawn):
 def style():
     """Return the style sheet of all that is inside an element of class "vbjfa"."""
     return environment(True).get_template("style.css.j2").render()
-
-
-def mathml(formula):
-    """Convert LaTeX to MathML; LaTeX that cannot be converted is not changed."""
-    from latex2mathml import converter
-
-    # The converter sets upright words by letters, no space around "sin", and passes
-    # markup through.
-    text = re.sub(r"\\mathrm(?=\{)", r"\\text", formula).replace(r"\_", "_")
-    text = re.sub(r" \\(sin|cos|tanh)(?! )", r"\\,\\\1", text)
-    text = re.sub(r" \\(sin|cos|tanh) ", r"\\,\\\1\\,", text)
-    if not re.search("[<>&]", formula):
-        # Its exceptions have no base of their own.
-        with contextlib.suppress(Exception):
-            # A line may break between formulas, not inside of one.
-            parts = re.split(r"\\q?quad(?![A-Za-z])", text)
-            return " ".join(converter.convert(part) for part in parts if part.strip())
-    return f"<code>{html.escape(formula)}</code>"
 
 
 def _page_value(value):

@@ -158,14 +158,15 @@ def _of_joint(own, rest, effects):
 def _is_worse(own, error, difference):
     """Whether a joint is worse than with another model, beyond chance."""
     low = own.intervals.get(difference, _NO_ENDS)[0]
-    # Without an interval the errors themselves decide. At its noise floor no joint is
-    # worse; an unknown floor excuses nothing.
+    # Without an interval the errors themselves decide.
     surely = not np.isfinite(low) or low > 0
-    return (
-        surely
-        and own.after > _WORSE * getattr(own, error)
-        and not own.after <= own.floor
-    )
+    return surely and _rose(own, error)
+
+
+def _rose(own, error):
+    """Whether the error of a joint is larger than with another model."""
+    # At its noise floor no joint is worse; an unknown floor excuses nothing.
+    return own.after > _WORSE * getattr(own, error) and not own.after <= own.floor
 
 
 def _status(outcome, joints, faults):
@@ -210,6 +211,8 @@ def _uses(outcome, status, joints):
     """Judge the uses of an outcome, a tuple of `Use`; reasons are codes."""
     whole = "faulty" if status == "faulty" else ""
     whole = whole or ("contradiction" if outcome.findings["contradictions"] else "")
+    errors = [outcome.errors[one.joint] for one in joints]
+    rose = [x.joint for x in errors if _rose(x, "before") or _rose(x, "plain")]
     found = []
     for name, forbidden in (
         ("feedforward", _UNTRUSTED),
@@ -220,17 +223,14 @@ def _uses(outcome, status, joints):
         for one in joints if not whole else ():
             if one.status in forbidden:
                 own.setdefault(one.status, []).append(one.joint)
+        allowed = not (whole or own)
+        if allowed and rose:
+            own = {"rose": rose}
         reason = whole or ("joints" if own else "")
-        if name == "simulation" and outcome.provenance.get("export"):
-            reason = reason or "approximate"
-        found.append(
-            Use(
-                name=name,
-                allowed=not (whole or own),
-                reason=reason,
-                joints=tuple(own.items()),
-            )
-        )
+        if allowed and name == "simulation" and outcome.provenance.get("export"):
+            reason = "approximate"
+        joined = tuple(own.items())
+        found.append(Use(name=name, allowed=allowed, reason=reason, joints=joined))
     return (*found, *_masses(outcome, whole))
 
 

@@ -1,8 +1,11 @@
 """Words and numbers of a report: what an effect is called, how an error is written."""
 
 import functools
+import importlib.metadata
 import math
 import re
+
+from sklearn_vbjfa.effects import available
 
 _TINY = 1e-12
 # Logarithm of the odds of a million to one.
@@ -102,6 +105,19 @@ def record_for(outcome, name):
     """Return what to record to see an effect; empty if its class does not say."""
     found = outcome.robot["library"].get(_name_of(outcome, name))
     return "" if found is None else found.record
+
+
+def documentation_of(name):
+    """Address of an effect's page; empty where the package names no documentation."""
+    try:
+        given = importlib.metadata.metadata("sklearn-vbjfa").get_all("Project-URL", [])
+    except importlib.metadata.PackageNotFoundError:
+        return ""
+    pairs = (entry.partition(",") for entry in given)
+    found = {label.strip().lower(): address.strip() for label, _, address in pairs}
+    if name not in available() or "documentation" not in found:
+        return ""
+    return f"{found['documentation'].rstrip('/')}/effects/{name}.html"
 
 
 def number(value, digits=3):
@@ -225,13 +241,6 @@ def join(parts, most=3, word="and"):
 def plural(count, noun):
     """Write a count with its noun."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
-def without_markup(text):
-    """Return a sentence of a docstring without the marks of reStructuredText."""
-    text = re.sub(r":(\w+):`([^`]*)`", r"\1:\2", text)
-    text = re.sub(r"(\[\d+\])_", r"\1", text)
-    return re.sub(r"`+([^`]*)`+", r"\1", text)
 
 
 def capital(text):

@@ -42,7 +42,7 @@ def found(models, recording):
 def test_errors_are_those_of_follow_on_the_held_out_rows_alone(
     found, models, recording
 ):
-    one, _ = found
+    one = found
     rows = np.concatenate([np.arange(x.start, x.stop) for x in STRETCHES])
     aim = recording.signals["q_desired"]
     assert_allclose(one["commands"], size((aim - recording.q)[rows]))
@@ -53,21 +53,9 @@ def test_errors_are_those_of_follow_on_the_held_out_rows_alone(
     assert_allclose(one["plain"], one["after"])
     assert (one["after"] < 0.02 * one["commands"]).all()
     assert one["before"].mean() > 3 * one["after"].mean()
-    assert (one["n_stretches"], one["units"]) == (2, ("rad", "rad", "rad"))
+    assert one["units"] == ("rad", "rad", "rad")
     assert one["seconds"] == pytest.approx(160 * DT)
     assert (one["failed"], one["left_out"]) == ({}, ())
-
-
-def test_curves_have_the_stretches_one_after_the_other(found, recording):
-    _, line = found
-    assert line.borders == pytest.approx([100 * DT])
-    for j, curves in enumerate(line.torques):
-        # nothing is known between the stretches
-        (gap,) = np.flatnonzero(np.isnan(curves.measured))
-        assert gap == 100
-        assert_allclose(curves.measured[:gap], recording.q[STRETCHES[0], j])
-        assert_allclose(curves.measured[gap + 1 :], recording.q[STRETCHES[1], j])
-        assert curves.seconds[-1] == pytest.approx(159 * DT)
 
 
 def test_a_model_that_diverges_has_no_error_and_a_reason(
@@ -82,15 +70,12 @@ def test_a_model_that_diverges_has_no_error_and_a_reason(
 
     assert simple.size < models.judged.theta_.size
     monkeypatch.setattr(_commands.CommandFollower, "run", diverges)
-    one, line = commands_alone(models, STRETCHES, recording)
+    one = commands_alone(models, STRETCHES, recording)
     assert one["failed"] == {"before": "It diverges."}
     assert np.isnan(one["before"]).all()
     assert np.isfinite(one["after"]).all()
-    assert np.isnan(line.torques[0].before).all()
-    # thinned as before
-    assert line.torques[0].seconds.size == 161
 
 
 def test_without_commands_of_positions_there_is_nothing(models, recording):
     bare = replace(models, declared=identify(recording, DRIVE).set_params(drive=None))
-    assert commands_alone(bare, STRETCHES, recording) == (None, None)
+    assert commands_alone(bare, STRETCHES, recording) is None

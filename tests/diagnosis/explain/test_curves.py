@@ -10,49 +10,12 @@ from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.explain import (
     FinalFit,
     added_effects,
-    cloud_size,
-    curves_over,
-    effect_curves,
     extremes,
     time_line,
 )
 from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.effects import Coulomb, Spring, resolve
 from sklearn_vbjfa.recording import take_arrays
-
-NAMED = {
-    "joint": 0,
-    "kind": "speed",
-    "signal": "",
-    "unit": "rad/s",
-    "with_motion": False,
-}
-
-
-def test_means_and_spread_are_those_of_the_rows():
-    rng = np.random.default_rng(0)
-    x = rng.uniform(-2.0, 2.0, 20_000)
-    law = 3.0 * x
-    after = 0.5 * rng.standard_normal(x.size)
-    found = curves_over(x, after, law, np.ones(x.size), **NAMED)
-    np.testing.assert_allclose(found.law_mean, 3.0 * found.center, atol=0.05)
-    np.testing.assert_allclose(found.mean[1], 0.0, atol=0.1)
-    np.testing.assert_allclose(found.mean[0], found.mean[1] + found.law_mean)
-    np.testing.assert_allclose(found.deviation[1], 0.5, rtol=0.15)
-    # the cloud is of the rows themselves, in order
-    assert (np.diff(found.x) >= 0).all()
-    assert found.x.size == cloud_size(1)
-    np.testing.assert_allclose(found.without - found.after, found.law)
-    np.testing.assert_allclose(found.law, 3.0 * found.x)
-
-
-def test_rows_count_by_their_weight():
-    x = np.repeat(np.linspace(0.0, 1.0, 400), 2)
-    after = np.tile([1.0, 3.0], 400)
-    weight = np.tile([3.0, 1.0], 400)
-    found = curves_over(x, after, np.zeros(800), weight, **NAMED)
-    np.testing.assert_allclose(found.mean, 1.5)
-    np.testing.assert_allclose(found.deviation, np.sqrt(0.75))
 
 
 def test_a_thinned_curve_keeps_its_peaks_and_its_gaps():
@@ -88,7 +51,7 @@ def test_the_time_line_has_borders_gaps_and_the_held_out_part():
         return part(rows, torque, torque + 1.0, torque + 2.0)
 
     parts = given(searched), given(held_out)
-    line = time_line(*parts, clock, [0, 60])
+    line = time_line(*parts, clock, [0, 60], [0, 1])
     assert line.in_seconds
     assert line.borders == (10.0,)
     np.testing.assert_allclose(line.held_out, [(2.0, 4.0), (14.0, 16.0)])
@@ -105,7 +68,7 @@ def test_the_time_line_has_borders_gaps_and_the_held_out_part():
     # Where the joint stands still errors do not count, nor where nothing is known.
     np.testing.assert_array_equal(one.counts[known], one.measured[known] % 7 > 0)
     assert not one.counts[~known].any()
-    assert not time_line(*parts, None, [0, 60]).in_seconds
+    assert not time_line(*parts, None, [0, 60], [0, 1]).in_seconds
 
 
 @pytest.fixture(scope="module")
@@ -131,18 +94,6 @@ def fitted():
     )
     view = RecordingView(declared, recording)
     return FinalFit(declared, whole, view, added_effects(whole, 2))
-
-
-def test_effects_are_drawn_over_their_own_signal(fitted):
-    spring, coulomb = effect_curves(fitted)
-    assert (spring.joint, spring.kind, spring.unit) == (1, "position", "rad")
-    assert (coulomb.joint, coulomb.kind, coulomb.unit) == (0, "speed", "rad/s")
-    # the law of a spring is a straight line, k (q - q0)
-    slope = np.polyfit(spring.center, spring.law_mean, 1)[0]
-    stiffness = fitted.effect_estimates[0].coef[0]
-    assert slope == pytest.approx(stiffness, rel=0.02)
-    np.testing.assert_allclose(spring.mean[0] - spring.mean[1], spring.law_mean)
-    assert np.corrcoef(spring.mean[0], spring.law_mean)[0, 1] > 0.9
 
 
 def test_torques_of_effects_and_residuals_add_up(fitted):

@@ -9,13 +9,9 @@ import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain import (
     Fact,
-    FrictionCurves,
     ResidualCurves,
     TimeLine,
     TorqueCurves,
-    cloud_size,
-    curve_size,
-    curves_over,
 )
 from sklearn_vbjfa.effects import Ripple
 from tests.diagnosis.report._outcomes import changed, make_outcome
@@ -23,29 +19,12 @@ from tests.diagnosis.report._outcomes import changed, make_outcome
 FILES = ("report.json", "parameters.csv", "identified.urdf")
 
 
-def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
+def made(nv=3, names=None, n_effects=2, **changes):
     """Make an outcome with all that a page draws."""
     outcome = make_outcome(nv=nv, names=names, n_effects=n_effects)
     names, effects = outcome.robot["joints"], outcome.findings["effects"]
     rng = np.random.default_rng(0)
-    curves = []
-    for effect in effects:
-        x, noise = rng.standard_normal((2, rows))
-        curves.append(
-            curves_over(
-                x,
-                0.1 * noise,
-                2.0 * x,
-                np.ones(rows),
-                joint=effect.joint,
-                kind="load",
-                signal="",
-                unit="N m",
-                with_motion=True,
-                most=cloud_size(n_effects),
-            )
-        )
-    seconds = np.linspace(0.0, 20.0, curve_size(nv))
+    seconds = np.linspace(0.0, 20.0, 500)
     torques = tuple(
         TorqueCurves(
             joint=j,
@@ -57,32 +36,10 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
         )
         for j in range(nv)
     )
-    speed = rng.standard_normal(rows)
-    friction = tuple(
-        FrictionCurves(
-            joint=j,
-            **{
-                name: curves_over(
-                    speed,
-                    0.1 * rng.standard_normal(rows),
-                    size * np.sign(speed) + speed,
-                    np.ones(rows),
-                    joint=j,
-                    kind="speed",
-                    signal="",
-                    unit="rad/s",
-                    with_motion=False,
-                    most=400,
-                )
-                for name, size in (("before", 0.5), ("after", 1.0))
-            },
-        )
-        for j in range(nv)
-    )
     residuals = tuple(
         ResidualCurves(
             joint=j,
-            predicted=speed[:200],
+            predicted=rng.standard_normal(200),
             residual=0.1 * rng.standard_normal(200),
             lags=0.01 * np.arange(40),
             correlation=0.9 ** np.arange(40),
@@ -93,8 +50,7 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
     line = TimeLine(
         torques=torques, borders=(12.0,), held_out=((3.0, 5.0),), in_seconds=True
     )
-    drawn = {"effects": tuple(curves), "line": line}
-    drawn |= {"friction": friction, "residuals": residuals}
+    drawn = {"line": line, "residuals": residuals}
     parameters = (
         Fact(
             kind="parameter",
@@ -158,13 +114,10 @@ def alone(nv=3, **changes):
         "commands": 10 * before,
         "units": (*(nv - 1) * ("rad",), "m"),
         "seconds": 12.34,
-        "n_stretches": 3,
         "failed": {},
         "left_out": (),
     }
-    line = replace(outcome.curves["line"], held_out=())
-    curves = outcome.curves | {"positions": line}
-    return changed(outcome, commands_alone=found | changes, curves=curves)
+    return changed(outcome, commands_alone=found | changes)
 
 
 def figures(html):

@@ -11,13 +11,9 @@ from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.report import (
     HEIGHT,
     WIDTH,
-    about_effect,
     documentation_of,
-    mathml,
     ticks,
 )
-from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.effects import Ripple, resolve
 from tests.diagnosis.report._outcomes import changed, finding, make_outcome
 from tests.diagnosis.report._pages import (
     FILES,
@@ -61,7 +57,7 @@ def test_a_page_is_whole_and_loads_nothing(drawn):
     assert "@import" not in page
     assert "url(" not in page
     assert "<script" not in page
-    assert not re.findall(r"https?://(?!www\.w3\.org/1998/Math)", page)
+    assert not re.findall("https?://", page)
     places = [value for name, value in seen.attributes if name == "id"]
     assert len(set(places)) == len(places)
 
@@ -70,12 +66,12 @@ def test_the_contents_lead_to_every_section(html, outcome):
     nav = re.search("<nav>.*?</nav>", html, re.DOTALL)[0]
     links = re.findall('<a href="#([^"]+)">([^<]+)</a>', nav)
     assert links == re.findall('<h2 id="([^"]+)">([^<]+)</h2>', html)
-    assert len({heading for _, heading in links}) == len(links) > 10
+    assert len({heading for _, heading in links}) == len(links) >= 10
 
 
 def test_a_notebook_gets_the_pictures_and_no_document(outcome, html):
     shown = Report(outcome)._repr_html_()
-    for mark in ("<html", "<body", "<script", "<nav>", "#effect-"):
+    for mark in ("<html", "<body", "<script", "<nav>"):
         assert mark not in shown
     assert len(figures(shown)) == len(figures(html))
     assert parsed(shown).open == []
@@ -131,8 +127,6 @@ def test_terms_are_explained_where_they_come_first(case):
 def read(part):
     """Return what is read of a part of a page but for what terms mean."""
     part = re.sub(r"<(nav|dl)\b.*?</\1>", "", part, flags=re.DOTALL)
-    what = r"<details><summary>About this effect.*?</details>"
-    part = re.sub(what, "", part, flags=re.DOTALL)
     labels = re.sub('aria-label="[^"]*"', "", part)
     return re.sub("<[^>]*>", "\n", labels).strip()
 
@@ -153,21 +147,11 @@ def test_one_bad_joint_does_not_flatten_the_bars():
 # -- pictures
 
 
-def test_every_effect_and_every_torque_has_its_picture(outcome, html, monkeypatch):
+def test_every_torque_and_every_residual_has_its_picture(outcome, html, monkeypatch):
     shown = figures(html)
-    assert len(shown) == 3 + 3 * 3
-    kinds = ("cloud", "spread", "mean-before", "mean-after", "law")
-    for effect, figure in zip(outcome.findings["effects"], shown):
-        called = words.effect_at(outcome, effect.name, effect.joint, effect.parameters)
-        assert words.capital(called) in figure
-        assert all(f'<path class="{kind}" d="M' in figure for kind in kinds)
-        # Explained without a network.
-        details = re.search("<details>.*</details>", figure, re.DOTALL)[0]
-        assert mathml(r"\Delta\tau = " + Ripple.formula) in details
-        assert "Tuttle" in details
-        assert "href" not in details
+    assert len(shown) == 3 + 3
     kinds = ("line-before", "line-after", "held-out", "border", "zero")
-    for figure in shown[3:6]:
+    for figure in shown[:3]:
         torque, residual = figure.split('<div class="chart"')[1:]
         for chart in (torque, residual):
             assert all(f'<path class="{kind}" d="M' in chart for kind in kinds)
@@ -181,7 +165,7 @@ def test_every_effect_and_every_torque_has_its_picture(outcome, html, monkeypatc
     # They are drawn without the library, and without matplotlib.
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     still = re.sub("<script.*?</script>", "", Report(outcome).to_html(), flags=re.S)
-    assert still.count("<svg") == 3 * 2 + 3 * 5
+    assert still.count("<svg") == 3 * 4
 
 
 def test_curves_stay_inside_their_frames(html):
@@ -237,15 +221,6 @@ def test_outliers_are_cut_off_and_noted():
     assert "values to 500" in spiked
 
 
-def test_the_table_leads_to_what_each_effect_is(outcome, html):
-    seen = parsed(html)
-    links = [v for k, v in seen.attributes if k == "href" and v[:8] == "#effect-"]
-    places = [v for k, v in seen.attributes if k == "id" and v[:7] == "effect-"]
-    assert links == [f"#{place}" for place in places]
-    assert len(links) == 3
-    assert "#effect-" not in Report(make_outcome(nv=3, n_effects=3)).to_html()
-
-
 def test_effects_link_to_their_documentation(monkeypatch):
     class Metadata:
         def get_all(self, key, default):
@@ -259,16 +234,6 @@ def test_effects_link_to_their_documentation(monkeypatch):
     assert documentation_of("ripple") == address
     assert documentation_of("my_own_effect") == ""
     assert f'<a href="{address}">' in Report(made(n_effects=3)).to_html()
-
-
-def test_what_a_class_says_is_shown_without_markup():
-    for effect in resolve("all"):
-        about = about_effect(effect)
-        assert len(about.paragraphs) >= 2
-        assert not any(mark in x for x in about.paragraphs for mark in ("`", "]_"))
-        assert not any("Parameters" in x for x in about.paragraphs)
-        # What a text cites stands below it.
-        assert about.paragraphs[-1].startswith("[1] ")
 
 
 # -- what stands in tables
@@ -315,10 +280,6 @@ def test_positions_from_commands_alone():
     for error in ("25.0 mrad and 40.0 mm", "2.50 mrad and 4.00 mm"):
         assert error in shown
         assert error in " ".join(str(report).split())
-    own = [x for x in figures(report.to_html()) if "held-out time" in x]
-    assert len(own) == len(given.errors)
-    assert "position [rad]" in own[0]
-    assert "error [mm]" in own[2]
     added = section_of(
         Report(changed(given, added=("offset",))), "Closed loop: .*?alone"
     )
@@ -336,14 +297,8 @@ def test_a_model_that_is_not_simulated_to_its_end_has_no_error():
         failed={"before": "It diverges.", "plain": "It diverges too."},
         left_out=("jerk on a (why)", "b"),
     )
-    line = given.curves["positions"]
-    torques = [replace(x, before=np.full(x.seconds.size, np.nan)) for x in line.torques]
-    curves = {"positions": replace(line, torques=tuple(torques))}
-    report = Report(replace(given, curves=given.curves | curves))
+    report = Report(given)
     shown = section_of(report, "Closed loop: commands alone")
     for said in ("It diverges.", "joint 1 mrad ? 2.00 200", "jerk on a (why) and b"):
         assert said in shown
     assert report.to_dict()["commands_alone"]["before"] == [None] * 3
-    (own, *_) = figures(report.to_html())
-    assert 'class="line-after"' in own
-    assert 'class="line-before"' not in own

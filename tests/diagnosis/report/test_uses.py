@@ -52,6 +52,19 @@ def test_a_joint_that_got_worse_forbids_feedforward():
     assert "held-out error rose" in report.uses[0].reason
 
 
+def test_a_rise_within_chance_stands_beside_the_uses():
+    given = make_outcome(channels=())
+    one = given.errors[1]
+    ends = {"difference": (-0.1, 0.2), "added": (-0.1, 0.2)}
+    one = replace(one, after=1.2 * one.before, intervals=one.intervals | ends)
+    errors = (given.errors[0], one, *given.errors[2:])
+    report = Report(replace(given, errors=errors))
+    assert report.joints[1].status != "worse"
+    assert report.uses[0].allowed
+    said = "collision detection (joint 2: held-out error rose, within chance)."
+    assert said in " ".join(str(report).split())
+
+
 def test_a_faulty_channel_forbids_every_use():
     report = Report(make_outcome(channels=(finding("Wrong sign.", "warning"),)))
     assert report.status == "faulty"

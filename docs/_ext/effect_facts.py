@@ -161,7 +161,7 @@ def _sort(value):
 def style():
     """Return the style sheet of reports with the theme switch of the documentation."""
     sheet = sheet_of_reports()
-    colours = re.findall(r"\.vbjfa\{(--ink:[^}]*?--held-out:[^;}]*)", sheet)
+    colours = re.findall(r"\.vbjfa\{(--ink:[^}]*?--law:[^;}]*)", sheet)
     light, dark = colours[:2]
     return "".join(
         [

@@ -15,7 +15,7 @@ ROBOT_FILES: tuple[str, ...] = (
     "identified.json",
 )
 _COLUMNS: tuple[str, ...] = ("parameter", "value", "unit", "std", "identifiable")
-_COLUMNS += ("known", "description", "description_std", "learned", "scatter")
+_COLUMNS += ("description", "scatter")
 # Effects that a line names.
 _NAMED = 3
 
@@ -66,21 +66,18 @@ def _text(cell):
 def _parameters(robot):
     """Yield the rows of the parameters."""
     facts = parameter_values(robot)
-    for one, std, alone in zip(facts, robot.theta_std_, robot.identifiable_):
-        identifiable = "yes" if alone else "no"
-        row = [one.name, one.value, one.unit, std, identifiable, one.source]
-        yield [*row, one.described, one.described_std, one.learned, math.nan]
+    for one, std in zip(facts, robot.theta_std_):
+        row = [one.name, one.value, one.unit, std, one.source]
+        yield [*row, one.described, math.nan]
 
 
 def _shared(robot):
     """Yield the rows of values that joints share, and of joints that differ."""
-    nothing = [math.nan] * 3
     for one in robot.alike_:
         if one.joints:
             row = [f"{one.group}:{one.parameter}", one.value, one.unit, one.std]
-            yield [*row, "yes", "yes", *nothing, one.scatter]
+            yield [*row, "yes", math.nan, one.scatter]
         for other in one.apart:
             for joint, factor, std in zip(other.bodies, other.factors, other.stds):
                 name = f"{joint}:{one.parameter} over the other {one.group} joints"
-                row = [name, factor, "times", std, "yes", "yes"]
-                yield [*row, *nothing, math.nan]
+                yield [name, factor, "times", std, "yes", math.nan, math.nan]

@@ -634,7 +634,9 @@ def open_effects(data, names):
     doubted = {(one["name"], one["joint"]): one.get("parameters") for one in completed}
     trials = [trial for one in completed for trial in one.get("trials", ())]
     shapes = {(one["name"], one["joint"]): one["shape"] for one in trials} | doubted
-    hidden = [x for x in data.get("hidden", ()) if x["reason"] == "excitation"]
+    hidden = [
+        x for x in data.get("not_identifiable", ()) if x["reason"] == "excitation"
+    ]
     weights = dict.fromkeys([*doubted, *shapes], _ASKED)
     weights |= {(one["name"], one["joint"]): _ASKED for one in hidden}
     above = {one["joint"] for one in data.get("unexplained", ())}

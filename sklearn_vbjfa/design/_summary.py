@@ -180,12 +180,9 @@ def _never(motion, found):
     """Say what no motion shows, effects with the same reason together; one or none."""
     by_reason = {}
     hidden = [(one.reason, one.name, one.joint) for one in motion.invisible]
-    for one in found.get("hidden") or ():
-        if one["reason"] in ("span", "together"):
-            why = SAME_COLUMNS
-            if one["reason"] == "together":
-                why = f"only together with {_label(one['remedy'])}"
-            hidden.append((why, one["name"], one["joint"]))
+    for one in found.get("not_identifiable") or ():
+        if one["reason"] == "span":
+            hidden.append((SAME_COLUMNS, one["name"], one["joint"]))
     for reason, name, joint in dict.fromkeys(hidden):
         by_reason.setdefault(reason, {}).setdefault(name, []).append(joint)
     texts = []

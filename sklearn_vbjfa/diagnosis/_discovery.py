@@ -13,7 +13,6 @@ from sklearn_vbjfa.diagnosis.explain import (
     FinalFit,
     Models,
     added_effects,
-    given_motion,
     judge,
     make_outcome,
     split_in_time,
@@ -96,28 +95,23 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         `ranges` (of the fitted motion). The values are those of `identifier_`.
     possible_ : tuple of DiscoveredEffect
         Effects that are more probable than not but not reported; `warning` is the
-        reason. They are part of `identifier_` and `judged_`.
-    added_ : tuple of str
-        Friction terms that were added to the declared ones on every joint.
+        reason. They are part of `identifier_` and `validation_model_`.
     error_before_, error_plain_, error_after_ : ndarray of shape (nv,)
-        RMS of the torque residual on the held-out data over `torque_spread_`, of the
+        RMS of the torque residual on the held-out data over `torque_std_`, of the
         declared model, with the four friction terms, and with the effects. The
         ``intervals`` of ``report_.outcome.errors`` contain the errors over the next
         50 s of the same motion in 90 % of cases.
-    torque_spread_ : ndarray of shape (nv,)
+    torque_std_ : ndarray of shape (nv,)
         Standard deviation of the low-pass filtered torque of each joint while the robot
         moves [N m or N].
-    consistency_cost_ : ndarray of shape (nv,)
-        Increase of `error_after_` by the projection onto physically consistent
-        parameters; 0 if it is not significant, nan if unknown.
     unexplained_ : tuple of Unexplained
         Joints with a residual above the noise floor, its share of the torque, and the
         signals on which it depends.
-    hidden_ : tuple of Hidden
+    not_identifiable_ : tuple of NotIdentifiable
         Effects that are not identifiable for this robot or from this recording.
     identifier_ : RobotIdentifier
         Completed model, fitted to all data.
-    judged_ : RobotIdentifier
+    validation_model_ : RobotIdentifier
         Completed model, fitted to the search data; its errors are reported.
     declared_, baseline_ : RobotIdentifier
         Declared model, and the same with the four friction terms, fitted to the search
@@ -168,8 +162,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     ... )
     >>> loop = EffectDiscovery(robot, effects=["load_friction"], random_state=0)
     >>> loop = loop.fit(recording.q, recording.tau)
-    >>> loop.added_
-    ('coulomb', 'offset', 'rotor_inertia')
     >>> [(effect.name, effect.joint) for effect in loop.effects_]
     [('load_friction', 1)]
     >>> bool((loop.error_after_ < loop.error_before_).all())
@@ -308,10 +300,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         commanded = replace(whole, signals={**signals, **whole.signals})
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
-            found = self._close(
+            outcome = self._close(
                 model, whole, commanded, offered, library, unusable, names
             )
-        return self._set(*found)
+        return self._set(outcome)
 
     # -- stages ---------------------------------------------------------------------
 
@@ -346,15 +338,17 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         given = {"origin": near.origin, **known}
         found = self._search(seen, silent, given, library)
         say("held-out judgement")
-        self.judged_ = self.baseline_
+        self.validation_model_ = self.baseline_
         if found.effects:
-            self.judged_ = self._with(found.effects, self.judged_, part)
+            self.validation_model_ = self._with(
+                found.effects, self.validation_model_, part
+            )
         unnamed = self._unnamed(found)
         if unnamed:
             effects = (*found.effects, *unnamed)
-            self.judged_ = self._with(effects, self.judged_, part)
+            self.validation_model_ = self._with(effects, self.validation_model_, part)
         models = Models(
-            declared=self.declared_, plain=self.baseline_, judged=self.judged_
+            declared=self.declared_, plain=self.baseline_, judged=self.validation_model_
         )
         # Copies of most rows are not needed any more.
         del part, seen
@@ -483,19 +477,19 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """Find the joint torque beyond the effects; none where few were looked for."""
         if not isinstance(self.effects, str) or self.identifier.drive is not None:
             return ()
-        added = added_effects(self.judged_, len(found.effects))
-        fit = FinalFit(self.baseline_, self.judged_, found.model.view, added)
+        added = added_effects(self.validation_model_, len(found.effects))
+        fit = FinalFit(self.baseline_, self.validation_model_, found.model.view, added)
         return unnamed_torques(fit, found.settings)
 
     def _hand_over(self, found, unnamed, whole, moving, silent, known):
         """Fit the completed model to all data, in the band that was judged."""
         band = {}
         if isinstance(self.identifier.cutoff, str):
-            cutoff = self.judged_.cutoff_
+            cutoff = self.validation_model_.cutoff_
             band["cutoff"] = cutoff if np.isfinite(cutoff) else None
         options = self.identifier.fit_options
         if isinstance(options.standstill, str):
-            standstill = self.judged_.standstill_
+            standstill = self.validation_model_.standstill_
             band["options"] = replace(options, standstill=standstill)
         rows, pieces = self._seen(whole, moving)
         seen = whole
@@ -510,23 +504,21 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         else:
             effects = tuned_on(view, found.effects, found.settings)
         effects = (*effects, *unnamed)
-        self.identifier_ = self._with(effects, self.judged_, whole, **band)
+        self.identifier_ = self._with(effects, self.validation_model_, whole, **band)
         effects = added_effects(self.identifier_, len(effects))
         share = seen.n_samples / whole.n_samples
         return FinalFit(self.baseline_, self.identifier_, view, effects, share)
 
-    def _set(self, outcome, expectation):
+    def _set(self, outcome):
         """Set the results and the report."""
         findings = outcome.findings
         self.effects_, self.possible_ = findings["effects"], findings["possible"]
-        self.unexplained_, self.hidden_ = findings["unexplained"], findings["hidden"]
-        self.added_ = outcome.robot["added"]
+        self.unexplained_ = findings["unexplained"]
+        self.not_identifiable_ = findings["not_identifiable"]
         self.error_before_ = outcome.column("before")
         self.error_plain_ = outcome.column("plain")
         self.error_after_ = outcome.column("after")
-        self.torque_spread_ = outcome.column("spread")
-        self.consistency_cost_ = outcome.column("consistency_cost")
-        self._expectation = expectation
+        self.torque_std_ = outcome.column("spread")
         self.report_ = Report(outcome)
         return self
 
@@ -553,35 +545,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         check_is_fitted(self)
         known = {"groups": groups, "t": t, "signals": signals}
         return self.identifier_.predict(X, **known, return_std=return_std)
-
-    def expected_error(self, X, groups=None, t=None, signals=None):
-        """Predict the error of the completed model on another motion.
-
-        It is the error on held-out data, larger for speeds, accelerations and loads
-        beyond those of the fit, and what parameters (friction, gains, offsets, the
-        load) differ by between recordings. The report has the same for motion like the
-        fitted, and where the differences are from.
-
-        Parameters
-        ----------
-        X, groups, t, signals : array-like
-            Positions or states of the motion, as for `predict`.
-
-        Returns
-        -------
-        error : ndarray of shape (nv,)
-            Median of the RMS error over `torque_spread_`; nan for a joint without an
-            error on held-out data.
-        interval : ndarray of shape (2, nv)
-            Ends between which it is in nine of ten recordings.
-        """
-        check_is_fitted(self)
-        robot, spread = self.identifier_, self.torque_spread_
-        predicted = robot.predict(X, groups, t, signals)
-        states = robot.robot_.states(positions_in_order(X, self.joint_names_), groups)
-        motion = given_motion(robot, np.asarray(states), predicted, spread)
-        error, low, high = self._expectation.of(motion)[:, :-1]
-        return error, np.stack([low, high])
 
 
 def _is_plain(effect):

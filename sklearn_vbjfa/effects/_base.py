@@ -500,21 +500,10 @@ class Stateful(Effect):
 
 
 class OfTime(Effect):
-    """An effect that changes with time: a search counts its slow changes alone.
-
-    Attributes
-    ----------
-    afterwards : str
-        What it is taken to do after the last time of the fit.
-    """
+    """An effect that changes with time: a search counts its slow changes alone."""
 
     slow = True
     needs: tuple[str, ...] = ("time",)
-    afterwards = ""
-
-    def later(self, coef, t):
-        """Return the coefficients at a time [s], symbol -> value; empty if constant."""
-        return {}
 
 
 def _parts(groups, n):

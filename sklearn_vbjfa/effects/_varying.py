@@ -81,7 +81,6 @@ class Drift(_Varied, OfTime):
     shape_units = (("time_constant", TIME),)
     continuous = ("time_constant",)
     positive = ("time_constant",)
-    afterwards = "fades on"
     seen_over = "time"
     record = "the same motion cold and warm"
     files = InFiles.nowhere("decays with time; the file has the value when warm")
@@ -110,9 +109,6 @@ class Drift(_Varied, OfTime):
             return D * math.exp(-known / constant)
 
         return table.add_level(self.joint, self.of, level)
-
-    def later(self, coef, t):
-        return {"D": float(coef[0] * np.exp(-t / self.time_constant))}
 
     def shapes(self, motion):
         """Time constants from a tenth to three times the recording."""
@@ -272,7 +268,6 @@ class Payload(Shaped, OfTime):
     shape_units = (("instant", TIME),)
     continuous = ("instant",)
     jumping = ("instant",)
-    afterwards = "stays"
     seen_over = "time"
     record = "motion against gravity with and without payload"
     files = InFiles.nowhere("a change at an instant; the file has the robot before it")

@@ -241,8 +241,8 @@ def _next_error(cell, duration, rho, seed):
     n = round(duration / DT)
     loop = discover(made, ["coulomb"], n)
     # The interval is of the model that was judged.
-    rest = loop.judged_.residuals(made.q[n:], made.tau[n:])
-    later = rest.relative_error(loop.torque_spread_)
+    rest = loop.validation_model_.residuals(made.q[n:], made.tau[n:])
+    later = rest.relative_error(loop.torque_std_)
     low, high = loop.report_.outcome.intervals("after")
     for j, error in enumerate(later):
         cell.add(low[j], high[j], error, loop.error_after_[j])

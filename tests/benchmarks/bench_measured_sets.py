@@ -91,7 +91,7 @@ def split_of(loop, q, tau, groups):
         q, tau, groups, None, None, dt=dt, joint_names=loop.joint_names_
     )
     split = split_in_time(loop.identifier, whole, loop.test_size)
-    effects = loop.judged_.effects_
+    effects = loop.validation_model_.effects_
     shaped = [e for e in effects if isinstance(e, Shaped)]
     instants = [getattr(e, name) for e in shaped for name in e.jumping]
     guard = round(loop.report_.outcome.provenance["settings"]["guard_seconds"] / dt)
@@ -120,7 +120,7 @@ def judge(q, tau, groups, identifier):
 
     def error(model):
         left = model.residuals(X_test, y_test, groups=labels_test)
-        return left.rms() / loop.torque_spread_
+        return left.rms() / loop.torque_std_
 
     declared = error(loop.declared_)
     if not np.allclose(declared, loop.error_before_, atol=SAME, equal_nan=True):

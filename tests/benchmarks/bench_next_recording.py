@@ -43,7 +43,7 @@ def judge(task):
     promised = loop.report_.outcome.facts_of("next recording")
     median = np.array([one.value for one in promised[:-1]])
     low, high = np.array([one.interval for one in promised[:-1]]).T
-    error = left.rms() / loop.torque_spread_
+    error = left.rms() / loop.torque_std_
     known = np.isfinite(median) & np.isfinite(error)
     return {
         **{key: task[key] for key in KEYS},

@@ -113,7 +113,7 @@ def judge(recording, identifier, scale, label, fitted, judged):
     declared = clone(identifier).fit(fit.q, fit.tau, groups=fit.groups)
     models = declared, loop.identifier_
     found = [m.residuals(unseen.q, unseen.tau, groups=unseen.groups) for m in models]
-    spread, outcome = loop.torque_spread_, loop.report_.outcome
+    spread, outcome = loop.torque_std_, loop.report_.outcome
     low, high = outcome.intervals("after")
     return Verdict(
         judged=label,

@@ -219,9 +219,9 @@ def close(case, identifier):
     return Answer(
         case=case,
         effects=loop.effects_,
-        before=loop.error_before_ * loop.torque_spread_,
-        after=loop.error_after_ * loop.torque_spread_,
-        spread=loop.torque_spread_,
+        before=loop.error_before_ * loop.torque_std_,
+        after=loop.error_after_ * loop.torque_std_,
+        spread=loop.torque_std_,
         seconds=seconds,
     )
 

@@ -55,7 +55,7 @@ SETS = {
 FITTED = ("theta_std_", "identifiable_", "min_eigenvalues_", "noise_floor_")
 FITTED += ("torque_noise_", "input_noise_torque_", "output_noise_", "cutoff_")
 FITTED += ("standstill_",)
-FOUND = ("error_before_", "error_plain_", "error_after_", "torque_spread_")
+FOUND = ("error_before_", "error_plain_", "error_after_", "torque_std_")
 LABELS = {"name", "joint", "effect", "parameter", "unit", "link"}
 
 # -- figures of estimators -------------------------------------------------------------

@@ -51,10 +51,8 @@ def home(tmp_path_factory):
                 "trials": [{"name": "viscous_quadratic", "joint": 0, "shape": {}}],
             },
         ],
-        "hidden": [
+        "not_identifiable": [
             {"name": "joint_zero", "joint": 0, "reason": "span", "remedy": ""},
-            {"name": "joint_axis", "joint": 1, "reason": "together"}
-            | {"remedy": "base_tilt"},
         ],
         "parameters": [
             {"name": "elbow:viscous", "value": 0.5, "interval": [-9.5, 10.5]}
@@ -151,8 +149,7 @@ def test_the_summary_names_what_is_decided_and_what_no_motion_shows(designed):
         r"exceed these torques - joint 1 \(shoulder\), from [\d.]+ N m: Stribeck "
         "friction or friction with the square of speed Not identifiable by any "
         r"motion: .*shifted encoder zero \(joint 1 \(shoulder\)\) "
-        r"\(absorbed by .*\); turned joint axis \(joint 2 \(elbow\)\) "
-        r"\(only together with tilted base\)",
+        r"\(absorbed by .*\)",
         told,
     )
     # Shares of the acceleration that is allowed, with the margin of the design.

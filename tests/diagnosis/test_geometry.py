@@ -122,7 +122,7 @@ def test_a_robot_without_faults_has_none():
     assert named(loop) == []
     assert_allclose(loop.error_after_, loop.error_plain_)
     # Neither the first zero, of a vertical axis, nor the last one shows.
-    told = {(h.name, h.joint) for h in loop.hidden_}
+    told = {(h.name, h.joint) for h in loop.not_identifiable_}
     assert {("joint_zero", 0), ("joint_zero", 2), ("joint_axis", 0)} <= told
     assert ("base_tilt", 0) not in told
     assert ("joint_zero", 1) not in told
@@ -140,7 +140,7 @@ def test_a_declared_tilt_is_found_by_the_identifier():
     # The declared model had the tilt as good as it could without the zero.
     (first,) = loop.declared_.effects_
     assert first.corrects
-    assert loop.hidden_ is not None
+    assert loop.not_identifiable_ is not None
     assert "base_tilt" not in {e.name for e in loop.effects_}
 
 

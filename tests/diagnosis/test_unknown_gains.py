@@ -89,7 +89,7 @@ def test_the_reference_stays_and_gains_are_not_searched(recording):
     loop = close(recording, None, ["spring", "torque_gain"])
     references = {
         robot.gains_.references
-        for robot in (loop.declared_, loop.judged_, loop.identifier_)
+        for robot in (loop.declared_, loop.validation_model_, loop.identifier_)
     }
     assert len(references) == 1
     assert "torque_gain" not in loop.report_.outcome.robot["library"]

@@ -5,15 +5,15 @@ from sklearn_vbjfa import _lazily
 # For the report, the command line and tests; users get them from `EffectDiscovery`.
 _MODULES = {
     "_commands": "commands_alone",
-    "_curves": "ResidualCurves TimeLine TorqueCurves extremes time_line",
+    "_curves": "ResidualCurves TorqueCurves extremes torque_curves",
     "_effects": "DiscoveredEffect named_values",
     "_errors": "Models NEXT_SECONDS error_intervals judge",
     "_final": "EffectEstimate FinalFit added_effects",
     "_gaps": """
-        ABOVE_FLOOR Dependence Hidden NO_INFORMATION Unexplained dependences
-        inseparable motion_signals p_value
+        ABOVE_FLOOR Dependence NO_INFORMATION NotIdentifiable Unexplained dependences
+        motion_signals p_value
     """,
-    "_next": "Expectation Motions given_motion",
+    "_next": "Expectation",
     "_outcome": "Fact JointErrors Outcome make_outcome parameter_values",
     "_recordings": "Contradiction Parts contradictions",
     "_split": "split_in_time",

@@ -30,7 +30,7 @@ class ResidualCurves:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueCurves:
-    """Measured and predicted torque of a joint over time."""
+    """Measured and predicted torque of a joint on the held-out part, over time."""
 
     joint: int  # from zero
     seconds: np.ndarray  # (k,): or numbers of rows
@@ -40,19 +40,6 @@ class TorqueCurves:
     before: np.ndarray
     after: np.ndarray
     counts: np.ndarray  # (k,): whether the joint moves, so that errors count there
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TimeLine:
-    """The recording from its beginning to its end."""
-
-    torques: tuple  # of the joints that are drawn
-    borders: tuple  # where recordings after the first begin [s]
-    held_out: tuple  # stretches that the search did not look at [s]
-    in_seconds: bool  # whether times are known; else they count rows
-
-
-# -- residuals -------------------------------------------------------------------------
 
 
 def worst_joints(errors):
@@ -87,59 +74,33 @@ def residual_curves(after, dt, joints):
     return tuple(found)
 
 
-# -- torques over time -----------------------------------------------------------------
-
-
-def time_line(searched, held_out, clock, begins, joints):
-    """Torques over time of two models before and after, `TimeLine`."""
-    # searched, held_out: pairs of their residuals on the two parts of the recording
-    index = np.concatenate([searched[0].index, held_out[0].index])
-    order = np.argsort(index, kind="stable")
-    fresh = np.repeat([False, True], [x[0].index.size for x in (searched, held_out)])
-    index, fresh = index[order], fresh[order]
-    seconds = np.arange(index[-1] + 1) if clock is None else clock
-    seconds = seconds[index].astype(float)
-
-    def series(which, name):
-        pair = searched[which], held_out[which]
-        return np.concatenate([getattr(part, name) for part in pair])[order]
-
-    step = float(np.median(np.diff(seconds))) if seconds.size > 1 else 1.0
-    starts = np.searchsorted(index, np.asarray(begins)[1:])
-    starts = starts[starts < index.size]
-    # Nothing is known between recordings, and between search and held-out part.
-    gaps = np.union1d(np.flatnonzero(np.diff(seconds) > _GAP * step) + 1, starts)
-    change = np.diff(np.r_[False, fresh, False].astype(int))
-    ends = zip(np.flatnonzero(change > 0), np.flatnonzero(change < 0))
-    named = {"measured": (0, "torque"), "before": (0, "predicted")}
-    named |= {"after": (1, "predicted"), "counts": (0, "weight")}
-    shown = {
-        k: np.insert(series(*own)[:, joints], gaps, np.nan, axis=0)
-        for k, own in named.items()
-    }
-    shown["counts"] = shown["counts"] > 0
-    at = np.insert(seconds, gaps, seconds[gaps] - 0.5 * step)
-    return TimeLine(
-        torques=tuple(
-            _thinned(j, at, **{name: x[:, k] for name, x in shown.items()})
-            for k, j in enumerate(joints)
-        ),
-        borders=tuple(seconds[starts].tolist()),
-        held_out=tuple(
-            (float(seconds[a]), float(seconds[b - 1] + step)) for a, b in ends
-        ),
-        in_seconds=clock is not None,
-    )
-
-
-def _thinned(joint, seconds, **curves):
-    """Thin the curves (n,) of a joint, half of the points for its residual."""
-    left = np.where(curves["counts"], curves["measured"] - curves["after"], 0.0)
-    rows = np.union1d(
-        extremes(curves["measured"], _CURVE // 2), extremes(left, _CURVE // 2)
-    )
-    thin = {name: x[rows] for name, x in curves.items()}
-    return TorqueCurves(joint=joint, seconds=seconds[rows], **thin)
+def torque_curves(before, after, clock, joints):
+    """Torques over time of two models, from residuals; a tuple of `TorqueCurves`."""
+    seconds = before.index if clock is None else clock[before.index]
+    # Nothing is known between held-out stretches.
+    step = np.median(np.diff(seconds)) if seconds.size > 1 else 1.0
+    gaps = np.flatnonzero(np.diff(seconds) > _GAP * step) + 1
+    at = np.insert(seconds.astype(float), gaps, seconds[gaps] - 0.5 * step)
+    found = []
+    for j in joints:
+        columns = before.torque, before.predicted, after.predicted, before.weight
+        measured, *predicted, weight = (
+            np.insert(x[:, j], gaps, np.nan) for x in columns
+        )
+        counts = weight > 0
+        left = np.where(counts, measured - predicted[1], 0.0)
+        rows = np.union1d(extremes(measured, _CURVE // 2), extremes(left, _CURVE // 2))
+        found.append(
+            TorqueCurves(
+                joint=j,
+                seconds=at[rows],
+                measured=measured[rows],
+                before=predicted[0][rows],
+                after=predicted[1][rows],
+                counts=counts[rows],
+            )
+        )
+    return tuple(found)
 
 
 def extremes(values, most):

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.explain._final import quantile
 from sklearn_vbjfa.diagnosis.search._posterior import Evidence
-from sklearn_vbjfa.effects import EffectRange, OfTime, Shaped
+from sklearn_vbjfa.effects import EffectRange, Shaped
 
 # Why the values of an effect do not let it be reported.
 _UNKNOWN = "no parameter of it is known from zero"
@@ -35,9 +34,6 @@ class DiscoveredEffect:
     scope: str = "joint"  # or "robot"; its joint is the first one then
     # positions, speeds and loads of its joint that it was fitted on
     ranges: EffectRange | None = None
-    # state of an effect of time after the recording: a dict of the last time [s], of
-    # the assumption, and of the values that are left with their 90 % intervals
-    afterwards: dict | None = None
     warning: str = ""  # why it is only possible; empty for one that is reported
 
     @property
@@ -53,9 +49,9 @@ class DiscoveredEffect:
         return self.evidence.probability
 
 
-def discovered_effects(search, final, names, prismatic, seconds):
+def discovered_effects(search, final, names, prismatic):
     """Yield each `DiscoveredEffect`, with the values of the final fit."""
-    # seconds: the last time of the recording. Effects of the declared model come first.
+    # Effects of the declared model come first.
     count = len(final.effects)
     ranges = final.identifier.effect_ranges_[-count:] if count else ()
     for finding, effect, estimate, fitted in zip(
@@ -91,7 +87,6 @@ def discovered_effects(search, final, names, prismatic, seconds):
             ),
             effect=effect,
             ranges=fitted,
-            afterwards=_afterwards(effect, estimate, seconds),
             warning=warning,
         )
 
@@ -121,28 +116,6 @@ def _unknown(effect, coef, intervals):
     own = [key for key in intervals if key not in effect.shape()] or list(intervals)
     away = any(intervals[key][0] > 0.0 or intervals[key][1] < 0.0 for key in own)
     return "" if any(coef) and (away or not own) else _UNKNOWN
-
-
-def _afterwards(effect, estimate, seconds):
-    """Return the state of an effect of time after the recording, or None."""
-    if not isinstance(effect, OfTime):
-        return None
-    k = len(estimate.coef)
-
-    def left(x):
-        shape = dict(zip(estimate.shape, x[k:].tolist()))
-        return clone(effect).set_params(**shape).later(x[:k], seconds)
-
-    x = np.r_[estimate.coef, [getattr(effect, name) for name in estimate.shape]]
-    found, deviations = _propagated(left, x, estimate.covariance)
-    half = quantile(estimate.freedom)
-    reach = {name: half * std for name, std in deviations.items() if std == std}
-    return {
-        "seconds": seconds,
-        "how": effect.afterwards,
-        "left": found,
-        "intervals": {k: (found[k] - r, found[k] + r) for k, r in reach.items()},
-    }
 
 
 def named_values(effect, estimate):

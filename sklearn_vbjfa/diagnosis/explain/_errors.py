@@ -1,6 +1,5 @@
 """Errors on the held-out part, which is looked at here and only once."""
 
-import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,19 +7,16 @@ import numpy as np
 from sklearn_vbjfa.diagnosis.explain._commands import commands_alone
 from sklearn_vbjfa.diagnosis.explain._curves import (
     residual_curves,
-    time_line,
+    torque_curves,
     worst_joints,
 )
 from sklearn_vbjfa.diagnosis.explain._final import FinalFit, added_effects, quantile
-from sklearn_vbjfa.diagnosis.explain._gaps import SMALLEST_GAIN, memory_seconds
+from sklearn_vbjfa.diagnosis.explain._gaps import memory_seconds
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.equations._equations import torque_spread
 from sklearn_vbjfa.fit._identifier import RobotIdentifier
 
-# The wider band reaches this many times as far as that of the fit, and at least to the
-# frequency [Hz] at which controllers act; up to a share of the sample rate.
-_WIDER, _CONTROL, _HIGHEST = 4.0, 10.0, 0.4
 # Time for which errors are predicted [s].
 NEXT_SECONDS = 50.0
 # Slowest cosines of time whose mean square is the long-run variance. Few of them leave
@@ -54,7 +50,12 @@ def judge(models, found, split, near, whole, commanded):
     instants = [getattr(e, name) for e in shaped for name in e.jumping]
     kept = split.decided(whole.t, instants).guarded(guard)
     rest = kept.held_out(whole)
-    (before, plain, after), wide, wide_cutoff = _held_out(models, kept, rest, whole)
+    residuals = {
+        one: _numbered(one.robot_.residuals_of(rest), kept.stretches)
+        for one in dict.fromkeys((models.declared, models.plain, completed))
+    }
+    before, plain = residuals[models.declared], residuals[models.plain]
+    after = residuals[completed]
     added = added_effects(
         completed, len(completed.effects_) - len(models.plain.effects_)
     )
@@ -78,7 +79,6 @@ def judge(models, found, split, near, whole, commanded):
         "before": before.relative_error(spread),
         "plain": plain.relative_error(spread),
         "after": after.relative_error(spread),
-        "wide": _over(wide, spread),
         "spread": spread,
     }
     # Rows in which a joint moves throughout have its largest weight.
@@ -86,22 +86,11 @@ def judge(models, found, split, near, whole, commanded):
     seconds = (before.weight / full).sum(axis=0) * step
     values = 2.0 * min(completed.cutoff_, 0.5 / dt) * seconds
     columns |= {"seconds": seconds, "enough": values >= FEWEST_VALUES}
-    if completed.projector_ is not None:
-        free = without_constraints(completed).robot_.residuals_of(rest)
-        of_free = fit.residuals_of(completed.theta_unconstrained_)
-        pairs = (
-            (_numbered(free, kept.stretches), after),
-            (_numbered(of_free, near.searched_parts), of_after),
-        )
-        columns |= consistency_cost(*pairs, spread, step)
     worst = worst_joints(columns["after"])
-    begins = [part.start for part in whole.segments]
     return {
         "columns": columns,
         "intervals": intervals,
-        "wide_cutoff": wide_cutoff,
         "commands_alone": commands_alone(models, kept.stretches, commanded),
-        "outside": completed.robot_.outside(completed.robot_.prepare_recording(rest)),
         "looked_at": _looked_at(view, split),
         "settings": {
             "untouched_stretches": len(kept.stretches),
@@ -113,14 +102,9 @@ def judge(models, found, split, near, whole, commanded):
         "curves": {
             "index": before.index,
             "residuals": residual_curves(after, dt, worst),
-            "line": time_line(searched, (before, after), whole.t, begins, worst),
+            "torques": torque_curves(before, after, whole.t, worst),
         },
     }
-
-
-def _over(values, spread):
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return values / spread
 
 
 def _looked_at(view, split):
@@ -128,26 +112,6 @@ def _looked_at(view, split):
     there = sum(part.stop - part.start for part in split.searched_parts)
     seen = view.states.shape[0]
     return seen if seen < there else 0
-
-
-def _held_out(models, kept, rest, whole):
-    """Residuals of the models on held-out rows, and the error in a wider band."""
-    completed = models.judged
-    cutoff, dt = completed.cutoff_, completed.dt
-    end = min(max(_WIDER * cutoff, _CONTROL), _HIGHEST / dt)
-    if not (np.isfinite(cutoff) and end > 1.1 * cutoff):
-        end = np.nan
-    found, wide = {}, np.full(whole.nv, np.nan)
-    three = models.declared, models.plain, completed
-    for one in dict.fromkeys(three):
-        bands = ["fit", end] if one is completed and np.isfinite(end) else ["fit"]
-        narrow, *more = one.robot_.residuals_behind(rest, bands)
-        found[one] = _numbered(narrow, kept.stretches)
-        # Of the wide band, as large as a long recording, only sums are kept.
-        for part in more:
-            wide = part.rms()
-        del more
-    return [found[one] for one in three], wide, end
 
 
 def _numbered(part, slices):
@@ -209,26 +173,3 @@ def _shares(weight, values, total):
     squares = weight * values**2
     mean = squares.sum(axis=0) / total
     return np.where(mean > 0, squares / np.where(mean > 0, mean, 1.0), 0.0)
-
-
-# -- cost of physical consistency ------------------------------------------------------
-
-
-def without_constraints(robot):
-    """Copy a fitted identifier, which predicts with its unconstrained parameters."""
-    other = copy.copy(robot)
-    other.theta_ = robot.theta_unconstrained_
-    return other
-
-
-def consistency_cost(held_out, searched, spread, step):
-    """Errors without the constraints, and how much these raise them, (nv,)."""
-    # The rise counts where it is above 0 by more than its interval, and as large as
-    # what an effect has to save to be reported.
-    free, held = (part.relative_error(spread) for part in held_out)
-    low, _ = error_intervals(held_out, searched, spread, step)["difference"]
-    with np.errstate(invalid="ignore"):
-        material = free**2 < (1.0 - SMALLEST_GAIN) * held**2
-        cost = np.where((low > 0) & material, held - free, 0.0)
-    cost[~np.isfinite(held - free)] = np.nan
-    return {"unconstrained": free, "consistency_cost": cost}

@@ -112,11 +112,8 @@ class FinalFit:
         """Residuals before and after, a pair of TorqueResiduals."""
         theta = self.declared.robot_.linear_part(self.declared.theta_)
         before = self._compared(self.nominal.equations.Phi @ theta)
-        return before, self.residuals_of(self.identifier.theta_)
-
-    def residuals_of(self, theta):
-        """Residuals of the completed model with some parameters, TorqueResiduals."""
-        return self._compared(self._predicted(theta))
+        after = self._compared(self._predicted(self.identifier.theta_))
+        return before, after
 
     def _compared(self, predicted):
         equations = self.view.equations

@@ -7,13 +7,10 @@ import numpy as np
 from scipy import special
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.explain._effects import named_beside
-from sklearn_vbjfa.diagnosis.search._blocks import FEWEST, fit_memory
+from sklearn_vbjfa.diagnosis.search._blocks import fit_memory
 from sklearn_vbjfa.effects import closure
 from sklearn_vbjfa.equations._equations import make_motion
 
-# What takes less than this off a joint's squared error is not worth reporting.
-SMALLEST_GAIN = 0.02
 # A residual this far above its noise floor is unexplained: by the first factor if it
 # varies with a signal, by the second in any case. (What smoothing takes from the motion
 # leaves some per cent above the floor.)
@@ -24,8 +21,6 @@ _BINS, _LEVEL, _SIGNALS = 12, 0.01, 4
 # Share of a column's power outside the span of the others below which it cannot be
 # seen in this recording, and below which no motion can show it.
 _UNSEEN, _IN_SPAN = 1e-3, 1e-6
-# Columns are equal if this share of what the model leaves of them is outside others.
-_EQUAL = 1e-3
 # Faults of channels that carry too little information: these are reported and not
 # searched, since the search would find the fault.
 NO_INFORMATION = ("coarse_torque", "still_joint")
@@ -168,47 +163,36 @@ def memory_seconds(model):
     return seconds
 
 
-def too_short(model):
-    """Joints whose residual is too few independent values, with its memory [s]."""
-    spans, precision = model.view.spans, model.view.precision
-    total = spans.length * spans.n_blocks
-    pairs = enumerate(memory_seconds(model))
-    return tuple(
-        (j, float(x)) for j, x in pairs if precision[j] > 0 and FEWEST * x > total
-    )
-
-
 # -- effects that are not identifiable -------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hidden:
+class NotIdentifiable:
     """An effect that this data cannot show."""
 
     name: str
     joint: int  # from zero
     joint_name: str
     # "span": of the declared columns whatever the motion; "excitation": in this
-    # recording; "signal": it needs one that is missing; "together": only its sum with
-    # another effect is identifiable
+    # recording; "signal": it needs one that is missing
     reason: str
-    remedy: str = ""  # what to record; the name of the other effect
+    remedy: str = ""  # what to record
 
 
-def hidden(found, names):
+def not_identifiable(found, names):
     """Effects of the library that this robot or this recording cannot show."""
     # A robot that was searched branch by branch is asked branch by branch.
-    listed = [] if found.branches else _hidden(found, names)
+    listed = [] if found.branches else _not_identifiable(found, names)
     for branch, own in found.branches:
-        part = _hidden(own, [names[j] for j in branch.joints])
+        part = _not_identifiable(own, [names[j] for j in branch.joints])
         listed += [replace(one, joint=branch.joints[one.joint]) for one in part]
     return tuple(sorted(listed, key=lambda one: one.joint))
 
 
-def _hidden(found, names):
+def _not_identifiable(found, names):
     """List what a robot or a branch that was searched as a whole cannot show."""
     model = found.model
-    probe, listed, in_model = _probe(model), [], []
+    probe, listed = _probe(model), []
     declared = {effect.key() for effect in model.view.robot.effects_}
     for joint in np.flatnonzero(model.view.precision > 0).tolist():
         present, hides = _on(joint, found)
@@ -219,16 +203,12 @@ def _hidden(found, names):
             lacks = one.applies(model.motion)
             if lacks:
                 listed += [(one, "signal", lacks)] if lacks.startswith("needs") else []
-            elif not hides(one):
-                in_model += [one] if one.in_model else []
-            elif _in_span(one, *probe):
+            elif hides(one) and _in_span(one, *probe):
                 listed.append((one, "span", ""))
-            else:
+            elif hides(one):
                 listed.append((one, "excitation", one.record))
-    for one, other in inseparable(found, in_model):
-        listed.append((one, "together", named_beside(other, one, names)))
     return [
-        Hidden(
+        NotIdentifiable(
             name=one.name,
             joint=one.joint,
             joint_name=names[one.joint],
@@ -275,21 +255,6 @@ def _on(joint, found):
         return not share.max() > _UNSEEN
 
     return present, hides
-
-
-def inseparable(found, effects):
-    """Pairs of effects in the model of which only the sum is identifiable."""
-    # Nothing is left of the columns of the first when those of the second are fitted,
-    # which comes before it in precedence or in the list.
-    model, before = found.model, []
-    for one in sorted(effects, key=lambda one: one.precedence if one.in_model else 0):
-        own = _family(model, one)
-        alone = np.diagonal(model.fit.groups(own).H[0])
-        for other, fit in before:
-            if (np.diagonal(fit.groups(own).H[0]) <= _EQUAL * alone).all():
-                yield one, other
-                break
-        before.append((one, model.fit.beside(own.member(0, _LOOSE))))
 
 
 def _family(model, effect):

@@ -13,8 +13,8 @@ from sklearn.base import BaseEstimator
 
 from sklearn_vbjfa.diagnosis.explain._effects import discovered_effects
 from sklearn_vbjfa.diagnosis.explain._errors import NEXT_SECONDS
-from sklearn_vbjfa.diagnosis.explain._gaps import hidden, too_short, unexplained
-from sklearn_vbjfa.diagnosis.explain._next import Expectation, fitted_motion
+from sklearn_vbjfa.diagnosis.explain._gaps import not_identifiable, unexplained
+from sklearn_vbjfa.diagnosis.explain._next import Expectation, torque_sizes
 from sklearn_vbjfa.diagnosis.explain._recordings import Parts, contradictions
 from sklearn_vbjfa.effects import UnnamedTorque, declarable, resolve
 from sklearn_vbjfa.equations._features import nominal_followers
@@ -48,9 +48,6 @@ class JointErrors:
     # ends of the 90 % intervals over the next 50 s of the same motion: of the errors,
     # and of after minus before ("difference") and after minus plain ("added")
     intervals: dict
-    wide: float = math.nan  # after, in a wider band than that of the fit
-    unconstrained: float = math.nan  # after, without physical consistency
-    consistency_cost: float = math.nan  # rise by physical consistency; 0 by chance
     spread: float = math.nan  # deviation of the torque while the robot moves [N m or N]
     seconds: float = math.nan  # held-out time in which the joint moves [s]
     enough: bool = True  # whether that is enough for a verdict
@@ -71,8 +68,6 @@ class Fact:
     # description", "no"), or where differences between recordings are known from
     source: str = "yes"
     described: float = math.nan  # value of the robot description
-    described_std: float = math.nan  # its deviation before the recording
-    learned: float = math.nan  # share of that variance which the recording removed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,15 +75,15 @@ class Outcome:
     """Results of a discovery; the report is made from it."""
 
     errors: tuple[JointErrors, ...]  # one for each joint
-    # Tuples by kind: "effects", "possible", "unexplained", "hidden", "channels",
-    # "contradictions", "outside", "repeated", "unnamed", "departures", "alike"; and
+    # Tuples by kind: "effects", "possible", "unexplained", "not_identifiable",
+    # "channels", "contradictions", "repeated", "unnamed", "departures", "alike"; and
     # "commands_alone", a dict or None.
     findings: dict
     facts: tuple[Fact, ...]
     # declared model ("name", "joints", "friction", ...), "added" terms, "gains" and
     # "corrections" of the exported model, "library" of effects
     robot: dict
-    # of pictures: "residuals", "line"; "index" of the held-out rows
+    # of pictures: "residuals", "torques"; "index" of the held-out rows
     curves: dict
     provenance: dict  # recordings, settings and versions; files and date if known
 
@@ -155,7 +150,7 @@ def _json(value):
 
 
 def make_outcome(search, models, final, judged, channels, asked, whole, recordings):
-    """Collect the results; returns an `Outcome` and the `Expectation` of errors."""
+    """Collect the results in an `Outcome`."""
     # `models` were fitted to the rows of the search, `final` to all data; `judged` is
     # returned by `judge`; `asked` are the parameters of the discovery; `whole` is all
     # data, `recordings` their names.
@@ -173,22 +168,20 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         scatter = np.log(high / low) / (2 * HALF_WIDTH)
     parts = Parts.of(final)
     left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
-    motion = fitted_motion(final, spread)
-    expectation = Expectation(after, columns["floor"], scatter, left_out, motion)
+    sizes = torque_sizes(final, spread)
+    expectation = Expectation(after, columns["floor"], scatter, left_out, sizes)
     errors = _errors(names, prismatic, columns, judged["intervals"])
-    ends = float(whole.t[-1])
-    effects = tuple(discovered_effects(search, final, names, prismatic, ends))
+    effects = tuple(discovered_effects(search, final, names, prismatic))
     known = np.where(columns["enough"], after, np.nan)
     findings = {
         "effects": tuple(e for e in effects if not e.warning),
         "possible": tuple(e for e in effects if e.warning),
         "unnamed": tuple(e for e in final.effects if isinstance(e, UnnamedTorque)),
         "unexplained": unexplained(search.model, names, spread, floor, known),
-        "hidden": hidden(search, names),
+        "not_identifiable": not_identifiable(search, names),
         "channels": channels,
         "contradictions": contradictions(parts, spread, float(asked["alpha"])),
         "repeated": final.view.repetition.motions(),
-        "outside": judged["outside"],
         "commands_alone": judged["commands_alone"],
         "departures": identifier.mass_deviations_,
         "alike": identifier.alike_,
@@ -201,7 +194,6 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         "added": tuple(name for name in plain if name not in features.friction_),
         "n_parameters": features.n_parameters_,
         "cutoff": float(robot.cutoff_),
-        "wide_cutoff": judged["wide_cutoff"],
         "standstill": robot.standstill_.tolist(),
         "limits": _limits(features.model_),
         "drive": _drive(robot.drive, whole),
@@ -221,7 +213,7 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         "left_out": len(left_out),
         "settings": _settings(search, asked) | judged["settings"],
     }
-    outcome = Outcome(
+    return Outcome(
         errors=errors,
         findings=findings,
         facts=(
@@ -233,7 +225,6 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         curves=judged["curves"],
         provenance=provenance,
     )
-    return outcome, expectation
 
 
 def _errors(names, prismatic, columns, intervals):
@@ -282,9 +273,7 @@ def _settings(search, asked):
         "n_blocks": view.blocks.n_blocks,
         "block_seconds": float(view.blocks.length),
         "n_folds": view.blocks.n_folds,
-        "too_short": too_short(search.model),
         "error_seconds": NEXT_SECONDS,
-        "search_rows": view.n_rows,
         "random_state": seed if isinstance(seed, int | None) else "given",
         "versions": {
             "sklearn_vbjfa": __version__,
@@ -317,7 +306,6 @@ def parameter_values(robot):
         robot.parameter_units_,
         robot.robot_.known_,
         nominal.tolist(),
-        robot.theta_prior_std_.tolist(),
     )
     return tuple(
         Fact(
@@ -329,10 +317,8 @@ def parameter_values(robot):
             unit=unit,
             source=known,
             described=described,
-            described_std=prior,
-            learned=_learned(std, prior),
         )
-        for name, value, std, unit, known, described, prior in rows
+        for name, value, std, unit, known, described in rows
     )
 
 
@@ -346,11 +332,6 @@ def _interval(value, std):
     """Return the ends of a 90 % interval; nan without a finite deviation."""
     half = HALF_WIDTH * std if math.isfinite(std) else math.nan
     return value - half, value + half
-
-
-def _learned(std, prior):
-    """Share of a prior variance that a recording removed; nan without a prior."""
-    return float(np.clip(1.0 - (std / prior) ** 2, 0.0, 1.0)) if prior > 0 else math.nan
 
 
 def _masses(bodies):
@@ -371,7 +352,9 @@ def _masses(bodies):
 def _expected(expectation, names):
     """Yield the errors that are expected of the next recording of such motion."""
     joints = [*enumerate(names), (None, "mean of the joints")]
-    for (joint, name), (error, low, high) in zip(joints, expectation.of().T.tolist()):
+    for (joint, name), (error, low, high) in zip(
+        joints, expectation.errors().T.tolist()
+    ):
         yield Fact(
             kind="next recording",
             name=name,

@@ -22,7 +22,6 @@ _FAR = 8.0
 # small a share of the other is zero.
 _SLOW, _ZERO = 0.1, 1e-3
 _UNITS = {"position": ("rad", "m"), "speed": ("rad/s", "m/s"), "load": ("N m", "N")}
-_WHERE = {"position": "positions", "speed": "speeds", "load": "loads"}
 # Time that decides most questions [s], and the slowest of its speeds over the fastest.
 _SECONDS, _SLOWEST = 60, 0.1
 # Joints that a terminal has room for; of more, so many of the worst and of the best.
@@ -136,24 +135,6 @@ def range_text(outcome, joint, quantity, pair):
     return f"{low} to {high} {unit}"
 
 
-def fitted_on(outcome, effect):
-    """List the ranges of motion that an effect was fitted on, where they matter."""
-    known = effect.ranges
-    if known is None:
-        return []
-    pairs = [(x, getattr(known, x)) for x in known.depends if x in _UNITS]
-    found = [
-        f"{_WHERE[quantity]} of {range_text(outcome, effect.joint, quantity, pair)}"
-        for quantity, pair in pairs
-        if pair[0] <= pair[1]
-    ]
-    if "direction" in known.depends:
-        low, high = known.direction
-        found += ["forward motion only"] if low >= 0 else []
-        found += ["backward motion only"] if high <= 0 and low < 0 else []
-    return found
-
-
 def motion_plan(outcome, joints):
     """Rows of joints that are to move: range, speeds and seconds."""
     limits, motion = outcome.robot.get("limits"), outcome.robot["motion"]
@@ -210,25 +191,18 @@ def unexplained_groups(outcome):
 
 def hidden_groups(outcome):
     """Group effects that are not identifiable by whether they are in the model, why."""
-    model, others = [], {"excitation": [], "signal": [], "span": [], "together": []}
-    for one in outcome.findings["hidden"]:
+    model, others = [], {"excitation": [], "signal": [], "span": []}
+    for one in outcome.findings["not_identifiable"]:
         if in_model(outcome, one) and one.reason != "span":
             model.append(one)
         else:
             others[one.reason].append(one)
 
     def cause(one):
-        # Partners are several, one for each joint.
-        return one.name, one.reason, "" if one.reason == "together" else one.remedy
-
-    def pair(one):
-        return one.name, words.other_label(outcome, one.remedy, one.name)
+        return one.name, one.reason, one.remedy
 
     found = {k: grouped(own, lambda one: one.name) for k, own in others.items()}
-    return found | {
-        "model": [(*key, own) for key, own in grouped(model, cause)],
-        "together": [(*key, own) for key, own in grouped(others["together"], pair)],
-    }
+    return found | {"model": [(*key, own) for key, own in grouped(model, cause)]}
 
 
 def to_record(outcome, signal_advice, no_period):
@@ -249,7 +223,7 @@ def to_record(outcome, signal_advice, no_period):
     for effect in findings["effects"]:
         for name in (effect.name, *effect.rivals) if effect.rivals else ():
             add(words.record_for(outcome, name), effect)
-    for one in findings["hidden"]:
+    for one in findings["not_identifiable"]:
         if one.reason == "excitation":
             add(words.record_for(outcome, one.name) or one.remedy, one)
     return wanted
@@ -275,16 +249,9 @@ def agrees(mass, nominal):
 
 
 def masses(outcome):
-    """Sort the bodies by how they are known, and those that are heavier or lighter."""
-    bodies, gains = outcome.facts_of("mass"), outcome.robot["gains"]
-    # Relative masses are in another unit than those of the description.
-    compared = bodies if gains is None or gains.absolute else ()
+    """Sort the bodies by how they are known."""
+    bodies = outcome.facts_of("mass")
     groups = dict(grouped(bodies, lambda b: b.source))
-    odd = [
-        b for b in compared if b.source != "yes" and not agrees(b.value, b.described)
-    ]
-    odd.sort(key=lambda b: min(b.value, b.described) / max(b.value, b.described))
-    sure = [b for b in compared if b.source == "yes"]
     return {
         "unknown": [
             ([b.name for b in groups[known]], known)
@@ -292,9 +259,6 @@ def masses(outcome):
             if known in groups
         ],
         "count": len(bodies),
-        "odd": odd,
-        "heavier": [b for b in sure if b.described < b.interval[0]],
-        "lighter": [b for b in sure if b.described > b.interval[1]],
     }
 
 
@@ -329,8 +293,6 @@ def parameter_groups(outcome):
     """Group the parameters by joint, a list of dict."""
     names, groups = outcome.robot["joints"], []
     for joint, own in grouped(outcome.facts_of("parameter"), lambda one: one.joint):
-        # With a prior each parameter of a joint has an interval.
-        prior = any(np.isfinite(p.described_std) for p in own)
         largest = {}
         for one in own:
             largest[one.unit] = max(largest.get(one.unit, 0.0), abs(one.value))
@@ -338,18 +300,18 @@ def parameter_groups(outcome):
         for one in own:
             begin = "" if joint is None else f"{names[joint]}:"
             zero = abs(one.value) < _ROUNDING * largest[one.unit]
-            ends = one.interval if one.source == "yes" or prior else None
-            described, learned = np.isfinite([one.described, one.learned])
+            known = one.source in ("yes", "from the description")
             rows.append(
                 {
                     "name": one.name.removeprefix(begin),
-                    "value": words.with_error(0.0 if zero else one.value, ends),
-                    "nominal": with_half(one.described, one.described_std)
-                    if described
+                    "value": words.with_error(
+                        0.0 if zero else one.value, one.interval if known else None
+                    ),
+                    "nominal": words.number(one.described)
+                    if np.isfinite(one.described)
                     else "",
                     "unit": one.unit,
                     "known": one.source,
-                    "learned": words.whole_percent(one.learned) if learned else "",
                 }
             )
         groups.append({"joint": joint, "rows": rows})
@@ -363,8 +325,6 @@ def error_rows(outcome):
     """Cells of the errors of each joint, the largest error first, a list of dict."""
     percent, rows = words.bare_percent, []
     left_out = [] if outcome.robot["added"] else ["four terms"]
-    left_out += [] if np.isfinite(outcome.robot["wide_cutoff"]) else ["wide"]
-
     for one in sorted(outcome.errors, key=lambda x: -np.nan_to_num(x.after, nan=-1)):
         ends = one.intervals.get("after", (np.nan, np.nan))
         known = np.isfinite(ends).all()
@@ -377,7 +337,6 @@ def error_rows(outcome):
             "reduction": percent(np.round(one.before - one.after, 3) + 0.0),
             "size": words.number(one.after * one.spread, 2),
             "noise": percent(one.floor),
-            "wide": percent(one.wide),
         }
         cells = {key: text for key, text in cells.items() if key not in left_out}
         rows.append({"joint": one.joint, "cells": list(cells.values()), "named": cells})
@@ -387,7 +346,7 @@ def error_rows(outcome):
 def short_errors(outcome, verdicts):
     """Heads and rows of the errors for a terminal, without the middle of many."""
     # A line has room for the size in N m, or for a third error.
-    left_out = ["reduction", "wide", *(["size"] if outcome.robot["added"] else [])]
+    left_out = ["reduction", *(["size"] if outcome.robot["added"] else [])]
     if not np.isfinite(outcome.floor).any():
         left_out.append("noise")
     # The headline says what is unknown of all joints.

@@ -6,14 +6,14 @@ from sklearn_vbjfa.diagnosis.report._pictures import residual_figure, torque_fig
 
 def torques(outcome):
     """Draw the torque of the worst joints over time, and both residuals below."""
-    line, found = outcome.curves.get("line"), []
-    for one in () if line is None else line.torques:
+    found = []
+    for one in outcome.curves.get("torques", ()):
         own = outcome.errors[one.joint]
         what = "torque" if own.unit == "N m" else "force"
         labels = f"{what} [{own.unit}]", f"residual [{own.unit}]"
         title = words.joint_label(outcome.robot["joints"], one.joint)
         floor = own.floor * own.spread
-        found.append(torque_figure(one, line, floor, title=title, y_labels=labels))
+        found.append(torque_figure(one, floor, title=title, y_labels=labels))
     return found
 
 

@@ -102,18 +102,6 @@ class Plot:
         down = [f"{a:.1f} {b:.1f}" for a, b in zip(x, self.down(low))]
         self.add(kind, f"M{'L'.join([*up, *down[::-1]])}Z")
 
-    def spans(self, kind, spans):
-        """Add rectangles over the whole height."""
-        ends = (self.across(np.clip(span, *self.x)) for span in spans)
-        self.add(
-            kind, "".join(f"M{a:.1f} 0H{b:.1f}V{HEIGHT}H{a:.1f}Z" for a, b in ends)
-        )
-
-    def verticals(self, kind, places):
-        """Add vertical lines."""
-        places = self.across(list(places))
-        self.add(kind, "".join(f"M{a:.1f} 0V{HEIGHT}" for a in places))
-
     def beyond(self, curves):
         """Describe how far values go that are cut off; empty if none is."""
         values = np.concatenate([own[np.isfinite(own)] for own in curves])
@@ -142,10 +130,9 @@ class Plot:
 # -- the figures -----------------------------------------------------------------------
 
 
-def torque_figure(torques, line, floor, *, title, y_labels):
+def torque_figure(torques, floor, *, title, y_labels):
     """Draw measured and predicted torque over time, and both residuals below."""
     seconds, counts = torques.seconds, torques.counts
-    x_label = "time [s]" if line.in_seconds else "row"
     left = [
         np.where(counts, torques.measured - own, np.nan)
         for own in (torques.before, torques.after)
@@ -166,22 +153,16 @@ def torque_figure(torques, line, floor, *, title, y_labels):
     for own, y_label in ((upper, y_labels[0]), (lower, y_labels[1])):
         curves = list(own.values())
         plot = Plot(ends_of(seconds), range_of(np.concatenate(curves)))
-        plot.spans("held-out", line.held_out)
         if own is lower and floor > 0:
             plot.band("floor", None, -floor, floor)
         plot.zero()
         for kind, values in own.items():
             plot.line(kind, (seconds[rows], values[rows]))
-        plot.verticals("border", line.borders)
         notes.append(plot.beyond(curves))
-        charts.append(plot.chart(x_label, y_label))
+        charts.append(plot.chart("time [s]", y_label))
     keys = list(zip(upper, ("measured", "completed model", "declared model")))
-    if line.held_out:
-        keys.append(("held-out", "held-out part"))
     if floor > 0:
         keys.append(("floor", "noise floor, one standard deviation"))
-    if line.borders:
-        keys.append(("border", "next recording"))
     return Figure(
         title=title,
         charts=tuple(charts),

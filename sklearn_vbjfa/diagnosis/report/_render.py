@@ -12,7 +12,6 @@ from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import _facts, _figures, _pictures
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
-from sklearn_vbjfa.robot._spreads import held_text
 
 # Characters of a terminal's line, and of the longest word that a table leaves whole.
 _TERMINAL, _LONG = 80, 20
@@ -121,11 +120,9 @@ class Voice:
             "figures": partial(self._bound, _figures),
             "joint": partial(words.joint_label, names),
             "joints": partial(words.joint_list, names),
-            "held": held_text(outcome.findings["outside"], label),
             "say": self,
             "short_label": partial(self, "short_label"),
             "rivals_of": self._rivals,
-            "partner": lambda h: words.other_label(outcome, h.remedy, h.name),
             "signals_of": self._signals,
             "effect_at": lambda e: words.effect_at(
                 outcome, e.name, e.joint, e.parameters
@@ -134,8 +131,6 @@ class Voice:
             "place": partial(words.place_label, outcome),
             "in_model": partial(_facts.in_model, outcome),
             "statement": partial(_facts.statement, outcome),
-            "fitted_on": partial(_facts.fitted_on, outcome),
-            "range_text": partial(_facts.range_text, outcome),
         }
         self._module = self._made("sentences.j2", is_page=False)
 

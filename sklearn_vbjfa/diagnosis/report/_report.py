@@ -116,7 +116,7 @@ class Report:
         return bool(
             findings["unexplained"]
             or any(effect.rivals for effect in findings["effects"])
-            or any(one.reason == "excitation" for one in findings["hidden"])
+            or any(one.reason == "excitation" for one in findings["not_identifiable"])
         )
 
     def __reduce__(self):
@@ -143,7 +143,7 @@ class Report:
             The content of ``report.json``, described in "Your robot": the verdict
             (``status``, ``headline``, ``verdict``, ``uses``, ``warnings``), ``errors``
             with a row for each joint, the findings by kind (``effects``, ``possible``,
-            ``unexplained``, ``hidden``, ``channels`` and others), ``facts``,
+            ``unexplained``, ``not_identifiable``, ``channels`` and others), ``facts``,
             ``robot`` and ``provenance``. Lists replace arrays, None replaces nan,
             joints count from zero, and values are in SI units.
         """

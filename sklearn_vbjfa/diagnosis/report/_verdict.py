@@ -52,7 +52,6 @@ class MeanErrors:
     before: float
     plain: float
     after: float
-    wide: float  # after, in the wider band
     floor: float  # known only if that of every such joint is
 
 
@@ -199,7 +198,6 @@ def mean_errors(outcome):
         before=mean("before"),
         plain=mean("plain"),
         after=mean("after"),
-        wide=mean("wide", enough),
         floor=mean("floor") if all(np.isfinite(x.floor) for x in used) else np.nan,
     )
 

@@ -11,7 +11,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     FinalFit,
     added_effects,
     extremes,
-    time_line,
+    torque_curves,
 )
 from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.effects import Coulomb, Spring, resolve
@@ -30,35 +30,21 @@ def test_a_thinned_curve_keeps_its_peaks_and_its_gaps():
     assert np.isnan(extremes(np.full(1000, np.nan), 10)).sum() == 0
 
 
-def part(index, torque, before, after):
-    return tuple(
+def test_torques_over_time_have_gaps_between_the_stretches():
+    # rows 20 to 39 and 100 to 119 are held out
+    rows = np.r_[20:40, 100:120]
+    torque = np.column_stack([rows, -rows]).astype(float)
+    before, after = (
         SimpleNamespace(
-            index=index, torque=torque, predicted=predicted, weight=torque % 7
+            index=rows, torque=torque, predicted=torque + k, weight=torque % 7
         )
-        for predicted in (before, after)
+        for k in (1.0, 2.0)
     )
-
-
-def test_the_time_line_has_borders_gaps_and_the_held_out_part():
-    # two recordings of 60 rows; rows 20 to 39 and 100 to 119 are held out, and 15 to
-    # 19 are left out beside them
-    clock = np.r_[0.1 * np.arange(60), 10.0 + 0.1 * np.arange(60)]
-    held_out = np.r_[20:40, 100:120]
-    searched = np.r_[0:15, 40:100]
-
-    def given(rows):
-        torque = np.column_stack([rows, -rows]).astype(float)
-        return part(rows, torque, torque + 1.0, torque + 2.0)
-
-    parts = given(searched), given(held_out)
-    line = time_line(*parts, clock, [0, 60], [0, 1])
-    assert line.in_seconds
-    assert line.borders == (10.0,)
-    np.testing.assert_allclose(line.held_out, [(2.0, 4.0), (14.0, 16.0)])
-    one, other = line.torques
-    assert (one.joint, other.joint) == (0, 1)
-    gaps = one.seconds[np.isnan(one.measured)]
-    np.testing.assert_allclose(gaps, [1.95, 9.95])
+    clock = 0.1 * np.arange(120)
+    other, one = torque_curves(before, after, clock, [1, 0])
+    assert (other.joint, one.joint) == (1, 0)
+    (gap,) = one.seconds[np.isnan(one.measured)]
+    assert gap == pytest.approx(9.95)
     known = np.isfinite(one.measured)
     np.testing.assert_allclose(
         clock[one.measured[known].astype(int)], one.seconds[known]
@@ -68,7 +54,6 @@ def test_the_time_line_has_borders_gaps_and_the_held_out_part():
     # Where the joint stands still errors do not count, nor where nothing is known.
     np.testing.assert_array_equal(one.counts[known], one.measured[known] % 7 > 0)
     assert not one.counts[~known].any()
-    assert not time_line(*parts, None, [0, 60], [0, 1]).in_seconds
 
 
 @pytest.fixture(scope="module")

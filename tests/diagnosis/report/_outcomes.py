@@ -8,8 +8,8 @@ from sklearn_vbjfa.diagnosis import SearchSettings
 from sklearn_vbjfa.diagnosis.explain import (
     Dependence,
     DiscoveredEffect,
-    Hidden,
     JointErrors,
+    NotIdentifiable,
     Outcome,
     Unexplained,
 )
@@ -78,9 +78,9 @@ def make_range(name, joint, depends=("position",)):
     )
 
 
-COLUMNS = ("before", "plain", "after", "floor", "wide", "spread", "seconds", "enough")
-COLUMNS += ("searched", "unconstrained", "consistency_cost")
-FINDINGS = ("unnamed", "contradictions", "repeated", "outside", "departures", "alike")
+COLUMNS = ("before", "plain", "after", "floor", "spread", "seconds", "enough")
+COLUMNS += ("searched",)
+FINDINGS = ("unnamed", "contradictions", "repeated", "departures", "alike")
 SETTINGS = {
     "test_size": 0.25,
     "untouched_stretches": 3,
@@ -93,7 +93,6 @@ SETTINGS = {
     "block_seconds": 1.3,
     "n_folds": 8,
     "correlation_seconds": 0.13,
-    "too_short": (),
     "random_state": 0,
     "versions": {"numpy": "2.0"},
 }
@@ -109,7 +108,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
     after[list(unexplained)] *= 2.0
     before = after.copy()
     before[[(i + 1) % nv for i in range(n_effects)]] += 0.1
-    columns = {"before": before, "after": after, "floor": floor, "wide": 1.4 * after}
+    columns = {"before": before, "after": after, "floor": floor}
     columns |= {"spread": np.linspace(50.0, 5.0, nv), "seconds": np.full(nv, 9.0)}
     intervals = {
         "before": np.array([0.9 * before, 1.1 * before]),
@@ -138,7 +137,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         "effects": effects,
         "possible": (),
         "unexplained": tuple(make_unexplained(j, names) for j in unexplained),
-        "hidden": tuple(make_hidden(names)),
+        "not_identifiable": tuple(make_hidden(names)),
         "channels": (
             finding("Torque of joint 1 is coarse, 3 steps."),
             finding("Joint 2 stands still."),
@@ -152,7 +151,6 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         "added": (),
         "n_parameters": 11 * nv,
         "cutoff": 10.0,
-        "wide_cutoff": 40.0,
         "drive": None,
         "motion": (),
         "limits": None,
@@ -201,7 +199,7 @@ def make_hidden(names):
             ("drift", "signal", "needs time stamps"),
         ):
             known = {"name": name, "joint": j, "joint_name": joint_name}
-            yield Hidden(reason=reason, remedy=remedy, **known)
+            yield NotIdentifiable(reason=reason, remedy=remedy, **known)
 
 
 def changed(outcome, **changes):

@@ -10,7 +10,6 @@ import numpy as np
 from sklearn_vbjfa.diagnosis.explain import (
     Fact,
     ResidualCurves,
-    TimeLine,
     TorqueCurves,
 )
 from sklearn_vbjfa.effects import Ripple
@@ -47,10 +46,7 @@ def made(nv=3, names=None, n_effects=2, **changes):
         )
         for j in range(nv)
     )
-    line = TimeLine(
-        torques=torques, borders=(12.0,), held_out=((3.0, 5.0),), in_seconds=True
-    )
-    drawn = {"line": line, "residuals": residuals}
+    drawn = {"torques": torques, "residuals": residuals}
     parameters = (
         Fact(
             kind="parameter",

@@ -9,7 +9,6 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa.diagnosis.explain import _split
 from tests._quick import one_in
 from tests.diagnosis._recordings import named, record
-from tests.diagnosis.report._pages import text_of
 
 ONE = record("Y", seed=0, duration=24.0)
 ARM = record("ZY", seed=2, duration=30.0)
@@ -147,21 +146,6 @@ def test_the_unexplained_share_is_that_of_the_mean_square():
     # the noise of one recording is not quite its expectation, which is the floor
     share = 1 - (rest.floor / rest.rms) ** 2
     assert share == pytest.approx(size**2 / rest.rms**2, abs=0.15)
-
-
-def test_the_report_says_where_a_recording_is_too_short(complete):
-    rng = np.random.default_rng(0)
-    walk = 0.03 * np.cumsum(rng.normal(size=ONE.t.size))
-    loop = close(lambda r: walk, ["offset", "drift"])
-    assert names(loop) == []
-    settings = loop.report_.to_dict()["provenance"]["settings"]
-    ((joint, seconds),) = settings["too_short"]
-    assert joint == 0
-    assert seconds is None or seconds > SEARCHED / 12
-    said = text_of(loop.report_)
-    assert "The residual of joint 1 is correlated" in said
-    assert complete.report_.to_dict()["provenance"]["settings"]["too_short"] == []
-    assert "too short to detect" not in text_of(complete.report_)
 
 
 SLOW = ["drift", "payload", "ripple", "viscous_quadratic", "spring"]

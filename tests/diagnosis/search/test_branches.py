@@ -141,10 +141,10 @@ def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
     assert "spring" in str(loop.report_)
     # What is hidden is told by the robot's joints as well: the last body of either arm
     # may be turned instead of its zero.
-    told = [(h.name, h.joint) for h in loop.hidden_]
+    told = [(h.name, h.joint) for h in loop.not_identifiable_]
     zeros = [joint for name, joint in told if name == "joint_zero"]
     assert zeros == [6, 7]
-    for one in loop.hidden_:
+    for one in loop.not_identifiable_:
         assert one.joint_name == recording.joint_names[one.joint]
 
 

@@ -51,7 +51,7 @@ def test_what_the_model_has_already_is_never_named(springy):
     assert loop.possible_ == ()
     found, known = (one.effects_[0].parameters["k"] for one in (loop, springy))
     assert found == pytest.approx(known, rel=1e-3)
-    assert set(INERT) <= {h.name for h in loop.hidden_}
+    assert set(INERT) <= {h.name for h in loop.not_identifiable_}
     assert close(inert).effects_ == ()
 
 

@@ -40,7 +40,7 @@ def test_every_start_finds_the_same(loops):
     assert named(first) == [("spring", 0), ("stribeck", 1)]
     for other in others:
         assert named(other) == named(first)
-        for name in ("error_plain_", "error_after_", "torque_spread_"):
+        for name in ("error_plain_", "error_after_", "torque_std_"):
             assert_allclose(getattr(other, name), getattr(first, name), rtol=1e-6)
         for one, same in zip(first.effects_, other.effects_, strict=True):
             assert one.parameters == pytest.approx(same.parameters, rel=1e-4)
@@ -49,12 +49,13 @@ def test_every_start_finds_the_same(loops):
 
 def test_plain_terms_are_added_and_not_discovered(loops):
     for friction, loop in loops.items():
-        assert loop.added_ == tuple(name for name in PLAIN if name not in friction)
+        added = loop.report_.outcome.robot["added"]
+        assert added == tuple(name for name in PLAIN if name not in friction)
         assert loop.declared_.features_.friction_ == friction
-        for robot in (loop.baseline_, loop.judged_, loop.identifier_):
+        for robot in (loop.baseline_, loop.validation_model_, loop.identifier_):
             assert set(robot.features_.friction_) == set(PLAIN)
         assert not {e.name for e in loop.effects_} & set(PLAIN)
-        assert ("Added to every joint" in text_of(loop.report_)) == bool(loop.added_)
+        assert ("Added to every joint" in text_of(loop.report_)) == bool(added)
     assert loops[PLAIN].declared_ is loops[PLAIN].baseline_
     assert (loops[PLAIN].error_before_ == loops[PLAIN].error_plain_).all()
     assert (loops[()].error_before_ > 1.5 * loops[()].error_plain_).all()
@@ -71,11 +72,11 @@ def test_the_three_errors_are_those_of_the_three_models(loops):
     for robot, error in (
         (loop.declared_, loop.error_before_),
         (loop.baseline_, loop.error_plain_),
-        (loop.judged_, loop.error_after_),
+        (loop.validation_model_, loop.error_after_),
     ):
         rest = robot.residuals(ARM.position, torque)
         own = np.isin(rest.index, index)
-        rms = np.sqrt((rest.residual[own] ** 2).mean(axis=0)) / loop.torque_spread_
+        rms = np.sqrt((rest.residual[own] ** 2).mean(axis=0)) / loop.torque_std_
         # behind another edge of the filter, and standstill counts here
         assert_allclose(rms, error, rtol=0.2)
 

@@ -8,18 +8,16 @@ import numpy as np
 
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _gravity, _input
-from sklearn_vbjfa._cli._parser import Refused, command_line, spelled
+from sklearn_vbjfa._cli._parser import command_line, spelled
 from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa._core._progress import say
 from sklearn_vbjfa.design import (
     KnownRobot,
     MotionLimits,
-    MotionRefused,
     _summary,
     design_motion,
     read_report,
 )
-from sklearn_vbjfa.model import joint_names
 
 # Sample period of a motion where none is known [s].
 _PERIOD = 0.01
@@ -29,12 +27,6 @@ _OF_ROBOT = ("joints", "base_orientation", "gain", "known_mass", "drive", "frict
 _OF_FILE = {"columns", "preset", "topic", "dt", "time_unit", "join"}
 # Options that replace limits of the description.
 _LIMITS = ("velocity", "acceleration", "torque")
-# What to give where the description lacks a limit.
-_ADVICE = {
-    "position": "give its range in metres in the description",
-    "velocity": "Give those of the robot by --velocity",
-    "torque": "Give those of the drives by --torque, or --acceleration",
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -211,34 +203,23 @@ def _period(robot, found):
 
 
 def _limits(arguments, robot):
-    """Collect the limits, joints in the order of the robot."""
-    # Limits of the description are in its own order.
-    names, described = robot.known.joint_names, joint_names(robot.model)
-    order = [names.index(name) for name in described]
-    back = [described.index(name) for name in names]
-    typed = {}
-    for name in _LIMITS:
-        values = _per_joint(arguments, name, names)
-        typed[name] = None if values is None else values[order]
+    """Collect the limits: those that are given, and those of the description."""
+    typed = {x: _per_joint(arguments, x, robot.known.joint_names) for x in _LIMITS}
     if robot.is_relative and typed["acceleration"] is typed["torque"] is None:
-        raise Refused(
+        raise ValueError(
             "torque gains are relative, so the torque limits of the description do not "
-            "apply; give --acceleration, or --torque in units of the channels",
-            acceleration=tuple(2 * np.array(robot.model.velocityLimit)[back]),
+            "apply; give --acceleration, or --torque in units of the channels."
         )
-    try:
-        found = MotionLimits.of(robot.model, **typed)
-    except MotionRefused as error:
-        options = {
-            name: tuple(np.array(values)[back].tolist())
-            for name, values in error.options.items()
-        }
-        raise Refused(f"{error.wrong} {_ADVICE[error.lacks]}", **options) from None
+    if not 0 < arguments.scale <= 1:
+        raise ValueError(
+            f"--scale must be above 0 and at most 1; got {arguments.scale:g}."
+        )
+    found = MotionLimits.of(robot.model, **typed)
     return MotionLimits(
-        found.position[back],
-        arguments.scale * found.velocity[back],
-        arguments.scale * found.acceleration[back],
-        found.torque[back],
+        found.position,
+        arguments.scale * found.velocity,
+        arguments.scale * found.acceleration,
+        found.torque,
     )
 
 

@@ -81,6 +81,7 @@ def identify(arguments, folder):
         if lacking:
             lines.append("only identified.json holds the whole model (page)")
         if ranges:
+            ranges.parent.mkdir(parents=True, exist_ok=True)
             loop.identifier_.ranges().save(ranges)
             lines.append(f"ranges for domain randomisation: {ranges}")
         return lines

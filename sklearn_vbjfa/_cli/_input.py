@@ -2,15 +2,12 @@
 
 import contextlib
 import itertools
-import math
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from sklearn_vbjfa import datasets
-from sklearn_vbjfa._cli._parser import Refused, number
+from sklearn_vbjfa._cli._parser import Refused
 from sklearn_vbjfa.fit import FitOptions
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model import (
@@ -31,8 +28,6 @@ from sklearn_vbjfa.recording import (
 
 # How a cell begins that a spreadsheet computes.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-# Fewest samples in a row.
-_MIN_SAMPLES = 64
 
 
 # -- recordings ------------------------------------------------------------------------
@@ -176,7 +171,7 @@ def blaming(source, gains=None):
 
 
 def read(arguments, urdf, joints, gains, *, identified=True):
-    """Read a recording that is long enough."""
+    """Read a recording."""
     # identified: whether gains that are unknown can be identified.
     files, source = paths(arguments), named(arguments)
     try:
@@ -209,17 +204,6 @@ def read(arguments, urdf, joints, gains, *, identified=True):
             f"{', '.join(recording.joint_names)}"
             f"{', or have them identified' if identified else ''} (--gain)",
             **({"gains": "unknown"} if identified else {}),
-        )
-    longest = max(rows.stop - rows.start for rows in recording.segments)
-    if longest < _MIN_SAMPLES:
-        raise ValueError(
-            f"{source}: the longest recording without a gap has {longest} samples "
-            f"({longest * recording.dt:.3g} s); record at least 30 s of motion."
-        )
-    if not np.ptp(np.asarray(recording.q), axis=0).any():
-        raise ValueError(
-            f"{source}: no joint moves in any row; expected a motion. Check the "
-            "columns of positions."
         )
     return recording
 
@@ -260,32 +244,24 @@ def _reduced(urdf, moving, folder, base=None):
 # -- output ----------------------------------------------------------------------------
 
 
-def free(wanted):
-    """Return a path, with a number after its stem if something is there already."""
-    # Of a folder a point in the name begins no ending.
-    stem, suffix = wanted.stem, wanted.suffix
-    if wanted.is_dir():
-        stem, suffix = wanted.name, ""
-    more = (wanted.with_name(f"{stem}-{k}{suffix}") for k in itertools.count(2))
-    return next(x for x in itertools.chain([wanted], more) if not x.exists())
-
-
 def output_folder(arguments, what):
     """Return the folder for files, refused before the work if it cannot take them."""
     # what: end of its name if none is given.
     out = expanded(arguments.out) if arguments.out else _default_folder(arguments, what)
     check_folder(out)
+    others = (out.with_name(f"{out.name}-{k}") for k in itertools.count(2))
+    other = next(x for x in others if not x.exists())
     # Hidden files are those of folders and editors.
     held = sorted(x.name for x in out.iterdir()) if out.is_dir() else []
     held = [name for name in held if not name.startswith(".")]
     if not held or arguments.force:
         return out
     if arguments.out is None:
-        return free(out)
+        return other
     raise Refused(
         f"{out} holds {', '.join(held[:3])}{' and more' if held[3:] else ''}; give "
         "another --out, or --force to write to it",
-        out=str(free(out)),
+        out=str(other),
     )
 
 
@@ -306,10 +282,7 @@ def check_folder(out):
     """Refuse a folder that cannot be written to."""
     there = next(x for x in (out, *out.parents) if x.exists() or x.is_symlink())
     if not there.is_dir():
-        raise Refused(
-            f"{there} is not a folder; give another --out",
-            out=str(free(there.with_name(f"{there.stem}-report"))),
-        )
+        raise ValueError(f"{there} is not a folder; give another --out.")
     try:
         # Rights, a read-only or special file system: trying knows.
         with tempfile.TemporaryFile(dir=there):
@@ -322,25 +295,19 @@ def check_folder(out):
 
 def check_file(out, option, force):
     """Refuse a file that cannot be written, or that there is already."""
-    usual = {"--out": "motion.csv", "--ranges": "ranges.json"}[option]
-    if out.is_dir():
-        reason, other = f"{out} is a folder", out / usual
-    elif out.exists() and not force:
-        reason, other = f"{out} exists", out
-    elif not out.parent.is_dir() and option == "--ranges":
-        reason, other = f"{out.parent} is not a folder", Path(out.name)
-    else:
-        check_folder(out.parent)
-        return
-    raise Refused(
-        f"{reason}; give another file for {option}, or --force to replace one",
-        **{option[2:]: str(free(other))},
-    )
+    if out.is_dir() or (out.exists() and not force):
+        raise ValueError(
+            f"{out} exists; give another file for {option}, or --force to replace a "
+            "file."
+        )
+    check_folder(out.parent)
 
 
 def no_formula(cell):
     """Return a cell of a table that a spreadsheet does not take for a formula."""
     # One that begins like a formula gets an apostrophe in front, unless it is a number.
     text = str(cell)
-    is_formula = text.startswith(_FORMULA) and math.isnan(number(text))
-    return f"'{text}" if is_formula else text
+    with contextlib.suppress(ValueError):
+        float(text)
+        return text
+    return f"'{text}" if text.startswith(_FORMULA) else text

@@ -2,7 +2,6 @@
 
 import argparse
 import difflib
-import math
 import re
 import shlex
 import tomllib
@@ -33,135 +32,76 @@ class Refused(ValueError):
 
 
 # -- values of options -----------------------------------------------------------------
+#
+# Texts become numbers and names here; what these may be is checked where they are used.
 
 
-def number(text):
-    """Return the number that a text is, nan for none."""
-    try:
-        return float(text)
-    except (TypeError, ValueError):
-        return math.nan
-
-
-def _is_positive(value):
-    return 0 < value < math.inf
-
-
-def _value(expected, convert, holds=lambda value: True, words=()):
-    """Return the conversion of a text to a value that holds; some words are kept."""
-
-    def read(text):
-        if text in words:
-            return text
-        try:
-            value = convert(text)
-        except ValueError:
-            value = math.nan
-        if value != value or not holds(value):
-            shown = (
-                text if text == "nan" or number(text) == number(text) else repr(text)
-            )
-            raise ValueError(f"must be {expected}; got {shown}")
-        return value
-
-    return read
-
-
-def _positive(unit, *words):
-    others = "".join(f" or {word}" for word in words)
-    return _value(f"a positive number of {unit}{others}", float, _is_positive, words)
-
-
-def _one_of(*words):
-    return _value(" or ".join(words), str, words.__contains__)
-
-
-def _floats(text):
+def numbers(text):
+    """Return the numbers in a comma-separated list."""
     return tuple(map(float, text.split(",")))
 
 
-def _mass(text):
+def names(text):
+    """Return the names in a comma-separated list."""
+    return tuple(name.strip() for name in text.split(","))
+
+
+def factors(text):
+    """Return factors of the torques, or "unknown"."""
+    return text if text == "unknown" else numbers(text)
+
+
+def mass(text):
+    """Return the name of a link and its mass [kg]."""
     name, _, kilograms = text.rpartition("=")
     return name, float(kilograms)
 
 
-def _cutoff(text):
-    value = _positive("Hz", "auto", "none")(text)
-    return None if value == "none" else value
+def cutoff(text):
+    """Return a frequency [Hz], "auto", or None."""
+    words = {"auto": "auto", "none": None}
+    return words[text] if text in words else float(text)
 
 
-def _drive(text):
+def drive(text):
+    """Return a motor control law."""
     from sklearn_vbjfa.recording import parse_drive
 
     try:
         return parse_drive(text)
     except ValueError as error:
-        raise ValueError(str(error).removeprefix("drive ")) from None
+        raise argparse.ArgumentTypeError(str(error).removeprefix("drive ")) from None
 
 
-def _names(text):
-    """Return the names in a comma-separated list, each once."""
-    names = tuple(name.strip() for name in text.split(","))
-    if not all(names):
-        raise ValueError(f"has an empty name in {text!r}")
-    for k, name in enumerate(names):
-        if name in names[:k]:
-            raise ValueError(f"has {name} twice; name it once")
-    return names
+def effects(text):
+    """Return names of effects, or "all"."""
+    from sklearn_vbjfa.effects import available
+
+    return text if text == "all" else _known(text, available())
 
 
-def _known(text, known):
-    """Return the names in a comma-separated list, all of them known."""
-    names = () if text == "none" else _names(text)
-    for name in names:
-        if name not in known:
-            raise ValueError(
-                f"does not know {name!r}{_suggestion(name, known)}; expected names "
-                f"with commas between them, of {', '.join(known)}"
-            )
-    return names
-
-
-def _effects(text):
-    from sklearn_vbjfa import effects
-
-    return text if text == "all" else _known(text, effects.available())
-
-
-def _friction(text):
+def friction(text):
+    """Return names of friction terms."""
     from sklearn_vbjfa.effects import declarable
 
     return _known(text, declarable())
 
 
-# Conversions of the texts of values, by the names that the table of options has.
+def _known(text, known):
+    found = () if text == "none" else names(text)
+    for name in found:
+        if name not in known:
+            raise argparse.ArgumentTypeError(
+                f"does not know {name!r}{_suggestion(name, known)}; expected names "
+                f"with commas between them, of {', '.join(known)}"
+            )
+    return found
+
+
 _CONVERSIONS = {
-    "bodies": _one_of("prior", "free", "fixed"),
-    "count": _value("a positive integer", int, _is_positive),
-    "cutoff": _cutoff,
-    "drive": _drive,
-    "effects": _effects,
-    "factors": _value(
-        "a factor to N m or N for each joint, such as 8,8,5, or unknown for all "
-        "channels together",
-        _floats,
-        lambda values: all(math.isfinite(x) and x != 0 for x in values),
-        ("unknown",),
-    ),
-    "friction": _friction,
-    "mass": _value(
-        "LINK=KG or payload=KG with a positive mass in kg",
-        _mass,
-        lambda pair: pair[0] and _is_positive(pair[1]),
-    ),
-    "names": _names,
-    "numbers": _value("numbers with commas between them", _floats),
-    "purpose": _one_of("gravity"),
-    "seconds": _positive("seconds"),
-    "seed": _value("an integer from 0 to 2**32 - 1", int, lambda x: 0 <= x < 2**32),
-    "share": _value("above 0 and at most 1", float, lambda x: 0 < x <= 1),
-    "text": str,
-}
+    one.__name__: one
+    for one in (float, int, numbers, names, factors, mass, cutoff, drive, effects)
+} | {"friction": friction}
 
 
 # -- options and commands --------------------------------------------------------------
@@ -182,26 +122,6 @@ def _tables():
     return found["options"], found["commands"]
 
 
-class _Keep(argparse.Action):
-    """Convert the text of an option; the text itself is kept in ``typed``."""
-
-    def __call__(self, parser, namespace, text, option_string=None):
-        """Set the value of the option."""
-        typed, value = namespace.typed, True
-        if self.nargs != 0:
-            name = self.option_strings[-1]
-            try:
-                kind = _tables()[0][name[2:]].get("value", "text")
-                value = _CONVERSIONS[kind](text)
-            except ValueError as error:
-                parser.error(f"{name} {str(error).rstrip('.')}")
-        if self.dest == "known_mass":
-            value = [*(getattr(namespace, self.dest) or []), value]
-            text = [*typed.get(self.dest, []), text]
-        setattr(namespace, self.dest, value)
-        typed[self.dest] = True if self.nargs == 0 else text
-
-
 class _Parser(argparse.ArgumentParser):
     """Parser whose errors are exceptions."""
 
@@ -213,6 +133,7 @@ class _Parser(argparse.ArgumentParser):
                 f"{found[1]!r} is not a command{_suggestion(found[1], _tables()[1])}"
             )
         message = re.sub(r"^argument (?:-\w/)?(--[\w-]+): ", r"\1 ", message)
+        message = re.sub("invalid \\w+ value: ", "has an invalid value: ", message)
         raise Refused(f"{message}; see {self.prog} -h")
 
 
@@ -221,7 +142,8 @@ def _suggestion(word, known):
     return f"; did you mean {near[0]}?" if near else ""
 
 
-def _parser():
+def _parser(*, raw=False):
+    # raw: whether values stay texts, None for those that are not given
     from sklearn_vbjfa import __version__
 
     parser = _Parser(
@@ -242,12 +164,12 @@ def _parser():
             description=command["description"],
             epilog=EXIT_CODES,
         )
-        added.set_defaults(run=command["run"], command=name, parser=added, typed={})
-        _add_options(added, command)
+        added.set_defaults(run=command["run"], command=name, parser=added)
+        _add_options(added, command, raw)
     return parser
 
 
-def _add_options(parser, command):
+def _add_options(parser, command, raw):
     """Add the options of a command in their groups."""
     from sklearn_vbjfa.recording.formats import TABLES
 
@@ -265,18 +187,20 @@ def _add_options(parser, command):
         group = parser.add_argument_group(title)
         for name in names.split():
             option = _tables()[0][name]
-            metavar = option.get("metavar")
-            default = option.get("default", None if metavar else False)
-            group.add_argument(
-                *filter(None, [_SHORT.get(name)]),
-                f"--{name}",
-                action=_Keep,
-                nargs=None if metavar else 0,
-                metavar=metavar,
-                dest=_DEST.get(name, name.replace("-", "_")),
-                default=tuple(default) if isinstance(default, list) else default,
-                help=option["help"],
-            )
+            kind = {"action": "store_true"}
+            if "metavar" in option:
+                default = option.get("default")
+                kind = {
+                    "action": "append" if name == "known-mass" else "store",
+                    "metavar": option["metavar"],
+                    "choices": option.get("choices"),
+                    "type": str if raw else _CONVERSIONS.get(option.get("value"), str),
+                    "default": tuple(default) if isinstance(default, list) else default,
+                }
+                kind |= {"default": None} if raw else {}
+            flags = [x for x in (_SHORT.get(name), f"--{name}") if x]
+            dest = _DEST.get(name, name.replace("-", "_"))
+            group.add_argument(*flags, dest=dest, help=option["help"], **kind)
 
 
 def parse(words):
@@ -293,19 +217,21 @@ def parse(words):
         Values by name; ``typed`` has the texts of the options that were given.
     """
     arguments, more = _parser().parse_known_args(words)
-    command = getattr(arguments, "parser", None)
     unknown = [word for word in more if word.startswith("-") and word != "-"]
     if hasattr(arguments, "recording") and not unknown:
         # argparse leaves files over that follow an option.
         arguments.recording += more
     elif more:
+        parser = getattr(arguments, "parser", None) or _parser()
+        known = [x for action in parser._actions for x in action.option_strings]
         option = (unknown or more)[0].partition("=")[0]
-        groups = _tables()[1][arguments.command]["groups"] if command else {}
-        known = [f"--{name}" for name in " ".join(groups.values()).split()]
-        (command or _parser()).error(
+        parser.error(
             f"unrecognized arguments: {' '.join(unknown or more)}"
             f"{_suggestion(option, known)}"
         )
+    texts = vars(_parser(raw=True).parse_known_args(words)[0])
+    others = {"recording", "run", "command", "parser"}
+    arguments.typed = {k: x for k, x in texts.items() if x and k not in others}
     return arguments
 
 

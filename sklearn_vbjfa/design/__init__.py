@@ -13,7 +13,7 @@ __all__ = ["DesignedMotion", "MotionLimits", "design_motion"]
 # The others are what tests hold against mathematics.
 _MODULES = {
     "_design": ("best_drawn", "design_motion", "pose", "read_report"),
-    "_motion": ("DesignedMotion", "FourierCurve", "MotionLimits", "MotionRefused"),
+    "_motion": ("DesignedMotion", "FourierCurve", "MotionLimits"),
     "_collisions": ("Clearance",),
     "_optimise": ("Lagrangian", "Questions", "worth"),
     "_robot": ("KnownRobot",),

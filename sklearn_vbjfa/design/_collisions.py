@@ -74,10 +74,9 @@ class Clearance:
         self._look_at([x for x, drawn in zip(self._shapes, often) if not drawn])
 
     @classmethod
-    def of(cls, robot, *, model=None, package_dirs=(), margin=0.0):
+    def of(cls, robot, *, model=None, margin=0.0):
         """Take the shapes from a URDF; None if there are none, and why in words."""
-        # model: with the joints that move, by default all; package_dirs: folders of
-        # packages of meshes, beside that of the URDF and those above it.
+        # model: with the joints that move, by default all.
         if not isinstance(robot, (str, os.PathLike)):
             return None, (
                 "A robot that is given as a model has no collision geometry; give the "
@@ -86,7 +85,7 @@ class Clearance:
         if model is None:
             model = load_model(robot)
         try:
-            return cls(model, load_shapes(robot, model, package_dirs), margin), ""
+            return cls(model, load_shapes(robot, model), margin), ""
         except NoShapes as reason:
             return None, str(reason)
 

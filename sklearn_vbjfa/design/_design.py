@@ -16,8 +16,6 @@ from sklearn_vbjfa.design._motion import (
     DesignedMotion,
     FourierCurve,
     MotionLimits,
-    MotionRefused,
-    rounded_up,
 )
 from sklearn_vbjfa.design._optimise import (
     DECIDED,
@@ -144,11 +142,6 @@ def design_motion(
     ValueError
         If the limits are missing or infeasible, or `duration` is too short for the
         slowest joint.
-
-    Warns
-    -----
-    UserWarning
-        If the encoder noise of an identified robot is unknown; it counts as zero.
 
     Notes
     -----
@@ -440,12 +433,11 @@ def _check_held(problem, names, rng):
             f"{' and '.join(links)} are {1e3 * distance:.0f} mm apart "
             f"({1e3 * problem.room:.0f} mm required). Change the position limits."
         )
-    enough = rounded_up(np.maximum(limits.torque, best * limits.torque / _HELD))
-    raise MotionRefused(
+    needed = best[j] * limits.torque[j]
+    raise ValueError(
         f"The limits leave no room: to hold the robot still at any of {POSES} random "
-        f"poses, {names[j]} needs {best[j] * limits.torque[j]:.3g} of at most "
-        f"{limits.torque[j]:.3g}. Give a torque limit of {enough[j]:g} or more.",
-        {"torque": enough},
+        f"poses, {names[j]} needs {needed:.3g} of at most {limits.torque[j]:.3g}. Give "
+        f"a torque limit of {1.01 * needed / _HELD:.3g} or more."
     )
 
 

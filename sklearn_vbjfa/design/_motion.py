@@ -1,18 +1,15 @@
 """A designed motion, a finite Fourier series, and the limits that it keeps."""
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import null_space
 
 from sklearn_vbjfa._core import write_whole
-from sklearn_vbjfa.equations._features import RigidBodyFeatures
 from sklearn_vbjfa.model import (
     is_prismatic,
     joint_names,
     load_model,
-    nominal_parameters,
 )
 
 # A joint that turns without end gets one turn about its zero [rad].
@@ -21,8 +18,6 @@ _ONE_TURN = np.pi
 _NO_LIMIT = 1e9
 # Share of each joint's range that a motion covers, there and back.
 _LEAST_SHARE = 0.25
-# Suggested torque limit over that of holding still.
-_TO_MOVE = 1.5
 # Poses in which the torque of holding still is looked at.
 POSES = 200
 
@@ -190,17 +185,6 @@ class FourierCurve:
 # -- limits ----------------------------------------------------------------------------
 
 
-class MotionRefused(ValueError):
-    """Limits or a duration that leave no motion."""
-
-    # options: what would do, by the names of arguments; lacks: the argument that is
-    # missing, if one is; wrong: the message without what to give for it.
-
-    def __init__(self, wrong, options, *, lacks="", advice=""):
-        super().__init__(f"{wrong} {advice}".strip())
-        self.wrong, self.lacks, self.options = wrong, lacks, options
-
-
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
     """Limits of a motion, joint by joint in the order of the robot.
@@ -296,48 +280,15 @@ class MotionLimits:
         low, high = np.array([model.lowerPositionLimit, model.upperPositionLimit])
         endless = ~np.isfinite(low) | ~np.isfinite(high)
         endless |= (low < -_NO_LIMIT) | (high > _NO_LIMIT) | (low == high)
-        for j in np.flatnonzero(endless & sliding):
-            raise MotionRefused(
-                f"The description gives no range of positions of {names[j]}, which "
-                "slides;",
-                {},
-                lacks="position",
-                advice="give limits=MotionLimits(...) with its range in metres.",
-            )
+        _lacks(names, endless & sliding, "range of positions", "position limits")
         low = np.where(endless, -_ONE_TURN, low)
         high = np.where(endless, _ONE_TURN, high)
-
-        def listed(values, lacking, unit):
-            units = np.where(sliding, *unit)
-            chosen = np.flatnonzero(lacking)
-            return ", ".join(f"{names[j]} ({values[j]:.3g} {units[j]})" for j in chosen)
-
         velocity = _given(velocity, _known(model.velocityLimit))
-        lacking, half = np.isinf(velocity), 0.5 * (high - low)
-        if lacking.any():
-            raise MotionRefused(
-                "The description gives no velocity limit of "
-                f"{listed(half, lacking, ('m/s', 'rad/s'))}: in brackets, what it "
-                "takes through half of the range in one second.",
-                {"velocity": rounded_up(np.where(lacking, half, velocity))},
-                lacks="velocity",
-                advice="Give limits=MotionLimits(...) with velocities.",
-            )
+        _lacks(names, np.isinf(velocity), "velocity limit", "--velocity")
         effort = _given(torque, _known(model.effortLimit))
         acceleration = _given(acceleration, np.full(effort.shape, np.inf))
-        lacking = np.isinf(acceleration) & np.isinf(effort)
-        if lacking.any():
-            weight = _holding(model, low, high)
-            wanted = _TO_MOVE * np.maximum(weight, 0.1 * weight.max())
-            raise MotionRefused(
-                "The description gives no torque limit of "
-                f"{listed(weight, lacking, ('N', 'N m'))}: in brackets, what it takes "
-                "to hold the robot still in any pose.",
-                {"torque": rounded_up(np.where(np.isinf(effort), wanted, effort))},
-                lacks="torque",
-                advice="Give limits=MotionLimits(...) with torques above that, or "
-                "accelerations.",
-            )
+        endless = np.isinf(acceleration) & np.isinf(effort)
+        _lacks(names, endless, "torque limit", "--torque or --acceleration")
         return cls(np.column_stack([low, high]), velocity, acceleration, effort)
 
     def check_for(self, names, duration):
@@ -354,12 +305,11 @@ class MotionLimits:
         slowest = int(np.argmax(needed))
         if duration < needed[slowest]:
             enough = float(np.ceil(needed[slowest]))
-            raise MotionRefused(
-                f"duration={duration:g} s is too short for {names[slowest]}, which "
-                f"takes {needed[slowest]:.3g} s through {_LEAST_SHARE:.0%} of its "
-                f"range and back. Give duration={enough:g} or more, or a smaller "
-                "range.",
-                {"duration": enough},
+            raise ValueError(
+                f"A duration of {duration:g} s is too short for {names[slowest]}, "
+                f"which takes {needed[slowest]:.3g} s through {_LEAST_SHARE:.0%} of "
+                f"its range and back. Give a duration of {enough:g} s or more, or a "
+                "smaller range."
             )
 
 
@@ -367,6 +317,16 @@ def _refuse(wrong, reason, values):
     """Refuse the first joint whose limits are wrong (nv,)."""
     for j in np.flatnonzero(wrong):
         raise ValueError(f"Joint {j + 1} {reason}; got {values[j]}.")
+
+
+def _lacks(names, lacking, what, option):
+    """Refuse a description without some limits of joints (nv,)."""
+    if lacking.any():
+        joints = ", ".join(names[j] for j in np.flatnonzero(lacking))
+        raise ValueError(
+            f"The description gives no {what} of {joints}. Give "
+            f"limits=MotionLimits(...) (command line: {option})."
+        )
 
 
 def _given(limit, described):
@@ -379,21 +339,3 @@ def _known(limit):
     """Limits of a description, infinite where it has zero or a huge number."""
     limit = np.array(limit, dtype=float)
     return np.where((limit > 0) & (limit < _NO_LIMIT), limit, np.inf)
-
-
-def _holding(model, low, high):
-    """Largest torques (nv,) that hold a robot still in random poses."""
-    features = RigidBodyFeatures(model, friction=()).load()
-    poses = np.random.default_rng(0).uniform(low, high, size=(POSES, model.nv))
-    still, inertial = np.zeros_like(poses), nominal_parameters(model)
-    return np.abs(features.torques(poses, still, still, inertial)).max(axis=0)
-
-
-def rounded_up(limits):
-    """Return limits with three digits that are no smaller, for a message."""
-    found = []
-    for limit in map(float, limits):
-        size = 10.0 ** (math.floor(math.log10(limit)) - 2) if 0 < limit < 1e12 else 0.0
-        rounded = math.ceil(limit / size - 1e-9) * size if size else limit
-        found.append(float(f"{rounded:.6g}"))
-    return tuple(found)

@@ -6,7 +6,6 @@ by the states, contracted with what a criterion says of each entry, are its grad
 """
 
 import os
-import warnings
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -90,7 +89,6 @@ class KnownRobot:
                 coefficients.append(np.atleast_1d(values))
         variance = getattr(robot.plan.state_estimator, "noise_variance_", np.zeros(nv))
         encoder = np.sqrt(np.broadcast_to(variance, (nv,)))
-        _tell_unknown(np.isnan(encoder), robot.joint_names_)
         # The floor has the encoders' share in it, which depends on the motion; a saved
         # robot has no other. What the model left, where neither is known, is more.
         floor, left = robot.noise_floor_, robot.output_noise_
@@ -164,18 +162,6 @@ def _on_all_joints(names, nv):
         for effect in (resolve(names) if names else ())
         for j in range(nv)
     )
-
-
-def _tell_unknown(unknown, names):
-    """Warn of encoders whose noise does not count, as nobody knows it."""
-    named = [name for name, bad in zip(names, unknown) if bad]
-    if named:
-        warnings.warn(
-            f"The encoder noise of {', '.join(named)} is unknown (no recording of 16 "
-            "samples or more) and assumed zero: the motion may be too fast.",
-            UserWarning,
-            stacklevel=5,
-        )
 
 
 # -- equations -------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """A designed motion in words, for a terminal."""
 
-import math
 import textwrap
 from dataclasses import replace
 
@@ -97,18 +96,16 @@ def before(motion):
 
 
 def exceeded(motion):
-    """Name the limit that a motion exceeds the most, or with too small a margin."""
+    """Name the limit that a motion comes nearest to, and how near bodies come."""
     worst = min(_QUANTITIES, key=lambda name: motion.margins[name].min())
     j = int(np.argmin(motion.margins[worst]))
-    margin = float(motion.margins[worst][j])
-    if margin >= MARGIN - 1e-6:
-        nearest = motion.margins.get("clearance", math.inf)
-        return f"bodies come as near as {1e3 * nearest:.3g} mm"
+    margin = words.percent(float(motion.margins[worst][j]))
     label = words.joint_label(motion.joint_names, j)
-    limit = f"the limit of {_QUANTITIES[worst]} of {label}"
-    if margin < 0:
-        return f"{limit} is exceeded by {words.percent(-margin)}"
-    return f"{limit} is kept with {words.percent(margin)} to spare, not {MARGIN:.0%}"
+    nearest = motion.margins.get("clearance", np.inf)
+    return (
+        f"{_QUANTITIES[worst]} of {label} {margin} below its limit (at least "
+        f"{MARGIN:.0%} are kept), bodies {1e3 * nearest:.3g} mm apart"
+    )
 
 
 def _shares(motion):

@@ -96,13 +96,6 @@ def refusal(capsys, *argv):
     return line
 
 
-def offered(line):
-    """Return the arguments of the command that a refusal offers."""
-    command = line.partition("this would work: python -m sklearn_vbjfa ")[2]
-    assert command
-    return shlex.split(command)
-
-
 def read(path):
     with path.open(newline="", encoding="utf-8") as file:
         return {
@@ -183,8 +176,7 @@ def test_a_motion_that_exists_is_not_replaced(designed, capsys):
     out, _, argv = designed
     before = out.read_bytes()
     line = refusal(capsys, *argv)
-    assert "--force to replace one" in line
-    assert offered(line)[-1] == str(out.with_name("motion-2.csv"))
+    assert "--force to replace a file" in line
     out.write_text("mine")
     assert "exist" in refusal(capsys, *argv)
     assert out.read_text() == "mine"
@@ -244,25 +236,11 @@ def test_the_report_of_another_robot(home, here, capsys):
     assert "elbow" in line
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said", "option"),
-    [
-        ('effort="100"', 'effort="0"', "no torque limit of shoulder (", "--torque"),
-        pytest.param(
-            'effort="100"', 'effort="0.3"', "needs ", "--torque", marks=pytest.mark.slow
-        ),
-    ],
-)
-def test_what_a_robot_lacks_is_a_number_that_works(
-    old, new, said, option, here, capsys
-):
-    Path("arm.urdf").write_text(URDF.replace(old, new))
+def test_a_limit_that_a_robot_lacks_is_asked_for(here, capsys):
+    Path("arm.urdf").write_text(URDF.replace('effort="100"', 'effort="0"'))
     line = refusal(capsys, "--urdf", "arm.urdf", *QUICK[:2])
-    assert said in line
-    argv = offered(line)
-    assert option in argv
-    assert "limits=" not in line
-    assert main([*argv, "--acceleration", "3"]) == UNCHECKED
+    assert "no torque limit of shoulder, elbow. Give" in line
+    assert "--torque or --acceleration" in line
 
 
 @pytest.mark.slow
@@ -279,21 +257,17 @@ def test_relative_gains_need_limits_of_their_own(home, here, capsys):
     (folder / "report.json").write_text((home / "report/report.json").read_text())
     line = refusal(capsys, "--report", folder, "--duration", "4")
     assert "torque gains are relative" in line
-    assert offered(line)[-1] == "20,20"
     assert main(["design", "--report", str(folder), *FAST]) == UNCHECKED
     assert re.search(r"joint 1 \(shoulder\) .* -$", capsys.readouterr().out, re.M)
 
 
-def test_durations_that_would_do(here, capsys):
+def test_a_duration_that_would_do_is_named(here, capsys):
     short = ("--urdf", "arm.urdf", "--duration", "0.5", "--acceleration", "3")
     line = refusal(capsys, *short)
     assert "too short for shoulder" in line
-    argv = offered(line)
-    wanted = float(argv[argv.index("--duration") + 1])
     # (1 - cos) / 2 through a quarter of the range of 6 rad
-    assert wanted == np.ceil(2 * np.pi * np.sqrt(0.75 / 3))
-    assert main(argv) == UNCHECKED
-    capsys.readouterr()
+    wanted = np.ceil(2 * np.pi * np.sqrt(0.75 / 3))
+    assert f"Give a duration of {wanted:g} s" in line
 
 
 @pytest.mark.parametrize(
@@ -308,7 +282,7 @@ def test_durations_that_would_do(here, capsys):
 )
 def test_numbers_that_are_none(option, value, here, capsys):
     line = refusal(capsys, "--urdf", "arm.urdf", f"{option}={value}")
-    assert f"{option} must be" in line
+    assert f"{option.lstrip('-')} must be" in line
 
 
 @pytest.mark.parametrize(
@@ -316,7 +290,6 @@ def test_numbers_that_are_none(option, value, here, capsys):
     [
         ("1,2,3", "positive numbers, one for each of shoulder, elbow"),
         ("inf,1", "positive numbers, one for each of shoulder, elbow"),
-        ("a,b", "numbers with commas between them"),
     ],
 )
 def test_limits_that_are_none(text, said, here, capsys):
@@ -324,12 +297,16 @@ def test_limits_that_are_none(text, said, here, capsys):
     assert f"--torque must be {said}" in line
 
 
+@pytest.mark.parametrize("text", ["a,b", ""])
+def test_values_that_are_no_numbers(text, here, capsys):
+    line = refusal(capsys, "--urdf", "arm.urdf", f"--torque={text}")
+    assert f"--torque has an invalid value: '{text}'" in line
+
+
 def test_places_where_nothing_can_be_written(here, capsys):
     urdf = ("--urdf", "arm.urdf")
     Path("folder").mkdir()
-    line = refusal(capsys, *urdf, "--out", "folder")
-    assert offered(line)[-1] == "folder/motion.csv"
+    assert "folder exists" in refusal(capsys, *urdf, "--out", "folder", "--force")
     line = refusal(capsys, *urdf, "--out", "arm.urdf/motion.csv")
     assert "arm.urdf is not a folder" in line
-    assert offered(line)[-1] == "arm-report"
     assert "arm.urdf exists" in refusal(capsys, *urdf, "--out", "arm.urdf")

@@ -75,7 +75,7 @@ def test_the_orientation_is_that_of_the_loop(run, tmp_path):
         ("1,1,0", "must be a quaternion of four finite numbers w, x, y, z"),
         (
             "1,1,0,up",
-            "--base-orientation must be numbers with commas between them; got",
+            "--base-orientation has an invalid value: '1,1,0,up'",
         ),
     ],
 )

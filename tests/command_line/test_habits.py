@@ -39,19 +39,20 @@ def refused(monkeypatch, tmp_path):
 # -- commands that would work ----------------------------------------------------------
 
 
-@pytest.mark.parametrize("given", [["--out", "log.csv"], ["--out=log.csv"]])
+@pytest.mark.parametrize("given", [["--out", "full"], ["--out=full"]])
 def test_the_command_that_would_work_replaces_the_option(
     given, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     Path("log.csv").write_text("t,q1,tau1\n")
-    Path("arm.urdf").write_text("<robot/>")
+    Path("full").mkdir()
+    Path("full/mine").write_text("")
     argv = ["identify", "log.csv", "--urdf", "arm.urdf", *given, "--quiet"]
     assert main(argv) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.endswith(
-        "log.csv is not a folder; give another --out; this would work: python -m "
-        "sklearn_vbjfa identify log.csv --urdf arm.urdf --out log-report --quiet"
+        "or --force to write to it; this would work: python -m sklearn_vbjfa identify "
+        "log.csv --urdf arm.urdf --out full-2 --quiet"
     )
 
 

@@ -53,20 +53,14 @@ def test_limits_are_those_of_the_description(tmp_path):
         assert np.isinf(found.acceleration).all()
 
 
-def test_a_robot_without_torque_limits_gets_numbers_that_do(tmp_path):
-    bare = chain(tmp_path, ("revolute", "revolute"), effort=0.0)
-    with pytest.raises(ValueError, match="no torque limit of chain_1") as refused:
+@pytest.mark.parametrize(
+    ("lacking", "said"),
+    [({"effort": 0.0}, "no torque limit of"), ({"velocity": 0.0}, "no velocity limit")],
+)
+def test_a_description_without_limits_is_refused(lacking, said, tmp_path):
+    bare = chain(tmp_path, ("revolute", "revolute"), **lacking)
+    with pytest.raises(ValueError, match=f"{said}.* chain_1, chain_2. Give limits="):
         design_motion(bare, duration=4.0, dt=0.02)
-    told = refused.value.options["torque"]
-    posed(bare, limits=MotionLimits.of(bare, torque=told))
-
-
-def test_a_robot_without_velocity_limits_gets_numbers_that_do(tmp_path):
-    bare = chain(tmp_path, ("revolute", "revolute"), velocity=0.0)
-    with pytest.raises(ValueError, match="no velocity limit of chain_1") as refused:
-        design_motion(bare, duration=4.0, dt=0.02)
-    told = refused.value.options["velocity"]
-    posed(bare, limits=MotionLimits.of(bare, velocity=told))
 
 
 def number_after(text, words):
@@ -78,7 +72,7 @@ def test_a_duration_too_short_gets_one_that_does(path):
     slow = limits(velocity=[2.0, 0.1])
     with pytest.raises(ValueError, match="too short for chain_2") as refused:
         problem_of(path, duration=4.0, limits=slow)
-    told = number_after(str(refused.value), "Give duration=")
+    told = number_after(str(refused.value), "Give a duration of ")
     problem, z = problem_of(path, duration=told, limits=slow)
     v = problem.curve.states(z, problem.curve.basis(problem.times()))[:, 2:4]
     assert np.all(np.abs(v) <= slow.velocity)

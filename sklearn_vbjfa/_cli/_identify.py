@@ -40,7 +40,6 @@ def identify(arguments, folder):
             str(loaded.urdf),
             effects=() if arguments.no_search else library,
             signals=signals,
-            several=_input.is_several(arguments),
             **settings,
         )
 
@@ -119,18 +118,8 @@ def identify_demo(arguments, folder):
     return Done(text=f"{recording}\n{loop.report_}", doubts=loop.report_.warnings)
 
 
-def search(
-    recording,
-    urdf,
-    *,
-    effects="all",
-    signals=None,
-    several=False,
-    options=None,
-    **settings,
-):
+def search(recording, urdf, *, effects="all", signals=None, options=None, **settings):
     """Return the `EffectDiscovery` of a recording, fitted."""
-    # several: whether recordings have names, which the report uses.
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
     from sklearn_vbjfa.fit import FitOptions
 
@@ -141,14 +130,6 @@ def search(
         n_jobs=-1,
         **settings,
     )
-    loop = EffectDiscovery(identifier, effects=effects)
-    if several or identifier.drive is not None:
-        return loop.fit_recording(recording, signals)
-    positions = recording.q
-    if recording.joints_named:
-        from pandas import DataFrame
-
-        positions = DataFrame(
-            positions, columns=[f"q_{x}" for x in recording.joint_names]
-        )
-    return loop.fit(positions, recording.tau, recording.groups, signals=signals)
+    return EffectDiscovery(identifier, effects=effects).fit_recording(
+        recording, signals
+    )

@@ -23,7 +23,6 @@ from sklearn_vbjfa.recording import (
     RecordingRefused,
     common_folder,
     expanded,
-    tables_in,
 )
 
 # How a cell begins that a spreadsheet computes.
@@ -143,12 +142,6 @@ def named(arguments):
     """Return a name of what is read, for messages: the file, or the first of them."""
     first, *others = paths(arguments)
     return f"{first} and {len(others)} more" if others else str(first)
-
-
-def is_several(arguments):
-    """Whether a recording is in several files."""
-    files = paths(arguments)
-    return len(files) > 1 or len(tables_in(files[0])) > 1
 
 
 def motor_units(recording):

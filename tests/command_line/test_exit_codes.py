@@ -123,7 +123,7 @@ RECORDINGS = {
         lambda x: x | {"segment": 1 * half(x), "tau1": x["tau1"] + 12 * half(x)},
         {
             "": (0, ""),
-            "identify": (3, "Recordings 1 and 2 contradict each other on joint 1"),
+            "identify": (3, "Recordings 0 and 1 contradict each other on joint 1"),
         },
     ),
     "half a second": (

@@ -113,7 +113,8 @@ def identify_demo(arguments, folder):
     """Identify the robot of the recording that comes with the package."""
     from sklearn_vbjfa.datasets import load_demo_recording
 
-    recording = load_demo_recording()
+    # A log has no exact states.
+    recording = replace(load_demo_recording(), states=None)
     loop = search(recording, recording.urdf)
     return Done(text=f"{recording}\n{loop.report_}", doubts=loop.report_.warnings)
 

@@ -33,7 +33,7 @@ class TorqueCurves:
     """Measured and predicted torque of a joint on the held-out part, over time."""
 
     joint: int  # from zero
-    seconds: np.ndarray  # (k,): or numbers of rows
+    seconds: np.ndarray  # (k,): held-out time, or rows, the stretches joined
     # (k,): filtered; predicted by the declared and by the completed model, both fitted
     # to the search part [N m or N]; nan where rows are missing
     measured: np.ndarray
@@ -76,11 +76,11 @@ def residual_curves(after, dt, joints):
 
 def torque_curves(before, after, clock, joints):
     """Torques over time of two models, from residuals; a tuple of `TorqueCurves`."""
+    # Held-out stretches follow one another, with a gap between them.
     seconds = before.index if clock is None else clock[before.index]
-    # Nothing is known between held-out stretches.
-    step = np.median(np.diff(seconds)) if seconds.size > 1 else 1.0
+    step = float(np.median(np.diff(seconds))) if seconds.size > 1 else 1.0
     gaps = np.flatnonzero(np.diff(seconds) > _GAP * step) + 1
-    at = np.insert(seconds.astype(float), gaps, seconds[gaps] - 0.5 * step)
+    at = step * np.arange(seconds.size + gaps.size)
     found = []
     for j in joints:
         columns = before.torque, before.predicted, after.predicted, before.weight

@@ -159,7 +159,7 @@ def torque_figure(torques, floor, *, title, y_labels):
         for kind, values in own.items():
             plot.line(kind, (seconds[rows], values[rows]))
         notes.append(plot.beyond(curves))
-        charts.append(plot.chart("time [s]", y_label))
+        charts.append(plot.chart("held-out time, its stretches joined [s]", y_label))
     keys = list(zip(upper, ("measured", "completed model", "declared model")))
     if floor > 0:
         keys.append(("floor", "noise floor, one standard deviation"))

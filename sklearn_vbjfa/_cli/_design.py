@@ -19,8 +19,6 @@ from sklearn_vbjfa.design import (
     read_report,
 )
 
-# Sample period of a motion where none is known [s].
-_PERIOD = 0.01
 # Options of identify that describe the robot and hold for its next recording, and those
 # that describe the file of the last one.
 _OF_ROBOT = ("joints", "base_orientation", "gain", "known_mass", "drive", "friction")
@@ -37,7 +35,7 @@ class _Robot:
     model: object  # its description, joints in its own order
     file: str  # description that was given, or that a report names
     is_reduced: bool = False  # whether further joints are held
-    dt: float | None = None  # sample period of its recordings so far [s]
+    dt: float = 0.01  # sample period of its recordings so far [s]
     # whether its torques are in units of a channel, not in N m or N
     is_relative: bool = False
 
@@ -53,9 +51,10 @@ def design(arguments, folder):
         )
     out = _input.expanded(arguments.out or "motion.csv")
     _input.check_file(out, "--out", arguments.force)
-    report = arguments.report and _input.expanded(arguments.report)
-    found = read_report(report) if report else None
-    robot = _robot(arguments, report, found, folder)
+    found = {}
+    if arguments.report:
+        found = read_report(_input.expanded(arguments.report))
+    robot = _robot(arguments, found, folder)
     motion = _motion(arguments, robot, found)
     noise = np.array(robot.known.torque_noise)
     measured = np.isfinite(noise) & (noise > 0)
@@ -91,10 +90,10 @@ def _motion(arguments, robot, found):
     motion = design_motion(
         robot.known,
         duration=arguments.duration,
-        dt=arguments.dt or _period(robot, found),
+        dt=arguments.dt or robot.dt,
         limits=limits,
         effects=arguments.effects or (),
-        report=found,
+        report=found or None,
         random_state=arguments.seed,
     )
     if not motion.within_limits:
@@ -123,27 +122,12 @@ def _per_joint(arguments, option, names):
 # -- the robot -------------------------------------------------------------------------
 
 
-def _robot(arguments, report, found, folder):
+def _robot(arguments, found, folder):
     """Take the identified robot of a report, or the one that is described."""
-    identified = None
-    if report is not None:
-        identified = (report if report.is_dir() else report.parent) / "identified.json"
-    if identified is not None and identified.is_file():
-        return _identified(arguments, identified, found, folder)
-    if arguments.urdf is None:
-        raise ValueError(
-            f"{identified} (robot of the report) not found; give --urdf FILE."
-        )
-    return _described(arguments, found, folder)
-
-
-def _described(arguments, found, folder):
-    """Take a robot of which only the description is known."""
-    given, joints = _input.expanded(arguments.urdf), arguments.joints
-    if not joints and found is not None:
-        # Those that identify held have no place in its report.
-        joints = tuple(found["joint_names"])
-    urdf, held = _input.robot(arguments, given, joints, folder)
+    if found:
+        return _identified(arguments, found, folder)
+    given = _input.expanded(arguments.urdf)
+    urdf, held = _input.robot(arguments, given, arguments.joints, folder)
     known = replace(KnownRobot.of(str(urdf)), description=str(given))
     return _Robot(
         known=known,
@@ -153,29 +137,24 @@ def _described(arguments, found, folder):
     )
 
 
-def _identified(arguments, path, found, folder):
-    """Take a robot from the file that identify wrote."""
-    for name in {"urdf", "base_orientation"} & set(arguments.typed):
-        raise ValueError(f"{spelled(name)} is taken from {path}; leave it out.")
+def _identified(arguments, found, folder):
+    """Take the robot that identify wrote with a report."""
+    for name in {"urdf", "joints", "base_orientation"} & set(arguments.typed):
+        raise ValueError(f"{spelled(name)} is taken from the report; leave it out.")
+    report = _input.expanded(arguments.report)
+    path = (report if report.is_dir() else report.parent) / "identified.json"
     robot = load_identified(path)
-    names, model = robot.joint_names_, robot.features_.nominal_
-    joints = arguments.joints
-    if joints and set(joints) != set(names):
-        raise ValueError(
-            f"--joints must name the joints of {path} ({', '.join(names)}); got "
-            f"{', '.join(joints)}. Leave it out, or run identify with these joints."
-        )
-    provenance = (found.get("provenance") or {}) if found else {}
+    provenance, model = found.get("provenance", {}), robot.features_.nominal_
     file = provenance.get("description") or str(path)
     description = folder / "described.urdf"
     description.write_text(robot.description_, encoding="utf-8")
     if file != str(path) and Path(file).is_file():
         # Paths of meshes are relative to the file.
         description = Path(file)
-    gains = robot.gains_
-    is_relative = gains is not None and not gains.absolute
+    is_relative = robot.gains_ is not None and not robot.gains_.absolute
     if is_relative:
-        model = _without_torque_limits(model)
+        model = model.copy()
+        model.effortLimit = np.full(model.nv, np.inf)
     return _Robot(
         known=replace(KnownRobot.of(robot), description=str(description)),
         model=model,
@@ -184,19 +163,6 @@ def _identified(arguments, path, found, folder):
         dt=robot.dt,
         is_relative=is_relative,
     )
-
-
-def _without_torque_limits(model):
-    """Return a copy of a model with no limits of torque."""
-    model = model.copy()
-    model.effortLimit = np.full(model.nv, np.inf)
-    return model
-
-
-def _period(robot, found):
-    """Sample period of the recordings so far, or a usual one [s]."""
-    rate = ((found or {}).get("provenance") or {}).get("rate")
-    return robot.dt or (1.0 / rate if rate else _PERIOD)
 
 
 # -- limits ----------------------------------------------------------------------------
@@ -228,7 +194,7 @@ def _limits(arguments, robot):
 
 def _before(found):
     """Files of recordings so far that can be read together with the next one."""
-    provenance = (found or {}).get("provenance") or {}
+    provenance = found.get("provenance", {})
     files = provenance.get("file") or ()
     files = [files] if isinstance(files, str) else list(files)
     # What came through a pipe is not there any more.
@@ -238,7 +204,7 @@ def _before(found):
 
 def _step(out, found):
     """Return what to do with the motion."""
-    options = ((found or {}).get("provenance") or {}).get("options") or {}
+    options = found.get("provenance", {}).get("options", {})
     torque = "tau"
     if "drive" in options:
         torque = f"the channels of --drive {options['drive']}"
@@ -250,8 +216,8 @@ def _step(out, found):
 
 def _next_command(arguments, robot, found):
     """Return the command to type once the motion was recorded."""
-    typed = dict(((found or {}).get("provenance") or {}).get("options") or {})
-    typed = {name: typed[name] for name in _OF_ROBOT if name in typed}
+    options = found.get("provenance", {}).get("options", {})
+    typed = {name: options[name] for name in _OF_ROBOT if name in options}
     typed |= {x: arguments.typed[x] for x in _OF_ROBOT[:2] if x in arguments.typed}
     if robot.is_reduced:
         typed["joints"] = ",".join(robot.known.joint_names)

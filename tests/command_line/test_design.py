@@ -216,24 +216,13 @@ def test_a_robot_is_needed(here, capsys):
     assert "expected the folder" in refusal(capsys, "--report", "empty")
     content = {"effects": [], "joint_names": ["a"]}
     Path("empty/report.json").write_text(json.dumps(content))
-    line = refusal(capsys, "--report", "empty")
-    assert "identified.json (robot of the report) not found" in line
-    assert "--urdf FILE" in line
+    assert "identified.json" in refusal(capsys, "--report", "empty")
 
 
-def test_the_report_of_another_robot(home, here, capsys):
-    report = home / "report"
-    Path("other.urdf").write_text(URDF.replace('"elbow"', '"knee"'))
-    line = refusal(capsys, "--report", report, "--urdf", "other.urdf")
-    assert "--urdf is taken from" in line
-    line = refusal(capsys, "--report", report, "--joints", "elbow")
-    assert "--joints must name the joints" in line
-    # without identified.json the report names the joints
-    alone = here / "alone"
-    alone.mkdir()
-    (alone / "report.json").write_text((report / "report.json").read_text())
-    line = refusal(capsys, "--report", alone, "--urdf", "other.urdf")
-    assert "elbow" in line
+def test_the_robot_is_that_of_the_report(home, here, capsys):
+    for option in ("--urdf", "--joints"):
+        line = refusal(capsys, "--report", home / "report", option, "elbow")
+        assert f"{option} is taken from the report; leave it out" in line
 
 
 def test_a_limit_that_a_robot_lacks_is_asked_for(here, capsys):

@@ -3,7 +3,7 @@
 import sys
 
 from sklearn_vbjfa._cli._parser import command_line, parse
-from sklearn_vbjfa._cli._run import REFUSED, one_line, run, say, wrapped
+from sklearn_vbjfa._cli._run import REFUSED, one_line, run, say
 
 
 def main(argv=None):
@@ -51,11 +51,6 @@ def _remedy(error, arguments):
 
 
 def _refuse(reason, remedy=""):
-    """Print a refusal in one line; on a terminal, the command in a line for itself."""
-    text = f"sklearn-vbjfa: {one_line(reason)}"
-    if remedy and sys.stderr.isatty():
-        say(f"{wrapped(f'{text}; this would work:', sys.stderr)}\n{remedy}")
-    elif remedy:
-        say(f"{text}; this would work: {remedy}")
-    else:
-        say(wrapped(text, sys.stderr))
+    """Print a refusal in one line, with the command that would work."""
+    more = f"; this would work: {remedy}" if remedy else ""
+    say(f"sklearn-vbjfa: {one_line(reason)}{more}")

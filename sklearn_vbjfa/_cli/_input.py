@@ -20,7 +20,6 @@ from sklearn_vbjfa.model._loading import load_folded
 from sklearn_vbjfa.physical import ProjectionError
 from sklearn_vbjfa.recording import (
     OfferedSignals,
-    RecordingRefused,
     common_folder,
     expanded,
 )
@@ -125,7 +124,6 @@ def settings(arguments):
     return {
         "friction": arguments.friction,
         "bodies": arguments.bodies,
-        "cutoff": arguments.cutoff,
         "drive": arguments.drive,
         # The recording is read with factors that are known.
         "gains": "unknown" if arguments.gain == "unknown" else None,
@@ -163,40 +161,31 @@ def blaming(source, gains=None):
         raise Refused(reason, **options) from error
 
 
-def read(arguments, urdf, joints, gains, *, identified=True):
+def read(arguments, urdf, joints, gains):
     """Read a recording."""
-    # identified: whether gains that are unknown can be identified.
-    files, source = paths(arguments), named(arguments)
-    try:
-        recording = datasets.read_recording(
-            files[0] if len(files) == 1 else files,
-            dt=arguments.dt,
-            urdf=str(urdf),
-            joint_names=joints or None,
-            columns=arguments.columns,
-            preset=arguments.preset,
-            topic=arguments.topic,
-            gains=gains,
-            time_unit=arguments.time_unit,
-            drive=arguments.drive,
-            join=arguments.join,
-        )
-    except RecordingRefused as error:
-        if identified or error.options.get("gains") != "unknown":
-            raise
-        raise ValueError(
-            f"{error.reason}; give the factors to N m as well (--gain), one for each "
-            "joint."
-        ) from error
+    files = paths(arguments)
+    recording = datasets.read_recording(
+        files[0] if len(files) == 1 else files,
+        dt=arguments.dt,
+        urdf=str(urdf),
+        joint_names=joints or None,
+        columns=arguments.columns,
+        preset=arguments.preset,
+        topic=arguments.topic,
+        gains=gains,
+        time_unit=arguments.time_unit,
+        drive=arguments.drive,
+        join=arguments.join,
+    )
     units = motor_units(recording)
     if units and gains is None and arguments.drive is None:
-        identified = identified and recording.nv > 1
+        several = recording.nv > 1
         raise Refused(
-            f"{source}: the torques are recorded in {units[0]}; give the factors to N "
-            "m, torque constant times gear ratio, one for each of "
+            f"{named(arguments)}: the torques are recorded in {units[0]}; give the "
+            "factors to N m, torque constant times gear ratio, one for each of "
             f"{', '.join(recording.joint_names)}"
-            f"{', or have them identified' if identified else ''} (--gain)",
-            **({"gains": "unknown"} if identified else {}),
+            f"{', or have them identified' if several else ''} (--gain)",
+            **({"gains": "unknown"} if several else {}),
         )
     return recording
 

@@ -57,12 +57,6 @@ def mass(text):
     return name, float(kilograms)
 
 
-def cutoff(text):
-    """Return a frequency [Hz], "auto", or None."""
-    words = {"auto": "auto", "none": None}
-    return words[text] if text in words else float(text)
-
-
 def drive(text):
     """Return a motor control law."""
     from sklearn_vbjfa.recording import parse_drive
@@ -100,7 +94,7 @@ def _known(text, known):
 
 _CONVERSIONS = {
     one.__name__: one
-    for one in (float, int, numbers, names, factors, mass, cutoff, drive, effects)
+    for one in (float, int, numbers, names, factors, mass, drive, effects)
 } | {"friction": friction}
 
 

@@ -7,7 +7,6 @@ import re
 import shutil
 import sys
 import tempfile
-import textwrap
 import time
 import warnings
 from collections.abc import Callable
@@ -66,18 +65,18 @@ def run(arguments):
     elif as_json:
         print(json.dumps(done.data, indent=1))
     for line in () if as_json else lines:
-        print(wrapped(line, sys.stdout))
+        print(line)
     sys.stdout.flush()
     doubts = [str(x.message) for x in caught if issubclass(x.category, DoubtWarning)]
     doubts = [" ".join(one.split()) for one in (*done.doubts, *doubts)]
     doubts = list(dict.fromkeys(doubts))
     notes = [x for x in _notes(caught) if x not in doubts[:_NAMED]]
     for text in () if done.page else notes:
-        say(wrapped(f"note: {text}", sys.stderr))
+        say(f"note: {text}")
     if not doubts:
         return USABLE
     line = one_line(f"warning: {_named(doubts, done.page)}")
-    say(wrapped(f"{line} (exit code {DOUBTFUL})", sys.stderr))
+    say(f"{line} (exit code {DOUBTFUL})")
     return DOUBTFUL
 
 
@@ -195,15 +194,5 @@ def brief(text, width):
 def one_line(message):
     """Return a message as one line, without the middle of a huge one."""
     text = " ".join(str(message).split())
-    if len(text) <= _LONGEST:
-        return text
-    left = len(text) - _LONGEST
-    return f"{text[: _LONGEST - 300]} (and {left} characters more) {text[-300:]}"
-
-
-def wrapped(text, stream):
-    """Return a text wrapped to the width of a terminal; unchanged for other streams."""
-    if not stream.isatty():
-        return text
-    width = shutil.get_terminal_size().columns
-    return textwrap.fill(text, max(width, 40), break_on_hyphens=False)
+    cut = f"{text[:600]} ... {text[-290:]}"
+    return text if len(text) <= _LONGEST else cut

@@ -52,15 +52,17 @@ def simulate(arguments, folder):
 def _recording(arguments, robot, folder):
     """Read the recording; refuse one that does not go with the robot."""
     names, has_gains = robot.joint_names_, robot.gains_ is not None
-    if has_gains and arguments.gain not in (None, "unknown"):
+    given = arguments.gain not in (None, "unknown")
+    if given if has_gains else arguments.gain == "unknown":
+        units = "the units of its channels" if has_gains else "N m or N"
         raise ValueError(
-            f"{arguments.model} was identified with torques in the units of its "
-            "channels; leave --gain out."
+            f"{arguments.model} was identified with torques in {units}; "
+            f"{'leave --gain out' if has_gains else 'give the factors (--gain)'}."
         )
     urdf = folder / "robot.urdf"
     urdf.write_text(robot.description_, encoding="utf-8")
     gains, joints = "unknown" if has_gains else arguments.gain, arguments.joints
-    recording = _input.read(arguments, urdf, joints or names, gains, identified=False)
+    recording = _input.read(arguments, urdf, joints or names, gains)
     source = _input.named(arguments)
     if set(recording.joint_names) != set(names):
         raise ValueError(

@@ -12,7 +12,7 @@ from tests.hostile._case import URDF, clean_text
 
 pytest.importorskip("pinocchio")
 
-QUICK = ("--effects", "none", "--cutoff", "8", "--quiet")
+QUICK = ("--effects", "none", "--quiet")
 
 
 @pytest.fixture

@@ -93,7 +93,7 @@ def test_the_report_is_of_all_recordings(closed):
     assert report["provenance"]["samples"] == 2400
     assert [effect["name"] for effect in report["effects"]] == ["spring"]
     page = (folder / "report.html").read_text(encoding="utf-8")
-    text = page[page.index("Provenance</h2>") :]
+    text = page[page.index("Provenance and method</h2>") :]
     for told in (*RUNS, "3 recordings (a, b and c)"):
         assert told in text
 

@@ -217,7 +217,8 @@ def parse(words):
         arguments.recording += more
     elif more:
         parser = getattr(arguments, "parser", None) or _parser()
-        known = [x for action in parser._actions for x in action.option_strings]
+        groups = _tables()[1].get(arguments.command, {"groups": {}})["groups"]
+        known = [f"--{name}" for name in " ".join(groups.values()).split()]
         option = (unknown or more)[0].partition("=")[0]
         parser.error(
             f"unrecognized arguments: {' '.join(unknown or more)}"

@@ -596,7 +596,7 @@ def gravity():
     limitation = (
         "The arms of the first table are simulated, with dry friction that does not "
         "vary with the pose. Of the measured sets, whose motions were not made for it, "
-        "some improve little."
+        "those improve little whose description is right, or whose motion is fast."
     )
     question = "Do poses correct a description for gravity compensation?"
     shown = f"{data.table()}\n\n{data.table(2)}"

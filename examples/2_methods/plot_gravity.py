@@ -21,7 +21,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from sklearn_vbjfa.datasets import fetch_kuka_lbr_med7, make_robot_recording
-from sklearn_vbjfa.gravity import correct_gravity
+from sklearn_vbjfa.gravity import correct_gravity, gravity_poses
 
 home = os.environ.get("SKLEARN_VBJFA_DATA")
 try:
@@ -37,7 +37,7 @@ print(recording)
 # %%
 # Correction
 # ----------
-# Only rows at rest, or with torques that are mostly gravity and friction, are used. The
+# Only poses and windows of slow motion are used. The
 # masses and first moments move as far from the description as the torques require, and
 # the bodies stay physically consistent. Errors are those at samples that were left out
 # of the fit.
@@ -59,9 +59,12 @@ for body in found.identifier.mass_deviations_:
 #
 # Next poses
 # ----------
-# These poses narrow the widest interval most.
+# Each of these poses narrows the widest interval most. The way points before and beyond
+# it let the joints come to it from both sides.
 
-print(np.round(found.next_poses, 2))
+print(f"Further poses that are enough: {found.poses_enough}")
+way, hold = gravity_poses(model, 3, fitted=found.identifier)
+print(np.round(way[hold > 0][::2], 2))
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained")
 at = np.arange(len(recording.joint_names))
@@ -70,9 +73,7 @@ left.bar(at + 0.2, found.error_after, 0.4, label="corrected")
 left.set_xticks(at, at + 1)
 left.set(xlabel="joint", ylabel="held-out torque error [N m]")
 left.legend()
-right.bar(at - 0.2, found.interval, 0.4, label="now")
-right.bar(at + 0.2, found.next_interval, 0.4, label="after these poses")
+right.bar(at, found.gravity, 0.6, yerr=found.interval, capsize=4)
 right.set_xticks(at, at + 1)
-right.set(xlabel="joint", ylabel="half width of 90 % interval [N m]")
-right.legend()
+right.set(xlabel="joint", ylabel="gravity torque, 90 % interval [N m]")
 plt.show()

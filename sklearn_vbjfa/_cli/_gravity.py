@@ -1,14 +1,28 @@
 """Gravity compensation: ``identify --for gravity`` and ``design --for gravity``."""
 
 import json
+import math
 import shlex
 
 import numpy as np
 
+from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done
+from sklearn_vbjfa.model import joint_names, load_model
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
+
+# Joints in the report: its columns, and fields of `GravityCorrection`.
+_COLUMNS = {
+    "described": "error_before",
+    "corrected": "error_after",
+    "interval": "interval",
+    "gravity": "gravity",
+    "friction_known": "friction_known",
+}
+# Poses that the next command asks for where it is open how many are enough.
+_MORE = 20
 
 
 def correct(arguments, folder):
@@ -19,7 +33,10 @@ def correct(arguments, folder):
     loaded = _input.load(arguments, folder)
     with _input.blaming(loaded.source, loaded.gains):
         found = correct_gravity(loaded.recording, str(loaded.urdf))
+    words = ["--urdf", arguments.urdf, "--report", str(out), "--for", "gravity"]
+    words += ["--poses", str(found.poses_enough or _MORE)]
     data = _data(found)
+    data["command"] = shlex.join(["python", "-m", "sklearn_vbjfa", "design", *words])
 
     def write(folder, notes):
         lacking = write_robot(found.identifier, folder)
@@ -27,11 +44,10 @@ def correct(arguments, folder):
         folder.joinpath("report.json").write_text(text, encoding="utf-8")
         return []
 
-    worse = np.nansum(found.error_after**2) >= np.nansum(found.error_before**2)
-    doubts = ["the correction does not improve held-out poses: use the description"]
+    doubts = ["the correction does not improve held-out samples: use the description"]
     return Done(
         text="\n".join([str(loaded.recording), *_lines(data)]),
-        doubts=doubts if worse else [],
+        doubts=[] if found.improves else doubts,
         data=data,
         folder=out,
         files=("report.json", *ROBOT_FILES),
@@ -40,21 +56,15 @@ def correct(arguments, folder):
 
 
 def _data(found):
-    """Return the report as data."""
-    columns = {
-        "joint": found.identifier.joint_names_,
-        "friction_known": found.friction_known,
-        "gravity": found.gravity,
-        "described": found.error_before,
-        "corrected": found.error_after,
-        "interval": found.interval,
-        "interval_after_next": found.next_interval,
-    }
-    # Numbers that are not known are null in JSON.
-    columns = {
-        k: [x if x == x else None for x in np.asarray(v).tolist()]
-        for k, v in columns.items()
-    }
+    """Return the report as data; numbers that are not known are None."""
+    columns = {key: getattr(found, name).tolist() for key, name in _COLUMNS.items()}
+    joints = [
+        {
+            "joint": name,
+            **{k: None if math.isnan(x[j]) else x[j] for k, x in columns.items()},
+        }
+        for j, name in enumerate(found.identifier.joint_names_)
+    ]
     links = [
         {"links": one.bodies, "factors": one.factors, "stds": one.stds}
         for one in found.identifier.mass_deviations_
@@ -62,10 +72,10 @@ def _data(found):
     return {
         "purpose": "gravity",
         "samples": found.samples.n_samples,
-        "joints": [dict(zip(columns, row)) for row in zip(*columns.values())],
+        "joints": joints,
         "links": links,
         "payload": found.payload,
-        "next_poses": found.next_poses.tolist(),
+        "poses_enough": found.poses_enough,
     }
 
 
@@ -75,14 +85,15 @@ def _lines(data):
 
     rows = []
     for one in data["joints"]:
-        known = "known" if one["friction_known"] else "assumed (one direction)"
-        row = [one["joint"], one["described"], one["corrected"], one["interval"], known]
-        rows.append(row if one["gravity"] else [one["joint"], "no gravity torque"])
+        row = [one[x] for x in ("described", "corrected", "interval")]
+        row = ["unknown" if x is None else f"{x:.3g}" for x in row]
+        row.append("known" if one["friction_known"] else "assumed (one direction)")
+        rows.append([one["joint"], *(row if one["gravity"] else ["no gravity torque"])])
     heads = ["joint", "described", "corrected", "90 % interval, ±", "friction"]
     lines = [
-        f"Gravity torque from {data['samples']} poses and stretches of slow motion: "
+        f"Gravity torque from {data['samples']} poses and windows of slow motion: "
         "errors at held-out samples [N m or N].",
-        *tabulate(rows, heads, tablefmt="plain", floatfmt=".3g").splitlines(),
+        *tabulate(rows, heads, tablefmt="plain", disable_numparse=True).splitlines(),
     ]
     for one in data["links"]:
         masses = " or ".join(
@@ -96,43 +107,45 @@ def _lines(data):
             "Alternative: the description is right and the last link carries "
             f"{mass:.3g} ± {HALF_WIDTH * std:.2g} kg more."
         )
-    widest = max(data["joints"], key=lambda one: one["interval"] or 0.0)
+    more = data["poses_enough"]
     return [
         *lines,
-        f"Next: {len(data['next_poses'])} more poses (next_poses in report.json) "
-        f"reduce the 90 % interval of {widest['joint']} from ±{widest['interval']:.2g} "
-        f"to ±{widest['interval_after_next']:.2g}.",
         "Use for: gravity compensation. Not for: feedforward and simulation (inertias "
-        "follow the masses, friction in motion is not identified).",
+        "follow the masses).",
+        "These poses are enough: no interval exceeds the noise of one pose."
+        if more == 0
+        else f"{more or 'More than 100'} more poses are enough (intervals within the "
+        f"noise of one pose). The best: {data['command']}",
     ]
 
 
 def design_poses(arguments, folder):
     """Choose poses for gravity compensation, and write them in their order."""
-    import pandas as pd
-
     from sklearn_vbjfa.gravity import gravity_poses
-    from sklearn_vbjfa.model import joint_names, load_model
 
     if arguments.urdf is None:
         raise ValueError("--for gravity needs --urdf FILE, the robot description.")
     out = _input.expanded(arguments.out or "poses.csv")
     _input.check_file(out, "--out", arguments.force)
-    described = _input.expanded(arguments.urdf)
-    urdf, _ = _input.robot(arguments, described, arguments.joints, folder)
-    q, hold = gravity_poses(str(urdf), arguments.poses, random_state=arguments.seed)
+    fitted, joints = None, arguments.joints
+    if arguments.report:
+        fitted = load_identified(_input.expanded(arguments.report) / "identified.json")
+        joints = fitted.joint_names_
+    urdf, _ = _input.robot(arguments, _input.expanded(arguments.urdf), joints, folder)
+    n, seed = arguments.poses, arguments.seed
+    q, hold = gravity_poses(str(urdf), n, fitted=fitted, random_state=seed)
     names = [f"q_{name}" for name in joint_names(load_model(str(urdf)))]
-    table = pd.DataFrame(q, columns=names).assign(hold=hold)
 
     def write(folder, notes):
-        table.to_csv(folder / out.name, index=False)
+        heads, table = ",".join([*names, "hold"]), np.c_[q, hold]
+        np.savetxt(folder / out.name, table, "%.9g", ",", header=heads, comments="")
         return []
 
-    command = ["identify", "LOG", "--urdf", arguments.urdf, "--for", "gravity"]
+    words = ["identify", "LOG", "--urdf", arguments.urdf, "--for", "gravity"]
     return Done(
-        text=f"{arguments.poses} poses, each reached from both sides: way points and "
-        "the seconds to stay there.\nMove slowly from one to the next, record q and "
-        f"tau, then: {shlex.join(['python', '-m', 'sklearn_vbjfa', *command])}",
+        text=f"{n} poses, each reached from both sides: way points and the seconds to "
+        "stay there.\nMove slowly from one to the next, record q and tau, then: "
+        + shlex.join(["python", "-m", "sklearn_vbjfa", *words]),
         folder=out.parent,
         files=(out.name,),
         write=write,

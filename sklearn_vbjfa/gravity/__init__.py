@@ -7,11 +7,12 @@ import numpy as np
 
 from sklearn_vbjfa.design import Clearance
 from sklearn_vbjfa.effects import stops
-from sklearn_vbjfa.equations import RigidBodyFeatures, StateEstimator
+from sklearn_vbjfa.equations import RigidBodyFeatures
 from sklearn_vbjfa.fit import FitOptions, RobotIdentifier
 from sklearn_vbjfa.fit._bodies import DESCRIBED, BodyPrior
 from sklearn_vbjfa.model import load_model, nominal_parameters, position_range
 from sklearn_vbjfa.recording import Recording
+from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 __all__ = ["correct_gravity", "gravity_poses"]
@@ -19,14 +20,14 @@ __all__ = ["correct_gravity", "gravity_poses"]
 # motion over that of gravity, way over the range after which friction is full, and
 # share of it that counts as full.
 _WINDOW, _REST, _DYNAMIC, _WAY, _FULL = 0.2, 0.02, 0.2, 0.003, 0.9
-# Speed [rad/s or m/s] that stands for a direction: its Coriolis torques are nothing.
+# Speed [rad/s or m/s] that stands for the direction of friction at rest.
 _DIRECTION = 1e-4
-# Folds, contiguous in time; range [rad or m] of one pose; share of the described weight
-# in torques without any; deviations and nats that decide.
-_FOLDS, _ONE_POSE, _NO_WEIGHT, _SURE, _RIVAL = 4, 0.2, 0.3, 3.0, 3.0
-# Random poses that are compared, those that are proposed, way [rad or m] of an
-# approach, and noise of the torque over gravity where nobody has measured it.
-_CANDIDATES, _PROPOSED, _APPROACH, _NOISE = 300, 5, 0.05, 0.02
+# Folds, contiguous in time; samples that tell a noise; range [rad or m] of one pose;
+# share of the described weight in torques without any; deviations and nats that decide.
+_FOLDS, _FEW, _ONE_POSE, _NO_WEIGHT, _SURE, _RIVAL = 4, 5, 0.2, 0.3, 3.0, 3.0
+# Random poses that are compared, most that are counted, way [rad or m] of an approach,
+# and noise of a torque over gravity where nobody has measured it.
+_CANDIDATES, _MOST, _APPROACH, _NOISE = 300, 100, 0.05, 0.02
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,26 +39,25 @@ class GravityCorrection:
     identifier : RobotIdentifier
         Fitted to all samples; exports the corrected description.
     samples : Recording
-        Poses and slow motion that were fitted, one row each.
+        Poses and windows of slow motion that were fitted, one row each.
     error_before, error_after : ndarray of shape (nv,)
         Root mean square error of the torque at held-out samples [N m or N], friction
-        fitted in both cases; nan for fewer than two poses.
+        fitted in both cases; nan for a joint without samples.
     gravity : ndarray of shape (nv,)
         Root mean square of the corrected gravity torque [N m or N]; zero for a
         vertical axis.
-    interval, next_interval : ndarray of shape (nv,)
+    interval : ndarray of shape (nv,)
         Half width of the 90 % interval of the gravity torque [N m or N] over random
-        poses, now and after `next_poses`.
-    next_poses : ndarray of shape (5, nv)
-        Poses [rad or m] to record next.
+        poses.
+    poses_enough : int or None
+        Further poses after which no interval exceeds the noise of one pose; None if
+        100 are not enough.
     friction_known : ndarray of shape (nv,), bool
-        Joints that came to their poses from both sides; of the others friction and a
-        constant offset of the torque cannot be separated.
+        Joints that moved in both directions; of the others friction and a constant
+        offset of the torque cannot be separated.
     payload : tuple of float or None
         Mass of a payload at the last link and its standard deviation [kg], if it
         explains the torques as well as the corrected links do.
-    covariance : ndarray of shape (10 nv, 10 nv)
-        Of the inertial parameters.
     """
 
     identifier: RobotIdentifier
@@ -66,29 +66,28 @@ class GravityCorrection:
     error_after: np.ndarray
     gravity: np.ndarray
     interval: np.ndarray
+    poses_enough: int | None
     friction_known: np.ndarray
     payload: tuple | None
-    next_poses: np.ndarray
-    next_interval: np.ndarray
-    covariance: np.ndarray
+
+    @property
+    def improves(self):
+        """Whether the correction reduces the error at held-out samples."""
+        return np.nansum(self.error_after**2) < np.nansum(self.error_before**2)
 
     def interval_at(self, q):
         """Half width (n, nv) of the 90 % interval of the gravity torque at poses q."""
-        rows = gravity_rows(self.identifier.features_, np.asarray(q, dtype=float))
-        return HALF_WIDTH * np.sqrt(_variances(rows, rows @ self.covariance))
+        rows = _gravity_rows(self.identifier.features_, np.asarray(q, dtype=float))
+        return HALF_WIDTH * _deviations(rows, rows @ _covariance(self.identifier))
 
 
 def correct_gravity(recording, model):
     """Correct the masses of a description by poses and slow motion.
 
-    Bodies are near those of the description (``bodies="prior"`` of `RobotIdentifier`)
-    and physically consistent; Coulomb friction acts against the motion with which a
-    joint came to its pose.
-
     Parameters
     ----------
     recording : Recording
-        Positions and torques, with poses held for 0.4 s or longer, or slow motion.
+        Positions and torques, with poses held for 0.6 s or longer, or slow motion.
     model : str or os.PathLike
         URDF or MJCF file of the robot.
 
@@ -101,42 +100,58 @@ def correct_gravity(recording, model):
     ValueError
         If there are no poses, or one only; the torques contain no weight; or the
         description has no masses.
+
+    Notes
+    -----
+    Sample k is a pose, or a window of 0.2 s in which parabolas through positions and
+    torques give q, v, a and tau. The torque of joint j is
+
+    tau_kj = Phi_j(q, v, a) pi + d_j v_kj + f_j s_kj + o_j + e_kj.
+
+    The inertial parameters pi have the prior of ``bodies="prior"``, see
+    `RobotIdentifier`: near the description, on a scale for each link that the torques
+    determine. Viscous friction d_j is fitted if all joints move. The state s_kj of dry
+    friction, -1 or 1, is the direction of the last motion, at rest too: that of a stop
+    operator of 0.3 % of the range. If it is always the same, s is 0 and friction is a
+    part of the offset o_j. At rest dry friction is anywhere between -f_j and f_j, so
+    that e_kj has one variance for joint j in motion and another at rest: what the
+    description and then the corrected links leave. A sample counts for the joints whose
+    state of friction is known and whose torque of motion is at most a fifth of that of
+    gravity.
     """
     features, described = _described(model)
-    nv = features.n_joints_
     samples = static_samples(recording, features)
-    rows = gravity_rows(features, samples.q)
-    _check_weight(samples, rows @ described.vector(10 * nv))
-    before, after = _held_out(samples, model)
-    _, identifier = _fitted(samples, model, slice(None))
-    inertial = np.arange(identifier.theta_.size).reshape(nv, -1)[:, :10].ravel()
-    covariance = identifier.robot_.prediction_covariance.covariance
-    covariance = covariance[np.ix_(inertial, inertial)]
-    # What neither torques nor description tell moves no gravity torque.
-    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    poses = _random_poses(model)
-    at_poses = gravity_rows(features, poses)
-    gravity = np.sqrt(((at_poses @ identifier.theta_[inertial]) ** 2).mean(axis=0))
-    # A pose is recorded from both sides.
-    noise = np.maximum(identifier.output_noise_, 1e-9 * gravity.max()) / np.sqrt(2.0)
-    chosen, now, then = _best_poses(at_poses, covariance, noise, _PROPOSED)
-    side = samples.states[:, nv : 2 * nv]
+    rows = _inertial_rows(features, samples.states)
+    torque = rows @ described.vector(rows.shape[2])
+    gravity = _gravity_rows(features, samples.q) @ described.vector(rows.shape[2])
+    _check_weight(samples, gravity, samples.tau - (torque - gravity))
+    with warnings.catch_warnings():
+        # Poses are few rows, and nothing is filtered.
+        warnings.simplefilter("ignore", UserWarning)
+        before, after = _held_out(samples, model)
+        _, found, variance = _fitted(samples, model)
+        payload = _payload(found, samples, variance, rows, torque)
+    at_poses = _gravity_rows(features, _random_poses(model))
+    inertial = found.theta_.reshape(samples.tau.shape[1], -1)[:, :10].ravel()
+    gravity = np.sqrt(((at_poses @ inertial) ** 2).mean(axis=0))
+    noise = np.maximum(found.output_noise_, 1e-9 * gravity.max())
+    _, stds = _best_poses(at_poses, _covariance(found), noise, _MOST)
+    enough = np.flatnonzero((HALF_WIDTH * stds <= noise).all(axis=1))
+    side = np.split(samples.states, 3, axis=1)[1]
     return GravityCorrection(
-        identifier=identifier,
+        identifier=found,
         samples=samples,
         error_before=before,
         error_after=after,
         gravity=np.where(gravity > 1e-6 * gravity.max(), gravity, 0.0),
-        interval=HALF_WIDTH * now,
-        friction_known=(side > 0).any(axis=0) & (side < 0).any(axis=0),
-        payload=_payload(identifier, samples, rows, described.vector(10 * nv)),
-        next_poses=poses[chosen],
-        next_interval=HALF_WIDTH * then,
-        covariance=covariance,
+        interval=HALF_WIDTH * stds[0],
+        poses_enough=int(enough[0]) if enough.size else None,
+        friction_known=side.any(axis=0),
+        payload=payload,
     )
 
 
-def gravity_poses(model, n_poses=20, *, random_state=0):
+def gravity_poses(model, n_poses=20, *, fitted=None, random_state=0):
     """Choose poses that determine the gravity torque of a described robot.
 
     Parameters
@@ -146,14 +161,17 @@ def gravity_poses(model, n_poses=20, *, random_state=0):
         has collision geometry.
     n_poses : int, default=20
         Number of poses.
+    fitted : RobotIdentifier, default=None
+        The robot as corrected by earlier poses, whose widest interval each pose
+        narrows most. None: as uncertain as descriptions usually are.
     random_state : int, default=0
         Seed of the candidates.
 
     Returns
     -------
     q : ndarray of shape (4 * n_poses, nv)
-        Way points [rad or m] in their order: for each pose a point before it, the pose,
-        a point beyond it, and the pose again, so that joints come from both sides.
+        Way points [rad or m], the best pose first: for each pose a point before it, the
+        pose, a point beyond it, and the pose again: joints come from both sides.
     hold : ndarray of shape (4 * n_poses,)
         Time [s] to stay at each way point: 1 s at the poses, 0 s elsewhere.
 
@@ -163,32 +181,22 @@ def gravity_poses(model, n_poses=20, *, random_state=0):
         If the description has no masses.
     """
     features, bodies = _described(model)
-    size = 10 * features.n_joints_
-    covariance = np.zeros((size, size))
-    for places, root in zip(bodies.places, bodies.root):
-        inverse = DESCRIBED * np.linalg.inv(root)
-        covariance[np.ix_(places, places)] = inverse @ inverse.T
-    q = _random_poses(model, random_state, margin=_APPROACH)
-    rows = gravity_rows(features, q)
-    torque = np.sqrt(((rows @ bodies.vector(size)) ** 2).mean(axis=0))
-    noise = _NOISE * np.maximum(torque, 0.01 * torque.max())
-    left = list(q[_best_poses(rows, covariance, noise, n_poses)[0]])
-    order = [left.pop(0)]
-    while left:
-        # The nearest comes next.
-        near = np.argmin([np.abs(pose - order[-1]).max() for pose in left])
-        order.append(left.pop(near))
-    way = np.repeat(order, 4, axis=0)
+    q = _random_poses(model, random_state)
+    rows = _gravity_rows(features, q)
+    size = rows.shape[2]
+    if fitted is None:
+        covariance = np.zeros((size, size))
+        for places, root in zip(bodies.places, bodies.root):
+            inverse = DESCRIBED * np.linalg.inv(root)
+            covariance[np.ix_(places, places)] = inverse @ inverse.T
+        torque = np.sqrt(((rows @ bodies.vector(size)) ** 2).mean(axis=0))
+        noise = _NOISE * np.maximum(torque, 0.01 * torque.max())
+    else:
+        covariance, noise = _covariance(fitted), fitted.output_noise_
+    way = np.repeat(q[_best_poses(rows, covariance, noise, n_poses)[0]], 4, axis=0)
     way[0::4] -= _APPROACH
     way[2::4] += _APPROACH
     return way, np.tile([0.0, 1.0, 0.0, 1.0], n_poses)
-
-
-def gravity_rows(features, q):
-    """Gravity torques by inertial parameters, (n, nv, 10 nv)."""
-    rest, (n, nv) = np.zeros_like(q), q.shape
-    rows = features.transform(np.hstack([q, rest, rest])).reshape(n, nv, nv, -1)
-    return rows[..., :10].reshape(n, nv, -1)
 
 
 def _described(model):
@@ -204,12 +212,35 @@ def _described(model):
     return features, bodies
 
 
-def _random_poses(robot, random_state=0, margin=0.0):
+def _inertial_rows(features, states):
+    """Torques at states (n, 3 nv) by inertial parameters, (n, nv, 10 nv)."""
+    n, nv = len(states), states.shape[1] // 3
+    rows = features.transform(states).reshape(n, nv, nv, -1)
+    return rows[..., :10].reshape(n, nv, -1)
+
+
+def _gravity_rows(features, q):
+    """Gravity torques at poses (n, nv) by inertial parameters, (n, nv, 10 nv)."""
+    return _inertial_rows(features, np.hstack([q, 0.0 * q, 0.0 * q]))
+
+
+def _covariance(identifier):
+    """Covariance (10 nv, 10 nv) of the inertial parameters."""
+    nv = len(identifier.joint_names_)
+    inertial = np.arange(identifier.theta_.size).reshape(nv, -1)[:, :10].ravel()
+    covariance = identifier.robot_.prediction_covariance.covariance
+    covariance = covariance[np.ix_(inertial, inertial)]
+    # What neither torques nor description tell moves no gravity torque.
+    return np.where(np.isfinite(covariance), covariance, 0.0)
+
+
+def _random_poses(robot, random_state=0):
     """Draw positions (n, nv) inside the joint limits in which no links touch."""
     model = load_model(robot)
     low, high = position_range(model)
     random = np.random.default_rng(random_state)
-    q = random.uniform(low + margin, high - margin, (2 * _CANDIDATES, model.nv))
+    shape = 2 * _CANDIDATES, model.nv
+    q = random.uniform(low + _APPROACH, high - _APPROACH, shape)
     clearance, _ = Clearance.of(robot, model=model)
     if clearance is not None:
         free = np.array([clearance.nearest(one[None])[0] > 0 for one in q])
@@ -217,77 +248,93 @@ def _random_poses(robot, random_state=0, margin=0.0):
     return q[:_CANDIDATES]
 
 
-def _variances(rows, across):
-    """Variances (n, nv) of torques from rows (n, nv, p) and rows times covariance."""
-    return np.maximum(np.einsum("kjp,kjp->kj", across, rows), 0.0)
+def _deviations(rows, across):
+    """Deviations (n, nv) of torques from rows (n, nv, p) and rows times covariance."""
+    return np.sqrt(np.maximum(np.einsum("kjp,kjp->kj", across, rows), 0.0))
 
 
 def _best_poses(rows, covariance, noise, n):
     """Choose n rows (n, nv, p), each of which narrows the widest interval most.
 
-    Returns their numbers, and the standard deviations (nv,) of the gravity torque over
-    all rows before and after.
+    Returns their numbers, and the root mean square deviations (n + 1, nv) of the
+    gravity torque over all rows, before the first and after each.
     """
-    chosen, widths = [], []
+    chosen, stds = [], []
     while True:
         across = rows @ covariance
-        widths.append(np.sqrt(_variances(rows, across).mean(axis=0)))
+        stds.append(np.sqrt((_deviations(rows, across) ** 2).mean(axis=0)))
         if len(chosen) == n:
-            return chosen, widths[0], widths[-1]
-        gains = across @ rows.transpose(0, 2, 1) + np.diag(noise**2)
+            return chosen, np.array(stds)
+        # A pose is recorded from both sides.
+        gains = across @ rows.transpose(0, 2, 1) + np.diag(noise**2 / 2.0)
         gains = np.linalg.inv(gains)
         # What each pose would take away of the widest variance, summed over all poses.
-        shared = across[:, widths[-1].argmax()] @ rows.transpose(0, 2, 1)
+        shared = across[:, stds[-1].argmax()] @ rows.transpose(0, 2, 1)
         best = int(np.einsum("kmj,kji,kmi->k", shared, gains, shared).argmax())
         covariance = covariance - across[best].T @ gains[best] @ across[best]
         chosen.append(best)
 
 
 def static_samples(recording, features):
-    """Return one row for each pose, and for each window of slow motion."""
-    # In place of the velocity `states` has the direction in which each joint came to
-    # its pose: the Coulomb column of the identifier is then the friction that holds it.
-    # Weights are zero where that direction is unknown.
-    inertial, states = nominal_parameters(features.model_), recording.states
-    if states is None:
-        estimator = StateEstimator(recording.dt)
-        states = estimator.fit_transform(recording.q, groups=recording.groups)
-    q, v, a = np.split(states, 3, axis=1)
-    gravity = features.torques(q, 0 * v, 0 * a, inertial)
-    dynamic = features.torques(q, v, a, inertial) - gravity
-    size = np.sqrt((gravity**2).mean(axis=0))
-    slow = np.abs(dynamic) <= _DYNAMIC * np.maximum(size, 0.1 * size.max())
-    still = np.abs(v) <= _REST * np.percentile(np.abs(v), 99.5, axis=0)
-    length = max(1, round(_WINDOW / recording.dt)) if recording.dt else 1
-    spans = _spans(slow.all(axis=1), still.all(axis=1), recording.segments, length)
-    if not spans:
-        raise ValueError(
-            "The recording holds neither poses nor slow motion: gravity needs poses "
-            f"that are held for {2 * _WINDOW:g} s, or motion whose torque is at least "
-            f"{1 - _DYNAMIC:.0%} gravity and friction. Record poses, or identify the "
-            "robot from this motion without --for gravity."
-        )
-    # Friction opposes the last motion in full after a way.
-    ways = np.maximum(_WAY * np.ptp(q, axis=0), np.finfo(float).tiny)
-    came = np.empty_like(q)
-    for part in recording.segments:
-        for j, way in enumerate(ways):
-            came[part, j] = stops(q[part, j], np.array([way]))[:, 0]
-    pose, tau, side = (
-        np.array([x[a:b].mean(axis=0) for a, b in spans])
-        for x in (q, recording.tau - dynamic, came)
+    """Return one row for each pose, and for each window of motion.
+
+    The speed of a joint at rest is that of its last direction; it is zero if friction
+    is a part of the offset. `weight` is zero where a joint does not count.
+    """
+    dt, parts = check_dt(recording.dt), recording.segments
+    length = max(3, round(_WINDOW / dt))
+    first = [np.arange(p.start, p.stop - length + 1, length) for p in parts]
+    rows = np.concatenate(first)[:, None] + np.arange(length)
+    t = dt * (np.arange(length) - 0.5 * (length - 1))
+    parabola = np.linalg.pinv(np.vander(t, 3, increasing=True) * [1.0, 1.0, 0.5])
+    q, v, a = np.einsum("sk,mkj->smj", parabola, recording.q[rows])
+    came = np.empty_like(recording.q)
+    for j, way in enumerate(_WAY * np.ptp(recording.q, axis=0) + 1e-300):
+        for part in parts:
+            came[part, j] = stops(recording.q[part, j], np.array([way]))[:, 0]
+    fastest = np.quantile(np.abs(v), 0.995, axis=0) if len(v) else 0.0
+    still = np.abs(v) <= _REST * fastest
+    # Windows of one pose are one sample; the first of them settles.
+    rest, label = still.all(axis=1), recording.groups[rows[:, 0]]
+    tau = np.einsum("k,mkj->mj", parabola[0], recording.tau[rows])
+    tau[rest] = recording.tau[rows[rest]].mean(axis=1)
+    goes_on = rest & np.roll(rest, 1) & (label == np.roll(label, 1))
+    goes_on[:1] = False
+    used = goes_on | ~rest
+    starts = np.flatnonzero(np.diff(np.cumsum(~goes_on)[used], prepend=0))
+    count = np.diff(np.r_[starts, used.sum()])[:, None]
+    q, v, a, tau, side, still = (
+        np.add.reduceat(x[used], starts) / count if len(starts) else x[:0]
+        for x in (q, v, a, tau, came[rows].mean(axis=1), still.astype(float))
     )
     known = np.abs(side) >= _FULL
     side = np.sign(side) * known
     # Friction from one side only is part of the offset.
     side *= (side > 0).any(axis=0) & (side < 0).any(axis=0)
+    inertial = nominal_parameters(features.model_)
+    gravity = features.torques(q, 0 * v, 0 * a, inertial)
+    size = np.sqrt((gravity**2).sum(axis=0) / max(len(q), 1))
+    torque = features.torques(q, v, a, inertial)
+    weight = np.abs(torque - gravity) <= _DYNAMIC * np.maximum(size, 0.1 * size.max())
+    weight &= known | ~known.any(axis=0)
+    slow = weight.any(axis=1)
+    if weight.sum() < _FEW * weight.shape[1]:
+        raise ValueError(
+            f"The recording holds fewer than {_FEW} poses or windows of slow motion: "
+            f"gravity needs poses that are held for {3 * _WINDOW:g} s, or motion whose "
+            f"torque is at least {1 - _DYNAMIC:.0%} gravity and friction. `sklearn-"
+            "vbjfa design --urdf ROBOT.urdf --for gravity` proposes poses."
+        )
+    v = side * np.where(still > 0, _DIRECTION, np.maximum(np.abs(v), 2 * _DIRECTION))
+    # Centrifugal torques of speeds that are replaced.
+    tau += features.torques(q, v, a, inertial) - torque
     return replace(
         recording,
-        q=pose,
-        tau=tau,
-        states=np.hstack([pose, _DIRECTION * side, 0 * pose]),
-        weight=known.astype(float),
-        groups=np.zeros(len(pose), dtype=int),
+        q=q[slow],
+        tau=tau[slow],
+        states=np.hstack([q, v, a])[slow],
+        weight=weight[slow].astype(float),
+        groups=np.zeros(slow.sum(), dtype=int),
         group_names=("poses",),
         t=None,
         v=None,
@@ -296,68 +343,56 @@ def static_samples(recording, features):
     )
 
 
-def _spans(slow, still, parts, length):
-    """Find (first, end) of the poses and of the windows of slow motion."""
-    found = []
-    for part in parts:
-        edges = np.flatnonzero(np.diff(np.r_[0, still[part], 0])) + part.start
-        # The first half of a window settles.
-        poses = [(a + length // 2, b) for a, b in edges.reshape(-1, 2)]
-        found += [(a, b) for a, b in poses if b - a >= 2 * length - length // 2]
-        for a in range(part.start, part.stop - length + 1, length):
-            if (slow & ~still)[a : a + length].all():
-                found.append((a, a + length))
-    return sorted(found)
+def _fitted(samples, model, rows=slice(None)):
+    """Fit friction beside the described bodies, and beside corrected ones.
 
-
-def _fitted(samples, model, rows):
-    """Fit friction beside the described bodies, and beside corrected ones."""
-    # A joint with fewer samples than parameters would fit them exactly: the noise of
-    # the joints is that which the described bodies, and then the fitted ones, leave.
-    fits, precisions = [], None
+    Also returns the variance (n, nv) of the noise of all samples.
+    """
     states, tau, weight = samples.states[rows], samples.tau[rows], samples.weight[rows]
+    speed = np.abs(np.split(samples.states, 3, axis=1)[1])
+    kinds = speed > _DIRECTION, speed == _DIRECTION, speed == 0
+    moves = (weight * kinds[0][rows]).any(axis=0) | ~weight.any(axis=0)
+    friction = (("viscous",) if moves.all() else ()) + ("coulomb", "offset")
+    fits, variance = [], np.ones(samples.tau.shape)
+    # A joint with fewer samples than parameters would fit them exactly: the noise is
+    # that which the described bodies, and then the fitted ones, leave.
     for bodies in ("fixed", "prior", "prior"):
+        precision = weight / variance[rows]
+        scale = np.where(weight.any(axis=0), precision.max(axis=0), 1.0)
         found = RobotIdentifier(
             model,
-            friction=("coulomb", "offset"),
+            friction=friction,
             bodies=bodies,
-            options=FitOptions(standstill=None, joint_weights=precisions),
-        )
-        with warnings.catch_warnings():
-            # Poses are few rows, and nothing is filtered.
-            warnings.simplefilter("ignore", UserWarning)
-            found.fit(states, tau, sample_weight=weight)
+            options=FitOptions(standstill=None, joint_weights=scale),
+        ).fit(states, tau, sample_weight=precision / scale)
         fits.append(found)
         squares = weight * (tau - found.predict(states)) ** 2
-        variance = squares.sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0)
-        precisions = 1.0 / np.maximum(variance, 1e-9 * variance.max())
-    return fits[0], fits[-1]
+        pooled = squares.sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0)
+        few = weight.sum(axis=0) < _FEW
+        variance = np.where(few, pooled.max(), pooled) * np.ones(samples.tau.shape)
+        for kind in kinds:
+            count = (weight * kind[rows]).sum(axis=0)
+            mean = (squares * kind[rows]).sum(axis=0) / np.maximum(count, 1.0)
+            variance = np.where(kind & (count >= _FEW), mean, variance)
+        variance = np.maximum(variance, 1e-9 * variance.max())
+    return fits[0], fits[-1], variance
 
 
 def _held_out(samples, model):
     """Errors (nv,) of both fits on contiguous folds, each predicted by the rest."""
-    n, nv = samples.tau.shape
-    if n < 2:
-        return np.full((2, nv), np.nan)
-    squares = np.zeros((2, n, nv))
+    n, weight = samples.n_samples, samples.weight
+    squares = np.full((2, *samples.tau.shape), np.nan)
     for fold in np.array_split(np.arange(n), min(_FOLDS, n)):
-        rows = ~np.isin(np.arange(n), fold)
+        rows = np.setdiff1d(np.arange(n), fold)
         for one, found in zip(squares, _fitted(samples, model, rows)):
             one[fold] = (samples.tau[fold] - found.predict(samples.states[fold])) ** 2
-    return np.sqrt((samples.weight * squares).sum(axis=1) / samples.weight.sum(axis=0))
+    with np.errstate(invalid="ignore"):
+        return np.sqrt((weight * squares).sum(axis=1) / weight.sum(axis=0))
 
 
-def _explained(samples, columns, tau, weight):
-    """Fit columns (n, nv, k) beside friction; the first coefficient with its deviation.
-
-    Also returns the weighted square sum of what is left.
-    """
-    n, nv = tau.shape
-    joints, friction = np.arange(nv), np.zeros((n, nv, 2 * nv))
-    friction[:, joints, joints] = np.sign(samples.states[:, nv : 2 * nv])
-    friction[:, joints, nv + joints] = 1.0
-    A = np.concatenate([columns, friction], axis=2) * weight[:, :, None]
-    A, y = A.reshape(n * nv, -1), (tau * weight).ravel()
+def _explained(columns, y, weight):
+    """Fit columns by least squares; the first coefficient, its deviation, squares."""
+    A, y = columns * weight[:, None], y * weight
     found = np.linalg.lstsq(A, y)[0]
     squares = ((y - A @ found) ** 2).sum()
     freedom = max(np.count_nonzero(weight) - len(found), 1)
@@ -365,7 +400,13 @@ def _explained(samples, columns, tau, weight):
     return float(found[0]), float(std), squares
 
 
-def _check_weight(samples, gravity):
+def _friction(samples):
+    """Columns (n, nv, 3) of the friction of each joint."""
+    v = np.split(samples.states, 3, axis=1)[1]
+    return np.stack([np.sign(v), np.ones_like(v), v], axis=2)
+
+
+def _check_weight(samples, gravity, tau):
     """Refuse a single pose, and torques that do not contain the described weight."""
     if (np.ptp(samples.q, axis=0) < _ONE_POSE).all():
         raise ValueError(
@@ -373,28 +414,39 @@ def _check_weight(samples, gravity):
             "Record poses over the range of the joints; `sklearn-vbjfa design --urdf "
             "ROBOT.urdf --for gravity` proposes some."
         )
-    columns = gravity[:, :, None]
-    factor, std, _ = _explained(samples, columns, samples.tau, samples.weight)
-    if gravity.any() and factor + _SURE * std < _NO_WEIGHT:
+    friction, factors = _friction(samples), [(1.0, 0.0)]
+    for j in np.flatnonzero(np.ptp(gravity, axis=0) > 1e-6 * np.ptp(gravity)):
+        columns = np.c_[gravity[:, j], friction[:, j]]
+        factors.append(_explained(columns, tau[:, j], samples.weight[:, j])[:2])
+    factor, std = np.transpose(factors[1:] or factors)
+    low, high = factor + _SURE * std < _NO_WEIGHT, factor - _SURE * std > _NO_WEIGHT
+    if low.any() and not high.any():
+        k = np.argmin(np.where(low, std, np.inf))
         raise ValueError(
-            f"The torques contain no weight: {factor:.2f} ± {HALF_WIDTH * std:.2f} "
-            "times the described gravity torque. The controller has probably "
-            "subtracted its gravity model; record the torques before that."
+            f"The torques contain no weight: {factor[k]:.2f} ± "
+            f"{HALF_WIDTH * std[k]:.2f} times the described gravity torque. The "
+            "controller has probably subtracted its gravity model; record the torques "
+            "before that."
         )
 
 
-def _payload(identifier, samples, rows, theta):
+def _payload(found, samples, variance, rows, torque):
     """Mass of a payload and its deviation, if it explains the torques as well."""
-    # The description with mass and first moments of something at the last link.
-    weight = samples.weight / np.maximum(identifier.output_noise_, 1e-300)
-    last = rows[:, :, -10:-6]
-    mass, std, squares = _explained(samples, last, samples.tau - rows @ theta, weight)
-    predicted = identifier.predict(samples.states)
-    other = (((samples.tau - predicted) * weight) ** 2).sum()
+    # The description with another body at the last link.
+    n, nv = samples.tau.shape
+    friction = np.zeros((n, nv, nv, 3))
+    friction[:, np.arange(nv), np.arange(nv)] = _friction(samples)
+    columns = np.concatenate([rows[:, :, -10:], friction.reshape(n, nv, -1)], axis=2)
+    weight = np.sqrt(samples.weight / variance)
+    mass, std, squares = _explained(
+        columns.reshape(n * nv, -1), (samples.tau - torque).ravel(), weight.ravel()
+    )
+    left = weight * (samples.tau - found.predict(samples.states))
     count = np.count_nonzero(weight)
     # The corrected links have more freedom; each direction that the poses determine
     # is worth half the logarithm of their number.
-    bodies = ~identifier.from_description_ & (np.abs(identifier.theta_std_) > 0)
-    freedom = max(bodies.sum() - 2 * samples.nv - 4, 0)
-    behind = 0.5 * count * np.log(squares / other) - 0.5 * freedom * np.log(count)
+    bodies = ~found.from_description_ & (np.abs(found.theta_std_) > 0)
+    freedom = max(bodies.sum() - len(found.friction) * nv - 10, 0)
+    behind = 0.5 * count * np.log(squares / (left**2).sum())
+    behind -= 0.5 * freedom * np.log(count)
     return (mass, std) if behind < _RIVAL and mass > _SURE * std else None

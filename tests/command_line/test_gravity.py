@@ -41,7 +41,12 @@ def test_poses_are_designed_and_a_log_of_them_corrects_the_description(
     printed = capsys.readouterr().out
     assert re.search("joint1 +no gravity torque", printed)
     assert "Use for: gravity compensation." in printed
-    joints = json.loads(Path("out/report.json").read_text())["joints"]
+    report = json.loads(Path("out/report.json").read_text())
+    words = report["command"].split()[3:]
+    assert main([*words, "-o", "next.csv"]) == 0
+    count = len(pd.read_csv("next.csv"))
+    assert count == 4 * (report["poses_enough"] or 20)
+    joints = report["joints"]
     assert joints[1]["corrected"] < joints[1]["described"]
     q = RNG.uniform(-2, 2, (50, 3))
     after = gravity(pin.buildModelFromUrdf("out/identified.urdf"), q)

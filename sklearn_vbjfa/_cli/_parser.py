@@ -127,8 +127,10 @@ class _Parser(argparse.ArgumentParser):
                 f"{found[1]!r} is not a command{_suggestion(found[1], _tables()[1])}"
             )
         message = re.sub(r"^argument (?:-\w/)?(--[\w-]+): ", r"\1 ", message)
-        message = re.sub("invalid \\w+ value: ", "has an invalid value: ", message)
-        raise Refused(f"{message}; see {self.prog} -h")
+        message = re.sub(
+            " invalid (choice|.* value): ", " has an invalid value: ", message
+        )
+        raise Refused(f"{message.rstrip('.')}; see {self.prog} -h")
 
 
 def _suggestion(word, known):

@@ -378,7 +378,7 @@ def test_faults_of_a_robot(change, message, good, tmp_path, capfd):
         ("--dt -0.005", "dt must be .*; got -0.005"),
         ("--dt nan", "dt must be .*; got nan"),
         ("--dt 0.01", "time steps by 0.005 s but dt = 0.01 s; correct one of them"),
-        ("--bodies none", "--bodies invalid choice: 'none'.*prior.*free.*fixed"),
+        ("--bodies none", "--bodies has an invalid value: 'none'.*prior.*free.*fixed"),
         ("--friction none,viscous", "--friction does not know 'none'"),
         ("--dt low", "--dt has an invalid value: 'low'"),
         ("--out arm.csv", "arm.csv is not a folder"),

@@ -21,7 +21,6 @@ from sklearn_vbjfa import (
     distributed,
     effects,
     gravity,
-    physical,
     robot,
 )
 from tests.test_imports import APART, ROOMS
@@ -35,7 +34,7 @@ PUBLIC_MODULES = (
     effects,
     gravity,
 )
-PUBLIC_MODULES += (physical, robot)
+PUBLIC_MODULES += (robot,)
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 

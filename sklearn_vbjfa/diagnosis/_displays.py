@@ -148,18 +148,6 @@ class ResidualDisplay(_Display):
         Those of `plot`.
     lines_ : list of matplotlib Line2D
         Points of each joint: before, after.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_vbjfa.diagnosis import ResidualDisplay
-    >>> t = np.linspace(0, 1, 200)
-    >>> torque = np.sin(9 * t)[:, None]
-    >>> display = ResidualDisplay(
-    ...     time=t, measured=torque, before=0.8 * torque, joint_names=["joint1"],
-    ...     units=["N m"])
-    >>> display.before.shape
-    (200, 1)
     """
 
     def _curves(self, predictions):
@@ -188,18 +176,6 @@ class TorqueDisplay(_Display):
         Those of `plot`.
     lines_ : list of matplotlib Line2D
         Curves of each joint: measured, before, after.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_vbjfa.diagnosis import TorqueDisplay
-    >>> t = np.linspace(0, 1, 200)
-    >>> torque = np.sin(9 * t)[:, None]
-    >>> display = TorqueDisplay(
-    ...     time=t, measured=torque, before=0.8 * torque, joint_names=["joint1"],
-    ...     units=["N m"])
-    >>> display.measured.shape
-    (200, 1)
     """
 
     def _curves(self, predictions):

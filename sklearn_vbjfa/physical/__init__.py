@@ -16,5 +16,5 @@ from sklearn_vbjfa.physical._solver import (
     one_blas_thread,
 )
 
-# The rest is for other rooms and tests.
-__all__ = ["is_consistent"]
+# For other rooms and tests.
+__all__: list[str] = []

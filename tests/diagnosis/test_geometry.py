@@ -25,12 +25,9 @@ LIBRARY += ("spring", "viscous_quadratic")
 ARM = record("ZYX", seed=2, duration=30.0)
 
 
-def discover(truth, recording=ARM, effects=LIBRARY, declared=(), model=None, **torque):
-    faulty = with_faults(truth, recording)
-    robot = recording.robot(effects=declared)
-    if model is not None:
-        robot.set_params(model=model)
-    return faulty.discover(faulty.torque(**torque), effects=list(effects), robot=robot)
+def discover(truth, declared=(), **torque):
+    faulty, robot = with_faults(truth, ARM), ARM.robot(effects=declared)
+    return faulty.discover(faulty.torque(**torque), effects=list(LIBRARY), robot=robot)
 
 
 TRUTHS = {

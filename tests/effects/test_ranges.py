@@ -24,18 +24,6 @@ SPRING = EffectRange(
 )
 
 
-def judged(ranges, values, quantity="position", joint=1, counts=None, held=None):
-    """Judge the values of one joint of two, the other far outside."""
-    values = np.asarray(values, dtype=float)
-    both = np.full((values.size, 2), 1e3)
-    both[:, joint] = values
-    if counts is None:
-        counts = np.ones(both.shape, dtype=bool)
-    held = len(ranges) * [True] if held is None else held
-    signals = {(quantity, j): both[counts[:, j], j] for j in range(2)}
-    return outside(ranges, signals, held)
-
-
 @pytest.mark.parametrize(
     ("depends", "name", "low", "high", "width"),
     [
@@ -66,7 +54,9 @@ def test_a_motion_is_held_within_range_and_margin(depends, name, low, high, widt
 
 def test_what_is_outside_is_told_with_its_size():
     values = np.r_[np.zeros(75), np.full(25, -2.0)]
-    assert judged([SPRING], values) == (
+    # The other joint is far outside.
+    signals = {("position", 0): np.full(100, 1e3), ("position", 1): values}
+    assert outside([SPRING], signals, [True]) == (
         OutsideRange(
             names=("spring",),
             joint=1,

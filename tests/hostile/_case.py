@@ -1,5 +1,6 @@
 """What the cases share: a case, a robot, and a recording without fault."""
 
+import tempfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,9 +13,6 @@ from sklearn_vbjfa.datasets import make_robot_recording
 
 SEED = 20261124
 DT = 0.005
-# The robot is sampled this much finer, for samples at any time.
-FINE = 20
-DURATION = 8.0
 N = 1600  # rows without fault
 
 _LINK = """
@@ -61,35 +59,26 @@ class Case:
 
 
 @cache
-def fine_recording():
-    """Simulate two joints at twenty times the rate; a spring is not declared."""
-    import tempfile
-
+def recording():
+    """Simulate two joints; a spring is not declared."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "arm.urdf"
         path.write_text(URDF)
         return make_robot_recording(
             str(path),
-            duration=DURATION,
-            dt=DT / FINE,
+            duration=N * DT,
+            dt=DT,
             n_harmonics=8,
             undeclared={"spring": (0, 4.0)},
             random_state=6,
         )
 
 
-def columns(rows=None):
-    """Columns t, q1, q2, tau1, tau2 without fault; or at some rows of the fine one."""
-    fine = fine_recording()
-    if rows is None:
-        rows = np.arange(0, fine.n_samples, FINE)
-    return {
-        "t": fine.t[rows],
-        "q1": fine.q[rows, 0],
-        "q2": fine.q[rows, 1],
-        "tau1": fine.tau[rows, 0],
-        "tau2": fine.tau[rows, 1],
-    }
+def columns():
+    """Columns t, q1, q2, tau1, tau2 without fault."""
+    made = recording()
+    motion = {f"q{j + 1}": made.q[:, j] for j in range(2)}
+    return {"t": made.t} | motion | {f"tau{j + 1}": made.tau[:, j] for j in range(2)}
 
 
 def cells(table):
@@ -104,13 +93,9 @@ def cells(table):
 
 
 @cache
-def _clean_text():
-    return "\n".join(",".join(row) for row in cells(columns())) + "\n"
-
-
 def clean_text():
     """Return the recording without fault as CSV."""
-    return _clean_text()
+    return "\n".join(",".join(row) for row in cells(columns())) + "\n"
 
 
 def clean_lines():
@@ -123,27 +108,26 @@ def argv(source="arm.csv", *options):
     return [source, *OPTIONS, *options]
 
 
-def text_case(name, change, expect="either", message="", *, ending="csv", options=()):
+def text_case(name, change, expect="either", message=""):
     """Return a case of a file whose text or bytes are ``change(rng)``."""
 
     def build(folder, rng):
         content = change(rng)
         if isinstance(content, str):
             content = content.encode()
-        path = folder / f"arm.{ending}"
-        path.write_bytes(content)
-        return argv(path.name, *options)
+        (folder / "arm.csv").write_bytes(content)
+        return argv()
 
     return Case(name=name, build=build, expect=expect, message=message)
 
 
-def table_case(name, change, expect="either", message="", *, options=()):
+def table_case(name, change, expect="either", message=""):
     """Return a case of columns ``change(columns, rng)``, written as CSV."""
 
     def build(folder, rng):
         table = change(columns(), rng)
         text = "\n".join(",".join(row) for row in cells(table)) + "\n"
         (folder / "arm.csv").write_text(text, encoding="utf-8")
-        return argv("arm.csv", *options)
+        return argv()
 
     return Case(name=name, build=build, expect=expect, message=message)

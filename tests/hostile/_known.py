@@ -18,22 +18,22 @@ from tests.hostile._case import (
 from tests.hostile._mutations import FILES, matrices, npz
 
 
-def _units():
+def _units(rng):
     heads, *rows = clean_lines()
     return "\n".join([heads, "s,rad,rad,Nm,Nm", *rows])
 
 
-def _header_twice():
+def _header_twice(rng):
     lines = clean_lines()
     return "\n".join([*lines[:500], lines[0], *lines[500:]])
 
 
 def _commented(comment, encoding="utf-8"):
-    return lambda: f"# {comment}\n{clean_text()}".encode(encoding)
+    return lambda rng: f"# {comment}\n{clean_text()}".encode(encoding)
 
 
 def _replaced(*pairs):
-    def text():
+    def text(rng):
         found = clean_text()
         for old, new in pairs:
             found = found.replace(old, new)
@@ -47,11 +47,11 @@ TEXTS = {
     "decimal commas": (_replaced((",", ";"), (".", ",")), "same"),
     "row of units": (_units, "same"),
     "header twice": (_header_twice, "read", "names of the columns stand again"),
-    "last line cut": (lambda: clean_text()[:-12], "read", "the last line is cut"),
-    "header only": (lambda: "t,q1,q2,tau1,tau2\n", "refused", "only a header"),
-    "NUL": (lambda: clean_text()[:900] + "\0", "refused", "binary"),
+    "last line cut": (lambda rng: clean_text()[:-12], "read", "the last line is cut"),
+    "header only": (lambda rng: "t,q1,q2,tau1,tau2\n", "refused", "only a header"),
+    "NUL": (lambda rng: clean_text()[:900] + "\0", "refused", "binary"),
     "long comment": (_commented("x" * 3_000_000), "same"),
-    "escape codes": (lambda: "\x1b[31mt,q1,tau1\n1,2,3\n", "refused"),
+    "escape codes": (lambda rng: "\x1b[31mt,q1,tau1\n1,2,3\n", "refused"),
 }
 
 
@@ -198,11 +198,7 @@ def cases():
     """Return all cases."""
     found = [_whole(name) for name in FILES if name != "arm.urdf"]
     tables = (
-        (
-            "text",
-            TEXTS,
-            lambda name, make, *rest: text_case(name, lambda _: make(), *rest),
-        ),
+        ("text", TEXTS, text_case),
         ("table", TABLES, table_case),
         ("npz", ARRAYS, _array_case),
         ("robot", ROBOTS, _robot_case),

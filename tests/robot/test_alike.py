@@ -33,20 +33,17 @@ def a_quadruped(legs=LEGS, names="{leg}_{part}_joint", kinds=("RX", "RY")):
     return model
 
 
-def drives(model, scatter=0.0, seed=0):
-    """Draw true values (nv, 3) of the joints, scattered about those of their kind."""
-    rng = np.random.default_rng([seed, 3])
-    kind = [int("calf" in name) for name in list(model.names)[1:]]
-    return DRIVES[kind] * (1.0 + scatter * rng.standard_normal((model.nv, 3)))
+def drives(model):
+    """Return true values (nv, 3) of the joints, which are those of their kind."""
+    return DRIVES[[int("calf" in name) for name in list(model.names)[1:]]]
 
 
-def recorded(model, true, noise=0.05, amplitude=0.4, seed=0, n=2000, still=()):
+def recorded(model, true, amplitude=0.4):
     """Positions and torques of a robot with some drives (nv, 3)."""
-    rng = np.random.default_rng([seed, 5])
-    t = np.arange(n) * DT
+    rng = np.random.default_rng([0, 5])
+    t = np.arange(2000) * DT
     w = 2 * np.pi * rng.uniform(0.3, 1.5, (model.nv, 3))
     angle = t[:, None, None] * w + rng.uniform(0, 2 * np.pi, w.shape)
-    amplitude = np.where(np.isin(np.arange(model.nv), still), 0.0, amplitude)
     q = amplitude * np.sin(angle).sum(axis=2)
     v = amplitude * (w * np.cos(angle)).sum(axis=2)
     a = -amplitude * (w**2 * np.sin(angle)).sum(axis=2)
@@ -54,7 +51,7 @@ def recorded(model, true, noise=0.05, amplitude=0.4, seed=0, n=2000, still=()):
     tau = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
     sign = rng.choice([-1.0, 1.0], model.nv)
     tau += true[:, 0] * v + true[:, 1] * np.sign(v) + 0.1 * sign + true[:, 2] * a
-    return q, tau + noise * tau.std(axis=0) * rng.standard_normal(tau.shape)
+    return q, tau + 0.05 * tau.std(axis=0) * rng.standard_normal(tau.shape)
 
 
 def fitted(model, recording, alike="auto", **settings):
@@ -63,8 +60,8 @@ def fitted(model, recording, alike="auto", **settings):
     return RobotIdentifier(model, dt=DT, options=options, **settings).fit(*recording)
 
 
-def found_drives(robot, terms=(10, 11, 13)):
-    return robot.theta_.reshape(robot.features_.n_joints_, -1)[:, list(terms)]
+def found_drives(robot):
+    return robot.theta_.reshape(robot.features_.n_joints_, -1)[:, [10, 11, 13]]
 
 
 def value_of(robot, group, parameter):

@@ -13,15 +13,12 @@ PAIR = TWO_MOTIONS.parts
 FOUR = tuple(record("ZY", seed=seed, duration=16.0) for seed in (13, 14, 15, 16))
 
 
-def compared(
-    recordings, spoil=lambda k, torque, r: torque, order=None, unit=1.0, bodies="free"
-):
+def compared(recordings, spoil=lambda k, torque, r: torque, bodies="free"):
     """Contradictions between recordings of an arm, the k-th of them spoilt."""
-    order = range(len(recordings)) if order is None else order
-    X = np.concatenate([recordings[k].position for k in order])
-    y = [spoil(k, recordings[k].torque(), recordings[k]) for k in order]
-    y = unit * np.concatenate(y)
-    lengths = [len(recordings[k].t) for k in order]
+    X = np.concatenate([one.position for one in recordings])
+    y = [spoil(k, one.torque(), one) for k, one in enumerate(recordings)]
+    y = np.concatenate(y)
+    lengths = [len(one.t) for one in recordings]
     groups = np.repeat(np.arange(len(lengths)), lengths)
     robot = recordings[0].robot(friction=("viscous", "coulomb"), bodies=bodies)
     robot.fit(X, y, groups)
@@ -29,7 +26,7 @@ def compared(
         X, y, groups, np.ones_like(y), dt=robot.dt, joint_names=robot.joint_names_
     )
     fit = FinalFit(robot, robot, RecordingView(robot, measured), [])
-    return fit, contradictions(Parts.of(fit), unit * SPREAD, 0.05)
+    return fit, contradictions(Parts.of(fit), SPREAD, 0.05)
 
 
 def gain(k, torque, recording):

@@ -7,8 +7,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import FunctionTransformer
 
 pytest.importorskip("pinocchio")
 
@@ -470,19 +468,6 @@ def test_pickled_and_fitted_again(springy):
     assert str(again.report_) == str(springy.report_)
     again.fit(ARM.position, ARM.torque(joint_2=spring(4.0, joint=1)))
     assert named(again) == [("spring", 1)]
-
-
-def test_in_a_pipeline(springy):
-    in_degrees = np.degrees(ARM.position)
-    pipeline = make_pipeline(
-        FunctionTransformer(np.radians),
-        EffectDiscovery(ARM.robot(), effects=SPRINGY.library),
-    )
-    pipeline.fit(in_degrees, GOOD)
-    assert named(pipeline[-1]) == [("spring", 0)]
-    assert_allclose(
-        pipeline.predict(in_degrees), springy.predict(ARM.position), atol=1e-6
-    )
 
 
 # -- what is refused

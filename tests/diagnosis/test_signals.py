@@ -168,18 +168,6 @@ def test_the_report_names_the_signals(both, warm):
     assert not [one for one in outcome["hidden"] if one["name"] == "signal"]
 
 
-@pytest.mark.slow
-def test_what_remains_varies_with_a_signal_without_a_name():
-    loop = close(heated(CYCLES), {"temperature": CYCLES}, ["coulomb"])
-    (rest,) = loop.unexplained_
-    assert rest.joint == 0
-    step = np.sign(CYCLES - 35)
-    torque = ONE.torque(joint_1=lambda r: np.sign(r.v[:, 0]), joint_2=lambda r: step)
-    loop = close(torque, {"temperature": CYCLES}, ())
-    (rest,) = (one for one in loop.unexplained_ if one.joint == 1)
-    assert rest.signals[0].signal == "temperature"
-
-
 # -- what the search is given
 
 

@@ -9,14 +9,11 @@ from sklearn_vbjfa.physical import (
     PhysicalProjector,
     ProjectionError,
     _solver,
-    is_consistent,
     project,
 )
 from tests.physical._problems import (
     cvxopt_projection,
     metric,
-    parameters_of,
-    point_masses,
     robot,
 )
 
@@ -156,48 +153,6 @@ def test_rounding_of_a_singular_regression_is_dropped_with_a_warning():
     assert np.abs(result.theta).max() < 1e2
     # The spoiled vector itself is only known to 1e9 times the machine precision.
     assert result.objective == pytest.approx(clean.objective, rel=1e-3, abs=1e-10)
-
-
-def noisy_regression(pin, rng, n_joints):
-    """Regressor matrix of a random robot, its parameters, and noisy torques."""
-    model = pin.Model()
-    parent = 0
-    for k in range(n_joints):
-        angle = rng.normal(size=3)
-        placement = pin.SE3(pin.exp3(angle), 0.2 * rng.normal(size=3))
-        joint = [pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ()][k % 3]
-        parent = model.addJoint(parent, joint, placement, f"joint{k}")
-        phi = parameters_of(*point_masses(rng, spread=0.1))
-        body = pin.Inertia.FromDynamicParameters(phi)
-        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
-    truth = np.concatenate(
-        [model.inertias[k].toDynamicParameters() for k in range(1, n_joints + 1)]
-    )
-    data = model.createData()
-    Y = np.vstack(
-        [
-            pin.computeJointTorqueRegressor(
-                model, data, *rng.normal(size=(3, n_joints))
-            )
-            for _ in range(150)
-        ]
-    )
-    torque = Y @ truth
-    return Y, truth, torque + 0.5 * np.std(torque) * rng.normal(size=torque.size)
-
-
-def test_robot_regression_with_singular_gram_matrix_keeps_its_predictions():
-    pin = pytest.importorskip("pinocchio")
-    Y, truth, noisy = noisy_regression(pin, np.random.default_rng(7), 4)
-    theta = np.linalg.lstsq(Y, noisy, rcond=1e-10)[0]
-    assert not is_consistent(theta.reshape(4, 10)).all()
-    result = project(theta, Y.T @ Y)
-    assert is_consistent(result.theta.reshape(4, 10)).all()
-    # The truth is in the set, so the projection in the metric of the data cannot be
-    # further from it than the estimate (projections on convex sets do not expand).
-    before = np.linalg.norm(Y @ (theta - truth))
-    after = np.linalg.norm(Y @ (result.theta - truth))
-    assert after <= before * (1 + 1e-6)
 
 
 # -- failures

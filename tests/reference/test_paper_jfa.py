@@ -175,28 +175,6 @@ def test_joint_covariance_by_hand():
     assert_allclose(Sigma[2:4, 4:6], np.diag(params.w_x * params.w_z))
 
 
-@pytest.mark.parametrize("n_features", N_FEATURES)
-@pytest.mark.parametrize("seed", SEEDS)
-def test_em_increases_likelihood(seed, n_features):
-    X, y = make_data(seed, n_features)
-    params = make_jfa_params(seed, n_features)
-    history = [ref.jfa_loglik(params, X, y)]
-    for _ in range(10):
-        params = ref.jfa_em_step(params, X, y)
-        history.append(ref.jfa_loglik(params, X, y))
-    assert np.all(np.diff(history) >= -1e-9 * np.abs(history[-1]))
-    assert history[1] > history[0] + 0.1
-
-
-@pytest.mark.parametrize("n_features", N_FEATURES)
-def test_data_terms_equal_likelihood_for_point_estimates(n_features):
-    X, y = make_data(0, n_features)
-    params = make_jfa_params(0, n_features)
-    posterior = ref.posterior_zt(X, y, **params.moments())
-    terms = ref.data_terms(X, y, posterior, **params.moments())
-    assert_allclose(sum(terms.values()), ref.jfa_loglik(params, X, y), rtol=1e-10)
-
-
 @pytest.mark.parametrize("name", ["w_z", "w_x", "psi_y", "psi_z", "psi_x"])
 def test_em_step_is_stationary(name):
     X, y = make_data(1, 3)
@@ -327,20 +305,6 @@ def test_each_block_is_stationary(n_features, block):
         assert np.abs(gradient(objective, params, name)).max() > 0.05
         assert_allclose(gradient(objective, new, name), 0.0, atol=1e-5)
     assert objective(new) > objective(params)
-
-
-@pytest.mark.parametrize("ard", [1e-6, 1.0])
-@pytest.mark.parametrize("n_features", [1, 2, 3, 4, 5])
-def test_vb_step_never_decreases_the_bound(n_features, ard):
-    for seed in range(4):
-        X, y = make_data(seed, n_features, n_samples=20 + 5 * seed)
-        params = make_vb_params(seed, n_features)
-        history = [ref.elbo(params, X, y, ard, ard)]
-        for _ in range(6):
-            params = ref.vb_step(params, X, y, ard, ard)
-            history.append(ref.elbo(params, X, y, ard, ard))
-        assert np.all(np.diff(history) >= -1e-9 * np.abs(history[-1])), seed
-        assert history[1] > history[0] + 0.1, seed
 
 
 # ---------------------------------------------------------------------------------

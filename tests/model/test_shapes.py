@@ -5,11 +5,11 @@ import sys
 import numpy as np
 import pytest
 
-pin = pytest.importorskip("pinocchio")
+pytest.importorskip("pinocchio")
 pytest.importorskip("coal")
 
-from sklearn_vbjfa.model import NoShapes, load_model, load_reduced, load_shapes  # noqa: E402  # noqa: E402
-from tests.model._shaped import (  # noqa: E402
+from sklearn_vbjfa.model import NoShapes, load_model, load_reduced, load_shapes
+from tests.model._shaped import (
     CUBE,
     MESH,
     arm,

@@ -7,12 +7,12 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
-pin = pytest.importorskip("pinocchio")
+pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.fit import WIDTH, most_probable  # noqa: E402
-from sklearn_vbjfa.robot import FitOptions  # noqa: E402
-from tests.robot.test_drives import (  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.fit import WIDTH, most_probable
+from sklearn_vbjfa.robot import FitOptions
+from tests.robot.test_drives import (
     ARM,
     ARMATURE,
     DT,

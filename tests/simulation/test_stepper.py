@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pin = pytest.importorskip("pinocchio")
+pytest.importorskip("pinocchio")
 
-from hypothesis import given, settings  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from sklearn_vbjfa import effects  # noqa: E402
-from sklearn_vbjfa.effects import Stateful  # noqa: E402
-from sklearn_vbjfa.simulation import Stepper  # noqa: E402
-from tests.simulation._random_robots import (  # noqa: E402
+from sklearn_vbjfa import effects
+from sklearn_vbjfa.effects import Stateful
+from sklearn_vbjfa.simulation import Stepper
+from tests.simulation._random_robots import (
     DT,
     random_motion,
     random_predictor,

@@ -13,8 +13,6 @@ from sklearn_vbjfa.robot import ChannelGains, CommonGain, KnownMass
 from tests.diagnosis.report._outcomes import changed, make_outcome
 from tests.diagnosis.report._pages import make_mass, section_of, text_of
 
-ALL = (0, 1, 2)
-
 
 def shown(heading, **changes):
     return section_of(Report(make_outcome(nv=3, **changes)), heading)

@@ -10,7 +10,7 @@ from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import NotIdentifiable
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.search import SMALL
-from sklearn_vbjfa.effects import Coulomb, Effect, available
+from sklearn_vbjfa.effects import Coulomb, Effect
 from tests.diagnosis.report._outcomes import (
     EVIDENCE,
     changed,
@@ -290,13 +290,6 @@ def test_an_effect_of_ones_own_is_called_by_the_label_of_its_class(shown):
     assert "own hose" not in text
 
 
-def test_every_effect_has_a_name_and_what_to_record():
-    outcome = make_outcome()
-    for name in available():
-        assert words.effect_label(outcome, name)
-        assert words.record_for(outcome, name)
-
-
 # -- the dictionary
 
 
@@ -340,20 +333,6 @@ def test_values_are_rounded_to_what_the_interval_means(value, interval, unit, ex
 
 
 @pytest.mark.parametrize(
-    ("log_odds", "expected"),
-    [
-        (np.log(350.0), "350 : 1"),
-        (np.log(0.02), "1 : 50"),
-        (50.0, "> 1e6 : 1"),
-        (-50.0, "< 1 : 1e6"),
-        (np.nan, "unknown"),
-    ],
-)
-def test_odds_are_written_as_bets(log_odds, expected):
-    assert words.odds_text(log_odds) == expected
-
-
-@pytest.mark.parametrize(
     ("name", "expected"),
     [
         ("joint_2", "joint 2"),
@@ -379,12 +358,6 @@ def test_without_a_search_nothing_is_said_of_what_is_missing():
         headline = Report(replace(outcome, provenance=provenance)).headline
         assert "o search was made" in headline
         assert "missing" not in headline
-
-
-def test_a_note_on_a_terminal_is_not_cut_in_an_aside():
-    said = "The columns are in the order of the robot (hip. knee; foot): name them"
-    printed = " ".join(str(Report(make_outcome(channels=(finding(said),)))).split())
-    assert "order of the robot. " in printed
 
 
 def test_what_an_effect_saves_has_its_interval_of_90_percent():

@@ -81,7 +81,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     settings : SearchSettings or None, default=None
         Further constants of the search, see `sklearn_vbjfa.diagnosis.SearchSettings`.
     random_state : int, RandomState instance or None, default=None
-        Recorded in the report. The search is deterministic.
+        Without effect: the search is deterministic.
     verbose : int, default=0
         If not 0, show :ref:`progress bars <progress>` on terminals.
 

@@ -93,11 +93,8 @@ def judge(models, found, split, near, whole, commanded):
         "commands_alone": commands_alone(models, kept.stretches, commanded),
         "looked_at": _looked_at(view, split),
         "settings": {
-            "untouched_stretches": len(kept.stretches),
-            "undecided_stretches": len(split.stretches) - len(kept.stretches),
-            "untouched_seconds": before.weight.shape[0] * float(step),
+            "held_out_seconds": before.weight.shape[0] * float(step),
             "guard_seconds": float(guard * dt),
-            "correlation_seconds": memory,
         },
         "curves": {
             "index": before.index,

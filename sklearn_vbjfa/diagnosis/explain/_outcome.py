@@ -194,7 +194,6 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         "added": tuple(name for name in plain if name not in features.friction_),
         "n_parameters": features.n_parameters_,
         "cutoff": float(robot.cutoff_),
-        "standstill": robot.standstill_.tolist(),
         "limits": _limits(features.model_),
         "drive": _drive(robot.drive, whole),
         "motion": () if whole.dt is None else motion_of(whole, features.nominal_),
@@ -259,10 +258,10 @@ def _drive(drive, whole):
 
 
 def _settings(search, asked):
-    """Thresholds, blocks, seed and versions, a dict."""
+    """Thresholds, signals and versions, a dict."""
     from sklearn_vbjfa import __version__
 
-    view, seed = search.model.view, asked["random_state"]
+    view = search.model.view
     return {
         "test_size": float(asked["test_size"]),
         "alpha": float(asked["alpha"]),
@@ -270,11 +269,7 @@ def _settings(search, asked):
         "search": dataclasses.asdict(search.settings),
         "effects": tuple(e.name for e in search.library),
         "signals": tuple(view.signals),
-        "n_blocks": view.blocks.n_blocks,
-        "block_seconds": float(view.blocks.length),
-        "n_folds": view.blocks.n_folds,
         "error_seconds": NEXT_SECONDS,
-        "random_state": seed if isinstance(seed, int | None) else "given",
         "versions": {
             "sklearn_vbjfa": __version__,
             "numpy": np.__version__,

@@ -83,17 +83,11 @@ COLUMNS += ("searched",)
 FINDINGS = ("unnamed", "contradictions", "repeated", "departures", "alike")
 SETTINGS = {
     "test_size": 0.25,
-    "untouched_stretches": 3,
-    "untouched_seconds": 21.4,
+    "held_out_seconds": 21.4,
     "guard_seconds": 0.13,
     "alpha": 0.05,
     "search": dataclasses.asdict(SearchSettings()),
     "effects": ("coulomb", "ripple"),
-    "n_blocks": 52,
-    "block_seconds": 1.3,
-    "n_folds": 8,
-    "correlation_seconds": 0.13,
-    "random_state": 0,
     "versions": {"numpy": "2.0"},
 }
 

@@ -165,7 +165,7 @@ def test_the_report_names_the_signals(both, warm):
     said = text_of(warm.report_)
     assert "Coulomb friction that varies with temperature" in said
     assert "N m per unit of temperature" in said
-    assert not [one for one in outcome["hidden"] if one["name"] == "signal"]
+    assert not [one for one in outcome["not_identifiable"] if one["name"] == "signal"]
 
 
 # -- what the search is given

@@ -1,8 +1,8 @@
 """Gravity compensation: ``identify --for gravity`` and ``design --for gravity``."""
 
 import json
-import math
 import shlex
+from dataclasses import asdict
 
 import numpy as np
 
@@ -13,15 +13,7 @@ from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa.model import joint_names, load_model
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
-# Joints in the report: its columns, and fields of `GravityCorrection`.
-_COLUMNS = {
-    "described": "error_before",
-    "corrected": "error_after",
-    "interval": "interval",
-    "gravity": "gravity",
-    "friction_known": "friction_known",
-}
-# Poses that the next command asks for where it is open how many are enough.
+# Poses that the next command asks for if it is not known how many are enough.
 _MORE = 20
 
 
@@ -33,10 +25,19 @@ def correct(arguments, folder):
     loaded = _input.load(arguments, folder)
     with _input.blaming(loaded.source, loaded.gains):
         found = correct_gravity(loaded.recording, str(loaded.urdf))
-    words = ["--urdf", arguments.urdf, "--report", str(out), "--for", "gravity"]
-    words += ["--poses", str(found.poses_enough or _MORE)]
-    data = _data(found)
-    data["command"] = shlex.join(["python", "-m", "sklearn_vbjfa", "design", *words])
+    words = ["design", "--urdf", arguments.urdf, "--report", str(out)]
+    words += ["--for", "gravity", "--poses", str(found.poses_enough or _MORE)]
+    joints = _joints(found)
+    data = {
+        "purpose": "gravity",
+        "samples": found.samples.n_samples,
+        # Numbers that are not known are null.
+        "joints": json.loads(joints.to_json(orient="records", double_precision=15)),
+        "links": [asdict(one) for one in found.identifier.mass_deviations_],
+        "payload": found.payload,
+        "poses_enough": found.poses_enough,
+        "command": shlex.join(["python", "-m", "sklearn_vbjfa", *words]),
+    }
 
     def write(folder, notes):
         lacking = write_robot(found.identifier, folder)
@@ -46,7 +47,7 @@ def correct(arguments, folder):
 
     doubts = ["the correction does not improve held-out samples: use the description"]
     return Done(
-        text="\n".join([str(loaded.recording), *_lines(data)]),
+        text="\n".join([str(loaded.recording), *_lines(joints, data)]),
         doubts=[] if found.improves else doubts,
         data=data,
         folder=out,
@@ -55,68 +56,52 @@ def correct(arguments, folder):
     )
 
 
-def _data(found):
-    """Return the report as data; numbers that are not known are None."""
-    columns = {key: getattr(found, name).tolist() for key, name in _COLUMNS.items()}
-    joints = [
+def _joints(found):
+    """Return the table of joints."""
+    import pandas as pd
+
+    friction = np.where(found.friction_known, "known", "assumed (one direction)")
+    return pd.DataFrame(
         {
-            "joint": name,
-            **{k: None if math.isnan(x[j]) else x[j] for k, x in columns.items()},
+            "joint": found.identifier.joint_names_,
+            "gravity": found.gravity,
+            "described": found.error_before,
+            "corrected": found.error_after,
+            "interval": found.interval,
+            "friction": np.where(found.gravity, friction, "no gravity torque"),
         }
-        for j, name in enumerate(found.identifier.joint_names_)
-    ]
-    links = [
-        {"links": one.bodies, "factors": one.factors, "stds": one.stds}
-        for one in found.identifier.mass_deviations_
-    ]
-    return {
-        "purpose": "gravity",
-        "samples": found.samples.n_samples,
-        "joints": joints,
-        "links": links,
-        "payload": found.payload,
-        "poses_enough": found.poses_enough,
-    }
+    )
 
 
-def _lines(data):
+def _lines(joints, data):
     """Return the lines of the report."""
-    from tabulate import tabulate
-
-    rows = []
-    for one in data["joints"]:
-        row = [one[x] for x in ("described", "corrected", "interval")]
-        row = ["unknown" if x is None else f"{x:.3g}" for x in row]
-        row.append("known" if one["friction_known"] else "assumed (one direction)")
-        rows.append([one["joint"], *(row if one["gravity"] else ["no gravity torque"])])
-    heads = ["joint", "described", "corrected", "90 % interval, ±", "friction"]
-    lines = [
-        f"Gravity torque from {data['samples']} poses and windows of slow motion: "
-        "errors at held-out samples [N m or N].",
-        *tabulate(rows, heads, tablefmt="plain", disable_numparse=True).splitlines(),
-    ]
+    yield (
+        f"Gravity torque from {data['samples']} poses and windows of slow motion [N m "
+        "or N]: errors at held-out samples, half width of the 90 % interval."
+    )
+    yield joints.to_string(index=False, float_format="{:.3g}".format)
     for one in data["links"]:
-        masses = " or ".join(
-            f"{link} {factor:.2f} ± {HALF_WIDTH * std:.2f}"
-            for link, factor, std in zip(one["links"], one["factors"], one["stds"])
-        )
-        lines.append(f"Mass (identified / described), link of joint: {masses}")
+        every = zip(one["bodies"], one["factors"], one["stds"])
+        masses = [f"{link} {x:.2f} ± {HALF_WIDTH * std:.2f}" for link, x, std in every]
+        yield f"Mass (identified / described), link of joint: {' or '.join(masses)}"
     if data["payload"] is not None:
         mass, std = data["payload"]
-        lines.append(
+        yield (
             "Alternative: the description is right and the last link carries "
             f"{mass:.3g} ± {HALF_WIDTH * std:.2g} kg more."
         )
-    more = data["poses_enough"]
-    return [
-        *lines,
+    yield (
         "Use for: gravity compensation. Not for: feedforward and simulation (inertias "
-        "follow the masses).",
-        "These poses are enough: no interval exceeds the noise of one pose."
-        if more == 0
-        else f"{more or 'More than 100'} more poses are enough (intervals within the "
-        f"noise of one pose). The best: {data['command']}",
-    ]
+        "follow the masses)."
+    )
+    more = data["poses_enough"]
+    if more == 0:
+        yield "The poses are enough: no interval exceeds the noise of one pose."
+    else:
+        yield (
+            f"{more or 'More than 100'} more poses are enough: no interval exceeds the "
+            f"noise of one pose. To choose them: {data['command']}"
+        )
 
 
 def design_poses(arguments, folder):

@@ -275,38 +275,46 @@ def _best_poses(rows, covariance, noise, n):
         chosen.append(best)
 
 
-def static_samples(recording, features):
-    """Return one row for each pose, and for each window of motion.
+def _windows(recording):
+    """Average a recording over poses, and over windows of motion.
 
-    The speed of a joint at rest is that of its last direction; it is zero if friction
-    is a part of the offset. `weight` is zero where a joint does not count.
+    Returns q, v, a, tau, the direction of friction, and whether a joint rests.
     """
-    dt, parts = check_dt(recording.dt), recording.segments
+    parts, came = recording.segments, np.empty_like(recording.q)
+    for j, way in enumerate(_WAY * np.ptp(recording.q, axis=0) + 1e-300):
+        for part in parts:
+            came[part, j] = stops(recording.q[part, j], np.array([way]))[:, 0]
+    dt = check_dt(recording.dt)
     length = max(3, round(_WINDOW / dt))
     first = [np.arange(p.start, p.stop - length + 1, length) for p in parts]
     rows = np.concatenate(first)[:, None] + np.arange(length)
     t = dt * (np.arange(length) - 0.5 * (length - 1))
     parabola = np.linalg.pinv(np.vander(t, 3, increasing=True) * [1.0, 1.0, 0.5])
     q, v, a = np.einsum("sk,mkj->smj", parabola, recording.q[rows])
-    came = np.empty_like(recording.q)
-    for j, way in enumerate(_WAY * np.ptp(recording.q, axis=0) + 1e-300):
-        for part in parts:
-            came[part, j] = stops(recording.q[part, j], np.array([way]))[:, 0]
     fastest = np.quantile(np.abs(v), 0.995, axis=0) if len(v) else 0.0
     still = np.abs(v) <= _REST * fastest
-    # Windows of one pose are one sample; the first of them settles.
     rest, label = still.all(axis=1), recording.groups[rows[:, 0]]
     tau = np.einsum("k,mkj->mj", parabola[0], recording.tau[rows])
     tau[rest] = recording.tau[rows[rest]].mean(axis=1)
+    # Windows of one pose are one sample; the first of them settles.
     goes_on = rest & np.roll(rest, 1) & (label == np.roll(label, 1))
     goes_on[:1] = False
     used = goes_on | ~rest
     starts = np.flatnonzero(np.diff(np.cumsum(~goes_on)[used], prepend=0))
     count = np.diff(np.r_[starts, used.sum()])[:, None]
-    q, v, a, tau, side, still = (
+    return [
         np.add.reduceat(x[used], starts) / count if len(starts) else x[:0]
         for x in (q, v, a, tau, came[rows].mean(axis=1), still.astype(float))
-    )
+    ]
+
+
+def static_samples(recording, features):
+    """Return one row for each pose, and for each window of slow motion.
+
+    The speed of a joint at rest is that of its last direction; it is zero if friction
+    is a part of the offset. `weight` is zero where a joint does not count.
+    """
+    q, v, a, tau, side, still = _windows(recording)
     known = np.abs(side) >= _FULL
     side = np.sign(side) * known
     # Friction from one side only is part of the offset.

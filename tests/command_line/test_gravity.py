@@ -39,7 +39,7 @@ def test_poses_are_designed_and_a_log_of_them_corrects_the_description(
     words = ["identify", "log.csv", "--urdf", "described.urdf", "--for", "gravity"]
     assert main([*words, "-o", "out"]) == 0
     printed = capsys.readouterr().out
-    assert re.search("joint1 +no gravity torque", printed)
+    assert re.search("joint1 .* no gravity torque", printed)
     assert "Use for: gravity compensation." in printed
     report = json.loads(Path("out/report.json").read_text())
     words = report["command"].split()[3:]

@@ -99,8 +99,8 @@ def _lines(joints, data):
         yield "The poses are enough: no interval exceeds the noise of one pose."
     else:
         yield (
-            f"{more or 'More than 100'} more poses are enough: no interval exceeds the "
-            f"noise of one pose. To choose them: {data['command']}"
+            "Poses to add until no interval exceeds the noise of one pose: "
+            f"{more or 'more than 100'}. To choose them: {data['command']}"
         )
 
 

@@ -134,6 +134,7 @@ def correct_gravity(recording, model):
     at_poses = _gravity_rows(features, _random_poses(model))
     inertial = found.theta_.reshape(samples.tau.shape[1], -1)[:, :10].ravel()
     gravity = np.sqrt(((at_poses @ inertial) ** 2).mean(axis=0))
+    has_gravity = gravity > 1e-6 * gravity.max()
     noise = np.maximum(found.output_noise_, 1e-9 * gravity.max())
     _, stds = _best_poses(at_poses, _covariance(found), noise, _MOST)
     enough = np.flatnonzero((HALF_WIDTH * stds <= noise).all(axis=1))
@@ -143,8 +144,8 @@ def correct_gravity(recording, model):
         samples=samples,
         error_before=before,
         error_after=after,
-        gravity=np.where(gravity > 1e-6 * gravity.max(), gravity, 0.0),
-        interval=HALF_WIDTH * stds[0],
+        gravity=gravity * has_gravity,
+        interval=HALF_WIDTH * stds[0] * has_gravity,
         poses_enough=int(enough[0]) if enough.size else None,
         friction_known=side.any(axis=0),
         payload=payload,

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("pinocchio")
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
-from _posed_arms import NOISE, STEP, Arm, gravity, record, visit
+from _posed_arms import NOISE, STEP, Arm, gravity, pin, record, visit
 
 from sklearn_vbjfa import RigidBodyFeatures
 from sklearn_vbjfa.gravity import (
@@ -76,8 +76,6 @@ def test_samples_are_the_poses_with_the_side_they_were_reached_from(world):
 def test_gravity_of_the_exported_description_is_that_of_the_robot(
     world, found, tmp_path
 ):
-    import pinocchio as pin
-
     found.identifier.to_urdf(tmp_path / "out.urdf")
     after = errors(pin.buildModelFromUrdf(str(tmp_path / "out.urdf")), world)
     before = errors(world.before, world)
@@ -96,8 +94,6 @@ def test_held_out_errors_tell_the_improvement(found):
 
 
 def test_a_payload_that_the_description_lacks(world, tmp_path):
-    import pinocchio as pin
-
     right = tmp_path / "right.urdf"
     true = ARM.write(right)
     true.inertias[3] += pin.Inertia(1.0, np.array([0.02, 0.0, 0.1]), 1e-3 * np.eye(3))
@@ -123,6 +119,42 @@ def test_torques_without_weight_are_refused(world):
     none = replace(world.recording, tau=world.recording.tau - weight)
     with pytest.raises(ValueError, match="no weight"):
         correct_gravity(none, world.described)
+
+
+def test_one_joint_with_a_counterbalance_is_not_refused(world):
+    tau = world.recording.tau.copy()
+    tau[:, 1] -= 1.3 * gravity(world.true, world.recording.q)[:, 1]
+    found = correct_gravity(replace(world.recording, tau=tau), world.described)
+    assert found.error_after[2] < 0.5 * found.error_before[2]
+
+
+def test_slow_motion_with_viscous_friction(world, tmp_path):
+    t = np.arange(0.0, 60.0, 0.01)[:, None]
+    q = 1.5 * np.sin([0.5, 0.37, 0.61] * t + [0.0, 1.0, 2.0])
+    recording = record(world.true, q, FRICTION, np.random.default_rng(7))
+    viscous = np.array([2.0, 5.0, 3.0]) * np.gradient(q, 0.01, axis=0)
+    recording = replace(recording, tau=recording.tau + viscous)
+    found = correct_gravity(recording, world.described)
+    found.identifier.to_urdf(tmp_path / "out.urdf")
+    after = errors(pin.buildModelFromUrdf(str(tmp_path / "out.urdf")), world)
+    before = errors(world.before, world)
+    assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((before**2).mean())
+
+
+def test_poses_after_a_fit_narrow_its_intervals(world, found):
+    # Half of the poses leave wider intervals, which the chosen ones narrow.
+    few = correct_gravity(
+        record(world.true, visit(POSES[:3]), FRICTION, np.random.default_rng(8)),
+        world.described,
+    )
+    q, hold = gravity_poses(world.described, 5, fitted=few.identifier)
+    chosen = q[hold > 0][::2]
+    both = visit(np.concatenate([POSES[:3], chosen]))
+    more = correct_gravity(
+        record(world.true, both, FRICTION, np.random.default_rng(9)), world.described
+    )
+    assert (more.interval <= few.interval).all()
+    assert more.interval.max() < 0.7 * few.interval.max()
 
 
 def test_one_pose_is_refused(world):

@@ -16,11 +16,13 @@ than the noise, as the fit absorbs part of it in each block; the correction is e
 white noise.
 """
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, optimize
 from scipy.linalg import lapack
+from scipy.sparse import csgraph
 
 # Rounding of a constant column is a few units in the last place of its values; a
 # spread below this fraction of its mean carries no data.
@@ -33,6 +35,8 @@ ROUNDING = 4 * float(np.finfo(float).eps)
 # Share of a standardised column's variance below which a dependency counts as exact:
 # a generous bound on the rounding of second moments.
 DEPENDENCY_TOLERANCE = 1e-9
+# Matrices of at least so many rows are taken apart into what has nothing in common.
+_LARGE = 100
 # Beyond this many dependent columns the search for extreme rays is not worth its cost.
 _MOST_RAYS = 500
 
@@ -190,6 +194,8 @@ class ScaledEigen:
     values: np.ndarray  # (p,): eigenvalues of the scaled matrix, ascending
     vectors: np.ndarray  # (p, p): eigenvectors, in scaled coordinates
     known: np.ndarray  # (p,): directions above the tolerance
+    # places of rows that have nothing in common with others, and their eigenvectors
+    parts: tuple
 
     @property
     def rank(self):
@@ -231,8 +237,11 @@ class ScaledEigen:
 
     def inverse(self):
         """Pseudo-inverse of A in scaled columns, ndarray of shape (p, p)."""
-        V = self.known_vectors
-        scaled = (V / self.known_values) @ V.T
+        scaled = np.zeros(self.vectors.shape)
+        for rows, columns in self.parts:
+            own = columns[self.known[columns]]
+            V = self.vectors[np.ix_(rows, own)]
+            scaled[np.ix_(rows, rows)] = (V / self.values[own]) @ V.T
         return scaled / np.outer(self.scale, self.scale)
 
     def solve(self, b):
@@ -254,13 +263,40 @@ def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
         diagonal = np.diagonal(A)
         scale = np.sqrt(or_one(diagonal))
     scale = np.broadcast_to(np.asarray(scale, dtype=float), (p,))
-    values, vectors = linalg.eigh(A / np.outer(scale, scale))
+    values, vectors, parts = _eigen(A / np.outer(scale, scale))
     limit = p * ROUNDING if tolerance is None else tolerance
     if relative:
         limit = limit * max(values[-1], 0.0) if p else limit
     return ScaledEigen(
-        scale=scale, values=values, vectors=vectors, known=values > limit
+        scale=scale, values=values, vectors=vectors, known=values > limit, parts=parts
     )
+
+
+def _connected(A):
+    """Rows of a symmetric matrix (p, p) that have something in common, in parts."""
+    p = A.shape[0]
+    label = np.zeros(p, dtype=int)
+    if p >= _LARGE:
+        label = csgraph.connected_components(A != 0, directed=False)[1]
+    return [np.flatnonzero(label == k) for k in range(label.max(initial=0) + 1)]
+
+
+def _eigen(A):
+    """Eigenvalues, ascending, vectors and `ScaledEigen.parts` of a matrix (p, p)."""
+    p, rows = A.shape[0], _connected(A)
+    if len(rows) == 1:
+        return *linalg.eigh(A), ((rows[0], rows[0]),)
+    values, vectors = np.empty(p), np.zeros((p, p))
+    at = 0
+    for one in rows:
+        own = np.arange(at, at := at + one.size)
+        found = linalg.eigh(A[np.ix_(one, one)])
+        values[own], vectors[np.ix_(one, own)] = found
+    order = np.argsort(values, kind="stable")
+    vectors, place = vectors[:, order], np.argsort(order)
+    ends = np.cumsum([0, *map(len, rows)])
+    columns = [np.sort(place[a:b]) for a, b in itertools.pairwise(ends)]
+    return values[order], vectors, tuple(zip(rows, columns))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -363,26 +399,37 @@ def block_variance(grams, scores, place, noise=1.0):
     # (n_blocks, p): rows times residuals, weighted alike; place (n_blocks, 2): the
     # recording of a block and its number there, sorted; noise: weighted mean square of
     # the residuals. Undetermined parameters come out as nan.
-    H = grams.sum(axis=0)
-    used = np.diagonal(H) > 0
-    # H^-1 = L L'
-    eigen = scaled_eigen(H, _RANK)
-    L = np.where(used[:, None], eigen.inverse_root(), 0.0)
-    K = L.T @ (grams @ L)
-    s = scores @ L
-    place = np.array(place)
+    parts = _connected(grams.sum(axis=0))
+    parts = [(rows, grams[:, rows[:, None], rows]) for rows in parts]
+    return variance_of_parts(parts, scores, place, noise)
+
+
+def variance_of_parts(parts, scores, place, noise=1.0):
+    """Return the `block_variance` of parameters in parts that have nothing in common.
+
+    parts: pairs of their places (k,) and Gram matrices (n_blocks, k, k).
+    """
+    shape, place = scores.shape, np.array(place)
+    white, used = np.zeros(shape[1]), np.zeros(shape[1], dtype=bool)
+    roots = _inverse_roots([grams.sum(axis=0) for _, grams in parts])
+    K = [L.T @ (grams @ L) for (_, grams), L in zip(parts, roots)]
+    s = [scores[:, rows] @ L for (rows, _), L in zip(parts, roots)]
     while True:
         pooled = _pooled(K, s, noise)
         neighbours = _neighbours(K, s, place, noise * pooled)
-        if neighbours < _NEIGHBOURS or K.shape[0] < 2 * _FEWEST:
+        if neighbours < _NEIGHBOURS or len(place) < 2 * _FEWEST:
             break
         K, s, place = _join(K, s, place)
-    d = s @ L.T
-    through = K @ L.T
-    # Variance of each block without the fit, and what the fit leaves of it.
-    alone = np.einsum("ir,bri->bi", L, through)
-    left = alone - (through**2).sum(axis=1)
-    white, expected = (L**2).sum(axis=1), noise * np.maximum(left, 0.0).sum(axis=0)
+    d, left = np.zeros((2, len(place), shape[1]))
+    for (rows, grams), L, own, score in zip(parts, roots, K, s):
+        used[rows] = np.einsum("bii->i", grams) > 0
+        white[rows] = (L**2).sum(axis=1)
+        d[:, rows] = score @ L.T
+        # Variance of each block without the fit, and what the fit leaves of it.
+        through = own @ L.T
+        alone = np.einsum("ir,bri->bi", L, through)
+        left[:, rows] = alone - (through**2).sum(axis=1)
+    expected = noise * np.maximum(left, 0.0).sum(axis=0)
     seen = expected > _OWN * noise * white
     reach = max(1.0 + 2.0 * neighbours, _LEAST_REACH)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -404,13 +451,24 @@ def block_variance(grams, scores, place, noise=1.0):
     )
 
 
+def _inverse_roots(matrices):
+    """Return L (k, r) of each matrix (k, k), whose inverse is L L', as far as known."""
+    every = [scaled_eigen(H, 0.0, relative=False) for H in matrices]
+    limit = _RANK * max((one.values[-1] for one in every if one.values.size), default=0)
+    every = [replace(one, known=one.values > limit) for one in every]
+    roots = [one.inverse_root() for one in every]
+    return [
+        np.where(np.diagonal(H)[:, None] > 0, L, 0.0) for H, L in zip(matrices, roots)
+    ]
+
+
 def _pooled(K, s, noise):
     """Mean variance factor over all determined directions."""
     # Of a single block a fit leaves nothing but rounding.
-    all_rows = np.trace(K, axis1=1, axis2=2).sum()
-    left = all_rows - np.vdot(K, K)
+    all_rows = sum(np.einsum("brr->", own) for own in K)
+    left = all_rows - sum(np.vdot(own, own) for own in K)
     seen = noise > 0 and left > _RANK * all_rows
-    return float((s**2).sum() / (noise * left)) if seen else 1.0
+    return float(sum((own**2).sum() for own in s) / (noise * left)) if seen else 1.0
 
 
 def _neighbours(K, s, place, noise):
@@ -418,12 +476,12 @@ def _neighbours(K, s, place, noise):
     # For independent blocks, the fit makes their expected product -K_b K_c.
     step = np.diff(place, axis=0)
     follows = (step[:, 0] == 0) & (step[:, 1] == 1)
-    squares = (s**2).sum() + noise * np.vdot(K, K)
+    squares = sum((own**2).sum() for own in s) + noise * sum(np.vdot(x, x) for x in K)
     if not follows.any() or squares == 0:
         return 0.0
-    products = np.einsum("br,br->b", s[:-1], s[1:])
-    products += noise * np.einsum("brs,brs->b", K[:-1], K[1:])
-    return float(products[follows].mean() / (squares / s.shape[0]))
+    products = sum(np.einsum("br,br->b", own[:-1], own[1:]) for own in s)
+    products += noise * sum(np.einsum("brs,brs->b", x[:-1], x[1:]) for x in K)
+    return float(products[follows].mean() / (squares / len(place)))
 
 
 def _join(K, s, place):
@@ -431,8 +489,5 @@ def _join(K, s, place):
     place = np.column_stack([place[:, 0], place[:, 1] // 2])
     new = np.r_[True, (np.diff(place, axis=0) != 0).any(axis=1)]
     starts = np.flatnonzero(new)
-    return (
-        np.add.reduceat(K, starts, axis=0),
-        np.add.reduceat(s, starts, axis=0),
-        place[starts],
-    )
+    K, s = ([np.add.reduceat(x, starts, axis=0) for x in own] for own in (K, s))
+    return K, s, place[starts]

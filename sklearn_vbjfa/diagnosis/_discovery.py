@@ -312,7 +312,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         say("channels")
         channels, silent = self._check_channels(model, whole)
         for found in (x.value for x in channels if x.kind == "delay"):
-            late = clone(self.identifier).fit_inspected(whole, found).torque_lag_
+            again = clone(self.identifier)
+            late = again.fit_inspected(whole, found, compare=False).torque_lag_
             whole, commanded = (
                 x.with_torques_shifted(late) for x in (whole, commanded)
             )
@@ -320,10 +321,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         say("declared model")
         split = split_in_time(self.identifier, whole, self.test_size)
         part = split.searched(whole)
-        self.declared_ = clone(self.identifier).fit_inspected(part)
+        alone = {"compare": False}
+        self.declared_ = clone(self.identifier).fit_inspected(part, **alone)
         self.baseline_ = self.declared_
         if set(declarable()) - set(self.declared_.features_.friction_):
-            self.baseline_ = self._with_plain_terms().fit_inspected(part)
+            self.baseline_ = self._with_plain_terms().fit_inspected(part, **alone)
         begins = tuple(whole.t[rows.start] for rows in whole.segments)
         repetition = find_repetition(whole.q, whole.t, whole.segments)
         if not repetition:
@@ -462,7 +464,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         asked = {"friction": declarable(), "effects": effects}
         return clone(self.identifier).set_params(**asked)
 
-    def _with(self, effects, begin, recording, **settings):
+    def _with(self, effects, begin, recording, compare=False, **settings):
         """Fit the model with the plain terms and effects; begin: where values start."""
         plain = self.baseline_
         settings["effects"] = (*plain.effects_, *effects)
@@ -471,7 +473,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             names = plain.joint_names_
             settings["gains"] = tuple(names[j] for j in plain.gains_.references)
         again = clone(plain).set_params(**settings)
-        return again.begin_with(begin).fit_inspected(recording)
+        again.begin_with(begin)
+        return again.fit_inspected(recording, compare=compare)
 
     def _unnamed(self, found):
         """Find the joint torque beyond the effects; none where few were looked for."""

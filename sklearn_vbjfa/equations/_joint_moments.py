@@ -5,8 +5,9 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csgraph
 
-from sklearn_vbjfa._core._linear_systems import block_variance
+from sklearn_vbjfa._core._linear_systems import variance_of_parts
 from sklearn_vbjfa._core._moments import Scatter
 from sklearn_vbjfa.equations._ranges import SignalRanges, sum_ranges
 
@@ -126,42 +127,62 @@ def block_scatter(stats, weight, theta):
         return block_scatter(
             replace(stats, blocks=(_join(stats.blocks),)), weight, theta
         )
-    grams, scores = _weighted_parts(stats, stats.blocks, weight, theta)
+    branches, scores = _weighted_parts(stats, stats.blocks, weight, theta)
     order = np.lexsort(keys.T[::-1])
     squares = stats.yy - 2 * stats.g @ theta + stats.products(theta) @ theta
     noise = weight @ np.maximum(squares, 0.0) / stats.n[weight > 0].sum()
     if (np.diff(order) != 1).any():
-        grams, scores, keys = grams[order], scores[order], keys[order]
-    return block_variance(grams, scores, keys, float(noise))
+        branches = [(columns, grams[order]) for columns, grams in branches]
+        scores, keys = scores[order], keys[order]
+    return variance_of_parts(branches, scores, keys, float(noise))
 
 
 def weighted_parts(stats, parts, weight, theta):
     """Keys (n, 2), weighted Gram matrices (n, p, p), scores (n, p) of joined parts."""
     joined = _join(parts)
-    return joined.keys, *_weighted_parts(stats, (joined,), weight, theta)
+    branches, scores = _weighted_parts(stats, (joined,), weight, theta)
+    whole = np.zeros((*scores.shape, theta.size))
+    for columns, grams in branches:
+        whole[:, columns[:, None], columns] = grams
+    return joined.keys, whole, scores
 
 
 def _weighted_parts(stats, parts, weight, theta):
-    """Weighted Gram matrices (n, p, p) and scores (n, p) of parts of the moments."""
-    p, count = theta.size, sum(moments.keys.shape[0] for moments in parts)
-    grams, scores = np.zeros((count, p, p)), np.zeros((count, p))
+    """Weighted Gram matrices (n, k, k) and scores (n, p) of parts of the moments."""
+    # The former for each branch, joints that share columns, with these (k,).
+    count = sum(moments.keys.shape[0] for moments in parts)
+    scores = np.zeros((count, theta.size))
     # The scores do not sum to zero with input noise or a prior: shared by all rows.
     excess = weight[:, None] * (stats.g - stats.products(theta))
     excess /= np.where(stats.n > 0, stats.n, 1.0)[:, None]
-    first = 0
-    for moments in parts:
-        rows = slice(first, first + moments.keys.shape[0])
-        first = rows.stop
-        scores[rows] -= moments.n @ excess
-        for j in np.flatnonzero(weight):
-            k, G, g = moments.columns[j], moments.G[j], moments.g[j]
-            power = stats.G[j].diagonal()[k]
-            if (power == 0).any():
-                G = G * ((power > 0)[:, None] & (power > 0))
-                g = g * (power > 0)
-            grams[rows, k, k] += weight[j] * G
-            scores[rows, k] += weight[j] * (g - G @ theta[k])
-    return grams, scores
+    scores -= np.concatenate([moments.n for moments in parts]) @ excess
+    found = []
+    for joints in _branches(stats, weight):
+        columns = np.unique(np.concatenate([stats.parts[j][0] for j in joints]))
+        grams = np.zeros((count, columns.size, columns.size))
+        found.append((columns, grams))
+        for j in joints:
+            own, first = stats.parts[j][0], 0
+            at = np.searchsorted(columns, own)
+            for moments in parts:
+                rows = slice(first, first + moments.keys.shape[0])
+                first, here = rows.stop, own - moments.columns[j].start
+                G = moments.G[j][:, here[:, None], here]
+                grams[rows, at[:, None], at] += weight[j] * G
+                left = moments.g[j][:, here] - G @ theta[own]
+                scores[rows, own] += weight[j] * left
+    return found, scores
+
+
+def _branches(stats, weight):
+    """Joints with a weight that share columns with each other, a list of arrays."""
+    support = np.zeros(stats.g.shape, dtype=int)
+    for row, (own, _) in zip(support, stats.parts):
+        row[own] = 1
+    heard = np.flatnonzero((weight != 0) & support.any(axis=1))
+    shared = support[heard] @ support[heard].T
+    count, label = csgraph.connected_components(shared, directed=False)
+    return [heard[label == k] for k in range(count)]
 
 
 @dataclass(frozen=True, kw_only=True)

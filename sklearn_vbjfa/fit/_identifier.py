@@ -378,7 +378,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             named=recording.joints_named,
         )
 
-    def _fit(self, recording, look=False):
+    def _fit(self, recording, look=False, compare=True):
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)
         robot = self._declared_robot(plan, recording.signals)
@@ -405,7 +405,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if self.criterion == "simulation":
             fit = refine_fit(recipe, fit, source, self.fit_options.window)
             self.criteria_ = fit.criteria
-        return self._set(fit)
+        return self._set(fit, compare)
 
     def _recipe(self):
         """Return the settings of the estimation, with the bodies that are described."""
@@ -434,12 +434,13 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     # -- for other rooms -------------------------------------------------------------
 
-    def fit_inspected(self, recording, lag=0.0):
+    def fit_inspected(self, recording, lag=0.0, compare=True):
         """Identify the robot from a recording whose channels were inspected."""
         # lag: about the time [s] by which all torques are late; not zero if it is to be
-        # found, as `torque_lag_`.
+        # found, as `torque_lag_`; compare: whether deviations of predictions are to
+        # include how recordings differ.
         self._declare(*([TorqueLag(lag=lag)] if lag else []))
-        return self._fit(checked_recording(self, recording))
+        return self._fit(checked_recording(self, recording), compare=compare)
 
     def build_model(self):
         """Load the model without data: names, `effects_` and `features_`."""
@@ -531,9 +532,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     # -- from a fit to attributes ----------------------------------------------------
 
-    def _set(self, fit):
-        found = fit.found
-        self._robot = replace(fit.robot, recording_variance=fit.between())
+    def _set(self, fit, compare=True):
+        found, self._robot = fit.found, fit.robot
+        if compare:
+            self._robot = replace(fit.robot, recording_variance=fit.between())
         self.effects_, self.features_ = fit.robot.effects_, fit.robot.features_
         self.estimator_ = JointTorqueRegressor.of_estimate(
             found,

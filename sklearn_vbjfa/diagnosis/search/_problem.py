@@ -70,10 +70,18 @@ class Moments:
     def __init__(self, joints, columns, edges):
         self.joints, self.columns, self.edges = joints, columns, edges
         self._declared, self._right = WeakKeyDictionary(), WeakKeyDictionary()
+        self._groups = {}
 
     def of(self, columns):
         """Return those of other columns of the same joints."""
         return Moments(self.joints, columns, self.edges)
+
+    def group(self, c, k):
+        """Return those of the first k columns of one group."""
+        if (c, k) not in self._groups:
+            own = np.ascontiguousarray(self.columns[:, :, c : c + 1, :k])
+            self._groups[c, k] = self.of(own)
+        return self._groups[c, k]
 
     @functools.cached_property
     def gram(self):
@@ -186,8 +194,12 @@ class Problem(Declared):
 
     def family(self, effect):
         """Return an effect with the shapes to begin with; None if there are none."""
-        effects, *found = self.view.family(effect, self.motion, self.cosines)
-        return Family.in_frequency(self, effects, *found) if effects else None
+        effects, cosines, size = self.view.family(effect, self.motion, self.cosines)
+        if not effects:
+            return None
+        joints = tuple(self.view.joints_of(effect))
+        moments = Moments(joints, cosines, self.edges)
+        return Family.in_frequency(self, effects, moments, size)
 
     def variants(self, effect, first=False):
         """Return an effect with each shape of its grid, or the first ones, list."""
@@ -196,9 +208,14 @@ class Problem(Declared):
 
     def shaped(self, effects):
         """Return some shapes of an effect as a `Family`."""
-        columns = self.view.columns(effects, self.motion)
-        cosines = self.cosines(columns, self.view.joints_of(effects[0]))
-        return Family.in_frequency(self, effects, cosines, root_mean_square(columns))
+        joints = tuple(self.view.joints_of(effects[0]))
+
+        def made(columns):
+            cosines = self.cosines(columns, joints)
+            return Moments(joints, cosines, self.edges), root_mean_square(columns)
+
+        found = self.view.shaped(effects, self.motion, made)
+        return Family.in_frequency(self, effects, *found)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -223,19 +240,14 @@ class Family(Columns):
         return tuple(effect.opposite().key() for effect in self.effects)
 
     @classmethod
-    def in_frequency(cls, problem, effects, cosines, size):
-        """Take cosines (nj, n, c, k) of columns, and the size (nj, c, k) of these."""
-        joints = tuple(problem.view.joints_of(effects[0]))
-        torque = problem.torque[list(joints)][:, None, None]
+    def in_frequency(cls, problem, effects, moments, size):
+        """Take moments of the cosines of columns, and the size (nj, c, k) of these."""
+        torque = problem.torque[list(moments.joints)][:, None, None]
         # An effect of all joints has the torque of that which it moves the most.
         share = np.where(torque > 0, size / np.where(torque > 0, torque, 1.0), 0.0)
         largest = share.max(axis=0)
         unit = np.where(largest > 0, 1.0 / np.where(largest > 0, largest, 1.0), 0.0)
-        return cls(
-            effects=tuple(effects),
-            moments=Moments(joints, cosines, problem.edges),
-            unit=unit,
-        )
+        return cls(effects=tuple(effects), moments=moments, unit=unit)
 
     def split(self):
         """Return a family for each separate use, see `Shaped.split_by`."""
@@ -259,10 +271,9 @@ class Family(Columns):
     def member(self, c, scale=1.0):
         """Return one of the shapes as a `SelectedEffect`."""
         k = len(self.effects[c].coefficients)
-        own = np.ascontiguousarray(self.columns[:, :, c : c + 1, :k])
         return SelectedEffect(
             effect=self.effects[c],
-            moments=self.moments.of(own),
+            moments=self.moments.group(c, k),
             unit=self.unit[c, :k],
             scale=scale,
         )

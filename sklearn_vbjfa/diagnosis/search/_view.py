@@ -5,9 +5,9 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
-from scipy import linalg
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._lowpass import coarser, stride
 from sklearn_vbjfa.diagnosis.search._blocks import (
     correlation_time,
@@ -109,6 +109,8 @@ _RANK = 1e-12
 _AT_ONCE = 1 << 20
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
+# Numbers of the columns of single shapes that are kept, those that were asked for last.
+_KEPT_NUMBERS = 1 << 23
 
 
 class RecordingView:
@@ -152,7 +154,7 @@ class RecordingView:
         self._lowpass = robot.plan.lowpass
         self.step = (robot.dt or 1.0) * self._lowpass.step
         self._begins, self.repetition = begins, repetition
-        self._families = {}
+        self._families, self._shapes = {}, {}
         weight = recording.weight.astype(float)
         weight[:, list(leave_out)] = 0.0
         self._given = replace(recording, weight=weight, t=clock), states
@@ -346,6 +348,20 @@ class RecordingView:
                 np.multiply(filtered[:, i], scale[:, None, None], out=own)
         return out
 
+    def shaped(self, effects, motion, make):
+        """Return what is made of an effect's columns, kept until their load changes."""
+        key = tuple((type(e), e.joint, *sorted(e.shape().items())) for e in effects)
+        load = motion if "load" in effects[0].needs else None
+        # The last one is that which was asked for last.
+        made_from, gains, found, size = self._shapes.pop(key, (None, None, None, 0))
+        if found is None or made_from is not load or (self.gains != gains).any():
+            columns = self.columns(effects, motion)
+            found, gains, size = make(columns), self.gains, columns.size
+        self._shapes[key] = load, gains, found, size
+        while sum(one[-1] for one in self._shapes.values()) > _KEPT_NUMBERS:
+            self._shapes.pop(next(iter(self._shapes)))
+        return found
+
     def _made(self, effect, motion):
         """Columns of an effect at the samples, checked for custom effects."""
         columns = np.asarray(effect.columns(motion))
@@ -422,15 +438,18 @@ def reduced(equations, precision):
     """Express a regressor in the directions that the data determine."""
     # Returns it in reduced coordinates (nv, m, r), rows scaled by the root of their
     # weight, and the matrix (p, r) that leads back to the parameters.
-    weight = equations.weight
-    root = np.sqrt(weight).T[:, :, None]
-    rows = equations.Phi.transpose(1, 0, 2) * root
-    G = np.einsum("j,jmp,jmq->pq", precision, rows, rows, optimize=True)
-    scale = np.sqrt(np.diagonal(G))
-    used = scale > 0
-    unit = np.where(used, scale, 1.0)
-    values, vectors = linalg.eigh(G / np.outer(unit, unit))
-    keep = values > _RANK * values[-1]
-    back = np.where(used[:, None], vectors[:, keep] / unit[:, None], 0.0)
+    weight, Phi = equations.weight, equations.Phi
+    # Of each joint the columns that it has alone: a tree has branches.
+    places = [np.flatnonzero(own) for own in (Phi != 0).any(axis=0)]
+    G, rows = np.zeros((Phi.shape[2], Phi.shape[2])), []
+    for j, (own, factor) in enumerate(zip(places, precision)):
+        rows.append(Phi[:, j, own] * np.sqrt(weight[:, [j]]))
+        G[np.ix_(own, own)] += factor * (rows[j].T @ rows[j])
+    eigen = scaled_eigen(G, _RANK)
+    back = eigen.known_vectors / eigen.scale[:, None]
     back *= np.sqrt(max(float((weight * precision).sum()), 1.0))
-    return rows @ back, back
+    Z = np.zeros((len(rows), Phi.shape[0], back.shape[1]))
+    for own, part, made in zip(places, rows, Z):
+        seen = np.flatnonzero(back[own].any(axis=0))
+        made[:, seen] = part @ back[np.ix_(own, seen)]
+    return Z, back

@@ -272,6 +272,15 @@ def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
     )
 
 
+def branches(support):
+    """Pair rows of a table (n, p), bool, that share columns with these, a list."""
+    used = np.flatnonzero(support.any(axis=1))
+    own = support[used].astype(int)
+    count, label = csgraph.connected_components(own @ own.T, directed=False)
+    rows = [used[label == k] for k in range(count)]
+    return [(some, np.flatnonzero(support[some].any(axis=0))) for some in rows]
+
+
 def _connected(A):
     """Rows of a symmetric matrix (p, p) that have something in common, in parts."""
     p = A.shape[0]

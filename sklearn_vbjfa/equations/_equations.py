@@ -316,10 +316,13 @@ class RegressorRows:
             yield self.spread(entries)
 
 
-def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
+def regressor_rows(
+    recording, states, plan, features, *, theta=None, rest=None, kept=None
+):
     """Regressor of each segment, with the columns of the plan's effects."""
     # Takes the states (n, 3 nv) of each segment, arrays or `SplineStates`; theta gives
-    # the load and the torque, see `make_motion`, rest the velocity signs at rest.
+    # the load and the torque, see `make_motion`, rest the velocity signs at rest; kept:
+    # columns that no load changes, of the same states, to which new ones are added.
     # Returns a list of `RegressorRows`.
     if not plan.effects:
         return [RegressorRows(features, own, rest=rest) for own in states]
@@ -345,7 +348,7 @@ def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
         recording.command if plan.lag is None else recording.tau,
         recording.before,
     )
-    columns = _effect_columns(plan, motion)
+    columns = _effect_columns(plan, motion, {} if kept is None else kept)
     # Splines are a third of the states of all rows, which end here.
     return [
         RegressorRows(features, own, [(e, x[part]) for e, x in columns], rest)
@@ -353,9 +356,10 @@ def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
     ]
 
 
-def _effect_columns(plan, motion):
+def _effect_columns(plan, motion, kept):
     """Pair effects with their columns (n, [nv,] k) along a motion."""
-    found = []
+    # kept: see `regressor_rows`.
+    found, corners = [], None if plan.corners is None else plan.corners.tobytes()
     own_motion = own_motions(plan.effects, plan.ranges, motion)
     for effect, own in zip(plan.effects, own_motion):
         shape = motion.q.shape if effect.whole_robot else motion.q.shape[:1]
@@ -367,7 +371,11 @@ def _effect_columns(plan, motion):
                 raise ValueError(
                     f"effects holds {effect.name} on joint {effect.joint}: {reason}."
                 )
-            columns = effect.columns(own)
+            columns = kept.get((effect, corners))
+            if columns is None:
+                columns = effect.columns(own)
+            if is_plain(effect):
+                kept[effect, corners] = columns
         found.append((effect, columns))
     return found
 
@@ -546,24 +554,26 @@ def edge_rows(n, state_estimator, most=0.05):
 
 
 def build_segments(
-    recording, states, plan, features, *, theta=None, rest=None, first=0
+    recording, states, plan, features, *, theta=None, rest=None, first=0, kept=None
 ):
     """Combine a recording with its regressor, segment by segment."""
     # states: `RecordingStates`, with halves where the noise of the regressor is
     # measured; theta: parameters for the load in effects' columns, see `make_motion`;
     # rest: velocity signs at rest, for comparisons only (a fit masks standstill);
-    # first: number of the first segment. Returns a list of `Segment`.
-    rest = plan.turning if rest is None else rest
+    # first: number of the first segment; kept: by number of the states, see
+    # `regressor_rows`. Returns a list of `Segment`.
+    rest, kept = plan.turning if rest is None else rest, {} if kept is None else kept
 
-    def rows_of(own):
-        return regressor_rows(recording, own, plan, features, theta=theta, rest=rest)
+    def rows_of(own, number=0):
+        known = {"theta": theta, "rest": rest, "kept": kept.setdefault(number, {})}
+        return regressor_rows(recording, own, plan, features, **known)
 
     applied, parts = plan.applied(recording), recording.segments
     average = states.halves is not None and plan.corrects_noise
     rows = len(parts) * [None] if average else rows_of(states.own)
     halves = len(parts) * [None]
     if states.halves is not None:
-        halves = list(zip(*[rows_of(half) for half in states.halves]))
+        halves = list(zip(*[rows_of(x, 1 + k) for k, x in enumerate(states.halves)]))
     weight = applied.weight
     if weight is None:
         weight = np.broadcast_to(1.0, applied.tau.shape)

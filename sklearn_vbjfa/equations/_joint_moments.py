@@ -5,9 +5,8 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csgraph
 
-from sklearn_vbjfa._core._linear_systems import variance_of_parts
+from sklearn_vbjfa._core._linear_systems import branches, variance_of_parts
 from sklearn_vbjfa._core._moments import Scatter
 from sklearn_vbjfa.equations._ranges import SignalRanges, sum_ranges
 
@@ -127,22 +126,22 @@ def block_scatter(stats, weight, theta):
         return block_scatter(
             replace(stats, blocks=(_join(stats.blocks),)), weight, theta
         )
-    branches, scores = _weighted_parts(stats, stats.blocks, weight, theta)
+    found, scores = _weighted_parts(stats, stats.blocks, weight, theta)
     order = np.lexsort(keys.T[::-1])
     squares = stats.yy - 2 * stats.g @ theta + stats.products(theta) @ theta
     noise = weight @ np.maximum(squares, 0.0) / stats.n[weight > 0].sum()
     if (np.diff(order) != 1).any():
-        branches = [(columns, grams[order]) for columns, grams in branches]
+        found = [(columns, grams[order]) for columns, grams in found]
         scores, keys = scores[order], keys[order]
-    return variance_of_parts(branches, scores, keys, float(noise))
+    return variance_of_parts(found, scores, keys, float(noise))
 
 
 def weighted_parts(stats, parts, weight, theta):
     """Keys (n, 2), weighted Gram matrices (n, p, p), scores (n, p) of joined parts."""
     joined = _join(parts)
-    branches, scores = _weighted_parts(stats, (joined,), weight, theta)
+    found, scores = _weighted_parts(stats, (joined,), weight, theta)
     whole = np.zeros((*scores.shape, theta.size))
-    for columns, grams in branches:
+    for columns, grams in found:
         whole[:, columns[:, None], columns] = grams
     return joined.keys, whole, scores
 
@@ -156,9 +155,10 @@ def _weighted_parts(stats, parts, weight, theta):
     excess = weight[:, None] * (stats.g - stats.products(theta))
     excess /= np.where(stats.n > 0, stats.n, 1.0)[:, None]
     scores -= np.concatenate([moments.n for moments in parts]) @ excess
-    found = []
-    for joints in _branches(stats, weight):
-        columns = np.unique(np.concatenate([stats.parts[j][0] for j in joints]))
+    found, support = [], np.zeros(stats.g.shape, dtype=bool)
+    for j in np.flatnonzero(weight):
+        support[j, stats.parts[j][0]] = True
+    for joints, columns in branches(support):
         grams = np.zeros((count, columns.size, columns.size))
         found.append((columns, grams))
         for j in joints:
@@ -172,17 +172,6 @@ def _weighted_parts(stats, parts, weight, theta):
                 left = moments.g[j][:, here] - G @ theta[own]
                 scores[rows, own] += weight[j] * left
     return found, scores
-
-
-def _branches(stats, weight):
-    """Joints with a weight that share columns with each other, a list of arrays."""
-    support = np.zeros(stats.g.shape, dtype=int)
-    for row, (own, _) in zip(support, stats.parts):
-        row[own] = 1
-    heard = np.flatnonzero((weight != 0) & support.any(axis=1))
-    shared = support[heard] @ support[heard].T
-    count, label = csgraph.connected_components(shared, directed=False)
-    return [heard[label == k] for k in range(count)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,6 @@
 """Parameters of a robot from a recording, as functions from one value to the next."""
 
+import functools
 import warnings
 from dataclasses import dataclass, replace
 
@@ -62,6 +63,11 @@ class FitData:
     numbering: object  # of the rows, see `numbered`
     n_jobs: object = None
 
+    @functools.cached_property
+    def _kept(self):
+        """Columns that no load changes, see `build_segments`."""
+        return {}
+
     def segments(self, robot, **changes):
         plan = replace(robot.plan, **changes)
         return build_segments(
@@ -70,6 +76,7 @@ class FitData:
             plan,
             robot.features_,
             theta=robot.load_parameters,
+            kept=self._kept,
         )
 
     def instrumented(self, robot):

@@ -8,7 +8,11 @@ import numpy as np
 from scipy import special
 from sklearn.base import clone
 
-from sklearn_vbjfa._core._linear_systems import block_variance, scaled_eigen
+from sklearn_vbjfa._core._linear_systems import (
+    branches,
+    scaled_eigen,
+    variance_of_parts,
+)
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.equations._equations import (
     TorqueResiduals,
@@ -182,15 +186,22 @@ class FinalFit:
         """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""
         view = self.view
         residual, factor = self._scaled_residual()
-        grams, scores, places = [], [], []
-        for block, place in _blocks(view):
-            declared = view.Z[:, block].transpose(1, 0, 2)
-            rows = np.concatenate([declared, extra[block]], axis=2)
-            rows = (rows * factor[:, None]).reshape(-1, rows.shape[2])
-            grams.append(rows.T @ rows)
-            scores.append((residual[block] * factor).ravel() @ rows)
-            places.append(place)
-        return block_variance(np.array(grams), np.array(scores), np.array(places), 1.0)
+        blocks, places = zip(*_blocks(view))
+        found, scores = [], np.zeros((len(blocks), view.Z.shape[2] + extra.shape[2]))
+        support = (view.Z != 0).any(axis=1), (extra != 0).any(axis=0)
+        for joints, columns in branches(np.hstack(support)):
+            grams = np.zeros((len(blocks), columns.size, columns.size))
+            rows = np.concatenate(
+                [view.Z[joints].transpose(1, 0, 2), extra[:, joints]], axis=2
+            )
+            rows = rows[:, :, columns] * factor[joints, None]
+            left = residual[:, joints] * factor[joints]
+            for k, block in enumerate(blocks):
+                own = rows[block].reshape(-1, columns.size)
+                grams[k] = own.T @ own
+                scores[k, columns] = left[block].ravel() @ own
+            found.append((columns, grams))
+        return variance_of_parts(found, scores, np.array(places))
 
     def _forms(self, i, covariance):
         """Probabilities and parameters of other forms of an effect of one column."""
@@ -208,17 +219,23 @@ class FinalFit:
         residual, factor = self._scaled_residual()
         others = [own for k, own in enumerate(self._columns) if k != i]
         others = [own * view.root[:, :, None] for own in others]
-        base = np.concatenate([view.Z.transpose(1, 0, 2), *others], axis=2)
-        base *= factor[:, None]
+        # The joints that have columns in common with it.
+        support = [(view.Z != 0).any(axis=1), *((x != 0).any(axis=0) for x in others)]
+        near = [own for own in branches(np.hstack(support)) if j in own[0]]
+        if not near:
+            return ()
+        ((joints, columns),) = near
+        base = [view.Z[joints].transpose(1, 0, 2), *(own[:, joints] for own in others)]
+        base = np.concatenate(base, axis=2)[:, :, columns] * factor[joints, None]
         every = [self._columns[i], *(self.in_equations(one) for one in tried)]
         C = np.hstack([own[:, j] for own in every]) * (factor * view.root)[:, [j]]
         y = residual * factor
         y[:, j] += C[:, 0] * self._split(self.identifier.theta_unconstrained_)[i]
         flat = base.reshape(-1, base.shape[2])
         root = scaled_eigen(flat.T @ flat, _RANK).inverse_root()
-        seen = root.T @ (base[:, j].T @ C)
+        seen = root.T @ (base[:, np.searchsorted(joints, j)].T @ C)
         H = (C**2).sum(axis=0) - (seen**2).sum(axis=0)
-        q = C.T @ y[:, j] - seen.T @ (root.T @ (flat.T @ y.ravel()))
+        q = C.T @ y[:, j] - seen.T @ (root.T @ (flat.T @ y[:, joints].ravel()))
         # Evidence is discounted by the scatter between blocks over that of white noise.
         own = np.atleast_2d(covariance)
         known = own[0, 0] - own[0, 1] ** 2 / own[1, 1] if len(own) > 1 else own[0, 0]

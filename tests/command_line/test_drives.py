@@ -17,11 +17,6 @@ from tests.command_line.test_close_loop import URDF
 
 KP, KD, DELAY = np.array([60.0, 30.0]), np.array([2.0, 1.0]), 0.008
 LAW = "pd kp=shoulder:60,elbow:30 kd=2,1"
-GAINS = [
-    (name, joint, gain)
-    for name, both in (("p", KP), ("d", KD))
-    for joint, gain in zip(("shoulder", "elbow"), both)
-]
 FEW = ("--effects", "none", "--quiet")
 
 
@@ -101,36 +96,6 @@ def test_the_loop_is_closed_on_commands(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_report_has_positions_from_commands_alone(run, told, tmp_path):
-    """Gains of the log; without dry friction, the declared model is farther off."""
-    gains = {f"k{x}_{j}": np.full(len(told["t"]), one) for x, j, one in GAINS}
-    options = ("--friction", "viscous", *FEW)
-    code, out, err = run("identify", *options, drive="pd", **gains)
-    assert code in (0, 3), err
-    report = json.loads((tmp_path / "arm-report/report.json").read_text())
-    found = report["commands_alone"]
-    assert found["units"] == ["rad", "rad"]
-    assert found["failed"] == {}
-    assert found["plain"] == found["after"]
-    before, after, aim = (np.array(found[x]) for x in ("before", "after", "commands"))
-    assert (after < 3e-3).all()
-    assert (before > 5 * after).all()
-    assert (aim > 20 * after).all()
-    sizes = [
-        f"{1e3 * x.mean():#.3g}".rstrip(".") + " mrad" for x in (before, after, aim)
-    ]
-    told_here = re.search(
-        r"alone, positions of the declared model are off by (.*?), those of the "
-        r"completed one by (.*?) \(mean.* commanded positions is off by (.*?)\.",
-        page := (tmp_path / "arm-report/report.html").read_text(),
-    ).groups()
-    assert [" ".join(x.split()) for x in told_here] == sizes
-    short = f"positions are off by {sizes[0]} before, {sizes[1]} after."
-    assert f"From commands alone, {short}" in out
-    assert "Closed loop: commands alone" in page
-
-
-@pytest.mark.slow
 def test_positions_are_simulated_from_commands_alone(run, told):
     run("identify", *FEW)
     model = ("--model", "arm-report/identified.json")
@@ -151,19 +116,6 @@ def test_positions_are_simulated_from_commands_alone(run, told):
     code, out, err = run("simulate", "--quiet", robot=model, drive="pd kp=60,30")
     assert (code, out) == (2, "")
     assert "kd is missing: give kd=" in err
-
-
-@pytest.mark.slow
-def test_a_known_delay_is_said_and_saturated_samples_are_counted(run, told):
-    t, q = told["t"], told["q_shoulder"]
-    aim = np.interp(t - DELAY, t, told["q_desired_shoulder"])
-    size = np.abs(KP[0] * (aim - q) - KD[0] * np.gradient(q, t))
-    limit = f"saturation=shoulder:{np.quantile(size, 0.9):.6g},elbow:1000"
-    code, out, err = run("identify", *FEW, drive=f"{LAW} delay=0.008 {limit}")
-    assert code in (0, 3), err
-    assert "Commands act 8 ms after they are logged, as given." in out
-    found = re.search(r"Torque saturates: \S+ \S+ \(shoulder\) in ([\d.]+) %", out)
-    assert float(found[1]) == pytest.approx(10.0, abs=0.5)
 
 
 # -- currents and voltages -------------------------------------------------------------

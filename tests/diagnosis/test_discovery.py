@@ -68,10 +68,6 @@ def unlike(name):
     """Torque of an effect by code of its own: joint -> torque, true parameters."""
     return {
         "spring": ({"joint_1": spring(4.0, -1.0)}, {"k": 4.0, "q0": 0.25}),
-        "asymmetric_friction": (
-            {"joint_2": lambda r: np.where(r.v[:, 1] > 0, 0.6, -0.6) * r.v[:, 1]},
-            {"dFv": 0.6},
-        ),
         "ripple": (
             {"joint_1": lambda r: 0.6 * np.sin(2 * np.pi * r.q[:, 0] / 0.35)},
             {"A": 0.6, "period": 0.35, "phase": np.pi / 2},
@@ -88,10 +84,6 @@ def unlike(name):
         "backlash": (
             {"joint_1": lambda r: 20 * play_sample_by_sample(r.q[:, 0], 0.2)},
             {"k": 20.0, "width": 0.2},
-        ),
-        "coupling": (
-            {"joint_2": lambda r: 1.0 * np.sign(r.v[:, 0]) + 0.8 * r.v[:, 0]},
-            {"Fcm": 1.0, "Fvm": 0.8},
         ),
         "drift": (
             {
@@ -112,16 +104,10 @@ def unlike(name):
     ("name", "rivals"),
     [
         ("spring", ["coulomb", "offset", "ripple"]),
-        pytest.param(
-            "asymmetric_friction",
-            ["coulomb", "viscous_quadratic"],
-            marks=pytest.mark.slow,
-        ),
         ("ripple", ["offset", "spring", "coulomb"]),
         pytest.param("stribeck", ["coulomb", "spring"], marks=pytest.mark.slow),
         pytest.param("maxwell_slip", ["coulomb", "stribeck"], marks=pytest.mark.slow),
         ("backlash", ["coulomb", "spring", "offset"]),
-        pytest.param("coupling", ["coulomb", "offset"], marks=pytest.mark.slow),
         pytest.param("drift", ["coulomb", "offset"], marks=pytest.mark.slow),
         ("load_friction", ["coulomb", "stribeck"]),
     ],

@@ -164,30 +164,3 @@ def test_columns_are_found_by_the_names_of_joints(two_motions):
     assert named_ones.score(X, y, groups=groups) > 0.99
     with pytest.raises(ValueError, match="q_elbow"):
         loop.fit(X.rename(columns={"q_joint_2": "q_elbow"}), y, groups=groups)
-
-
-@pytest.mark.slow
-def test_what_a_payload_does_not_excite_takes_no_interval_from_the_rest():
-    """One axis along z: the height of the centre of mass is felt by nobody."""
-    import pinocchio as pin
-
-    model = arm("Z", gravity=0.0)
-    model.gravity.linear = np.array([0.0, -9.81, 0.0])
-    heavy = model.copy()
-    lump = pin.SE3(np.eye(3), np.array([0.2, 0.1, 0.0]))
-    heavy.inertias[1] += lump.act(pin.Inertia.FromSphere(0.6, 0.03))
-    t = seconds(40.0)
-    states = motion(t, pauses(t, [(1, 39)], [(1, 39)]))[:, ::2]
-    later = (t >= 20.0)[:, None]
-    empty, full = (inverse_dynamics(m, states) for m in (model, heavy))
-    rng = np.random.default_rng(0)
-    tau = np.where(later, full, empty) + 0.02 * rng.normal(size=empty.shape)
-    tau = tau + 0.8 * states[:, [1]] + 0.3 * np.sign(states[:, [1]])
-    robot = RobotIdentifier(model, dt=DT, friction=("viscous", "coulomb"))
-    q = states[:, :1] + 1e-5 * rng.normal(size=tau.shape)
-    (effect,) = EffectDiscovery(robot, effects=["payload"]).fit(q, tau).effects_
-    low, high = effect.intervals["dmcx"]
-    assert low < 0.12 < high
-    assert high - low < 0.02
-    assert "dmcz" not in effect.intervals
-    assert "instant" not in effect.intervals

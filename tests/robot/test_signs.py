@@ -65,20 +65,6 @@ def test_an_unsigned_current_is_identified_as_one_with_its_sign(constant):
         assert other.gains_ is not None
 
 
-@pytest.mark.slow
-def test_signs_of_rows_that_were_not_fitted_follow_from_the_model():
-    drive = CurrentDrive(1.0, signed=False)
-    half = slice(0, len(ARM.q) // 2)
-    robot = RobotIdentifier(ARM.urdf, dt=ARM.dt, drive=drive)
-    robot.fit(ARM.q[half], np.abs(ARM.tau[half]))
-    rest = take_arrays(
-        ARM.q, np.abs(ARM.tau), dt=ARM.dt, joint_names=robot.joint_names_
-    )
-    found = robot.signed(rest).tau
-    wrong = (found * ARM.tau < 0) & (np.abs(ARM.tau) > 0.3 * ARM.tau.std(axis=0))
-    assert wrong[half.stop :].mean() < 0.002
-
-
 def test_a_voltage_makes_a_torque_and_its_back_emf():
     constant, resistance, gear = 0.02, 3.0, 40.0
     t = ARM.dt * np.arange(len(ARM.q))

@@ -40,7 +40,6 @@ from sklearn_vbjfa.recording import (
     check_clock,
     check_dt,
     columns_beside,
-    commands_among,
     find_repetition,
     positions_in_order,
     survey,
@@ -289,7 +288,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     def _fit(self, model, whole, library, signals, beside, names):
         """Search in a checked recording with its signals."""
         declared = check_effects(self.identifier.effects, model.nv)
-        offered = signals if isinstance(signals, OfferedSignals) else beside
         drive = self.identifier.drive
         if drive is not None and drive.unsigned and whole.command is None:
             # Signs of rows that are not fitted follow from what was.
@@ -300,14 +298,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         commanded = replace(whole, signals={**signals, **whole.signals})
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
-            outcome = self._close(
-                model, whole, commanded, offered, library, unusable, names
-            )
+            outcome = self._close(model, whole, commanded, library, unusable, names)
         return self._set(outcome)
 
     # -- stages ---------------------------------------------------------------------
 
-    def _close(self, model, whole, commanded, offered, library, unusable, names):
+    def _close(self, model, whole, commanded, library, unusable, names):
         """Close the loop on a checked recording; return what `make_outcome` does."""
         say("channels")
         channels, silent = self._check_channels(model, whole)
@@ -328,11 +324,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             self.baseline_ = self._with_plain_terms().fit_inspected(part, **alone)
         begins = tuple(whole.t[rows.start] for rows in whole.segments)
         repetition = find_repetition(whole.q, whole.t, whole.segments)
-        if not repetition:
-            # Commands of a robot that is pushed repeat although its motion does not.
-            commands = commands_among(offered.numbers(whole.n_samples), whole.q)
-            if commands.size:
-                repetition = find_repetition(commands, whole.t, whole.segments)
         near = split.narrowed(*self._seen(part, split.searched_motion))
         known = {"begins": begins, "repetition": repetition}
         seen = part if near is split else near.searched(whole)

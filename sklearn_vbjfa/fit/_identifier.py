@@ -636,5 +636,5 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             return None
         if self._feedback is not None and (drive.kp is None or drive.kd is None):
             kp, kd = self._feedback
-            drive = clone(drive).set_params(kp=kp, kd=kd, gear=1.0)
+            drive = clone(drive).set_params(kp=kp, kd=kd)
         return drive

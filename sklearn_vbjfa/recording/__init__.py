@@ -44,7 +44,6 @@ _MODULES = {
         "check_clock",
         "check_cutoff",
         "check_dt",
-        "commands_among",
         "contiguous_groups",
         "find_repetition",
         "take_arrays",

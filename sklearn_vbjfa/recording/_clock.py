@@ -14,7 +14,6 @@ from sklearn_vbjfa.recording._table import (
     is_of_a_robot,
     listed,
     pandas_of,
-    quoted,
     unit_of_steps,
     usual_step,
 )
@@ -91,7 +90,7 @@ def inspect_time_stamps(
         sampled = stamped < steady - _CLEARLY
     if late and not sampled:
         _check_period(t, pieces, slots, found, where)
-    check_given(found, dt, tolerance=tolerance)
+    _check_given(found, dt, tolerance)
     return TimeStamps(
         dt=float(f"{found:.7g}") if dt is None else float(dt),
         sampled=bool(sampled),
@@ -115,12 +114,12 @@ def _check_rise(t, step, where):
             )
 
 
-def check_given(found, dt, what="time steps by", tolerance=DT_TOLERANCE):
-    """Refuse a period found in a file that contradicts the one that was given."""
+def _check_given(found, dt, tolerance):
+    """Refuse a period of stamps that contradicts the one that was given."""
     if dt is not None and abs(found - dt) > tolerance * dt:
         raise ValueError(
-            f"{what} {found:.6g} s but dt = {dt:.6g} s; correct one of them, or leave "
-            "out dt (a period in s, not in ms or Hz)."
+            f"time steps by {found:.6g} s but dt = {dt:.6g} s; correct one of them, or "
+            "leave out dt (a period in s, not in ms or Hz)."
         )
 
 
@@ -218,13 +217,12 @@ def check_time_stamps(t, dt, parts):
                 f"{np.diff(stamps).max():.6g} s, but dt={dt:.6g} s. Resample, or begin "
                 "another recording after each gap (groups)."
             )
-        odd = first + np.flatnonzero(np.abs(found.steps / dt - 1) > _JITTER)
-        if odd.size:
+        if np.abs(found.steps / dt - 1).max(initial=0.0) > _JITTER:
             warnings.warn(
-                f"{odd.size} of {found.steps.size} steps between time stamps differ "
-                f"from dt={dt:.6g} s by more than {100 * _JITTER:.0f} % (after row "
-                f"{listed(odd)}); rows count as equidistant. Resample, unless only the "
-                "stamps are irregular.",
+                f"steps between time stamps from row {first} on vary from "
+                f"{found.steps.min():.6g} to {found.steps.max():.6g} s, dt={dt:.6g} s; "
+                "rows count as equidistant. Resample, unless only the stamps are "
+                "irregular.",
                 UserWarning,
                 stacklevel=3,
             )
@@ -317,7 +315,7 @@ def _second_source(q, tau, keep):
 def time_of(table: Table, layout, options):
     """Return stamps (n_rows,) [s] or None, and the role of their column."""
     times = layout.of("t")
-    exact = any(is_exact(table, x) for x in times)
+    exact = any(is_exact(x) for x in times)
     if options.dt is not None and not (layout.certain or exact):
         # What else is called time may be anything; the period is given.
         return None, None
@@ -373,15 +371,13 @@ def _check_unit(table: Table, role, step, period, time_unit):
 def given_period(table: Table, dt):
     """Return the period given by the caller or the file; None for neither."""
     entry = table.scalars.get("dt")
-    if entry is None or entry.size != 1 or entry.dtype.kind not in "iuf":
+    if entry is None or entry.size != 1:
         return dt
-    in_file = float(entry.item())
-    try:
-        if not 0 < in_file < np.inf:
-            raise ValueError(f"dt must be a positive number of seconds, got {in_file}.")
-        check_given(in_file, dt, "its dt is", SAME_DT)
-    except ValueError as error:
-        raise ValueError(f"{table.path}: {error}") from None
+    in_file = check_dt(entry.item())
+    if dt is not None and abs(in_file - dt) > SAME_DT * dt:
+        raise ValueError(
+            f"{table.path}: its dt is {in_file} s but dt = {dt} s; correct one of them."
+        )
     return in_file if dt is None else dt
 
 
@@ -398,14 +394,7 @@ def _seconds_of_dates(table: Table, column: str):
             days = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
             return seconds + _DAY * days - seconds[0]
         dates = pandas.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
-        if pandas.isna(dates.iloc[0]):
+        if dates.isna().any():
             return None
-        wrong = np.flatnonzero(dates.isna())
-        if wrong.size:
-            raise ValueError(
-                f"{table.path}: {quoted(values.iloc[wrong[0]])} in "
-                f"{table.where(wrong[0])}, column {column!r}, is not a date and time "
-                "like the others; correct or remove that row."
-            )
         values = dates
     return (values - values.iloc[0]).dt.total_seconds().to_numpy()

@@ -11,7 +11,6 @@ from sklearn_vbjfa.recording._clock import given_period, time_of, without_odd_ro
 from sklearn_vbjfa.recording._drives import PDDrive
 from sklearn_vbjfa.recording._grid import on_grid
 from sklearn_vbjfa.recording._layout import (
-    ESTIMATES,
     ReadOptions,
     channel_unit,
     channels_of,
@@ -20,14 +19,12 @@ from sklearn_vbjfa.recording._layout import (
     matches,
     refuse_two,
 )
-from sklearn_vbjfa.recording._recording import Recording, contiguous_groups
+from sklearn_vbjfa.recording._recording import Recording
 from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import (
-    KINDS,
     MEASURED,
     RecordingRefused,
     Table,
-    is_clock,
     is_current,
     kinds_in,
     listed,
@@ -158,22 +155,20 @@ def _counts(numbers, joints):
 
 
 def _clocks(table):
-    """Return the columns whose name has to do with time and that rise like a clock."""
+    """Return the columns whose name has to do with time, with steps of a robot."""
     # A column that goes up by one counts rows.
     return [
         name
         for name in table.names
         if ("t" in kinds_in(name) or unit_of("t", split_unit(name)[1] or name))
-        and is_clock(table.values(name))
+        and table.values(name).dtype.kind in "iuf"
+        and unit_of_steps(usual_step(table.values(name)))
         and usual_step(table.values(name)) != 1
     ]
 
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
 _LARGEST = 1e12
-# Steps of angles above the first share of a turn are wraps if all of them, and no less,
-# are above the second; a wrapped angle stays within a turn.
-_JUMP, _WRAP = 0.5, 0.8
 
 
 def is_recording(table: Table, options: ReadOptions):
@@ -225,8 +220,7 @@ def recording_of(table: Table, options: ReadOptions):
         channels = {kind: values[:, order] for kind, values in channels.items()}
     t, time = time_of(table, layout, options)
     labels, segment = _segments(table, layout)
-    _unwrap(channels, names, slides, labels, notes)
-    signals, left_out = _signals(table, layout, time, segment, notes)
+    signals = _signals(table, layout, time, segment, notes)
     notes = [*_columns_taken(table, layout, options, found, time), *notes]
     motor = [unit for unit in torque_units if unit not in ("N m", "N")]
     if motor and options.gains is None and options.drive is None:
@@ -249,7 +243,6 @@ def recording_of(table: Table, options: ReadOptions):
         torque_units=tuple(torque_units),
         urdf=None if options.urdf is None else fspath(options.urdf),
         description=f"Read from {table.path.name}.",
-        left_out=left_out,
         joints_named=robot.chosen
         or all(isinstance(role.key, str) for role in layout.of("q")),
         **on_grid(table, t, labels, options.dt, channels, notes),
@@ -282,8 +275,7 @@ def _in_units(table, found, options, notes):
         once = table.scalars.get(kind)
         if kind not in channels and once is not None and once.dtype.kind in "iuf":
             channels[kind] = _in_every_row(table, kind, once, channels["q"].shape)
-    rate = "v_desired" in options.recorded and "v_desired" not in channels
-    if rate and not getattr(options.drive, "feedforward", False):
+    if "v_desired" in options.recorded and "v_desired" not in channels:
         notes.append(
             "no desired velocities (v_desired): taken as zero, so that kd damps all "
             "motion."
@@ -348,31 +340,6 @@ def _refuse_codes(table: Table, column, values):
             )
 
 
-def _unwrap(channels, names, slides, labels, notes):
-    """Continue angles that jump by a whole turn, and their commands, beyond it."""
-    q, turn, found = channels["q"], 2 * np.pi, []
-    parts = contiguous_groups(labels, len(q))
-    for j in np.flatnonzero(~np.array(slides)):
-        steps = [np.abs(np.diff(q[rows, j])) for rows in parts]
-        jumps = [(x > _JUMP * turn).sum() for x in steps]
-        wraps = [(np.abs(x - turn) < (1 - _WRAP) * turn).sum() for x in steps]
-        if not sum(jumps) or jumps != wraps or np.ptp(q[:, j]) > 1.01 * turn:
-            continue
-        found.append(names[j])
-        before = q[:, j].copy()
-        for rows in parts:
-            whole = np.unwrap(q[rows, j])
-            q[rows, j] = whole - turn * np.round(whole.mean() / turn)
-        if "q_desired" in channels:
-            ahead = channels["q_desired"][:, j] - before
-            channels["q_desired"][:, j] = q[:, j] + (ahead + np.pi) % turn - np.pi
-    if found:
-        notes.append(
-            f"the angle(s) of {listed(found)} jump by whole turns: they are continued "
-            "beyond them."
-        )
-
-
 # -- joints ----------------------------------------------------------------------------
 
 
@@ -410,16 +377,13 @@ def _check_units(table: Table, found, units, names, robot):
         elif units["q"][j] is None:
             slide = "tau" in units and units["tau"][j] == "N"
         slides.append(slide)
-        for kind, roles in found.items():
-            measured = MEASURED.get(kind, kind)
-            bases = ("N m", "N") if measured == "tau" else ("rad", "m")
-            if roles and measured in KINDS and units[kind][j] == bases[not slide]:
-                order = {"v": "/s", "a": "/s^2"}.get(measured, "")
+        for kind, bases in (("q", ("rad", "m")), ("tau", ("N m", "N"))):
+            if kind in units and units[kind][j] == bases[not slide]:
+                role = found[kind][j]
                 raise ValueError(
-                    f"{table.path}: column {roles[j].column!r} is in {roles[j].unit}, "
-                    f"but {joint} {'slides' if slide else 'turns'}; expected "
-                    f"{bases[slide]}{order}. Correct the unit, or the order of the "
-                    "joints."
+                    f"{table.path}: column {role.column!r} is in {role.unit}, but "
+                    f"{joint} {'slides' if slide else 'turns'}; expected "
+                    f"{bases[slide]}. Correct the unit, or the order of the joints."
                 )
     return slides
 
@@ -451,46 +415,36 @@ def _segments(table: Table, layout):
 
 
 def _signals(table: Table, layout, time, segment, notes):
-    """Return the other columns, and what is wrong with those that are not numbers."""
+    """Return the other columns that are finite numbers."""
     taken = {x.column for x in layout.roles if x.kind not in ("t", "segment")}
     taken |= {segment, *(() if time is None else time.columns), *layout.no_signals}
     taken |= {x for role in layout.of("t") if layout.what for x in role.columns}
-    signals, left_out = {}, {}
-    for column in table.names:
-        if column not in taken:
-            numbers, reason = as_numbers(table.values(column), table.n_rows)
-            if reason:
-                left_out[column] = reason
-            else:
-                signals[column] = numbers
-    if left_out:
+    others = [x for x in table.names if x not in taken]
+    read = {x: as_numbers(table.values(x), table.n_rows)[0] for x in others}
+    left = [x for x, values in read.items() if values is None]
+    if left:
         notes.append(
-            f"column(s) {listed(left_out)} hold no finite numbers and are left out."
+            f"column(s) {listed(left)} hold no finite numbers and are left out."
         )
-    return signals, left_out
+    return {x: values for x, values in read.items() if values is not None}
 
 
 def _columns_taken(table, layout, options, found, time):
     """Yield which columns were taken where their names do not show it, in one line."""
     parts, converted = [], set()
     for kind, roles in [*found.items(), ("t", [] if time is None else [time])]:
-        converted |= {
-            role.unit
-            for role in roles
-            if kind != "t" and role.unit and channel_unit(table, role).factor != 1
-        }
-        names = ["+".join(role.columns) for role in roles]
-        estimated = any(x.lower().startswith(ESTIMATES) for x in names)
-        named = [x.lower().replace("τ", "tau").startswith(kind) for x in names]
-        if options.mapping or (all(named) and not estimated):
-            continue
-        ends = names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
-        in_name = not roles[0].unit or split_unit(names[0])[1]
-        unit = "" if in_name else f" [{roles[0].unit}]"
-        parts.append(f"{kind} = {ends}{unit}{', a motor estimate' * estimated}")
+        names = [role.column for role in roles]
+        if kind != "t":
+            units = [x.unit for x in roles if x.unit]
+            factors = [channel_unit(table, x).factor for x in roles if x.unit]
+            converted |= {x for x, factor in zip(units, factors) if factor != 1}
+        named = all(x.lower().replace("τ", "tau").startswith(kind) for x in names)
+        if not (options.mapping or named):
+            ends = [names[0], names[-1]] if len(names) > 1 else names
+            parts.append(f"{kind} = {' ... '.join(ends)}")
+    if converted:
+        parts.append(f"converted from {', '.join(sorted(converted))}")
     if layout.what:
         yield f"taken as {layout.what}: {', '.join(parts)}."
-    elif parts or converted:
-        if converted:
-            parts.append(f"converted from {', '.join(sorted(converted))}")
+    elif parts:
         yield f"{'; '.join(parts)}."

@@ -22,11 +22,6 @@ UNSIGNED = "current signed=no"
 _MOSTLY = 0.5
 # Frequency below which drives' velocities are compared with the positions' [Hz].
 _SLOW = 10.0
-# Commands that vary less than this share of the motion do not move the joint.
-_STILL = 1e-6
-# A joint that travels less than this share of the one that travels most is held: what
-# it does is noise of its encoder.
-_HELD = 1e-3
 # What was commanded before a recording is not known: longest delay, as a share of it.
 _UNKNOWN = 0.1
 
@@ -39,7 +34,9 @@ class Drive(BaseEstimator):
     of_positions = False  # whether torques are made of measured positions
     delayed = False  # whether the delay of its commands is to be found
     unsigned = False  # whether only sizes of torques are known
-    gains = None  # "unknown" where torques are known up to a factor of each channel
+    gains: str | None = (
+        None  # "unknown" where torques are known up to a factor of each channel
+    )
     # names of its channel in files that have it in place of torques
     spelled: tuple[str, ...] = ()
     # settings to check if the order of magnitude of the torques is wrong
@@ -79,16 +76,10 @@ class Drive(BaseEstimator):
         values = np.asarray(values, dtype=float).reshape(len(values), -1)
         if name == "supply" and values.shape[1] == 1:
             values = np.broadcast_to(values, (len(values), recording.nv))
-        if values.shape != shape:
+        if values.shape != shape or not np.isfinite(values).all():
             raise ValueError(
-                f"{name} must have one row per sample and one column per joint, shape "
-                f"{shape}; got {values.shape}."
-            )
-        bad = np.argwhere(~np.isfinite(values))
-        if bad.size:
-            raise ValueError(
-                f"{name} holds {values[tuple(bad[0])]} in row {bad[0][0]}, joint "
-                f"{recording.joint_names[bad[0][1]]}; leave such rows out."
+                f"{name} must have one finite row per sample and one column per joint, "
+                f"shape {shape}; got {values.shape}."
             )
         return values
 
@@ -117,13 +108,11 @@ def _by_name(what, given, joints):
     """Return numbers that are given by parts of joints' names, a list."""
     found = []
     for joint in joints:
-        own = [key for key in given if key in joint]
-        own = [joint] if joint in own else own
+        own = [joint] if joint in given else [key for key in given if key in joint]
         if len(own) != 1:
-            which = f"{len(own)} of its keys are" if own else "none of its keys is"
             raise ValueError(
-                f"{what} must have one key in each joint's name; {which} in {joint!r}: "
-                f"{', '.join(map(repr, own or given))}."
+                f"{what} must have one key in each joint's name; {len(own)} of "
+                f"{', '.join(map(repr, given))} are in {joint!r}."
             )
         found.append(given[own[0]])
     return found
@@ -153,11 +142,6 @@ class PDDrive(Drive):
         Time [s] from the log's command to its effect. ``"auto"`` estimates it.
     saturation : float, array-like of shape (nv,), dict or None, default=None
         Largest torque of a joint [N m or N]. Samples that reach it are left out.
-    gear : float or array-like of shape (nv,), default=1.0
-        Factor of the law's torque, where gains are those of the motor.
-    feedforward : bool, default=False
-        Whether a drive without ``v_desired`` takes the slope of ``q_desired`` for it,
-        and not zero.
     period : float, default=None
         Time [s] for which the drive holds a torque, at most the sample period: a loop
         at 1 kHz has 1e-3. What it makes of positions acts half of it late, which is
@@ -206,7 +190,7 @@ class PDDrive(Drive):
     beside = COMMANDS[1:]
     numbers = (
         "kp [N m/rad] and kd [N m s/rad] (not per degree, nor in units of the "
-        "firmware), gear, and the unit of the positions"
+        "firmware), and the unit of the positions"
     )
 
     def __init__(
@@ -216,16 +200,12 @@ class PDDrive(Drive):
         *,
         delay="auto",
         saturation=None,
-        gear=1.0,
-        feedforward=False,
         period=None,
     ):
         self.kp = kp
         self.kd = kd
         self.delay = delay
         self.saturation = saturation
-        self.gear = gear
-        self.feedforward = feedforward
         self.period = period
 
     @property
@@ -251,15 +231,11 @@ class PDDrive(Drive):
         """
         names = recording.joint_names
         aim = self._channel(recording, "q_desired", needed=True)
-        self._check_aim(aim, recording)
         kp, kd = self.law(names, recording)
         rate = self._channel(recording, "v_desired")
-        if rate is None and self.feedforward:
-            rate = interpolate(aim, recording.segments, _clock(recording), order=1)
         ahead = self._channel(recording, "tau_ff")
-        gear = self._number("gear", names, least=None)
         command = kp * aim + kd * (0.0 if rate is None else rate)
-        return command + gear * (0.0 if ahead is None else ahead)
+        return command + (0.0 if ahead is None else ahead)
 
     def driven(self, recording):
         """Return a recording of the torques that the law asks for; see `Drive`."""
@@ -279,19 +255,6 @@ class PDDrive(Drive):
         shares = [np.mean(np.broadcast_to(x, tau.shape), axis=0) for x in (kp, kd)]
         made = replace(recording, tau=tau, command=command, feedback=np.array(shares))
         return made if self.saturation is None else self._saturated(made)
-
-    def _check_aim(self, aim, recording):
-        """Refuse commands that do not vary where the joints move."""
-        travel = np.ptp(recording.q, axis=0)
-        moves = travel > _HELD * travel.max()
-        still = moves & (np.ptp(aim, axis=0) <= _STILL * travel)
-        if still[moves].all() and still.any():
-            joints = ", ".join(recording.joint_names[j] for j in np.flatnonzero(still))
-            raise ValueError(
-                f"q_desired is constant on every joint that moves: {joints}. Commands "
-                "of another time, or of another mode of the drive: record the "
-                "commands that the robot followed."
-            )
 
     def _saturated(self, recording):
         """Mark samples at the limit of torque, which the law does not tell."""
@@ -341,9 +304,8 @@ class PDDrive(Drive):
         return self._number("saturation", names, finite=False)
 
     def law(self, names, recording=None):
-        """Gains of position and velocity of joints, with the gear."""
-        gear = self._number("gear", names, least=None)
-        return tuple(gear * self._gain(one, names, recording) for one in ("kp", "kd"))
+        """Gains of position and velocity of joints."""
+        return tuple(self._gain(one, names, recording) for one in ("kp", "kd"))
 
     def _gain(self, name, joints, recording):
         """Gain, (nv,) or (n, nv), from the drive or the recording."""
@@ -370,44 +332,20 @@ class PDDrive(Drive):
         return np.clip(tau, -most, most)
 
 
-class _MotorDrive(Drive):
-    """What a motor was given, up to a torque constant that may be unknown."""
-
-    @property
-    def gains(self):
-        """Unknown, if the torque constant is."""
-        constant = self.torque_constant
-        if not isinstance(constant, str):
-            return None
-        if constant != "unknown":
-            raise ValueError(
-                f"{type(self).__name__}: torque_constant must be 'unknown' or numbers "
-                f"in N m/A; got {constant!r}."
-            )
-        return "unknown"
-
-    def _given(self, recording):
-        """Return what motors were given, (n, nv), in place of torques where need be."""
-        values = self._channel(recording, self.told)
-        return recording.tau if values is None else values
-
-
-class CurrentDrive(_MotorDrive):
+class CurrentDrive(Drive):
     r"""Motor currents, signed or as sizes.
 
-    .. math:: \tau = \mathrm{gear} \, k_t \, i
+    .. math:: \tau = k_t \, i
 
     Parameters
     ----------
     torque_constant : "unknown", float or array-like of shape (nv,), default="unknown"
-        Torque by current k_t [N m/A]. ``"unknown"`` does not change y and finds the
-        gains of the channels, as ``gains="unknown"`` does.
+        Torque of the joint by current, gear ratio included, k_t [N m/A]. ``"unknown"``
+        does not change y and finds the gains of the channels, as ``gains="unknown"``.
     signed : bool, default=True
         Whether currents have their sign. False for sizes, as some drives log them: the
         sign is then that of the torque of the model, and both signs in proportion to
         their probability where that is near zero; see Notes.
-    gear : float or array-like of shape (nv,), default=1.0
-        Ratio of the gear.
 
     Notes
     -----
@@ -422,17 +360,29 @@ class CurrentDrive(_MotorDrive):
     Examples
     --------
     >>> from sklearn_vbjfa.robot import CurrentDrive
-    >>> CurrentDrive(torque_constant=0.1, gear=50.0)
-    CurrentDrive(gear=50.0, torque_constant=0.1)
+    >>> CurrentDrive(torque_constant=5.0)
+    CurrentDrive(torque_constant=5.0)
     """
 
     told = "current"
     spelled = ("current", "motor_current", "present_current")
 
-    def __init__(self, torque_constant="unknown", *, signed=True, gear=1.0):
+    def __init__(self, torque_constant="unknown", *, signed=True):
         self.torque_constant = torque_constant
         self.signed = signed
-        self.gear = gear
+
+    @property
+    def gains(self):
+        """Unknown, if the torque constant is."""
+        constant = self.torque_constant
+        if not isinstance(constant, str):
+            return None
+        if constant != "unknown":
+            raise ValueError(
+                "CurrentDrive: torque_constant must be 'unknown' or numbers in N m/A; "
+                f"got {constant!r}."
+            )
+        return "unknown"
 
     @property
     def unsigned(self):
@@ -445,10 +395,11 @@ class CurrentDrive(_MotorDrive):
         Without channels ``current`` its torques are taken for currents. `command` is
         None until the signs are known.
         """
-        current = self._given(recording)
+        current = self._channel(recording, "current")
+        current = recording.tau if current is None else current
         if self.gains is None:
-            for name in ("torque_constant", "gear"):
-                current = self._number(name, recording.joint_names, None) * current
+            constant = self._number("torque_constant", recording.joint_names, None)
+            current = constant * current
         if self.signed:
             return replace(recording, tau=current, command=current)
         below = np.flatnonzero((current < 0).any(axis=0))
@@ -461,24 +412,18 @@ class CurrentDrive(_MotorDrive):
         return replace(recording, tau=current)
 
 
-class VoltageDrive(_MotorDrive):
+class VoltageDrive(Drive):
     r"""Motor voltage, or duty cycle times supply: hobby servos, Dynamixel in PWM mode.
 
-    .. math:: \tau = \frac{n k_t}{R} V - \frac{(n k_t)^2}{R} v
+    .. math:: \tau = \frac{k_t}{R} V - \frac{k_t^2}{R} v
+
+    Torques are in volts. Their gains are found, as with ``gains="unknown"``.
 
     Parameters
     ----------
-    torque_constant : "unknown", float or array-like of shape (nv,), default="unknown"
-        Torque by current of the motor k_t [N m/A]. ``"unknown"``: torques are in volts,
-        gains are found as with ``gains="unknown"``, and the back-EMF is part of the
-        viscous friction, of which it has the column.
-    resistance : float, array-like of shape (nv,), dict or None, default=None
-        Of the motor's winding R [ohm]; needed with a torque constant.
     supply : float, array-like of shape (nv,), dict or None, default=None
         Voltage of the supply, by which a duty cycle is multiplied; None takes the
         channel ``supply`` of the recording, or y for volts.
-    gear : float or array-like of shape (nv,), default=1.0
-        Ratio of the gear n.
 
     Notes
     -----
@@ -499,44 +444,25 @@ class VoltageDrive(_MotorDrive):
     """
 
     told = "voltage"
+    gains = "unknown"
     beside = ("supply",)
     spelled = ("voltage", "duty", "pwm", "pwm_duty", "present_pwm")
 
-    def __init__(
-        self, torque_constant="unknown", resistance=None, *, supply=None, gear=1.0
-    ):
-        self.torque_constant = torque_constant
-        self.resistance = resistance
+    def __init__(self, *, supply=None):
         self.supply = supply
-        self.gear = gear
 
     def driven(self, recording):
-        """Return a recording of the torques of the voltages; see `Drive`.
+        """Return a recording of the voltages; see `Drive`.
 
         Without channels ``voltage`` its torques are taken for voltages.
         """
-        volts, supply = self._given(recording), self._channel(recording, "supply")
+        volts = self._channel(recording, "voltage")
+        volts = recording.tau if volts is None else volts
+        supply = self._channel(recording, "supply")
         if self.supply is not None:
             supply = self._number("supply", recording.joint_names)
-        if supply is not None:
-            volts = volts * supply
-        if self.gains is not None:
-            return replace(recording, tau=volts, command=volts)
-        if self.resistance is None:
-            raise ValueError(
-                "VoltageDrive: a torque constant needs the resistance of the winding: "
-                "give resistance= in ohm, or torque_constant='unknown'."
-            )
-        constant, resistance, gear = (
-            self._number(name, recording.joint_names)
-            for name in ("torque_constant", "resistance", "gear")
-        )
-        if not (resistance > 0).all():
-            raise ValueError("VoltageDrive: resistance must be positive, in ohm.")
-        constant = gear * constant
-        command = constant / resistance * volts
-        tau = command - constant**2 / resistance * velocities(recording)
-        return replace(recording, tau=tau, command=command)
+        volts = volts if supply is None else volts * supply
+        return replace(recording, tau=volts, command=volts)
 
 
 def check_wait(delay, recording):

@@ -222,11 +222,6 @@ def _without_repeats(t, runs, notes):
 
 def _inspected(table, t, rows, dt, positions):
     """Return what the stamps of a segment show."""
-    if rows.size < 2:
-        raise ValueError(
-            f"{table.path}: the segment at {table.where(rows[0])} has one row "
-            "only; give it another label, or remove it."
-        )
     try:
         return inspect_time_stamps(
             t[rows], dt, lambda k: table.where(rows[k]), positions[rows]
@@ -290,11 +285,10 @@ def _irregularities(table, stamps, runs, dt):
 
 
 def on_one_grid(recordings, names, dt):
-    """Concatenate files whose periods are nearly dt [s], and name the others."""
-    # names: of the recordings in them, one after the other. Returns the array fields of
-    # a `Recording`, and the positions of the files that were interpolated.
-    pieces, names, moved, noise = [], iter(names), [], []
-    for k, one in enumerate(recordings):
+    """Concatenate files whose periods are nearly dt [s]; fields of a `Recording`."""
+    # names: of the recordings in them, one after the other.
+    pieces, names, powers, weights = [], iter(names), [], []
+    for one in recordings:
         channels, off_grid = _channels_of(one), []
         period = dt if abs(one.dt - dt) < SAME_DT * dt else one.dt
         for rows in one.segments:
@@ -302,16 +296,15 @@ def on_one_grid(recordings, names, dt):
             made, off = _pieces(next(names), t, _rows_of(channels, rows), dt)
             pieces += made
             off_grid += off
-        moved += [k] * bool(off_grid)
         # That of the torques as they came, where they were interpolated before.
-        size = one.torque_noise
-        if size is None and off_grid:
-            size = _white_noise(off_grid)
-        if size is not None:
-            noise.append((one.n_samples, size))
+        noise = one.torque_noise
+        if noise is None and off_grid:
+            noise = _white_noise(off_grid)
+        if noise is not None:
+            powers.append(noise**2)
+            weights.append(one.n_samples)
     fields = _fields(pieces, dt)
-    if noise:
-        weights, sizes = zip(*noise)
-        power = np.square(sizes)
-        fields["torque_noise"] = np.sqrt(np.average(power, axis=0, weights=weights))
-    return fields, moved
+    if powers:
+        noise = np.sqrt(np.average(powers, axis=0, weights=weights))
+        fields["torque_noise"] = noise
+    return fields

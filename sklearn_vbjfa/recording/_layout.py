@@ -130,15 +130,11 @@ def checked(columns, preset, dt, joint_names, gains, time_unit, drive, **others)
                 f"{name} must be one of {', '.join(known)}; got {value!r}."
             )
     if preset is not None and columns:
-        raise RecordingRefused(
-            "give columns or a preset, not both: a preset is a mapping.",
-            {"preset": None},
-        )
+        raise ValueError("give columns or a preset, not both: a preset is a mapping.")
     if drive is not None and gains is not None:
-        raise RecordingRefused(
+        raise ValueError(
             "gains are factors of columns of torques, and a drive has its own: leave "
-            "gains out (command line: --gain), or the drive.",
-            {"gains": None},
+            "gains out (command line: --gain), or the drive."
         )
     return ReadOptions(
         mapping={} if columns is None else parse_mapping(columns),
@@ -168,16 +164,13 @@ def _checked_gains(gains):
     """Return gains as a tuple of float, "unknown" or None."""
     if gains is None or (isinstance(gains, str) and gains == "unknown"):
         return gains
-    try:
-        found = tuple(float(x) for x in np.atleast_1d(gains))
-    except (TypeError, ValueError):
-        found = (0.0,)
-    if isinstance(gains, str) or not all(np.isfinite(x) and x != 0 for x in found):
+    found = np.atleast_1d(gains)
+    if found.dtype.kind not in "iuf" or not np.isfinite(found).all() or 0 in found:
         raise ValueError(
             f"gains must be a factor for each joint, finite and not 0, or 'unknown'; "
             f"got {gains!r}."
         )
-    return found
+    return tuple(map(float, found))
 
 
 def parse_mapping(text) -> dict[str, str]:
@@ -214,8 +207,6 @@ def split_key(key):
     return kind, int(suffix) if suffix.isdecimal() else suffix
 
 
-# A motor's own estimate of its torque, where there is no other.
-ESTIMATES, _ESTIMATED = ("tau_est", "tauest"), "estimate"
 # Columns that can only be time, where none is called t.
 _TIMES = {"t", "time", "timestamp", "stamp", "__time", "%time"}
 # How the parts of a ROS stamp are called.
@@ -239,7 +230,6 @@ class Role:
     column: str  # its name
     unit: str = ""  # empty if nothing tells
     nanoseconds: str = ""  # column of those within the seconds of this one
-    prefix: str = ""  # text that * stands for in the pattern
 
     @property
     def columns(self):
@@ -279,8 +269,7 @@ def laid_out(table: Table, options, robot) -> Layout:
     plain = by_names(table, (*robot.names, *table.joints), options.kinds, options.drive)
     if options.mapping:
         if options.drive is not None:
-            rest = list(_by_preset(table, options, robot, plain).values())
-            plain = rest[0] if len(rest) == 1 else plain
+            plain = _by_preset(table, options, robot, plain) or plain
         return _by_mapping(table, options.mapping, plain)
     if table.nameless:
         n = len(robot.names) or 6
@@ -295,28 +284,16 @@ def laid_out(table: Table, options, robot) -> Layout:
     if options.preset is None and plain.kinds & set(options.kinds[:2]):
         return plain
     fitted = _by_preset(table, options, robot, plain)
-    if len(fitted) > 1:
-        raise RecordingRefused(
-            f"{table.path}: could be {' or '.join(x.what for x in fitted.values())}; "
-            f"give preset={' or '.join(map(repr, fitted))}.",
-            {"preset": next(iter(fitted))},
-        )
-    if not fitted and options.preset is not None:
+    if fitted is None and options.preset is not None:
         expected = [f"{x.q} and {x.tau}" for x in PRESETS[options.preset]]
         raise RecordingRefused(
             f"{table.path}: does not fit the preset {options.preset!r}, which expects "
             f"columns {' or '.join(expected)}; found {listed(table.names)}."
         )
-    return next(iter(fitted.values()), plain)
+    return fitted or plain
 
 
 # -- by names --------------------------------------------------------------------------
-
-
-def name_and_unit(table: Table, column: str) -> tuple[str, str]:
-    """Return a column's name without the unit that stands with it, and that unit."""
-    bare, unit = split_unit(column)
-    return (bare, unit) if unit else (column, table.units.get(column, ""))
 
 
 def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
@@ -324,38 +301,33 @@ def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
     # drive: what is recorded in place of torques.
     kinds = dict.fromkeys((*kinds, *KINDS))
     begins = [(x, kind) for kind in kinds for x in (kind, *COMMAND_NAMES.get(kind, ()))]
-    if drive is None:
-        begins += [(x, _ESTIMATED) for x in ESTIMATES]
-    else:
+    if drive is not None:
         begins += [("dq", "v"), *((x, "tau") for x in drive.spelled)]
     # The longest first: q_desired is no q.
     begins.sort(key=lambda x: -len(x[0]))
     clocks = _clocks_of_two(table)
     parts = {name for clock in clocks for name in clock.columns}
-    found = [_named(table, x, begins, joints) for x in table.names if x not in parts]
+    found = [_named(x, begins, joints) for x in table.names if x not in parts]
     roles = [role for role in found if role is not None]
     times = [role for role in roles if role.kind == "t"]
-    exact = [role for role in times if is_exact(table, role)]
+    exact = [role for role in times if is_exact(role)]
     if exact:
         roles = [role for role in roles if role.kind != "t" or role in exact]
     elif not times and len(clocks) == 1:
         roles += clocks
-    if any(role.kind == "tau" for role in roles):
-        roles = [role for role in roles if role.kind != _ESTIMATED]
-    roles = [replace(x, kind="tau") if x.kind == _ESTIMATED else x for x in roles]
     return Layout(roles=tuple(roles))
 
 
-def is_exact(table, role):
+def is_exact(role):
     """Return whether a column of time is called t."""
-    return name_and_unit(table, role.column)[0].lower() == "t"
+    return split_unit(role.column)[0].lower() == "t"
 
 
-def _named(table, column, begins, joints):
+def _named(column, begins, joints):
     """Return the role that the name of a column says, None for none."""
     # begins: pairs of the beginning of a name and a kind.
     name = _in_letters(column)
-    bare, unit = (_in_letters(x) for x in name_and_unit(table, column))
+    bare, unit = (_in_letters(x) for x in split_unit(column))
     forms = [(bare, unit), *[split_last_part(bare, "t")] * (not unit)]
     for text, in_text in forms:
         if text.lower() in _TIMES:
@@ -365,14 +337,13 @@ def _named(table, column, begins, joints):
     for begin, kind in begins:
         if not name.lower().startswith(begin):
             continue
-        measured = "tau" if kind == _ESTIMATED else kind
         # The whole name may end with a joint that is called like a unit.
         forms = [(name, unit if bare == name else ""), (bare, unit)]
-        forms += [split_last_part(bare, measured)] * (not unit)
+        forms += [split_last_part(bare, kind)] * (not unit)
         for text, in_text in forms:
             key = _key_of(text, begin, joints)
             if not key and text.lower() == begin:
-                key = 1 if not in_text or unit_of(measured, in_text) else None
+                key = 1 if not in_text or unit_of(kind, in_text) else None
             if key not in (None, ""):
                 return Role(kind=kind, key=key, column=column, unit=in_text)
     return None
@@ -413,8 +384,8 @@ def channel_unit(table: Table, role: Role) -> Unit | None:
         raise ValueError(
             f"{table.path}: column {role.column!r} is in {role.unit!r}, which is not a "
             f"known unit of {role.kind}; expected "
-            f"{EXPECTED[MEASURED.get(role.kind, role.kind)]}. Convert it, or correct "
-            "the name."
+            f"{EXPECTED.get(MEASURED.get(role.kind, role.kind), 'none')}. Convert it, "
+            "or correct the name."
         )
     return unit
 
@@ -422,22 +393,19 @@ def channel_unit(table: Table, role: Role) -> Unit | None:
 # -- by patterns -----------------------------------------------------------------------
 
 
-def matches(pattern: str, table: Table, kind: str, *, unit_in_name=True) -> list[Role]:
+def matches(pattern: str, table: Table, kind: str) -> list[Role]:
     """Return the columns that fit a pattern."""
     # {i} is a number, {joint} and * are anything. A unit at the end of the name counts
-    # with it or without, one before the number too where `unit_in_name`.
+    # with it or without.
     bare, unit = split_unit(pattern)
     if table.nameless:
         return _in_places(bare, unit, table, kind)
-    written = unit
-    if unit_in_name and not unit and bare.endswith("_{i}"):
-        unit = split_last_part(bare.removesuffix("_{i}"), kind)[1]
     expression, without = _expression(pattern), _expression(bare)
     found = []
     for name in table.names:
-        stripped, in_name = name_and_unit(table, name)
+        stripped, in_name = split_unit(name)
         match = expression.fullmatch(name) or without.fullmatch(stripped)
-        if match is None or (in_name and written and in_name != written):
+        if match is None or (in_name and unit and in_name != unit):
             continue
         groups = match.groupdict()
         found.append(
@@ -446,7 +414,6 @@ def matches(pattern: str, table: Table, kind: str, *, unit_in_name=True) -> list
                 key=groups.get("joint") or int(groups.get("i", 1)),
                 column=name,
                 unit=in_name or unit,
-                prefix=groups.get("any", ""),
             )
         )
     return found
@@ -485,12 +452,11 @@ def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
             f"{table.path}: has no column {', '.join(missing)}, which columns asks "
             f"for; found {listed(table.names)}"
         )
-    owner = _owners(table, mapping, found)
+    owner = _owners(table, found)
     roles = [
         replace(role, key=split_key(key)[1] or role.key)
         for key, matched in found.items()
         for role in matched
-        if owner[role.column] == key
     ]
     kinds = {role.kind for role in roles}
     taken = {role.kind for role in plain.roles if role.column in owner}
@@ -508,21 +474,17 @@ def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     return replace(plain, roles=tuple(roles), no_signals=no_signals, certain=True)
 
 
-def _owners(table, mapping, found):
+def _owners(table, found):
     """Return the key of a mapping for each column that fits one."""
-    # Of patterns that fit the same column, the one counts that spells out more of it.
-    marks = re.compile(r"\{i\}|\{joint\}|\*")
-    spelled = {key: len(marks.sub("", x)) for key, x in mapping.items()}
     owner: dict[str, str] = {}
     for key, matched in found.items():
         for role in matched:
             other = owner.setdefault(role.column, key)
-            if other != key and spelled[other] == spelled[key]:
+            if other != key:
                 raise RecordingRefused(
                     f"{table.path}: columns names {role.column!r} twice, for {other} "
                     f"and {key}; each column is one channel"
                 )
-            owner[role.column] = max(other, key, key=spelled.get)
     return owner
 
 
@@ -530,43 +492,33 @@ def _owners(table, mapping, found):
 
 
 def _by_preset(table: Table, options, robot, plain):
-    """Return the layouts of known logs that the columns fit, by preset."""
-    found = {}
-    for preset, logs in PRESETS.items():
-        if options.preset in (None, preset):
-            fitted = (_fitted(table, x, plain, robot, options.recorded) for x in logs)
-            layout = next((x for x in fitted if x is not None), None)
-            if layout is not None:
-                found[preset] = layout
-    return found
+    """Return the layout of the first known log that the columns fit, or None."""
+    names = PRESETS if options.preset is None else [options.preset]
+    logs = [log for name in names for log in PRESETS[name]]
+    fitted = (_fitted(table, x, plain, robot, options.recorded) for x in logs)
+    return next((x for x in fitted if x is not None), None)
 
 
 def _fitted(table, log, plain, robot, recorded):
     """Lay out columns as in a known log; None if they are not those."""
     patterns = {"q": log.q, "tau": log.tau, "v": log.v, **log.commands}
     found = {
-        kind: matches(patterns[kind], table, kind, unit_in_name=False)
+        kind: matches(patterns[kind], table, kind)
         for kind in ("q", "v", *recorded)
         if patterns.get(kind)
     }
     first = recorded[0]
-    if first not in found:
+    if log.motors and robot.names:
+        # A message has a place for more motors than most robots have.
+        n = len(robot.names)
+        found = {kind: [x for x in own if x.key < n] for kind, own in found.items()}
+    keys = {kind: [x.key for x in roles] for kind, roles in found.items()}
+    shared = set(keys["q"]) & set(keys.get(first, ()))
+    if not shared or any(len(set(x)) < len(x) for x in keys.values()):
         return None
-    states = {role.prefix for role in found["q"]}
-    for kind in log.commands.keys() & found.keys():
-        # Commands are messages of a different name.
-        if len(states) == 1 == len({role.prefix for role in found[kind]}):
-            found[kind] = [replace(x, prefix=min(states)) for x in found[kind]]
-    if log.motors:
-        found = _moving(table, found, len(robot.names))
-    pairs = {kind: {(x.prefix, x.key) for x in roles} for kind, roles in found.items()}
-    shared = pairs["q"] & pairs[first]
-    if len({prefix for prefix, _ in shared}) != 1:
+    if "{joint}" in log.q and robot.names and not shared & set(robot.names):
         return None
-    prefix, keys = min(shared)[0], {key for _, key in shared}
-    if "{joint}" in log.q and robot.names and not keys & set(robot.names):
-        return None
-    times = _times(table, log, prefix) or plain.of("t")
+    times = _times(table, log) or plain.of("t")
     if not times and not log.commands:
         return None
     names = _joint_names(table, log, robot)
@@ -579,9 +531,8 @@ def _fitted(table, log, plain, robot, recorded):
             unit=role.unit or (log.motor_unit if kind == "tau" else ""),
         )
         for kind, matched in found.items()
-        if kind in ("q", first) or pairs[kind] >= shared
+        if kind in ("q", first) or shared <= {*keys[kind]}
         for role in matched
-        if role.prefix == prefix
     ]
     if log.segment in table.frame:
         roles.append(Role(kind="segment", column=log.segment))
@@ -594,33 +545,15 @@ def _fitted(table, log, plain, robot, recorded):
     )
 
 
-def _moving(table, found, count):
-    """Leave out numbered motors beyond those of the robot, which never move."""
-    # A message has a place for more motors than most robots have.
-    numbers = sorted({x.key for x in found["q"]})
-    still = {x.key for x in found["q"] if not np.any(table.values(x.column))}
-    while numbers and numbers[-1] in still and len(numbers) > max(count, 1):
-        numbers.pop()
-    return {
-        kind: [x for x in roles if x.key in numbers] for kind, roles in found.items()
-    }
-
-
-def _times(table, log, prefix):
+def _times(table, log):
     """Return the columns of time that a known log has here."""
     found = []
     for name in log.times:
-        bare, unit = split_unit(name)
-        parts = [part.replace("*", prefix) for part in bare.split("+")]
-        if all(part in table.frame for part in parts):
-            found.append(
-                Role(
-                    kind="t",
-                    column=parts[0],
-                    unit=unit or "s",
-                    nanoseconds="".join(parts[1:]),
-                )
-            )
+        seconds, _, rest = name.partition("+")
+        roles = matches(seconds, table, "t")
+        if len(roles) == 1 and (not rest or rest in table.frame):
+            unit = roles[0].unit or "s"
+            found.append(replace(roles[0], unit=unit, nanoseconds=rest))
     return tuple(found)
 
 
@@ -664,7 +597,7 @@ def in_order(table: Table, layout, options, robot, notes):
     """Return the roles of each kind in the order of the joints, and the robot."""
     robot = replace(robot, names=robot.names or layout.joints)
     channels, _ = channels_of(layout, options, robot)
-    by_key = {k: _by_key(table, x, robot.names) for k, x in channels.items()}
+    by_key = {k: _by_key(table, x) for k, x in channels.items()}
     having = {key for roles in by_key.values() for key in roles}
     if any(isinstance(key, str) for key in having):
         others = [x for x in layout.joints if x not in robot.names]
@@ -693,18 +626,12 @@ def in_order(table: Table, layout, options, robot, notes):
     return found, robot
 
 
-def _by_key(table, roles, names):
-    """Return the roles of a channel by number or joint; refuse two for one joint."""
+def _by_key(table, roles):
+    """Return the roles of a channel by number or joint; refuse two for one."""
     found: dict = {}
     for role in roles:
         other = found.setdefault(role.key, role)
         refuse_two(table, other.column, role.column)
-    named = [key for key in found if isinstance(key, str)]
-    numbers = [key for key in found if isinstance(key, int)]
-    if named and numbers:
-        number = names.index(named[0]) + 1
-        other = found.get(number, found[numbers[0]])
-        refuse_two(table, found[named[0]].column, other.column)
     return found
 
 

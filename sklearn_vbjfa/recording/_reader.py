@@ -22,11 +22,11 @@ from sklearn_vbjfa.recording._table import (
     NotATable,
     RecordingRefused,
     Table,
-    is_clock,
     is_current,
     kinds_in,
     listed,
     pandas_of,
+    split_unit,
 )
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
@@ -88,7 +88,6 @@ def joined(tables, joints, path) -> Table:
         frame=pandas_of(path).DataFrame(columns, index=frame.index),
         place=f"{base.table.place} of {base.name}",
         scalars={key: x for one in used for key, x in one.scalars.items()},
-        units={key: x for one in used for key, x in one.units.items()},
         joints=next((x.joints for x in used if x.joints), ()),
         notes=(*(f"{x.path.name}: {y}" for x in used for y in x.notes), *notes),
     )
@@ -132,10 +131,9 @@ def _part(table: Table, joints):
     plain = by_names(table, joints)
     time = next(iter(plain.of("t")), None)
     if table.nameless:
-        n, first = len(table.names), kind == "t"
         # Time may stand before the columns of the joints.
-        if not first and n > 1 and n != len(joints):
-            first = is_clock(table.values("1"))
+        n = len(table.names)
+        first = kind == "t" or n == len(joints) + 1
         time = Role(kind="t", column="t") if first else None
         names = {str(k + 1): f"{kind}{k + 1 - first}" for k in range(n)}
         names |= {"1": "t"} if first else {}
@@ -144,11 +142,11 @@ def _part(table: Table, joints):
     else:
         stamps = () if time is None else time.columns
         names = _names([x for x in table.names if x not in stamps], kind, joints)
-    units = {names.get(key, key): x for key, x in table.units.items()}
-    if is_current(table.path.stem):
-        units |= {x: "A" for x in names.values() if x not in units and x != "t"}
+    for old, new in names.items():
+        unit = split_unit(old)[1] or ("A" if is_current(table.path.stem) else "")
+        names[old] = f"{new} [{unit}]" if unit and new != "t" else new
     frame = table.frame.rename(columns=names)
-    table = replace(table, frame=frame, units=units, nameless=False)
+    table = replace(table, frame=frame, nameless=False)
     return _Part(table=table, kind=kind if names else "", time=time)
 
 
@@ -227,7 +225,6 @@ def read_recording(
     dt: float | None = None,
     urdf: str | PathLike | None = None,
     joint_names: tuple[str, ...] | None = None,
-    name: str | None = None,
     columns: str | dict[str, str] | None = None,
     preset: str | None = None,
     topic: str | None = None,
@@ -256,8 +253,6 @@ def read_recording(
     joint_names : sequence of str, default=None
         Joints in the order of the columns; the others of `urdf`, such as wheels and
         fingers, are held at zero. None takes all of `urdf`, or joint_1, ...
-    name : str, default=None
-        Name of the recording; None is that of the file, or of the folder of several.
     columns : str or dict of str to str, default=None
         Columns by channel, such as
         "q=actual_q_{i},tau=actual_current_{i},t=timestamp": {i} is the number of a
@@ -287,7 +282,7 @@ def read_recording(
     recording : Recording
         On a uniform time grid, in the units and joint order of the package. Other
         numeric columns are in `signals`, accelerations as "a", and the channels of a
-        `drive`; `left_out` says what is wrong with other columns.
+        `drive`.
 
     Raises
     ------
@@ -353,7 +348,6 @@ def read_recording(
     recording = files[0].recording
     if len(files) > 1 or not (join or isinstance(path, (str, PathLike))):
         recording = _concatenated(files, notes)
-    recording = replace(recording, name=name) if name else recording
     if options.drive is not None:
         recording = _driven(recording, options.drive, files)
     for note in notes:
@@ -506,59 +500,39 @@ def _concatenated(files, notes):
     """Return the recording of all files."""
     _check_agreement(files)
     recordings = [file.recording for file in files]
-    left_out = {
-        key: f"{reason} ({file.path})"
-        for file in reversed(files)
-        for key, reason in file.recording.left_out.items()
-    }
     everywhere = set.intersection(*(set(x.signals) for x in recordings))
     some = [x for one in recordings for x in one.signals if x not in everywhere]
-    missing = [x for x in dict.fromkeys(some) if x not in left_out]
-    for key in missing:
-        without = [x.path for x in files if key not in x.recording.signals]
-        left_out[key] = f"is missing in {_shortly(without)}"
-    if missing:
+    if some:
         notes.append(
-            f"column(s) {listed(missing)} are not in all files and are left out."
+            f"column(s) {listed(dict.fromkeys(some))} are not in all files and are "
+            "left out."
         )
     recordings = [
         replace(one, signals={k: x for k, x in one.signals.items() if k in everywhere})
         for one in recordings
     ]
     dt = median_low([x.dt for x in recordings])
-    fields, moved = on_one_grid(recordings, _group_names(files), dt)
-    if moved:
-        notes.append(
-            f"{_shortly(files[k].path for k in moved)}: interpolated to the sample "
-            f"period of the others, {dt:.6g} s."
-        )
+    fields = on_one_grid(recordings, _group_names(files), dt)
     return replace(
         recordings[0],
         name=common_folder([x.path for x in files]) or recordings[0].name,
-        left_out=left_out,
         description=f"Read from {listed([x.path.name for x in files])}.",
         **fields,
     )
 
 
 def _check_agreement(files):
-    """Refuse files of other robots, that were not recorded alike, or are copies."""
-    dts = [file.recording.dt for file in files]
-    for k, file in enumerate(files):
-        for other in files[:k]:
-            for one, two in zip(_traits(other.recording), _traits(file.recording)):
-                if one != two:
-                    raise ValueError(
-                        f"{other.path} has {one} and {file.path} has {two}; expected "
-                        "files with the same joints and channels: correct one of "
-                        "them, or process them separately."
-                    )
-            # Their evidence would count twice.
-            a, b = file.recording, other.recording
-            if np.array_equal(a.q, b.q) and np.array_equal(a.tau, b.tau):
+    """Refuse files of other robots, or that were not recorded alike."""
+    first = files[0]
+    for file in files:
+        for one, two in zip(_traits(first.recording), _traits(file.recording)):
+            if one != two:
                 raise ValueError(
-                    f"{file.path} is a copy of {other.path}; leave one of them out."
+                    f"{first.path} has {one} and {file.path} has {two}; expected files "
+                    "with the same joints and channels: correct one of them, or "
+                    "process them separately."
                 )
+    dts = [file.recording.dt for file in files]
     if max(dts) > (1 + _DT_TOLERANCE) * min(dts):
         fast, slow = (files[dts.index(x)].path for x in (min(dts), max(dts)))
         raise ValueError(

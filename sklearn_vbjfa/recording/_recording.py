@@ -146,8 +146,6 @@ class Recording:
     before : tuple of ndarray of shape (k, nv), default=()
         Positions before each segment, if these are pieces of longer recordings, on
         which friction with memory depends. Empty if they are unknown.
-    left_out : mapping of str to str, default={}
-        Other columns of a file that are none of `signals`, and why.
     joints_named : bool, default=False
         Whether the columns of the file carry the names of the joints.
     urdf : str or None, default=None
@@ -180,7 +178,6 @@ class Recording:
     feedback: np.ndarray | None = None
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
     before: tuple[np.ndarray, ...] = ()
-    left_out: Mapping[str, str] = field(default_factory=dict)
     joints_named: bool = False
     urdf: str | None = None
     source: str = ""
@@ -518,8 +515,6 @@ _SAME, _OTHER = 0.03, 0.5
 _ALIKE, _LEAST = 3.0, 1e-3
 # A joint moves if its speed is this share of that of the fastest.
 _MOVES = 0.02
-# A signal is a command if it has this correlation with a position.
-_FOLLOWS = 0.95
 # A motion repeats if it is there more often than this.
 _AGAIN = 1.5
 # Share of the shorter of two recordings in which they are compared.
@@ -573,23 +568,9 @@ class Repetition:
         return motion, phase
 
 
-def commands_among(signals, q):
-    """Return the signals (n, m) that follow a position (n, nv), as commands do."""
-    found = []
-    away = q - q.mean(axis=0)
-    for x in signals.values():
-        if np.isfinite(x).all() and np.ptp(x) > 0:
-            x0 = x - x.mean()
-            with np.errstate(divide="ignore", invalid="ignore"):
-                alike = x0 @ away / np.linalg.norm(x0) / np.linalg.norm(away, axis=0)
-            found += [x] * bool((np.abs(alike) > _FOLLOWS).any())
-    return np.array(found).T if found else np.empty((len(q), 0))
-
-
 def find_repetition(q, t, parts):
     """Look for motion that repeats in positions (n, nv); false if nothing does."""
-    # q: measured, or commanded ones, at times t (n,) [s]; parts: slices of the
-    # recordings.
+    # q: at times t (n,) [s]; parts: slices of the recordings.
     seconds = np.array([np.ptp(t[part]) for part in parts])
     rows = sum(part.stop - part.start for part in parts)
     step = max(_STEP, seconds.sum() / _MOST, seconds.sum() / max(rows, 1))

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,12 +16,8 @@ _COPY = 0.95
 # follow the motion, with a lag and an error. (A slow signal has half of a
 # slow position by chance, in a short recording.)
 _FOLLOWS = 0.8
-# What the first is called.
-_COPIED = "under another name"
-# Units of a clock: seconds, their thousandths to billionths, minutes, hours.
-_CLOCKS = (1.0, 1e3, 1e6, 1e9, 1 / 60, 1 / 3600)
-# What quartz deviates at most from another one.
-_CLOCK_TOLERANCE = 1e-4
+# A clock is linear in time but for this share of its variance: jitter and rounding.
+_CLOCK = 1e-6
 # Differences of equal values by rounding, as a share of the value.
 _ROUNDING = 1e-12
 
@@ -84,8 +80,6 @@ class OfferedSignals:
     """Columns that came with the motion and that nobody asked for by name."""
 
     columns: Mapping = field(default_factory=dict)  # as they were read, numbers or not
-    # those that are known not to be usable: what is wrong with them
-    left_out: Mapping = field(default_factory=dict)
 
     @classmethod
     def of_file(cls, recording):
@@ -96,13 +90,11 @@ class OfferedSignals:
                 columns[name] = values
             elif name not in ("a", *COMMANDS, *OF_MOTORS):
                 columns |= {f"{name}{k + 1}": x for k, x in enumerate(values.T)}
-        return cls(columns=columns, left_out=recording.left_out)
+        return cls(columns=columns)
 
     def column(self, name, n_samples):
         """Return a column that somebody asked for, or say why that cannot be."""
-        values, reason = None, self.left_out.get(name)
-        if reason is None:
-            values, reason = as_numbers(self.columns[name], n_samples)
+        values, reason = as_numbers(self.columns[name], n_samples)
         if reason:
             raise ValueError(f"The column {name!r} {reason}.")
         return values
@@ -115,7 +107,7 @@ class OfferedSignals:
     @property
     def names(self):
         """Names of all columns, tuple of str."""
-        return (*self.columns, *self.left_out)
+        return tuple(self.columns)
 
 
 def as_numbers(values, n_samples):
@@ -209,13 +201,13 @@ def check_useful(given, recording):
 
 def survey(given, offered, recording, effects):
     """Choose the signals of a recording that a search for effects may use."""
-    # Returns a dict of arrays (n_samples,), and a `ChannelFinding` for each of those
-    # `offered` that are left out. Of those asked for by name, by the caller or by an
-    # effect, none is: they are refused.
+    # Returns a dict of arrays (n_samples,), and a `ChannelFinding` on those `offered`
+    # that are left out. Of those asked for by name, by the caller or by an effect, none
+    # is: they are refused.
     n_samples = recording.n_samples
     found, wanted, offered = _asked_for(effects, given, offered, n_samples)
     check_useful(found, recording)
-    reasons = {k: v for k, v in offered.left_out.items() if k not in wanted}
+    reasons = {}
     for name in (x for x in offered.columns if x not in wanted):
         values, reason = as_numbers(offered.columns[name], n_samples)
         reason = reason or fault(values, recording, _FOLLOWS)
@@ -227,30 +219,14 @@ def survey(given, offered, recording, effects):
     if users and all(effect.recorded for effect in users):
         # Each names the one that it is meant for.
         found = {name: found[name] for name in found if name in wanted}
-    findings = [
-        ChannelFinding(
-            # What is known already is not left out.
-            kind="copied_signal" if _COPIED in reason else "unusable_signal",
-            joints=(),
-            severity="note",
-            message=f"The column {name!r} is not used as a signal: it {reason}.",
-        )
-        for name, reason in reasons.items()
-    ]
-    return found, _together(findings, [x for x in reasons if _COPIED in reasons[x]])
-
-
-def _together(findings, copies):
-    """Return findings, with one on all copies, such as the commands of every joint."""
-    if len(copies) < 2:
-        return tuple(findings)
+    if not reasons:
+        return found, ()
+    told = [f"{name!r} {reason}" for name, reason in reasons.items()]
     message = (
-        f"The columns {', '.join(map(repr, copies))} are not used as signals: they are "
-        "positions, velocities or torques under other names."
+        f"Column(s) {', '.join(map(repr, reasons))} are not used as signals: "
+        f"{'; '.join(told)}."
     )
-    others = [one for one in findings if one.kind != "copied_signal"]
-    first = next(one for one in findings if one.kind == "copied_signal")
-    return (*others, replace(first, message=message))
+    return found, (ChannelFinding("unusable_signal", (), "note", message),)
 
 
 # -- what is no condition of the robot -------------------------------------------------
@@ -269,7 +245,7 @@ def fault(values, recording, share=_COPY):
         return ""
     amount = f"{100 * explained:.3g} % of its variance"
     if explained >= _COPY:
-        return f"is the {channel} {_COPIED}: {amount} but for a factor and an offset"
+        return f"is the {channel} under another name: {amount}, times a factor"
     return (
         f"follows the {channel}, which has {amount}, as a reference or a current does; "
         "ask for it by name if it is neither"
@@ -330,30 +306,13 @@ def _shared(x, y):
 
 def _is_clock(values, recording):
     """Return whether a column counts time, or rows, in each recording."""
-    t = recording.clock(stamped=False) if recording.t is None else recording.t
-    if t is None:
-        return False
-    period = recording.dt or float(np.median(np.diff(t)))
-    slopes, wander = [], 0.0
-    for part in recording.segments:
-        time, x = (column[part] - column[part].mean() for column in (t, values))
-        if time.any():
-            slopes.append((time @ x) / (time @ time))
-            wander = max(wander, np.abs(x - slopes[-1] * time).max())
-    return any(
-        np.abs(np.array(slopes) / unit - 1).max() <= _CLOCK_TOLERANCE
-        and wander <= unit * period
-        for unit in (*_CLOCKS, 1 / period)
-        if slopes
-    )
+    t = np.arange(values.size) if recording.t is None else recording.t
+    return all(_shared(values[x], t[x]) > 1 - _CLOCK for x in recording.segments)
 
 
 _NUMBERED = re.compile(r"([a-z]+?)_?(\d+)")
-# Columns that say when and in which recording, and where they are to be given.
-_NOT_HERE = dict.fromkeys(("t", "time"), "is time: give it as t")
-_NOT_HERE |= dict.fromkeys(
-    ("segment", "group", "groups"), "labels recordings: give it as groups"
-)
+# Columns that say when and in which recording: arguments of their own.
+_NOT_HERE = ("t", "time", "segment", "group", "groups")
 
 
 def positions_in_order(X, names):
@@ -373,22 +332,13 @@ def carries_names(X, names):
 
 def columns_beside(X, names):
     """Return the other columns of a data frame X, `OfferedSignals`."""
-    # Time, labels of recordings and other channels of joints are no signals; they are
-    # among those left out. Empty for what has no names.
-    columns = _columns_of(X)
-    found = _by_kind(columns, names, "q")
+    # Time, labels of recordings and other channels of joints are no signals. Empty for
+    # what has no names.
+    found = _by_kind(_columns_of(X), names, "q")
     channels = {column for group in found.values() for column in group}
-    rest = [x for x in columns if x not in channels and x.lower() not in _NOT_HERE]
-    if "q" not in found or not rest:
-        return OfferedSignals()
-    others = {
-        column: _NOT_HERE.get(column.lower(), "belongs to a joint")
-        for column in columns
-        if column not in rest and column not in _states(found)
-    }
-    return OfferedSignals(
-        columns={name: X[name].to_numpy() for name in rest}, left_out=others
-    )
+    rest = [x for x in _columns_of(X) if x not in channels]
+    rest = [x for x in rest if "q" in found and x.lower() not in _NOT_HERE]
+    return OfferedSignals(columns={name: X[name].to_numpy() for name in rest})
 
 
 def torques_in_order(y, names):

@@ -63,7 +63,6 @@ class Table:
     place: str = "row {}"  # a row in messages
     # single values, and arrays of another length
     scalars: Mapping[str, np.ndarray] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)  # from a row of units
     # joints whose columns are called q_<joint> and tau_<joint> for certain
     joints: tuple[str, ...] = ()
     nameless: bool = False  # columns are called by their places, from "1" on
@@ -138,11 +137,6 @@ def parsing(path, what, remedy):
             "recording, or this one again."
         ) from error
     except Exception as error:
-        if re.search("allow_pickle|Python objects", str(error)):
-            raise RecordingRefused(
-                f"{path}: holds Python objects and not numbers, which are not loaded; "
-                "save numeric arrays with numpy.savez(FILE, t=t, q=q, tau=tau)."
-            ) from error
         # rosbags quotes what an error held as a tuple.
         reason = re.sub(r"\(['\"](.*?)['\"],\)", r"\1", " ".join(str(error).split()))
         reason = reason.rstrip(".")[:200] or type(error).__name__
@@ -217,11 +211,8 @@ KINDS = ("q", "tau", "v", "a")
 MEASURED = {"q_desired": "q", "v_desired": "v", "tau_ff": "tau"}
 # What one may write for a time, where a unit is asked for, in seconds.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-# A clock steps by this many seconds, and is this near to a straight line, as a share of
-# what it rises.
-_FASTEST, _SLOWEST, _STRAIGHT = 2e-5, 1.0, 0.02
-# Units of channels that are neither motion nor torque, for a row of units.
-_OTHERS = ("1", "-", "°C", "C", "K", "degC", "bar", "Pa", "kPa", "Hz", "kg", "W", "Ohm")
+# Periods of robots that move [s].
+_FASTEST, _SLOWEST = 2e-5, 1.0
 _DEGREE, _TURN = np.pi / 180, 2 * np.pi
 
 
@@ -278,12 +269,6 @@ _BY_BASE = {
         | _sizes("us µs μs usec microseconds=1e-6 min minutes=60")
         | _sizes("ns nsec nanosecond nanoseconds=1e-9")
     },
-    "supply": {"V": _sizes("V volt volts=1 mV=1e-3")},
-    "kp": {"N m/rad": {"Nm/rad": 1.0, "Nm/deg": 1 / _DEGREE}, "N/m": {"N/m": 1.0}},
-    "kd": {
-        "N m s/rad": {"Nms/rad": 1.0, "Nm/(rad/s)": 1.0, "Nms/deg": 1 / _DEGREE},
-        "N s/m": {"Ns/m": 1.0},
-    },
 }
 _UNITS = {
     kind: {
@@ -300,9 +285,6 @@ EXPECTED = {
     "a": "rad/s^2, deg/s^2 or m/s^2",
     "tau": "Nm, N, A, V or %",
     "t": "s, ms, us or ns",
-    "supply": "V or mV",
-    "kp": "Nm/rad or N/m",
-    "kd": "Nms/rad or Ns/m",
 }
 _IN_BRACKETS = re.compile(r"(.*?)\s*(?:\[([^][]*)\]|\(([^()]*)\)|\s/\s*(\S+))")
 _LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
@@ -311,19 +293,13 @@ _LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
 def unit_of(kind: str, text: str) -> Unit | None:
     """Return the unit of a channel of a kind (q, v, a, tau, t), None if unknown."""
     plain = re.sub(r"[\s*·.⋅]|(?<=N)-(?=m)", "", text.strip())
-    known = _UNITS[MEASURED.get(kind, kind)]
+    known = _UNITS.get(MEASURED.get(kind, kind), {})
     if plain in known:
         return known[plain]
     # Capitals matter for milli and mega, ampere and atto; words may have any.
     if len(plain) > 2 and plain.lower() in known:
         return known[plain.lower()]
     return known["Nm"] if kind == "tau" and plain.lower() == "nm" else None
-
-
-def is_unit(text: str) -> bool:
-    """Whether a text is some unit, with or without brackets."""
-    text = text.strip("[]() ")
-    return any(unit_of(kind, text) for kind in (*KINDS, "t")) or text in _OTHERS
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -347,19 +323,6 @@ def split_last_part(name: str, kind: str) -> tuple[str, str]:
 
 
 # -- units of time ---------------------------------------------------------------------
-
-
-def is_clock(values):
-    """Whether a column rises steadily, at steps that are those of a robot."""
-    if values.dtype.kind not in "iuf" or values.size < 3:
-        return False
-    values = values.astype(float)
-    step = np.diff(values)
-    rises = (step >= 0).all() and step.sum() > 0
-    if not rises or not unit_of_steps(usual_step(values)):
-        return False
-    line = np.linspace(values[0], values[-1], values.size)
-    return bool(np.abs(values - line).max() <= _STRAIGHT * (values[-1] - values[0]))
 
 
 def usual_step(t):
@@ -421,12 +384,11 @@ class KnownLog:
 
     what: str  # the log, in words
     source: str  # where its names come from
-    # patterns of positions and torques; ``*`` is anything, the same in all
+    # patterns of positions and torques; ``*`` is anything
     q: str
     tau: str
     v: str = ""
-    # patterns of commands, by the names of the channels of a drive; they may have
-    # another prefix
+    # patterns of commands, by the names of the channels of a drive
     commands: Mapping[str, str] = field(default_factory=dict)
     # columns, the best first; two with a plus between are seconds and nanoseconds
     # with the unit in brackets where it is not seconds

@@ -202,7 +202,7 @@ def test_the_motion_under_another_name_is_no_doubt(here, capsys):
     code, out, err = run(capsys, "identify", source, "--urdf", "arm.urdf")
     assert (code, err) == (0, [])
     assert out.count("Channel:") == 1
-    assert "Channel: The columns 'arm_1.vel', 'arm_2.vel' are not used" in out
+    assert "Channel: Column(s) 'arm_1.vel', 'arm_2.vel' are not used" in out
 
 
 def test_a_file_that_moves_differently_is_named_with_the_joint(here, capsys):

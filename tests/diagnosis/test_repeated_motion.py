@@ -74,17 +74,3 @@ def test_an_effect_that_the_phases_show_is_named():
         1, lambda q, v: 1.5 * np.exp(-((v / 0.2) ** 2)) * np.sign(v), 0.02
     )
     assert [e.name for e in closed(q, tau).effects_] == ["stribeck"]
-
-
-@pytest.mark.slow
-def test_commands_tell_of_a_motion_that_the_positions_do_not_show():
-    pandas = pytest.importorskip("pandas")
-    q, tau = recorded(1, disturbance=0.02)
-    t = np.arange(len(q)) * DT
-    # A slow push, another one in each period, that the joint gives way to.
-    push = 0.15 * np.sin(2 * np.pi * 0.73 * t) * np.sin(2 * np.pi * 0.011 * t)
-    pushed = pandas.DataFrame({"joint_1": q[:, 0] + push, "goal": q[:, 0]})
-    loop = closed(pushed, tau)
-    (motion,) = loop.report_.outcome.findings["repeated"]
-    assert motion.seconds == pytest.approx(PERIOD, abs=0.05)
-    assert closed(pushed[["joint_1"]], tau).report_.outcome.findings["repeated"] == ()

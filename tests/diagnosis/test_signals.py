@@ -184,22 +184,17 @@ def test_columns_of_a_frame_are_candidates_and_the_report_says_which_are_not(war
     )
     loop = close(heated(CYCLES), None, X=X)
     assert the_signal(loop).parameters == the_signal(warm).parameters
-    found = {
-        c.message.split("'")[1]: c for c in loop.report_.outcome.findings["channels"]
-    }
-    assert set(found) == {"gaps", "fixed", "operator", "reference", "clock", "t"}
-    assert {c.kind for c in found.values()} == {"unusable_signal"}
-    assert {c.severity for c in found.values()} == {"note"}
-    said = text_of(loop.report_)
+    (found,) = loop.report_.outcome.findings["channels"]
+    assert (found.kind, found.severity) == ("unusable_signal", "note")
     for reason in (
-        "'gaps' is not used as a signal: it has gaps",
-        "'fixed' is not used as a signal: it is constant (12 in all rows)",
-        "'operator' is not used as a signal: it holds 'me' and not numbers",
-        "'reference' is not used as a signal: it follows the position of",
-        "'clock' is not used as a signal: it is a clock",
-        "'t' is not used as a signal: it is time: give it as t",
+        "'gaps' has gaps",
+        "'fixed' is constant (12 in all rows)",
+        "'operator' holds 'me' and not numbers",
+        "'reference' follows the position of",
+        "'clock' is a clock",
     ):
-        assert reason in said
+        assert reason in found.message
+    assert "are not used as signals" in text_of(loop.report_)
     np.testing.assert_allclose(
         loop.predict(X[:50]),
         warm.predict(ONE.position[:50], signals={"temperature": CYCLES[:50]}),

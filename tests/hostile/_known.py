@@ -45,8 +45,8 @@ def _replaced(*pairs):
 TEXTS = {
     "latin-1": (_commented("in °", "latin-1"), "same", "cp1252"),
     "decimal commas": (_replaced((",", ";"), (".", ",")), "same"),
-    "row of units": (_units, "same"),
-    "header twice": (_header_twice, "read", "names of the columns stand again"),
+    "row of units": (_units, "refused"),
+    "header twice": (_header_twice, "refused", "is not a number"),
     "last line cut": (lambda rng: clean_text()[:-12], "read", "the last line is cut"),
     "header only": (lambda rng: "t,q1,q2,tau1,tau2\n", "refused", "only a header"),
     "NUL": (lambda rng: clean_text()[:900] + "\0", "refused", "binary"),
@@ -67,8 +67,8 @@ TABLES = {
         lambda x, rng: {
             k: v[np.random.default_rng(0).permutation(N)] for k, v in x.items()
         },
-        "same",
-        "sorted by it",
+        "refused",
+        "time runs backwards",
     ),
     "columns shuffled": (lambda x, rng: {k: x[k] for k in sorted(x)[::-1]}, "same"),
     "no torques": (
@@ -80,7 +80,7 @@ TABLES = {
 
 ARRAYS = {
     "big-endian": ({"q": lambda x: x.astype(">f8")}, "same"),
-    "objects": ({"q": lambda x: x.astype(object)}, "refused", "Python objects"),
+    "objects": ({"q": lambda x: x.astype(object)}, "refused", "allow_pickle"),
     "three axes": ({"q": lambda x: x[:, :, None]}, "refused", "no positions"),
 }
 

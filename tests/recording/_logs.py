@@ -21,7 +21,7 @@ Sources of the names:
   actual_current [A] as in the RTDE guide of universal-robots.com.
 - libfranka, ``logToCSV``: time in milliseconds, state.q[0], state.tau_J[0].
   https://github.com/frankaemika/libfranka/blob/main/src/log.cpp
-- Excel in German: semicolons and decimal commas, here with a row of units.
+- Excel in German: semicolons and decimal commas, here with units.
 """
 
 import csv
@@ -151,16 +151,15 @@ def libfranka(recording, folder):
 
 
 def german_excel(recording, folder):
-    """Semicolons, decimal commas, a row of units, degrees."""
+    """Semicolons, decimal commas, degrees."""
     n = recording.nv
-    header = ["t", *_counted("q{}", n, 1), *_counted("tau{}", n, 1)]
-    units = ["s", *n * ["deg"], *n * ["Nm"]]
+    header = ["t", *_counted("q{} [deg]", n, 1), *_counted("tau{} [Nm]", n, 1)]
     rows = [
         [f"{t:.6f}".replace(".", ",")]
         + [x.replace(".", ",") for x in (*_cells(np.rad2deg(q)), *_cells(tau))]
         for t, q, tau in zip(recording.t, recording.q, recording.tau)
     ]
-    path = _write(folder / "excel.csv", header, [units, *rows], ";")
+    path = _write(folder / "excel.csv", header, rows, ";")
     path.write_text(path.read_text("utf-8"), "utf-8-sig")
     return path
 

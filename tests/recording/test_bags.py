@@ -1,7 +1,6 @@
 """Joint states out of bags: whatever joints they name, and what is refused."""
 
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -61,15 +60,6 @@ def test_every_format_with_and_without_its_folder(write, tmp_path):
     if file.parent != tmp_path:
         recording, _ = read(file.parent)
         np.testing.assert_array_equal(recording.q, Q)
-
-
-def test_a_bag_out_of_a_pipe(tmp_path, monkeypatch):
-    file = write_ros2(tmp_path / "bag", [arm()], "MCAP")
-    with file.open("rb") as stream:
-        monkeypatch.setattr(sys, "stdin", stream)
-        recording, _ = read("-")
-    np.testing.assert_array_equal(recording.q, Q)
-    assert recording.name == "standard input"
 
 
 def test_joints_by_name_in_another_order_each_time(tmp_path):
@@ -200,19 +190,13 @@ def test_several_topics_of_joint_states(tmp_path):
     topics = [arm(), arm(q=2 * Q, topic="/left/joint_states")]
     file = write_ros2(tmp_path / "bag", topics, other=True)
     text, options = refused(file)
-    assert "2 topics of joint states: /joint_states, /left/joint_states" in text
+    assert "give --topic (in Python: topic=...), one of /joint_states, /left" in text
     recording, _ = read(file, **options)
     np.testing.assert_array_equal(recording.q, Q)
     recording, _ = read(file, topic="left/joint_states")
     np.testing.assert_array_equal(recording.q, 2 * Q)
     text, _ = refused(file, topic="/right")
     assert "/rosout (std_msgs/msg/String)" in text
-
-
-def test_the_only_topic_with_efforts_of_the_robot_is_taken(tmp_path):
-    command = arm(topic="/command", tau=N * [[]])
-    recording, _ = read(write_ros2(tmp_path / "bag", [command, arm()]))
-    np.testing.assert_array_equal(recording.tau, TAU)
 
 
 @pytest.mark.parametrize("part", [0.02, 0.5, 0.9])
@@ -222,9 +206,6 @@ def test_a_bag_that_was_cut(write, part):
     file.write_bytes(content[: int(part * len(content))])
     text, _ = refused(file)
     assert "is not a complete bag" in text
-    mend = {".bag": "rosbag reindex {}", ".mcap": "mcap recover {} -o whole.mcap"}
-    mend[".db3"] = "sqlite3 {} .recover | sqlite3 whole.db3"
-    assert text.endswith(f"may be saved: {mend[file.suffix].format(file)}")
     # No tuple of Python's.
     assert "',)" not in text
 
@@ -233,12 +214,11 @@ def test_a_bag_that_was_cut(write, part):
 def test_bags_packed_by_zstandard(tmp_path, mode):
     plugin = "MCAP" if mode == "STORAGE" else "SQLITE3"
     file = write_ros2(tmp_path / "bag", [arm()], plugin, packed=mode)
-    for path in (file, file.parent):
-        recording, _ = read(path)
-        np.testing.assert_array_equal(recording.q, Q)
+    recording, _ = read(file.parent)
+    np.testing.assert_array_equal(recording.q, Q)
     content = file.read_bytes()
     file.write_bytes(content[: len(content) // 2])
-    refused(file)
+    refused(file.parent)
 
 
 def test_a_driver_that_does_not_know_yet(tmp_path):
@@ -257,8 +237,7 @@ def test_a_joint_whose_effort_nobody_knows(tmp_path, made):
     file = write_ros2(tmp_path / "bag", [states(made.t, names, made.q, tau)])
     recording, said = read(file, urdf=made.urdf)
     assert recording.joint_names == names[:5]
-    moved = np.ptp(made.q[:, 5])
-    assert f"or without numbers, and move there by up to {moved:.3g} rad or m" in said
+    assert f"joint(s) {names[5]} of /joint_states left out" in said
     file = write_ros2(tmp_path / "none", [arm(tau=np.full_like(TAU, np.nan))])
     text, _ = refused(file)
     assert "none of the 80 messages of /joint_states has positions and efforts" in text

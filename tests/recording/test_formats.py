@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.recording import _table, recordings_in
+from sklearn_vbjfa.recording import recordings_in
 from tests.recording._reading import refusal
 from tests.recording.test_reader import DT, N, assert_same, table, write
 
@@ -40,17 +40,11 @@ def test_packed_text(tmp_path, ending):
 # -- pipes -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ending", [".csv", ".csv.gz", ".npz", ".mat"])
-def test_standard_input(tmp_path, monkeypatch, ending):
+@pytest.mark.parametrize("pack", [bytes, gzip.compress])
+def test_standard_input(tmp_path, monkeypatch, pack):
     columns = table()
-    path = tmp_path / f"arm{ending}"
-    if ending == ".npz":
-        np.savez(path, **columns)
-    elif ending == ".mat":
-        pytest.importorskip("scipy").io.savemat(path, columns)
-    else:
-        content = write(tmp_path / "plain.csv", columns).read_bytes()
-        path.write_bytes(gzip.compress(content) if "gz" in ending else content)
+    path = write(tmp_path / "arm.csv", columns)
+    path.write_bytes(pack(path.read_bytes()))
     with path.open("rb") as stream:
         monkeypatch.setattr(sys, "stdin", stream)
         recording = read_recording("-")
@@ -110,13 +104,13 @@ def test_a_sheet(sheet):
     assert_same(read_recording(sheet(rows_of(columns))), columns)
 
 
-def test_a_sheet_with_a_row_of_units_text_and_dates(sheet):
+def test_a_sheet_with_text_and_dates(sheet):
     columns = table(1)
     begin = datetime.datetime(2026, 11, 22, 12)
     times = [begin + datetime.timedelta(milliseconds=10 * k) for k in range(N)]
     degrees = np.rad2deg(columns["q1"])
     rows = zip(times, degrees, columns["tau1"], N * ["run"])
-    head = [[], ["t", "q1", "tau1", "mode"], ["", "°", "Nm", ""]]
+    head = [[], ["t", "q1 [°]", "tau1", "mode"]]
     path = sheet([*head, *([x, float(q), float(u), m] for x, q, u, m in rows)])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -132,8 +126,7 @@ def test_a_sheet_with_a_row_of_units_text_and_dates(sheet):
 def test_the_first_sheet_with_a_table_in_it(first, sheet):
     columns = table()
     path = sheet(first, rows_of(columns))
-    with pytest.warns(UserWarning, match="sheet 'Sheet1' of 2 was read"):
-        assert_same(read_recording(path), columns)
+    assert_same(read_recording(path), columns)
 
 
 # -- MATLAB ----------------------------------------------------------------------------
@@ -163,17 +156,12 @@ def test_matlab(tmp_path, turned, inside, compressed):
     assert_same(read_recording(path), columns)
 
 
-def test_matlab_of_the_wrong_version_or_damaged(tmp_path, monkeypatch):
-    from scipy.io import savemat
-
+def test_matlab_of_the_wrong_version(tmp_path):
     path = tmp_path / "arm.mat"
     path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(900))
     message = str(refusal(path))
     assert "version 7.3 (HDF5), expected version 5 to 7.2" in message
     assert "save(FILE, 't', 'q', 'tau', '-v7')" in message
-    savemat(path, matrices()[1], do_compression=True)
-    monkeypatch.setattr(_table, "LARGEST", 1000)
-    assert "too large to be read at once" in str(refusal(path))
 
 
 # -- npy -------------------------------------------------------------------------------

@@ -57,32 +57,19 @@ def rows(separator=","):
         ["one,two,three", "4 words,of,it"],
     ],
 )
-@pytest.mark.parametrize("units", [False, True])
-def test_titles_above_the_names(titles, units, tmp_path):
+def test_titles_above_the_names(titles, tmp_path):
     lines = rows()
-    if units:
-        lines.insert(1, "s,rad,rad,Nm,Nm")
     path = tmp_path / "arm.csv"
     path.write_text("\n".join([*titles, *lines]))
     recording, said = read(path)
     same(recording)
     assert f"the names of the columns are in line {len(titles) + 1}." in said[-1]
     # Lines are those of the file.
-    first = len(titles) + units + 2
-    lines[2 + units] = lines[2 + units].replace(",", ",off", 1)
+    first = len(titles) + 2
+    lines[2] = lines[2].replace(",", ",off", 1)
     path.write_text("\n".join([*titles, *lines]))
     with pytest.raises(ValueError, match=rf"'off.*in line {first + 1}, column 'q1'"):
         read(path)
-
-
-def test_groups_of_columns_stand_above_their_names(tmp_path):
-    path = tmp_path / "arm.csv"
-    path.write_text("\n".join(["Time,Position,,Torque,", "s,A1,A2,A1,A2", *rows()[1:]]))
-    with pytest.raises(RecordingRefused) as caught:
-        read(path)
-    options = caught.value.options
-    assert options == {"columns": "q=Position A{i},tau=Torque A{i}"}
-    same(read(path, **options)[0])
 
 
 # -- an index, no header ---------------------------------------------------------------
@@ -164,23 +151,3 @@ def test_thousandths_are_tenths_of_a_hundredth(tmp_path):
         found.append(read_recording(path, gains=[2.0]).tau[:, 0])
     for tau in found:
         np.testing.assert_allclose(tau, 2.0 * (3 + np.cos(t)), rtol=1e-12)
-
-
-# -- torques that the motors estimate --------------------------------------------------
-
-
-def test_an_estimate_of_the_torque_stands_for_it_alone(tmp_path):
-    columns = table()
-    own = {x: columns[x] for x in ("t", "q1", "q2")}
-    estimates = {f"tau_est{j}": columns[f"tau{j}"] for j in (1, 2)}
-    recording, said = read(write(tmp_path / "a.csv", own | estimates))
-    same(recording)
-    (note,) = said
-    assert "tau = tau_est1 ... tau_est2, a motor estimate" in note
-    # Beside torques it is a signal.
-    wrong = {name: 2 * x for name, x in estimates.items()}
-    measured = {f"tau{j}": columns[f"tau{j}"] for j in (1, 2)}
-    recording, said = read(write(tmp_path / "b.csv", own | wrong | measured))
-    same(recording)
-    assert set(recording.signals) == set(estimates)
-    assert not said

@@ -224,7 +224,7 @@ def put(name, row, value):
             r"1 column\(s\) q \(q1\) and 2 column\(s\) tau \(tau1, tau2\); every joint",
         ),
         (drop("tau1"), "column 'tau1' is missing beside tau2"),
-        (drop("t"), "no column t and no dt; add time stamps"),
+        (drop("t"), r"no time: expected a column t \[s\]"),
         (put("tau2", 4, "inf"), "line 6, column 'tau2'"),
         (put("q1", 4, "off"), "'off' in line 6, column 'q1' is not a number"),
         (lambda x: x.update(q_2=x["q2"]), "columns 'q2' and 'q_2' could both be meant"),
@@ -258,7 +258,7 @@ def test_bad_cells_and_columns_are_named_in_one_line(csv, change, message):
         ("t,angle,tau1\n0,1,2\n", "no positions: expected columns q1, q2"),
         ("t,q1,force\n0,1,2\n", "no torques: expected columns tau1, tau2"),
         ("t,q1,q3,tau1\n0,1,2,3\n", "column 'q2' is missing beside q1, q3"),
-        ("t,q1,tau1,segment\n0,1,2,a\n0,1,2,b\n", "segment at line 2 has one row"),
+        ("t,q1,tau1,segment\n0,1,2,a\n0,1,2,b\n", "two time stamps or more"),
     ],
 )
 def test_bad_headers_are_named_in_one_line(tmp_path, text, message):
@@ -392,27 +392,3 @@ def test_rows_that_lack_a_number_are_no_samples(csv, nothing, stamped):
         put("tau2", row, nothing)(columns)
     with pytest.raises(ValueError, match="nan or nothing in line"):
         read_recording(csv(columns), dt=DT)
-
-
-def test_a_logger_that_began_again_makes_two_recordings(csv):
-    columns = table()
-    path = csv(columns)
-    path.write_text(path.read_text() * 2)
-    with pytest.warns(UserWarning, match=f"stand again in line {N + 2}: another"):
-        recording = read_recording(path)
-    assert [rows.stop - rows.start for rows in recording.segments] == [N, N]
-    np.testing.assert_allclose(recording.q[N:, 1], columns["q2"], atol=1e-9)
-
-
-def test_angles_that_wrap_are_continued(csv):
-    columns = table(n=400)
-    turns = {f"q{j}": 3 * columns["t"] + j for j in (1, 2)}
-    wrapped = {name: np.degrees(x) % 360 for name, x in turns.items()}
-    new = {"t": columns["t"]} | {f"{x} [deg]": wrapped[x] for x in wrapped}
-    new |= {name: columns[name] for name in ("tau1", "tau2")}
-    with pytest.warns(UserWarning, match="joint_1, joint_2 jump by whole turns"):
-        recording = read_recording(csv(new))
-    for j in (1, 2):
-        off = recording.q[:, j - 1] - turns[f"q{j}"]
-        np.testing.assert_allclose(off, off[0], atol=1e-8)
-        assert off[0] / (2 * np.pi) == pytest.approx(round(off[0] / (2 * np.pi)))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.recording import commands_among, find_repetition
+from sklearn_vbjfa.recording import find_repetition
 
 DT = 0.01
 
@@ -82,17 +82,3 @@ def test_recordings_of_one_motion_are_found_wherever_they_begin():
     np.testing.assert_allclose(
         phase[parts[2]][:100], phase[parts[0]][137:237], atol=0.005
     )
-
-
-def test_commands_are_the_signals_that_follow_a_position():
-    t = DT * np.arange(4000)
-    command = wave(t, np.array([1, 3, 7]) / 10.0)
-    rng = np.random.default_rng(0)
-    pushed = np.cumsum(rng.normal(size=command.shape), axis=0)
-    q = command + 0.3 * (pushed - pushed.mean(axis=0)) / pushed.std(axis=0)
-    signals = {"goal": command[:, 0], "temperature": 20 + t, "still": np.ones(t.size)}
-    told = commands_among(signals, q)
-    np.testing.assert_array_equal(told, command[:, :1])
-    assert not found(q)[0]
-    assert found(told)[0]
-    assert commands_among({}, q).shape == (t.size, 0)

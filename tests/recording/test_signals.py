@@ -70,7 +70,7 @@ def test_what_follows_a_channel_is_left_out_where_nobody_asks_for_it(channel):
 
 SIGNALS = {
     "cycles": WARM,
-    "ramp": 20 + 0.4 * T,
+    "ramp": 20 + 0.4 * T + 0.1 * NOISE,
     "warming": 40 - 20 * np.exp(-T / 5),
     "steps": np.floor(T / 3) % 2,
     "recording": GROUPS.astype(float),
@@ -117,16 +117,19 @@ class Uses:
 
 def test_what_is_offered_is_taken_or_said():
     offered = OfferedSignals(
-        columns={"warm": WARM, "torque": TAU[:, 0], "gap": np.where(T > 1, T, np.nan)},
-        left_out={"label": "holds 'a' and not numbers"},
+        columns={
+            "label": np.full(N, "a"),
+            "warm": WARM,
+            "torque": TAU[:, 0],
+            "gap": np.where(T > 1, T, np.nan),
+        }
     )
     found, said = survey(None, offered, MEASURED, (Uses(),))
     assert list(found) == ["warm"]
-    assert [one.message.split("'")[1] for one in said] == ["label", "torque", "gap"]
-    assert all(one.joints == () and one.severity == "note" for one in said)
-    # What is known already is not left out.
-    kinds = ["unusable_signal", "copied_signal", "unusable_signal"]
-    assert [one.kind for one in said] == kinds
+    (one,) = said
+    names = "Column(s) 'label', 'torque', 'gap' are not used as signals: "
+    assert one.message.startswith(names + "'label' holds 'a' and not numbers; 'torque'")
+    assert (one.kind, one.joints, one.severity) == ("unusable_signal", (), "note")
     asked, _ = survey({"tool": SIGNALS["steps"]}, offered, MEASURED, (Uses(),))
     assert set(asked) == {"tool", "warm"}
     one, _ = survey(None, offered, MEASURED, (Uses("warm"),))
@@ -151,11 +154,6 @@ def test_columns_of_a_frame_are_divided():
     np.testing.assert_array_equal(positions_in_order(X, names), Q)
     beside = columns_beside(X, names)
     assert list(beside.columns) == ["warm", "v_hip"]
-    assert beside.left_out == {
-        "t": "is time: give it as t",
-        "tau_hip": "belongs to a joint",
-        "tau_knee": "belongs to a joint",
-    }
     states = pandas.DataFrame(
         {f"{kind}{j}": x[:, j] for kind, x in zip("qva", (Q, V, A)) for j in (0, 1)}
     ).assign(warm=WARM)
@@ -190,10 +188,4 @@ def test_what_a_file_holds_besides_numbers_is_known(tmp_path):
     source.write_text("\n".join(rows[:200]))
     with pytest.warns(UserWarning, match="state, volts hold no finite numbers"):
         found = read_recording(source)
-    assert found.left_out == {
-        "state": "holds 'idle' and not numbers",
-        "volts": "has gaps: 1 of 199 values are not finite, the first in row 5; "
-        "interpolate them",
-    }
-    with pytest.raises(ValueError, match="The column 'volts' has gaps"):
-        OfferedSignals.of_file(found).column("volts", found.n_samples)
+    assert not found.signals

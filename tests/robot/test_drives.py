@@ -257,11 +257,10 @@ BAD = {
     "by name": (
         {"drive": PDDrive({"joint_1": 1.0}, KD)},
         {},
-        "one key in each joint's name; none of its keys is in 'joint_2'",
+        "one key in each joint's name; 0 of 'joint_1' are in 'joint_2'",
     ),
     "delay": ({"drive": PDDrive(KP, KD, delay="long")}, {}, "'auto' or a time in s"),
     "no commands": ({}, {"q_desired": None}, "needs the channel 'q_desired'"),
-    "constant": ({}, {"q_desired": np.ones((2400, 3))}, "constant on every joint"),
     "recorded gains": (
         {"drive": PDDrive()},
         {"kp": np.full((2400, 3), -1.0)},

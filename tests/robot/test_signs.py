@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa._core._smoothing import interpolate
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.fit import expected
 from sklearn_vbjfa.inspection import most_explaining
@@ -65,34 +64,23 @@ def test_an_unsigned_current_is_identified_as_one_with_its_sign(constant):
         assert other.gains_ is not None
 
 
-def test_a_voltage_makes_a_torque_and_its_back_emf():
-    constant, resistance, gear = 0.02, 3.0, 40.0
-    t = ARM.dt * np.arange(len(ARM.q))
-    v = interpolate(ARM.q, [slice(None)], t, order=1)
-    volts = (ARM.tau + (gear * constant) ** 2 / resistance * v) * resistance
-    volts /= gear * constant
-    recording = take_arrays(ARM.q, volts / 24.0, dt=ARM.dt, joint_names=ARM.joint_names)
-    recording = replace(recording, signals={"supply": np.full(len(t), 24.0)})
-    drive = VoltageDrive(constant, resistance, gear=gear)
-    assert_allclose(drive.driven(recording).tau, ARM.tau, atol=1e-9)
-    # without constants, in volts
-    plain = VoltageDrive().driven(recording)
-    assert_allclose(plain.tau, volts, rtol=1e-9)
-    fixed = VoltageDrive(supply=24.0).driven(replace(recording, signals={}))
-    assert_allclose(fixed.tau, volts, rtol=1e-9)
+def test_a_duty_cycle_is_multiplied_by_the_supply():
+    duty = ARM.tau / 24.0
+    recording = take_arrays(ARM.q, duty, dt=ARM.dt, joint_names=ARM.joint_names)
+    measured = replace(recording, signals={"supply": np.full(len(duty), 24.0)})
+    given = VoltageDrive(supply=24.0).driven(recording)
+    for one in (VoltageDrive().driven(measured), given):
+        assert_allclose(one.tau, ARM.tau, rtol=1e-9)
 
 
 BAD = {
     "negative": (CurrentDrive(signed=False), ARM.tau, "has negative currents"),
     "word": (CurrentDrive("known"), ARM.tau, "'unknown' or numbers in N m/A"),
-    "no resistance": (VoltageDrive(0.1), ARM.tau, "needs the resistance"),
-    "zero resistance": (VoltageDrive(0.1, 0.0), ARM.tau, "resistance must be positive"),
     "several": (
         CurrentDrive([0.1, 0.2]),
         ARM.tau,
         "CurrentDrive: torque_constant must",
     ),
-    "volts": (VoltageDrive("x"), ARM.tau, "VoltageDrive: torque_constant must be"),
 }
 
 

@@ -3,7 +3,6 @@
 import bz2
 import contextlib
 import gzip
-import importlib
 import lzma
 import shlex
 import sys
@@ -29,7 +28,7 @@ TABLES = (
 )
 _KNOWN = (
     ".csv, .xlsx, .npz, .npy, .mat, .parquet, .json, .jsonl, .bag, .db3 or .mcap (text "
-    "also with .gz, .bz2, .xz or .zst)"
+    "also with .gz, .bz2 or .xz)"
 )
 _TEXT = (".csv", ".tsv", ".txt", ".dat")
 _READERS = {
@@ -42,22 +41,9 @@ _READERS = {
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), _arrays.read_json),
 }
 # Modules by which packed files are opened.
-_OPEN = {".gz": gzip, ".bz2": bz2, ".xz": lzma, ".lzma": lzma, ".zst": None}
-_OPEN |= {".zstd": None}
-# How files begin, and the ending that they would have.
+_OPEN = {".gz": gzip, ".bz2": bz2, ".xz": lzma, ".lzma": lzma}
+# How packed files begin, and the ending that they would have.
 _PACKED = {b"\x1f\x8b": ".gz", b"BZh": ".bz2", b"\xfd7zXZ\x00": ".xz"}
-_PACKED |= {b"\x28\xb5\x2f\xfd": ".zst"}
-_BEGINS = _PACKED | {
-    b"\xd0\xcf\x11\xe0": ".xls",
-    b"\x93NUMPY": ".npy",
-    b"MATLAB 5.0": ".mat",
-    b"PAR1": ".parquet",
-    b"ARROW1": ".feather",
-    b"#ROSBAG V": ".bag",
-    b"SQLite format 3\0": ".db3",
-    b"\x89MCAP0\r\n": ".mcap",
-    **dict.fromkeys((b"{", b"[{", b"[\n", b"[\r", b"[ "), ".json"),
-}
 # Files that only the folder of one bag or data set has.
 _MARKS = ("metadata.yaml", "meta/info.json")
 _CHUNK = 1 << 20
@@ -71,14 +57,9 @@ def read_table(path, topic=None, joints=lambda: ()) -> Table:
     with contextlib.ExitStack() as stack:
         files = bag_files(path) if path.is_dir() else []
         if files:
-            packed = [x.suffix.startswith(".zst") for x in files]
-            files = [
-                _unpacked(stack, Source(x, path), x.suffix).file if is_packed else x
-                for x, is_packed in zip(files, packed)
-            ]
             table = read_bag(files, path, topic, joints())
         elif path.is_dir():
-            table = _read_folder(path, topic)
+            table = _read_folder(path)
         else:
             table = _read_file(_source(stack, path), topic, joints)
     if table.frame.empty:
@@ -86,10 +67,9 @@ def read_table(path, topic=None, joints=lambda: ()) -> Table:
     return table
 
 
-def _read_folder(path, topic):
+def _read_folder(path):
     """Read the folder of a LeRobot data set."""
     if (path / "meta" / "info.json").is_file():
-        _check_topic(path, "", topic)
         return _arrays.read_lerobot(path)
     names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
     raise ValueError(
@@ -101,7 +81,6 @@ def _read_folder(path, topic):
 def _read_file(source, topic, joints):
     """Read a file that is not packed, by its ending."""
     ending = source.file.suffix.lower()
-    _check_topic(source, ending, topic)
     if ending in BAGS:
         return read_bag([source.file], source.shown, topic, joints())
     if ending in _READERS:
@@ -112,14 +91,6 @@ def _read_file(source, topic, joints):
     raise ValueError(
         f"{source}: unknown ending {ending!r}; save the recording as {_KNOWN}, {remedy}"
     )
-
-
-def _check_topic(path, ending, topic):
-    if topic is not None and ending not in BAGS:
-        raise ValueError(
-            f"{path}: is not a bag, so it has no topic {topic!r}; leave out "
-            "the topic, or give a .bag, .db3 or .mcap file."
-        )
 
 
 # -- folders ---------------------------------------------------------------------------
@@ -181,12 +152,12 @@ def _source(stack, path):
     ending = source.file.suffix.lower()
     if ending in _TEXT:
         # Packed text may have lost its ending.
-        ending = _ending_of(source.file, _PACKED)
+        ending = _ending_of(source.file)
     return _unpacked(stack, source, ending) if ending in _OPEN else source
 
 
 def _from_pipe(stack, path):
-    """Copy a pipe to a file whose ending tells what it is."""
+    """Copy a pipe of text to a file whose ending tells whether it is packed."""
     shown, stream = Path("standard input"), getattr(sys.stdin, "buffer", sys.stdin)
     if str(path) != "-":
         shown, stream = path, stack.enter_context(path.open("rb"))
@@ -201,13 +172,11 @@ def _folder(stack):
     return Path(stack.enter_context(tempfile.TemporaryDirectory()))
 
 
-def _ending_of(file, begins=_BEGINS):
-    """Return the ending that a file should have, from its first bytes."""
+def _ending_of(file):
+    """Return the ending that packed text should have, from its first bytes."""
     with file.open("rb") as opened:
-        begin = opened.read(4096)
-    if begin.startswith(b"PK\x03\x04"):
-        return ".xlsx" if b"xl/" in begin else ".npz"
-    return next((x for mark, x in begins.items() if begin.startswith(mark)), ".csv")
+        begin = opened.read(16)
+    return next((x for mark, x in _PACKED.items() if begin.startswith(mark)), ".csv")
 
 
 def _unpacked(stack, source, ending):
@@ -215,7 +184,7 @@ def _unpacked(stack, source, ending):
     name = source.file.name
     if source.file.suffix.lower() not in _TEXT:
         name = name.removesuffix(source.file.suffix) or "recording"
-    file, module = _folder(stack) / name, _OPEN.get(ending) or _zstandard(source)
+    file, module = _folder(stack) / name, _OPEN[ending]
     with (
         parsing(source, f"{ending[1:]} file", "pack it again."),
         module.open(source.file, "rb") as stream,
@@ -224,17 +193,6 @@ def _unpacked(stack, source, ending):
     if not file.suffix:
         file = file.rename(file.with_suffix(_ending_of(file)))
     return Source(file, source.shown)
-
-
-def _zstandard(source):
-    """Return the module of Zstandard, which Python has from 3.14 on."""
-    for name in ("compression.zstd", "backports.zstd"):
-        with contextlib.suppress(ImportError):
-            return importlib.import_module(name)
-    raise ImportError(
-        f"{source}: Zstandard comes with Python 3.14 or a package: pip install "
-        f"backports.zstd; or unpack it first: zstd -d {shlex.quote(str(source))}"
-    )
 
 
 def _copy(stream, file, shown):

@@ -3,17 +3,13 @@
 import difflib
 import json
 import re
-import shlex
-import struct
 import zipfile
-import zlib
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa.recording import _table
 from sklearn_vbjfa.recording._table import (
     LARGEST,
     Loss,
@@ -93,7 +89,6 @@ def _table_of_arrays(path: Source, arrays) -> Table:
     arrays = {name: _array(path, name, x) for name, x in arrays.items()}
     # Messages have empty lists for what is not measured.
     arrays = _upright({name: x for name, x in arrays.items() if x.size})
-    arrays, notes = _with_names_beside(path, arrays)
     n_rows = _number_of_rows(path, arrays)
     rows = {
         name: x for name, x in arrays.items() if x.ndim in (1, 2) and len(x) == n_rows
@@ -114,10 +109,7 @@ def _table_of_arrays(path: Source, arrays) -> Table:
         names = [f"{name}{k + 1}" for k in range(len(matrix))]
         columns += zip(names if len(matrix) > 1 else [name], matrix)
     check_names(path, [name for name, _ in columns], "on its own and in a matrix has")
-    left = [name for name, x in scalars.items() if x.ndim and len(x) > n_rows // 2]
-    if left:
-        notes += (f"array(s) {listed(left)} have not {n_rows} rows: left out.",)
-    return table_of(path, dict(columns), scalars=scalars, notes=notes)
+    return table_of(path, dict(columns), scalars=scalars)
 
 
 def _upright(arrays):
@@ -133,40 +125,16 @@ def _upright(arrays):
 
 
 def _number_of_rows(path, arrays):
-    """Return the length of the channels: of q, of channels, of matrices, of most."""
+    """Return the length of most of the channels, or of all arrays without any."""
     sized = {name: x for name, x in arrays.items() if x.ndim in (1, 2) and len(x) > 1}
-    for chosen in (
-        [x for name, x in sized.items() if name.lower() == "q"],
-        [x for name, x in sized.items() if _CHANNEL.fullmatch(name)],
-        [x for x in sized.values() if x.ndim == 2],
-        [x for x in sized.values() if len(sized) > 1],
-    ):
+    named = [x for name, x in sized.items() if _CHANNEL.fullmatch(name)]
+    for chosen in (named, [x for x in sized.values() if len(sized) > 1 or x.ndim > 1]):
         if chosen:
             return Counter(map(len, chosen)).most_common(1)[0][0]
     raise NotATable(
         f"{path}: holds {listed(arrays) or 'nothing'}; expected arrays q and tau of "
         "shape (n_samples, n_joints), or columns q1, ..., tau1, ...",
     )
-
-
-def _with_names_beside(path, arrays):
-    """Make columns of the only matrix if a list has their names; notes."""
-    # As data frames are split, and as loggers write a matrix and its names.
-    matrices = [name for name, x in arrays.items() if x.ndim == 2 and len(x) > 1]
-    if len(matrices) != 1 or _CHANNEL.fullmatch(matrices[0]):
-        return arrays, ()
-    (name,) = matrices
-    for key, x in arrays.items():
-        if x.dtype.kind not in "US" or x.shape != arrays[name].shape[1:]:
-            continue
-        # Bytes are text too; MATLAB fills names up with blanks.
-        texts = np.char.decode(x, "utf-8", "replace") if x.dtype.kind == "S" else x
-        names = [str(text).strip() for text in texts]
-        rest = {k: one for k, one in arrays.items() if k not in (key, name)}
-        check_names(path, [*names, *rest], f"the names in {key!r} have")
-        note = f"the columns of {name!r} are called by the names in {key!r}."
-        return {**rest, **dict(zip(names, arrays[name].T))}, (note,)
-    return arrays, ()
 
 
 def _array(path, name, values):
@@ -219,15 +187,12 @@ def read_npy(path: Source) -> Table:
 
 # -- MATLAB ----------------------------------------------------------------------------
 
-# Type of a packed variable, as its tag has it, and the bytes that are unpacked at once.
-_PACKED, _CHUNK = 15, 1 << 20
 _SAVE = "save(FILE, 't', 'q', 'tau', '-v7')"
 
 
 def read_mat(path: Source) -> Table:
     """Read the variables of a MATLAB file."""
     from scipy.io import loadmat
-    from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
     with path.file.open("rb") as file:
         begin = file.read(128)
@@ -238,28 +203,21 @@ def read_mat(path: Source) -> Table:
         )
     what = "MATLAB file of version 5 to 7.2"
     with parsing(path, what, f"write it again with {_SAVE}."):
-        # Numbers may be stored as bytes, and become eight of them.
-        check_size(path, 8 * _unpacked_size(path.file))
         found = loadmat(path.file, simplify_cells=True)
-    # Tables, time series and functions have no name here, or no numbers.
-    kinds = (MatlabOpaque, MatlabFunction)
-    objects = sum(isinstance(x, kinds) for x in found.values())
+    # Tables and time series have no name here, functions no numbers.
     found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
     arrays = _without_common_part(_flattened(found, _is_usable))
-    if objects and not arrays:
+    if not arrays:
         raise ValueError(
-            f"{path}: holds objects of MATLAB, such as a table or time series, and no "
-            "arrays; in MATLAB write its numbers: t = T.Time; q = T{:, 2:7}; ... "
-            f"{_SAVE}."
+            f"{path}: holds no arrays of numbers; in MATLAB write those of tables and "
+            f"time series: t = T.Time; q = T{{:, 2:7}}; ... {_SAVE}."
         )
     # A cell of texts is a list of them.
     arrays = {
         name: np.asarray(x, dtype=str if _is_texts(x) else None)
         for name, x in arrays.items()
     }
-    table = _table_of_arrays(path, arrays)
-    note = f"{objects} object(s) of MATLAB's own classes are left out."
-    return replace(table, notes=(*table.notes, note)) if objects else table
+    return _table_of_arrays(path, arrays)
 
 
 def _is_usable(value):
@@ -269,25 +227,6 @@ def _is_usable(value):
 def _is_texts(value):
     is_cell = isinstance(value, np.ndarray) and value.dtype == object
     return is_cell and _is_list_of(str, value.ravel().tolist())
-
-
-def _unpacked_size(path):
-    """Return the bytes of a file of version 5 with its variables unpacked."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        order = "<" if file.read(128)[126:] == b"IM" else ">"
-        while len(tag := file.read(8)) == 8:
-            kind, count = struct.unpack(f"{order}II", tag)
-            if kind != _PACKED:
-                file.seek(count, 1)
-                continue
-            unpacker = zlib.decompressobj()
-            while count > 0 and (chunk := file.read(min(count, _CHUNK))):
-                count -= len(chunk)
-                while chunk and size <= _table.LARGEST:
-                    size += len(unpacker.decompress(chunk, _CHUNK))
-                    chunk = unpacker.unconsumed_tail
-    return size
 
 
 # -- JSON ------------------------------------------------------------------------------
@@ -460,33 +399,15 @@ def _motors(info, name):
     return [str(motor).removesuffix(".pos") for motor in names]
 
 
-# What repairs a bag that was cut, by its ending.
-BAGS = {
-    ".bag": "rosbag reindex {}",
-    ".db3": "sqlite3 {} .recover | sqlite3 whole.db3",
-    ".mcap": "mcap recover {} -o whole.mcap",
-}
+BAGS = (".bag", ".db3", ".mcap")
 _TYPE = "sensor_msgs/msg/JointState"
 
 
 def bag_files(folder):
-    """Return the files of a bag in a folder, the folder itself if it is needed."""
-    if _packs_messages(folder):
+    """Return the files of a bag in a folder; the folder if it describes itself."""
+    if (folder / "metadata.yaml").is_file():
         return [folder]
-    for ending in BAGS:
-        files = [*folder.glob(f"*{ending}"), *folder.glob(f"*{ending}.zst*")]
-        if files:
-            return sorted(files)
-    return []
-
-
-def _packs_messages(folder):
-    """Whether the description of a bag says that each message is packed."""
-    try:
-        text = (folder / "metadata.yaml").read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return False
-    return bool(re.search(r"compression_mode:\s*[\"']?message\b", text, re.IGNORECASE))
+    return sorted(x for x in folder.iterdir() if x.suffix.lower() in BAGS)
 
 
 def read_bag(files, shown, topic, joints) -> Table:
@@ -496,118 +417,103 @@ def read_bag(files, shown, topic, joints) -> Table:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise missing(shown, "rosbags", "bags need", "bags") from error
-    # A temporary copy is not repaired.
-    first = files[0] if files[0].is_relative_to(shown) else shown
-    repair = BAGS.get(files[0].suffix.lower(), "ros2 bag reindex {}")
-    remedy = "it may be cut in the middle, what is left may be saved: "
-    remedy += repair.format(shlex.quote(str(first)))
-    # Of packed messages the folder has the compression.
-    files = [shown.parent] if _packs_messages(shown.parent) else files
+    remedy = "if it was cut, rosbag reindex, ros2 bag reindex or mcap recover may help."
     store = get_typestore(Stores.ROS2_HUMBLE)
     with (
         parsing(shown, "bag", remedy),
         AnyReader(files, default_typestore=store) as bag,
     ):
-        connections = _connections(bag, shown, topic, joints)
-        frame, clock = _messages(bag, shown, connections)
-        return _joint_states(shown, connections[0].topic, frame, clock, joints)
+        connections = _connections(bag, shown, topic)
+        names, values, times = _messages(bag, shown, connections)
+    return _joint_states(shown, connections[0].topic, names, values, times, joints)
 
 
 # -- messages as rows ------------------------------------------------------------------
 
 
 def _messages(bag, shown, connections):
-    """Return what messages say, a row each, columns (channel, joint), and times."""
-    pandas = pandas_of(shown)
+    """Return joints, q, v and tau (3, n_messages, n_joints), and times (2, n) [ns]."""
+    # What a message lacks is nan; times are those of the header and of the recorder.
     count = sum(x.msgcount for x in connections)
     if 200 * count > LARGEST:
         raise RecordingRefused(
             f"{shown}: has {count} messages, too many to be read at once; cut the bag "
             "into shorter ones."
         )
-    kinds: dict = {}
-    messages = bag.messages(connections=connections)
-    for number, (connection, received, raw) in enumerate(messages, start=1):
+    rows, times = [], []
+    for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
         # Without names the numbers of the joints must do.
-        count = len(message.position)
-        joints = tuple(message.name) or tuple(str(k + 1) for k in range(count))
-        known = {"q": message.position, "v": message.velocity, "tau": message.effort}
-        channels = {k: x for k, x in known.items() if len(x) == len(joints) > 0}
+        numbers = (str(k + 1) for k in range(len(message.position)))
+        names = tuple(message.name) or tuple(numbers)
+        rows.append((names, message.position, message.velocity, message.effort))
         stamp = message.header.stamp
-        times = number, stamp.sec * 10**9 + stamp.nanosec, received
-        kind = kinds.setdefault((joints, tuple(channels)), [])
-        kind.append((times, np.concatenate([[], *channels.values()])))
-    frames, clocks = [], []
-    for (joints, channels), rows in kinds.items():
-        columns = pandas.MultiIndex.from_product([channels or ["none"], joints])
-        times, values = zip(*rows)
-        clock = pandas.DataFrame(times, columns=["number", "stamp", "received"])
-        clocks.append(clock.set_index("number"))
-        if channels:
-            frames.append(pandas.DataFrame(values, clocks[-1].index, columns))
-    clock = pandas.concat(clocks).sort_index()
-    frame = pandas.concat(frames) if frames else pandas.DataFrame()
-    return frame.reindex(clock.index), clock
+        times.append((stamp.sec * 10**9 + stamp.nanosec, received))
+    kinds = dict.fromkeys(names for names, *_ in rows)
+    joints = list(dict.fromkeys(x for names in kinds for x in names))
+    places = {names: [joints.index(x) for x in names] for names in kinds}
+    values = np.full((3, len(rows), len(joints)), np.nan)
+    for k, (names, *channels) in enumerate(rows):
+        for own, x in zip(values, channels):
+            if len(x) == len(names):
+                own[k, places[names]] = x
+    return np.array(joints), values, np.array(times).T
 
 
-def _joint_states(shown, topic, frame, clock, wanted):
+def _joint_states(shown, topic, names, values, times, wanted):
     """Make a table of the joints that give most samples."""
-    known = frame[[]]
-    if {"q", "tau"} <= set(frame.columns.get_level_values(0)):
-        known = np.isfinite(frame["q"]) & np.isfinite(frame["tau"])
-        known = known.loc[:, known.any()]
-    if known.empty:
+    q, v, tau = values
+    known = np.isfinite(q) & np.isfinite(tau)
+    if not known.any():
         raise RecordingRefused(
-            f"{shown}: none of the {len(clock)} messages of {topic} has positions and "
+            f"{shown}: none of the {len(q)} messages of {topic} has positions and "
             "efforts of its joints; record a topic whose effort is filled in."
         )
-    if known.columns.isin(wanted).any():
-        known = known.loc[:, known.columns.isin(wanted)]
+    asked = np.isin(names, wanted)
+    if known[:, asked].any():
+        known &= asked
     # Joints that come together, the set of them that gives most samples.
-    sets = {tuple(known.columns[row]): None for row in np.unique(known, axis=0)}
-    best = max(sets, key=lambda x: len(x) * known[[*x]].all(axis=1).sum())
-    joints = [x for x in frame["q"] if x in best]
-    rows = known[joints].all(axis=1)
+    best = max(
+        np.unique(known, axis=0),
+        key=lambda x: x.sum() * known[:, x].all(axis=1).sum(),
+    )
+    rows = known[:, best].all(axis=1)
+    joints, others = names[best].tolist(), sorted(names[~best])
     notes = [
         f"read from {topic}: position [rad or m] as q and effort [N m or N] as tau of "
         f"{', '.join(joints)}."
     ]
-    others = sorted(set(frame["q"]) - set(joints))
     if others:
-        travel = np.nan_to_num((frame["q"].max() - frame["q"].min())[others].max())
         note = (
             f"joint(s) {listed(others)} of {topic} left out: the robot has none of "
-            "that name, or they come in other messages, or without numbers, and move "
-            f"there by up to {travel:.3g} rad or m."
+            "that name, or they come in other messages, or without numbers."
         )
         notes.append(Loss(note) if {*others} & {*wanted} else note)
     if not rows.all():
         # Messages of other joints are no loss.
-        lost = frame["q"][joints].notna().any(axis=1).sum() > rows.sum()
+        lost = np.isfinite(q[:, best]).any(axis=1).sum() > rows.sum()
         note = (
             f"{(~rows).sum()} of {rows.size} messages of {topic} lack some of the "
             "joints taken, or numbers of theirs, and are left out."
         )
         notes.append(Loss(note) if lost else note)
-    frame, clock, channels = frame[rows], clock[rows], ["q", "tau"]
-    if "v" in frame and set(joints) <= set(frame["v"]):
-        channels += ["v"] * bool(np.isfinite(frame["v"][joints]).all(axis=None))
     # Times are those of the headers, unless these stand still.
-    times = clock.stamp
-    if times.nunique() < 2:
+    t = times[0, rows]
+    if np.ptp(t) == 0:
         notes.append(
             "the stamps in the headers stand still; times are those of the recorder."
         )
-        times = clock.received
+        t = times[1, rows]
     numbered = all(name.isdecimal() for name in joints)
-    columns = {"t": (times - times.iloc[0]) / 1e9}
-    for channel in channels:
-        mark = "" if numbered else "_"
-        columns |= {f"{channel}{mark}{name}": frame[channel][name] for name in joints}
+    columns = {"t": (t - t[0]) / 1e9}
+    for kind, x in (("q", q), ("tau", tau), ("v", v)):
+        of_kind = x[rows][:, best]
+        if np.isfinite(of_kind).all():
+            heads = [f"{kind}{'' if numbered else '_'}{name}" for name in joints]
+            columns |= dict(zip(heads, of_kind.T))
     return Table(
         path=shown,
-        frame=pandas_of(shown).DataFrame(columns),
+        frame=pandas_of(shown).DataFrame(columns, index=1 + np.flatnonzero(rows)),
         place="message {}",
         joints=() if numbered else tuple(joints),
         notes=tuple(notes),
@@ -617,47 +523,22 @@ def _joint_states(shown, topic, frame, clock, wanted):
 # -- which topic -----------------------------------------------------------------------
 
 
-def _connections(bag, shown, topic, joints):
+def _connections(bag, shown, topic):
     """Return the connections of the topic that was asked for, or of the only one."""
     states = [x for x in bag.connections if x.msgtype == _TYPE and x.msgcount]
     topics = sorted({x.topic for x in states})
-    if topic is not None:
-        chosen = [x for x in states if x.topic in (topic, f"/{topic}")]
-        if chosen:
-            return chosen
-        near = difflib.get_close_matches(topic, topics, 1)
-        near = topics if len(topics) == 1 else near
-        raise RecordingRefused(
-            f"{shown}: has no joint states ({_TYPE}) in {topic}, {_all(bag)}.",
-            {"topic": near[0]} if near else {},
-        )
+    known = ", ".join(sorted({f"{x.topic} ({x.msgtype})" for x in bag.connections}))
     if not topics:
         raise RecordingRefused(
             f"{shown}: holds no joint states: expected a topic of {_TYPE} with "
-            f"positions and efforts, {_all(bag)}; record /joint_states."
+            f"positions and efforts, it holds {known or 'no topics'}."
         )
-    if len(topics) > 1:
-        able = [x for x in topics if _has_joints(bag, states, x, joints)]
-        if len(able) != 1:
-            raise RecordingRefused(
-                f"{shown}: holds {len(topics)} topics of joint states: "
-                f"{listed(topics)}; give --topic with one of them (in Python: "
-                "topic=...).",
-                {"topic": (able or topics)[0]},
-            )
-        topics = able
-    return [x for x in states if x.topic == topics[0]]
-
-
-def _has_joints(bag, states, topic, joints):
-    """Whether the first message of a topic has efforts of joints of the robot."""
-    chosen = [x for x in states if x.topic == topic]
-    connection, _, raw = next(bag.messages(connections=chosen))
-    message = bag.deserialize(raw, connection.msgtype)
-    known = not joints or set(message.name) & set(joints)
-    return bool(known) and len(message.effort) > 0
-
-
-def _all(bag):
-    topics = sorted({f"{x.topic} ({x.msgtype})" for x in bag.connections})
-    return f"it holds {listed(topics) or 'no topics'}"
+    chosen = [x for x in topics if topic in (None, x, x.removeprefix("/"))]
+    if len(chosen) != 1:
+        near = difflib.get_close_matches(topic or "/joint_states", topics, 1)
+        raise RecordingRefused(
+            f"{shown}: give --topic (in Python: topic=...), one of {listed(topics)}; "
+            f"it holds {known}.",
+            {"topic": near[0]} if near else {},
+        )
+    return [x for x in states if x.topic == chosen[0]]

@@ -1,11 +1,9 @@
 """Tables out of text and spreadsheets: checks of damage before pandas reads them."""
 
-import contextlib
 import csv
 import io
 import itertools
 import re
-import zipfile
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 
@@ -17,7 +15,6 @@ from sklearn_vbjfa.recording._table import (
     Table,
     check_names,
     check_size,
-    is_unit,
     missing,
     no_rows,
     pandas_of,
@@ -155,7 +152,6 @@ class _Head:
     start: int  # lines before the first row
     separator: str | None  # None is white space
     nameless: bool = False
-    units: tuple = ()  # pairs of a name and a unit
     notes: tuple = ()
 
 
@@ -166,7 +162,7 @@ def _head(path, lines):
     echo = _echo_names(line)
     if echo:
         return _Head(columns=echo, start=first, separator=",")
-    at, names, start, units = _names_and_start([_cells(x) for _, x in content])
+    at, names, start = _names_and_start([_cells(x) for _, x in content])
     # Of a file with a header alone the data begin after it.
     start = content[start][0] if start < len(content) else len(lines)
     if at is not None:
@@ -190,7 +186,6 @@ def _head(path, lines):
         columns=list(names),
         start=start,
         separator=_separator_of(found),
-        units=units,
         notes=notes,
     )
 
@@ -241,48 +236,26 @@ def _is_data(cells):
 
 
 def _names_and_start(lines):
-    """Find the names among the first lines, each a list of cells as text.
+    """Find the names above the first row of numbers; lines are lists of cells.
 
-    Returns the position of the names, None without any, the names, the position of the
-    first row of data, and (name, unit) of columns out of a row of units.
+    Returns their position, None without any, the names, and the position of the first
+    row of data.
     """
     rows = [_without_blank_ends(cells) for cells in lines[:_LONGEST_PREAMBLE]]
     data = next((k for k, row in enumerate(rows) if _is_data(row)), None)
-    # Without a row of numbers, as with one column of text, the names come first.
-    width = len(rows[0] if data is None else rows[data])
-    above = rows[:2] if data is None else rows[:data]
-    if not above:
+    if data == 0:
         # Data frames without names have a header that counts them.
+        width = len(rows[0])
         counts = rows[0] == [str(k) for k in range(width)] and width > 2
-        return None, (), int(counts), ()
-    # Titles stand above the names, which are as many as there are numbers.
-    fitting = [k for k, x in enumerate(above) if len(x) == width and not _units(x, x)]
-    at = 0 if len(above[0]) == width or not fitting else fitting[-1]
-    names = above[at]
-    if at and len(set(names)) < len(names):
-        # Groups of columns stand above their names.
-        groups = list(itertools.accumulate(above[at - 1], lambda x, y: y or x))
-        groups += groups[-1:] * (width - len(groups))
-        names = [f"{group} {name}".strip() for group, name in zip(groups, names)]
-    units = _units(above[at + 1], names) if at + 1 < len(above) else ()
-    return at, names, at + 1 + bool(units), units
+        return None, (), int(counts)
+    # Without a row of numbers, as with one column of text, the names come first.
+    at = 0 if data is None else data - 1
+    return at, rows[at], at + 1
 
 
 def _without_blank_ends(cells):
     """Return cells without empty ones at the end."""
     return cells[: max((k + 1 for k, cell in enumerate(cells) if cell), default=0)]
-
-
-def _units(cells, names):
-    """Return (name, unit) of columns if the cells below the names are units."""
-    cells = [cell.strip("[]() ") for cell in cells]
-    cells += [""] * (len(names) - len(cells))
-    filled = [cell for cell in cells if cell not in ("", "-", "1")]
-    if len(cells) != len(names) or any(map(_is_number, filled)):
-        return ()
-    if not 0 < len(filled) <= 2 * sum(map(is_unit, filled)):
-        return ()
-    return tuple((name, x) for name, x in zip(names, cells) if x not in ("", "-"))
 
 
 def _check_header(path, names, line):
@@ -370,12 +343,10 @@ def _decimals(line, separator):
 
 def _table_of_cells(path, frame, head, notes):
     """Return a table of columns whose cells are numbers, dates, text or lists."""
-    frame, notes = _without_headers(frame, notes)
     table = Table(
         path=path.shown,
         frame=frame,
         place="line {}",
-        units=dict(head.units),
         nameless=head.nameless,
         notes=notes,
     )
@@ -396,20 +367,6 @@ def _table_of_cells(path, frame, head, notes):
         notes = (*notes, note)
     frame = pandas_of(path).DataFrame(columns, index=frame.index)
     return replace(table, frame=frame, notes=notes)
-
-
-def _without_headers(frame, notes):
-    """Begin another recording where the names stand between rows."""
-    if any(kind.kind in "iuf" for kind in frame.dtypes):
-        return frame, notes
-    again = (frame == list(frame.columns)).all(axis=1)
-    if not again.any():
-        return frame, notes
-    if "segment" not in frame:
-        frame = frame.assign(segment=again.cumsum().astype(float))
-    lines = ", ".join(map(str, frame.index[again][:5]))
-    note = f"the names of the columns stand again in line {lines}: another recording."
-    return frame[~again], (*notes, note)
 
 
 def _column(table, name, comma):
@@ -470,7 +427,6 @@ def read_sheet(path: Source) -> Table:
     pandas = pandas_of(path)
     if find_spec("python_calamine") is None:
         raise missing(path, "python-calamine", "spreadsheets need", "excel")
-    check_size(path, _unpacked_size(path), "save a shorter recording, or CSV")
     with parsing(path, "spreadsheet", "save it as CSV."):
         sheets = pandas.read_excel(
             path.file,
@@ -481,21 +437,16 @@ def read_sheet(path: Source) -> Table:
             keep_default_na=False,
             na_values=[],
         )
-    texts = {name: _lines_of(frame) for name, frame in sheets.items()}
-    texts = {name: lines for name, lines in texts.items() if any(lines)}
-    filled = [
-        name
-        for name, lines in texts.items()
-        if any(_is_data(line.split("\t")) for line in lines)
-    ]
+    texts = [(name, lines) for name, x in sheets.items() if (lines := _lines_of(x))]
     if not texts:
         raise no_rows(path)
-    name = (filled or list(texts))[0]
-    content = "\n".join([*texts[name], ""]).encode()
-    table = _read_lines(path, content, texts[name][: 2 * _LONGEST_PREAMBLE])
+    # The first with numbers.
+    texts.sort(key=lambda x: not any(_is_data(line.split("\t")) for line in x[1]))
+    name, lines = texts[0]
+    content = "\n".join([*lines, ""]).encode()
+    table = _read_lines(path, content, lines[: 2 * _LONGEST_PREAMBLE])
     place = "line {} of sheet " + repr(name).replace("{", "{{").replace("}", "}}")
-    notes = (f"sheet {name!r} of {len(sheets)} was read.",) * (len(sheets) > 1)
-    return replace(table, place=place, notes=(*table.notes, *notes))
+    return replace(table, place=place)
 
 
 def _lines_of(frame):
@@ -503,15 +454,4 @@ def _lines_of(frame):
     cells = frame.astype(str).replace(r'[\s"#;]+', " ", regex=True)
     cells = cells.loc[:, (cells != "").any()]
     lines = ["\t".join(row) for row in cells.itertuples(index=False)]
-    return [line if line.strip() else "" for line in lines]
-
-
-def _unpacked_size(path):
-    """Return the bytes of a file, or of what is packed in it."""
-    size = path.file.stat().st_size
-    with (
-        contextlib.suppress(zipfile.BadZipFile, OSError),
-        zipfile.ZipFile(path.file) as archive,
-    ):
-        size = max(size, sum(x.file_size for x in archive.infolist()))
-    return size
+    return [x if x.strip() else "" for x in lines] if any(map(str.strip, lines)) else []

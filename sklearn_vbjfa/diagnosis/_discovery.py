@@ -24,7 +24,7 @@ from sklearn_vbjfa.diagnosis.search._branches import (
     put_together,
     tuned_apart,
 )
-from sklearn_vbjfa.diagnosis.search._path import tuned_on
+from sklearn_vbjfa.diagnosis.search._path import remembering, tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
 from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
@@ -492,6 +492,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         origin = whole.groups[rows]
         given = {"origin": origin, "all_samples": True, **known}
         view = RecordingView(self.baseline_, seen, silent, **given)
+        view = view.with_rest(remembering(found.effects))
         if found.branches:
             known = self.baseline_.robot_, seen, silent
             effects = tuned_apart(found, lambda b: b.view(*known, **given))

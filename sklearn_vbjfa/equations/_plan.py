@@ -90,6 +90,8 @@ class Plan:
     # (nv,): half of the jump that an acceleration makes when its joint turns round, see
     # `corners` [rad/s^2 or m/s^2]; None where it is not known
     corners: np.ndarray | None = None
+    # joints whose rows at rest are not masked, besides those with friction with memory
+    resting: tuple[int, ...] = ()
 
     @cached_property
     def lowpass(self):
@@ -145,6 +147,7 @@ class Plan:
         """Joints (nv,), bool, with an effect in place of Coulomb friction."""
         out = np.zeros(self.standstill.size, dtype=bool)
         out[[e.joint for e in self.effects if e.replaces == "coulomb"]] = True
+        out[list(self.resting)] = True
         return out
 
     @property

@@ -54,14 +54,19 @@ def judge(models, found, split, near, whole, commanded):
         one: _numbered(one.robot_.residuals_of(rest), kept.stretches)
         for one in dict.fromkeys((models.declared, models.plain, completed))
     }
-    before, plain = residuals[models.declared], residuals[models.plain]
-    after = residuals[completed]
+    moving, after = residuals[models.declared], residuals[completed]
+    # The same rows for all: at rest the torque of a joint is predicted as well where
+    # its friction has a memory.
+    before, plain = (
+        replace(residuals[one], weight=after.weight)
+        for one in (models.declared, models.plain)
+    )
     added = added_effects(
         completed, len(completed.effects_) - len(models.plain.effects_)
     )
     fit = FinalFit(models.plain, completed, view.corrected(()), added)
     of_plain, of_after = (_numbered(x, near.searched_parts) for x in fit.residuals())
-    of_before, fitted = of_plain, of_plain
+    of_before, fitted = of_plain, replace(of_plain, weight=view.moving)
     if models.declared is not models.plain:
         own = models.declared.robot_.residuals_of(near.searched(whole))
         own = _numbered(own, near.searched_parts)
@@ -70,7 +75,7 @@ def judge(models, found, split, near, whole, commanded):
         fitted = models.plain.robot_.measured(split.searched(whole))
         # A joint whose channel carries no information counts nowhere here.
         fitted = replace(fitted, weight=fitted.weight * view.root.any(axis=0))
-    spread = torque_spread(fitted, before)
+    spread = torque_spread(fitted, moving)
     searched = of_before, of_after
     intervals = error_intervals((before, after), searched, spread, step)
     beyond = error_intervals((plain, after), (of_plain, of_after), spread, step)

@@ -495,7 +495,7 @@ def tuned_on(view, effects, settings):
     """Return effects with shapes that suit another recording, tuple of Effect."""
     if not effects:
         return ()
-    path = Path(view, (), settings)
+    path = Path(view.with_rest(remembering(effects)), (), settings)
     # In the weights in which the model is fitted to it.
     fit, before = path.placed(effects), -np.inf
     for _ in range(_CLOSER):
@@ -506,6 +506,11 @@ def tuned_on(view, effects, settings):
         before = now
     motion = fit.problem.motion
     return tuple(member.effect.completed(motion) for member in fit.members)
+
+
+def remembering(effects):
+    """Return the joints whose dry friction has a memory, a set of int."""
+    return {effect.joint for effect in effects if effect.replaces == "coulomb"}
 
 
 def among_others(fit, i):

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import expit, ndtr, ndtri
 
 from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain, HeldOut
-from sklearn_vbjfa.diagnosis.search._path import LEAST, Path
+from sklearn_vbjfa.diagnosis.search._path import LEAST, Path, remembering
 from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Effect, Motion, OfChannel
@@ -157,9 +157,16 @@ SLOW_FILTER = "a filter within the motion's own frequencies"
 
 def search(view, library, settings, alpha, max_effects=None):
     """Find the most probable effects of a recording, and the reported ones."""
-    path = Path(view, library, settings, max_effects)
     needed = float(np.log((1.0 - alpha) / alpha))
-    fit, odds, worths = _settled(path, path.run())
+    resting = _explained_at_rest(view, library, settings)
+    while True:
+        path = Path(view.with_rest(resting), library, settings, max_effects)
+        fit, odds, worths = _settled(path, path.run())
+        found = remembering(member.effect for member in fit.members)
+        if resting <= found:
+            break
+        # Nothing else explains the torque of a joint that rests.
+        resting &= found
     worths = worths | (worthwhile := _worthwhile(path.held_out(fit), settings.min_gain))
     usual = path.candidates.log_odds(fit, usual=True)
     problem, motion, findings = fit.problem, fit.problem.motion, []
@@ -199,6 +206,17 @@ def search(view, library, settings, alpha, max_effects=None):
         settings=settings,
         library=tuple(library),
     )
+
+
+def _explained_at_rest(view, library, settings):
+    """Joints whose torque at rest friction with memory predicts, a set of int."""
+    # The plain terms predict none there.
+    banks = [effect for effect in library if effect.replaces == "coulomb"]
+    resting = view.at_rest()
+    if not banks or not resting:
+        return set()
+    fit = Path(view.with_rest(resting), banks, settings).run()
+    return remembering(member.effect for member in fit.members) & set(resting)
 
 
 def in_order(findings):

@@ -111,6 +111,8 @@ _AT_ONCE = 1 << 20
 _KEPT = 6
 # Numbers of the columns of single shapes that are kept, those that were asked for last.
 _KEPT_NUMBERS = 1 << 23
+# Share of the samples from which on a joint is said to rest, and not to turn round.
+_RESTS = 0.05
 
 
 class RecordingView:
@@ -125,8 +127,9 @@ class RecordingView:
     # None, signals (n,) by name, dt [s], and parts, recordings or pieces of them,
     # across whose borders nothing is remembered.
     # Filtered: index (m,), sample at the middle of each row, and recorded (m,), that
-    # row of the recording; equations of the declared model, made of all rows; root
-    # (m, nv) of the weights and target (nv, m), torques scaled by it; step [s]; starts,
+    # row of the recording; equations of the declared model, made of all rows; moving
+    # (m, nv), their weights without rows at rest; root (m, nv) of the weights and
+    # target (nv, m), torques scaled by it; step [s]; starts,
     # first row of each part; origin (m,), number of its recording; Z (nv, m, r) and
     # back (p, r), see `reduced`.
     # blocks: by which folds are left out and evidence is tempered, spans of time or, of
@@ -160,6 +163,7 @@ class RecordingView:
         self._given = replace(recording, weight=weight, t=clock), states
         self._root, self._corrections, self._corrected = self, frozenset(), {}
         self._set_equations()
+        self.moving = self.equations.weight
         self.recorded = self.equations.index
         edges = np.array([part.start for part in recording.segments])
         self.starts = np.unique(np.searchsorted(self.recorded, edges))
@@ -191,6 +195,25 @@ class RecordingView:
             other._set_coordinates()
             root._corrected[key] = other
         return root._corrected[key]
+
+    def at_rest(self):
+        """Joints whose rows at rest are masked, and are more than turning points."""
+        v = self.states[:, self.nv : 2 * self.nv]
+        share = (np.abs(v) <= self.robot.plan.masked).mean(axis=0)
+        return np.flatnonzero((share > _RESTS) & self.root.any(axis=0)).tolist()
+
+    def with_rest(self, joints):
+        """Return the view in which rows at rest count on some joints."""
+        joints = tuple(sorted({*joints}))
+        if joints == self.robot.plan.resting:
+            return self
+        other = copy.copy(self._root)
+        plan = replace(other.robot.plan, resting=joints)
+        other.robot = replace(other.robot, plan=plan)
+        other._root, other._families, other._corrected = other, {}, {}
+        other._set_equations()
+        other._set_coordinates()
+        return other
 
     def without(self, columns):
         """Return the same view whose equations lack some declared columns."""

@@ -243,6 +243,10 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
         found = self.parameters(coef)["time_constant"]
         return 1 / _FACTOR < found / self.time_constant < _FACTOR
 
+    def natural(self, coef):
+        # No frequency leaves a filter larger than it came.
+        return 0.0 <= float(coef[0]) <= 2.0 * self.time_constant
+
     def opposite(self):
         other = "torque" if self.of == "position" else "position"
         return clone(self).set_params(of=other)

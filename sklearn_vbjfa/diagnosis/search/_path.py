@@ -66,6 +66,16 @@ class Path:
             fit = anew(fit)
         return fit
 
+    def grown(self):
+        """Add the best candidates to the declared columns, joint by joint."""
+        fit = weighed(self.begin())
+        self.candidates = Candidates(fit.problem, self.library, self.settings)
+        self.candidates.noise, been = fit, {keys_of(fit)}
+        while (new := self._grown(fit, been)) is not None:
+            fit = new
+            been.add(keys_of(fit))
+        return fit
+
     def _spectrum(self, fit):
         """Weights by the spectrum of what a model with too many effects leaves."""
         fit, candidates = spectrum_of(fit, self.settings), self.candidates
@@ -510,7 +520,7 @@ def tuned_on(view, effects, settings):
 
 def remembering(effects):
     """Return the joints whose dry friction has a memory, a set of int."""
-    return {effect.joint for effect in effects if effect.replaces == "coulomb"}
+    return {effect.joint for effect in effects if effect.replaces}
 
 
 def among_others(fit, i):

@@ -208,15 +208,27 @@ def search(view, library, settings, alpha, max_effects=None):
     )
 
 
+# Share of the squared error of moving and resting rows that it saves at least.
+_AT_REST = 0.5
+
+
 def _explained_at_rest(view, library, settings):
     """Joints whose torque at rest friction with memory predicts, a set of int."""
     # The plain terms predict none there.
-    banks = [effect for effect in library if effect.replaces == "coulomb"]
+    banks = [effect for effect in library if effect.replaces]
     resting = view.at_rest()
     if not banks or not resting:
         return set()
-    fit = Path(view.with_rest(resting), banks, settings).run()
-    return remembering(member.effect for member in fit.members) & set(resting)
+    path = Path(view.with_rest(resting), banks, settings)
+    fit = path.grown()
+    left_out = path.held_out(fit)
+    return {
+        member.effect.joint
+        for i, member in enumerate(fit.members)
+        if member.effect.joint in resting
+        and left_out.gain_of(i).errors > settings.significance
+        and left_out.share_of(i) > _AT_REST
+    }
 
 
 def in_order(findings):

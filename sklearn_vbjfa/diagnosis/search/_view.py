@@ -111,8 +111,8 @@ _AT_ONCE = 1 << 20
 _KEPT = 6
 # Numbers of the columns of single shapes that are kept, those that were asked for last.
 _KEPT_NUMBERS = 1 << 23
-# Share of the samples from which on a joint is said to rest, and not to turn round.
-_RESTS = 0.05
+# Rests of a joint from which on its torque at rest is looked at.
+_RESTS = 10
 
 
 class RecordingView:
@@ -197,10 +197,17 @@ class RecordingView:
         return root._corrected[key]
 
     def at_rest(self):
-        """Joints whose rows at rest are masked, and are more than turning points."""
+        """Joints that rest often, each time for longer than the low-pass remembers."""
         v = self.states[:, self.nv : 2 * self.nv]
-        share = (np.abs(v) <= self.robot.plan.masked).mean(axis=0)
-        return np.flatnonzero((share > _RESTS) & self.root.any(axis=0)).tolist()
+        still = np.abs(v) <= self.robot.plan.masked
+        length = max(1.0 / (self.robot.cutoff_ * (self.dt or 1.0)), 1.0)
+        count = np.zeros(self.nv, dtype=int)
+        for part in self.parts:
+            edges = np.diff(still[part].astype(int), axis=0, prepend=0, append=0)
+            for j, own in enumerate(edges.T):
+                lengths = np.flatnonzero(own < 0) - np.flatnonzero(own > 0)
+                count[j] += (lengths > length).sum()
+        return np.flatnonzero((count >= _RESTS) & self.root.any(axis=0)).tolist()
 
     def with_rest(self, joints):
         """Return the view in which rows at rest count on some joints."""

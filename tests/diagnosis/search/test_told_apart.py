@@ -6,7 +6,6 @@ import pytest
 pytest.importorskip("pinocchio")
 
 
-from sklearn_vbjfa.diagnosis.explain import inseparable
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from tests.diagnosis._faulty import with_faults
 from tests.diagnosis._recordings import record
@@ -86,13 +85,6 @@ def test_a_search_names_what_is_there(truth):
         i = members[effect.key()]
         own, step = now.model.fit.members[i].effect, now.model.fit.coefficients(i)
         np.testing.assert_allclose(own.values + step, effect.values, atol=0.02)
-
-
-def test_pairs_that_a_model_cannot_tell_apart(level):
-    effects = [JointAxis(0), JointZero(1), BaseTilt(), JointAxis(2)]
-    assert list(inseparable(level, effects)) == [(effects[0], effects[2])]
-    assert list(inseparable(level, effects[1:])) == []
-    assert list(inseparable(level, effects[:1])) == []
 
 
 @pytest.mark.parametrize("effect", [JointZero(0), JointZero(2)])

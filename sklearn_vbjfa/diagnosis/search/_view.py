@@ -217,7 +217,8 @@ class RecordingView:
         other = copy.copy(self._root)
         plan = replace(other.robot.plan, resting=joints)
         other.robot = replace(other.robot, plan=plan)
-        other._root, other._families, other._corrected = other, {}, {}
+        other._root, other._corrected = other, {}
+        other._families, other._shapes = {}, {}
         other._set_equations()
         other._set_coordinates()
         return other

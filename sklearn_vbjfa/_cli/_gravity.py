@@ -128,8 +128,8 @@ def design_poses(arguments, folder):
 
     words = ["identify", "LOG", "--urdf", arguments.urdf, "--for", "gravity"]
     return Done(
-        text=f"{n} poses, each reached from both sides: way points and the seconds to "
-        "stay there.\nMove slowly from one to the next, record q and tau, then: "
+        text=f"Poses: {n}, each reached from both sides, with the seconds to stay "
+        "there.\nMove slowly from one to the next, record q and tau, then: "
         + shlex.join(["python", "-m", "sklearn_vbjfa", *words]),
         folder=out.parent,
         files=(out.name,),

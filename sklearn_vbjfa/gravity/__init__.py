@@ -179,8 +179,10 @@ def gravity_poses(model, n_poses=20, *, fitted=None, random_state=0):
     Raises
     ------
     ValueError
-        If the description has no masses.
+        If the description has no masses, or no poses are asked for.
     """
+    if n_poses < 1:
+        raise ValueError(f"n_poses must be at least 1; got {n_poses}.")
     features, bodies = _described(model)
     q = _random_poses(model, random_state)
     rows = _gravity_rows(features, q)

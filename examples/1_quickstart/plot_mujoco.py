@@ -62,10 +62,11 @@ for name, robot in models.items():
 
 WINDOW = 0.5
 q, tau = recording.q[kept][:1700], recording.tau[kept][:1700]
-one = simulate_windows(models["declared"], q, tau, window=WINDOW)
 windows = {
-    name: simulate_windows(robot, q, tau, beside=one) for name, robot in models.items()
+    name: simulate_windows(robot, q, tau, window=WINDOW)
+    for name, robot in models.items()
 }
+one = windows["declared"]
 
 
 def table(errors):
@@ -100,9 +101,8 @@ def by_mujoco(path, found):
     out = np.empty_like(found.positions)
     for k, start in enumerate(found.starts):
         mujoco.mj_resetData(model, data)
-        data.qpos[places] = found.start_positions[k]
-        data.qvel[speeds] = found.velocities[k, 0]
-        out[k, 0] = found.start_positions[k]
+        data.qpos[places], data.qvel[speeds] = np.split(found.start_states[k], 2)
+        out[k, 0] = data.qpos[places]
         for i in range(1, out.shape[1]):
             before, after = tau[start + i - 1], tau[start + i]
             for step in range(steps):

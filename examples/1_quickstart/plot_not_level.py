@@ -134,6 +134,5 @@ with tempfile.TemporaryDirectory() as folder:
 for line in text[text.index("<!--") + 4 : text.index("-->")].strip().splitlines():
     print(line.strip())
 
-corrections = search.report_.to_dict()["robot"]["corrections"]
-print({name: corrections["tilt"][name] for name in ("gravity", "lean_rpy_degrees")})
-print(corrections["gains"])
+for correction in search.report_.to_dict()["robot"]["corrections"]:
+    print(correction)

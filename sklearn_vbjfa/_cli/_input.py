@@ -119,15 +119,13 @@ def settings(arguments):
         )
     if len(dict(given)) < len(given):
         raise ValueError("--known-mass names a link twice; name it once.")
-    shared = arguments.shared_drives
-    alike = None if shared == "none" else shared
     return {
         "friction": arguments.friction,
         "bodies": arguments.bodies,
         "drive": arguments.drive,
         # The recording is read with factors that are known.
         "gains": "unknown" if arguments.gain == "unknown" else None,
-        "options": FitOptions(alike=alike, known_masses=dict(given) or None),
+        "options": FitOptions(known_masses=dict(given) or None),
     }
 
 

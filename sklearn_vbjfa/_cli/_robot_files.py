@@ -72,12 +72,7 @@ def _parameters(robot):
 
 
 def _shared(robot):
-    """Yield the rows of values that joints share, and of joints that differ."""
+    """Yield the rows of values that joints share."""
     for one in robot.alike_:
-        if one.joints:
-            row = [f"{one.group}:{one.parameter}", one.value, one.unit, one.std]
-            yield [*row, "yes", math.nan, one.scatter]
-        for other in one.apart:
-            for joint, factor, std in zip(other.bodies, other.factors, other.stds):
-                name = f"{joint}:{one.parameter} over the other {one.group} joints"
-                yield [name, factor, "times", std, "yes", math.nan, math.nan]
+        row = [f"{one.group}:{one.parameter}", one.value, one.unit, one.std]
+        yield [*row, "yes", math.nan, one.scatter]

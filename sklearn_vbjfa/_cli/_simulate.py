@@ -42,7 +42,7 @@ def simulate(arguments, folder):
         path.write_text(errors_table(windows, places), encoding="utf-8", newline="")
         return [""]
 
-    doubts = [shown[name] for name in ("failures", "away") if shown[name]]
+    doubts = [shown["failures"]] if shown["failures"] else []
     if not windows.clearly_better.all():
         doubts.append(shown["verdict"])
     text = rendered("simulation.txt.j2", recording=recording, **shown)
@@ -126,7 +126,6 @@ def _place(recording, windows, k):
 def _shown(windows, places, seconds):
     """Return what the template of the text shows."""
     count, failures = windows.n_windows, windows.failures
-    away = windows.run_away.any(axis=1)
     shown = {
         "seconds": seconds,
         "count": count,
@@ -135,27 +134,18 @@ def _shown(windows, places, seconds):
         "commanded": windows.commanded is not None,
         "verdict": windows.verdict(),
         "failures": "",
-        "away": "",
     }
     if count < _MANY and not windows.clearly_better.all():
         shown["verdict"] += (
             f" (only {count} windows: use a longer log or a shorter --window)"
         )
 
-    def placed(k):
-        return "{}, {:.3f} to {:.3f} s".format(*places[k])
-
     if failures:
+        k, message = next(iter(failures.items()))
+        name, begin, end = places[k]
         shown["failures"] = (
-            f"{len(failures)} of {count} windows failed, the first at "
-            f"{placed(failures[0].window)}: {failures[0].message}"
-        )
-    if away.any():
-        k = np.flatnonzero(away)[0]
-        joints = ", ".join(np.array(windows.joint_names)[windows.run_away[k]])
-        shown["away"] = (
-            f"joints diverged in {away.sum()} of {count} windows, first {joints} at "
-            f"{placed(k)}"
+            f"{len(failures)} of {count} windows failed, the first at {name}, "
+            f"{begin:.3f} to {end:.3f} s: {message}"
         )
     return shown
 
@@ -177,13 +167,9 @@ def _error_columns(windows):
 def errors_table(windows, places):
     """Return a table with one row per window and joint, as CSV."""
     scale, units = windows.scales
-    columns = {
-        "position_error": windows.errors,
-        "velocity_error_per_s": windows.velocity_errors,
-    }
+    columns = {"position_error": windows.errors}
     columns |= {k.replace(" ", "_"): x.errors for k, x in windows.rivals.items()}
     errors = scale * np.array(list(columns.values()))
-    messages = {one.window: one.message for one in windows.failures}
     file = io.StringIO(newline="")
     table = csv.writer(file, lineterminator="\n")
     table.writerow(["recording", "from_s", "to_s", "joint", "unit", *columns, "failed"])
@@ -191,6 +177,6 @@ def errors_table(windows, places):
         for j, joint in enumerate(windows.joint_names):
             cells = ["" if np.isnan(x) else f"{x:.6g}" for x in errors[:, k, j]]
             row = [name, f"{begin:.6g}", f"{end:.6g}", joint, units[j], *cells]
-            row.append(messages.get(k, ""))
+            row.append(windows.failures.get(k, ""))
             table.writerow(map(_input.no_formula, row))
     return file.getvalue()

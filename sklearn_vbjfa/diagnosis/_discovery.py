@@ -517,7 +517,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.report_ = Report(outcome)
         return self
 
-    def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
+    def predict(self, X, groups=None, t=None, signals=None):
         """Predict the joint torques with the completed model.
 
         Parameters
@@ -525,21 +525,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         X, groups, t, signals : array-like
             Positions or states, labels, time [s] on the clock of the fit, and recorded
             signals, as for `fit`.
-        return_std : bool, default=False
-            Whether to return the standard deviation of measured torques about the
-            predicted ones as well; see `RobotIdentifier.predict`. It does not include
-            that effects were chosen and their shapes tuned on the same data.
 
         Returns
         -------
-        torque : ndarray of shape (n_samples, nv)
+        ndarray of shape (n_samples, nv)
             Joint torques [N m] or forces [N].
-        std : ndarray of shape (n_samples, nv)
-            Their standard deviations [N m or N], only with `return_std`.
         """
         check_is_fitted(self)
-        known = {"groups": groups, "t": t, "signals": signals}
-        return self.identifier_.predict(X, **known, return_std=return_std)
+        return self.identifier_.predict(X, groups=groups, t=t, signals=signals)
 
 
 def _is_plain(effect):

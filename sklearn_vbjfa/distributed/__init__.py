@@ -94,7 +94,7 @@ def fit_recordings(identifier, source):
     """
     _import_dask()
     paths = _paths(source)
-    with show_progress(identifier.fit_options.verbose):
+    with show_progress():
         return _identify(identifier, paths)
 
 

@@ -31,8 +31,8 @@ class InFiles:
 
     urdf: str = _OWN  # what URDF lacks of it; empty if all of it is there
     mjcf: str = _OWN  # what MJCF lacks of it
-    # what MJCF has: "constant", "spring", "ref" or "tendons", with the coefficients
-    places: tuple[tuple[str, ...], ...] = ()
+    # what MJCF has: "constant", "spring" or "ref", with the coefficient
+    places: tuple[tuple[str, str], ...] = ()
     # joint parameter of the files, and declared friction, that it adds to
     parameter: str = ""
     note: str = ""  # what a reader of an MJCF file has to know of it
@@ -149,6 +149,7 @@ class Effect(TransformerMixin, BaseEstimator):
     not_simulated = ""
     files = InFiles()
     # Kinds.
+    partners: tuple[str, ...] = ()
     alike = False
     whole_robot = False
     scope = "joint"
@@ -470,7 +471,6 @@ class Shaped(Effect):
     coarse: tuple[str, ...] = ()
     cyclic: tuple[str, ...] = ()
     jumping: tuple[str, ...] = ()
-    partners: tuple[str, ...] = ()
     split_by: tuple[str, ...] = ()
 
     def check(self):

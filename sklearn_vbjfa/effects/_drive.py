@@ -131,8 +131,7 @@ class Coupling(_ToAnother):
     record = "each joint moving alone, with reversals"
     files = InFiles(
         urdf="URDF has no friction or inertia between joints",
-        mjcf="",
-        places=(("tendons", "Fvm", "Fcm", "Iam"),),
+        mjcf="no friction or inertia between joints is written",
     )
 
     def __init__(self, joint=0, other=1, ratio=0.0):

@@ -83,8 +83,6 @@ class InModel(Effect):
     text : str
         Sentence of the result, with places for ``{joint}``, the values by name in plain
         units, and the axes ``{first}`` and ``{second}``; empty lists the values.
-    at_bounds : str
-        Advice for a value at the end of its `bounds`.
     """
 
     in_model = True
@@ -96,7 +94,6 @@ class InModel(Effect):
     precedence = 0
     subject: tuple = ()
     text = ""
-    at_bounds = "Leave the effect out, or look for a larger fault."
 
     @property
     def values(self):
@@ -493,11 +490,6 @@ class CommandDelay(_OfTheClock):
     files = InFiles.nowhere("torques of the file act at once")
     formula = r"c(t - \mathrm{delay}) - c(t)"
     coefficients = model_parameters = ("delay",)
-    at_bounds = (
-        "Commands and positions may be of two clocks, or the drive of another mode: "
-        "shift the commands by what is known of their delay, or give it to the drive "
-        "(delay=)."
-    )
     lacking = "needs the commands of a drive, drive=PDDrive(...)"
     record = "faster commands, and some that the robot does not follow closely"
 
@@ -534,7 +526,6 @@ class TorqueLag(_OfTheClock):
     files = InFiles.nowhere("a property of the log")
     formula = r"\tau(t + \mathrm{lag})"
     coefficients = model_parameters = ("lag",)
-    at_bounds = "Torques and positions may be of two recordings: compare their files."
     lacking = "needs recorded torques"
     record = "faster motion"
 

@@ -33,8 +33,6 @@ _EDGE_PERIODS = 1.0
 _SPAN_ROWS = 4096
 # Rows of a recording from which on bodies' columns are made of as many as they need.
 _MANY_ROWS = 50_000
-# Rows of the regressor per block of a prediction.
-_BLOCK_ROWS = 256
 # Memory for filtered rows of the regressor.
 CHUNK_BYTES = 8 << 20
 # Memory for rows of the regressor while loads are computed.
@@ -309,11 +307,6 @@ class RegressorRows:
             which = slice(None) if effect.whole_robot else effect.joint
             torque[:, which] += columns[rows] @ coefs[at:stop]
             at = stop
-
-    def blocks(self):
-        """Yield the regressor matrices (n, nv, p) of all rows, block by block."""
-        for _, entries in self.spans(slice(0, self.states.shape[0]), _BLOCK_ROWS):
-            yield self.spread(entries)
 
 
 def regressor_rows(
@@ -729,27 +722,17 @@ def torque_spread(*parts):
     return _weighted((torque - mean) ** 2, weight) ** 0.5
 
 
-def compare(segments, lowpasses, theta):
-    """Residuals behind each low-pass of `Segment` by parameters (p,), a list."""
+def compare(segments, lowpass, theta):
+    """Residuals behind a low-pass of `Segment` by parameters (p,)."""
     # Torques are predicted before the low-pass, which is linear: a filter of one column
-    # of each joint instead of all columns of the regressor. None predicts no torque.
-    found = [[] for _ in lowpasses]
+    # of each joint instead of all columns of the regressor.
+    found, every = [], slice(None)
     for own in segments:
-        torque, every = np.asarray(own.torque), slice(None)
+        torque = decimate(lowpass, np.asarray(own.torque))
+        predicted = decimate(lowpass, own.rows.predict(theta))
         counts = own.counts(every, derivative(own.states, every, 1))
-        measured = [decimate(lowpass, torque) for lowpass in lowpasses]
-        torques = [0 * tau for tau in measured]
-        if theta is not None:
-            whole = own.rows.predict(theta)
-            torques = [decimate(lowpass, whole) for lowpass in lowpasses]
-        for lowpass, tau, made, pieces in zip(lowpasses, measured, torques, found):
-            rows = own.first + lowpass.centres(own.n_rows)
-            pieces.append((rows, tau, made, filter_weight(lowpass, counts)))
-    return [_joined(pieces) for pieces in found]
-
-
-def _joined(found):
-    """Put residuals (index, torque, predicted, weight) one after the other."""
+        rows = own.first + lowpass.centres(own.n_rows)
+        found.append((rows, torque, predicted, filter_weight(lowpass, counts)))
     index, torque, predicted, weight = (np.concatenate(x) for x in zip(*found))
     return TorqueResiduals(
         index=index, torque=torque, predicted=predicted, weight=weight

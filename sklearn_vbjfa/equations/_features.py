@@ -1,7 +1,6 @@
 """Regressor matrices of rigid-body dynamics, and the bodies of joints that follow."""
 
 import copy
-import itertools
 import re
 from typing import NamedTuple
 
@@ -53,23 +52,11 @@ class Follower(Effect):
 
     It is declared automatically for descriptions with such joints, see
     `RobotIdentifier`; it is not searched for.
-
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint that leads, from zero; all joints that carry the body feel it.
-    of : str, default=""
-        Name of the joint that follows.
-    chain : tuple of tuple, default=()
-        Joints from the base to the body, each as a `ChainJoint`.
-    gravity : tuple of three floats, default=(0.0, 0.0, -9.81)
-        Gravity in the axes of the base [m/s^2].
-
-    Notes
-    -----
-    The chain is that of the description: effects that correct the geometry of the
-    robot do not move it.
     """
+
+    # joint: that leads; all joints that carry the body feel it. of: name of the joint
+    # that follows. chain: joints from the base to the body, each as a `ChainJoint`, of
+    # the description, which effects do not correct. gravity: in the base's axes.
 
     name = "follower"
     label = "body of a joint that follows another joint"
@@ -256,8 +243,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
 
     @property
     def description(self):
-        """URDF of the robot before it was corrected, and whether it was read so."""
-        return description_text(self._folded), self._folded.text is not None
+        """URDF of the robot before it was corrected."""
+        return description_text(self._folded)
 
     def derivatives(self, q, v, a, inertial):
         """Differentiate the torques of bodies (nv, 10) by the robot's geometry."""
@@ -369,10 +356,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
 
 # Scalers hit their target to rounding; by chance, columns of different units do not.
 _EXACT = 1e-6
-# Values of a column of signs, which may have any statistic exactly.
+# So few rows may have any statistic exactly.
 _FEW_VALUES = 3
-# Columns looked at before all of them are.
-_FIRST = 8
 
 
 def parameter_names_of(names, nv):
@@ -407,36 +392,21 @@ def _one_joint(block, parameters):
 
 def check_as_computed(X):
     """Refuse columns that a scaler has changed."""
-    trace = _trace_of_a_scaler(X)
-    if trace:
+    V = X[:, X.max(axis=0) > X.min(axis=0)]
+    if V.shape[0] <= _FEW_VALUES or V.shape[1] < 2:
+        return
+    ends = V.min(axis=0), V.max(axis=0)
+    one = (np.abs(V.std(axis=0) - 1.0) <= _EXACT).all()
+    if one or max(map(np.ptp, ends)) <= _EXACT * np.abs(V).max():
+        alike = "a standard deviation of 1" if one else "one range"
         raise ValueError(
-            f"X is not as RigidBodyFeatures computes it: {trace}. All joints share one "
-            "parameter vector in SI units, so that no scaler or PCA can stand between "
-            "the features and JointTorqueRegressor. Leave it out (columns get unit "
-            "mean square inside), or put it into the regressor: "
+            f"X is not as RigidBodyFeatures computes it: all {V.shape[1]} columns that "
+            f"vary have {alike}, as scalers leave them. All joints share one parameter "
+            "vector in SI units, so that no scaler or PCA can stand between the "
+            "features and JointTorqueRegressor. Leave it out (columns get unit mean "
+            "square inside), or put it into the regressor: "
             "JointTorqueRegressor(make_pipeline(StandardScaler(), Lasso()))."
         )
-
-
-def _trace_of_a_scaler(X):
-    """Say what all columns have in common that they cannot have, or nothing."""
-    varying = np.flatnonzero(X.max(axis=0) > X.min(axis=0))
-    if X.shape[0] <= _FEW_VALUES:
-        return ""
-    many = (j for j in varying if np.unique(X[:, j]).size > _FEW_VALUES)
-    if len(list(itertools.islice(many, 2))) < 2:
-        return ""
-    # Of most X, the first columns say that none of it is there.
-    for columns in (varying[:_FIRST], varying):
-        V = X[:, columns]
-        ends = V.min(axis=0), V.max(axis=0)
-        one = (np.abs(V.std(axis=0) - 1.0) <= _EXACT).all()
-        if not one and max(map(np.ptp, ends)) > _EXACT * np.abs(V).max():
-            return ""
-    left = f"a range of {ends[0][0]:g} to {ends[1][0]:g}, as MinMaxScaler leaves them"
-    if one:
-        left = "a standard deviation of 1, as StandardScaler leaves them"
-    return f"all {varying.size} columns that vary have {left}"
 
 
 # -- bodies of joints that follow others -----------------------------------------------

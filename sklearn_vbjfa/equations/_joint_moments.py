@@ -222,21 +222,6 @@ class JointMoments:
         )
         return replace(self, G=G, g=self.g * keep, noise=noise, in_common=common)
 
-    def columns(self, chosen):
-        """Return the moments of some of the columns, without those of their parts."""
-        both = np.ix_(range(self.n.size), chosen, chosen)
-        noise = None if self.noise is None else self.noise[both]
-        common = None if self.in_common is None else self.in_common[:, chosen]
-        return replace(
-            self,
-            G=self.G[both],
-            g=self.g[:, chosen],
-            noise=noise,
-            in_common=common,
-            blocks=None,
-            recordings=None,
-        )
-
     @functools.cached_property
     def parts(self):
         """Columns that are not zero in the rows of each joint, and their moments."""

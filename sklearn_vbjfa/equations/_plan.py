@@ -14,15 +14,12 @@ from sklearn_vbjfa.effects import (
     Effect,
     EffectRange,
     Rest,
-    Shaped,
     TorqueLag,
     resolve,
 )
 from sklearn_vbjfa.equations._states import (
     RecordingStates,
-    SplineStates,
     StateEstimator,
-    of_joints,
     smooth_halves,
     smooth_segment,
 )
@@ -218,8 +215,8 @@ def check_effects(effects, nv):
     found = tuple(resolve([effect])[0] for effect in effects)
     for effect in found:
         effect.check()
-        partners = effect.partners if isinstance(effect, Shaped) else ()
-        for joint in (effect.joint, *(getattr(effect, name) for name in partners)):
+        partners = (getattr(effect, name) for name in effect.partners)
+        for joint in (effect.joint, *partners):
             if not 0 <= joint < nv:
                 raise ValueError(
                     f"effects names joint {joint} for {effect.name}; expected 0 to "
@@ -300,14 +297,6 @@ class MotionFacts:
             fastest=_largest(velocities, keep),
         )
 
-    @classmethod
-    def of_joints(cls, several):
-        joined = {
-            name: np.concatenate([getattr(own, name) for own in several], axis=-1)
-            for name in ("lowest", "highest", "fastest")
-        }
-        return cls(n=several[0].n, **joined)
-
     def merge(self, other, keep):
         return MotionFacts(
             n=self.n + other.n,
@@ -346,29 +335,17 @@ def observe(recording, estimator, halves, n_jobs):
 def smooth(recording, estimator, halves, keep, n_jobs):
     """Smooth the positions of a recording, segment by segment, `n_jobs` at a time."""
     # halves: also from the even and odd samples; keep: `n_fastest` of all samples.
-    # Returns `RecordingStates` and `MotionFacts`. Joints are smoothed apart, where
-    # there would be fewer tasks.
-    parts, nv = recording.segments, recording.q.shape[1]
-    shares = [slice(j, j + 1) for j in range(nv)] if len(parts) < nv else [slice(nv)]
-    tasks = (
-        (recording.q[part, own], part.start, of_joints(estimator, own), halves, keep)
-        for part in parts
-        for own in shares
-    )
+    # Returns `RecordingStates` and `MotionFacts`.
+    parts = recording.segments
+    tasks = ((recording.q[part], part.start, estimator, halves, keep) for part in parts)
     done = in_parallel(smooth_with_facts, tasks, n_jobs)
-    done = counted(done, "states", len(parts) * len(shares))
     own, both, facts = [], ([], []), None
-    for _ in parts:
-        splines, apart, several = zip(*itertools.islice(done, len(shares)))
-        own.append(SplineStates.of_joints(splines))
-        if halves:
-            for k, half in enumerate(both):
-                half.append(SplineStates.of_joints([one[k] for one in apart]))
+    for states, apart, one in counted(done, "states", len(parts)):
+        own.append(states)
+        for half, of_half in zip(both, apart or ()):
+            half.append(of_half)
         # The fastest rows of each are merged at once: those of all would be many.
-        one = MotionFacts.of_joints(several)
         facts = one if facts is None else facts.merge(one, keep)
-    # The stage ends with its last item.
-    next(done, None)
     return RecordingStates(own=own, halves=both if halves else None), facts
 
 

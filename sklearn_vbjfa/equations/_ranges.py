@@ -83,8 +83,3 @@ def effect_ranges(friction, effects, motion, load=None):
         )
         for effect, joint in used
     )
-
-
-def ends(signals):
-    """Lowest and highest value of each recorded signal, a dict of (float, float)."""
-    return {name: (float(x.min()), float(x.max())) for name, x in signals.items()}

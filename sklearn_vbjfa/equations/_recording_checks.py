@@ -20,9 +20,6 @@ _SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.02
 # Speeds beyond the robot's limit by this factor: degrees for radians make 57, and are
 # reported elsewhere. Where the robot has no limit [rad/s or m/s].
 _TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
-# A joint that stays within a turn moves back and forth, hence more slowly still; in
-# degrees its range would be hundreds.
-_TURN, _TOO_FAST_NEAR, _LARGEST_NEAR_SPEED = 2 * np.pi, 3.0, 50.0
 # Fewer rows do not show how many values a torque may have.
 _ENOUGH_ROWS = 64
 
@@ -42,29 +39,22 @@ def check_widths(names, X, y=None):
         )
 
 
-def check_speed(dt, fast, travel, model):
+def check_speed(dt, fast, model):
     """Reject a sample period dt [s] at which the robot could not move as recorded."""
     # A period in ms or Hz makes speeds that are a thousandth of, or a thousand times,
     # those of robots. fast (nv,): 99.5th percentiles of the speeds [rad/s or m/s];
-    # travel (nv,): ranges of the positions [rad or m]; model: for the velocity limits.
-    if dt is None or not np.max(fast, initial=0.0) > 0:
+    # model: for the velocity limits.
+    top = float(np.max(fast, initial=0.0))
+    if dt is None or not top > 0:
         return
     limit = np.asarray(model.velocityLimit, dtype=float)
-    limited = (limit > 0) & (limit < _NO_LIMIT)
-    limit = np.where(limited, limit, _LARGEST_SPEED)
-    share = float(np.max(fast / limit))
-    top = float(np.max(fast))
+    limit = np.where((limit > 0) & (limit < _NO_LIMIT), limit, _LARGEST_SPEED)
     if dt >= _SLOWEST_PERIOD or (dt >= _SLOW_PERIOD and top < _SLOW_SPEED):
         raise ValueError(
             f"dt={dt:.6g} s is too slow for a motion: the fastest joint would move at "
             f"{top:.2g} rad/s or m/s. dt is in seconds."
         )
-    reaching = limited & (travel <= _TURN)
-    near = float(np.max(fast[reaching] / limit[reaching], initial=0.0))
-    if share > _TOO_FAST or (
-        near > _TOO_FAST_NEAR
-        and np.max(fast[reaching], initial=0.0) > _LARGEST_NEAR_SPEED
-    ):
+    if float(np.max(fast / limit)) > _TOO_FAST:
         raise ValueError(
             f"dt={dt:.6g} s is too short for this motion: the fastest joint would "
             f"move at {top:.2g} rad/s or m/s, far more than the robot allows. Give "

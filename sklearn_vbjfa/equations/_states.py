@@ -288,8 +288,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         check_is_fitted(self)
         seen = getattr(self, "feature_names_in_", None)
         names = seen if input_features is None else input_features
-        if names is None:
-            names = [str(j) for j in range(self.n_features_in_)]
+        names = range(self.n_features_in_) if names is None else names
         if len(names) != self.n_features_in_:
             raise ValueError(
                 "input_features should have length equal to number of features "
@@ -297,8 +296,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
             )
         if seen is not None and list(names) != list(seen):
             raise ValueError(
-                f"input_features is not equal to feature_names_in_, {list(seen)}; "
-                f"got {list(names)}."
+                f"input_features is not equal to feature_names_in_, {list(seen)}."
             )
         return np.array(
             [f"{kind}_{name}" for kind in "qva" for name in names],
@@ -315,11 +313,6 @@ class SplineStates:
     def __init__(self, splines, n):
         self._splines = splines
         self.shape = n, 3 * len(splines)
-
-    @classmethod
-    def of_joints(cls, several):
-        splines = [spline for states in several for spline in states._splines]
-        return cls(splines, several[0].shape[0])
 
     def __getitem__(self, rows):
         """States [q | v | a] of a slice of rows, (n, 3 * nv)."""

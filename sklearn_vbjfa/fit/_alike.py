@@ -2,23 +2,16 @@
 
 import functools
 import re
-from collections import Counter
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 
 import numpy as np
 from scipy import linalg
-from scipy.special import logsumexp
 
-from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa.effects import CommandDelay, declared
 from sklearn_vbjfa.equations._equations import held_columns
 from sklearn_vbjfa.equations._plan import effect_places
 from sklearn_vbjfa.fit._bodies import (
     DESCRIBED,
-    RIVALS,
-    SCALES,
-    Departure,
     Site,
     inverse_of,
     propagated,
@@ -42,10 +35,6 @@ _WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 _SILENT = 1e6
 # Masses and moments of inertia that are equal but for the digits of a description.
 _EQUAL = 1e-4
-# Logarithm of the weight of the scales by which drives that are alike differ, where one
-# of them is asked whether it is further off: half-normal around a tenth, as two drives
-# would else be alike at any distance.
-_USUAL = np.log(SCALES) - 0.5 * (SCALES / 0.1) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +43,7 @@ class AlikeValue:
 
     group: str  # what the joints are called
     parameter: str  # such as "rotor_inertia"
-    joints: tuple[str, ...]  # that share the value; none if two were alike and differ
+    joints: tuple[str, ...]  # that share the value
     places: tuple[int, ...]  # where their values are in `RobotIdentifier.theta_`
     value: float  # mean of the joints
     std: float  # standard deviation of that mean
@@ -62,14 +51,10 @@ class AlikeValue:
     # standard deviation between the joints, as a share of the mean; nan where the mean
     # may as well be zero
     scatter: float
-    # joints whose value is another one, with the factors by which it differs from the
-    # mean of the others; joints in one `Departure` cannot be told apart
-    apart: tuple[Departure, ...] = ()
 
     def at(self, theta):
         """Return the value with the mean of the fitted parameters (p,)."""
-        own = theta[list(self.places)]
-        return replace(self, value=float(own.mean())) if own.size else self
+        return replace(self, value=float(theta[list(self.places)].mean()))
 
 
 # -- which joints ----------------------------------------------------------------------
@@ -84,64 +69,12 @@ class AlikeJoints:
 
 
 def alike_joints(settings):
-    alike, model = settings.fit_options.alike, settings.features_.nominal_
-    if alike is None:
-        return ()
-    why = ""
-    if settings.asked_gains is not None:
-        why = "gains: values of channels with unknown factors cannot be compared"
-    elif settings.regressor is not None:
-        why = "a regressor: it estimates each value separately"
-    if isinstance(alike, str) and alike == "auto":
-        return () if why else _found(model)
-    if why:
-        raise ValueError(f"alike cannot be combined with {why}; use alike=None.")
-    words = alike.split() if isinstance(alike, str) else ()
-    if not words:
-        raise ValueError(
-            "alike must be 'auto', None or groups of joints, each a pattern or names "
-            f"with commas, such as 'hip FL_calf,FR_calf'; got {alike!r}."
-        )
-    return _given(words, model)
-
-
-def _given(words, model):
-    """Return groups of joints by patterns, or by names with commas."""
-    names, slides = joint_names(model), is_prismatic(model)
-    groups = [_group(word, names) for word in words]
-    count = Counter(j for _, joints in groups for j in joints)
-    twice = [names[j] for j, times in count.items() if times > 1]
-    if twice:
-        raise ValueError(
-            f"alike has {', '.join(twice)} in two groups; leave each joint in one."
-        )
-    for _, joints in groups:
-        if len(set(slides[list(joints)])) > 1:
-            raise ValueError(
-                "alike groups revolute and prismatic joints "
-                f"({', '.join(names[j] for j in joints)}); expected joints of one kind."
-            )
-    return _named(groups, names)
-
-
-def _group(word, names):
-    asked = word.split(",")
-    unknown = [name for name in asked if name not in names]
-    if len(asked) == 1:
-        found = [j for j, name in enumerate(names) if fnmatchcase(name, f"*{word}*")]
-    elif unknown:
-        raise ValueError(
-            f"alike names {', '.join(map(repr, unknown))}, not joints of the robot; "
-            f"expected some of {', '.join(names)}."
-        )
-    else:
-        found = sorted({names.index(name) for name in asked})
-    if len(found) < 2:
-        raise ValueError(
-            f"alike has {word!r}, of {len(found)} joint(s); expected two or more "
-            f"joints in each group, of {', '.join(names)}."
-        )
-    return word if len(asked) == 1 else "", tuple(found)
+    alike = settings.fit_options.alike
+    if alike not in ("auto", None):
+        raise ValueError(f"alike must be 'auto' or None; got {alike!r}.")
+    # Channels with unknown factors are not compared, and a regressor is on its own.
+    apart = settings.asked_gains is not None or settings.regressor is not None
+    return () if alike is None or apart else _found(settings.features_.nominal_)
 
 
 def _found(model):
@@ -156,7 +89,7 @@ def _found(model):
             groups.setdefault((key, bool(slides[j])), []).append(int(j))
     equal = [part for own in groups.values() for part in _equal(own, model)]
     equal = [joints for joints in equal if len(joints) > 1 and _abreast(joints, model)]
-    return _named([("", joints) for joints in equal], names)
+    return _named(equal, names)
 
 
 def _abreast(joints, model):
@@ -182,13 +115,13 @@ def _equal(joints, model):
 
 
 def _named(groups, names):
-    called = [name or _common([names[j] for j in joints]) for name, joints in groups]
+    called = [_common([names[j] for j in joints]) for joints in groups]
     return tuple(
         AlikeJoints(
             name if called.count(name) == 1 else _listed([names[j] for j in joints]),
             joints,
         )
-        for name, (_, joints) in zip(called, groups)
+        for name, joints in zip(called, groups)
     )
 
 
@@ -253,7 +186,7 @@ def shared_values(groups, robot):
 @functools.cache
 def _contrasts(n):
     """Orthonormal differences between n values, (n - 1, n)."""
-    return linalg.helmert(n) if n else np.zeros((0, 0))
+    return linalg.helmert(n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,13 +208,10 @@ class _AlikeProblem:
         return precision
 
     def solved(self, sites):
-        """Mean and covariance of all values; None is a site without information."""
-        active = [(p, s) for p, s in zip(self.parts, sites) if s is not None and p.size]
-        if not active:
-            return self.y, self.S
-        root = np.zeros((sum(p.size - 1 for p, _ in active), self.y.size))
+        """Mean and covariance of all values."""
+        root = np.zeros((self.y.size - len(self.parts), self.y.size))
         spread, aim, at = np.zeros((len(root), len(root))), [], 0
-        for part, site in active:
+        for part, site in zip(self.parts, sites):
             rows = slice(at, at := at + part.size - 1)
             root[rows, part] = _contrasts(part.size)
             spread[rows, rows] = np.linalg.inv(site.precision)
@@ -299,108 +229,19 @@ class _AlikeProblem:
             mean, covariance = self.solved(sites)
             for part in self.parts:
                 root = _contrasts(part.size)
-                if not len(root):
-                    # One with no values stays as it is.
-                    yield np.zeros((0, 0)), np.zeros(0)
-                    continue
                 inverse = inverse_of(root @ covariance[np.ix_(part, part)] @ root.T)
                 yield inverse, inverse @ root @ mean[part]
 
-        return propagated(self.usual(), marginals)
-
-    def usual(self):
-        return [Site.of_scale(DESCRIBED, max(p.size - 1, 0)) for p in self.parts]
+        usual = [Site.of_scale(DESCRIBED, part.size - 1) for part in self.parts]
+        return propagated(usual, marginals)
 
     def centre(self, sites, mean):
         """Values (k,) that sites have for the most probable ones, at some means."""
         out = np.zeros(self.y.size)
         for part, site in zip(self.parts, sites):
-            if part.size:
-                away = np.linalg.solve(site.precision, site.right)
-                out[part] = mean[part].mean() + _contrasts(part.size).T @ away
+            away = np.linalg.solve(site.precision, site.right)
+            out[part] = mean[part].mean() + _contrasts(part.size).T @ away
         return out
-
-    def without(self, k, sites):
-        mean, covariance = self.solved([*sites[:k], None, *sites[k + 1 :]])
-        return mean[self.parts[k]], covariance[np.ix_(self.parts[k], self.parts[k])]
-
-
-@dataclass(frozen=True, eq=False)
-class _Apart:
-    """Evidence (n_scales, n) that each of n values is further off than the others."""
-
-    y: np.ndarray
-    S: np.ndarray
-    evidence: np.ndarray
-
-    @classmethod
-    def of(cls, y, S):
-        V = S + (SCALES**2)[:, None, None] * np.eye(y.size)
-        inverse = np.linalg.inv(V)
-        ones = inverse.sum(axis=2)
-        free = inverse - ones[:, :, None] * ones[:, None] / ones.sum(1)[:, None, None]
-        q, h = free @ y, np.diagonal(free, axis1=1, axis2=2)
-        size = np.linalg.slogdet(V)[1] + np.log(ones.sum(axis=1))
-        along = _USUAL - 0.5 * (size + q @ y)
-        own = h.reshape(-1, 1)
-        known = {"own": own, "unit": np.ones(own.shape)}
-        groups = Groups(H=own[:, :, None], q=q.reshape(-1, 1), **known)
-        one = groups.evidence(DESCRIBED).reshape(h.shape)
-        return cls(y, S, one + (along - logsumexp(along))[:, None])
-
-    @property
-    def log_odds(self):
-        """Log odds (n,) but for those before the data."""
-        return logsumexp(self.evidence, axis=0)
-
-    def factor(self, k):
-        """Factor of a value over the mean of the others, and its deviation."""
-        n = self.y.size
-        rest = np.flatnonzero(np.arange(n) != k)
-        if n > 2:
-            weight = np.exp(self.evidence[:, k] - self.log_odds[k])
-            scale = np.sqrt(weight @ SCALES**2)
-            problem = _AlikeProblem(self.y, self.S, (rest,))
-            y, S = problem.solved([Site.of_scale(scale, n - 2)])
-        else:
-            y, S = self.y, self.S
-        mean = y[rest].mean()
-        factor = y[k] / mean
-        along = np.where(np.arange(n) == k, 1.0, -factor / (n - 1)) / mean
-        return float(factor), float(np.sqrt(along @ S @ along))
-
-
-def _depart(problem, labels):
-    """Take values that are not alike out of their parts, the surest first."""
-    # labels: names of the joints of all values. Returns the problem that is left, its
-    # sites, and a list of `Departure` of each part.
-    apart = [[] for _ in problem.parts]
-    count = sum(part.size for part in problem.parts)
-    while True:
-        sites = problem.sites()
-        open_ = [k for k, part in enumerate(problem.parts) if part.size > 1]
-        found = {k: _Apart.of(*problem.without(k, sites)) for k in open_}
-        odds = {k: one.log_odds - np.log(count) for k, one in found.items()}
-        first = max(open_, key=lambda k: odds[k].max(), default=None)
-        if first is None or odds[first].max() <= 0:
-            return problem, sites, apart
-        own, part = odds[first], problem.parts[first]
-        near = np.flatnonzero(own > own.max() - RIVALS)
-        near = near[np.argsort(-own[near], kind="stable")]
-        factors, stds = zip(*(found[first].factor(k) for k in near))
-        apart[first].append(
-            Departure(
-                bodies=tuple(labels[i] for i in part[near]),
-                factors=factors,
-                stds=stds,
-                log_odds=float(own.max()),
-            )
-        )
-        rest = np.delete(part, near)
-        # One value alone is alike to nothing.
-        rest = rest if rest.size > 1 else rest[:0]
-        parts = (*problem.parts[:first], rest, *problem.parts[first + 1 :])
-        problem = replace(problem, parts=parts)
 
 
 def _unit(y, S):
@@ -468,11 +309,12 @@ def beside_each_other(found, groups, robot):
         return found
     seen = _Seen.of(found, [one.places for one in shared])
     labels = [robot.parameter_names_[i].partition(":")[0] for i in seen.at]
-    left, sites, apart = _depart(seen.problem, labels)
-    beside = seen.beside(left, sites)
-    mean, covariance = left.solved(sites)
+    problem = seen.problem
+    sites = problem.sites()
+    beside = seen.beside(problem, sites)
+    mean, covariance = problem.solved(sites)
     values = []
-    for one, part, others in zip(shared, left.parts, apart):
+    for one, part in zip(shared, problem.parts):
         value = AlikeValue(
             group=one.group,
             parameter=one.parameter,
@@ -480,7 +322,6 @@ def beside_each_other(found, groups, robot):
             places=tuple(seen.at[part].tolist()),
             **_spread(mean[part], covariance[np.ix_(part, part)], seen.unit[part]),
             unit=robot.parameter_units_[one.places[0]],
-            apart=tuple(others),
         )
         values.append(value)
     return replace(beside, alike=tuple(values))
@@ -489,8 +330,6 @@ def beside_each_other(found, groups, robot):
 def _spread(y, S, unit):
     """Mean of values, its deviation, and what they scatter by as a share of it."""
     n = y.size
-    if n == 0:
-        return dict.fromkeys(("value", "std", "scatter"), np.nan)
     mean, size = y.mean(), unit[0]
     # Expected variance between them: of their means, and of what is not known.
     about = np.eye(n) - 1.0 / n

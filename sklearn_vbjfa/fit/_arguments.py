@@ -45,25 +45,13 @@ class FitOptions:
     known_masses : dict of str to float, default=None
         Known masses [kg] of bodies, or of a ``"payload"`` (effect `Payload`), which
         determine the common factor of unknown gains.
-    window : "auto" or float, default="auto"
-        Length [s] of the windows of ``criterion="simulation"``. ``"auto"`` is five
-        times the longest time constant of friction, at least five periods of the
-        fastest motion, and at most an eighth of the recordings.
-    alike : "auto", None or str, default="auto"
-        Groups of joints with the same drive, whose rotor inertia, viscous and Coulomb
-        friction, and coefficients of unsigned effects share a mean: patterns, or names
-        with commas (``"hip FL_calf,FR_calf"``). ``"auto"`` groups joints whose names
-        differ in a leg, a side or a number only and whose described bodies are equal;
-        it groups none with `gains` or a custom `regressor`. None groups none.
-    verbose : int, default=0
-        If not 0, show :ref:`progress bars <progress>` on terminals.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa import RobotIdentifier
-    >>> from sklearn_vbjfa.robot import FitOptions
-    >>> options = FitOptions(standstill=0.01, alike=None)
-    >>> robot = RobotIdentifier("arm.urdf", dt=0.01, options=options)
+    window : float, default=1.0
+        Length [s] of the windows of ``criterion="simulation"``.
+    alike : "auto" or None, default="auto"
+        ``"auto"``: rotor inertia, viscous and Coulomb friction, and coefficients of
+        unsigned effects share a mean where joints have the same drive: their names
+        differ in a leg, a side or a number only and their described bodies are equal.
+        None, `gains` or a custom `regressor`: each joint has its own values.
     """
 
     state_cutoff: object = "auto"
@@ -71,9 +59,8 @@ class FitOptions:
     joint_weights: object = "auto"
     torque_noise: object = None
     known_masses: Mapping[str, float] | None = None
-    window: str | float = "auto"
+    window: float = 1.0
     alike: str | None = "auto"
-    verbose: int = 0
 
 
 def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):

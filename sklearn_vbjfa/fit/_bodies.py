@@ -35,13 +35,12 @@ WAYS = ("prior", "free", "fixed")
 
 @dataclass(frozen=True)
 class Departure:
-    """Bodies of which one is not as described, or joints of which one is not alike."""
+    """Bodies of which one is not as described."""
 
     # joints (that carry the bodies), the most probable first: another value of any of
     # them explains the torques about as well, within three nats
     bodies: tuple[str, ...]
-    # how many times the body of the description, or the mean of the other joints, each
-    # of them would be
+    # how many times the body of the description each of them would be
     factors: tuple[float, ...]
     stds: tuple[float, ...]  # standard deviations of the factors
     # logarithm of the odds that the first of them departs further than descriptions
@@ -340,8 +339,7 @@ def propagated(sites, marginals):
         every, alike = list(marginals(sites)), {}
         for k, (_, product) in enumerate(every):
             alike.setdefault(product.size, []).append(k)
-        # Those of one size together; one with no directions stays as it is.
-        alike.pop(0, None)
+        # Those of one size together.
         for places in alike.values():
             precision, product = (np.array(x) for x in zip(*[every[k] for k in places]))
             found, step = _matched(precision, product, [sites[k] for k in places])
@@ -471,17 +469,14 @@ def described_bodies(settings):
         raise ValueError(
             f"bodies must be one of {', '.join(map(repr, WAYS))}; got {bodies!r}."
         )
-    found, why = None, ""
-    if settings.asked_gains is not None:
-        why = "gains: torques of unknown size tell no mass from another"
-    elif settings.regressor is not None:
-        why = "a regressor: it estimates the bodies separately"
-    elif bodies != "free":
+    found = None
+    if bodies != "free" and settings.asked_gains is None and settings.regressor is None:
         per_joint = features.n_parameters_ // features.n_joints_
         found = BodyPrior.of(features.model_, per_joint, features.followers_)
-        why = "a description in which no body has mass and extension"
     if bodies == "fixed" and found is None:
         raise ValueError(
-            f"bodies='fixed' cannot be combined with {why}; use 'prior' or 'free'."
+            "bodies='fixed' cannot be combined with unknown gains, a regressor, or a "
+            "description in which no body has mass and extension; use 'prior' or "
+            "'free'."
         )
     return found

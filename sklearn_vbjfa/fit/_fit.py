@@ -48,10 +48,10 @@ from sklearn_vbjfa.fit._gains import (
     with_gains,
 )
 from sklearn_vbjfa.fit._output_error import refine
-from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import Recording, check_wait, take_rows
+from sklearn_vbjfa.robot._channels import CommonGain
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
-from sklearn_vbjfa.robot._spreads import TorqueSpread, known_parameters
+from sklearn_vbjfa.robot._spreads import known_parameters
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,22 +134,20 @@ class RobotFit:
             output_noise_=rest,
             noise_floor_=np.hypot(robot.torque_noise_, through),
             joint_weights=found.joint_weights,
-            prediction_covariance=TorqueSpread.of_estimate(found),
             effect_ranges_=effect_ranges(features.friction_, robot.effects_, ranges),
             identifiable_=shown,
         )
         return cls(robot=robot, found=found, made=made).with_estimate(found)
 
     def with_estimate(self, found, **changes):
-        spread = self.robot.prediction_covariance
-        if spread is not None:
-            spread = spread.of(found.covariance)
+        C = found.covariance
         robot = replace(
             self.robot,
             theta_=found.theta,
             theta_unconstrained_=found.theta_unconstrained,
             theta_std_=found.std,
-            prediction_covariance=spread,
+            # Symmetric to the last bit, of which a file holds one half.
+            covariance=None if C is None else 0.5 * (C + C.T),
             **changes,
         )
         robot = replace(robot, known_=known_parameters(robot, found))
@@ -199,18 +197,14 @@ class RobotFit:
             values=self.robot.theta_,
         )
 
-    def with_torque_noise(self, noise):
-        """Return the fit with another torque noise (nv,), in the band of the fit."""
-        floor = np.hypot(noise, self.found.noise()[0])
-        robot = replace(self.robot, torque_noise_=noise, noise_floor_=floor)
-        return replace(self, robot=robot)
-
     def with_noise_facts(self, facts):
         """Return the fit with the torque noise by `NoiseFacts` of all recordings."""
         if not facts:
             return self
-        plan = self.robot.plan
-        return self.with_torque_noise(filtered_noise(facts, plan.dt, plan.cutoff))
+        noise = filtered_noise(facts, self.robot.plan.dt, self.robot.plan.cutoff)
+        floor = np.hypot(noise, self.found.noise()[0])
+        robot = replace(self.robot, torque_noise_=noise, noise_floor_=floor)
+        return replace(self, robot=robot)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -397,13 +391,6 @@ def _first_gains(recipe, robot, source):
 def iterate_corrections(recipe, fit, source, relative):
     # relative: `RelativeGains` to begin with, or None.
     fit, values = _corrected(recipe, fit, source, relative)
-    if relative is not None:
-        while (vague := relative.vague(values)).any():
-            relative = relative.without(vague)
-            own = _at(fit.robot, with_gains(fit.robot.effects_, relative.gains))
-            fit = recipe.of_source(own, source)
-            fit, values = _corrected(recipe, fit, source, relative)
-    values.warn_at_bounds(fit.robot.joint_names_)
     for effect in fit.robot.effects_:
         if isinstance(effect, CommandDelay):
             check_wait(effect.delay, source.recording)
@@ -475,7 +462,7 @@ def _corrected(recipe, fit, source, relative):
             joint_weights=recipe.joint_weights,
             bodies=bodies,
         )
-        if values.stay() or (relative is not None and relative.vague(values).any()):
+        if values.stay():
             break
         factor, before = values.longer(factor, before), values.step
         corrected = _at(robot, values.corrected(factor))
@@ -506,7 +493,7 @@ def _common_gain(recipe, fit, relative, values):
     )
     if len(relative.references) != 1:
         # Gains of joints that share nothing have no common factor.
-        return common.given_up(), None
+        return CommonGain(masses=recipe.masses), None
     return common, covariance
 
 
@@ -650,32 +637,6 @@ class ModelValues:
                 effect = effect.linearised_at(_within(effect, step))
             found.append(effect)
         return tuple(found)
-
-    def warn_at_bounds(self, names):
-        """Warn of values at the bounds of the plausible: they fit something else."""
-        # names: of the joints.
-        lines, advice = [], []
-        for effect in self.effects:
-            if not effect.in_model:
-                continue
-            below, above = _at_bounds(effect)
-            if (below | above).any():
-                advice.append(effect.at_bounds)
-            lines += [
-                f"{name} of {effect.name} on {names[effect.joint]} ({value:.3g})"
-                for name, value, ends in zip(
-                    effect.model_parameters, effect.values, below | above
-                )
-                if ends
-            ]
-        if lines:
-            warnings.warn(
-                f"{', '.join(lines)} reached a plausible limit: not identifiable from "
-                "this recording, or another cause. "
-                f"{' '.join(dict.fromkeys(advice))}",
-                DoubtWarning,
-                stacklevel=6,
-            )
 
 
 def _squares(rows, matrix):

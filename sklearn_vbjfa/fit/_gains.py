@@ -10,7 +10,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import Payload, TorqueGain
@@ -22,7 +22,6 @@ from sklearn_vbjfa.robot._channels import (
     LIMIT,
     ChannelGains,
     CommonGain,
-    KnownMass,
 )
 
 # ... so that two of them differ by its square at most.
@@ -57,35 +56,6 @@ class RelativeGains:
     def references(self):
         """Joints whose channels are the units of others, a sorted list of int."""
         return np.unique(self.reference[~self.held]).tolist()
-
-    def vague(self, found):
-        """Joints (nv,), bool, whose interval is wider than what is plausible."""
-        # found: ModelValues.
-        n_rigid = found.estimate.theta.size - sum(
-            len(effect.coefficients) for effect in found.effects
-        )
-        at = np.searchsorted(found.indices, gain_places(found.effects, n_rigid))
-        value, std = found.values_of(found.effects)[at], found.std[at]
-        half = HALF_WIDTH * std
-        middle = [
-            np.median(value[self.reference == reference])
-            for reference in self.reference
-        ]
-        with np.errstate(invalid="ignore"):
-            # As a factor, and beside the gains of the others: a large gain whose
-            # interval holds all that is plausible is known as a factor alone.
-            narrow = half / value < np.log(LIMIT)
-            narrow &= 2 * half < (LIMIT - 1 / LIMIT) * np.array(middle)
-        return ~self.held & ~narrow
-
-    def without(self, joints):
-        """Give up the gains of joints (nv,), bool, which are not seen after all."""
-        own = np.arange(self.reference.size)
-        return RelativeGains(
-            gains=np.where(joints, 1.0, self.gains),
-            reference=np.where(joints, own, self.reference),
-            std=np.where(joints, np.inf, self.std),
-        )
 
 
 def relative_gains(moments, references=()):
@@ -317,58 +287,27 @@ def common_gain(masses, places, theta, estimate):
     # how well they are known. masses: dict of str to float; places: their
     # `mass_places`; theta: parameters of the fit (p,); estimate: `PlainEstimate` of the
     # same, with the relative gains beside them.
-    missing = tuple(
-        KnownMass(name=name, mass=mass, found=np.nan, std=np.nan, shown=False)
-        for name, mass in masses.items()
-        if name not in {name for name, _, _ in places}
-    )
+    nothing = CommonGain(masses=masses), None
     if not places:
-        return CommonGain(masses=missing), None
-    names, expected, at = zip(*places)
-    at = np.array(at)
-    # What is put down is a change by minus its mass.
-    sign = np.where(np.array(names) == PAYLOAD, np.sign(theta[at]), 1.0)
-    expected, own = np.array(expected), theta[at] * sign
-    covariance = estimate.covariance[np.ix_(at, at)] * np.outer(sign, sign)
-    listed = tuple(
-        KnownMass(
-            name=name,
-            mass=float(mass),
-            found=float(found),
-            std=float(np.sqrt(variance)) if shown else np.nan,
-            shown=bool(shown),
-        )
-        for name, mass, found, variance, shown in zip(
-            names, expected, own, np.diagonal(covariance), estimate.known[at]
-        )
-    )
-    # Of magnitudes, as the masses that were given.
-    sums = _determined(estimate.eigen, at) * sign[:, None]
-    y, x = expected @ sums, own @ sums
-    V = sums.T @ covariance @ sums
-    nothing = CommonGain(masses=listed + missing), None
-    if not y.size:
         return nothing
-    inverse = linalg.pinvh(V)
+    names, expected, at = (np.array(x) for x in zip(*places))
+    # What is put down is a change by minus its mass; of magnitudes, as those given.
+    sign = np.where(names == PAYLOAD, np.sign(theta[at]), 1.0)
+    covariance = estimate.covariance[np.ix_(at, at)] * np.outer(sign, sign)
+    sums = _determined(estimate.eigen, at) * sign[:, None]
+    if not sums.size:
+        return nothing
+    y, x = expected @ sums, (theta[at] * sign) @ sums
+    inverse = linalg.pinvh(sums.T @ covariance @ sums)
     information = float(y @ inverse @ y)
     if not information > 0:
         return nothing
     weight = inverse @ y / information
     factor, std = float(weight @ x), 1.0 / np.sqrt(information)
-    rest = x - factor * y
-    excess = float(rest @ inverse @ rest)
-    p_value = float(stats.chi2.sf(excess, y.size - 1)) if y.size > 1 else np.nan
     # A mass that may as well be none says nothing of the scale.
     if not factor > HALF_WIDTH * std:
         return nothing
-    share = np.abs(sums @ weight)
-    listed = tuple(
-        replace(one, used=bool(own > LOST * share.max()))
-        for one, own in zip(listed, share)
-    )
-    common = CommonGain(
-        factor=factor, std=std, masses=listed + missing, p_value=p_value
-    )
+    common = CommonGain(factor=factor, std=std, masses=masses)
     return common, estimate.covariance[:, at] @ (sums @ weight * sign)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_vbjfa._core._progress import show_progress
 from sklearn_vbjfa.effects import TorqueLag
 from sklearn_vbjfa.equations._equations import numbered
 from sklearn_vbjfa.equations._features import (
@@ -23,7 +22,6 @@ from sklearn_vbjfa.equations._plan import (
     observe,
     parameter_names,
 )
-from sklearn_vbjfa.equations._ranges import ends
 from sklearn_vbjfa.equations._recording_checks import (
     check_channels,
     check_drive,
@@ -42,7 +40,6 @@ from sklearn_vbjfa.fit._arguments import (
 from sklearn_vbjfa.fit._bodies import described_bodies
 from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems_late
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
-from sklearn_vbjfa.fit._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.fit._output_error import check_criterion
 from sklearn_vbjfa.fit._signs import signed, with_signs
 from sklearn_vbjfa.inspection import contradicted, inspect_channels, levels
@@ -76,14 +73,10 @@ class RecordingRegressorMixin(RegressorMixin):
 
         Parameters
         ----------
-        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions or states.
-        y : array-like of shape (n_samples, nv)
-            Measured torques [N m or N].
+        X, y, groups, t, signals : array-like
+            As for `fit`.
         sample_weight : array-like of shape (n_samples,), default=None
             Weights.
-        groups, t, signals : default=None
-            As for `predict`.
 
         Returns
         -------
@@ -172,9 +165,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         attributes and methods are also those of the fitted estimator: `theta_`,
         `theta_std_`, `parameter_names_`, `identifiable_`, `gains_`, `noise_floor_`,
         `simulate`, `sample`, `to_urdf`, `save`, ...
-    theta_prior_std_ : ndarray of shape (p,)
-        Standard deviations of the bodies' parameters by the description alone; nan
-        without a prior.
     from_description_ : ndarray of shape (p,), bool
         Parameters whose variance the data reduce by less than half.
     common_size_ : float
@@ -185,20 +175,18 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         `log_odds`.
     alike_ : tuple of AlikeValue
         Parameters that joints share: `group`, `parameter`, `joints`, the mean `value`,
-        its `std` and `unit`, the relative `scatter`, and `apart`, the joints that
-        differ from their group.
-    torque_lag_, torque_lag_std_ : float
-        Time [s] by which all torques are late against the positions, and its standard
-        deviation: a parameter ``torques:lag`` where `inspect_recording` finds a lag;
-        zero and nan elsewhere.
-    input_noise_torque_ : ndarray of shape (nv,)
-        Encoder noise component of the floor [N m or N].
-    estimator_ : JointTorqueRegressor
-        Fitted regressor of the parameters.
+        its `std` and `unit`, and the relative `scatter`.
+    torque_lag_ : float
+        Time [s] by which all torques are late against the positions: a parameter
+        ``torques:lag`` where `inspect_recording` finds a lag; zero elsewhere.
+    estimate_ : Estimate
+        How the parameters were estimated: fitted `regressor` and `projector`, `metric`
+        (p, p) of the projection (the weighted Gram matrix, input noise subtracted),
+        `moments` of the equations, `joint_weights`, and `prior_std` (p,) of the bodies
+        by the description alone.
     criteria_ : SimulationCriteria
-        Errors of positions and torques (nv,) before and after the refinement, number
-        and length of the windows, number of steps, convergence. Only with
-        ``criterion="simulation"``.
+        Errors of positions (nv,) before and after the refinement, number and length of
+        the windows, number of steps, convergence. Only with ``criterion="simulation"``.
     n_features_in_ : int
         nv or 3 nv.
 
@@ -321,16 +309,12 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         DoubtWarning
             If the fit contradicts the description and `inspect_channels` finds a
             reason, such as torques of another unit or sign.
-        UserWarning
-            If there are too few windows for ``criterion="simulation"``.
         """
         self._declare()
         recording = recording_of_arguments(
             self, X, y, groups, sample_weight, t, signals
         )
-        with show_progress(self.fit_options.verbose):
-            findings = self._fit_inspected(recording)
-        for one in findings:
+        for one in self._fit_inspected(recording):
             warnings.warn(one.message, DoubtWarning, stacklevel=2)
         return self
 
@@ -381,7 +365,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def _fit(self, recording, look=False, compare=True):
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)
-        robot = self._declared_robot(plan, recording.signals)
+        robot = self._declared_robot(plan)
         source = FitData(
             recording=recording,
             states=states,
@@ -421,13 +405,11 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             alike=self._shared_drives,
         )
 
-    def _declared_robot(self, plan, signals):
+    def _declared_robot(self, plan):
         noise, nv = self.fit_options.torque_noise, self.features_.n_joints_
         return IdentifiedRobot(
             features_=self.features_,
             plan=plan,
-            signal_ends=ends(signals),
-            state_cutoff=self.fit_options.state_cutoff,
             torque_noise_=filtered_white_noise(noise, nv, plan.dt, plan.cutoff),
             source=self.model,
         )
@@ -457,7 +439,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         # plan: how states and equations were made; moments: `JointMoments` of all
         # equations; facts: of the fitted `robot_`, the `NoiseFacts` of all recordings.
         self.n_features_in_ = plan.standstill.size
-        fit = self._recipe().of_moments(self._declared_robot(plan, {}), moments)
+        fit = self._recipe().of_moments(self._declared_robot(plan), moments)
         if self.fit_options.torque_noise is None:
             fit = fit.with_noise_facts(facts(fit.robot))
         return self._set(fit)
@@ -518,8 +500,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         halves = self.input_noise is not None
         states, facts = observe(recording, estimator, halves, self.n_jobs)
         if estimator is not None:
-            travel = facts.highest - facts.lowest
-            check_speed(self.dt, facts.fast(), travel, self.features_.model_)
+            check_speed(self.dt, facts.fast(), self.features_.model_)
         ranges = np.stack([facts.lowest, facts.highest])
         torques = [levels(np.asarray(recording.tau[part])) for part in parts]
         torques = np.concatenate(torques)
@@ -537,22 +518,13 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if compare:
             self._robot = replace(fit.robot, recording_variance=fit.between())
         self.effects_, self.features_ = fit.robot.effects_, fit.robot.features_
-        self.estimator_ = JointTorqueRegressor.of_estimate(
-            found,
-            fit.robot.plan.lowpass,
-            regressor=None if self.regressor is None else clone(self.regressor),
-            joint_weights=self.fit_options.joint_weights,
-            dt=self.dt,
-            cutoff=self.cutoff_ if np.isfinite(self.cutoff_) else None,
-        )
-        self.projector_ = found.projector
-        self.theta_prior_std_ = found.prior_std
+        moments = replace(found.moments, blocks=None, recordings=None)
+        self.estimate_ = replace(found, moments=moments)
         self.from_description_ = found.from_description
         self._bodies = bodies = found.bodies
         self.mass_deviations_ = () if bodies is None else bodies.departures
         self.common_size_ = 1.0 if bodies is None else bodies.common
         self.alike_ = tuple(one.at(self.theta_) for one in found.alike)
-        self.input_noise_torque_ = found.noise()[0]
         return self
 
     @property
@@ -584,17 +556,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         """Time [s] by which all torques are late against the positions, or zero."""
         return self.robot_.plan.lag or 0.0
 
-    @property
-    def torque_lag_std_(self):
-        """Standard deviation of `torque_lag_` [s]; nan if none was found."""
-        lags = [name == "torques:lag" for name in self.parameter_names_]
-        return float(self.theta_std_[lags][0]) if any(lags) else np.nan
-
     # -- what the identified robot does ------------------------------------------------
 
-    @wraps(IdentifiedRobot.predict)
-    def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
-        return self.robot_.predicted(X, groups, t, signals, return_std)
+    predict = IdentifiedRobot.predict
 
     @wraps(IdentifiedRobot.residuals)
     def residuals(
@@ -605,24 +569,16 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         sample_weight=None,
         t=None,
         signals=None,
-        *,
-        cutoff="fit",
     ):
         robot, arguments = self.robot_, (X, y, groups, sample_weight, t, signals)
         if self.drive is None:
-            return robot.residuals(*arguments, cutoff=cutoff)
-        return robot.residuals_of(
-            recording_of_arguments(self, *arguments), cutoff=cutoff
-        )
+            return robot.residuals(*arguments)
+        return robot.residuals_of(recording_of_arguments(self, *arguments))
 
     @wraps(IdentifiedRobot.follow)
     def follow(self, recording, drive=None, *, window=None):
         drive = self.drive if drive is None else drive
         return self.robot_.follow(recording, drive, window=window)
-
-    @wraps(IdentifiedRobot.ranges)
-    def ranges(self, level=0.9):
-        return self.robot_.ranges(level, drive=self._drive_of_files(None))
 
     @wraps(IdentifiedRobot.to_mjcf)
     def to_mjcf(self, path, sample=None, random_state=0, *, drive=None):

@@ -1,19 +1,14 @@
 """One parameter vector from the torques of all joints, as a scikit-learn regressor."""
 
-from dataclasses import replace
-
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa._core._lowpass import decimate, filter_weight
 from sklearn_vbjfa.equations._equations import Equations
 from sklearn_vbjfa.equations._features import check_as_computed, parameter_names_of
 from sklearn_vbjfa.equations._joint_moments import piece_moments, sum_moments
 from sklearn_vbjfa.equations._recording_checks import check_weight
 from sklearn_vbjfa.fit._estimate import estimate
-from sklearn_vbjfa.recording import check_cutoff, check_dt, contiguous_groups
 
 
 class JointTorqueRegressor(RegressorMixin, BaseEstimator):
@@ -43,13 +38,6 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         Weights of the joints' equations [1 / torque squared]. ``"auto"``: the inverse
         of each joint's residual variance, by iterated weighted least squares. None:
         unit weights.
-    dt : float, default=None
-        Sample period [s]; needed with `cutoff`.
-    cutoff : float, default=None
-        Cut-off [Hz] of a zero-phase low-pass applied to both features and torques
-        (parallel filtering: filtering the torque alone leaves a residual at every
-        reversal that looks like friction). None filters nothing. Half the filter's
-        length is lost at each end of a recording.
 
     Attributes
     ----------
@@ -58,9 +46,8 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
     theta_unconstrained_ : ndarray of shape (p,)
         Parameters before the projection.
     theta_std_ : ndarray of shape (p,)
-        Standard deviations of `theta_unconstrained_` for independent rows; within
-        `RobotIdentifier`, which knows their order, for residuals correlated in time.
-        nan if the regressor provides none.
+        Standard deviations of `theta_unconstrained_` for independent rows; nan if the
+        regressor provides none.
     joint_weights_ : ndarray of shape (nv,)
         Weights of the joints.
     n_rows_ : ndarray of shape (nv,)
@@ -74,8 +61,6 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         Weighted Gram matrix of the equations, measured input noise subtracted.
     input_noise_ : ndarray of shape (p, p) or None
         Covariance of the input noise in a weighted equation, if measured.
-    lowpass_ : Lowpass
-        The filter.
     n_features_in_ : int
         nv * p.
 
@@ -92,7 +77,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
     Notes
     -----
     `sample_weight` weights the equations, whether or not the regressor supports
-    weights. With metadata routing, labels in `groups` are requested.
+    weights.
 
     All joints share one parameter vector, so that nothing may rescale or mix the
     columns between `RigidBodyFeatures` and this estimator: columns that a scaler has
@@ -112,23 +97,10 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
     array([1., 2., 3.])
     """
 
-    # Labels of recordings that are passed are taken, as by `StateEstimator`.
-    __metadata_request__fit = {"groups": True}  # noqa: RUF012
-
-    def __init__(
-        self,
-        regressor=None,
-        projector=None,
-        joint_weights="auto",
-        *,
-        dt=None,
-        cutoff=None,
-    ):
+    def __init__(self, regressor=None, projector=None, joint_weights="auto"):
         self.regressor = regressor
         self.projector = projector
         self.joint_weights = joint_weights
-        self.dt = dt
-        self.cutoff = cutoff
 
     def __sklearn_tags__(self):
         """Tags of a regressor with one or several outputs."""
@@ -137,7 +109,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         tags.target_tags.single_output = True
         return tags
 
-    def fit(self, X, y, groups=None, sample_weight=None):
+    def fit(self, X, y, sample_weight=None):
         """Fit the parameters.
 
         Parameters
@@ -146,13 +118,9 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
             Regressor matrices, joints outermost, rows in time order.
         y : array-like of shape (n_samples, nv) or (n_samples,)
             Joint torques.
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings; nothing is filtered across their boundaries.
         sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
                 default=None
             Weights of samples, or of each joint's equations; zero leaves one out.
-            With a low-pass, a filtered row gets the average weight over the filter's
-            length, or zero if less than half of that has weight.
 
         Returns
         -------
@@ -163,7 +131,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         ------
         ValueError
             If the columns of X do not divide among the joints of y or have been
-            rescaled, or the low-pass leaves no equation.
+            rescaled.
         """
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
@@ -183,64 +151,21 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         if nv > 1 or self.projector is not None:
             check_as_computed(X)
         weight = check_weight(sample_weight, tau.shape)
-        lowpass = self._design()
-        pieces = []
-        for part in contiguous_groups(groups, X.shape[0]):
-            matrices = (len(tau[part]), nv, X.shape[1] // nv)
-            one = Equations(
-                Phi=decimate(lowpass, X[part].reshape(matrices)),
-                tau=decimate(lowpass, tau[part]),
-                weight=filter_weight(lowpass, weight[part]),
-            )
-            if one.tau.shape[0]:
-                pieces.append(one)
-        total = sum_moments(
-            piece_moments(one.Phi, one.tau, one.weight) for one in pieces
+        rows = Equations(
+            Phi=X.reshape(*tau.shape, -1), tau=tau, weight=np.array(weight)
         )
-        if total is None or not total.n.any():
-            raise ValueError(
-                "No equation is left to fit: every sample was masked, or the "
-                "recordings are shorter than the low-pass filter "
-                f"({2 * lowpass.half + 1} samples). Raise the cut-off or give "
-                "longer recordings."
-            )
+        total = sum_moments([piece_moments(rows.Phi, rows.tau, rows.weight)])
         found = estimate(
-            total, self.regressor, joint_weights=self.joint_weights, rows=pieces
+            total, self.regressor, joint_weights=self.joint_weights, rows=[rows]
         )
-        self._set(found)
-        self.theta_ = self._project(self.theta_unconstrained_)
-        return self
-
-    def _design(self):
-        if self.cutoff is None:
-            self.lowpass_ = _lowpass.design(1.0, np.inf)
-        else:
-            dt = check_dt(self.dt)
-            cutoff = check_cutoff(self.cutoff, dt, "cutoff")
-            self.lowpass_ = _lowpass.design(dt, cutoff)
-        return self.lowpass_
-
-    @classmethod
-    def of_estimate(cls, found, lowpass, **settings):
-        """Make a fitted estimator from an `Estimate`, without its projection.
-
-        lowpass : filter of its equations; settings : parameters of the estimator.
-        """
-        made = cls(**settings)
-        made.lowpass_, made.projector_ = lowpass, None
-        made.parameter_names_ = None
-        made._set(found)
-        return made
-
-    def _set(self, found):
         self.theta_unconstrained_ = found.theta_unconstrained
-        self.theta_ = found.theta_unconstrained.copy()
         self.theta_std_ = found.std
         self.joint_weights_ = found.joint_weights
         self.n_rows_ = found.moments.n_rows
         self.metric_, self.input_noise_ = found.metric, found.input_noise
-        self.statistics_ = replace(found.moments, blocks=None, recordings=None)
         self.regressor_ = found.regressor
+        self.theta_ = self._project(self.theta_unconstrained_)
+        return self
 
     def _project(self, theta):
         self.projector_ = None

@@ -22,7 +22,6 @@ from scipy import linalg
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import OfChannel
 from sklearn_vbjfa.equations._equations import regressor_rows
-from sklearn_vbjfa.equations._plan import CUTOFF_PER_BANDWIDTH
 from sklearn_vbjfa.fit._estimate import project
 from sklearn_vbjfa.recording import take_rows
 from sklearn_vbjfa.robot._posterior import of_effects
@@ -30,17 +29,8 @@ from sklearn_vbjfa.robot._windows import warn_once
 from sklearn_vbjfa.simulation import (
     SimulationError,
     simulate,
-    without_limits,
 )
 
-# A window is so many times as long as the slowest joint takes to forget a velocity.
-_FORGETS = 5.0
-# There are at least so many windows, the blocks of time of the covariance.
-_LEAST_WINDOWS = 8
-_LEAST_ROWS = 20
-# Fewer observations than so many for each direction that they determine are fitted
-# rather than explained: half of their errors are gone for nothing.
-_LEAST_OBSERVATIONS = 2.0
 # Steps end when the mean squared error falls by less than this share.
 TOLERANCE = 1e-4
 _MOST_STEPS = 30
@@ -62,9 +52,6 @@ class SimulationCriteria:
     # measured states, and at last from the estimated ones
     position_before: np.ndarray
     position_after: np.ndarray
-    # (nv,): of the torque residuals of the fit, behind its low-pass [N m or N]
-    torque_before: np.ndarray
-    torque_after: np.ndarray
     n_windows: int
     window: float  # their length [s]
     n_iterations: int  # steps that were taken
@@ -80,8 +67,6 @@ class Refined:
     unconstrained: np.ndarray
     std: np.ndarray
     criteria: SimulationCriteria  # errors before and after
-    # directions of the parameters that the simulation determined
-    determined: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,40 +139,16 @@ def _start_noise(estimator, nv):
     return np.concatenate([encoder, estimator.velocity_noise()])
 
 
-def window_rows(window, predictor, recording, states):
+def _window_rows(window, recording):
     """Return the number of rows of a window, from the parameter `window` [s]."""
-    # "auto" is five times as long as friction takes to slow the slowest joint to 1 / e:
-    # after that a joint has forgotten with which velocity it started, and the errors
-    # show what friction and gravity lack rather than the noise of the start. It is at
-    # least five periods of the fastest motion, and leaves at least eight windows.
-    dt, lengths = recording.dt, [s.stop - s.start for s in recording.segments]
-    longest = max(lengths)
-    if not isinstance(window, str):
-        rows = round(float(window) / dt) + 1
-        if rows > longest:
-            raise ValueError(
-                f"window={window:g} s is longer than the longest recording "
-                f"({(longest - 1) * dt:.6g} s)."
-            )
-        return rows
-    plan = predictor.plan
-    period = CUTOFF_PER_BANDWIDTH / plan.cutoff
-    if not np.isfinite(plan.cutoff) and plan.fastest_period is not None:
-        period = float(np.max(plan.fastest_period))
-    needed = _FORGETS * max(period, _slowest(predictor, recording, states))
-    most = min(longest, sum(lengths) // _LEAST_WINDOWS)
-    return max(min(int(np.ceil(needed / dt)), most), min(_LEAST_ROWS, longest))
-
-
-def _slowest(predictor, recording, states):
-    """Longest time [s] in which friction slows a joint to 1 / e; 0 without friction."""
-    stamped = replace(recording, t=predictor.plan.clock(recording), weight=None)
-    first = take_rows(stamped, recording.segments[:1], [0])
-    found = slopes(predictor, first, np.ascontiguousarray(states.own[0][:]))
-    mass = np.einsum("njj->j", found.mass)
-    damping = np.einsum("njj->j", found.damping)
-    times = mass[damping > 0] / damping[damping > 0]
-    return float(times.max()) if times.size else 0.0
+    rows = round(float(window) / recording.dt) + 1
+    longest = max(part.stop - part.start for part in recording.segments)
+    if rows > longest:
+        raise ValueError(
+            f"window={window:g} s is longer than the longest recording "
+            f"({(longest - 1) * recording.dt:.6g} s)."
+        )
+    return rows
 
 
 def check_criterion(settings):
@@ -198,11 +159,8 @@ def check_criterion(settings):
     if settings.criterion == "torque":
         return
     window = settings.fit_options.window
-    good = isinstance(window, Real) and 0 < window < np.inf
-    if not good and not (isinstance(window, str) and window == "auto"):
-        raise ValueError(
-            f"window must be 'auto' or a positive time in s; got {window!r}."
-        )
+    if not (isinstance(window, Real) and 0 < window < np.inf):
+        raise ValueError(f"window must be a positive time in s; got {window!r}.")
     if settings.dt is None:
         raise ValueError(
             "criterion='simulation' needs the sample period: give dt in seconds."
@@ -214,9 +172,7 @@ def check_criterion(settings):
 
 def run_windows(predictor, windows, starts):
     """Simulate windows from starts (W, 2 nv); states (W, L, 3 nv)."""
-    # The robot has no joint limits here: it was where the recording says.
     robot = predictor.torque_model()
-    robot = replace(robot, model=without_limits(robot.model))
     nv = robot.n_joints
     recording, L = windows.recording, windows.measured.shape[1]
     clock = recording.clock(stamped=predictor.plan.timed)
@@ -316,7 +272,7 @@ def refine(predictor, found, recording, states, window, projector):
     # own metric, and taken only where the criterion falls. predictor: `IdentifiedRobot`
     # of the torque fit; found: its `Estimate`; recording, states: what was fitted;
     # window, projector: see `FitOptions` and `RobotIdentifier`. Returns `Refined`.
-    rows = window_rows(window, predictor, recording, states)
+    rows = _window_rows(window, recording)
     windows = Windows.of(predictor, recording, states, rows)
     with warnings.catch_warnings(record=True) as caught:
         # Every window of every step says what the simulation goes without: once will
@@ -324,15 +280,6 @@ def refine(predictor, found, recording, states, window, projector):
         warnings.simplefilter("always")
         refined = _refine(predictor, found, windows, projector)
     warn_once(caught, "simulations", stacklevel=5)
-    count = int(windows.observations.sum())
-    if count < _LEAST_OBSERVATIONS * refined.determined:
-        warnings.warn(
-            f"Overfitting: {count} windows of joints for {refined.determined:.0f} "
-            "directions of the parameters. Give shorter windows (window) or a longer "
-            "recording.",
-            UserWarning,
-            stacklevel=5,
-        )
     return refined
 
 
@@ -366,33 +313,21 @@ def _refine(predictor, found, windows, projector):
         if fell < TOLERANCE * count:
             converged = True
             break
-    theta = fit.predictor.theta_
-    torque = [_torque_errors(found.moments, x) for x in (predictor.theta_, theta)]
     criteria = SimulationCriteria(
         position_before=before,
         position_after=fit.position_errors(windows),
-        torque_before=torque[0],
-        torque_after=torque[1],
         n_windows=windows.count,
         window=(windows.measured.shape[1] - 1) * windows.recording.dt,
         n_iterations=taken,
         converged=converged,
     )
-    least = _LEAST_DAMPING * largest
-    std = deviations(normal, metric, least, found.std)
+    std = deviations(normal, metric, _LEAST_DAMPING * largest, found.std)
     return Refined(
-        theta=theta,
+        theta=fit.predictor.theta_,
         unconstrained=unconstrained,
         std=np.where(held, found.std, std),
         criteria=criteria,
-        determined=float(np.trace(_shares(normal, metric, least))),
     )
-
-
-def _shares(normal, metric, damping):
-    """Return what of each change of parameters the simulation determines, (p, p)."""
-    A = scaled_eigen(normal.H + damping * metric)
-    return A.inverse() @ normal.H
 
 
 def _largest(H, metric):
@@ -422,16 +357,6 @@ def _try(fit, normal, theta, windows):
         return None
 
 
-def _torque_errors(moments, theta):
-    """Root mean square of the torque residuals of each joint, (nv,)."""
-    squares = moments.residual_squares(theta)
-    return np.sqrt(
-        np.divide(
-            squares, moments.n, out=np.full(squares.size, np.nan), where=moments.n > 0
-        )
-    )
-
-
 def deviations(normal, metric, damping, before):
     """Find the standard deviations (p,) of refined parameters."""
     # With H the Gauss-Newton matrix, G the metric of the torque fit and a small damping
@@ -447,7 +372,8 @@ def deviations(normal, metric, damping, before):
     # where windows tell many directions (tests/robot/test_output_error.py).
     W = normal.g.shape[0]
     A = scaled_eigen(normal.H + damping * metric)
-    inverse, shrunk = A.inverse(), _shares(normal, metric, damping)
+    inverse = A.inverse()
+    shrunk = inverse @ normal.H
     rank = float(np.trace(shrunk))
     freedom = max(W - rank, _LEAST_FREEDOM)
     centred = normal.g - normal.g.mean(axis=0)

@@ -231,7 +231,7 @@ def _covariance(identifier):
     """Covariance (10 nv, 10 nv) of the inertial parameters."""
     nv = len(identifier.joint_names_)
     inertial = np.arange(identifier.theta_.size).reshape(nv, -1)[:, :10].ravel()
-    covariance = identifier.robot_.prediction_covariance.covariance
+    covariance = identifier.robot_.covariance
     covariance = covariance[np.ix_(inertial, inertial)]
     # What neither torques nor description tell moves no gravity torque.
     return np.where(np.isfinite(covariance), covariance, 0.0)

@@ -21,7 +21,7 @@ _MODULES = {
         "movable_joints",
         "write_reduced",
     ),
-    "_mjcf": ("FollowingJoint", "JointDynamics", "Tendon", "write_mjcf"),
+    "_mjcf": ("FollowingJoint", "JointDynamics", "write_mjcf"),
     "_shapes": ("NoShapes", "import_coal", "load_shapes"),
     "_trees": (
         "body_names",

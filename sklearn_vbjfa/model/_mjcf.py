@@ -38,17 +38,6 @@ UNLIMITED = 1e6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Tendon:
-    """A fixed tendon over two joints, with what rubs at the sum of their speeds."""
-
-    joints: tuple  # joints, from zero
-    sign: int  # sum or difference: the coefficients are (1, sign)
-    damping: float = 0.0
-    frictionloss: float = 0.0
-    armature: float = 0.0
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class FollowingJoint:
     """A joint without a motor that follows another joint, and its body."""
 
@@ -81,7 +70,6 @@ class JointDynamics:
     slope: np.ndarray
     # (nv,): torque channel's reading, the motor's control, over the true torque
     gain: np.ndarray
-    tendons: tuple = ()  # what couples joints
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,13 +128,9 @@ def write_mjcf(
     dry = {"solreffriction": f"{number(2 * step)} 1", "solimpfriction": _FRICTION}
     default = ElementTree.SubElement(root, "default")
     ElementTree.SubElement(default, "joint", dry)
-    if dynamics.tendons:
-        ElementTree.SubElement(default, "tendon", dry)
     tree.add_bodies(ElementTree.SubElement(root, "worldbody"))
     if followers:
         tree.add_equalities(ElementTree.SubElement(root, "equality"))
-    if dynamics.tendons:
-        tree.add_tendons(ElementTree.SubElement(root, "tendon"))
     tree.add_motors(ElementTree.SubElement(root, "actuator"), servo, step)
     write_tree(ElementTree.ElementTree(root), path)
 
@@ -190,7 +174,7 @@ def _body(carrier, name, placement, phi):
 
 
 class _Tree:
-    """Elements of the bodies, tendons and motors of a robot."""
+    """Elements of the bodies and motors of a robot."""
 
     def __init__(self, model, bodies, dynamics, followers):
         self._model, self._bodies, self._dynamics = model, bodies, dynamics
@@ -264,21 +248,6 @@ class _Tree:
         if dynamics.stiffness[j] != 0 and dynamics.springref[j] != 0:
             joint.set("springref", number(dynamics.springref[j]))
         return body
-
-    def add_tendons(self, parent):
-        """Add the tendons, named after their joints."""
-        for one in self._dynamics.tendons:
-            names = [self._names[j] for j in one.joints]
-            between = "plus" if one.sign > 0 else "minus"
-            fixed = ElementTree.SubElement(
-                parent, "fixed", name=f"{names[0]} {between} {names[1]}"
-            )
-            for key in ("armature", "damping", "frictionloss"):
-                value = getattr(one, key)
-                if value != 0:
-                    fixed.set(key, number(value))
-            for name, coef in zip(names, (1, one.sign)):
-                ElementTree.SubElement(fixed, "joint", joint=name, coef=str(coef))
 
     def add_motors(self, parent, servo, step):
         """Add a motor for each joint, in Pinocchio's order, named like the joint."""

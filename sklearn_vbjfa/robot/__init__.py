@@ -24,16 +24,9 @@ _MODULES = {
     ".equations": ("RigidBodyFeatures", "StateEstimator", "TorqueResiduals"),
     ".fit": ("FitOptions", "JointTorqueRegressor", "RobotIdentifier"),
     ".recording": ("CurrentDrive", "PDDrive", "VoltageDrive"),
-    "_channels": ("ChannelGains", "CommonGain", "KnownMass"),
-    "_corrections": (
-        "AxisCorrection",
-        "Corrections",
-        "GainCorrection",
-        "TiltCorrection",
-    )
-    + ("ZeroCorrection", "corrections_of"),
-    "_exports": ("TERMS", "as_tendons", "changed_motion", "in_line", "to_mjcf")
-    + ("typical_motion",),
+    "_channels": ("ChannelGains", "CommonGain"),
+    "_corrections": ("Correction", "corrections_of"),
+    "_exports": ("TERMS", "changed_motion", "to_mjcf", "typical_motion"),
     "_posterior": ("BetweenRecordings", "Marginal", "Posterior"),
     "_simulator_ranges": ("ParameterRange", "Ranges"),
     "_spreads": ("BodyMass", "body_masses", "note_of_masses"),

@@ -1,6 +1,7 @@
 """Gains of torque channels of an identified robot, and their common factor."""
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -9,8 +10,6 @@ import numpy as np
 LIMIT = 5.0
 # Half width of a 90 % interval in standard deviations.
 HALF_WIDTH = 1.645
-# Known masses disagree if chance alone would do so less often.
-_CHANCE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,33 +49,9 @@ class ChannelGains:
         return tuple(np.setdiff1d(alone, self.references).tolist())
 
     @property
-    def doubtful(self):
-        # By more than is plausible, from the median of those that are relative to one
-        # channel.
-        found, logs = [], np.log(self.gain)
-        for reference in self.references:
-            own = np.flatnonzero(self.reference == reference)
-            off = np.abs(logs[own] - np.median(logs[own]))
-            found += own[off > np.log(LIMIT)].tolist()
-        return tuple(sorted(found))
-
-    @property
     def absolute(self):
         """Whether a known mass fixes what a gain of 1 is."""
         return self.common.factor is not None
-
-
-@dataclass(frozen=True, kw_only=True)
-class KnownMass:
-    """A mass that was given, and what the recording makes of it."""
-
-    name: str  # body, or "payload"
-    mass: float  # as given [kg]
-    # what the recording has for it, in units of the reference channel; nan for nothing
-    found: float
-    std: float  # its standard deviation
-    shown: bool  # whether the recording determines it by itself
-    used: bool = False  # whether it is part of what fixes the common gain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,17 +62,8 @@ class CommonGain:
     # fixes it. Parameters were divided by it
     factor: float | None = None
     std: float = float("nan")  # nan where nothing fixes it
-    masses: tuple[KnownMass, ...] = ()  # those that were given
-    # probability of masses that disagree as much by chance; nan for a single one
-    p_value: float = float("nan")
-
-    @property
-    def agree(self):
-        """Whether the known masses agree with one another, as far as is known."""
-        return not self.p_value < _CHANCE
-
-    def given_up(self):
-        return CommonGain(masses=tuple(replace(m, used=False) for m in self.masses))
+    # known masses [kg] by body, or "payload"
+    masses: Mapping[str, float] = field(default_factory=dict)
 
     def widened(self, theta, std, units, gains, covariance):
         """Deviations (p,) of parameters with that of the common gain."""

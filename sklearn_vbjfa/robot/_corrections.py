@@ -17,69 +17,19 @@ _ALONG = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class TiltCorrection:
-    """A base that is not level."""
+class Correction:
+    """What an effect in the model of a fitted robot asks for."""
 
-    # by which gravity is turned in the base's frame [rad]
-    roll: float
-    pitch: float
-    roll_degrees: float
-    pitch_degrees: float
-    gravity: tuple  # gravity in the base's frame [m/s^2]
-    # how the base itself leans, the opposite turn: roll, pitch and yaw of its frame in
-    # that of a level base, as a URDF has them [rad, degrees]
-    lean_rpy: tuple
-    lean_rpy_degrees: tuple
-
-
-@dataclass(frozen=True, kw_only=True)
-class _OfJoint:
+    name: str  # of the effect
     joint: int  # from zero
     joint_name: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class ZeroCorrection(_OfJoint):
-    """An encoder whose zero is off."""
-
-    subtract: float  # to subtract from what the encoder reads [rad or m]
-    # the same in degrees or mm
-    plain: float
-    plain_unit: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class AxisCorrection(_OfJoint):
-    """A joint whose axis is not where the description has it."""
-
-    # by which it is turned [rad]
-    about_x: float
-    about_y: float
-    about_x_degrees: float
-    about_y_degrees: float
-    about: tuple  # what these two turns are about, axes of the joint's frame
-    # roll, pitch and yaw of the joint's origin in a URDF, before and after [rad]
-    old_rpy: tuple
-    new_rpy: tuple
-
-
-@dataclass(frozen=True, kw_only=True)
-class GainCorrection(_OfJoint):
-    """A torque channel with a wrong gain."""
-
-    gain: float  # to divide what the channel reads by
-    percent: float  # what it reads too much [%]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Corrections:
-    """What the effects in the model of a fitted robot ask for."""
-
-    tilt: TiltCorrection | None = None  # of the base
-    zeros: tuple = ()  # of encoders
-    axes: tuple = ()  # of joints; a URDF that is written has them
-    # those of torque channels, unless all are unknown: then `ChannelGains` has them
-    gains: tuple = ()
+    # A tilt: the turn of gravity in the base's frame ("roll", "pitch") and the
+    # opposite lean of the base ("lean_degrees") in degrees, that as a URDF has it
+    # ("lean_rpy") [rad], and "gravity" in the base's frame [m/s^2]. A zero: what to
+    # "subtract" from the encoder [rad or m], the same "plain" in a "unit". An axis: its
+    # turns in degrees ("turns") "about" which axes, and the rpy of the joint's origin,
+    # "old_rpy" and "new_rpy" [rad]. A gain: the "gain" to divide by.
+    values: dict
 
 
 class _Turns(CorrectedModel):
@@ -110,81 +60,67 @@ def turned_joints(robot):
 
 
 def corrections_of(robot):
-    """Say what is to be corrected of a fitted robot, `Corrections`."""
+    """Say what is to be corrected of a fitted robot, a tuple of `Correction`."""
     turned, names = _Turns(robot), robot.joint_names_
-    values = {kind: {} for kind in (BaseTilt, JointZero, JointAxis, TorqueGain)}
+    sums = {}
     for effect in robot.effects_:
-        for kind, sums in values.items():
-            if isinstance(effect, kind):
-                # Small turns add up, of one that was declared and found once more.
-                sums[effect.joint] = sums.get(effect.joint, 0.0) + effect.values
-    if robot.gains_ is not None:
-        values[TorqueGain] = {}
-
-    def each(kind, make):
-        return tuple(
-            make(robot, turned, int(joint), own, joint_name=names[joint])
-            for joint, own in values[kind].items()
+        if effect.name in _VALUES:
+            # Small turns add up, of one that was declared and found once more.
+            key = effect.name, effect.joint
+            sums[key] = sums.get(key, 0.0) + effect.values
+    return tuple(
+        Correction(
+            name=name,
+            joint=joint,
+            joint_name=names[joint],
+            values=_VALUES[name](robot, turned, joint, values),
         )
-
-    tilts = [_tilt(turned, own) for own in values[BaseTilt].values()]
-    return Corrections(
-        tilt=tilts[0] if tilts else None,
-        zeros=each(JointZero, _zero),
-        axes=each(JointAxis, _axis),
-        gains=each(TorqueGain, _gain),
+        for (name, joint), values in sums.items()
+        # Gains that are unknown anyway are in `ChannelGains`.
+        if robot.gains_ is None or name != TorqueGain.name
     )
 
 
-def _tilt(turned, values):
+def _tilt(robot, turned, joint, values):
+    roll, pitch = np.degrees(values).tolist()
     lean = import_pinocchio().rpy.matrixToRpy(turned.base.T)
-    roll, pitch = values.tolist()
-    return TiltCorrection(
-        roll=roll,
-        pitch=pitch,
-        roll_degrees=float(np.degrees(roll)),
-        pitch_degrees=float(np.degrees(pitch)),
-        gravity=_floats(turned.model.gravity.linear),
-        lean_rpy=_floats(lean),
-        lean_rpy_degrees=_floats(np.degrees(lean)),
-    )
+    return {
+        "roll": roll,
+        "pitch": pitch,
+        "lean_degrees": _floats(np.degrees(lean)),
+        "lean_rpy": _floats(lean),
+        "gravity": _floats(turned.model.gravity.linear),
+    }
 
 
-def _zero(robot, turned, joint, values, joint_name):
+def _zero(robot, turned, joint, values):
     off = float(values[0])
-    slides = is_prismatic(robot.features_.nominal_)[joint]
-    return ZeroCorrection(
-        joint=joint,
-        joint_name=joint_name,
-        subtract=off,
-        plain=1e3 * off if slides else float(np.degrees(off)),
-        plain_unit="mm" if slides else "degrees",
-    )
+    if is_prismatic(robot.features_.nominal_)[joint]:
+        return {"subtract": off, "plain": 1e3 * off, "unit": "mm"}
+    return {"subtract": off, "plain": float(np.degrees(off)), "unit": "degrees"}
 
 
-def _axis(robot, turned, joint, values, joint_name):
+def _axis(robot, turned, joint, values):
     rpy = import_pinocchio().rpy.matrixToRpy
     origin = joint_origin(robot.features_.nominal_, joint)
-    (about_x, about_y), degrees = values.tolist(), np.degrees(values).tolist()
-    return AxisCorrection(
-        joint=joint,
-        joint_name=joint_name,
-        about_x=about_x,
-        about_y=about_y,
-        about_x_degrees=degrees[0],
-        about_y_degrees=degrees[1],
-        about=tuple(map(_axis_name, cross_axes(turned.axis(joint)))),
-        old_rpy=_floats(rpy(origin)),
-        new_rpy=_floats(rpy(origin @ turned.joints[joint])),
-    )
+    return {
+        "turns": tuple(np.degrees(values).tolist()),
+        "about": tuple(map(_axis_name, cross_axes(turned.axis(joint)))),
+        "old_rpy": _floats(rpy(origin)),
+        "new_rpy": _floats(rpy(origin @ turned.joints[joint])),
+    }
 
 
-def _gain(robot, turned, joint, values, joint_name):
-    gain = float(turned.gains[joint])
-    percent = 100.0 * (gain - 1.0)
-    return GainCorrection(
-        joint=joint, joint_name=joint_name, gain=gain, percent=percent
-    )
+def _gain(robot, turned, joint, values):
+    return {"gain": float(turned.gains[joint])}
+
+
+_VALUES = {
+    BaseTilt.name: _tilt,
+    JointZero.name: _zero,
+    JointAxis.name: _axis,
+    TorqueGain.name: _gain,
+}
 
 
 def _floats(values):
@@ -199,35 +135,25 @@ def _axis_name(direction):
     return f"axis ({', '.join(f'{x:.4g}' for x in direction)})"
 
 
+# What a URDF says of a correction.
+_NOTES = {
+    BaseTilt.name: "The base of the recorded robot was not level: gravity is turned "
+    "in its frame by roll {roll:.4g} and pitch {pitch:.4g} degrees. Level it, or "
+    "simulate with gravity {gravity[0]:.6g} {gravity[1]:.6g} {gravity[2]:.6g} m/s^2 in "
+    "its frame: this file has a level base.",
+    JointZero.name: "Subtract {plain:.4g} {unit} ({subtract:.6g} rad or m) from what "
+    "the encoder of {joint} reads: this file has the zeros of the description.",
+    JointAxis.name: "The axis of {joint} was turned by {turns[0]:.4g} degrees about "
+    "the {about[0]} and {turns[1]:.4g} degrees about the {about[1]} of its frame: the "
+    "rpy of its origin has it.",
+    TorqueGain.name: "Divide the torque that the channel of {joint} reads by "
+    "{gain:.5g}: inertias and friction in this file are those of the true torque.",
+}
+
+
 def note_of_corrections(robot):
     """Say what an identified robot asks for that a URDF cannot hold; a list of str."""
-    found, lines = corrections_of(robot), []
-    if found.tilt is not None:
-        rpy = " ".join(f"{x:.6g}" for x in found.tilt.lean_rpy)
-        gravity = " ".join(f"{x:.6g}" for x in found.tilt.gravity)
-        lines.append(
-            "The base of the recorded robot was not level: gravity is turned in its "
-            f"frame by roll {found.tilt.roll_degrees:.4g} and pitch "
-            f"{found.tilt.pitch_degrees:.4g} degrees, and the base leans the opposite "
-            f'way (rpy="{rpy}" in a level frame). Level it, or simulate with gravity '
-            f"{gravity} m/s^2 in its frame: this file has a level base."
-        )
-    lines += [
-        f"Subtract {one.plain:.4g} {one.plain_unit} ({one.subtract:.6g} "
-        f"{'m' if one.plain_unit == 'mm' else 'rad'}) from what the encoder of "
-        f"{one.joint_name} reads: this file has the zeros of the description."
-        for one in found.zeros
+    return [
+        _NOTES[one.name].format(joint=one.joint_name, **one.values)
+        for one in corrections_of(robot)
     ]
-    lines += [
-        f"Divide the torque that the channel of {one.joint_name} reads by "
-        f"{one.gain:.5g}: inertias and friction in this file are those of the true "
-        "torque."
-        for one in found.gains
-    ]
-    lines += [
-        f"The axis of {one.joint_name} was turned by {one.about_x_degrees:.4g} degrees "
-        f"about the {one.about[0]} and {one.about_y_degrees:.4g} degrees about the "
-        f"{one.about[1]} of its frame: the rpy of its origin has it."
-        for one in found.axes
-    ]
-    return lines

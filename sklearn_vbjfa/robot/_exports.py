@@ -10,13 +10,13 @@ from sklearn_vbjfa.effects import CommandDelay, OfChannel, OfTime
 from sklearn_vbjfa.equations._features import follower_parameters, following_joints
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._dynamics import CorrectedModel
-from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, Tendon, write_mjcf
+from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, write_mjcf
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
 from sklearn_vbjfa.simulation import (
     LeftOut,
+    SimulationError,
     simulate,
     with_bodies,
-    without_limits,
 )
 
 
@@ -99,7 +99,7 @@ def _notes_of_mjcf(robot, dynamics, servo):
         "channels read [N m or N]; positions are what the encoders read [rad or m].",
     ]
     if servo is not None:
-        lines = _notes_of_servo(robot, dynamics, servo)
+        lines = _notes_of_servo(servo)
     lines += [
         f"The encoder of {robot.joint_names[j]} reads {dynamics.ref[j]:.6g} at the "
         "zero of the description (ref)."
@@ -121,17 +121,13 @@ def _notes_of_mjcf(robot, dynamics, servo):
     return lines
 
 
-def _notes_of_servo(robot, dynamics, servo):
+def _notes_of_servo(servo):
     lines = [
         "Controls of the motors, in the order of the recording, are commanded "
         "positions; these and positions are what the encoders read [rad or m]. With "
         "the gains kp and kd of a joint, a commanded velocity v and a torque ahead t "
         "count as (kd v + t) / kp of its position.",
     ]
-    names = np.array(robot.joint_names)
-    bare = ", ".join(names[servo.kp == 0])
-    if bare:
-        lines.append(f"Controls of {bare}, without kp, are torques [N m or N].")
     if servo.delay > 0:
         lines.append(
             f"Commands act {servo.delay:.4g} s late (delay, for MuJoCo 3.5 and newer; "
@@ -139,11 +135,6 @@ def _notes_of_servo(robot, dynamics, servo):
             "has room for the time step of the file and longer ones, and begins with "
             "controls of zero: mj_initCtrlHistory takes others."
         )
-    limited = np.isfinite(servo.most) & (dynamics.slope != 0)
-    lines += [
-        f"The spring of {name} counts towards the limit of its motor (forcerange)."
-        for name in names[limited]
-    ]
     return lines
 
 
@@ -237,21 +228,15 @@ def _left_of_urdf(account):
 class _JointTerms:
     """What effects enter into the joints of an MJCF file; see `Effect`."""
 
-    damping: np.ndarray  # (nv,): viscous friction
     constant: np.ndarray  # (nv,): constant torque
     spring: np.ndarray  # (nv,): stiffness about the zero of the position
     ref: np.ndarray  # (nv,): what encoders read at the zero of the description
-    couplings: list  # pairs of a `Coupling` and its coefficients
 
     def take(self, effect, coef):
         """Take what the file has of an effect; return coefficients that are left."""
         left = dict(coef)
-        for place, *names in effect.files.places:
-            own = [left.pop(name) for name in names]
-            if place == "tendons":
-                self.couplings.append((effect, np.array(own)))
-            else:
-                getattr(self, place)[effect.joint] += own[0]
+        for place, name in effect.files.places:
+            getattr(self, place)[effect.joint] += left.pop(name)
         return left
 
 
@@ -261,11 +246,7 @@ def _mjcf_dynamics(account, servo=None):
         account.passive(name) for name in ("viscous", "coulomb", "rotor_inertia")
     )
     joints = _JointTerms(
-        damping=damping,
-        constant=account.total("offset"),
-        spring=np.zeros(nv),
-        ref=np.zeros(nv),
-        couplings=[],
+        constant=account.total("offset"), spring=np.zeros(nv), ref=np.zeros(nv)
     )
     for effect, coef in account.uses:
         # In the sums; in the model, in the gains, or a body of its own.
@@ -286,116 +267,17 @@ def _mjcf_dynamics(account, servo=None):
     constant, spring, ref = joints.constant, joints.spring, joints.ref
     stable = spring > 0
     springref = np.where(stable, -constant / np.where(stable, spring, 1.0), 0.0)
-    joined = as_tendons(joints.couplings, damping, armature, in_line(robot.model))
-    for effect, rest in joined.left:
-        account.leave_effect(effect, rest, _one_sided(effect, rest))
     return JointDynamics(
-        damping=joined.damping,
+        damping=damping,
         frictionloss=frictionloss,
-        armature=joined.armature,
+        armature=armature,
         stiffness=np.where(stable, spring, 0.0),
         springref=springref,
         ref=ref,
         constant=np.where(stable, 0.0, constant),
         slope=np.where(stable, 0.0, spring),
         gain=robot.gains,
-        tendons=joined.tendons,
     )
-
-
-def _one_sided(effect, rest):
-    what = ", ".join(
-        f"{name} {value:.4g}"
-        for name, value in zip(effect.coefficients, rest)
-        if value != 0
-    )
-    return (
-        f"{what} of it: what joint {effect.other + 1} does to this one without the "
-        "reverse, or in excess of what a passive tendon can (one with inertia only "
-        "between joints of which one carries the other)"
-    )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Coupled:
-    """Couplings as tendons."""
-
-    # (nv,): what the joints keep, without what the tendons do to a joint by itself
-    damping: np.ndarray
-    armature: np.ndarray
-    tendons: tuple
-    left: list  # (3,): what is left of each coupling's coefficients
-
-
-_TENDON = "damping", "frictionloss", "armature"
-
-
-def in_line(model):
-    """Which joints carry each other, ndarray (nv, nv) of bool."""
-    carries = np.eye(model.nv, dtype=bool)
-    for j, parent in enumerate(list(model.parents)[1:]):
-        if parent > 0:
-            carries[:, j] |= carries[:, int(parent) - 1]
-    return carries | carries.T
-
-
-def as_tendons(couplings, damping, armature, lined):
-    """Turn couplings into tendons, as far as both joints feel each other; `Coupled`."""
-    # A tendon with the coefficients (1, s) and the damping d puts d (v_j + s v_k) on
-    # joint j and s times that on k: the matrix of dampings is symmetric, as that of
-    # whatever rubs between two joints. What one joint feels and the other does not is
-    # left out, and so is what would ask for a negative damping of a joint. The same
-    # holds for inertias, and those between joints of two branches are left out: MuJoCo
-    # has no place for them in its sparse inertia matrix, and takes no notice of them.
-    # couplings: effects with their coefficients Fvm, Fcm, Iam; damping, armature (nv,):
-    # of the joints, not negative; lined (nv, nv): which joints carry each other, see
-    # `in_line`.
-    nv = damping.size
-    left = [np.array(coef, dtype=float) for _, coef in couplings]
-    places = [(effect.joint, effect.other) for effect, _ in couplings]
-    # by tendons with s = 1 and -1: damping, friction and inertia of each pair
-    size, kept = np.zeros((2, nv, nv, 3)), np.array([damping, armature], dtype=float)
-    for at, own, counts in ((0, kept[0], np.ones((nv, nv))), (2, kept[1], lined)):
-        C, passive = np.zeros((2, nv, nv))
-        for (effect, coef), place in zip(couplings, places):
-            C[place] += counts[place] * coef[at]
-            passive[place] += effect.ratio * counts[place] * coef[at]
-        both, share = _mutual(C)
-        # A joint with too little gives all its tendons the same share of what they ask.
-        need = np.maximum(both - passive * share, 0.0)
-        asked = need.sum(axis=1)
-        part = np.divide(own, asked, out=np.ones(nv), where=asked > own)
-        part = np.where(need > 0, part[:, None], 1.0)
-        part = np.minimum(part, part.T)
-        both, share = part * both, part * share
-        own += (passive * share - both).sum(axis=1)
-        size[0, :, :, at], size[1, :, :, at] = both * (C > 0), both * (C < 0)
-        for coef, place in zip(left, places):
-            coef[at] *= 1.0 - share[place]
-    for k, ratio in enumerate((1.0, -1.0)):
-        used = [n for n, (effect, _) in enumerate(couplings) if effect.ratio == ratio]
-        C = np.zeros((nv, nv))
-        for n in used:
-            C[places[n]] += couplings[n][1][1]
-        # sign(v_k - v_j) on j is a tendon's friction with the opposite sign
-        size[k, :, :, 1], share = _mutual(np.where((C < 0) == bool(k), C, 0.0))
-        for n in used:
-            left[n][1] *= 1.0 - share[places[n]]
-    tendons = tuple(
-        Tendon(joints=(int(low), int(high)), sign=sign, **dict(zip(_TENDON, own)))
-        for low, high in zip(*np.triu_indices(nv, 1))
-        for sign, own in ((-1, size[1, low, high]), (1, size[0, low, high]))
-        if own.any()
-    )
-    # Rounding of what adds up to zero.
-    damping, armature = np.maximum(kept, 0.0)
-    left = [(effect, rest) for (effect, _), rest in zip(couplings, left)]
-    return Coupled(damping=damping, armature=armature, tendons=tendons, left=left)
-
-
-def _mutual(C):
-    both = np.where(C * C.T > 0, np.minimum(np.abs(C), np.abs(C.T)), 0.0)
-    return both, np.divide(both, np.abs(C), out=np.zeros_like(C), where=both > 0)
 
 
 # What joints of MJCF have, by the names of declared friction.
@@ -418,7 +300,7 @@ def without_place(effect, coef):
     others = effect.in_model or effect.whole_robot or "signals" in effect.needs
     if others or isinstance(effect, (OfChannel, OfTime)) or not effect.files.mjcf:
         return np.zeros(len(coef))
-    held = [name for _, *names in effect.files.places for name in names]
+    held = [name for _, name in effect.files.places]
     return np.where(np.isin(effect.coefficients, held), 0.0, coef)
 
 
@@ -448,9 +330,10 @@ def refitted(robot, totals):
     """Fit the joints of a file to what it lacks of an identified robot, (nv, 3)."""
     # totals (nv, 3): of `TERMS` in the file. What was identified changes by a factor of
     # two at most: a joint without armature would be another joint for a controller.
+    # What another joint does to one is no friction of its own.
     nv, added = len(totals), np.zeros(totals.shape)
     pairs = list(zip(robot.effects_, robot.split(robot.theta_)))
-    left = [without_place(*pair) for pair in pairs]
+    left = [without_place(*pair) * (not pair[0].partners) for pair in pairs]
     if not _is_known(robot) or not any(coef.any() for coef in left):
         return added
     states, moves = typical_motion(robot.effect_ranges_, nv, robot.plan.dt)
@@ -492,7 +375,6 @@ def warn_of_motion(robot, joints, file_name):
     ]
     model = replace(
         model,
-        model=without_limits(model.model),
         coefficients=tuple(x * used for x, used in zip(model.coefficients, plain)),
     )
     file = replace(
@@ -506,7 +388,7 @@ def warn_of_motion(robot, joints, file_name):
     )
     try:
         shares = changed_motion(robot, model, file)
-    except ValueError as error:
+    except SimulationError as error:
         text = "The identified robot cannot be simulated from torques without feedback"
         warnings.warn(f"{text}: {error}", DoubtWarning, stacklevel=3)
         return
@@ -532,7 +414,7 @@ def changed_motion(robot, model, other):
     """Root mean square change (nv,) of simulated positions, over their spread."""
     # model, other: `TorqueModel`, both driven by the torques of the first in a typical
     # motion; infinite where the other one diverges. Raises the `SimulationError` of the
-    # first one if no window can be simulated.
+    # first one if that diverges.
     nv, dt = model.n_joints, robot.plan.dt
     states, moves = typical_motion(robot.effect_ranges_, nv, dt)
     length = min(max(round(_SECONDS / dt), _LEAST), _ROWS)
@@ -540,20 +422,13 @@ def changed_motion(robot, model, other):
     starts = np.linspace(0, _ROWS - length, count).astype(int)
     tau = robot.torques(robot.prepare(states).noiseless(robot.plan))
     changes, spread = [], states[:, :nv].std(axis=0)
-    failure = None
     for rows in (slice(start, start + length) for start in starts):
         q, v, _ = np.split(states[rows.start], 3)
-        try:
-            own = _simulated(model, tau[rows], q, v)
-        except ValueError as error:
-            failure = error
-            continue
+        own = _simulated(model, tau[rows], q, v)
         try:
             changes.append(_simulated(other, tau[rows], q, v) - own)
-        except ValueError:
+        except SimulationError:
             changes.append(np.inf)
-    if not changes:
-        raise failure
     squares = np.mean([np.mean(np.square(x), axis=0) for x in changes], axis=0)
     return np.where(moves, np.sqrt(squares) / np.where(moves, spread, 1.0), 0.0)
 

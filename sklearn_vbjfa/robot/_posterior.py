@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from numbers import Integral
 
 import numpy as np
-from scipy.special import log_ndtr, logsumexp, ndtri_exp, softmax
+from scipy.special import log_ndtr, logsumexp
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.effects import declared
@@ -13,8 +13,6 @@ from sklearn_vbjfa.equations._features import Follower
 from sklearn_vbjfa.equations._plan import effect_places
 from sklearn_vbjfa.physical import Options, PhysicalProjector
 
-# Sweeps of Gibbs's sampler for draws outside the possible values.
-_SWEEPS = 200
 # Eigenvalues of a correlation below this are rounding.
 _ROUNDING = 1e-14
 # Halvings of an interval that a quantile is in.
@@ -62,49 +60,29 @@ class Marginal:
     lowest: float = -np.inf
 
     def quantiles(self, levels):
-        """Quantiles (n,) of shares (n,), by halving."""
-        levels = np.asarray(levels, dtype=float)
+        """Quantiles (n,) of shares (n,)."""
+        return self.beyond(np.log1p(-np.asarray(levels, dtype=float)))
+
+    def beyond(self, logs):
+        """Values (n,) above which shares are, by their logarithms, by halving."""
         if not self.deviations.max() > 0:
-            return np.full(levels.shape, max(self.centre, self.lowest))
-        asked = self._above(np.array([self.lowest]))[0] + np.log1p(-levels)
+            return np.full(logs.shape, max(self.centre, self.lowest))
+        asked = self.above(np.array([self.lowest]))[0] + logs
         reach = 50.0 * self.deviations.max()
-        low = np.full(levels.shape, max(self.centre - reach, self.lowest))
-        high = np.full(levels.shape, max(self.centre, low[0]) + reach)
+        low = np.full(logs.shape, max(self.centre - reach, self.lowest))
+        high = np.maximum(self.centre, low) + reach
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
-            more = self._above(middle) > asked
+            more = self.above(middle) > asked
             low, high = np.where(more, middle, low), np.where(more, high, middle)
         return 0.5 * (low + high)
 
-    def _above(self, x):
+    def above(self, x):
         """Logarithms of the mixture's shares above x (n,), not cut off."""
         with np.errstate(divide="ignore"):
             own = np.log(self.weights)[:, None]
         z = (self.centre - x) / self.deviations[:, None]
         return logsumexp(own + log_ndtr(z), axis=0)
-
-    def moments(self):
-        if not self.deviations.max() > 0:
-            return max(self.centre, self.lowest), 0.0
-        with np.errstate(divide="ignore"):
-            share = np.log(self.weights) + log_ndtr(
-                (self.centre - self.lowest) / self.deviations
-            )
-        mean, std = _cut_off(self.centre, self.deviations, self.lowest)
-        weight = softmax(share)
-        middle = weight @ mean
-        return middle, np.sqrt(weight @ (std**2 + (mean - middle) ** 2))
-
-
-def _cut_off(centre, deviation, lowest):
-    """Means and deviations (m,) of normals that are cut off below."""
-    a = (lowest - centre) / deviation
-    # from a thousand deviations on they fall as an exponential
-    far, a = a > 1e3, np.clip(a, -40.0, 1e3)
-    ratio = np.exp(-0.5 * (a**2 + np.log(2 * np.pi)) - log_ndtr(-a))
-    share = np.sqrt(np.maximum(1.0 + a * ratio - ratio**2, 0.0))
-    mean = np.where(far, lowest + deviation / a, centre + deviation * ratio)
-    return mean, np.where(far, deviation / a, deviation * share)
 
 
 # -- the posterior ---------------------------------------------------------------------
@@ -128,14 +106,14 @@ class Posterior:
 
     @classmethod
     def of(cls, robot):
-        if robot.prediction_covariance is None:
+        if robot.covariance is None:
             raise ValueError(
                 "samples and ranges need the covariance of the parameters, which this "
                 "robot does not have: its regressor gives none (leave regressor=None, "
                 "or use VBJFARegressor or JFARegressor)."
             )
         covariance = np.zeros(2 * robot.theta_.shape)
-        fitted = robot.prediction_covariance.covariance
+        fitted = robot.covariance
         finite = np.isfinite(np.diagonal(fitted))
         covariance[np.ix_(finite, finite)] = fitted[np.ix_(finite, finite)]
         # Of values of the geometry only the deviations are known.
@@ -167,9 +145,10 @@ class Posterior:
 
     def marginal(self, k):
         """Return the `Marginal` of a parameter; None if nothing tells it."""
-        if not np.isfinite(self.std[k]):
-            return None
-        within, weights, off = self.std[k], np.ones(1), np.zeros(1)
+        return self._mixture(k, self.std[k]) if np.isfinite(self.std[k]) else None
+
+    def _mixture(self, k, within):
+        weights, off = np.ones(1), np.zeros(1)
         if self.between is not None and k in self.between.places:
             at = int(np.flatnonzero(self.between.places == k)[0])
             weights, off = self.between.weights[:, at], self.between.deviations[:, at]
@@ -180,33 +159,53 @@ class Posterior:
             lowest=0.0 if self.nonnegative[k] else -np.inf,
         )
 
-    def correlation(self):
-        """Correlations (p, p) of values in the next recording; nan for constants."""
-        total = self.covariance + np.diag(self.off**2)
-        size = np.sqrt(np.diagonal(total))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return total / np.outer(size, size)
-
     def sample(self, seed, numbers):
         """Draw parameters (n, p): rows of the endless table that a seed has."""
         # Each row has random numbers of its own, and does not depend on the others.
         rngs = [np.random.default_rng([seed, int(k)]) for k in numbers]
-        p, cut = self.theta.size, np.flatnonzero(self.nonnegative & (self.within > 0))
+        p, bodies = self.theta.size, self.bodies.ravel()
         x = np.array([rng.standard_normal(p) for rng in rngs]) @ _root(self.covariance)
-        off = _Off.drawn(self.between, rngs, p)
-        _into(x, self.covariance, self.centre, cut, off, rngs)
-        bodies = self.bodies.ravel()
-        if self.covariance[bodies, bodies].any():
-            self._consistent(x, bodies, cut, off, rngs)
-        return self.centre + x + off.values
-
-    def _consistent(self, x, bodies, cut, off, rngs):
-        """Project the bodies of draws (n, p), in place; the rest follows them."""
-        # The nearest consistent bodies in the metric of their posterior. What the rest
-        # may be is drawn beside them, so that the torques stay as well as they can.
-        rest = np.setdiff1d(np.arange(self.theta.size), bodies)
+        off = np.zeros_like(x)
+        if self.between is not None:
+            off[:, self.between.places] = self._drawn_off(rngs)
+        # What is moved takes the others along by their regression, so that the torques
+        # stay as well as they can: the rest with the bodies, then with what was cut.
+        rest = np.setdiff1d(np.arange(p), bodies)
         own = self.covariance[np.ix_(bodies, bodies)]
         precision = covariance_inverse(own)
+        follow = self.covariance[np.ix_(rest, bodies)] @ precision
+        left = self.covariance[np.ix_(rest, rest)] - follow @ own @ follow.T
+        if own.any():
+            moved = self._consistent(x[:, bodies], precision) - x[:, bodies]
+            x[:, bodies] += moved
+            x[:, rest] += moved @ follow.T
+        cut = np.flatnonzero(self.nonnegative[rest] & (self.within[rest] > 0))
+        before = (self.centre + x + off)[:, rest[cut]]
+        after = before.copy()
+        for i, k in enumerate(rest[cut]):
+            after[:, i] = self._cut_off(k, before[:, i])
+        # ... by the share of it that is within the recording.
+        total = self.within**2 + self.off**2
+        share = (self.within**2)[rest[cut]] / total[rest[cut]]
+        precision = covariance_inverse(left[np.ix_(cut, cut)])
+        x[:, rest] += share * (after - before) @ precision @ left[cut]
+        drawn = self.centre + x + off
+        drawn[:, rest[cut]] = after
+        return drawn
+
+    def _drawn_off(self, rngs):
+        """Draw how far values are off in recordings, (n, k)."""
+        between, k = self.between, self.between.places.size
+        share = np.array([rng.random(k) for rng in rngs])
+        below = np.cumsum(between.weights, axis=0)
+        chosen = (share[:, None] > below / below[-1]).sum(axis=1)
+        chosen = np.minimum(chosen, below.shape[0] - 1)
+        z = np.array([rng.standard_normal(k) for rng in rngs])
+        return z * between.deviations[chosen, np.arange(k)]
+
+    def _consistent(self, x, precision):
+        """Project the bodies of draws (n, k), in the metric of their posterior."""
+        bodies = self.bodies.ravel()
         projector = PhysicalProjector(
             metric=precision,
             options=Options(
@@ -216,19 +215,12 @@ class Posterior:
             ),
         )
         projector.fit(self.theta[bodies][None])
-        centre = self.centre[bodies]
-        fixed = projector.transform(centre + x[:, bodies]) - centre
-        follow = self.covariance[np.ix_(rest, bodies)] @ precision
-        left = self.covariance[np.ix_(rest, rest)] - follow @ own @ follow.T
-        # Rounding; what bodies do not tell of the rest is never negative.
-        left = 0.5 * (left + left.T)
-        mean = fixed @ follow.T
-        beside = x[:, rest] - x[:, bodies] @ follow.T
-        inside = np.flatnonzero(np.isin(rest, cut))
-        own_off = _Off(off.between, off.values[:, rest], off.chosen, rest)
-        _into(beside, left, self.centre[rest] + mean, inside, own_off, rngs)
-        off.values[:, rest] = own_off.values
-        x[:, bodies], x[:, rest] = fixed, beside + mean
+        return projector.transform(self.centre[bodies] + x) - self.centre[bodies]
+
+    def _cut_off(self, k, drawn):
+        """Move draws (n,) to the same quantiles of values that are not negative."""
+        found = self._mixture(k, self.within[k])
+        return found.beyond(found.above(drawn))
 
 
 def of_the_model(robot):
@@ -272,15 +264,6 @@ def seed_of(random_state):
     return int(check_random_state(random_state).randint(2**31 - 1))
 
 
-def check_number(name, value, least):
-    is_number = isinstance(value, Integral) and not isinstance(value, bool)
-    if not is_number or value < least:
-        raise ValueError(
-            f"{name} must be a whole number from {least} on; got {value!r}."
-        )
-    return int(value)
-
-
 # -- draws -----------------------------------------------------------------------------
 
 
@@ -307,86 +290,8 @@ def covariance_inverse(covariance):
     """Inverse of a covariance (p, p); zero where nothing varies."""
     correlation, size = _unit(covariance)
     value, axes = _spectrum(correlation)
-    value = np.maximum(value, _ROUNDING * value.max())
+    value = np.maximum(value, _ROUNDING * value.max(initial=0.0))
     moves = np.diagonal(covariance) > 0
-    inverse = (axes / value) @ axes.T / np.outer(size, size)
+    scaled = np.divide(axes, value, out=np.zeros_like(axes), where=value > 0)
+    inverse = scaled @ axes.T / np.outer(size, size)
     return inverse * np.outer(moves, moves)
-
-
-@dataclass(eq=False)
-class _Off:
-    """How far drawn recordings are off, in all parameters."""
-
-    between: BetweenRecordings | None
-    values: np.ndarray  # (n, p)
-    chosen: np.ndarray  # (n, k): which deviation each has
-    places: np.ndarray  # (p,): the parameters
-
-    @classmethod
-    def drawn(cls, between, rngs, p):
-        off = cls(between, np.zeros((len(rngs), p)), None, np.arange(p))
-        if between is None:
-            return off
-        k = between.places.size
-        share = np.array([rng.random(k) for rng in rngs])
-        below = np.cumsum(between.weights, axis=0)
-        off.chosen = (share[:, None] > below / below[-1]).sum(axis=1)
-        off.chosen = np.minimum(off.chosen, below.shape[0] - 1)
-        z = np.array([rng.standard_normal(k) for rng in rngs])
-        off.values[:, between.places] = z * between.deviations[off.chosen, np.arange(k)]
-        return off
-
-    def place(self, k):
-        """Return which of `between` the k-th parameter is; None for none of it."""
-        if self.between is None:
-            return None
-        at = np.flatnonzero(self.between.places == self.places[k])
-        return int(at[0]) if at.size else None
-
-    def again(self, rows, k, least, numbers):
-        at = self.place(k)
-        if at is None:
-            return
-        deviations = self.between.deviations[:, at]
-        scale = deviations[self.chosen[rows, at]]
-        value = scale * _tail(least / scale, numbers[:, 0])
-        with np.errstate(divide="ignore"):
-            weight = np.log(self.between.weights[:, at] / deviations)
-        along = weight - 0.5 * (value[:, None] / deviations) ** 2
-        below = np.cumsum(softmax(along, axis=1), axis=1)
-        new = (numbers[:, 1, None] > below).sum(axis=1)
-        self.values[rows, k] = value
-        self.chosen[rows, at] = np.minimum(new, deviations.size - 1)
-
-
-def _tail(least, share):
-    """Draw standard normals that are at least so much, by shares (n,) in (0, 1)."""
-    return -ndtri_exp(np.log1p(-share) + log_ndtr(-least))
-
-
-def _into(x, covariance, centre, cut, off, rngs):
-    """Move draws x (n, q) to where centre + x + off is not negative, in place."""
-    # cut: places in x that may not be. Draws that are possible are drawn rightly as
-    # they are, with the others refused; those are drawn one parameter at a time, given
-    # all else (Geman and Geman, 1984), which leaves the distribution as it is. What is
-    # not cut off follows by its regression.
-    centre = np.broadcast_to(centre, x.shape)
-    rows = np.flatnonzero((centre + x + off.values)[:, cut].min(axis=1, initial=0) < 0)
-    if not rows.size:
-        return
-    own = covariance[np.ix_(cut, cut)]
-    precision = covariance_inverse(own)
-    before, now = x[np.ix_(rows, cut)], x[np.ix_(rows, cut)]
-    mean, numbers = centre[np.ix_(rows, cut)], [rngs[row] for row in rows]
-    for _ in range(_SWEEPS):
-        share = np.array([rng.random((cut.size, 3)) for rng in numbers])
-        for i, k in enumerate(cut):
-            width = 1.0 / np.sqrt(precision[i, i])
-            others = now[:, i] - now @ precision[i] * width**2
-            least = -mean[:, i] - off.values[rows, k]
-            drawn = _tail((least - others) / width, share[:, i, 0])
-            now[:, i] = others + width * drawn
-            off.again(rows, k, -mean[:, i] - now[:, i], share[:, i, 1:])
-    follow = covariance[:, cut] @ precision
-    x[rows] += (now - before) @ follow.T
-    x[np.ix_(rows, cut)] = now

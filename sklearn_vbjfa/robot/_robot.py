@@ -1,14 +1,14 @@
 """Identified robots: parameters and predictions without data."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+import warnings
+from dataclasses import dataclass, replace
+from numbers import Integral
 from pathlib import Path
 
 import numpy as np
-from sklearn.utils.validation import check_array
+from sklearn.utils.validation import check_array, check_scalar
 
-from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.effects import CommandDelay, EffectRange, OfTime
+from sklearn_vbjfa.effects import CommandDelay, EffectRange
 from sklearn_vbjfa.effects._motion import Rest, outside
 from sklearn_vbjfa.equations._equations import (
     build_segments,
@@ -23,7 +23,6 @@ from sklearn_vbjfa.equations._equations import (
 from sklearn_vbjfa.equations._features import (
     Follower,
     RigidBodyFeatures,
-    nominal_followers,
 )
 from sklearn_vbjfa.equations._plan import Plan, parameter_names
 from sklearn_vbjfa.equations._recording_checks import (
@@ -35,7 +34,6 @@ from sklearn_vbjfa.equations._states import RecordingStates, fit_states, smooth_
 from sklearn_vbjfa.equations._torque_noise import noise_facts, rows_looked_at, seen
 from sklearn_vbjfa.model._loading import (
     joint_names,
-    nominal_parameters,
 )
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.recording import (
@@ -48,7 +46,6 @@ from sklearn_vbjfa.recording._drives import PDDrive
 from sklearn_vbjfa.recording._recording import (
     Recording,
     check_clock,
-    check_cutoff,
     check_dt,
     take_arrays,
 )
@@ -67,19 +64,14 @@ from sklearn_vbjfa.robot._exports import (
 from sklearn_vbjfa.robot._posterior import (
     BetweenRecordings,
     Posterior,
-    check_number,
     of_the_model,
     seed_of,
 )
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
 from sklearn_vbjfa.robot._spreads import (
-    TorqueSpread,
     min_eigenvalues,
     note_of_masses,
     outside_text,
-    signals_outside_text,
-    time_outside_text,
-    warn_outside,
 )
 from sklearn_vbjfa.robot._windows import follow
 from sklearn_vbjfa.simulation._simulate import simulate
@@ -151,8 +143,6 @@ class IdentifiedRobot:
 
     Attributes
     ----------
-    joint_names_ : tuple of str
-        Joints in the order of the columns of X and y.
     theta_ : ndarray of shape (p,)
         Parameters, physically consistent if projected: for each joint ten inertial
         parameters in Pinocchio's order and the friction, then the coefficients of the
@@ -163,25 +153,18 @@ class IdentifiedRobot:
         Posterior standard deviations of `theta_unconstrained_`, which allow for
         residuals that are correlated in time (see Notes). nan if the regressor provides
         none.
-    parameter_names_, parameter_units_ : tuple of str
-        Names ("joint_1:m") and units of the parameters.
     identifiable_ : ndarray of shape (p,), bool
         Parameters that the data determine individually, not only in combination.
     known_ : tuple of str
         "yes", "in combination", "from the description" or "no": whether the recording
         determines a parameter individually, together with others, less than the
         description, or not at all.
-    effects_ : tuple of Effect
-        Effects in use; first the bodies of joints that follow others (``mimic``).
     effect_ranges_ : tuple of EffectRange
         Positions, speeds and loads on which declared friction and `effects_` were
         fitted. `predict` warns outside.
     gains_ : ChannelGains or None
         Gains of the torque channels: ``gain`` and ``std`` (nv,), ``intervals()`` of
         90 %, ``reference`` (nv,), and the ``common`` factor. None unless unknown.
-    min_eigenvalues_ : ndarray of shape (nv,)
-        Smallest eigenvalue of each body's pseudo-inertia matrix in units of its mass
-        and length scale; positive for a physically consistent body.
     noise_floor_ : ndarray of shape (nv,)
         Standard deviation of `residuals` [N m or N] that encoder and torque noise leave
         in a complete model. nan if the torque noise is unknown.
@@ -191,34 +174,9 @@ class IdentifiedRobot:
     output_noise_ : ndarray of shape (nv,)
         Standard deviation of the residual that input noise does not explain [N m or N];
         its excess over `torque_noise_` is model error.
-    cutoff_ : float
-        Cut-off frequency of the low-pass filter [Hz]; infinity without.
-    standstill_ : ndarray of shape (nv,)
-        Speeds at or below which samples are excluded [rad/s or m/s].
-    state_estimator_ : StateEstimator or None
-        None if states were given.
     features_ : RigidBodyFeatures
         The robot, corrected by its effects in ``model_``, and as described in
         ``nominal_``.
-    dt : float or None
-        Sample period of the fit [s].
-    description_ : str
-        Robot description (URDF), not corrected.
-    left_out_ : tuple of LeftOut
-        Effects that `step` does without, as they need what comes after a state, each
-        with `name`, `joint` (from zero) and `reason`.
-
-    Examples
-    --------
-    With the robot of the example of `RobotIdentifier`, state by state as in a control
-    loop:
-
-    >>> import numpy as np
-    >>> own = robot.robot_
-    >>> q, v, a = np.zeros((3, 6))
-    >>> first = own.step(q, v, a)
-    >>> second = own.step(q + 1e-5, v + 0.01, a)
-    >>> own.reset()
     """
 
     features_: RigidBodyFeatures
@@ -229,12 +187,9 @@ class IdentifiedRobot:
     # first friction by joint, then the effects, of which those that are not `bounded`
     # are held within theirs; empty, or for all
     effect_ranges_: tuple[EffectRange, ...] = ()
-    # lowest and highest value of each recorded signal in the fit
-    signal_ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    # [Hz], of a smoother for positions where the fit was given states
-    state_cutoff: float | str | tuple[float | None, ...] | None = "auto"
-    # how far measured torques may be from predicted ones
-    prediction_covariance: TorqueSpread | None = None
+    # (p, p): of the parameters before the projection, infinite on the diagonal where
+    # nothing tells one; None if the regressor has none
+    covariance: np.ndarray | None = None
     # how far values are off from one recording to another, where there were several
     recording_variance: BetweenRecordings | None = None
     theta_std_: np.ndarray | None = None
@@ -247,20 +202,9 @@ class IdentifiedRobot:
     joint_weights: np.ndarray | None = None  # (nv,): in the fit
     gains_: ChannelGains | None = None
     source: object = None  # path or model that the robot came from
-    # URDF of a robot that was saved; whether it came from a URDF or was written from a
-    # model's tree
+    # URDF of a robot that was saved
     text: str | None = None
-    from_urdf: bool | None = None
-    package: str = ""  # and version that it was saved with at first; empty if not yet
     _stepper: object = None
-
-    def __repr__(self):
-        """Tell the size of the robot and its effects."""
-        effects = ", ".join(effect.name for effect in self.effects_)
-        return (
-            f"<IdentifiedRobot: {len(self.joint_names_)} joints, effects: "
-            f"{effects or 'none'}>"
-        )
 
     def __getstate__(self):
         """Return what is copied: all but the motion that `step` remembers."""
@@ -276,22 +220,19 @@ class IdentifiedRobot:
     @property
     def description_(self):
         """Robot description (URDF), not corrected."""
-        return self.features_.description[0] if self.text is None else self.text
-
-    @property
-    def comes_from_urdf(self):
-        """Whether the description is a URDF, or was written from a model's tree."""
-        known = self.from_urdf
-        return self.features_.description[1] if known is None else known
+        return self.features_.description if self.text is None else self.text
 
     @property
     def min_eigenvalues_(self):
-        """Smallest pseudo-inertia eigenvalue of each body, (nv,)."""
+        """Smallest eigenvalue of each body's pseudo-inertia matrix, (nv,).
+
+        In units of its mass and length scale; positive for a consistent body.
+        """
         return min_eigenvalues(self.bodies(self.theta_))
 
     @property
     def parameter_names_(self):
-        """Names of the parameters, tuple of str."""
+        """Names of the parameters ("joint_1:m"), tuple of str."""
         return parameter_names(self.features_, self.effects_)[0]
 
     @property
@@ -301,7 +242,7 @@ class IdentifiedRobot:
 
     @property
     def left_out_(self):
-        """Effects that `step` does without, tuple of LeftOut."""
+        """Effects that need what comes after a state, for `step`; tuple of LeftOut."""
         return causal(self.torque_model())[1]
 
     @property
@@ -316,17 +257,17 @@ class IdentifiedRobot:
 
     @property
     def standstill_(self):
-        """Speeds at or below which a joint may be standing, (nv,)."""
+        """Speeds (nv,) at or below which samples are excluded [rad/s or m/s]."""
         return self.plan.standstill
 
     @property
     def cutoff_(self):
-        """Highest frequency that was identified [Hz]."""
+        """Cut-off frequency of the low-pass filter [Hz]; infinity without."""
         return self.plan.cutoff
 
     # -- what it is asked -------------------------------------------------------------
 
-    def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
+    def predict(self, X, groups=None, t=None, signals=None):
         """Predict the joint torques.
 
         Parameters
@@ -341,32 +282,22 @@ class IdentifiedRobot:
             starts at the beginning of the first fitted recording.
         signals : mapping of str to array-like of shape (n_samples,), default=None
             Recorded signals, as for `fit`; required by effects that vary with them.
-        return_std : bool, default=False
-            If True, also return the standard deviation of measured torques about the
-            predicted ones; see Notes.
 
         Returns
         -------
-        torque : ndarray of shape (n_samples, nv)
+        ndarray of shape (n_samples, nv)
             Joint torques [N m] or forces [N], friction included.
-        std : ndarray of shape (n_samples, nv)
-            Standard deviation [N m or N] of the low-pass filtered reading of the torque
-            channel; only with `return_std`. Infinite if a row depends on a parameter
-            that the fit does not determine.
 
         Raises
         ------
         ValueError
-            If X does not match the robot, a signal is missing, or `return_std` is used
-            with a regressor without ``coef_cov_``.
+            If X does not match the robot, or a signal is missing.
 
         Warns
         -----
         UserWarning
             If the motion leaves the range of an effect (`effect_ranges_`) by more than
-            a fifth of its width in more than 0.5 % of the rows, if it leaves the time
-            of the fit by more than a tenth of its duration and effects vary with time,
-            or if signals leave their range.
+            a fifth of its width in more than 0.5 % of the rows.
 
         Notes
         -----
@@ -378,36 +309,14 @@ class IdentifiedRobot:
         declared friction and `bounded` effects are extrapolated. After the last time of
         the fit a drift continues to decay and a payload remains; before the first time
         both have their initial value.
-
-        The standard deviation is that of measured minus predicted torque, both filtered
-        as in `residuals`, at a new state of the same robot while the joint moves: the
-        root of phi' C phi + s^2, with the row phi of the regressor, the covariance C of
-        the parameters before the projection, and the residual s of the joint in the
-        fit. Corrections of the model, shape parameters, dry friction at rest, and noise
-        above the low-pass are not included.
         """
-        return self.predicted(X, groups, t, signals, return_std)
-
-    def predicted(self, X, groups, t, signals, return_std):
-        """Predict torques; warn who called the caller of what is outside."""
-        X, signals = self.checked(X, signals)
-        if return_std and self.prediction_covariance is None:
-            raise ValueError(
-                "return_std needs the covariance of the parameters, which this robot "
-                "does not have: its regressor gives none (leave regressor=None, or use "
-                "VBJFARegressor or JFARegressor)."
-            )
-        asked = self.prepare(X, groups, t, signals=signals)
-        warn_outside(self.outside_texts(asked), stacklevel=3)
-        rows = self._rows(asked)
-        torques = np.concatenate([one.predict(self.theta_) for one in rows])
-        if not return_std:
-            return torques
-        noiseless = asked.smoother is None
-        spreads = [
-            self.prediction_covariance.std(one, noiseless=noiseless) for one in rows
-        ]
-        return torques, np.concatenate(spreads)
+        robot = self.robot_  # also of a fitted identifier
+        X, signals = robot.checked(X, signals)
+        asked = robot.prepare(X, groups, t, signals=signals)
+        if text := robot.outside_text(asked):
+            message = f"Prediction outside the range of the fit. {text}."
+            warnings.warn(message, UserWarning, stacklevel=2)
+        return robot.torques(asked)
 
     def residuals(
         self,
@@ -417,8 +326,6 @@ class IdentifiedRobot:
         sample_weight=None,
         t=None,
         signals=None,
-        *,
-        cutoff="fit",
     ):
         """Return the torque residuals, filtered and masked as in the fit.
 
@@ -433,9 +340,6 @@ class IdentifiedRobot:
         sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
                 default=None
             Weights; zero leaves a sample out.
-        cutoff : "fit", float or None, default="fit"
-            Cut-off frequency of the low-pass filter [Hz]; ``"fit"`` uses `cutoff_`,
-            None filters nothing.
 
         Returns
         -------
@@ -449,26 +353,12 @@ class IdentifiedRobot:
         clock = self.clock(t, X.shape[0])
         weight = check_weight(sample_weight, y.shape)
         recording = self.recording(X, y, groups, weight, clock, signals)
-        return self.residuals_of(recording, cutoff=cutoff)
+        return self.residuals_of(recording)
 
-    def residuals_of(self, recording, *, cutoff="fit"):
+    def residuals_of(self, recording):
         """Torque residuals on a `Recording`; see `residuals`."""
-        (found,) = self.residuals_behind(recording, [cutoff])
-        return found
-
-    def residuals_behind(self, recording, cutoffs):
-        """Torque residuals on a `Recording` behind several low-passes, a list."""
-        # Torques are predicted once for all of them.
-        lowpasses = []
-        for cutoff in cutoffs:
-            if isinstance(cutoff, str) and cutoff == "fit":
-                cutoff = self.plan.cutoff
-            elif cutoff is None:
-                cutoff = np.inf
-            else:
-                cutoff = check_cutoff(cutoff, check_dt(self.plan.dt), "cutoff")
-            lowpasses.append(_lowpass.design(self.plan.dt or 1.0, cutoff))
-            check_length(recording.segments, lowpasses[-1], cutoff)
+        lowpass = self.plan.lowpass
+        check_length(recording.segments, lowpass, self.plan.cutoff)
         recording = self._on_clock(recording)
         smoother = self.smoother(recording.inputs, recording.groups)
         states, rest = RecordingStates.of(recording, smoother), self._rest(smoother)
@@ -482,23 +372,12 @@ class IdentifiedRobot:
                 theta=self.load_parameters,
                 rest=rest,
             )
-            return compare(made, lowpasses, self.theta_)
+            return compare(made, lowpass, self.theta_)
 
         found = compared(None)
-        if not all((one.weight > 0).all() for one in found):
+        if not (found.weight > 0).all():
             # Weighted rows have the columns of the fit; rows at rest are predicted.
-            pairs = zip(found, compared(rest))
-            found = [one.filled(other) for one, other in pairs]
-        return found
-
-    def measured(self, recording):
-        """Return filtered torques of a `Recording`, without predictions."""
-        smoother = self.smoother(recording.inputs, recording.groups)
-        states = RecordingStates.of(recording, smoother)
-        plan = replace(self.plan, effects=())
-        recording = self.plan.applied(recording)
-        made = build_segments(recording, states, plan, self.features_)
-        (found,) = compare(made, [plan.lowpass], None)
+            found = found.filled(compared(rest))
         return found
 
     def step(self, q, v, a, t=None, signals=None):
@@ -556,8 +435,8 @@ class IdentifiedRobot:
         v0 : array-like of shape (nv,), default=None
             Velocities in the first row [rad/s or m/s]; None is at rest.
         t : array-like of shape (n_samples,), default=None
-            Times of the rows [s], on the clock of the fit, at the sample period of the
-            fit. None counts from the beginning of the fit.
+            Times of the rows [s], on the clock of the fit. None counts from its
+            beginning.
         signals : mapping of str to array-like of shape (n_samples,), default=None
             Recorded signals, for effects that vary with them.
 
@@ -570,36 +449,15 @@ class IdentifiedRobot:
         ------
         ValueError
             If torques, times or the start do not suit the robot (the message says what
-            and where), the start lies outside the joint limits, or the robot has no
-            positive inertia.
+            and where), or the robot has no positive inertia.
         SimulationError
             A ValueError; if the motion diverges.
 
         Warns
         -----
         UserWarning
-            If a joint leaves its limits, at which there are no stops; if friction has
-            a negative coefficient; and of effects that have no forward dynamics
-            (`effects.Elastic`, `effects.Jerk`, custom effects without ``terms``).
-
-        Notes
-        -----
-        Friction and all other effects are those of `predict`. Dry friction holds a
-        joint at rest up to its size. Delays, filters and gains of torque channels are
-        taken back from `tau` first. Without feedback errors add up: compare with a
-        recording over windows of about a second (`diagnosis.simulate_windows`).
-
-        Examples
-        --------
-        With the robot of the example (and its recording) of `RobotIdentifier`:
-
-        >>> first = recording.select(0)
-        >>> states = robot.state_estimator_.transform(first.q)
-        >>> rows = slice(1000, 1050)  # half a second
-        >>> q0, v0 = states[1000, :6], states[1000, 6:12]
-        >>> simulated = robot.simulate(first.tau[rows], q0, v0)
-        >>> simulated.shape
-        (50, 18)
+            Of effects that have no forward dynamics (`effects.Elastic`,
+            `effects.Jerk`, custom effects without ``terms``).
         """
         model = self.torque_model()
         tau = torques_in_order(tau, model.joint_names)
@@ -631,27 +489,12 @@ class IdentifiedRobot:
             If there is no drive that takes positions, or a channel is missing.
         SimulationError
             A ValueError; if the motion diverges.
-
-        Warns
-        -----
-        UserWarning
-            Of effects that have no forward dynamics (`effects.Elastic`,
-            `effects.Jerk`), and of delays and filters of torque channels, which are
-            none of a torque that a drive sets.
-
-        Notes
-        -----
-        The law acts on simulated positions and velocities, at least a thousand times a
-        second (`PDDrive.period`), with commands that are held between rows, within
-        its `saturation`.
         """
         if not isinstance(drive, PDDrive):
             raise ValueError(
                 "follow needs a drive that takes positions, drive=PDDrive(...); got "
                 f"{drive!r}."
             )
-        if window is not None and not window > 0:
-            raise ValueError(f"window must be a positive time in s; got {window!r}.")
         return follow(self, drive, recording, window)
 
     def gravity(self, q):
@@ -743,8 +586,7 @@ class IdentifiedRobot:
         n : int
             Number of draws.
         random_state : int, RandomState or None, default=None
-            Seed. Row k does not depend on n, and is the sample k of `to_mjcf` and
-            `to_urdf`.
+            Seed. Row k does not depend on n, and is the sample k of `to_mjcf`.
 
         Returns
         -------
@@ -759,60 +601,35 @@ class IdentifiedRobot:
         ------
         ValueError
             If n is less than one, or `regressor` gives no ``coef_cov_``.
-
-        Notes
-        -----
-        A row is the fitted value before the projection, the error of the fit, and a
-        random effect of the recording on all parameters that are not of bodies
-        (``docs/simulation.rst``). Rows with a negative armature or friction are redrawn
-        by Gibbs sampling. Inconsistent bodies are projected in the metric of their
-        posterior, and the other parameters are drawn given them.
         """
-        n = check_number("n", n, 1)
+        check_scalar(n, "n", Integral, min_val=1)
         return Posterior.of(self).sample(seed_of(random_state), range(n))
 
-    def ranges(self, level=0.9, *, drive=None):
+    def ranges(self, level=0.9):
         """Return the range of each parameter in the robot's next recording.
 
         Parameters
         ----------
         level : float, default=0.9
             Probability of the range; the tails are equal.
-        drive : PDDrive, default=None
-            Drive whose gains are listed with the ranges; an identifier gives its own.
 
         Returns
         -------
         Ranges
-            One `ParameterRange` for each parameter; ``save`` writes ``ranges.json``
-            with the names of simulators.
+            One `ParameterRange` for each parameter; ``save`` writes ``ranges.json``.
 
         Raises
         ------
         ValueError
             If the level is not between 0 and 1, or `regressor` gives no ``coef_cov_``.
-
-        Notes
-        -----
-        Ranges are marginal, with `theta_std_` for C of `sample`. Draw parameters that
-        are known in combination only (``known``) with `sample`.
-
-        Examples
-        --------
-        With the robot of the example of `RobotIdentifier`:
-
-        >>> one = robot.ranges(level=0.9)["joint_2:coulomb"]
-        >>> one.unit, one.known
-        ('N m', 'yes')
-        >>> bool(one.lower < one.value < one.upper)
-        True
         """
-        return ranges_of(self, level, drive)
+        return ranges_of(self, level)
 
     def _sampled(self, sample, random_state):
         if sample is None:
             return self, ""
-        number, seed = check_number("sample", sample, 0), seed_of(random_state)
+        number = check_scalar(sample, "sample", Integral, min_val=0)
+        seed = seed_of(random_state)
         (theta,) = Posterior.of(self).sample(seed, [number])
         note = (
             f"Sample {number} of the posterior of the identified robot "
@@ -820,7 +637,7 @@ class IdentifiedRobot:
         )
         return replace(self, theta_=theta), note
 
-    def to_urdf(self, path, sample=None, random_state=0):
+    def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.
 
         Damping and friction of a joint are the sums of declared and found terms, and
@@ -834,10 +651,6 @@ class IdentifiedRobot:
         ----------
         path : str or os.PathLike
             File to write.
-        sample : int, default=None
-            Row of `sample` to write instead of `theta_`; None writes `theta_`.
-        random_state : int, RandomState or None, default=0
-            Seed of the sample, as for `sample`.
 
         Returns
         -------
@@ -850,9 +663,7 @@ class IdentifiedRobot:
         ValueError
             If the parameters are not physically consistent.
         """
-        robot, which = self._sampled(sample, random_state)
         notes = [
-            which,
             _note_of_gravity(self.features_.nominal_.gravity.linear),
             note_of_gains(self.gains_),
             *note_of_corrections(self),
@@ -861,8 +672,8 @@ class IdentifiedRobot:
         return to_urdf(
             path,
             self.description_,
-            robot.torque_model(),
-            robot.min_eigenvalues_,
+            self.torque_model(),
+            self.min_eigenvalues_,
             notes,
             turned_joints(self),
         )
@@ -871,14 +682,14 @@ class IdentifiedRobot:
         """Write the identified robot as an MJCF file for MuJoCo.
 
         Bodies and joints are those of the corrected robot model, with viscous friction,
-        Coulomb friction, rotor inertia, springs and couplings; no meshes are written.
+        Coulomb friction, rotor inertia and springs; no meshes are written.
         Each joint has a motor of its name, whose control is the reading of the torque
         channel, or, with a `PDDrive`, the commanded position.
 
         Parameters
         ----------
         path : str or os.PathLike
-            File to write, for MuJoCo 3.2 or newer (3.3.1 if couplings have inertia).
+            File to write, for MuJoCo 3.2 or newer.
         sample : int, default=None
             Row of `sample` to write instead of `theta_`; None writes `theta_`.
         random_state : int, RandomState or None, default=0
@@ -906,14 +717,6 @@ class IdentifiedRobot:
             within a second by more than 2 % of their spread, after damping,
             frictionloss and armature were fitted again, each by a factor of at most
             two; or if the robot itself diverges.
-
-        Notes
-        -----
-        Dry friction of MuJoCo is a soft constraint: with the time step h of the file it
-        is full where abs(v) > h (abs(a) + 1e-4 Fc / M), for a joint of inertia M, and
-        grows in proportion to the speed below. Joint limits are those of the
-        description, shifted by an encoder's zero; limits of speed are not written, and
-        of torque only the ``saturation`` of the drive.
         """
         robot, which = self._sampled(sample, random_state)
         model = robot.torque_model()
@@ -946,12 +749,12 @@ class IdentifiedRobot:
 
     @property
     def joint_names_(self):
-        """Names of the joints, tuple of str."""
+        """Joints in the order of the columns of X and y, tuple of str."""
         return joint_names(self.features_.model_)
 
     @property
     def effects_(self):
-        """Effects in use, tuple of Effect."""
+        """Effects in use, first the bodies of joints that follow others; a tuple."""
         return self.plan.effects
 
     @property
@@ -1011,8 +814,7 @@ class IdentifiedRobot:
             return None
         estimator = self.plan.state_estimator
         if estimator is None:
-            dt = check_dt(self.plan.dt)
-            estimator = fit_states(dt, self.state_cutoff, X, groups)
+            estimator = fit_states(check_dt(self.plan.dt), "auto", X, groups)
         return smooth_to(estimator, self.plan.cutoff) if in_band else estimator
 
     def _rest(self, estimator):
@@ -1087,17 +889,10 @@ class IdentifiedRobot:
         held = [False] * (len(self.effect_ranges_) - len(held)) + held
         return outside(self.effect_ranges_, judged, held)
 
-    def outside_texts(self, asked):
-        """Say where `Inputs` leaves what was fitted, a list of str."""
-        found = self.outside(asked)
+    def outside_text(self, asked):
+        """Say where `Inputs` leaves what was fitted; empty if it does not."""
         joints = self.joint_names_, is_prismatic(self.features_.model_)
-        said = [outside_text(found, *joints)] if found else []
-        said += signals_outside_text(self.signal_ends, asked.recording.signals)
-        timed = [effect for effect in self.effects_ if isinstance(effect, OfTime)]
-        if timed:
-            t = asked.recording.clock(stamped=True)
-            said += time_outside_text(timed, self.plan.time, t)
-        return said
+        return outside_text(self.outside(asked), *joints)
 
     # -- for other fits, and for simulation -------------------------------------------
 
@@ -1135,26 +930,6 @@ class IdentifiedRobot:
         """Return the robot corrected by effects, added to or replacing its own."""
         own = {effect.key(): effect for effect in (*self.effects_, *effects)}
         return replace(self, features_=self.features_.corrected(own.values()))
-
-    def described(self):
-        """Return the robot of its description: those bodies, and no friction."""
-        # What belongs to the drive, as the delay of its commands, stays as found.
-        driven = [e for e in self.effects_ if isinstance(e, CommandDelay)]
-        values = [getattr(e, name) for e in driven for name in e.coefficients]
-        features, bodies = self.features_.corrected(()), self.bodies(self.theta_)
-        bodies = np.zeros_like(bodies)
-        bodies[:, :10] = nominal_parameters(features.nominal_)
-        followers = nominal_followers(features)
-        return replace(
-            self,
-            features_=features,
-            plan=replace(
-                self.plan, effects=(*self.effects_[: len(followers)], *driven)
-            ),
-            theta_=np.r_[bodies.ravel(), followers.ravel(), values],
-            load_parameters=None,
-            effect_ranges_=(),
-        )
 
     def linear_part(self, theta):
         """Parameters (p,) without the values that the model holds."""
@@ -1225,18 +1000,6 @@ def load_identified(path, effects=()):
         something in it is missing or wrong; the message names the key.
     ImportError
         If Pinocchio is not installed.
-
-    Examples
-    --------
-    With the robot of the example of `RobotIdentifier`:
-
-    >>> import tempfile
-    >>> from sklearn_vbjfa import load_identified
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     robot.save(f"{folder}/arm.json")
-    ...     again = load_identified(f"{folder}/arm.json")
-    >>> again.joint_names_[:2]
-    ('joint_1', 'joint_2')
     """
     from sklearn_vbjfa.robot import _model_file
 

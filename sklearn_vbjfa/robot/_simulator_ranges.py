@@ -1,41 +1,17 @@
-"""Ranges of the values of an identified robot, in the words of simulators."""
+"""Ranges of the parameters of an identified robot, for domain randomisation."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from numbers import Real
 
 import numpy as np
 
 from sklearn_vbjfa._core import write_whole
-from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.robot._channels import note_of_units
 from sklearn_vbjfa.robot._posterior import Posterior
 
 FORMAT, VERSION = "sklearn_vbjfa ranges", 1
-# What simulators call a value: MuJoCo an attribute of a joint or its actuator, Isaac
-# Lab a field of an actuator's configuration, Genesis a method of an entity. By the name
-# behind the joint, by its beginning (an effect), or by its end (a coefficient).
-_PROGRAMS = "mujoco", "isaac_lab", "genesis"
-_WORDS = {
-    "rotor_inertia": ("armature", "armature", "set_dofs_armature"),
-    "viscous": ("damping", "viscous_friction", "set_dofs_damping"),
-    "coulomb": (
-        "frictionloss",
-        "friction and dynamic_friction",
-        "set_dofs_frictionloss",
-    ),
-    "spring:k": ("stiffness", None, "set_dofs_stiffness"),
-    "kp": ("kp", "stiffness", "set_dofs_kp"),
-    "kd": ("kv", "damping", "set_dofs_kv"),
-    "delay": ("delay", "min_delay and max_delay, in steps of the physics", None),
-}
-_BY_EFFECT = ("rotor_inertia", "viscous", "coulomb")
-_BY_COEFFICIENT = ("kp", "kd", "delay")
-# Why a value is left out of a file.
-_LEFT_OUT = {
-    "no": "no torque of the recordings depends on it significantly",
-    "from the description": "its value is that of the description more than a measured "
-    "one",
-}
+# Values of `known_` that the recordings do not determine.
+_NOT_MEASURED = ("no", "from the description")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,39 +25,19 @@ class ParameterRange:
     # ends of the interval; nan where nothing tells the parameter
     lower: float
     upper: float
-    # of the distribution that has these ends
-    mean: float
-    std: float
     # deviations within recordings (`theta_std_`) and from recording to recording,
     # before anything is cut off; zero for a single recording
     within: float
     between: float
-    known: str  # as in `IdentifiedRobot.known_`, or "given" for a setting of the drive
-    nonnegative: bool  # whether negative values are cut off
-
-    @property
-    def measured(self):
-        """Whether the recordings determine it, individually or in combination."""
-        return self.known not in _LEFT_OUT
-
-    @property
-    def words(self):
-        """What MuJoCo, Isaac Lab and Genesis call it, a dict; None for no name."""
-        own = self.name.removeprefix(f"{self.joint}:").split(":")
-        found = _WORDS.get(":".join(own))
-        if found is None and own[0] in _BY_EFFECT:
-            found = _WORDS[own[0]]
-        if found is None and own[-1] in _BY_COEFFICIENT:
-            found = _WORDS[own[-1]]
-        return dict(zip(_PROGRAMS, found or (None, None, None)))
+    known: str  # as in `IdentifiedRobot.known_`
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ranges:
     """Ranges of all parameters of an identified robot.
 
-    `RobotIdentifier.ranges` makes them. They are iterated over and indexed by the names
-    of the parameters.
+    `RobotIdentifier.ranges` makes them. They are indexed by the names of the
+    parameters.
 
     Attributes
     ----------
@@ -90,194 +46,82 @@ class Ranges:
     recordings : int
         Recordings, or groups of them, whose scatter the ranges have; one if none.
     parameters : tuple of ParameterRange
-        In the order of `parameter_names_`: `name`, `joint`, `unit`, `value`, ends
-        `lower` and `upper`, `mean`, `std`, and whether it is `known`.
-    correlation : ndarray of shape (p, p)
-        Their correlations; nan for those that do not vary.
-    joint_names : tuple of str
-        The joints.
-    torque_units : tuple of {"N m", "N"}
-        Units of their torques.
-    notes : tuple of str
-        What else a reader of the values has to know.
-    given : tuple of ParameterRange
-        Gains of a `PDDrive`, and its delay if that is known: values without a range,
-        for which the others were found.
+        In the order of `parameter_names_`: `name`, `joint`, `unit`, `value`, the ends
+        `lower` and `upper`, the standard deviations `within` and `between` recordings,
+        and whether the recordings determine it, `known`.
+    note : str
+        Units of the values, if they are not SI units.
 
     Examples
     --------
     With the robot of the example of `RobotIdentifier`:
 
     >>> ranges = robot.ranges(level=0.9)
-    >>> len(ranges), ranges.recordings
+    >>> len(ranges.parameters), ranges.recordings
     (84, 2)
-    >>> ranges["joint_1:viscous"].words["mujoco"]
-    'damping'
+    >>> ranges["joint_1:viscous"].unit
+    'N m s/rad'
     """
 
     level: float
     recordings: int
     parameters: tuple
-    correlation: np.ndarray
-    joint_names: tuple
-    torque_units: tuple
-    notes: tuple = ()
-    given: tuple = ()
-
-    def __iter__(self):
-        """Iterate over the parameters."""
-        return iter(self.parameters)
-
-    def __len__(self):
-        """Count the parameters."""
-        return len(self.parameters)
+    note: str = ""
 
     def __getitem__(self, name):
         """Return the `ParameterRange` of a name."""
-        for one in (*self.parameters, *self.given):
-            if one.name == name:
-                return one
-        raise KeyError(name)
-
-    def to_json(self):
-        """Return the ranges as JSON by joint, the text of a ``ranges.json``."""
-        # What reads a robot imports it.
-        from sklearn_vbjfa.robot._model_file import readable
-
-        return f"{readable(self._content())}\n"
+        return {one.name: one for one in self.parameters}[name]
 
     def save(self, path):
-        """Write the ranges to a file, ``ranges.json``.
+        """Write the parameters that the recordings determine to a JSON file.
 
         Parameters
         ----------
         path : str or os.PathLike
             File to write, see ``docs/simulation.rst``.
         """
-        write_whole(path, self.to_json())
+        # What reads a robot imports it.
+        from sklearn_vbjfa.robot._model_file import readable
 
-    def _content(self):
-        taken = [k for k, one in enumerate(self) if _has_place(one)]
-        left = [one for one in self if not _has_place(one)]
-        joints = [
-            {"name": name, "torque_unit": unit, **self._values(taken, name)}
-            for name, unit in zip(self.joint_names, self.torque_units)
-        ]
-        return {
+        content = {
             "format": FORMAT,
             "version": VERSION,
             "level": self.level,
             "recordings": self.recordings,
-            "notes": list(self.notes),
-            "joints": joints,
-            "robot": self._values(taken, ""),
-            "left_out": [
-                {
-                    "parameter": one.name,
-                    "reason": _LEFT_OUT.get(one.known, "its deviation is not known"),
-                }
-                for one in left
-            ],
+            "note": self.note,
+            "values": [asdict(one) for one in self.parameters if _is_measured(one)],
         }
-
-    def _values(self, taken, joint):
-        own = [k for k in taken if self.parameters[k].joint == joint]
-        among = self.correlation[np.ix_(own, own)].copy()
-        # What does not vary goes together with nothing.
-        among[np.isnan(among)] = 0.0
-        np.fill_diagonal(among, 1.0)
-        given = [_value(one) for one in self.given if one.joint == joint]
-        return {
-            "values": [_value(self.parameters[k]) for k in own],
-            "correlation": among.tolist(),
-            **({"given": given} if given else {}),
-        }
+        write_whole(path, f"{readable(content)}\n")
 
 
-def _has_place(one):
-    finite = np.isfinite([one.lower, one.upper, one.std]).all()
-    return bool(finite and one.measured)
+def _is_measured(one):
+    return bool(np.isfinite(one.upper - one.lower) and one.known not in _NOT_MEASURED)
 
 
-def _value(one):
-    return {
-        "parameter": one.name,
-        **one.words,
-        "unit": one.unit,
-        "distribution": _distribution(one),
-        "value": one.value,
-        "low": one.lower,
-        "high": one.upper,
-        "mean": one.mean,
-        "std": one.std,
-        "std_within_recordings": one.within,
-        "std_between_recordings": one.between,
-        "known": one.known,
-    }
-
-
-def _distribution(one):
-    if one.known == "given":
-        return "fixed"
-    kind = "normal" if one.between == 0 else "mixture of normals"
-    return f"{kind}, cut off at zero" if one.nonnegative else kind
-
-
-def ranges_of(robot, level, drive=None):
-    """Return the `Ranges` of an `IdentifiedRobot`, with the settings of a `PDDrive`."""
+def ranges_of(robot, level):
+    """Return the `Ranges` of an `IdentifiedRobot`."""
     is_number = isinstance(level, Real) and not isinstance(level, bool)
     if not (is_number and 0 < level < 1):
         raise ValueError(
             "level must be a probability between 0 and 1, such as 0.9 for 5 % of the "
             f"values on each side; got {level!r}."
         )
-    posterior, level = Posterior.of(robot), float(level)
-    kinds = is_prismatic(robot.features_.model_)
-    note = note_of_units(robot.gains_).replace("This file", "These values")
+    posterior, between = Posterior.of(robot), robot.recording_variance
     return Ranges(
-        level=level,
-        recordings=1
-        if robot.recording_variance is None
-        else robot.recording_variance.count,
+        level=float(level),
+        recordings=1 if between is None else between.count,
         parameters=tuple(
-            _range_of(robot, posterior, k, level) for k in range(robot.theta_.size)
+            _range_of(robot, posterior, k, float(level))
+            for k in range(robot.theta_.size)
         ),
-        correlation=posterior.correlation(),
-        joint_names=robot.joint_names_,
-        torque_units=tuple("N" if slides else "N m" for slides in kinds),
-        notes=(note,) if note else (),
-        given=() if drive is None else tuple(_given(robot.joint_names_, kinds, drive)),
-    )
-
-
-def _given(names, kinds, drive):
-    units = {"kp": ("N m/rad", "N/m"), "kd": ("N m s/rad", "N s/m")}
-    for (word, unit), gains in zip(units.items(), drive.law(names)):
-        for name, slides, gain in zip(names, kinds, gains.tolist()):
-            yield _fixed(f"{name}:{word}", name, unit[int(slides)], gain)
-    if drive.waits is not None:
-        yield _fixed("drive:delay", "", "s", drive.waits)
-
-
-def _fixed(name, joint, unit, value):
-    where = dict.fromkeys(("value", "lower", "upper", "mean"), value)
-    spread = dict.fromkeys(("std", "within", "between"), 0.0)
-    return ParameterRange(
-        name=name,
-        joint=joint,
-        unit=unit,
-        known="given",
-        nonnegative=value >= 0,
-        **where,
-        **spread,
+        note=note_of_units(robot.gains_),
     )
 
 
 def _range_of(robot, posterior, k, level):
-    found, ends, mean, spread = posterior.marginal(k), (np.nan, np.nan), np.nan, np.nan
+    found, ends = posterior.marginal(k), (np.nan, np.nan)
     if found is not None:
         ends = found.quantiles([0.5 - level / 2, 0.5 + level / 2])
-        mean, spread = found.moments()
     name = robot.parameter_names_[k]
     joint = name.partition(":")[0]
     return ParameterRange(
@@ -287,10 +131,7 @@ def _range_of(robot, posterior, k, level):
         value=float(robot.theta_[k]),
         lower=float(ends[0]),
         upper=float(ends[1]),
-        mean=float(mean),
-        std=float(spread),
         within=float(robot.theta_std_[k]),
         between=float(posterior.off[k]),
         known=robot.known_[k],
-        nonnegative=bool(posterior.nonnegative[k]),
     )

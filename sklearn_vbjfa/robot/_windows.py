@@ -1,13 +1,15 @@
 """Windows of a recording, simulated one by one from measured states."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from numbers import Real
 
 import numpy as np
 from scipy import special
+from sklearn.utils import check_consistent_length
 
 from sklearn_vbjfa.effects import OfChannel
+from sklearn_vbjfa.equations._recording_checks import check_widths
 from sklearn_vbjfa.model import DoubtWarning, is_prismatic
 from sklearn_vbjfa.recording import check_dt, torques_in_order
 from sklearn_vbjfa.recording._drives import velocity_lags
@@ -17,21 +19,9 @@ from sklearn_vbjfa.simulation import SimulationError, simulate_controlled
 _CLEARLY = 0.05
 
 
-@dataclass(frozen=True, kw_only=True)
-class FailedWindow:
-    """A window whose simulation ended before its end."""
-
-    window: int  # its number, from zero
-    time: float  # at which it was given up [s]; that of its start if it did not begin
-    message: str
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SimulatedWindows:
     """Measured and simulated motion over windows of equal length.
-
-    Printed, they say how many windows failed, and on which joints they are not clearly
-    better than a robot without a model.
 
     Attributes
     ----------
@@ -45,14 +35,12 @@ class SimulatedWindows:
         Times of the rows [s].
     positions : ndarray of shape (n_windows, m, nv)
         As measured [rad or m].
-    velocities : ndarray of shape (n_windows, m, nv)
-        Of the smoothed positions [rad/s or m/s].
-    start_positions : ndarray of shape (n_windows, nv)
-        Smoothed positions that the simulations begin at.
+    start_states : ndarray of shape (n_windows, 2 * nv)
+        Smoothed positions and velocities that the simulations begin at.
     simulated : ndarray of shape (n_windows, m, 3 * nv)
         Simulated states [q | v | a]; nan in windows that failed.
-    failures : tuple of FailedWindow
-        Outcome of these.
+    failures : dict of int to str
+        Messages of windows that failed.
     commanded : ndarray of shape (n_windows, m, nv) or None, default=None
         Commanded positions [rad or m], where these alone drove the robot under its
         drive; None where torques did.
@@ -63,19 +51,10 @@ class SimulatedWindows:
     starts: np.ndarray
     t: np.ndarray
     positions: np.ndarray
-    velocities: np.ndarray
-    start_positions: np.ndarray
+    start_states: np.ndarray
     simulated: np.ndarray
-    failures: tuple = ()
+    failures: dict = field(default_factory=dict)
     commanded: np.ndarray | None = None
-
-    def __repr__(self):
-        """Tell the windows, those that failed, and whether a model was needed."""
-        seconds = self.t[0, -1] - self.t[0, 0]
-        return (
-            f"<SimulatedWindows: {self.n_windows} windows of {seconds:g} s, "
-            f"{self.failed.sum()} failed, {self.verdict()}>"
-        )
 
     @property
     def n_windows(self):
@@ -90,20 +69,8 @@ class SimulatedWindows:
     @property
     def errors(self):
         """Root mean square position errors (n_windows, nv), nan where one failed."""
-        nv = len(self.joint_names)
-        return _rms(self.simulated[..., :nv] - self.positions, 1)
-
-    @property
-    def velocity_errors(self):
-        """Root mean square velocity error of each window, (n_windows, nv)."""
-        nv = len(self.joint_names)
-        return _rms(self.simulated[..., nv : 2 * nv] - self.velocities, 1)
-
-    @property
-    def run_away(self):
-        """Joints (n_windows, nv) further off than `rivals` are in any window, bool."""
-        worst = [rival.errors.max(axis=0) for rival in self.rivals.values()]
-        return self.errors > np.max(worst, axis=0)
+        away = self.simulated[..., : len(self.joint_names)] - self.positions
+        return np.sqrt(np.mean(away**2, axis=1))
 
     @property
     def clearly_better(self):
@@ -134,13 +101,12 @@ class SimulatedWindows:
         """The same windows of robots without a model, by what they do."""
         # Driven by torques, of one at rest and one with constant velocity; driven by
         # positions, of one that follows at once.
-        if self.commanded is None:
-            v = self.velocities[:, 0]
-            rest = self._moving(0.0 * v)
-            return {"at rest": rest, "constant velocity": self._moving(v)}
-        v = np.gradient(self.commanded, self.t[0, 1] - self.t[0, 0], axis=1)
-        states = np.concatenate([self.commanded, v, np.zeros_like(v)], axis=2)
-        return {"as commanded": replace(self, simulated=states, failures=())}
+        if self.commanded is not None:
+            return {"as commanded": self._moving(self.commanded)}
+        q, v = np.split(self.start_states[:, None], 2, axis=2)
+        since = (self.t - self.t[:, :1])[:, :, None]
+        ways = {"at rest": q + 0.0 * since, "constant velocity": q + since * v}
+        return {name: self._moving(way) for name, way in ways.items()}
 
     @property
     def scales(self):
@@ -153,12 +119,10 @@ class SimulatedWindows:
         units = tuple("mm" if slides else unit for slides in self.prismatic)
         return np.where(self.prismatic, 1e3, factor), units
 
-    def _moving(self, v0):
-        since = self.t - self.t[:, :1]
-        q = self.start_positions[:, None] + since[:, :, None] * v0[:, None]
-        v = np.broadcast_to(v0[:, None], q.shape)
-        states = np.concatenate([q, v, np.zeros_like(q)], axis=2)
-        return replace(self, simulated=states, failures=())
+    def _moving(self, q):
+        """Return the windows with other positions, without velocities."""
+        states = np.concatenate([q, np.zeros_like(q), np.zeros_like(q)], axis=2)
+        return replace(self, simulated=states, failures={})
 
 
 def clearly_smaller(errors, others):
@@ -178,9 +142,7 @@ def clearly_smaller(errors, others):
     return mean < special.stdtrit(n - 1, _CLEARLY) * np.sqrt(variance / n)
 
 
-def simulate_windows(
-    robot, X, y, groups=None, t=None, *, window=1.0, signals=None, beside=None
-):
+def simulate_windows(robot, X, y, groups=None, t=None, *, window=1.0, signals=None):
     """Simulate windows of a recording, each from the measured state at its start.
 
     Windows follow one another without gap, within each recording, where the smoother
@@ -204,27 +166,17 @@ def simulate_windows(
         Length of a window [s].
     signals : mapping of str to array-like of shape (n_samples,), default=None
         Recorded signals, for effects that vary with them.
-    beside : SimulatedWindows, default=None
-        The same rows simulated with another robot, to compare both: its windows, times
-        and start states are taken over, and `window` and `t` are not used. Robots that
-        were fitted one by one smooth a little differently.
 
     Returns
     -------
     SimulatedWindows
         Measured and simulated motion, errors, and windows that failed; their errors
-        are nan, and `failures` names them.
+        are nan, and `failures` has the messages.
 
     Raises
     ------
     ValueError
-        If arguments do not suit the robot, no recording is as long as a window, or no
-        window can be begun.
-
-    Warns
-    -----
-    UserWarning
-        Once for all windows, what `RobotIdentifier.simulate` warns of.
+        If arguments do not suit the robot, or no recording is as long as a window.
 
     Examples
     --------
@@ -243,54 +195,34 @@ def simulate_windows(
     not clearly better than a robot at rest and one with constant velocity on joint_5, \
 joint_6
     """
-    predictor = robot.robot_
-    names = predictor.joint_names_
-    X, signals = predictor.checked(X, signals)
-    y = _torques(y, names, len(X))
-    if predictor.plan.dt is None:
-        raise ValueError(
-            "The robot was identified without a sample period; give dt to "
-            "RobotIdentifier."
-        )
-    if beside is None:
-        made = _measured(predictor, X, groups, t, signals, window)
-    else:
-        made = _taken_over(beside, X, names)
+    robot = robot.robot_
+    X, signals = robot.checked(X, signals)
+    y = np.asarray(torques_in_order(y, robot.joint_names_), dtype=float)
+    y = y[:, None] if y.ndim == 1 else y
+    check_consistent_length(X, y)
+    check_widths(robot.joint_names_, X, y)
+    made = _measured(robot, X, groups, t, signals, window)
 
-    def simulated(k, rows):
-        return robot.simulate(
-            y[rows],
-            made.start_positions[k],
-            made.velocities[k, 0],
-            made.t[k],
-            signals={name: x[rows] for name, x in (signals or {}).items()} or None,
-        )
+    def simulated(rows, start, t):
+        own = {name: x[rows] for name, x in (signals or {}).items()}
+        q0, v0 = np.split(start, 2)
+        return robot.simulate(y[rows], q0, v0, t, signals=own or None)
 
     return _run(made, simulated)
 
 
-def follow_windows(
-    robot, drive, recording, t=None, *, window=1.0, signals=None, beside=None
-):
-    # drive: `PDDrive`, whose channels are in the recording; window: None simulates a
-    # single recording as a whole. The rest is that of `simulate_windows`.
-    predictor = robot.robot_
-    X, signals = predictor.checked(recording.inputs, signals)
+def follow_windows(robot, drive, recording, t=None, *, window=1.0, signals=None):
+    # drive: `PDDrive`, whose channels are in the recording. The rest is that of
+    # `simulate_windows`.
+    robot = robot.robot_
+    X, signals = robot.checked(recording.inputs, signals)
     own = {**recording.signals, **(signals or {})}
-    follower = CommandFollower(predictor, drive, replace(recording, signals=own))
+    follower = CommandFollower(robot, drive, replace(recording, signals=own))
     follower.warn_left_out(stacklevel=2)
-    if beside is None:
-        made = _measured(predictor, X, recording.groups, t, signals, window)
-        commanded = recording.signals[drive.told].reshape(recording.q.shape)
-        made = replace(made, commanded=commanded[_rows_of(made)])
-    else:
-        made = _taken_over(beside, X, predictor.joint_names_)
-
-    def simulated(k, rows):
-        start = np.r_[made.start_positions[k], made.velocities[k, 0]]
-        return follower.run(slice(rows[0], rows[-1] + 1), start, made.t[k])
-
-    return _run(made, simulated)
+    made = _measured(robot, X, recording.groups, t, signals, window)
+    commanded = recording.signals[drive.told].reshape(recording.q.shape)
+    made = replace(made, commanded=commanded[_rows_of(made)])
+    return _run(made, follower.run)
 
 
 def _rows_of(made):
@@ -298,104 +230,49 @@ def _rows_of(made):
 
 
 def _run(made, simulated_window):
-    # simulated_window: of the number of a window and its rows, the states (m, 3 nv).
-    rows = _rows_of(made)
+    # simulated_window: of the rows of a window, its start and its times, the states (m,
+    # 3 nv).
+    rows, failures = _rows_of(made), {}
     simulated = np.full((*rows.shape, 3 * len(made.joint_names)), np.nan)
-    failures, refusals = [], []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        for k, own in enumerate(rows):
+        for k, (first, *_, last) in enumerate(rows):
+            own = slice(first, last + 1)
             try:
-                simulated[k] = simulated_window(k, own)
+                simulated[k] = simulated_window(own, made.start_states[k], made.t[k])
             except SimulationError as error:
-                failures.append(
-                    FailedWindow(window=k, time=error.time, message=str(error))
-                )
-            except ValueError as error:
-                # A start that cannot be: this window's fault, unless it is everyone's.
-                refusals.append(error)
-                failures.append(
-                    FailedWindow(window=k, time=float(made.t[k, 0]), message=str(error))
-                )
-    if len(refusals) == len(rows):
-        raise refusals[0]
+                failures[k] = str(error)
     warn_once(caught, "windows", stacklevel=4)
-    return replace(made, simulated=simulated, failures=tuple(failures))
+    return replace(made, simulated=simulated, failures=failures)
 
 
-def _measured(predictor, X, groups, t, signals, window):
+def _measured(robot, X, groups, t, signals, window):
     """Cut a recording into windows that nothing has been simulated in yet."""
-    nv, dt = len(predictor.joint_names_), check_dt(predictor.plan.dt)
-    asked = predictor.prepare(X, groups, t, signals=signals)
-    clock = _times(t, len(X))
-    if clock is None:
-        clock = predictor.clock(None, len(X))
-    states = predictor.states(X, groups)
-    length = None if window is None else _length(window, dt)
-    rows = _rows(asked, predictor.plan.standstill, length, dt)
-    return SimulatedWindows(
-        joint_names=predictor.joint_names_,
-        prismatic=np.array(is_prismatic(predictor.features_.model_)),
-        starts=rows[:, 0],
-        t=clock[rows],
-        positions=X[rows][..., :nv],
-        velocities=states[rows][..., nv : 2 * nv],
-        start_positions=states[rows[:, 0], :nv],
-        simulated=np.full((*rows.shape, 3 * nv), np.nan),
-    )
-
-
-def _taken_over(beside, X, names):
-    rows, nv = _rows_of(beside), len(names)
-    same = beside.joint_names == names and rows.max() < len(X)
-    if not (same and np.array_equal(beside.positions, X[rows][..., :nv])):
-        raise ValueError(
-            "beside must be windows of the same joints and rows of X; it holds "
-            f"{beside.n_windows} windows of {', '.join(beside.joint_names)} with other "
-            "positions."
-        )
-    return beside
-
-
-def _torques(y, names, n_samples):
-    """Check measured torques, (n, nv); a window names what is no number."""
-    y = np.asarray(torques_in_order(y, names), dtype=float)
-    y = y[:, None] if y.ndim == 1 and len(names) == 1 else y
-    if y.shape != (n_samples, len(names)):
-        raise ValueError(
-            f"y must hold one row of torques for each of the {n_samples} rows of X and "
-            f"one column for each joint ({', '.join(names)}); got shape {y.shape}."
-        )
-    return y
-
-
-def _times(t, n_samples):
-    """Check times of the rows (n,), which each window is simulated with; or None."""
-    if t is None:
-        return None
-    t = np.asarray(t, dtype=float)
-    if t.shape != (n_samples,):
-        raise ValueError(
-            f"t must hold one time per row, shape ({n_samples},); got {t.shape}."
-        )
-    return t
-
-
-def _length(window, dt):
+    nv, dt = len(robot.joint_names_), check_dt(robot.plan.dt)
+    asked = robot.prepare(X, groups, t, signals=signals)
+    clock = robot.clock(None, len(X)) if t is None else np.asarray(t, dtype=float)
+    check_consistent_length(X, clock)
+    states = robot.states(X, groups)
     if not (isinstance(window, Real) and dt <= window < np.inf):
         raise ValueError(
             f"window must be a time in seconds, at least the sample period {dt:g} s; "
             f"got {window!r}."
         )
-    return round(window / dt)
+    rows = _rows(asked, robot.plan.standstill, round(window / dt), dt)
+    return SimulatedWindows(
+        joint_names=robot.joint_names_,
+        prismatic=np.array(is_prismatic(robot.features_.model_)),
+        starts=rows[:, 0],
+        t=clock[rows],
+        positions=X[rows][..., :nv],
+        start_states=states[rows[:, 0], : 2 * nv],
+        simulated=np.full((*rows.shape, 3 * nv), np.nan),
+    )
 
 
 def _rows(asked, standstill, length, dt):
-    """Rows of the windows, (n_windows, length + 1); None as length is one of all."""
-    inner = asked.counts(standstill)["position"]
-    if length is None:
-        return np.arange(int(np.argmax(inner.any(axis=1))), len(inner))[None]
-    found = []
+    """Rows of the windows, (n_windows, length + 1)."""
+    inner, found = asked.counts(standstill)["position"], []
     for part in asked.recording.segments:
         first = part.start + int(np.argmax(inner[part].any(axis=1)))
         found += range(first, part.stop - length, length)
@@ -420,10 +297,6 @@ def warn_once(caught, where, stacklevel):
         many = f" (first of {len(texts)} {where})" if len(texts) > 1 else ""
         text = f"{texts[0].rstrip('.')}{many}."
         warnings.warn(text, category, stacklevel=stacklevel + 1)
-
-
-def _rms(errors, axis):
-    return np.sqrt(np.mean(errors**2, axis=axis))
 
 
 # Why an effect of a torque channel is not simulated under a drive.

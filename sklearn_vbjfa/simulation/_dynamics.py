@@ -24,14 +24,6 @@ def with_bodies(model, bodies, armature=None):
     return out
 
 
-def without_limits(model):
-    """Return a copy of a model whose joints may go anywhere."""
-    out = model.copy()
-    out.lowerPositionLimit = np.full(model.nv, -np.inf)
-    out.upperPositionLimit = np.full(model.nv, np.inf)
-    return out
-
-
 class StateSolution(NamedTuple):
     """What is found at one state, of each joint (nv,)."""
 

@@ -59,7 +59,7 @@ _SHORTEST, _MOST_STEPS = 1e-12, 20_000
 # Velocity that no joint reaches [rad/s or m/s]: the motion has diverged.
 _RUNAWAY = 1e4
 # So many times a joint may stop within a sample period; then it sticks until its end.
-MOST_STOPS = 20
+_MOST_STOPS = 20
 # Beyond what holds a joint by this share it breaks loose, which is found to this share.
 _HOLDS, _LOOSE = 1e-9, 1e-6
 # Rules of compiled steps.
@@ -89,9 +89,7 @@ class _End(NamedTuple):
 class Integrator:
     """A robot in motion: its state under true torques tau (nv,) at a time t [s]."""
 
-    # a (nv,): accelerations; held (nv,): in how many sample periods a joint stopped so
-    # often that it was held from there to the end; held_since: time of the first of
-    # these stops [s], nan without any.
+    # a (nv,): accelerations.
 
     def __init__(self, dynamics, q, v, tau, t):
         self._dynamics = dynamics
@@ -108,7 +106,6 @@ class Integrator:
         self._exact = _TOLERANCE * self._fast
         self._step, self.steps = np.inf, 0
         self._stops, self._stops_often = np.zeros(nv, dtype=int), False
-        self.held, self.held_since = np.zeros(nv, dtype=int), np.nan
         self._time, self._compiles = t, not terms.is_timed
         dynamics.start(self.q)
         self.settle(tau)
@@ -130,7 +127,7 @@ class Integrator:
         self.v[at_rest] = 0.0
         self._mode[at_rest] = 0.0
         self._stuck[:] = at_rest
-        free = at_rest & (self._stops <= MOST_STOPS)
+        free = at_rest & (self._stops <= _MOST_STOPS)
         a = self._evaluate(self.q, self.v, tau)
         for _ in range(_MOST_PIVOTS if free.any() else 0):
             found = own.found
@@ -158,14 +155,12 @@ class Integrator:
         # Diverged if the numbers do not stay finite, or steps become ever shorter.
         rate = (after - tau) / dt
         if self._stops_often:
-            barred = (self._stops > MOST_STOPS).any()
+            barred = (self._stops > _MOST_STOPS).any()
             self._stops[:], self._stops_often = 0, False
             if barred:
                 self.settle(tau)
         start, done, shortest = self._time, 0.0, _SHORTEST * dt
-        for _ in range(_MOST_STEPS):
-            if not np.abs(self.v).max() < _RUNAWAY:
-                break
+        for _ in range(_MOST_STEPS if np.abs(self.v).max() < _RUNAWAY else 0):
             left = dt - done
             if not left > shortest:
                 self._time = start + dt
@@ -205,7 +200,10 @@ class Integrator:
         # There is no result where the error is too large: the next step is shorter.
         own, asked = self._dynamics, h
         slopes = own.found.by_position, own.found.by_velocity
-        stiff = self._steps.is_stiff(h, own.mass, *slopes, self._stuck, _STIFF)
+        # Explicit steps know nothing of what changes with time.
+        stiff = own.terms.is_timed or self._steps.is_stiff(
+            h, own.mass, *slopes, self._stuck, _STIFF
+        )
         method = self._implicit if stiff else self._explicit
         before, after, joints = self._begin, None, None
         for tries in range(1, _MOST_TRIES + 1):
@@ -254,33 +252,11 @@ class Integrator:
         self.v[turned] = 0.0
         self._stops += turned
         self._stops_often = True
-        # Once in a sample period: what is held does not turn again.
-        held = turned & self._dynamics.terms.has_dry & (self._stops == MOST_STOPS + 1)
-        if held.any():
-            self.held += held
-            self.held_since = float(np.fmin(self.held_since, self._time))
         self.settle(tau)
 
     def _explicit(self, tau, rate, h):
-        own, evaluate = self._dynamics, self._evaluate
-        if not own.terms.is_timed:
-            state = self.q, self.v, self.a, tau, rate, h
-            modes = self._mode, self._stuck
-            return own.explicit_step(*state, *modes, self._fast, _TOLERANCE)
-        q, v, a1 = self.q, self.v, self.a
-        half, mid, end = 0.5 * h, tau + (0.5 * h) * rate, tau + h * rate
-        v2 = v + half * a1
-        a2 = evaluate(q + half * v, v2, mid, half)
-        v3 = v + half * a2
-        a3 = evaluate(q + half * v2, v3, mid, half)
-        v4 = v + h * a3
-        a4 = evaluate(q + h * v3, v4, end, h)
-        sixth = h / 6.0
-        q = q + sixth * (v + 2.0 * (v2 + v3) + v4)
-        v = v + sixth * (a1 + 2.0 * (a2 + a3) + a4)
-        a = evaluate(q, v, end, h)
-        error = self._steps.step_error(h, a1, a4, a, self._fast, _TOLERANCE)
-        return q, v, a, float(error)
+        state, modes = (self.q, self.v, self.a, tau, rate, h), (self._mode, self._stuck)
+        return self._dynamics.explicit_step(*state, *modes, self._fast, _TOLERANCE)
 
     def _implicit(self, tau, rate, h):
         own, stuck = self._dynamics, self._stuck
@@ -318,7 +294,7 @@ class Integrator:
         """Joints (nv,), bool, that stick until their friction gives way."""
         if not self._stops_often:
             return self._stuck
-        return self._stuck & (self._stops <= MOST_STOPS)
+        return self._stuck & (self._stops <= _MOST_STOPS)
 
     def _past(self, v):
         """How far joints are past events, in units of what they may be (nv,)."""

@@ -27,7 +27,6 @@ _COUPLED_SPRING, _BRISTLE, _DRY_RIPPLE = 13, 14, 15
 _DRY = _STRIBECK, _LEVEL_DRY
 _ELEMENTS = _STOP, _BRISTLE
 _REMEMBERING = (*_ELEMENTS, _BACKLASH)
-_FRICTION = (*_DRY, _ABSOLUTE, _QUADRATIC, *_ELEMENTS, _VISCOUS)
 # What needs no table.
 _LINES = ("constant", "dry", "load_dry", "armature")
 # Where an element with memory says whether its size is proportional to the load.
@@ -86,12 +85,7 @@ class TermTable:
             ("offset", self.constant),
             ("rotor_inertia", self.armature),
         ):
-            add += declared.pop(name, 0.0)
-        if declared:
-            raise ValueError(
-                f"friction holds {', '.join(declared)}, which cannot be simulated; "
-                "give it in effects."
-            )
+            add += declared.get(name, 0.0)
         for effect, coef, held in robot.own_effects():
             if isinstance(effect, OfChannel) or effect.not_simulated:
                 continue
@@ -153,13 +147,6 @@ class TermTable:
     def is_timed(self):
         """Whether anything changes with time or a signal."""
         return bool(self._levels)
-
-    def drives(self):
-        """Joints whose friction has a negative coefficient, ndarray (nv,) of bool."""
-        out = (self.viscous < 0) | (self.dry < 0) | (self.load_dry < 0)
-        is_friction = np.isin(self.kinds, _FRICTION)
-        out[self.joints[is_friction & (self._numbers[:, 0] < 0)]] = True
-        return out
 
     def table(self, q):
         """Return the `Table` of a motion that begins at positions q (nv,)."""

@@ -53,7 +53,7 @@ SETS = {
     "ur5": ({"cutoff": 8.0, "options": FitOptions(standstill=0.03)}, ("No6",), 25.0),
 }
 FITTED = ("theta_std_", "identifiable_", "min_eigenvalues_", "noise_floor_")
-FITTED += ("torque_noise_", "input_noise_torque_", "output_noise_", "cutoff_")
+FITTED += ("torque_noise_", "output_noise_", "cutoff_")
 FITTED += ("standstill_",)
 FOUND = ("error_before_", "error_plain_", "error_after_", "torque_std_")
 LABELS = {"name", "joint", "effect", "parameter", "unit", "link"}
@@ -81,7 +81,7 @@ def fitted_robot(robot, q, groups=None):
     found = {x: getattr(robot, x) for x in FITTED}
     found["theta|parameters"] = robot.theta_
     found["theta|unconstrained"] = robot.theta_unconstrained_
-    found["metric"] = getattr(robot.estimator_, "metric_", None)
+    found["metric"] = robot.estimate_.metric
     found["torque"] = robot.predict(q, groups=groups)
     found["names"] = robot.parameter_names_
     found["units"] = robot.parameter_units_

@@ -117,7 +117,6 @@ def test_a_saved_robot_is_simulated_over_all_rows(good, saved, recording, capsys
     assert float(first["to_s"]) == pytest.approx(begin + 1.0)
     for name, errors in (
         ("position_error", found.errors),
-        ("velocity_error_per_s", found.velocity_errors),
         ("at_rest", found.rivals["at rest"].errors),
     ):
         assert float(first[name]) == pytest.approx(np.rad2deg(errors[0, 0]), rel=1e-3)
@@ -138,7 +137,7 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
     def wrong(self, *given, **named):
         calls.append(1)
         if len(calls) == 3:
-            raise SimulationError("The simulation diverges, as it must.", 2.5)
+            raise SimulationError("The simulation diverges, as it must.")
         return right(self, *given, **named)
 
     monkeypatch.setattr(IdentifiedRobot, "simulate", wrong)

@@ -92,12 +92,12 @@ def assert_same(found, expected):
     values, reference = found.theta_std_[free], expected.theta_std_[free]
     assert_allclose(values, reference, rtol=1e-6, err_msg="theta_std_")
     apart = found.theta_ - expected.theta_
-    metric = expected.estimator_.metric_
+    metric = expected.estimate_.metric
     torque = expected.theta_ @ metric @ expected.theta_
     assert abs(apart @ metric @ apart) <= 1e-18 * torque
     for name in ("n", "n_rows", "yy", "g", "G", "noise"):
-        values = getattr(found.estimator_.statistics_, name)
-        reference = getattr(expected.estimator_.statistics_, name)
+        values = getattr(found.estimate_.moments, name)
+        reference = getattr(expected.estimate_.moments, name)
         if reference is None:
             assert values is None
             continue

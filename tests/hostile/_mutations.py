@@ -322,7 +322,7 @@ STAMPS = (_jittered, _gapped, _restarted, _other_unit)
 
 OPTIONS = ("--dt", "--columns", "--preset", "--topic", "--time-unit", "--gain")
 OPTIONS += ("--drive", "--signals", "--friction", "--known-mass", "--bodies")
-OPTIONS += ("--shared-drives", "--effects", "--joints")
+OPTIONS += ("--effects", "--joints")
 OPTIONS += ("--out", "--ranges", "--join", "--unknown", "--base-orientation")
 VALUES = (*WORDS, "auto", "none", "unknown", "1,1", "q=q{i},tau=q{i}", "pd kp=1 kd=1")
 

@@ -9,7 +9,6 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.model import (  # noqa: E402
     JointDynamics,
-    Tendon,
     body_names,
     joint_names,
     load_folded,
@@ -189,9 +188,12 @@ def test_written_robots_are_read_again(seed, tmp_path):
     own |= {
         name: rng.normal(size=nv) for name in ("springref", "ref", "constant", "slope")
     }
-    tendons = (Tendon(joints=(0, nv - 1), sign=1, damping=0.7, armature=0.2),)
     path = tmp_path / "identified.xml"
-    write_mjcf(path, model, bodies, JointDynamics(**own, tendons=tendons))
+    write_mjcf(path, model, bodies, JointDynamics(**own))
+    first, *_, last = joint_names(model)
+    both = "".join(f'<joint joint="{name}" coef="1"/>' for name in (first, last))
+    tendon = f'<tendon><fixed damping="0.7">{both}</fixed></tendon></mujoco>'
+    path.write_text(path.read_text().replace("</mujoco>", tendon))
     with pytest.warns(UserWarning, match="not taken over") as said:
         read = load_model(path)
     text = str(said[0].message)

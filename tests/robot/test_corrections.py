@@ -145,15 +145,15 @@ def test_axes_behind_fixed_links_are_written(tmp_path):
     )
     # What is told of the origins is what the file has, whatever lies in between.
     model = pin.buildModelFromUrdf(str(path))
-    found = corrections_of(robot).axes
-    assert found[0].about == ("x axis", "z axis")
-    assert found[1].about == ("x axis", "axis (0, 0.8, -0.6)")
+    found = corrections_of(robot)
+    assert found[0].values["about"] == ("x axis", "z axis")
+    assert found[1].values["about"] == ("x axis", "axis (0, 0.8, -0.6)")
     for one in found:
         old = joint_origin(robot.features_.nominal_, one.joint)
         new = joint_origin(model, one.joint)
         rotation = pin.rpy.rpyToMatrix
-        np.testing.assert_allclose(rotation(*one.old_rpy), old, atol=1e-12)
-        np.testing.assert_allclose(rotation(*one.new_rpy), new, atol=1e-12)
+        np.testing.assert_allclose(rotation(*one.values["old_rpy"]), old, atol=1e-12)
+        np.testing.assert_allclose(rotation(*one.values["new_rpy"]), new, atol=1e-12)
     joints = {j.get("name"): j for j in ElementTree.parse(path).findall("joint")}
     given = ElementTree.fromstring(FIXED).findall("joint")
     for joint in given:
@@ -166,24 +166,20 @@ def test_axes_behind_fixed_links_are_written(tmp_path):
 def test_what_is_to_be_corrected(robot, moved):
     found = corrections_of(robot)
     tilt, zero, axis, gain = robot.effects_
-    np.testing.assert_allclose(
-        [found.tilt.roll_degrees, found.tilt.pitch_degrees], [4.0, 2.0], atol=0.5
-    )
-    np.testing.assert_allclose(found.tilt.gravity, turned(tilt.roll, tilt.pitch))
+    places = [("base_tilt", 0), ("joint_zero", 2), ("joint_axis", 3)]
+    assert [(x.name, x.joint) for x in found] == [*places, ("torque_gain", 1)]
+    level, off, turn, channel = (one.values for one in found)
+    np.testing.assert_allclose([level["roll"], level["pitch"]], [4.0, 2.0], atol=0.5)
+    np.testing.assert_allclose(level["gravity"], turned(tilt.roll, tilt.pitch))
     # A level frame in which the base leans has its gravity along z.
-    lean = pin.rpy.rpyToMatrix(*found.tilt.lean_rpy)
-    np.testing.assert_allclose(lean @ found.tilt.gravity, [0, 0, -9.81], atol=1e-12)
-    (off,) = found.zeros
-    assert (off.joint, off.joint_name) == (2, "joint_3")
-    assert off.subtract == zero.zero
-    assert (off.plain, off.plain_unit) == (np.degrees(zero.zero), "degrees")
-    (turn,) = found.axes
-    assert turn.joint_name == "joint_4"
-    assert turn.about_x_degrees == np.degrees(axis.about_x)
-    assert len(set(turn.about)) == 2
-    (channel,) = found.gains
-    assert channel.gain == gain.gain
-    assert channel.percent == pytest.approx(100 * (gain.gain - 1))
+    lean = pin.rpy.rpyToMatrix(*level["lean_rpy"])
+    np.testing.assert_allclose(lean @ level["gravity"], [0, 0, -9.81], atol=1e-12)
+    assert found[1].joint_name == "joint_3"
+    assert off["subtract"] == zero.zero
+    assert (off["plain"], off["unit"]) == (np.degrees(zero.zero), "degrees")
+    assert turn["turns"][0] == np.degrees(axis.about_x)
+    assert len(set(turn["about"])) == 2
+    assert channel["gain"] == gain.gain
 
 
 def test_the_file_says_what_to_change(robot, tmp_path):
@@ -193,10 +189,10 @@ def test_the_file_says_what_to_change(robot, tmp_path):
     # At the top, before any link.
     comment = text[text.index("<!--") : text.index("-->")]
     assert text.index("-->") < text.index("<link")
-    found = corrections_of(robot)
-    assert f"Subtract {found.zeros[0].plain:.4g} degrees" in comment
+    level, off, _, channel = (one.values for one in corrections_of(robot))
+    assert f"Subtract {off['plain']:.4g} degrees" in comment
     assert "from what the encoder of joint_3 reads" in comment
-    assert f"channel of joint_2 reads by {found.gains[0].gain:.5g}" in comment
-    assert f"roll {found.tilt.roll_degrees:.4g} and pitch" in comment
+    assert f"channel of joint_2 reads by {channel['gain']:.5g}" in comment
+    assert f"roll {level['roll']:.4g} and pitch" in comment
     assert "axis of joint_4 was turned" in comment
     assert "does not determine the masses" in comment

@@ -14,7 +14,6 @@ from sklearn_vbjfa.effects import (
     AsymmetricFriction,
     BaseTilt,
     Coulomb,
-    Coupling,
     JointAxis,
     JointZero,
     Motion,
@@ -26,7 +25,7 @@ from sklearn_vbjfa.effects import (
     Viscous,
 )
 from sklearn_vbjfa.physical import min_eigenvalue
-from sklearn_vbjfa.robot import as_tendons, in_line, to_mjcf
+from sklearn_vbjfa.robot import to_mjcf
 from sklearn_vbjfa.simulation import TorqueModel
 from tests.model._mujoco import drive_torques, moving_states
 from tests.model._robots import random_tree
@@ -68,19 +67,6 @@ def written(robot, path):
     return to_mjcf(path, robot, min_eigenvalue(robot.bodies))
 
 
-def states_for(rng, robot, n=200):
-    """States in which joints and all their sums and differences move."""
-    states = moving_states(rng, n, robot.n_joints)
-    v = states[:, robot.n_joints : 2 * robot.n_joints]
-    pairs = [
-        np.abs(v[:, i] + sign * v[:, j])
-        for i in range(robot.n_joints)
-        for j in range(i)
-        for sign in (1, -1)
-    ]
-    return states[(np.min(pairs, axis=0) > 0.1)]
-
-
 def test_all_that_mjcf_can_hold_is_exact(tmp_path):
     """Declared and found coefficients add up; nothing is left out."""
     pytest.importorskip("mujoco")
@@ -95,14 +81,6 @@ def test_all_that_mjcf_can_hold_is_exact(tmp_path):
             (Spring(0), [5.0, 2.0]),
             (Spring(1), [-4.0, 1.0]),
             (AsymmetricFriction(3), [0.6, 0.0]),
-            (Coupling(2, 3, 1.0), [0.5, 0.8, 0.2]),
-            (Coupling(3, 2, 1.0), [0.5, 0.8, 0.2]),
-            (Coupling(0, 1, -1.0), [-0.3, -0.4, -0.1]),
-            (Coupling(1, 0, -1.0), [-0.3, -0.4, -0.1]),
-            (Coupling(0, 2), [-0.25, 0.0, 0.0]),
-            (Coupling(2, 0), [-0.25, 0.0, 0.0]),
-            (Coupling(0, 1), [0.1, 0.0, 0.05]),
-            (Coupling(1, 0), [0.1, 0.0, 0.05]),
         ],
         friction=[
             ("viscous", [1.0, 2.0, 3.0, 4.0]),
@@ -113,55 +91,8 @@ def test_all_that_mjcf_can_hold_is_exact(tmp_path):
     )
     path = tmp_path / "robot.xml"
     assert written(robot, path) == ()
-    states = states_for(np.random.default_rng(5), robot)
+    states = moving_states(np.random.default_rng(5), 200, robot.n_joints)
     assert_same(drive_torques(path, states), torques(robot, states))
-    tendons = ElementTree.parse(path).findall("tendon/fixed")
-    assert [one.get("name") for one in tendons] == [
-        "joint_0 minus joint_1",
-        "joint_0 minus joint_2",
-        "joint_2 plus joint_3",
-    ]
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_file_and_left_outs_make_the_robot(seed, tmp_path):
-    """Random couplings: what MuJoCo computes and what is left add up, nothing < 0."""
-    pytest.importorskip("mujoco")
-    rng = np.random.default_rng(seed)
-    uses = [
-        (Coupling(j, k, ratio), rng.normal(size=3))
-        for j in range(4)
-        for k in range(4)
-        for ratio in rng.choice([0.0, 1.0, -1.0, 0.6], size=2, replace=False)
-        if j != k
-    ]
-    robot = robot_of(
-        uses,
-        seed,
-        friction=[
-            ("viscous", rng.uniform(0, 2, size=4)),
-            ("rotor_inertia", rng.uniform(0, 1, size=4)),
-        ],
-    )
-    path = tmp_path / "robot.xml"
-    left = written(robot, path)
-    states = states_for(rng, robot)
-    found = drive_torques(path, states)
-    motion = Motion(**dict(zip("qva", np.split(states, 3, axis=1))))
-    couplings = list(zip(robot.effects, robot.coefficients))
-    damping, armature = robot.friction.T
-    rest = as_tendons(couplings, damping, armature, in_line(robot.model)).left
-    for effect, coef in rest:
-        found[:, effect.joint] += effect.columns(motion) @ coef
-    assert_same(found, torques(robot, states))
-    assert [one.joint for one in left] == [e.joint for e, coef in rest if coef.any()]
-    for (_, coef), (_, all_of_it) in zip(rest, couplings):
-        # Nothing is put in that was not identified.
-        assert (np.abs(coef) <= np.abs(all_of_it)).all()
-        assert (coef * all_of_it >= 0).all()
-    for one in ElementTree.parse(path).iter():
-        for key in ("damping", "frictionloss", "armature", "stiffness"):
-            assert float(one.get(key, 0.0)) >= 0.0
 
 
 # -- whole identifications -------------------------------------------------------------

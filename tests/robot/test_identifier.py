@@ -111,7 +111,7 @@ def test_what_no_torque_depends_on_comes_from_the_model(identified, simulated):
     np.testing.assert_allclose(first[0] / nominal[0], 1.0, atol=0.6)
     # and rounding alone never passes for information
     assert np.abs(identified.theta_unconstrained_).max() < 100
-    weighed = np.diagonal(identified.estimator_.metric_)[:9]
+    weighed = np.diagonal(identified.estimate_.metric)[:9]
     np.testing.assert_array_equal(weighed, 0.0)
 
 
@@ -184,7 +184,7 @@ def test_standing_samples_are_left_out(simulated, cutoff):
     )
     np.testing.assert_array_equal(everything.standstill_, -1.0)
     np.testing.assert_array_less(
-        robot.estimator_.n_rows_, everything.estimator_.n_rows_
+        robot.estimate_.moments.n_rows, everything.estimate_.moments.n_rows
     )
     spoiled = everything.residuals(simulated.states, simulated.tau_clean)
     assert spoiled.normalised_error().max() > 0.01
@@ -197,7 +197,7 @@ def test_residuals_are_filtered_torques_against_filtered_predictions(
     identified, simulated
 ):
     found = identified.residuals(simulated.q, simulated.tau, groups=simulated.groups)
-    lowpass = identified.estimator_.lowpass_
+    lowpass = identified.robot_.plan.lowpass
     states = identified.state_estimator_.transform(simulated.q, groups=simulated.groups)
     at = found.index[100]
     window = slice(at - lowpass.half, at + lowpass.half + 1)
@@ -232,7 +232,7 @@ def test_noise_floor_is_what_noise_alone_leaves(encoder_noise):
         random_state=1,
     )
     robot = identify(recording)
-    taps = robot.estimator_.lowpass_.taps
+    taps = robot.robot_.plan.lowpass.taps
     # The quietest quarter of 16 bands of a spectrum, each of some 100 ordinates.
     np.testing.assert_allclose(
         robot.torque_noise_,
@@ -244,12 +244,12 @@ def test_noise_floor_is_what_noise_alone_leaves(encoder_noise):
     np.testing.assert_allclose(found.rms() / robot.noise_floor_, 1.0, atol=0.2)
     # the same without the inputs' share, which is that of the encoders alone
     exact = identify(recording, input_noise=None)
-    np.testing.assert_array_equal(exact.input_noise_torque_, 0.0)
+    np.testing.assert_array_equal(exact.estimate_.noise()[0], 0.0)
     np.testing.assert_allclose(exact.noise_floor_, exact.torque_noise_, rtol=1e-12)
     assert np.all(robot.noise_floor_ > exact.noise_floor_)
     np.testing.assert_allclose(
         robot.noise_floor_**2,
-        robot.torque_noise_**2 + robot.input_noise_torque_**2,
+        robot.torque_noise_**2 + robot.estimate_.noise()[0] ** 2,
         rtol=1e-12,
     )
 
@@ -309,7 +309,7 @@ def test_noise_of_encoders_is_what_exact_torques_leave():
     robot = RobotIdentifier(wheel().model, dt=dt).fit(read[:, None], tau[:, None])
     left = robot.residuals(read[:, None], tau[:, None]).rms()
     # Accelerations are wrong by what the smoother lets through of the encoders' noise.
-    np.testing.assert_allclose(robot.input_noise_torque_, left, rtol=0.15)
+    np.testing.assert_allclose(robot.estimate_.noise()[0], left, rtol=0.15)
     assert robot.output_noise_[0] < 0.6 * left[0]
 
 

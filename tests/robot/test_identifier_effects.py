@@ -213,7 +213,7 @@ def test_projection_moves_the_effects_along():
     p = robot.features_.n_parameters_
     assert np.all(robot.min_eigenvalues_ > 0)
     assert np.abs(robot.theta_ - robot.theta_unconstrained_)[:p].max() > 1e-6
-    metric = robot.estimator_.metric_
+    metric = robot.estimate_.metric
     change = robot.theta_ - robot.theta_unconstrained_
     scale = np.sqrt(np.diagonal(metric)) * np.sqrt(change @ metric @ change)
     assert np.abs((metric @ change)[p:] / scale[p:]).max() < 1e-6

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.signal import convolve
 from sklearn.base import clone
 from sklearn.cross_decomposition import PLSRegression
 from sklearn.ensemble import RandomForestRegressor
@@ -159,32 +158,6 @@ def test_weight_two_is_the_sample_twice(rng, regressor):
     )
 
 
-# -- low-pass
-
-
-def test_groups_are_filtered_apart(rng):
-    Phi, tau, _ = joint_equations(rng, n=900, noise=NOISE)
-    groups = np.repeat([1, 0, 3], [300, 350, 250])
-    model = fitted(
-        Phi, tau, joint_weights=None, dt=0.01, cutoff=8.0, fit={"groups": groups}
-    )
-    taps, step = model.lowpass_.taps, model.lowpass_.step
-    rows, values = [], []
-    for label in (1, 0, 3):
-        mine = groups == label
-        for j in range(3):
-            columns = [
-                convolve(Phi[mine, j, k], taps, mode="valid")[::step] for k in range(5)
-            ]
-            rows.append(np.column_stack(columns))
-            values.append(convolve(tau[mine, j], taps, mode="valid")[::step])
-    expected = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0]
-    np.testing.assert_allclose(model.theta_, expected, rtol=1e-8)
-    np.testing.assert_array_equal(
-        model.n_rows_, sum(part.shape[0] for part in rows) / 3
-    )
-
-
 def test_projector_gets_the_metric_of_the_fit(rng):
     body = np.append(random_body(rng), 0.3)
     Phi = rng.normal(size=(80, 2, 11))
@@ -225,10 +198,6 @@ def test_one_output_keeps_one_dimension(rng):
             r"'auto', None or an array.*\(3,\); got 'even'",
         ),
         ({"joint_weights": [1.0, -1.0, 1.0]}, {}, "must hold 3 finite, non-negative"),
-        ({"cutoff": 5.0}, {}, "dt must be the sample period.*got None"),
-        ({"cutoff": 60.0, "dt": 0.01}, {}, "below the Nyquist frequency 50 Hz"),
-        ({"cutoff": 0.1, "dt": 0.01}, {}, r"shorter than the low-pass.*longer record"),
-        ({}, {"groups": np.zeros(5)}, r"one label per row, shape \(300,\); got"),
         ({}, {"sample_weight": np.ones(5)}, r"shape \(300,\) or \(300, 3\); got \(5,"),
         ({}, {"sample_weight": np.full(300, np.nan)}, "finite and not negative"),
         ({}, {"sample_weight": np.zeros(300)}, "at least one non-zero number"),

@@ -83,6 +83,6 @@ def test_beside_a_description_its_values_say_so():
     (body,) = body_masses(robot)
     assert body.known == "from the description"
     assert body.mass == pytest.approx(body.nominal, rel=0.3)
-    assert np.isfinite(robot.theta_prior_std_[:10]).all()
-    assert (robot.theta_std_[:10] <= robot.theta_prior_std_[:10] * 1.01).all()
+    assert np.isfinite(robot.estimate_.prior_std[:10]).all()
+    assert (robot.theta_std_[:10] <= robot.estimate_.prior_std[:10] * 1.01).all()
     assert "joint_1" in note_of_masses(robot)

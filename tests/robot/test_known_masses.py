@@ -69,10 +69,7 @@ def test_a_known_payload_makes_gains_absolute():
     (first,) = found.references
     assert_allclose(found.common.factor, found.gain[first])
     assert_allclose(found.common.std, found.std[first], rtol=1e-6)
-    (used,) = found.common.masses
-    assert (used.name, used.mass) == ("payload", MASS)
-    assert used.used
-    assert used.shown
+    assert found.common.masses == {"payload": MASS}
     # In closed form: what the recording has for it, over what it is.
     relative = fit(tau, None)
     assert_allclose(relative.theta_[dm] / MASS, found.common.factor, rtol=1e-9)
@@ -106,10 +103,8 @@ def test_deviations_are_those_of_repeated_recordings():
 
 def test_a_mass_that_turns_does_not():
     robot = fit(recorded(payload=0), {"joint_3": 1.0}, effects=())
-    (mass,) = robot.gains_.common.masses
     assert not robot.gains_.absolute
-    assert (mass.shown, mass.used) == (False, False)
-    assert np.isnan(mass.std)
+    assert robot.gains_.common.masses == {"joint_3": 1.0}
 
 
 @pytest.mark.parametrize(

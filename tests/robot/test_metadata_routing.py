@@ -42,12 +42,12 @@ def routing():
         yield
 
 
-def chain(recording, cutoff=5.0):
+def chain(recording):
     return Pipeline(
         [
             ("states", StateEstimator(DT, cutoff=8.0)),
             ("features", RigidBodyFeatures(recording.urdf)),
-            ("torque", JointTorqueRegressor(LinearRegression(), dt=DT, cutoff=cutoff)),
+            ("torque", JointTorqueRegressor(LinearRegression())),
         ]
     )
 
@@ -55,21 +55,18 @@ def chain(recording, cutoff=5.0):
 def routed_chain(recording, weighted=True):
     found = chain(recording)
     found["states"].set_fit_request(groups=True).set_transform_request(groups=True)
-    found["torque"].set_fit_request(groups=True, sample_weight=weighted)
+    found["torque"].set_fit_request(sample_weight=weighted)
     found["torque"].set_score_request(sample_weight=weighted)
     return found
 
 
-def by_hand(recording, weight, train, test, cutoff=5.0):
+def by_hand(recording, weight, train, test):
     """Fit and score the chain step by step, without a pipeline; R^2 on `test`."""
     states, features, torque = (clone(step) for _, step in chain(recording).steps)
-    torque.set_params(cutoff=cutoff)
     groups, y = recording.groups, recording.tau
     seen = states.fit_transform(recording.q[train], groups=groups[train])
     w = None if weight is None else weight[train]
-    torque.fit(
-        features.fit_transform(seen), y[train], groups=groups[train], sample_weight=w
-    )
+    torque.fit(features.fit_transform(seen), y[train], sample_weight=w)
     unseen = states.transform(recording.q[test], groups=groups[test])
     predicted = torque.predict(features.transform(unseen))
     w = None if weight is None else weight[test]
@@ -96,11 +93,11 @@ def test_cross_validation_of_the_chain(recording, weight, routing):
 def test_groups_need_no_ceremony(recording, routing):
     q, tau, groups = recording.q, recording.tau, recording.groups
     search = GridSearchCV(
-        chain(recording), {"torque__cutoff": [3.0, 5.0]}, cv=FOLDS, error_score="raise"
+        chain(recording), {"states__cutoff": [6.0, 8.0]}, cv=FOLDS, error_score="raise"
     )
     search.fit(q, tau, groups=groups)
     asked = GridSearchCV(
-        routed_chain(recording), {"torque__cutoff": [3.0, 5.0]}, cv=FOLDS
+        routed_chain(recording), {"states__cutoff": [6.0, 8.0]}, cv=FOLDS
     )
     asked.fit(q, tau, groups=groups)
     scores = (found.cv_results_["mean_test_score"] for found in (search, asked))

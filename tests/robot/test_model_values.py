@@ -1,6 +1,5 @@
 """The identifier finds tilts, zeros, axes and gains of a robot that has them."""
 
-import re
 import warnings
 
 import numpy as np
@@ -222,23 +221,9 @@ def test_what_does_not_show_stays_and_has_no_deviation(used, seen):
     assert np.abs(robot.predict(ELSEWHERE) - there).max() < 0.2
 
 
-@pytest.mark.parametrize(
-    ("truth", "said"),
-    [
-        (
-            JointZero(1, 0.6),
-            r"zero of joint_zero on joint_2 \(0\.259\) reached",
-        ),
-        (TorqueGain(1, 4.0), r"gain of torque_gain on joint_2 \(2\.4"),
-    ],
-)
-def test_values_that_run_away_stop_and_are_told(truth, said):
-    tau = torques(ARM, [truth], noise=0.1)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        robot = fit(ARM, idle([truth]), tau)
-    (one,) = [w for w in caught if issubclass(w.category, UserWarning)]
-    assert re.search(said, str(one.message))
+@pytest.mark.parametrize("truth", [JointZero(1, 0.6), TorqueGain(1, 4.0)])
+def test_values_that_run_away_stop(truth):
+    robot = fit(ARM, idle([truth]), torques(ARM, [truth], noise=0.1))
     low, high = robot.effects_[0].bounds()
     assert np.all((low < values(robot)) & (values(robot) < high))
 

@@ -45,16 +45,14 @@ def test_the_identifier_is_the_same_chain(recording):
         dt=recording.dt,
         friction=FRICTION,
         projector=None,
-        cutoff=5.0,
+        cutoff=None,
         options=FitOptions(state_cutoff=6.0, standstill=None),
         regressor=LinearRegression(),
     ).fit(recording.q, recording.tau, groups=groups)
     states = StateEstimator(recording.dt, cutoff=6.0).fit_transform(
         recording.q, groups=groups
     )
-    chain = pipeline(
-        recording, regressor=LinearRegression(), dt=recording.dt, cutoff=5.0
-    )
+    chain = pipeline(recording, regressor=LinearRegression())
     # The identifier leaves out one period of the state cut-off at both ends.
     edge = int(1 / (6.0 * recording.dt))
     inside = np.ones(groups.size)
@@ -64,11 +62,11 @@ def test_the_identifier_is_the_same_chain(recording):
     chain.fit(
         states,
         recording.tau,
-        identify__groups=groups,
         identify__sample_weight=inside,
     )
     Phi = chain[:-1].transform(states[:40])
     np.testing.assert_allclose(
         chain["identify"].predict(Phi), robot.predict(states[:40]), rtol=1e-7, atol=1e-7
     )
-    np.testing.assert_array_equal(chain["identify"].n_rows_, robot.estimator_.n_rows_)
+    rows = robot.estimate_.moments.n_rows
+    np.testing.assert_array_equal(chain["identify"].n_rows_, rows)

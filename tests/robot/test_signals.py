@@ -1,7 +1,5 @@
 """Recorded signals on their way into a fit and a prediction, and what is refused."""
 
-import warnings
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -67,16 +65,6 @@ def test_a_prediction_takes_the_signal_of_its_own_motion(found):
     assert_array_equal(np.delete(difference, JOINT, axis=1), 0.0)
     speed = states[:, ARM.nv + JOINT]
     assert_allclose(difference[:, JOINT], 20.0 * found.theta_[-1] * speed, atol=1e-9)
-
-
-def test_a_prediction_outside_the_fitted_signal_is_told_of(found):
-    X = ARM.q[:300]
-    with pytest.warns(UserWarning, match=r"signal temperature: to 60, fitted on 20 to"):
-        found.predict(X, signals={"temperature": np.full(300, 60.0)})
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for degrees in (17.0, 30.0, 43.0):
-            found.predict(X, signals={"temperature": np.full(300, degrees)})
 
 
 @pytest.mark.parametrize("call", ["predict", "residuals", "score"])

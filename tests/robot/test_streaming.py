@@ -40,7 +40,7 @@ def whole(recording):
 
 
 def statistics(robot):
-    stats = robot.estimator_.statistics_
+    stats = robot.estimate_.moments
     return {name: getattr(stats, name) for name in MOMENTS}
 
 
@@ -59,7 +59,7 @@ def assert_same(robot, other, rtol=1e-10):
         assert_allclose(values, reference, rtol=0, atol=rtol * size, err_msg=name)
     # Parameters that the data hardly tell apart may move by more than the torques
     # that all of them make together, which is what rounding leaves unchanged.
-    metric = other.estimator_.metric_
+    metric = other.estimate_.metric
     for name in ("theta_unconstrained_", "theta_"):
         values, reference = getattr(robot, name), getattr(other, name)
         apart = values - reference
@@ -78,7 +78,7 @@ def matrix_statistics(robot, recording):
     filter is SciPy's.
     """
     nv = 6
-    lowpass = robot.estimator_.lowpass_
+    lowpass = robot.robot_.plan.lowpass
     features = RigidBodyFeatures(recording.urdf, friction=FRICTION)
     states = robot.state_estimator_.transform(recording.q, groups=recording.groups)
     halves = robot.state_estimator_.split_transform(

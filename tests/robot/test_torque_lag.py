@@ -38,7 +38,6 @@ def sound(recording):
 
 def test_torques_without_a_lag_have_no_such_parameter(sound):
     assert sound.torque_lag_ == 0.0
-    assert np.isnan(sound.torque_lag_std_)
     assert not any(name.startswith("torques") for name in sound.parameter_names_)
 
 
@@ -47,8 +46,8 @@ def test_a_lag_is_found_with_its_deviation(recording, sound, tmp_path):
     log = late(recording, lag)
     assert [one.kind for one in inspect_recording(log)] == ["delay"]
     robot = fitted(log)
-    assert 0 < robot.torque_lag_std_ < 3e-4
-    assert abs(robot.torque_lag_ - lag) < 3 * robot.torque_lag_std_
+    assert 0 < robot.theta_std_[-1] < 3e-4
+    assert abs(robot.torque_lag_ - lag) < 3 * robot.theta_std_[-1]
     assert robot.parameter_names_[-1] == "torques:lag"
     assert robot.theta_[-1] == robot.torque_lag_
     # Everything else is that of torques in time.

@@ -1,7 +1,5 @@
 """Windows of a recording: where they begin, their errors, and those that fail."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -76,46 +74,30 @@ def test_a_window_may_end_in_the_last_row(robot, recording):
 
 def test_a_true_robot_stays_at_the_measured_motion(found):
     assert not found.failed.any()
-    assert found.failures == ()
+    assert found.failures == {}
     # Torques go straight between rows, with a jump at every turn; the robot's did not.
     for rival in (found.rivals["at rest"], found.rivals["constant velocity"]):
         assert np.median(found.errors) < 0.02 * np.median(rival.errors)
-        speeds = np.median(rival.velocity_errors)
-        assert np.median(found.velocity_errors) < 0.02 * speeds
 
 
 def test_errors_are_root_mean_squares_by_hand(found):
-    nv = len(found.joint_names)
     for k, j in ((0, 0), (3, 4)):
         own = found.simulated[k, :, j] - found.positions[k, :, j]
         assert found.errors[k, j] == pytest.approx(np.sqrt(np.mean(own**2)))
-        own = found.simulated[k, :, nv + j] - found.velocities[k, :, j]
-        assert found.velocity_errors[k, j] == pytest.approx(np.sqrt(np.mean(own**2)))
 
 
 def test_rivals_stay_and_go_on(found):
     nv = len(found.joint_names)
     since = DT * np.arange(51)
-    q0, v0 = found.start_positions, found.velocities[:, 0]
+    q0, v0 = np.split(found.start_states, 2, axis=1)
     stays, goes_on = (
         found.rivals["at rest"].simulated,
         found.rivals["constant velocity"].simulated,
     )
     np.testing.assert_array_equal(stays[..., :nv], np.repeat(q0[:, None], 51, axis=1))
-    assert not stays[..., nv:].any()
     np.testing.assert_allclose(
         goes_on[..., :nv], q0[:, None] + since[:, None] * v0[:, None], atol=1e-12
     )
-    np.testing.assert_array_equal(goes_on[:, 0, nv : 2 * nv], v0)
-
-
-def test_joints_that_run_away_are_marked(found):
-    assert not found.run_away.any()
-    simulated = found.simulated.copy()
-    simulated[3, -1, 2] += 1e3
-    simulated[5] = np.nan
-    away = replace(found, simulated=simulated).run_away
-    assert np.argwhere(away).tolist() == [[3, 2]]
 
 
 def test_clearly_smaller_is_a_test_at_five_per_cent():
@@ -167,11 +149,9 @@ def test_effects_of_time_have_the_clock_of_the_fit(recording):
             {"window": 7.0},
             "No recording is as long as a window of 7 s: the longest has",
         ),
-        (
-            {"y": np.zeros((5, 6))},
-            r"y must hold one row of torques for each of the 1200",
-        ),
-        ({"t": np.zeros(3)}, r"t must hold one time per row, shape \(1200,\)"),
+        ({"y": np.zeros((5, 6))}, r"inconsistent numbers of samples: \[1200, 5\]"),
+        ({"y": np.zeros((1200, 2))}, r"y must have 6 column\(s\) of torques; got 2"),
+        ({"t": np.zeros(3)}, r"inconsistent numbers of samples: \[1200, 3\]"),
     ],
 )
 def test_what_cannot_be_is_refused(change, message, robot, recording):

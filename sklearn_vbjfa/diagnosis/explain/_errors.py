@@ -72,7 +72,7 @@ def judge(models, found, split, near, whole, commanded):
         own = _numbered(own, near.searched_parts)
         of_before = replace(own, weight=of_plain.weight)
     if near is not split:
-        fitted = models.plain.robot_.measured(split.searched(whole))
+        fitted = models.plain.robot_.residuals_of(split.searched(whole))
         # A joint whose channel carries no information counts nowhere here.
         fitted = replace(fitted, weight=fitted.weight * view.root.any(axis=0))
     spread = torque_spread(fitted, moving)

@@ -87,7 +87,7 @@ class Parts:
         G, g = np.zeros((p, p)), np.zeros(p)
         described = identifier.described()
         if described is not None:
-            own = identifier.estimator_.joint_weights_[self.used]
+            own = identifier.robot_.joint_weights[self.used]
             metric, centre = described
             ratio = np.mean(self._view.precision[self.used] / own)
             metric = metric[:rigid, :rigid] * ratio

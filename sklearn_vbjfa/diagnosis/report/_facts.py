@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
+from sklearn_vbjfa.effects import JointAxis
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # One of a SI unit in the unit that is read off an instrument.
@@ -74,8 +74,11 @@ def statement(outcome, effect):
         parts = [f"{name} = {value} {unit}" for name, (value, unit) in values.items()]
         stated = ", ".join([label, *parts])
         return stated if effect.scope == "robot" else f"{joint}: {stated}"
-    axes = outcome.robot["corrections"].axes
-    turned = [x.about for x in axes if x.joint == effect.joint]
+    turned = [
+        one.values["about"]
+        for one in outcome.robot["corrections"]
+        if (one.name, one.joint) == (JointAxis.name, effect.joint)
+    ]
     first, second = turned[0] if turned else ("first cross axis", "second cross axis")
     texts = {name: value for name, (value, _) in values.items()}
     *_, unit = next(iter(values.values()))
@@ -93,14 +96,7 @@ def value_cells(effect):
 def remedies(outcome):
     """Return corrections of the robot model, (name, joint) -> correction."""
     # Those that were declared are among them; insignificant ones are not.
-    given = outcome.robot["corrections"]
-    found = {(BaseTilt.name, 0): given.tilt} if given.tilt else {}
-    for name, own in (
-        (JointZero.name, given.zeros),
-        (JointAxis.name, given.axes),
-        (TorqueGain.name, given.gains),
-    ):
-        found |= {(name, one.joint): one for one in own}
+    found = {(one.name, one.joint): one for one in outcome.robot["corrections"]}
     possible = {(one.name, one.joint) for one in outcome.findings["possible"]}
     return {
         key: one

@@ -78,13 +78,12 @@ class Report:
         )
 
     def _gains(self):
-        """List gains that are unknown or implausible, and masses that do not help."""
+        """List gains that are unknown, and masses that do not help."""
         say, gains = self._voice, self.outcome.robot["gains"]
         if gains is None:
             return []
-        lines = [say(f"gains_{kind}") for kind in ("unknown", "hidden", "far")]
-        lines += [say("mass_unused", known) for known in gains.common.masses]
-        return [line for line in (*lines, say("masses_disagree")) if line]
+        kinds = ("gains_unknown", "gains_hidden", "masses_unused")
+        return [line for line in map(say, kinds) if line]
 
     def _warnings(self, gains):
         """List what forbids a use, faults of the recording first."""

@@ -65,7 +65,7 @@ def test_a_model_that_diverges_has_no_error_and_a_reason(
 
     def diverges(self, rows, start, t):
         if self._model.friction.shape[1] < 2:
-            raise SimulationError("It diverges.", 0.5)
+            raise SimulationError("It diverges.")
         return run(self, rows, start, t)
 
     assert simple.size < models.judged.theta_.size

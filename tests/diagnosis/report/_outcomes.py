@@ -16,7 +16,6 @@ from sklearn_vbjfa.diagnosis.explain import (
 from sklearn_vbjfa.diagnosis.search import UNDECIDED, Evidence
 from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.inspection import ChannelFinding
-from sklearn_vbjfa.robot import Corrections
 
 EVIDENCE = Evidence(log_odds=8.2, gain=0.46, gain_std=0.04, errors=11.0, n_blocks=52)
 # Of probability 80 %, and of one that is sure and chance on other stretches.
@@ -149,7 +148,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         "motion": (),
         "limits": None,
         "gains": None,
-        "corrections": Corrections(),
+        "corrections": (),
         "common_size": 1.0,
         "library": {effect.name: effect for effect in resolve("all")},
     }

@@ -9,11 +9,7 @@ from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import DiscoveredEffect, Fact, NotIdentifiable
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.robot import (
-    AxisCorrection,
-    Corrections,
-    GainCorrection,
-    TiltCorrection,
-    ZeroCorrection,
+    Correction,
 )
 from tests.diagnosis.report._outcomes import EVIDENCE, make_outcome
 from tests.diagnosis.report._pages import section_of, text_of
@@ -61,58 +57,44 @@ AXIS = found(
     np.deg2rad(0.1),
 )
 GAIN = found(TorqueGain(1), {"gain": 1.148}, 0.002)
-CORRECTIONS = {
+VALUES = {
     "base_tilt": {
-        "tilt": TiltCorrection(
-            roll=TILT.parameters["roll"],
-            pitch=TILT.parameters["pitch"],
-            roll_degrees=4.0,
-            pitch_degrees=2.0,
-            gravity=(-0.34, 0.68, -9.78),
-            lean_rpy=(-0.0698, -0.0348, 0.0024),
-            lean_rpy_degrees=(-4.0, -1.995, 0.14),
-        )
+        "roll": 4.0,
+        "pitch": 2.0,
+        "lean_degrees": (-4.0, -1.995, 0.14),
+        "lean_rpy": (-0.0698, -0.0348, 0.0024),
+        "gravity": (-0.34, 0.68, -9.78),
     },
     "joint_zero": {
-        "zeros": (
-            ZeroCorrection(
-                joint=2,
-                joint_name="joint_3",
-                subtract=ZERO.parameters["zero"],
-                plain=4.04,
-                plain_unit="degrees",
-            ),
-        )
+        "subtract": ZERO.parameters["zero"],
+        "plain": 4.04,
+        "unit": "degrees",
     },
     "joint_axis": {
-        "axes": (
-            AxisCorrection(
-                joint=3,
-                joint_name="joint_4",
-                about_x=AXIS.parameters["about_x"],
-                about_y=AXIS.parameters["about_y"],
-                about_x_degrees=3.0,
-                about_y_degrees=-0.5,
-                about=("x axis", "z axis"),
-                old_rpy=(0.0, 1.5708, 0.0),
-                new_rpy=(0.05, 1.5, 0.1),
-            ),
-        )
+        "turns": (3.0, -0.5),
+        "about": ("x axis", "z axis"),
+        "old_rpy": (0.0, 1.5708, 0.0),
+        "new_rpy": (0.05, 1.5, 0.1),
     },
-    "torque_gain": {
-        "gains": (
-            GainCorrection(joint=1, joint_name="joint_2", gain=1.148, percent=14.8),
-        )
-    },
+    "torque_gain": {"gain": 1.148},
 }
+
+
+def correction(effect):
+    """Correction of the robot that an effect asks for."""
+    return Correction(
+        name=effect.name,
+        joint=effect.joint,
+        joint_name=f"joint_{effect.joint + 1}",
+        values=VALUES[effect.name],
+    )
 
 
 def report_of(*effects, **changes):
     """Report of a robot with these effects and no other."""
-    corrections = {k: v for e in effects for k, v in CORRECTIONS[e.name].items()}
     given = {
         "effects": effects,
-        "corrections": Corrections(**corrections),
+        "corrections": tuple(map(correction, effects)),
         "names": NAMES,
         "not_identifiable": (),
         "channels": (),
@@ -203,10 +185,11 @@ def test_values_in_both_units():
     assert tilt["parameters"]["roll"] == np.deg2rad(4.0)
     assert tilt["scope"] == "robot"
     listed = data["robot"]["corrections"]
-    assert listed["tilt"]["lean_rpy_degrees"] == [-4.0, -1.995, 0.14]
-    assert listed["zeros"][0]["subtract"] == ZERO.parameters["zero"]
-    assert listed["axes"][0]["new_rpy"] == [0.05, 1.5, 0.1]
-    assert listed["gains"][0]["gain"] == 1.148
+    tilt, zero, axis, gain = (one["values"] for one in listed)
+    assert tilt["lean_degrees"] == [-4.0, -1.995, 0.14]
+    assert zero["subtract"] == ZERO.parameters["zero"]
+    assert axis["new_rpy"] == [0.05, 1.5, 0.1]
+    assert gain["gain"] == 1.148
 
 
 # -- what is hidden

@@ -134,7 +134,7 @@ def test_a_long_recording_has_the_same_name_and_errors_of_all_rows(few, recorded
     standstill = thinned.identifier_.standstill_
     whole.set_params(options=FitOptions(standstill=standstill))
     whole.fit(recorded.q, recorded.tau)
-    n = [one.estimator_.statistics_.n for one in (whole, thinned.identifier_)]
+    n = [one.estimate_.moments.n for one in (whole, thinned.identifier_)]
     assert_array_equal(*n)
     torques = [one.predict(recorded.q) for one in (whole, thinned.identifier_)]
     apart = np.abs(np.subtract(*torques)).max(axis=0)

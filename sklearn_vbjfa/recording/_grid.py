@@ -91,9 +91,8 @@ def _pieces(name, t, channels, dt, ends=()):
             off_grid.append((at, values["tau"]))
             grid, values = interpolate(at, values, dt)
         parts.append((grid, values))
-    names = (
-        [name] if len(parts) == 1 else [f"{name} [{k + 1}]" for k in range(len(parts))]
-    )
+    names = [f"{name} [{k}]" for k in range(1, len(parts) + 1)]
+    names = names if len(parts) > 1 else [name]
     return [(x, *part) for x, part in zip(names, parts)], off_grid
 
 

@@ -101,11 +101,13 @@ def exceeded(motion):
     j = int(np.argmin(motion.margins[worst]))
     margin = words.percent(float(motion.margins[worst][j]))
     label = words.joint_label(motion.joint_names, j)
-    nearest = motion.margins.get("clearance", np.inf)
-    return (
-        f"{_QUANTITIES[worst]} of {label} {margin} below its limit (at least "
-        f"{MARGIN:.0%} are kept), bodies {1e3 * nearest:.3g} mm apart"
+    text = (
+        f"{_QUANTITIES[worst]} of {label} leaves {margin} of its limit (at least "
+        f"{MARGIN:.0%} are kept)"
     )
+    if "clearance" in motion.margins:
+        text += f", bodies are {1e3 * motion.margins['clearance']:.3g} mm apart"
+    return text
 
 
 def _shares(motion):

@@ -92,7 +92,6 @@ def measured_data_home() -> Path:
 @pytest.fixture(scope="session")
 def simulated():
     """Two motions of the made-up arm, and its truth."""
-    pytest.importorskip("pinocchio")
     from sklearn_vbjfa.datasets import make_robot_recording
 
     return make_robot_recording(

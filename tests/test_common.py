@@ -135,5 +135,4 @@ def test_state_estimator(estimator, check):
     **_STRICT,
 )
 def test_robot_estimator(estimator, check):
-    pytest.importorskip("pinocchio")
     check(estimator)

@@ -191,7 +191,6 @@ def test_a_table_and_its_data_agree(path, recorded):
 
 @pytest.mark.slow
 def test_report_to_click_is_what_the_package_writes(monkeypatch):
-    pytest.importorskip("pinocchio")
     demo = script(DOCS / "demo_report.py", monkeypatch)
     # Words, not figures: other libraries and processors move a last digit.
     shown, made = (
@@ -245,7 +244,6 @@ LONG = {"design.rst", "effects.rst", "simulation.rst"}
     ],
 )
 def test_examples_run(page, tmp_path, monkeypatch):
-    pytest.importorskip("pinocchio")
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "__main__"}
     for block in code_blocks(page):
@@ -254,7 +252,6 @@ def test_examples_run(page, tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_the_readme_needs_no_more_than_it_installs(tmp_path):
-    pytest.importorskip("pinocchio")
     # Of other extras, and no dependency of what `pip install ".[robot]"` installs.
     absent = """
 import sys

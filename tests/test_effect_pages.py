@@ -10,8 +10,6 @@ from numpy.testing import assert_allclose
 
 from sklearn_vbjfa import effects
 
-pytest.importorskip("pinocchio")
-
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 sys.path.insert(0, str(DOCS / "_ext"))
 import effect_facts  # noqa: E402

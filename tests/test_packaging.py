@@ -118,7 +118,6 @@ def build(kind, source, target):
 
 
 def install_and_use(wheel, folder):
-    pytest.importorskip("pinocchio")
     run(
         *("-m", "pip", "install", "-q", "--no-deps", "--no-index"),
         *("--target", str(folder), str(wheel)),
@@ -129,13 +128,11 @@ def install_and_use(wheel, folder):
 
 @pytest.fixture(scope="module")
 def sdist(tmp_path_factory):
-    pytest.importorskip("hatchling")
     return build("sdist", ROOT, tmp_path_factory.mktemp("sdist"))
 
 
 @pytest.mark.slow
 def test_wheel_holds_the_package_and_installs(tmp_path):
-    pytest.importorskip("hatchling")
     wheel = build("wheel", ROOT, tmp_path)
     names = zipfile.ZipFile(wheel).namelist()
     files = {
@@ -172,7 +169,6 @@ def test_source_distribution_builds_the_same_wheel(sdist, tmp_path):
 @pytest.mark.slow
 def test_every_public_name_has_a_type(tmp_path):
     """What type checkers see of the package, as ``py.typed`` promises."""
-    pytest.importorskip("mypy")
     names = [(m.__name__, name) for m in PUBLIC_MODULES for name in m.__all__]
     lines = [
         f"from {module} import {name} as n{k}" for k, (module, name) in enumerate(names)

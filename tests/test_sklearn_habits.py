@@ -4,6 +4,7 @@ import pickle
 import re
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import sklearn
 from sklearn.base import clone
@@ -28,8 +29,6 @@ from sklearn_vbjfa import (
     effects,
 )
 from sklearn_vbjfa.datasets import make_robot_recording
-
-pin = pytest.importorskip("pinocchio")
 
 BODY = [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3, -0.1]
 
@@ -75,7 +74,8 @@ def transformers():
 @pytest.mark.parametrize("name", transformers())
 @pytest.mark.parametrize("given", ["array", "frame"])
 def test_transformers_return_frames(name, given, states):
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     transformer, takes = transformers()[name]
     X = {"qva": states, "q": states[:, :2], "theta": np.array([BODY, BODY])}[takes]
     if given == "frame":
@@ -94,7 +94,8 @@ def test_transformers_return_frames(name, given, states):
 
 
 def test_frames_all_through_the_chain(recording):
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     q = pandas.DataFrame(recording.q, columns=recording.joint_names)
 
     def chain():
@@ -116,7 +117,8 @@ def test_frames_all_through_the_chain(recording):
 
 
 def test_names_of_states_are_checked(states):
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     positions = states[:, :2]
     plain = StateEstimator(0.01, cutoff=20.0).fit(positions)
     assert plain.get_feature_names_out()[:3].tolist() == ["q_0", "q_1", "v_0"]

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import load_demo_recording
 from tests.command_line import _bad_logs

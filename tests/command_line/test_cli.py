@@ -12,8 +12,6 @@ import sklearn_vbjfa
 from sklearn_vbjfa import effects
 from sklearn_vbjfa._cli import main
 
-pinocchio = pytest.importorskip("pinocchio")
-
 
 def run(argv):
     """Exit code, stdout and stderr of the command line."""

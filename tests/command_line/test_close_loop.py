@@ -8,14 +8,13 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
+import pinocchio
 import pytest
 
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model import load_model
-
-pinocchio = pytest.importorskip("pinocchio")
 
 FILES = ["identified.json", "identified.urdf", "identified.xml"]
 FILES += ["parameters.csv", "report.html", "report.json"]

@@ -17,8 +17,6 @@ from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from tests.command_line.test_close_loop import URDF
 
-pytest.importorskip("pinocchio")
-
 # The robots of these tests have no collision geometry, which is a doubt.
 UNCHECKED = 3
 # Few harmonics, so that a motion takes a second or two.

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from tests.command_line.test_close_loop import URDF

@@ -7,8 +7,6 @@ import warnings
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import load_model
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording

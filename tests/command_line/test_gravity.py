@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pytest
 
 from sklearn_vbjfa._cli import main
 
-pytest.importorskip("pinocchio")
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
 from _posed_arms import DT, Arm, gravity, pin, record, visit

@@ -10,8 +10,6 @@ import sklearn_vbjfa
 from sklearn_vbjfa._cli import main
 from tests.hostile._case import URDF
 
-pytest.importorskip("pinocchio")
-
 
 class Refusal(ValueError):
     """What a reader says of a file, with options that would do."""

@@ -6,13 +6,12 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
+import pinocchio
 import pytest
 
-pinocchio = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa._cli import main  # noqa: E402
-from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.model import joint_names, load_model  # noqa: E402
+from sklearn_vbjfa._cli import main
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.model import joint_names, load_model
 
 # A planar arm with a gripper, whose second finger follows the first, a four-bar linkage
 # at its tip, and a loose object beside it.

@@ -10,8 +10,6 @@ import pytest
 from sklearn_vbjfa._cli import main
 from tests.hostile._case import URDF, clean_text
 
-pytest.importorskip("pinocchio")
-
 QUICK = ("--effects", "none", "--quiet")
 
 

@@ -13,8 +13,6 @@ from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.simulation import SimulationError
 from tests.command_line.test_close_loop import URDF, write_csv
 
-pytest.importorskip("pinocchio")
-
 
 @pytest.fixture(scope="module")
 def urdf(tmp_path_factory):

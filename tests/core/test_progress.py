@@ -9,8 +9,6 @@ from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
 from sklearn_vbjfa.robot import FitOptions
 
-pytest.importorskip("pinocchio")
-
 
 class Terminal(io.StringIO):
     """A terminal that keeps what is written to it."""

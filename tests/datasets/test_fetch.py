@@ -85,7 +85,6 @@ def test_content(fetch, dataset):
 @pytest.mark.filterwarnings("ignore:The robot description 'go2.xml'")
 @pytest.mark.parametrize("dataset", sorted(CONTENT))
 def test_robot_model_has_the_recorded_joints(fetch, dataset):
-    pytest.importorskip("pinocchio")
     recording = fetch(dataset)
     model = recording.robot_model()
     assert model.nq == model.nv == recording.nv

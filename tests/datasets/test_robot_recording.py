@@ -1,11 +1,10 @@
 """Simulated recordings: the torques are those of the robot that comes with them."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa.datasets import (  # noqa: E402
+from sklearn_vbjfa.datasets import (
     Recording,
     load_demo_recording,
     make_robot_recording,

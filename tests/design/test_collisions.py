@@ -1,14 +1,14 @@
 """Distances between links: closed forms, gradients, and which pairs are looked at."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
 pytest.importorskip("coal")
 
-from sklearn_vbjfa.design import Clearance  # noqa: E402
-from sklearn_vbjfa.model import load_model  # noqa: E402
-from tests.model._shaped import (  # noqa: E402
+from sklearn_vbjfa.design import Clearance
+from sklearn_vbjfa.model import load_model
+from tests.model._shaped import (
     BALL,
     CUBE,
     arm,

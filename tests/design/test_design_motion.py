@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
@@ -12,9 +13,6 @@ from sklearn_vbjfa.design import (
 )
 from sklearn_vbjfa.robot import FitOptions
 from tests.design._chains import chain, posed, problem_of
-
-pin = pytest.importorskip("pinocchio")
-
 
 KINDS = ("revolute", "prismatic", "continuous")
 SHORT = {"duration": 3.0, "dt": 0.02, "random_state": 0}

@@ -3,12 +3,11 @@
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa.design import Lagrangian  # noqa: E402
-from tests.design._chains import chain, problem_of  # noqa: E402
+from sklearn_vbjfa.design import Lagrangian
+from tests.design._chains import chain, problem_of
 
 KINDS = ("revolute", "prismatic", "continuous")
 SMOOTH = ("viscous_quadratic", "load_friction", "spring", "rotor_inertia")

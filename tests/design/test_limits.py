@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.design import MotionLimits, design_motion
 from sklearn_vbjfa.model import load_model
 from tests.design._chains import chain, posed, problem_of

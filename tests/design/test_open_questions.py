@@ -3,15 +3,14 @@
 import json
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.design import design_motion  # noqa: E402
-from sklearn_vbjfa.effects import Spring  # noqa: E402
-from sklearn_vbjfa.robot import FitOptions  # noqa: E402
-from tests.design._chains import chain, posed  # noqa: E402
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa.design import design_motion
+from sklearn_vbjfa.effects import Spring
+from sklearn_vbjfa.robot import FitOptions
+from tests.design._chains import chain, posed
 
 DT, STIFFNESS = 0.01, 12.0
 

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from tests.diagnosis._recordings import named, record
 
 # Attachment points of the spring: on the frame and on the link [m], and where they are

@@ -8,8 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, effects
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.explain import split_in_time

@@ -10,9 +10,11 @@ from tests.diagnosis._recordings import SPRINGY
 
 @pytest.fixture(name="pyplot")
 def fixture_pyplot():
-    matplotlib = pytest.importorskip("matplotlib")
+    import matplotlib
+
     matplotlib.use("Agg")
-    pyplot = pytest.importorskip("matplotlib.pyplot")
+    import matplotlib.pyplot as pyplot
+
     yield pyplot
     pyplot.close("all")
 

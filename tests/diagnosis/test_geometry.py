@@ -3,12 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
-
-pytest.importorskip("pinocchio")
-
-import pinocchio as pin
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, load_model
 from sklearn_vbjfa.datasets import make_robot_recording

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from sklearn.base import clone
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from tests._quick import one_in
 from tests.diagnosis._recordings import TWO_MOTIONS, named
@@ -152,7 +150,8 @@ def test_a_torque_in_another_unit_is_told_before_anything(two_motions):
 
 
 def test_columns_are_found_by_the_names_of_joints(two_motions):
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     sound, q, tau = two_motions, TWO_MOTIONS.position, TWO_MOTIONS.torque
     groups, loop = TWO_MOTIONS.groups, clone(sound)
     names = ["joint_2", "joint_1"]

@@ -1,13 +1,12 @@
 """Where the motion repeats, so does what is not modelled, and it has no name."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
-from tests._quick import one_in  # noqa: E402
-from tests.diagnosis.report._pages import text_of  # noqa: E402
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from tests._quick import one_in
+from tests.diagnosis.report._pages import text_of
 
 PERIOD, DT, TIMES = 10.0, 0.01, 6
 PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")

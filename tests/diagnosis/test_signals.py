@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import EffectDiscovery
 from sklearn_vbjfa.effects import Signal
 from tests._quick import one_in
@@ -172,7 +170,8 @@ def test_the_report_names_the_signals(both, warm):
 
 
 def test_columns_of_a_frame_are_candidates_and_the_report_says_which_are_not(warm):
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     X = pandas.DataFrame(ONE.position, columns=["q1", "q2"]).assign(
         temperature=CYCLES,
         gaps=np.where(SHARE > 0.5, np.nan, RAMP),

@@ -5,8 +5,6 @@ import warnings
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
 

@@ -3,18 +3,17 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.effects import Payload  # noqa: E402
-from sklearn_vbjfa.recording import RecordingRefused  # noqa: E402
-from sklearn_vbjfa.robot import FitOptions  # noqa: E402
-from tests.diagnosis.report._pages import text_of  # noqa: E402
-from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.effects import Payload
+from sklearn_vbjfa.recording import RecordingRefused
+from sklearn_vbjfa.robot import FitOptions
+from tests.diagnosis.report._pages import text_of
+from tests.effects._arms import arm, inverse_dynamics, motion
 
 DT, NV = 0.02, 3
 GAINS = np.array([8.0, 5.0, 12.0])

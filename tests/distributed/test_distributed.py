@@ -3,15 +3,11 @@
 import os
 import signal
 
+import distributed
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from sklearn.linear_model import Ridge
-
-pytest.importorskip("pinocchio")
-pytest.importorskip("distributed")
-
-import distributed
 
 from sklearn_vbjfa import (
     RobotIdentifier,

@@ -324,7 +324,8 @@ def test_play_on_any_walk(q, width):
 
 def test_elastic_is_the_derivative_by_the_compliance():
     """Against the analytic derivatives of inverse dynamics."""
-    pin = pytest.importorskip("pinocchio")
+    import pinocchio as pin
+
     model = arm("ZYX")
     t, states = motion(3, duration=4.0, dt=0.005, seed=8)
     w = np.array([2.0, 3.0, 5.0])
@@ -358,7 +359,6 @@ def test_elastic_is_the_derivative_by_the_compliance():
 
 
 def test_payload_is_the_torque_of_a_changed_body():
-    pytest.importorskip("pinocchio")
     model = arm("ZY")
     delta = np.r_[0.7, 0.02, -0.05, 0.1, np.zeros(6)]
     heavier = with_changed_body(model, delta)

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from tests.effects._arms import arm, inverse_dynamics, motion, stops_sample_by_sample
 

@@ -7,8 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from sklearn.base import clone
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.effects import (
     BaseTilt,
     JointAxis,

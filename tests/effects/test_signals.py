@@ -52,7 +52,8 @@ def test_all_signals_that_vary_are_tried_about_their_mean():
 
 
 def test_a_data_frame_of_signals_will_do():
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     effect = effects.Signal(signal="voltage").fit(X)
     expected = effect.transform(X, signals=SIGNALS)
     assert_array_equal(effect.transform(X, signals=pandas.DataFrame(SIGNALS)), expected)

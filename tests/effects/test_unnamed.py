@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, load_identified
 from sklearn_vbjfa.effects import UnnamedTorque
 from tests.effects._arms import arm, inverse_dynamics, motion

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
 from _posed_arms import NOISE, STEP, Arm, gravity, pin, record, visit

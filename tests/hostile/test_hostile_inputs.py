@@ -8,17 +8,12 @@ import sys
 import threading
 import warnings
 import xml.etree.ElementTree as ElementTree
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 if sys.platform != "linux":
     pytest.skip("processes with limits are Linux's here", allow_module_level=True)
-pytest.importorskip("pinocchio")
-
-if None in map(find_spec, ("rosbags", "openpyxl", "python_calamine")):
-    pytest.skip("formats that are not installed", allow_module_level=True)
 
 from tests.hostile import _known, _mutations
 from tests.hostile._case import URDF, argv, clean_text

@@ -8,9 +8,6 @@ import pytest
 
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa.datasets import make_robot_recording
-
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model import is_prismatic
 from tests._quick import checkered, one_in

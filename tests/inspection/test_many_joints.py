@@ -1,14 +1,10 @@
 """Robots of many joints: what is examined of all exchanges, and no fit made twice."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa.datasets import make_robot_recording
-
-pytest.importorskip("pinocchio")
-
-import pinocchio as pin
-
 from sklearn_vbjfa.inspection import inspect_channels
 from tests._quick import checkered
 

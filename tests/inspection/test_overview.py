@@ -1,11 +1,8 @@
 """What a motion shows: counted by hand, and against another computation of gravity."""
 
 import numpy as np
-import pytest
-
-pytest.importorskip("pinocchio")
-
 import pinocchio
+import pytest
 
 from sklearn_vbjfa.datasets import Recording, make_robot_recording
 from sklearn_vbjfa.inspection import motion_of

@@ -3,22 +3,21 @@
 import warnings
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import (  # noqa: E402
+from sklearn_vbjfa import (
     RigidBodyFeatures,
     load_model,
 )
-from sklearn_vbjfa.model import (  # noqa: E402
+from sklearn_vbjfa.model import (
     joint_names,
     load_reduced,
     movable_joints,
     nominal_parameters,
     write_reduced,
 )
-from tests.model._legs import JOINTS, legs_mjcf, legs_model, legs_urdf  # noqa: E402
+from tests.model._legs import JOINTS, legs_mjcf, legs_model, legs_urdf
 
 HALF = np.sqrt(0.5)
 # A quarter turn about x, and any turn; lengths do not matter.

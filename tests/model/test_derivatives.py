@@ -1,15 +1,13 @@
 """Derivatives by the geometry against differences of Pinocchio's inverse dynamics."""
 
 import numpy as np
-import pytest
+import pinocchio as pin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa.model import TorqueDerivatives  # noqa: E402
-from tests.model._trees import ALIGNED, OBLIQUE, build, by_sample  # noqa: E402
+from sklearn_vbjfa.model import TorqueDerivatives
+from tests.model._trees import ALIGNED, OBLIQUE, build, by_sample
 
 KINDS = (*ALIGNED, *OBLIQUE, "HY", "HelicalUnaligned")
 STEP = 1e-5

@@ -1,22 +1,20 @@
 """A robot as the text of a URDF: what is built from it is the same robot."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-pin = pytest.importorskip("pinocchio")
-
-from hypothesis import given, settings  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
-
-from sklearn_vbjfa.model import (  # noqa: E402
+from sklearn_vbjfa.model import (
     description_text,
     in_order,
     joint_names,
     load_folded,
     load_text,
 )
-from tests.model._robots import random_body  # noqa: E402
-from tests.model._trees import ALIGNED, OBLIQUE, build, make_joint  # noqa: E402
+from tests.model._robots import random_body
+from tests.model._trees import ALIGNED, OBLIQUE, build, make_joint
 
 
 def with_bodies(model, rng):

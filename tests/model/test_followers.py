@@ -3,13 +3,12 @@
 import warnings
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa.effects import Motion  # noqa: E402
-from sklearn_vbjfa.equations import with_followers  # noqa: E402
-from sklearn_vbjfa.model import (  # noqa: E402
+from sklearn_vbjfa.effects import Motion
+from sklearn_vbjfa.equations import with_followers
+from sklearn_vbjfa.model import (
     joint_names,
     load_folded,
     load_model,
@@ -17,7 +16,7 @@ from sklearn_vbjfa.model import (  # noqa: E402
     movable_joints,
     write_reduced,
 )
-from sklearn_vbjfa.robot import RigidBodyFeatures  # noqa: E402
+from sklearn_vbjfa.robot import RigidBodyFeatures
 
 
 def link(name, mass):

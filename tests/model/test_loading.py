@@ -4,12 +4,11 @@ import re
 import warnings
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
-from sklearn_vbjfa.model import (  # noqa: E402
+from sklearn_vbjfa import RigidBodyFeatures
+from sklearn_vbjfa.model import (
     joint_names,
     load_model,
     load_reduced,
@@ -17,8 +16,8 @@ from sklearn_vbjfa.model import (  # noqa: E402
     nominal_parameters,
     solid_bodies,
 )
-from sklearn_vbjfa.recording import read_recording  # noqa: E402
-from tests.model._robots import random_tree  # noqa: E402
+from sklearn_vbjfa.recording import read_recording
+from tests.model._robots import random_tree
 
 ONE_JOINT = """<robot name="bench">
   <link name="base"/>

@@ -3,18 +3,17 @@
 from dataclasses import fields, replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa.model import (  # noqa: E402
+from sklearn_vbjfa.model import (
     JointDynamics,
     load_model,
     write_mjcf,
 )
-from tests.model._mujoco import drive_torques, moving_states  # noqa: E402
-from tests.model._robots import random_body, random_tree  # noqa: E402
-from tests.model.test_urdf import TREE  # noqa: E402
+from tests.model._mujoco import drive_torques, moving_states
+from tests.model._robots import random_body, random_tree
+from tests.model.test_urdf import TREE
 
 
 def free_joints(nv):
@@ -41,7 +40,6 @@ def assert_same(found, expected, share=1e-10):
 @pytest.mark.parametrize("seed", range(2))
 def test_bodies_of_random_trees(seed, tmp_path):
     """Branches, oblique axes and sliding joints, in an order of MuJoCo's own."""
-    pytest.importorskip("mujoco")
     rng = np.random.default_rng(seed)
     model, bodies = random_tree(rng, 8)
     model.gravity.linear = rng.normal(size=3) * 5.0
@@ -53,7 +51,8 @@ def test_bodies_of_random_trees(seed, tmp_path):
 
 def test_names_ranges_and_order(tmp_path):
     """Continuous joints have no range, an encoder's zero moves the others'."""
-    mujoco = pytest.importorskip("mujoco")
+    import mujoco
+
     source, path = tmp_path / "tree.urdf", tmp_path / "tree.xml"
     source.write_text(TREE)
     with pytest.warns(UserWarning, match="no mass"):

@@ -3,11 +3,10 @@
 import warnings
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa.model import (  # noqa: E402
+from sklearn_vbjfa.model import (
     JointDynamics,
     body_names,
     joint_names,
@@ -18,8 +17,8 @@ from sklearn_vbjfa.model import (  # noqa: E402
     write_mjcf,
     write_reduced,
 )
-from tests.model._mujoco import moving_states  # noqa: E402
-from tests.model._robots import random_tree  # noqa: E402
+from tests.model._mujoco import moving_states
+from tests.model._robots import random_tree
 
 # Every way of placing things that MJCF has, several joints of one body, branches, and
 # two bodies below the world.
@@ -93,7 +92,8 @@ def quiet(function, *arguments):
 
 def bodies_by_mujoco(path, states):
     """Torques (n, nv) of bodies and rotors alone, by MuJoCo."""
-    mujoco = pytest.importorskip("mujoco")
+    import mujoco
+
     model = mujoco.MjModel.from_xml_path(str(path))
     for what in ("damping", "frictionloss"):
         getattr(model, f"dof_{what}")[:] = 0.0

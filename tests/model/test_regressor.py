@@ -1,14 +1,13 @@
 """Batched regressors and inverse dynamics against Pinocchio's, sample by sample."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa.model import TreeRegressor, compiler  # noqa: E402
-from tests.model._trees import (  # noqa: E402
+from sklearn_vbjfa.model import TreeRegressor, compiler
+from tests.model._trees import (
     ALIGNED,
     OBLIQUE,
     OTHERS,

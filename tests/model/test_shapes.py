@@ -5,7 +5,6 @@ import sys
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
 pytest.importorskip("coal")
 
 from sklearn_vbjfa.model import NoShapes, load_model, load_reduced, load_shapes

@@ -4,18 +4,17 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.model import (  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.model import (
     load_model,
     nominal_parameters,
     write_urdf,
 )
-from sklearn_vbjfa.physical import is_consistent  # noqa: E402
-from tests.model._robots import random_body  # noqa: E402
+from sklearn_vbjfa.physical import is_consistent
+from tests.model._robots import random_body
 
 TREE = """<?xml version="1.0"?>
 <robot name="tree">

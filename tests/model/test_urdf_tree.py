@@ -2,8 +2,6 @@
 
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.model import joint_names, load_model, load_reduced
 
 MASS = (

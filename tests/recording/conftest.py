@@ -8,5 +8,4 @@ from sklearn_vbjfa.datasets import make_robot_recording
 @pytest.fixture(scope="session")
 def made():
     """Simulate the arm of six joints for 1000 samples."""
-    pytest.importorskip("pinocchio")
     return make_robot_recording(duration=4, dt=0.004, random_state=3)

@@ -5,6 +5,8 @@ import struct
 
 import numpy as np
 import pytest
+from openpyxl import Workbook
+from scipy.io import savemat
 
 from tests.recording import _reading
 from tests.recording._reading import refusal
@@ -78,14 +80,13 @@ def test_every_format_may_lack_the_names(ending, made, tmp_path):
     elif ending == "npz":
         np.savez(path, matrix)
     elif ending == "mat":
-        pytest.importorskip("scipy").io.savemat(path, {"data": matrix})
+        savemat(path, {"data": matrix})
     elif ending == "json":
         path.write_text(json.dumps(matrix.tolist()))
     elif ending == "jsonl":
         path.write_text("\n".join(map(json.dumps, matrix.tolist())))
     else:
-        pytest.importorskip("python_calamine")
-        book = pytest.importorskip("openpyxl").Workbook()
+        book = Workbook()
         for row in matrix.tolist():
             book.active.append(row)
         book.save(path)
@@ -201,8 +202,6 @@ def opaque():
 
 @pytest.mark.parametrize("compressed", [True, False])
 def test_matlab_with_an_object_beside_arrays(compressed, made, tmp_path):
-    from scipy.io import savemat
-
     path = tmp_path / "log.mat"
     arrays = {"t": made.t, "q": made.q, "tau": made.tau, "tau_max": np.ones(DOF)}
     savemat(path, arrays, do_compression=compressed)

@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("rosbags")
-
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording
 from tests.recording._bags import States, states, write_ros1, write_ros2
 from tests.recording._reading import read_text as read
@@ -156,7 +154,6 @@ def test_velocities_are_taken_if_all_messages_have_them(tmp_path):
 
 @pytest.fixture(scope="module")
 def made():
-    pytest.importorskip("pinocchio")
     return make_robot_recording(duration=1.0, random_state=0)
 
 

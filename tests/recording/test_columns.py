@@ -3,16 +3,13 @@
 import warnings
 
 import numpy as np
+import pandas
 import pytest
-
-pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.recording import positions_in_order, torques_in_order
 from tests.effects._arms import arm, inverse_dynamics, motion
-
-pandas = pytest.importorskip("pandas")
 
 ORDER = [3, 0, 5, 1, 4, 2]
 NAMES = [f"joint_{j + 1}" for j in range(6)]

@@ -247,7 +247,6 @@ def quadruped(path):
 
 @pytest.mark.parametrize("kind", LOGS)
 def test_logs_of_unitree(kind, tmp_path):
-    pytest.importorskip("pinocchio")
     urdf, _ = quadruped(tmp_path / "dog.urdf")
     recording, said = read(LOGS[kind](tmp_path / "log"), urdf=urdf, drive="pd")
     assert "taken as motor states and commands of a Unitree robot" in said
@@ -271,7 +270,7 @@ def test_logs_of_unitree(kind, tmp_path):
 
 @pytest.fixture
 def servos(tmp_path):
-    pyarrow = pytest.importorskip("pyarrow")
+    import pyarrow
     from pyarrow import parquet
 
     def save():

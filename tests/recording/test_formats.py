@@ -10,6 +10,7 @@ import warnings
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import recordings_in
@@ -78,8 +79,7 @@ def test_without_pandas_one_line_says_how_to_install_it(tmp_path, monkeypatch):
 
 @pytest.fixture
 def sheet(tmp_path):
-    openpyxl = pytest.importorskip("openpyxl")
-    pytest.importorskip("python_calamine")
+    import openpyxl
 
     def save(rows, *others, name="arm.xlsx"):
         book = openpyxl.Workbook()
@@ -145,8 +145,6 @@ def matrices():
 @pytest.mark.parametrize("inside", [False, True])
 @pytest.mark.parametrize("compressed", [False, True])
 def test_matlab(tmp_path, turned, inside, compressed):
-    from scipy.io import savemat
-
     columns, arrays = matrices()
     if turned:
         arrays = {name: x.T for name, x in arrays.items()}
@@ -182,7 +180,7 @@ def test_npy_with_named_fields(tmp_path):
 
 @pytest.fixture
 def lerobot(tmp_path):
-    pyarrow = pytest.importorskip("pyarrow")
+    import pyarrow
     from pyarrow import parquet
 
     def save(names=("hip.pos", "knee.pos"), effort=True, nested=False, parts=2):

@@ -5,8 +5,6 @@ import re
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording
 from sklearn_vbjfa.recording import RecordingRefused
 from tests.recording._logs import EPOCH, GAINS, KINDS, plain

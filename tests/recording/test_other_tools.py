@@ -31,7 +31,6 @@ def same(recording):
 
 @pytest.fixture
 def urdf(tmp_path):
-    pytest.importorskip("pinocchio")
     path = tmp_path / "robot.urdf"
     path.write_text(ROBOT)
     return path

@@ -98,8 +98,8 @@ def test_npz(tmp_path, matrices):
 
 @pytest.mark.parametrize("kind", ["parquet", "feather"])
 def test_parquet_and_feather(kind, tmp_path):
-    pandas = pytest.importorskip("pandas")
-    pytest.importorskip("pyarrow")
+    import pandas
+
     columns = table()
     path = tmp_path / f"arm.{kind}"
     frame = pandas.DataFrame(columns)
@@ -172,7 +172,6 @@ def test_other_columns_are_signals(csv):
 
 
 def test_recording_of_the_described_robot(csv, tmp_path):
-    pytest.importorskip("pinocchio")
     arm = make_robot_recording(duration=1.0, random_state=0)
     columns = {f"q_{name}": x for name, x in zip(arm.joint_names, arm.q.T)}
     columns |= {f"tau_{name}": x for name, x in zip(arm.joint_names, arm.tau.T)}

@@ -82,7 +82,6 @@ def test_inconsistent_fields_are_refused_by_name(make_recording, changes):
 
 
 def test_no_description_gives_a_remedy(make_recording):
-    pytest.importorskip("pinocchio")
     with pytest.raises(FileNotFoundError, match=r"dataclasses\.replace"):
         make_recording().robot_model()
 
@@ -96,7 +95,8 @@ def test_no_description_gives_a_remedy(make_recording):
     ],
 )
 def test_gravity_of_the_one_joint_models(make_recording, name, joints, q, gravity):
-    pin = pytest.importorskip("pinocchio")
+    import pinocchio as pin
+
     recording = make_recording(
         name=name,
         q=np.zeros((9, 1)),
@@ -112,7 +112,8 @@ def test_gravity_of_the_one_joint_models(make_recording, name, joints, q, gravit
 
 
 def test_double_pendulum_model_has_the_published_dynamics(make_recording):
-    pin = pytest.importorskip("pinocchio")
+    import pinocchio as pin
+
     recording = make_recording(
         name="dfki_double_pendulum", joint_names=("shoulder", "elbow")
     )

@@ -147,7 +147,8 @@ def test_what_is_offered_is_taken_or_said():
 
 
 def test_columns_of_a_frame_are_divided():
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     names = ("hip", "knee")
     columns = {"q_knee": Q[:, 1], "warm": WARM, "q_hip": Q[:, 0], "t": T}
     X = pandas.DataFrame({**columns, "tau_hip": T, "tau_knee": T, "v_hip": T})
@@ -168,12 +169,12 @@ def test_other_columns_of_a_file_are_signals_by_their_names(kind, tmp_path):
     if kind == "npz":
         np.savez(source, **columns)
     else:
-        pandas = pytest.importorskip("pandas")
+        import pandas
+
         frame = pandas.DataFrame(columns)
         if kind == "csv":
             frame.to_csv(source, index=False)
         else:
-            pytest.importorskip("pyarrow")
             frame.to_parquet(source)
     found = read_recording(source)
     offered = OfferedSignals.of_file(found)

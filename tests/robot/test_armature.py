@@ -7,8 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.fit import WIDTH, most_probable
 from sklearn_vbjfa.robot import FitOptions

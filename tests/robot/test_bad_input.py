@@ -5,8 +5,6 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import demo_arm_urdf, make_robot_recording
 from sklearn_vbjfa.robot import FitOptions

@@ -3,16 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier, StateEstimator, load_identified  # noqa: E402
-from sklearn_vbjfa.effects import Rest, mean_sign  # noqa: E402
-from sklearn_vbjfa.fit import jump  # noqa: E402
-from sklearn_vbjfa.recording import take_arrays  # noqa: E402
-from sklearn_vbjfa.robot import FitOptions, PDDrive  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier, StateEstimator, load_identified
+from sklearn_vbjfa.effects import Rest, mean_sign
+from sklearn_vbjfa.fit import jump
+from sklearn_vbjfa.recording import take_arrays
+from sklearn_vbjfa.robot import FitOptions, PDDrive
 
 DT = 0.005
 KP, KD = 20.0, 1.0

@@ -3,20 +3,19 @@
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.effects import (  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.effects import (
     BaseTilt,
     JointAxis,
     JointZero,
     TorqueGain,
 )
-from sklearn_vbjfa.model import joint_origin  # noqa: E402
-from sklearn_vbjfa.robot import corrections_of  # noqa: E402
+from sklearn_vbjfa.model import joint_origin
+from sklearn_vbjfa.robot import corrections_of
 
 FRICTION = ("viscous", "coulomb")
 BODY = """<inertial><origin xyz="{0} 0.05 0.1"/><mass value="{1}"/>

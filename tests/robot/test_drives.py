@@ -3,23 +3,22 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 from sklearn.linear_model import LinearRegression
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import (  # noqa: E402
+from sklearn_vbjfa import (
     InstrumentalVariables,
     RobotIdentifier,
 )
-from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
-from sklearn_vbjfa.recording import take_arrays  # noqa: E402
-from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
-from sklearn_vbjfa.robot import FitOptions, PDDrive  # noqa: E402
-from tests.effects._arms import arm, inverse_dynamics  # noqa: E402
-from tests.model._mujoco import followed  # noqa: E402
+from sklearn_vbjfa.effects import CommandDelay
+from sklearn_vbjfa.recording import take_arrays
+from sklearn_vbjfa.recording._drives import velocities
+from sklearn_vbjfa.robot import FitOptions, PDDrive
+from tests.effects._arms import arm, inverse_dynamics
+from tests.model._mujoco import followed
 
 DT = 0.005
 ARM = arm("ZYX")
@@ -447,7 +446,6 @@ def assert_same_motion(found, expected):
 @pytest.mark.parametrize("limit", [None, 0.8])
 def test_mujoco_follows_commands_as_the_package_does(tmp_path, limit):
     """Gains, delay, an offset, and a limit that acts on the law and not on it."""
-    pytest.importorskip("mujoco")
     recording = told(0.0113, duration=6.0)
     drive = PDDrive(KP, KD, period=2.5e-4)
     robot = real(recording, drive, friction=(*FRICTION, "offset"))

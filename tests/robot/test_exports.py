@@ -69,7 +69,6 @@ def written(robot, path):
 
 def test_all_that_mjcf_can_hold_is_exact(tmp_path):
     """Declared and found coefficients add up; nothing is left out."""
-    pytest.importorskip("mujoco")
     robot = robot_of(
         [
             (Viscous(1), [0.4]),
@@ -146,7 +145,6 @@ def without(robot, names):
 @pytest.mark.parametrize("given", ["path", "model"])
 def test_mujoco_computes_what_predict_does(given, robot, recording, tmp_path):
     """Gains, a leaning base, an encoder's zero and a turned axis are in the file."""
-    pytest.importorskip("mujoco")
     path = tmp_path / "identified.xml"
     if given == "model":
         other = RobotIdentifier(recording.robot_model(), friction=("viscous",))

@@ -9,8 +9,6 @@ from sklearn.preprocessing import (
     StandardScaler,
 )
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import JointTorqueRegressor, RigidBodyFeatures
 from sklearn_vbjfa.datasets import make_robot_recording
 
@@ -32,7 +30,8 @@ def fixture_features(recording):
 
 def fitted(recording, features, names, kept=slice(None)):
     """Fit to columns of the features with these names."""
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     X = features.transform(recording.states[::10])[:, kept]
     X = pandas.DataFrame(X, columns=names)
     return JointTorqueRegressor(LinearRegression()).fit(X, recording.tau[::10])
@@ -85,8 +84,6 @@ def chain(recording, step, regressor=None, projector=None):
 @pytest.mark.parametrize("name", SCALERS)
 @pytest.mark.parametrize("output", ["default", "pandas"])
 def test_a_scaler_in_between_is_refused(recording, name, output):
-    if output == "pandas":
-        pytest.importorskip("pandas")
     model = chain(recording, SCALERS[name]).set_output(transform=output)
     expected = "all .* columns that vary have .* as scalers leave them.*put it into"
     with pytest.raises(ValueError, match=expected):

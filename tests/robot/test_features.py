@@ -1,15 +1,13 @@
 """Regressor matrices: the identity Phi theta = inverse dynamics, layout, names."""
 
 import numpy as np
-import pytest
+import pinocchio as pin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
-from sklearn_vbjfa.datasets import demo_arm_urdf  # noqa: E402
-from tests.model._robots import random_tree  # noqa: E402
+from sklearn_vbjfa import RigidBodyFeatures
+from sklearn_vbjfa.datasets import demo_arm_urdf
+from tests.model._robots import random_tree
 
 ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
 properties = settings(derandomize=True, deadline=None, max_examples=40)

@@ -1,15 +1,14 @@
 """Robots with joints that follow: identified, saved, written, simulated."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import (  # noqa: E402
+from sklearn_vbjfa import (
     RobotIdentifier,
 )
-from sklearn_vbjfa.model import joint_names, load_folded  # noqa: E402
-from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
+from sklearn_vbjfa.model import joint_names, load_folded
+from sklearn_vbjfa.physical import min_eigenvalue
 
 LINKS = {"upper": 4.0, "lower": 3.0, "left": 1.0, "right": 1.2}
 JOINTS = (
@@ -122,7 +121,8 @@ def test_a_follower_has_ten_parameters_of_its_own(fitted):
 
 
 def test_a_written_mjcf_has_the_follower(fitted, motion, tmp_path):
-    mujoco = pytest.importorskip("mujoco")
+    import mujoco
+
     target = tmp_path / "identified.xml"
     fitted.to_mjcf(target)
     model = mujoco.MjModel.from_xml_path(str(target))

@@ -3,15 +3,14 @@
 import warnings
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import linalg, optimize
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.robot import FitOptions  # noqa: E402
-from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.robot import FitOptions
+from tests.effects._arms import arm, inverse_dynamics, motion
 
 DT = 0.02
 # States as they are, all rows, no filter and no projection.

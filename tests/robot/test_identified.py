@@ -5,12 +5,11 @@ import pickle
 import warnings
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier, load_identified  # noqa: E402
-from sklearn_vbjfa.effects import (  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier, load_identified
+from sklearn_vbjfa.effects import (
     BaseTilt,
     Drift,
     Jerk,

@@ -1,19 +1,18 @@
 """The whole chain on a simulated arm, whose truth is known."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.equations import _equations  # noqa: E402
-from sklearn_vbjfa.model import load_model, nominal_parameters  # noqa: E402
-from sklearn_vbjfa.robot import FitOptions  # noqa: E402
-from tests.model._robots import random_tree  # noqa: E402
-from tests.simulation._machines import wheel  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.equations import _equations
+from sklearn_vbjfa.model import load_model, nominal_parameters
+from sklearn_vbjfa.robot import FitOptions
+from tests.model._robots import random_tree
+from tests.simulation._machines import wheel
 
 FRICTION = ("viscous", "coulomb")
 

@@ -8,8 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.equations import _plan

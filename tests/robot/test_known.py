@@ -1,8 +1,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.robot import FitOptions, body_masses, note_of_masses
 from tests.effects._arms import arm, inverse_dynamics, motion

@@ -1,15 +1,14 @@
 """Known masses fix the gain that all torque channels have in common."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.effects import Payload  # noqa: E402
-from sklearn_vbjfa.robot import FitOptions  # noqa: E402
-from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.effects import Payload
+from sklearn_vbjfa.robot import FitOptions
+from tests.effects._arms import arm, inverse_dynamics, motion
 
 DT = 0.02
 EXACT = {

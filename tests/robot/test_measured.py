@@ -6,8 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.robot import FitOptions
 from tests.benchmarks._protocols import protocols

@@ -9,8 +9,6 @@ from sklearn.metrics import r2_score
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 from sklearn.pipeline import Pipeline
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import (
     JointTorqueRegressor,
     RigidBodyFeatures,

@@ -3,25 +3,24 @@
 import warnings
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import optimize
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.effects import (  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.effects import (
     BaseTilt,
     JointAxis,
     JointZero,
     TorqueGain,
 )
-from sklearn_vbjfa.equations import piece_moments, sum_moments  # noqa: E402
-from sklearn_vbjfa.fit import ModelValues  # noqa: E402
-from sklearn_vbjfa.robot import FitOptions  # noqa: E402
-from tests._quick import one_in  # noqa: E402
-from tests.effects._arms import arm, motion  # noqa: E402
-from tests.effects._faults import faulty, measured  # noqa: E402
+from sklearn_vbjfa.equations import piece_moments, sum_moments
+from sklearn_vbjfa.fit import ModelValues
+from sklearn_vbjfa.robot import FitOptions
+from tests._quick import one_in
+from tests.effects._arms import arm, motion
+from tests.effects._faults import faulty, measured
 
 DT = 0.02
 VISCOUS = np.array([0.8, 0.5, 0.3, 0.4, 0.6, 0.2])

@@ -5,8 +5,6 @@ import pytest
 from sklearn.linear_model import LinearRegression
 from sklearn.pipeline import Pipeline
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import (
     JointTorqueRegressor,
     RigidBodyFeatures,

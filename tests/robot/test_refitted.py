@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import LoadFriction, Stribeck
@@ -39,7 +37,6 @@ def away(robot, path):
 
 
 def test_the_file_is_nearer_to_the_robot(robot, tmp_path, monkeypatch):
-    pytest.importorskip("mujoco")
     with pytest.warns(DoubtWarning, match=r"again.xml moves .* \(.*joint_3 \d+ %"):
         left = robot.to_mjcf(tmp_path / "again.xml")
     assert {(one.name, one.joint) for one in left} == {

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Signal
@@ -38,7 +36,8 @@ def fixture_found():
 
 
 def frame(**columns):
-    pandas = pytest.importorskip("pandas")
+    import pandas
+
     made = pandas.DataFrame(ARM.q, columns=[f"q_{name}" for name in NAMES])
     return made.assign(**columns)
 

@@ -305,7 +305,6 @@ def test_ranges_are_written_by_joint(several, tmp_path):
 
 @pytest.mark.slow
 def test_mujoco_computes_the_torques_of_a_sample(simulated, tmp_path):
-    pytest.importorskip("mujoco")
     robot = RobotIdentifier(simulated.urdf, dt=simulated.dt)
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
     path = tmp_path / "sample.xml"

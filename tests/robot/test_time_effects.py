@@ -7,8 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from sklearn.linear_model import LinearRegression
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion, with_changed_body

@@ -5,8 +5,6 @@ import warnings
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.recording import check_time_stamps
 
 DT = 0.01

@@ -7,8 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import CubicSpline
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier, load_identified
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.inspection import inspect_recording

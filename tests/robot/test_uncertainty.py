@@ -5,8 +5,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import signal
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.equations import BlockAssignment
 from sklearn_vbjfa.robot import FitOptions

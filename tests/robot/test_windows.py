@@ -10,8 +10,6 @@ from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.robot import clearly_smaller
 
-pytest.importorskip("pinocchio")
-
 DT = 0.01
 
 

@@ -1,6 +1,7 @@
 """What `predict` says of simulated states is the torque that drove them."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -24,8 +25,6 @@ from sklearn_vbjfa.effects import (
 )
 from sklearn_vbjfa.simulation import simulate, with_bodies
 from tests.simulation._machines import random_machine, wheel
-
-pin = pytest.importorskip("pinocchio")
 
 
 def some_effects(rng, nv):

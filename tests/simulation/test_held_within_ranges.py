@@ -3,25 +3,24 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import effects  # noqa: E402
-from sklearn_vbjfa.effects import (  # noqa: E402
+from sklearn_vbjfa import effects
+from sklearn_vbjfa.effects import (
     Effect,
     EffectRange,
     LoadFriction,
     Spring,
     ViscousQuadratic,
 )
-from sklearn_vbjfa.simulation import (  # noqa: E402
+from sklearn_vbjfa.simulation import (
     Stepper,
     simulate,
 )
-from tests.simulation._machines import slider  # noqa: E402
-from tests.simulation._random_robots import (  # noqa: E402
+from tests.simulation._machines import slider
+from tests.simulation._random_robots import (
     random_motion,
     random_predictor,
 )

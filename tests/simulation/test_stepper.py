@@ -4,9 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pinocchio")
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.diagnosis.explain import Models, _commands, commands_alone
 from sklearn_vbjfa.simulation import SimulationError
 from tests.robot.test_drives import DT, KD, KP, PDDrive, identify, told

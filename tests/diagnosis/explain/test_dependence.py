@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.diagnosis.explain import dependences, motion_signals
 from tests.diagnosis.search._searches import CLEAN, search
 

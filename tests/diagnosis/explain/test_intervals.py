@@ -7,8 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import signal
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.diagnosis.explain import (
     NEXT_SECONDS,

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.recording import take_arrays

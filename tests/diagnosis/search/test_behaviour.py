@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.diagnosis.explain import _split
 from tests._quick import one_in
 from tests.diagnosis._recordings import named, record

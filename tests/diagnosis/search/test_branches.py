@@ -3,11 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
-
-pytest.importorskip("pinocchio")
-
 import pinocchio as pin
+import pytest
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.diagnosis.search import Cosines
 from sklearn_vbjfa.effects import (
     BaseTilt,

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.diagnosis import SearchSettings
 from sklearn_vbjfa.diagnosis.search import CrossValidatedGain, HeldOut, fold_of
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOutFit

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import EffectDiscovery
 from sklearn_vbjfa.effects import Effect
 from tests._quick import one_in

@@ -9,8 +9,6 @@ from numpy.testing import assert_allclose
 from scipy.fft import dct
 from scipy.signal import lfilter
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa.diagnosis import SearchSettings
 from sklearn_vbjfa.diagnosis.search import (
     Family,

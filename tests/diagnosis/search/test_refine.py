@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.diagnosis.search._refine import Bracket, instant
 from tests.diagnosis.search._searches import CLEAN, search

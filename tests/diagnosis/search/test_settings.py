@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from sklearn.base import clone
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import EffectDiscovery
 from sklearn_vbjfa.diagnosis import SearchSettings
 from tests.diagnosis._recordings import SPRINGY

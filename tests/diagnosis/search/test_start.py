@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-pytest.importorskip("pinocchio")
-
 from tests.diagnosis._recordings import DT, named, record
 from tests.diagnosis.report._pages import text_of
 from tests.diagnosis.search._searches import stribeck

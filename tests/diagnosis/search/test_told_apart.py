@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
-
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from tests.diagnosis._faulty import with_faults
 from tests.diagnosis._recordings import record

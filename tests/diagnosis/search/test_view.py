@@ -1,10 +1,7 @@
 """The recording as the search sees it."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-
-pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa._core import _lowpass

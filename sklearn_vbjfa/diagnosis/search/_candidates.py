@@ -46,13 +46,19 @@ class Candidates:
     """Candidates on all joints given a fit; unchanged joints keep theirs."""
 
     # families: of all effects, by joint; noise: the fit whose residual is noise;
-    # rejected: keys of effects that were refused.
+    # rejected: keys of effects that were refused; forgetful: joints whose dry friction
+    # has no memory.
 
-    def __init__(self, problem, library, settings):
+    def __init__(self, problem, library, settings, forgetful=()):
         self.library, self.settings = library, settings
         self.noise, self.rejected = None, set()
         found = {int(j): [] for j in np.flatnonzero(problem.used_joints)}
-        asked = [(j, effect) for j in found for effect in library]
+        asked = [
+            (j, effect)
+            for j in found
+            for effect in library
+            if not (effect.replaces and j in forgetful)
+        ]
         for j, effect in counted(asked, "candidate", len(asked)):
             one = clone(effect).set_params(joint=j)
             if one.name in problem.view.declared or one.applies(problem.motion):

@@ -36,11 +36,11 @@ _EQUAL = 0.5
 class Path:
     """Search for the most probable set of effects, at most `max_effects`."""
 
-    # library: what to try on every joint.
+    # library: what to try on every joint; forgetful: see `Candidates`.
 
-    def __init__(self, view, library, settings, max_effects=None):
+    def __init__(self, view, library, settings, max_effects=None, forgetful=()):
         self.view, self.library, self.settings = view, library, settings
-        self.max_effects, self.turn = max_effects, 0
+        self.max_effects, self.turn, self.forgetful = max_effects, 0, forgetful
         self._held = None
 
     # -- the whole ------------------------------------------------------------------
@@ -56,7 +56,7 @@ class Path:
         fit, seen = self.begin(), None
         for self.turn in range(_TURNS):
             say(f"round {self.turn + 1}")
-            self.candidates = Candidates(fit.problem, self.library, self.settings)
+            self.candidates = self._candidates(fit)
             base = self._spectrum(fit)
             fit = self._climb(self.scaled(Fit(base, fit.members)))
             names = keys_of(fit)
@@ -66,10 +66,13 @@ class Path:
             fit = anew(fit)
         return fit
 
+    def _candidates(self, fit):
+        return Candidates(fit.problem, self.library, self.settings, self.forgetful)
+
     def grown(self):
         """Add the best candidates to the declared columns, joint by joint."""
         fit = weighed(self.begin())
-        self.candidates = Candidates(fit.problem, self.library, self.settings)
+        self.candidates = self._candidates(fit)
         self.candidates.noise, been = fit, {keys_of(fit)}
         while (new := self._grown(fit, been)) is not None:
             fit = new

@@ -158,9 +158,10 @@ SLOW_FILTER = "a filter within the motion's own frequencies"
 def search(view, library, settings, alpha, max_effects=None):
     """Find the most probable effects of a recording, and the reported ones."""
     needed = float(np.log((1.0 - alpha) / alpha))
-    resting = _explained_at_rest(view, library, settings)
+    resting, forgetful = _friction_at_rest(view, library, settings)
     while True:
-        path = Path(view.with_rest(resting), library, settings, max_effects)
+        counted = view.with_rest(resting)
+        path = Path(counted, library, settings, max_effects, forgetful)
         fit, odds, worths = _settled(path, path.run())
         found = remembering(member.effect for member in fit.members)
         if resting <= found:
@@ -212,23 +213,23 @@ def search(view, library, settings, alpha, max_effects=None):
 _AT_REST = 0.5
 
 
-def _explained_at_rest(view, library, settings):
-    """Joints whose torque at rest friction with memory predicts, a set of int."""
+def _friction_at_rest(view, library, settings):
+    """Joints whose torque at rest friction with memory predicts, and does not, sets."""
     # The plain terms predict none there.
     banks = [effect for effect in library if effect.replaces]
-    resting = view.at_rest()
+    resting = set(view.at_rest())
     if not banks or not resting:
-        return set()
+        return set(), set()
     path = Path(view.with_rest(resting), banks, settings)
     fit = path.grown()
     left_out = path.held_out(fit)
-    return {
+    known = {
         member.effect.joint
         for i, member in enumerate(fit.members)
-        if member.effect.joint in resting
-        and left_out.gain_of(i).errors > settings.significance
+        if left_out.gain_of(i).errors > settings.significance
         and left_out.share_of(i) > _AT_REST
     }
+    return known & resting, resting - remembering(m.effect for m in fit.members)
 
 
 def in_order(findings):

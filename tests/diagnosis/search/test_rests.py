@@ -1,0 +1,60 @@
+"""Torque of joints at rest, where friction with memory alone knows it."""
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from tests.diagnosis._recordings import DT, named
+from tests.effects._arms import arm, inverse_dynamics
+
+REACH, SIZE = 0.02, 1.5  # displacement [rad] and torque [N m] of one stop
+
+
+def stopping(rng, moves=24):
+    """Positions (n, 1) of a joint that moves, comes back a little, and rests."""
+
+    def way(first, last, seconds):
+        s = np.linspace(0, 1, round(seconds / DT))
+        return first + (last - first) * (s - np.sin(2 * np.pi * s) / (2 * np.pi))
+
+    q = [0.0]
+    for goal in rng.uniform(-1, 1, size=moves):
+        back = goal - rng.uniform(0, 0.05) * np.sign(goal - q[-1])
+        q += [*way(q[-1], goal, 1.2), *way(goal, back, 0.4), *[back] * round(0.8 / DT)]
+    return np.array(q)[:, None]
+
+
+def stop(q):
+    """State of a stop operator, step by step."""
+    z = np.zeros(len(q))
+    for i, step in enumerate(np.diff(q[:, 0])):
+        z[i + 1] = np.clip(z[i] + step / REACH, -1, 1)
+    return z
+
+
+@pytest.mark.parametrize("memory", [True, False])
+def test_torque_at_rest_shows_friction_with_memory(memory):
+    rng = np.random.default_rng(3)
+    q = stopping(rng)
+    v = np.gradient(q, DT, axis=0)
+    states = np.hstack([q, v, np.gradient(v, DT, axis=0)])
+    friction = SIZE * stop(q)
+    if not memory:
+        # Any torque in the band may hold the joint.
+        still = np.abs(v[:, 0]) < 1e-9
+        rest = np.cumsum(np.diff(still, prepend=False) & still)
+        held = rng.uniform(-SIZE, SIZE, rest[-1] + 1)
+        friction = np.where(still, held[rest], SIZE * np.sign(v[:, 0]))
+    model = arm("Y")
+    tau = inverse_dynamics(model, states) + 0.5 * v + friction[:, None]
+    tau += 0.05 * rng.normal(size=tau.shape)
+    loop = EffectDiscovery(
+        RobotIdentifier(model, dt=DT), effects=["maxwell_slip", "stribeck"]
+    )
+    loop.fit(q + 2e-5 * rng.normal(size=q.shape), tau)
+    assert named(loop) == [("maxwell_slip", 0)] * memory
+    if memory:
+        # Rows at rest count in both errors.
+        assert (loop.error_after_ < 0.1 * loop.error_before_).all()
+    else:
+        assert not loop.possible_

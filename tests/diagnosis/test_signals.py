@@ -169,38 +169,6 @@ def test_the_report_names_the_signals(both, warm):
 # -- what the search is given
 
 
-def test_columns_of_a_frame_are_candidates_and_the_report_says_which_are_not(warm):
-    import pandas
-
-    X = pandas.DataFrame(ONE.position, columns=["q1", "q2"]).assign(
-        temperature=CYCLES,
-        gaps=np.where(SHARE > 0.5, np.nan, RAMP),
-        fixed=12.0,
-        operator="me",
-        reference=ONE.q[:, 0] + 0.5 * ONE.q[:, 0].std() * np.sin(9 * ONE.t),
-        clock=1e3 * ONE.t,
-        t=ONE.t,
-    )
-    loop = close(heated(CYCLES), None, X=X)
-    assert the_signal(loop).parameters == the_signal(warm).parameters
-    (found,) = loop.report_.outcome.findings["channels"]
-    assert (found.kind, found.severity) == ("unusable_signal", "note")
-    for reason in (
-        "'gaps' has gaps",
-        "'fixed' is constant (12 in all rows)",
-        "'operator' holds 'me' and not numbers",
-        "'reference' follows the position of",
-        "'clock' is a clock",
-    ):
-        assert reason in found.message
-    assert "are not used as signals" in text_of(loop.report_)
-    np.testing.assert_allclose(
-        loop.predict(X[:50]),
-        warm.predict(ONE.position[:50], signals={"temperature": CYCLES[:50]}),
-        rtol=1e-6,
-    )
-
-
 def test_an_effect_may_name_the_one_that_it_is_meant_for():
     signals = {"temperature": CYCLES, "kp": 3 * CYCLES + 100}
     meant = ["spring", Signal(signal="kp")]

@@ -8,7 +8,7 @@ import pytest
 from scipy import integrate
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.fit import DESCRIBED, BodyPrior, _bodies, around, little_learned
+from sklearn_vbjfa.fit import DESCRIBED, BodyPrior, around, little_learned
 from sklearn_vbjfa.model import DoubtWarning
 
 TERMS = ("viscous", "coulomb", "offset", "rotor_inertia")
@@ -84,31 +84,6 @@ def test_without_torques_a_body_is_as_described():
     assert not found.departures
     # Nothing tells the friction.
     assert np.isinf(np.diagonal(found.covariance)[10:14]).all()
-
-
-def test_the_site_of_one_body_is_exact():
-    # One direction of one body is seen: mean and variance by quadrature over the scale.
-    precision, product = 40.0, 5.0
-
-    def moments(s):
-        variance = 1.0 / (precision + s**-2)
-        evidence = np.exp(0.5 * product**2 * variance) / np.sqrt(1 + s**2 * precision)
-        prior = 1.0 / (1.0 + (s / DESCRIBED) ** 2)
-        mean = product * variance
-        return evidence * prior * np.array([1.0, mean, variance + mean**2])
-
-    grid = np.geomspace(1e-5, 1.0, 40001)
-    total = integrate.trapezoid([moments(s) for s in grid], grid, axis=0)
-    mean, square = total[1:] / total[0]
-    usual = _bodies.Site.of_scale(DESCRIBED)
-    along = np.zeros(10)
-    along[3] = 1.0
-    seen = usual.precision + precision * np.outer(along, along)
-    (site,), _ = _bodies._matched(seen[None], product * along[None], [usual])
-    covariance = np.linalg.inv(site.precision + precision * np.outer(along, along))
-    found = covariance @ (site.right + product * along)
-    assert found[3] == pytest.approx(mean, rel=1e-3)
-    assert covariance[3, 3] == pytest.approx(square - mean**2, rel=1e-3)
 
 
 def test_values_that_the_motion_does_not_tell_apart_are_near_the_truth():

@@ -69,34 +69,6 @@ def test_friction_columns(seed, friction):
     assert_torques(features.fit_transform(states), theta, expected)
 
 
-def test_layout_is_joints_outermost():
-    rng = np.random.default_rng(2)
-    model, bodies = random_tree(rng, 3)
-    states = states_of(rng, model, 6)
-    features = RigidBodyFeatures(model, friction=("viscous", "offset"))
-    Phi = features.fit_transform(states)
-    p = features.n_parameters_
-    assert (features.n_joints_, p, features.n_features_in_) == (3, 36, 9)
-    assert Phi.shape == (6, 3 * 36)
-    _, v, _ = np.split(states, 3, axis=1)
-    for j in range(3):
-        for k in range(3):
-            viscous = Phi[:, j * p + k * 12 + 10]
-            np.testing.assert_array_equal(viscous, v[:, k] if j == k else 0 * v[:, k])
-    # the derivative by one body's parameter, by changing that body alone
-    for k in range(3):
-        for i in range(10):
-            changed = bodies.copy()
-            changed[k, i] += 1.0
-            other = model.copy()
-            for joint, body in enumerate(changed):
-                other.inertias[joint + 1] = pin.Inertia.FromDynamicParameters(body)
-            slope = inverse_dynamics(other, states) - inverse_dynamics(model, states)
-            np.testing.assert_allclose(
-                Phi[:, [j * p + k * 12 + i for j in range(3)]], slope, atol=1e-10
-            )
-
-
 def test_what_a_torque_does_not_depend_on_is_exactly_zero():
     # Not 1e-16: a regression in standardised columns would take that for information.
     rng = np.random.default_rng(6)

@@ -11,7 +11,6 @@ from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.equations import _equations
 from sklearn_vbjfa.model import load_model, nominal_parameters
 from sklearn_vbjfa.robot import FitOptions
-from tests.model._robots import random_tree
 from tests.simulation._machines import wheel
 
 FRICTION = ("viscous", "coulomb")
@@ -254,34 +253,6 @@ def test_noise_floor_is_what_noise_alone_leaves(encoder_noise):
 
 
 # -- robots of other kinds
-
-
-def test_a_branching_tree_with_sliding_joints():
-    rng = np.random.default_rng(8)
-    model, bodies = random_tree(rng, 4)
-    recording = make_robot_recording(
-        model,
-        inertial=bodies,
-        duration=20.0,
-        dt=0.01,
-        torque_noise=0.01,
-        friction={"viscous": [1.0, 2.0, 0.5, 3.0], "offset": [1.0, -1.0, 0.0, 2.0]},
-        random_state=9,
-    )
-    robot = RobotIdentifier(model, dt=0.01, friction=("viscous", "offset"))
-    robot.fit(recording.q, recording.tau)
-    test = make_robot_recording(
-        model,
-        inertial=bodies,
-        duration=8.0,
-        dt=0.01,
-        friction=recording.friction,
-        random_state=10,
-    )
-    assert np.all(squared_error(robot, test.states, test.tau_clean) < 1e-3)
-    assert np.all(robot.min_eigenvalues_ > 0)
-    offsets = robot.theta_.reshape(4, 12)[:, 11]
-    assert offsets[1] < 0  # an offset may have either sign
 
 
 def test_one_joint_takes_a_flat_torque():

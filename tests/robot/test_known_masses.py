@@ -75,31 +75,6 @@ def test_a_known_payload_makes_gains_absolute():
     assert_allclose(relative.gains_.gain * found.common.factor, found.gain, rtol=1e-9)
 
 
-@pytest.mark.slow
-def test_deviations_are_those_of_repeated_recordings():
-    """Also of parameters whose error the common gain has a part in."""
-    found = [
-        fit(recorded(seed=seed, noise=0.02), {"payload": MASS}, joint_weights=None)
-        for seed in range(24)
-    ]
-    names = found[0].parameter_names_
-    told = [
-        names.index(name)
-        for name in (
-            *(f"joint_{j}:torque_gain:gain" for j in (1, 2, 3)),
-            "joint_2:viscous",
-            "joint_3:mc_y",
-            "joint_3:payload:dmcz",
-        )
-    ]
-    assert all(found[0].identifiable_[told])
-    values = np.array([robot.theta_[told] for robot in found])
-    std = np.sqrt(np.mean([robot.theta_std_[told] ** 2 for robot in found], axis=0))
-    ratio = values.std(axis=0, ddof=1) / std
-    # Of 24 draws a deviation is known to 15 %.
-    assert np.all((ratio > 0.55) & (ratio < 1.5)), ratio
-
-
 def test_a_mass_that_turns_does_not():
     robot = fit(recorded(payload=0), {"joint_3": 1.0}, effects=())
     assert not robot.gains_.absolute

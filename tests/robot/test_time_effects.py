@@ -44,13 +44,6 @@ def drifted(robot, **given):
         return (robot.predict(STATES, **given) - TORQUE)[:, 1]
 
 
-def said(robot, X=STATES, **given):
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        robot.predict(X, **given)
-    return [str(one.message) for one in caught]
-
-
 @pytest.mark.parametrize("of", SIGNALS)
 def test_a_drift_goes_on_after_the_fit(of):
     later = T + START + 40.0

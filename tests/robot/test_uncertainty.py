@@ -154,9 +154,3 @@ def test_ninety_per_cent_hold_the_truth_where_a_motion_repeats(period):
 
 
 # -- deviations of predicted torques
-
-
-def columns_of(states):
-    """Columns of the torque of the pendulum, whose axis is vertical: no gravity."""
-    _, v, a = states.T
-    return np.column_stack([a, v, np.sign(v)])

@@ -114,12 +114,11 @@ def fft_length(longest, dt):
 
 def acceleration_power(x, dt, n_fft):
     """Power of the second differences of one recording, to be summed over several."""
-    # x (n,) or (n, k). Returns squared amplitudes (n_fft // 2 + 1[, k]), zero for a
-    # recording that is too short, and the energy of the taper, by which to divide them.
-    columns = x.reshape(x.shape[0], -1)
+    # x (n, k). Returns squared amplitudes (n_fft // 2 + 1, k), zero for a recording that
+    # is too short, and the energy of the taper, by which to divide them.
     n, window = x.shape[0], _window(dt)
     if n < MIN_SPECTRUM:
-        return np.zeros((n_fft // 2 + 1, *x.shape[1:])), 0.0
+        return np.zeros((n_fft // 2 + 1, x.shape[1])), 0.0
     if n > window:
         count = min(-(-n // window), _MOST_WINDOWS)
         starts = np.linspace(0, n - window, count).astype(int)
@@ -127,15 +126,15 @@ def acceleration_power(x, dt, n_fft):
         return sum(power for power, _ in parts), sum(energy for _, energy in parts)
     # Second differences reduce the enormous dynamic range between slow motion and
     # noise, which would leak through any taper.
-    d = np.ascontiguousarray(np.diff(columns, 2, axis=0).T) / dt**2
+    d = np.ascontiguousarray(np.diff(x, 2, axis=0).T) / dt**2
     d -= d.mean(axis=1, keepdims=True)
     taper = np.hanning(d.shape[1] + 2)[1:-1]
     power = np.abs(np.fft.rfft(d * taper, n_fft)) ** 2
-    return power.T.reshape(-1, *x.shape[1:]), float(taper @ taper)
+    return power.T, float(taper @ taper)
 
 
 def acceleration_spectra(segments, dt):
-    """Frequencies (m,) [Hz] and power (m[, k]) of all segments' second differences."""
+    """Frequencies (m,) [Hz] and power (m, k) of all segments' second differences."""
     # The third result (m,) is the power that white noise of variance 1 would have
     # there.
     longest = max((x.shape[0] for x in segments), default=0)
@@ -191,25 +190,21 @@ def choose_cutoff(frequency, power, noise_gain, dt):
     # With gain G the expected squared error at a frequency is (1 - G)^2 times the
     # signal power plus G^2 times the noise power; the signal power is the measured one
     # minus the noise (Mallows' C_p) where it stands out. Also returns the noise
-    # variance; both are arrays if `power` has one spectrum per column.
-    columns = power.reshape(power.shape[0], -1)
+    # variance, both for each column.
     variance = np.array(
-        [white_noise_variance(frequency, column, noise_gain) for column in columns.T]
+        [white_noise_variance(frequency, column, noise_gain) for column in power.T]
     )
     noise = variance * noise_gain[:, None]
     # Acceleration noise grows as the fourth power of frequency: a tenth of it taken for
     # signal would outweigh the motion.
-    signal = np.where(columns > _STANDS_OUT * noise, columns - noise, 0.0)
+    signal = np.where(power > _STANDS_OUT * noise, power - noise, 0.0)
     candidates = np.geomspace(max(frequency[0], 1e-3 / dt), 1.0 / (3 * dt), 120)
-    risks = np.empty((candidates.size, columns.shape[1]))
+    risks = np.empty((candidates.size, power.shape[1]))
     for i, cutoff in enumerate(candidates):
         # The gains are the same for all spectra.
         G = gain(frequency, dt, cutoff)
         risks[i] = (1 - G) ** 2 @ signal + (G**2 @ noise_gain) * variance
-    cutoffs = candidates[np.argmin(risks, axis=0)]
-    if power.ndim == 1:
-        return float(cutoffs[0]), float(variance[0])
-    return cutoffs, variance
+    return candidates[np.argmin(risks, axis=0)], variance
 
 
 def _noise_beyond(frequency, excess, power):

@@ -74,7 +74,8 @@ def test_units(unit):
 
 
 def choose(x, dt):
-    return _smoothing.choose_cutoff(*_smoothing.acceleration_spectra([x], dt), dt)
+    spectra = _smoothing.acceleration_spectra([x[:, None]], dt)
+    return [float(one[0]) for one in _smoothing.choose_cutoff(*spectra, dt)]
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.002])

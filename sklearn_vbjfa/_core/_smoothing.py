@@ -114,8 +114,8 @@ def fft_length(longest, dt):
 
 def acceleration_power(x, dt, n_fft):
     """Power of the second differences of one recording, to be summed over several."""
-    # x (n, k). Returns squared amplitudes (n_fft // 2 + 1, k), zero for a recording that
-    # is too short, and the energy of the taper, by which to divide them.
+    # x (n, k). Returns squared amplitudes (n_fft // 2 + 1, k), zero for a recording
+    # that is too short, and the energy of the taper, by which to divide them.
     n, window = x.shape[0], _window(dt)
     if n < MIN_SPECTRUM:
         return np.zeros((n_fft // 2 + 1, x.shape[1])), 0.0

@@ -22,15 +22,15 @@ ANGLE, RATIO = ("rad", "rad"), ("", "")
 # that torque elsewhere does not hold for it.
 _TORQUE = frozenset({"law", "columns"})
 _OF_TORQUE = frozenset({"law", "terms", "simulated", "not_simulated", "files", "alike"})
-_OWN = "an effect of the user's own"
+_NONE = "the format has no such torque"
 
 
 @dataclass(frozen=True, kw_only=True)
 class InFiles:
     """What files of other programs have of an effect."""
 
-    urdf: str = _OWN  # what URDF lacks of it; empty if all of it is there
-    mjcf: str = _OWN  # what MJCF lacks of it
+    urdf: str = _NONE  # what URDF lacks of it; empty if all of it is there
+    mjcf: str = _NONE  # what MJCF lacks of it
     # what MJCF has: "constant", "spring" or "ref", with the coefficient
     places: tuple[tuple[str, str], ...] = ()
     # joint parameter of the files, and declared friction, that it adds to
@@ -70,8 +70,6 @@ class Effect(TransformerMixin, BaseEstimator):
         Symbols and units of what `parameters` returns, if not the coefficients.
     nonnegative : tuple of str
         Coefficients that physics requires to be nonnegative: a search rejects others.
-    negative : tuple of (str, str)
-        Coefficients of either sign, and the meaning of a negative one.
     contains : tuple of str
         Simpler effects, which a search tries first.
     needs : tuple of {"time", "load", "signals"}
@@ -130,7 +128,6 @@ class Effect(TransformerMixin, BaseEstimator):
     label = ""
     formula = ""
     named_units: tuple = ()
-    negative: tuple = ()
     record = "motion of the joint"
     seen_over = ""
     with_motion = False

@@ -315,9 +315,6 @@ class Jerk(Stateful):
     needs = ("time",)
     record = "fast changes of the acceleration"
     not_simulated = "it represents a lag of a channel or flexibility"
-    files = InFiles.nowhere(
-        "a torque in proportion to the third derivative of the position"
-    )
 
     @classmethod
     def describe(cls, shape, joint_label):

@@ -205,13 +205,11 @@ class CouplingSpring(_ToAnother):
     units = (STIFFNESS, TORQUE)
     named_units = (("k", STIFFNESS), ("q0", POSITION))
     shape_units = (("ratio", RATIO),)
-    negative = (("k", "pushes away from q0"),)
     contains = ("offset",)
     continuous = ("ratio",)
     seen_over = "position"
     whole_robot = True
     record = "each joint moving alone through a wide range"
-    files = InFiles.nowhere("a spring between two joints")
 
     def __init__(self, joint=0, other=1, ratio=1.0):
         super().__init__(joint, other)
@@ -275,9 +273,6 @@ class Elastic(Stateful):
     record = "fast motion, from a tenth of the elastic frequency"
     not_simulated = (
         "a first-order correction of the torque, which has no forward dynamics"
-    )
-    files = InFiles.nowhere(
-        "elasticity between motor and link, which would be a joint more"
     )
     whole_robot = True
 

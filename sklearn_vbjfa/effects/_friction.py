@@ -87,7 +87,6 @@ class AsymmetricFriction(Effect):
     formula = r"\Delta F_c\,|\mathrm{sign}(v)| + \Delta F_v\,|v|"
     coefficients = ("dFc", "dFv")
     units = (TORQUE, VISCOSITY)
-    negative = tuple((x, "more friction backward than forward") for x in coefficients)
     contains = ("coulomb", "viscous")
     depends = ("speed", "direction")
     seen_over = "speed"
@@ -142,7 +141,6 @@ class Stribeck(Shaped):
     depends = ("direction",)
     seen_over = "speed"
     record = "slow motion without standing still, and fast motion"
-    files = InFiles.nowhere("friction that falls with speed")
     terms = (("stribeck", "Fs", "vs", "k"),)
 
     def __init__(self, joint=0, vs=0.1, k=1):
@@ -187,7 +185,6 @@ class ViscousQuadratic(Effect):
     formula = r"F_2\,v\,|v|"
     coefficients = ("F2",)
     units = (("N m s^2/rad^2", "N s^2/m^2"),)
-    negative = (("F2", "friction that flattens at high speed"),)
     contains = ("viscous", "coulomb")
     depends = ("speed",)
     seen_over = "speed"
@@ -229,7 +226,6 @@ class LoadFriction(Effect):
     seen_over = "load"
     with_motion = True
     record = "reversals at two loads"
-    files = InFiles.nowhere("friction in proportion to the load")
     terms = (("load_dry", "mu"),)
 
     def law(self, maths):
@@ -263,7 +259,6 @@ class GearLoss(LoadFriction):
     contains = ("load_friction", "coulomb", "viscous")
     not_simulated = "its direction of power depends on the accelerations"
     record = "reversals at two loads, of either sign"
-    files = LoadFriction.files
 
     def law(self, maths):
         j, sign = self.joint, maths.sign(self.joint)

@@ -446,7 +446,6 @@ class Backlash(Shaped, Stateful):
     depends = ("position",)
     seen_over = "position"
     record = "many reversals, at several positions"
-    files = InFiles.nowhere("play with a memory of where the joint came from")
     terms = (("backlash", "k", "width"), ("constant", "c"))
 
     def __init__(self, joint=0, width=0.01):

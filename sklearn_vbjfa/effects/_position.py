@@ -64,7 +64,6 @@ class Spring(Effect):
     coefficients = ("k", "c")
     units = (STIFFNESS, TORQUE)
     named_units = (("k", STIFFNESS), ("q0", POSITION))
-    negative = (("k", "pushes away from q0"),)
     contains = ("offset",)
     depends = ("position",)
     seen_over = "position"
@@ -124,7 +123,6 @@ class Counterbalance(Shaped):
     bounded = True
     seen_over = "position"
     record = "a range of positions of 60 degrees or more"
-    files = InFiles.nowhere("a torque that is not linear in the position")
 
     def __init__(self, joint=0, form="harmonics", ratio=0.5, angle=0.0):
         super().__init__(joint)
@@ -236,7 +234,6 @@ class Ripple(Shaped):
     seen_over = "position"
     record = "slow motion across several periods"
     terms = (("ripple", "c", "s", "period"),)
-    files = InFiles.nowhere("a torque that is not linear in the position")
 
     def __init__(self, joint=0, period=0.1):
         super().__init__(joint)
@@ -317,7 +314,6 @@ class FrictionByPosition(Ripple):
     with_motion = True
     record = "motion to and fro over the whole range"
     terms = (("dry_ripple", "c", "s", "period"),)
-    files = InFiles.nowhere("friction that varies with position")
 
     def key(self):
         """All periods are one use of the effect."""

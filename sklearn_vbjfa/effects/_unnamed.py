@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import RATIO, InFiles, Stateful
+from sklearn_vbjfa.effects._base import RATIO, Stateful
 from sklearn_vbjfa.effects._friction import Stribeck, ViscousQuadratic
 from sklearn_vbjfa.effects._memory import MaxwellSlip
 from sklearn_vbjfa.effects._position import Ripple, Spring
@@ -43,7 +43,6 @@ class UnnamedTorque(Stateful):
     coefficients = nonnegative = ("share",)
     units = (RATIO,)
     kinds = ("speed", "load", "memory", "position")
-    files = InFiles.nowhere("a torque without a name")
 
     def __init__(self, joint=0, of="speed", weights=(), reach=1.0, fast=1.0):
         super().__init__(joint)

@@ -77,7 +77,6 @@ class Drift(_Varied, OfTime):
     )
     coefficients = ("D",)
     units = (TORQUE,)
-    negative = (("D", "less at the start than later"),)
     shape_units = (("time_constant", TIME),)
     continuous = ("time_constant",)
     positive = ("time_constant",)
@@ -157,7 +156,6 @@ class Signal(_Varied):
         r" f = \mathrm{sign}(v),\ 1\ \text{or}\ v"
     )
     coefficients = ("k",)
-    negative = (("k", "falls as the signal rises"),)
     needs = ("signals",)
     split_by = ("signal", "of")
     seen_over = "signal"
@@ -264,7 +262,6 @@ class Payload(Shaped, OfTime):
     )
     coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
-    negative = (("dm", "put down"),)
     shape_units = (("instant", TIME),)
     continuous = ("instant",)
     jumping = ("instant",)

@@ -13,9 +13,6 @@ def test_every_effect_says_what_reports_and_guide_need():
         assert effect.label
         assert effect.formula
         assert effect.describe({}, plain_label) == effect.label
-        # What a sign means is said of parameters that the effect has.
-        named = {name for name, _ in effect.named_units} or set(effect.coefficients)
-        assert {name for name, _ in effect.negative} <= named
 
 
 def test_closure_follows_what_is_contained():

@@ -148,7 +148,6 @@ def test_mujoco_has_an_effect_or_is_said_to_lack_it(name, tmp_path):
         np.testing.assert_allclose(added, torque, rtol=0, atol=1e-9)
         return
     assert [(one.name, one.joint) for one in left] == [(name, effect.joint)]
-    assert "user's own" not in left[0].reason
     # What is there is a part of it: without its coefficient, that of the rest.
     parts = {
         name: column * own

@@ -220,11 +220,7 @@ def parameter_text(effect):
         unit = "" if unit == "1" else unit
         if value is None:
             continue
-        text = f"{key} = {with_error(value, interval, unit)}"
-        meaning = dict(getattr(effect.effect, "negative", ())).get(key)
-        if meaning and value < 0:
-            text += f" (negative: {meaning})"
-        found.append(text)
+        found.append(f"{key} = {with_error(value, interval, unit)}")
     return found
 
 

@@ -131,20 +131,6 @@ class Point:
     hidden: HiddenExpectations
 
 
-def evaluate(moments, state, prior):
-    """Do the E-step and the bound of a state."""
-    hidden = expect_hidden(moments, state)
-    value = bound(moments, state, hidden, prior)
-    return Point(state=state, value=value, hidden=hidden)
-
-
-def plain_step(moments, point, prior):
-    """Do the M-steps: the state after a point."""
-    new = update_loadings(point.state, point.hidden, prior)
-    new = update_precisions(new, prior)
-    return update_noise(moments, point.state, new, point.hidden, prior)
-
-
 class IndependentProblem:
     """The moments and the prior, and the step from one state to the next."""
 
@@ -152,12 +138,20 @@ class IndependentProblem:
         self.moments, self.prior = moments, prior
 
     def evaluate(self, state):
-        """Point of a state."""
-        return evaluate(self.moments, state, self.prior)
+        """Do the E-step and the bound of a state."""
+        hidden = expect_hidden(self.moments, state)
+        value = bound(self.moments, state, hidden, self.prior)
+        return Point(state=state, value=value, hidden=hidden)
+
+    def update(self, point):
+        """Do the M-steps: the state after a point."""
+        new = update_loadings(point.state, point.hidden, self.prior)
+        new = update_precisions(new, self.prior)
+        return update_noise(self.moments, point.state, new, point.hidden, self.prior)
 
     def step(self, point):
         """Point of the state after the M-steps."""
-        return self.evaluate(plain_step(self.moments, point, self.prior))
+        return self.evaluate(self.update(point))
 
     def judge(self, point, new, tol):
         """Whether a step lowered the bound, and whether its gain was negligible."""
@@ -390,7 +384,7 @@ class QuasiNewtonSteps(PlainSteps):
                 if new is not None or spent >= budget:
                     return new, spent
         self.curvature.forget()
-        plain = plain_step(self.problem.moments, point, prior)
+        plain = self.problem.update(point)
         vector = _on_grid(to_vector(plain, prior), point)
         new = self.problem.evaluate(from_vector(vector, plain, prior))
         if new.value >= point.value:
@@ -524,7 +518,7 @@ def solve(moments, state, prior, *, max_iter, tol):
         found = climb(PlainSteps(problem, tol), problem.evaluate(state), max_iter)
         if found.status != "bound_decreased":
             # The expectations at the end are good for one more update.
-            end = plain_step(moments, problem.evaluate(found.state), prior)
+            end = problem.update(problem.evaluate(found.state))
             found = replace(found, state=end)
         return _with_floor(found, prior)
     # Along flat directions the last digits of the moments decide where within `tol` a

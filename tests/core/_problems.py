@@ -3,7 +3,7 @@
 import numpy as np
 
 from sklearn_vbjfa._core._moments import square_root
-from sklearn_vbjfa._core._solver import evaluate, plain_step
+from sklearn_vbjfa._core._solver import IndependentProblem
 from sklearn_vbjfa._core._updates import Prior, State
 from tests.reference import paper_jfa as ref
 
@@ -61,8 +61,9 @@ def make_prior(model, n_samples, n_features):
 
 def iterate(moments, state, prior):
     """Do one whole iteration; return the new state and the bound of the old one."""
-    point = evaluate(moments, state, prior)
-    return plain_step(moments, point, prior), point.value
+    problem = IndependentProblem(moments, prior)
+    point = problem.evaluate(state)
+    return problem.update(point), point.value
 
 
 def as_jfa_params(state):

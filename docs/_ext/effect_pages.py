@@ -147,12 +147,9 @@ class Picture(_OfEffect):
         """Make the nodes."""
         use = self.use
         html = f'<div class="vbjfa">{figure(drawn(use.effect.name))}</div>'
-        axis = use.effect.seen_over or "torque"
-        seen = "" if use.signal is None else f" Reports show it over its {axis}."
         caption = (
             "Simulation of a six-axis arm with known parameters, with noise of "
-            f"{100 * NOISE:g} % of the RMS of the effect and the values of the "
-            f"table.{seen}"
+            f"{100 * NOISE:g} % of the RMS of the effect and the values of the table."
         )
         return [
             nodes.raw("", html, format="html"),

@@ -80,6 +80,17 @@ class Use:
         return self.effect.shape() | self.effect.parameters(self.coef)
 
 
+# Quantities over which effects are drawn; others are over the position.
+AXES = {
+    "speed": "viscous coulomb asymmetric_friction stribeck viscous_quadratic".split(),
+    "load": "load_friction gear_loss torque_gain".split(),
+    "acceleration": ["rotor_inertia"],
+    "time": ["drift", "payload"],
+    "signal": ["signal"],
+}
+OTHER = "position"
+
+
 def _of_window(motion):
     """Time in a short stretch."""
     t = motion.t - 10.0
@@ -260,11 +271,16 @@ def torque_of(use, motion):
 # -- the picture -------------------------------------------------------------------
 
 
+def axis_of(effect):
+    """Quantity over which an effect is drawn."""
+    return next((axis for axis, names in AXES.items() if effect.name in names), OTHER)
+
+
 def figure_of(use):
     """Draw the torque of an effect as reports draw it, a `Figure`."""
     motion, joint = scene().motion, use.joint
     law = torque_of(use, motion)[:, joint]
-    kind = use.effect.seen_over
+    kind = axis_of(use.effect)
     if use.signal is not None:
         x = use.signal(motion)
     elif kind == "time":
@@ -274,7 +290,11 @@ def figure_of(use):
     else:
         name = {"position": "q", "speed": "v", "acceleration": "a", "load": "load"}
         x = getattr(motion, name[kind])[:, joint]
-    with_motion = use.effect.with_motion if use.with_motion is None else use.with_motion
+    with_motion = use.with_motion
+    if with_motion is None:
+        others = {"load", "position"} & set(use.effect.depends)
+        with_motion = bool(others) and "direction" in use.effect.depends
+        with_motion |= use.effect.with_motion
     way = np.sign(motion.v[:, joint]) if with_motion else 1.0
     drawn = np.flatnonzero(np.isfinite(x))
     # The motion of a short stretch is repeated until there are rows enough.

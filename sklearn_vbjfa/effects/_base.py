@@ -82,10 +82,8 @@ class Effect(TransformerMixin, BaseEstimator):
     record : str
         What a recording must contain for the effect to be identifiable, and to be
         distinguished from its rivals.
-    seen_over : {"", "position", "speed", "acceleration", "load", "time", "signal"}
-        Horizontal axis of its picture; empty for its torque.
     with_motion : bool
-        Whether the picture has torques in the direction of motion, as for friction.
+        Whether it is friction although it does not depend on speed or direction.
     terms : tuple of (str, str, ...)
         Terms of the compiled forward dynamics, with coefficients and shape parameters.
         Without terms a simulation leaves it out.
@@ -129,7 +127,6 @@ class Effect(TransformerMixin, BaseEstimator):
     formula = ""
     named_units: tuple = ()
     record = "motion of the joint"
-    seen_over = ""
     with_motion = False
     # In a search.
     contains: tuple[str, ...] = ()

@@ -46,7 +46,6 @@ class RotorInertia(Effect):
     coefficients = ("Ir",)
     nonnegative = ("Ir",)
     units = (INERTIA,)
-    seen_over = "acceleration"
     record = "fast acceleration in several poses"
     files = InFiles(parameter="rotor_inertia", urdf="", mjcf="")
     terms = (("armature", "Ir"),)
@@ -207,7 +206,6 @@ class CouplingSpring(_ToAnother):
     shape_units = (("ratio", RATIO),)
     contains = ("offset",)
     continuous = ("ratio",)
-    seen_over = "position"
     whole_robot = True
     record = "each joint moving alone through a wide range"
 

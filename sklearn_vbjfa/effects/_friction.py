@@ -31,7 +31,6 @@ class Viscous(Effect):
     coefficients = nonnegative = ("Fv",)
     units = (VISCOSITY,)
     depends = ("speed",)
-    seen_over = "speed"
     record = "motion at several speeds"
     files = InFiles(parameter="viscous", urdf="", mjcf="")
     terms = (("viscous", "Fv"),)
@@ -59,7 +58,6 @@ class Coulomb(Effect):
     coefficients = nonnegative = ("Fc",)
     units = (TORQUE,)
     depends = ("direction",)
-    seen_over = "speed"
     record = "many reversals"
     files = InFiles(parameter="coulomb", urdf="", mjcf="")
     terms = (("dry", "Fc"),)
@@ -89,7 +87,6 @@ class AsymmetricFriction(Effect):
     units = (TORQUE, VISCOSITY)
     contains = ("coulomb", "viscous")
     depends = ("speed", "direction")
-    seen_over = "speed"
     record = "both directions at several speeds"
     # Half the difference of dry friction is a constant, at rest as well.
     terms = (("constant", "dFc"), ("absolute", "dFv"))
@@ -139,7 +136,6 @@ class Stribeck(Shaped):
     shape_units = (("vs", SPEED), ("k", RATIO))
     averaged = ("k", (1, 2))
     depends = ("direction",)
-    seen_over = "speed"
     record = "slow motion without standing still, and fast motion"
     terms = (("stribeck", "Fs", "vs", "k"),)
 
@@ -187,7 +183,6 @@ class ViscousQuadratic(Effect):
     units = (("N m s^2/rad^2", "N s^2/m^2"),)
     contains = ("viscous", "coulomb")
     depends = ("speed",)
-    seen_over = "speed"
     record = "slow and fast motion"
     files = InFiles(
         urdf="friction with the square of speed",
@@ -223,8 +218,6 @@ class LoadFriction(Effect):
     contains: tuple[str, ...] = ("coulomb", "viscous")
     needs = ("load",)
     depends = ("load", "direction")
-    seen_over = "load"
-    with_motion = True
     record = "reversals at two loads"
     terms = (("load_dry", "mu"),)
 

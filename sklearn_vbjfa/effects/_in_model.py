@@ -280,7 +280,6 @@ class JointZero(InModel):
     limit = np.deg2rad(15.0)  # [rad], or as many metres
     whole_robot = True
     precedence = 1
-    seen_over = "position"
     record = "the joint at a mechanical reference, or moves of its neighbours"
 
     def __init__(self, joint=0, zero=0.0):
@@ -400,7 +399,6 @@ class TorqueGain(InModel):
     coefficients = model_parameters = ("gain",)
     units = (("1", "1"),)
     nominal = (1.0,)
-    seen_over = "load"
     record = "a known mass picked up, or moves of the joints before and behind"
 
     def __init__(self, joint=0, gain=1.0, limit=2.5):

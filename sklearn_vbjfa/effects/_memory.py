@@ -444,7 +444,6 @@ class Backlash(Shaped, Stateful):
     continuous = ("width",)
     positive = ("width",)
     depends = ("position",)
-    seen_over = "position"
     record = "many reversals, at several positions"
     terms = (("backlash", "k", "width"), ("constant", "c"))
 

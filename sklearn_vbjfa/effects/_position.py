@@ -38,7 +38,6 @@ class Offset(Effect):
     formula = r"c"
     coefficients = ("c",)
     units = (TORQUE,)
-    seen_over = "position"
     record = "motion with and against gravity"
     files = InFiles(parameter="offset", urdf="", mjcf="")
     terms = (("constant", "c"),)
@@ -66,7 +65,6 @@ class Spring(Effect):
     named_units = (("k", STIFFNESS), ("q0", POSITION))
     contains = ("offset",)
     depends = ("position",)
-    seen_over = "position"
     record = "a wide range of positions"
     terms = (("spring", "k"), ("constant", "c"))
     files = InFiles(urdf="URDF has no spring", mjcf="", places=terms)
@@ -121,7 +119,6 @@ class Counterbalance(Shaped):
     cyclic = ("angle",)
     depends = ("position",)
     bounded = True
-    seen_over = "position"
     record = "a range of positions of 60 degrees or more"
 
     def __init__(self, joint=0, form="harmonics", ratio=0.5, angle=0.0):
@@ -231,7 +228,6 @@ class Ripple(Shaped):
     continuous = positive = ("period",)
     depends: tuple[str, ...] = ("position",)
     bounded = True
-    seen_over = "position"
     record = "slow motion across several periods"
     terms = (("ripple", "c", "s", "period"),)
 
@@ -311,7 +307,6 @@ class FrictionByPosition(Ripple):
     formula = r"A \cos(2 \pi q / \mathrm{period} - \mathrm{phase})\,\mathrm{sign}(v)"
     contains = ("coulomb",)
     depends = ("position", "direction")
-    with_motion = True
     record = "motion to and fro over the whole range"
     terms = (("dry_ripple", "c", "s", "period"),)
 

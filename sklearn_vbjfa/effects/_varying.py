@@ -80,7 +80,6 @@ class Drift(_Varied, OfTime):
     shape_units = (("time_constant", TIME),)
     continuous = ("time_constant",)
     positive = ("time_constant",)
-    seen_over = "time"
     record = "the same motion cold and warm"
     files = InFiles.nowhere("decays with time; the file has the value when warm")
 
@@ -158,7 +157,6 @@ class Signal(_Varied):
     coefficients = ("k",)
     needs = ("signals",)
     split_by = ("signal", "of")
-    seen_over = "signal"
     record = "the same motion at several values of the signal, rising and falling"
     files = InFiles.nowhere(
         "varies with a recorded signal; the file has what holds at its reference"
@@ -265,7 +263,6 @@ class Payload(Shaped, OfTime):
     shape_units = (("instant", TIME),)
     continuous = ("instant",)
     jumping = ("instant",)
-    seen_over = "time"
     record = "motion against gravity with and without payload"
     files = InFiles.nowhere("a change at an instant; the file has the robot before it")
     whole_robot = True

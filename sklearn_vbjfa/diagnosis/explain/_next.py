@@ -179,5 +179,4 @@ def _friction_columns(identifier):
 
 def _is_friction(effect):
     """Whether the torque of an effect opposes the motion."""
-    of_speed = effect.seen_over == "speed" or "direction" in effect.depends
-    return effect.with_motion or of_speed
+    return effect.with_motion or not {"speed", "direction"}.isdisjoint(effect.depends)

@@ -14,7 +14,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     torque_curves,
 )
 from sklearn_vbjfa.diagnosis.search import RecordingView
-from sklearn_vbjfa.effects import Coulomb, Spring, resolve
+from sklearn_vbjfa.effects import Coulomb, Spring
 from sklearn_vbjfa.recording import take_arrays
 
 
@@ -88,16 +88,3 @@ def test_torques_of_effects_and_residuals_add_up(fitted):
     rest = fitted.view.equations.Phi @ theta[:n]
     after = fitted.residuals()[1]
     np.testing.assert_allclose(rest + sum(torques), after.predicted, atol=1e-9)
-
-
-def test_every_effect_of_the_library_names_a_signal_that_exists():
-    known = {"position", "speed", "acceleration", "load", "time", "signal", ""}
-    for effect in resolve("all"):
-        assert effect.seen_over in known, effect.name
-        # what is a function of one quantity alone is seen over it
-        if len(effect.depends) == 1 and effect.depends != ("direction",):
-            assert effect.seen_over == effect.depends[0], effect.name
-        if "signals" in effect.needs:
-            assert effect.seen_over == "signal"
-        if effect.slow:
-            assert effect.seen_over == "time"

@@ -8,6 +8,7 @@ from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core._progress import say, show_progress
+from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa.diagnosis.explain import (
     NO_INFORMATION,
     FinalFit,
@@ -33,7 +34,6 @@ from sklearn_vbjfa.equations._recording_checks import check_weight, check_widths
 from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.inspection import refusal
 from sklearn_vbjfa.model import DoubtWarning, joint_names, load_model
-from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
     OfferedSignals,
     carries_names,

@@ -16,6 +16,7 @@ import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._progress import counted, show_progress
+from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa.equations._equations import accumulate, build_segments
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 from sklearn_vbjfa.equations._plan import MotionFacts, make_plan, n_fastest, smooth
@@ -28,7 +29,6 @@ from sklearn_vbjfa.equations._recording_checks import (
 from sklearn_vbjfa.equations._states import choose_states
 from sklearn_vbjfa.fit._estimate import from_moments
 from sklearn_vbjfa.inspection import levels
-from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
     check_dt,
     expanded,

@@ -14,6 +14,7 @@ from sklearn_vbjfa._core._lowpass import (
     stride,
 )
 from sklearn_vbjfa._core._progress import counted
+from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa.effects import Motion, declared_columns, own_motions
 from sklearn_vbjfa.equations._joint_moments import (
     BlockAssignment,
@@ -24,7 +25,6 @@ from sklearn_vbjfa.equations._joint_moments import (
 from sklearn_vbjfa.equations._plan import effect_places, in_parallel
 from sklearn_vbjfa.equations._ranges import SignalRanges
 from sklearn_vbjfa.model import is_prismatic, rounding_entries
-from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording._recording import find_repetition
 
 # Periods of the state cut-off at each end in which the smoother sees one side only.

@@ -9,6 +9,7 @@ from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._progress import counted
+from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa.effects import (
     CommandDelay,
     Effect,
@@ -24,7 +25,6 @@ from sklearn_vbjfa.equations._states import (
     smooth_segment,
 )
 from sklearn_vbjfa.model import is_prismatic, joint_names
-from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import check_cutoff, check_dt
 
 # Tasks dispatched at a time: their results are in memory together.

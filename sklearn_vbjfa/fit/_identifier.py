@@ -8,6 +8,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa.effects import TorqueLag
 from sklearn_vbjfa.equations._equations import numbered
 from sklearn_vbjfa.equations._features import (
@@ -362,6 +363,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             named=recording.joints_named,
         )
 
+    @one_blas_thread()
     def _fit(self, recording, look=False, compare=True):
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)

@@ -11,10 +11,7 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
     min_eigenvalue,
     pseudo_inertia,
 )
-from sklearn_vbjfa.physical._solver import (
-    ProjectionError,
-    one_blas_thread,
-)
+from sklearn_vbjfa.physical._solver import ProjectionError
 
 # For other rooms and tests.
 __all__: list[str] = []

@@ -12,6 +12,7 @@ from sklearn.utils import (
     column_or_1d,
 )
 
+from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa.physical._layout import ParameterLayout, resolve_layout
 from sklearn_vbjfa.physical._programme import Programme
 from sklearn_vbjfa.physical._pseudo_inertia import (
@@ -23,7 +24,6 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
 from sklearn_vbjfa.physical._solver import (
     GAP_TARGET,
     ProjectionError,
-    one_blas_thread,
     solve,
 )
 

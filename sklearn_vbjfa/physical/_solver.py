@@ -15,17 +15,13 @@ As a second-order cone the distance keeps the condition number of T, which its s
 the quadratic form T' T, would square.
 """
 
-import threading
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import chain
 
 import clarabel
 import numpy as np
 from scipy import sparse
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from threadpoolctl import ThreadpoolController
 
 from sklearn_vbjfa.physical._programme import PrimalDual, raised
 
@@ -37,8 +33,6 @@ _GAP_LIMIT = 1e-4
 _MAX_STEPS = 200
 # Share of the bodies from which on all are asked at once.
 _MOST = 0.5
-# Held by whoever limits the threads of the linear algebra.
-_held = threading.Lock()
 
 
 class ProjectionError(RuntimeError):
@@ -171,28 +165,6 @@ def solve_conic(programme):
         multipliers=z[stacked.size :],
     )
     return answer, int(solution.iterations), str(solution.status)
-
-
-@cache
-def _controller():
-    """Find the loaded libraries; once, since the search takes milliseconds."""
-    return ThreadpoolController()
-
-
-@contextmanager
-def one_blas_thread():
-    """Limit the BLAS to one thread; usable as a decorator."""
-    # The number of threads belongs to the process. If each of two overlapping holders
-    # restored what it had found, the limit could stay behind for good; so the first one
-    # alone sets and lifts it.
-    if not _held.acquire(blocking=False):
-        yield
-        return
-    try:
-        with _controller().limit(limits=1, user_api="blas"):
-            yield
-    finally:
-        _held.release()
 
 
 # -- primal-dual refinement of a conic solver's answer ---------------------------------

@@ -11,6 +11,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._moments import from_data, from_scatter, standardise
 from sklearn_vbjfa._core._solver import Solution, solve, start
+from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
     LinearModel,
@@ -42,6 +43,7 @@ class BaseJointFactorRegressor(BaseRegressor):
         "tol": [Interval(Real, 0, None, closed="left")],
     }
 
+    @one_blas_thread()
     def fit(self, X, y, sample_weight=None):
         """Fit the model.
 
@@ -62,6 +64,7 @@ class BaseJointFactorRegressor(BaseRegressor):
         X, y, weight = self._check_rows(X, y, sample_weight, min_samples=2)
         return self._fit_moments(from_data(X, y, weight))
 
+    @one_blas_thread()
     def partial_fit(self, X, y, sample_weight=None):
         """Add rows to those seen so far and refit from the merged statistics.
 

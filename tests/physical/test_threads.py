@@ -5,7 +5,8 @@ from contextlib import contextmanager
 import pytest
 from threadpoolctl import threadpool_info
 
-from sklearn_vbjfa.physical import ProjectionError, _solver, one_blas_thread, project
+from sklearn_vbjfa._core._threads import one_blas_thread
+from sklearn_vbjfa.physical import ProjectionError, _solver, project
 
 FLAT = [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3]
 
@@ -31,7 +32,7 @@ class Library:
 @pytest.fixture
 def library(monkeypatch):
     library = Library()
-    monkeypatch.setattr("sklearn_vbjfa.physical._solver._controller", lambda: library)
+    monkeypatch.setattr("sklearn_vbjfa._core._threads._controller", lambda: library)
     return library
 
 

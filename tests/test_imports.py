@@ -286,8 +286,8 @@ def test_private_parts_of_sklearn_are_imported_in_one_place():
 
 def test_core_is_numpy_and_scipy_alone():
     standard = sys.stdlib_module_names
+    others = {"_progress": {"tqdm"}, "_threads": {"threadpoolctl"}}
     for path in modules_of("_core"):
         roots = {name.split(".")[0] for name in imports(path)}
-        # What draws the bars is imported when one is drawn.
-        drawn = {"tqdm"} if path.stem == "_progress" else set()
-        assert roots - standard <= {"numpy", "scipy", PACKAGE, *drawn}, path.name
+        known = {"numpy", "scipy", PACKAGE} | others.get(path.stem, set())
+        assert roots - standard <= known, path.name

@@ -200,7 +200,23 @@ class SecondMoments:
         # the grid they are nearly always equal bit for bit.
         width = 2.0 ** (np.floor(np.log2(self.n)) - _DIGITS)
         S, xy, yy = (np.round(x / width) * width for x in (self.S, self.xy, self.yy))
-        return square_root(self.n, S, xy, float(yy))
+        return Products(n=self.n, S=S, xy=xy, yy=float(yy), xx=np.diagonal(S).copy())
+
+
+@dataclass(frozen=True, kw_only=True)
+class Products:
+    """Sums of products on a grid, which are the same bit for bit in any order."""
+
+    n: float
+    S: np.ndarray
+    xx: np.ndarray
+    xy: np.ndarray
+    yy: float
+
+    def residual(self, c):
+        """Return S_xe and S_ee for e = y - c'x."""
+        S_xe = self.xy - self.S @ c
+        return S_xe, max(self.yy - c @ (self.xy + S_xe), 0.0)
 
 
 def square_root(n, S, xy, yy):

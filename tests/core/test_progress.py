@@ -1,4 +1,4 @@
-"""Progress bars: on terminals alone, with the stage, its counts and its note."""
+"""Progress: on terminals alone, with the stage and its count."""
 
 import io
 import sys
@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa._core._progress import show_progress
 from sklearn_vbjfa.datasets import load_demo_recording
-from sklearn_vbjfa.robot import FitOptions
 
 
 class Terminal(io.StringIO):
@@ -23,10 +23,9 @@ def recording():
 
 
 def fit(recording, verbose=1):
-    robot = RobotIdentifier(
-        recording.urdf, dt=recording.dt, options=FitOptions(verbose=verbose)
-    )
-    return robot.fit(recording.q, recording.tau)
+    with show_progress(verbose):
+        robot = RobotIdentifier(recording.urdf, dt=recording.dt)
+        return robot.fit(recording.q, recording.tau)
 
 
 def show_on(monkeypatch, stream):

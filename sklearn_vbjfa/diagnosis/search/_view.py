@@ -382,7 +382,7 @@ class RecordingView:
     def shaped(self, effects, motion, make):
         """Return what is made of an effect's columns, kept until their load changes."""
         key = tuple((type(e), e.joint, *sorted(e.shape().items())) for e in effects)
-        load = motion if "load" in effects[0].needs else None
+        load = motion if any("load" in e.needs for e in effects) else None
         # The last one is that which was asked for last.
         made_from, gains, found, size = self._shapes.pop(key, (None, None, None, 0))
         if found is None or made_from is not load or (self.gains != gains).any():

@@ -47,13 +47,18 @@ class Hypothesis:
     when: str = "always"
     unclear: str = ""  # kind of the note if a candidate is probable but not clear
     prior: float = number.PRIOR  # log odds against the log as it is
+    masses: bool = False  # whether wrong masses of the description explain as much
 
     def candidate(self, reading):
         """Return the best candidate and its log odds if it is probable, or None."""
         applies = not self.needs or getattr(reading, self.needs)
         found = self.propose(reading) if applies else None
         odds = found.log_odds + self.prior if found else -np.inf
-        return (found, odds) if odds > number.DECISIVE else None
+        if odds <= number.DECISIVE:
+            return None
+        if self.masses and found.log_odds < reading.robot.invented:
+            return None
+        return found, odds
 
     def finding(self, reading, candidate, odds, rivals=(), unclear=False):
         """Return the finding; rivals: names of hypotheses that are as probable."""
@@ -91,16 +96,19 @@ TABLE = (
     Hypothesis("wrong_dt", "error", positions.periods),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),
-    Hypothesis("torque_unit", "warning", torques.scaled, "measured"),
+    Hypothesis("torque_unit", "warning", torques.scaled, "measured",
+               masses=True),
     Hypothesis("torque_factors", "warning", torques.scaled_each, "measured"),
     Hypothesis("gear_factor", "warning", torques.commanded_size, "commanded"),
     Hypothesis("computed_torque", "warning", torques.computed, "measured"),
     Hypothesis("silent_torque", "error", torques.silent, "measured"),
     # -- scene
     Hypothesis("no_gravity", "error", scene.weightless, "weighs"),
+    Hypothesis("no_gravity", "error", scene.weightless_joints, "weighs"),
     Hypothesis("gravity_only", "error", scene.weight_alone, "weighs"),
     Hypothesis("base_orientation", "error", scene.turned, "weighs"),
-    Hypothesis("external_force", "warning", scene.contact, "unexplained", "last"),
+    Hypothesis("external_force", "warning", scene.contact, "unexplained", "last",
+               masses=True),
     Hypothesis("delay", "note", scene.late, "measured", "last"),
     Hypothesis("torque_unit", "warning", torques.beyond_limits, "measured", "last"),
     Hypothesis("other_robot", "warning", torques.of_another, "unexplained",
@@ -240,22 +248,8 @@ def inspect_channels(
     An empty result is not a certificate. Undetectable in principle are the zero of a
     joint with a vertical axis or of the last joint, and both signs of a joint that
     gravity does not load.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.datasets import load_demo_recording
-    >>> from sklearn_vbjfa.inspection import inspect_channels
-    >>> arm = load_demo_recording()
-    >>> tau = arm.tau.copy()
-    >>> tau[:, 1] *= -1
-    >>> findings = inspect_channels(
-    ...     arm.robot_model(), arm.q, tau, arm.dt, arm.groups
-    ... )
-    >>> [(finding.kind, finding.joints) for finding in findings]
-    [('torque_sign', (1,))]
     """
-    folded, dt = load_folded(model), check_dt(dt)
-    model = folded.still
+    model, dt = load_folded(model).still, check_dt(dt)
     q, tau = _check_arrays(model, q, tau)
     names = joint_names(model)
     shuffled = shuffled_rows(names, q, contiguous_groups(groups, len(q)), groups)
@@ -271,9 +265,10 @@ def inspect_channels(
     rows, parts = thinned(parts, log.every)
     q, tau, usable = (x[rows] for x in (log.q, tau, log.usable))
     dt *= log.every
-    known = drive, named, folded
-    reading = Reading(model, names, q, tau, dt, parts, usable, *known)
+    reading = Reading(model, names, q, tau, dt, parts, usable, drive, named)
     found = _compared(reading)
+    if isinstance(gains, str) and not any(x.severity == "error" for x in found):
+        found += [] if reading.tell_nothing() else torques.current_constants(reading)
     if any(one.severity != "note" for one in log.findings):
         # Which robot it is cannot be said of rows that are wrong.
         found = [one for one in found if one.kind != "other_robot"]

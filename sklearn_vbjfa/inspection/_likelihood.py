@@ -161,6 +161,12 @@ class DescribedRobot:
         """`Fit` of the torques as they are."""
         return self.fit()
 
+    @functools.cached_property
+    def invented(self):
+        """Log odds of bodies that were invented, against the described ones."""
+        fit = self.fit(spread=number.INVENTED)
+        return max(0.0, fit.evidence - self.now.evidence)
+
     @property
     def sizes(self):
         """Deviation of each torque over that of the described one, ndarray (nv,)."""
@@ -173,13 +179,14 @@ class DescribedRobot:
         *,
         tau=None,
         scale=1.0,
+        spread=1.0,
         mean=None,
         columns=None,
         deviation=number.FACTOR,
         joints=None,
     ):
         """Fit torques (n, nv), less a mean; columns (n, nv, m) get factors."""
-        # joints: some only; scale: of the described bodies.
+        # joints: some only; scale, spread: of the described bodies, and of their prior.
         bodies = self.bodies
         entries = self.entries if entries is None else entries
         tau = self.signals.tau if tau is None else tau
@@ -187,7 +194,7 @@ class DescribedRobot:
         if mean is None:
             mean = scale * bodies.torques(entries)
         m = 0 if columns is None else columns.shape[2]
-        prior = np.r_[scale * bodies.spread, np.full(m, deviation)]
+        prior = np.r_[scale * spread * bodies.spread, np.full(m, deviation)]
         first, made = bodies.spread.size, []
         for j in joints:
             rows, used = self.rows[j], bodies.used[j]

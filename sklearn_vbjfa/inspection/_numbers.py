@@ -24,14 +24,13 @@ LEAST_ROUGH, ROUGH, ROUGH_PRIOR = 60, 4000, 0.05
 # Places by which all columns may be shifted: columns that belong to no joint may stand
 # before the first one.
 ROLLED = 3
-# Zeros of one joint and of all that are tried, deviation of the prior of a step from
-# there, and the half step of derivatives [rad].
-OFFSETS = np.radians([-135, -90, -45, 45, 90, 135, 180])
+# Zeros that are tried [rad], deviation of the prior of a step from there, or of that of
+# a factor [log], and the half step of derivatives.
 ANGLES = np.radians([-120, -80, -40, 40, 80, 120, 180])
 STEP_OF_ZERO, SLOPE = 0.5, 1e-4
 # Positions begin at zero within this share of their range, and a zero is another one
-# from this angle on [rad].
-AT_ZERO, MOVED = 1e-3, 0.05
+# from this angle on [rad], or from the next one where only few joints have another.
+AT_ZERO, MOVED, FAR_ZERO = 1e-3, 0.05, 0.3
 # With a larger relative error the sign of a torque is not judged, nor if friction says
 # the other by so many standard errors.
 WORST, SURE = 0.3, 5.0
@@ -76,8 +75,9 @@ CONTACT, SHORTEST_CONTACT, CONTACT_ENDS = 3.0, 20, 80
 # degrees run beyond limits by more than this [rad], and encoder counts are whole
 # numbers that span at least this range.
 LARGEST_TURN, FAR_BEYOND, FEWEST_COUNTS = 25.0, 5.0, 25.0
-# Factors against which a unit of positions has to explain the torques better.
-OTHER_UNITS = (1 / 200, 1 / 20, 1 / 8, 1 / 4, 1 / 2, 2, 4)
+# Factors [log] of positions against a unit that are tried joint by joint; a factor is
+# known below this error, and is another one than that of the unit from here on.
+RATIOS, KNOWN_RATIO, OF_UNIT = np.linspace(-2.1, 2.1, 25), 0.1, np.log(1.03)
 # Signs must lower the squared error of a torque of one sign by this factor, and both
 # must be had by this share of the rows. Rows with which signs are looked for, most
 # rounds, and dry friction to begin with, in root mean squares of the rigid torque.
@@ -89,9 +89,10 @@ DRY_STARTS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, np.inf)
 # Entries of all regressors together, and rows, at least and at most; more rows cost
 # time without adding evidence.
 MOST_ENTRIES, LEAST_ROWS, MOST_ROWS = 2_000_000, 200, 600
-# Relative error of the described bodies; deviation of the prior of friction, rotor and
+# Relative error of the described bodies, and by how much it is larger where they were
+# invented; deviation of the prior of friction, rotor and
 # offset, in units of the torque, and of factors that are estimated.
-NOMINAL_ERROR, WIDE, FACTOR = 0.5, 10.0, 1e3
+NOMINAL_ERROR, INVENTED, WIDE, FACTOR = 0.5, 8.0, 10.0, 1e3
 # What friction that feeds the motion costs a joint at most: controllers compensate it.
 FRICTION = 15.0
 # Iterations of the noise, the relative change that ends them, passes of factors, and
@@ -131,9 +132,9 @@ FROZEN_ROWS, HELD_SPEED, BESIDE = 5, 0.1, 3
 # channel takes at least this many of them, and this share of all, most of which must
 # come equally often.
 STEP, FEWEST_STEPS, STEP_SHARE, SAME_RATE = 4.0, 20, 0.3, 0.8
-# A torque is coarse if its quantisation error exceeds this share of its spread, and
-# nothing if it is below this [N m or N].
-COARSE, NOTHING = 0.05, 1e-9
+# A torque is coarse if its quantisation error exceeds this share of its spread, useless
+# if its range has fewer steps than this, and nothing if it is below this [N m or N].
+COARSE, LEVELS, NOTHING = 0.05, 5, 1e-9
 # Clipping: samples within this share of the channel's range of an extreme value, in
 # runs of at least this length, in at least this many places (or one run of the long
 # length, in a channel that does not repeat itself), and denser by this factor than the
@@ -158,8 +159,9 @@ LEAST_STOP, STANDS, SUDDEN, USUAL, STUCK_SHARE = 10, 3e-3, 3.5, 0.99, 0.03
 DEAD_RUN, EXACT, NOISY, SELDOM = 50, 0.8, 3.0, 0.005
 # Steps and spikes, in robust standard deviations of the prediction by the neighbours,
 # in recordings of at least this many samples, and at least this share of the channel's
-# range. A larger share of outliers is noise, not a fault of single samples.
-OUTLIER, FEWEST_AROUND, LEAST_JUMP, MOST_OUTLIERS = 25.0, 16, 0.003, 0.01
+# range. A larger share of outliers is noise, not a fault of single samples. Torques are
+# compared with their median over so many samples.
+OUTLIER, FEWEST_AROUND, LEAST_JUMP, MOST_OUTLIERS, MEDIAN = 25.0, 16, 0.003, 0.01, 5
 # A torque that is a derivative of the position agrees with it to this share, and one
 # that is a multiple of another torque to this.
 SAME, COPY = 0.02, 5e-4

@@ -140,67 +140,73 @@ def flipped(reading):
 # -- zeros -----------------------------------------------------------------------------
 
 
-def zero(reading):
-    """Return the best other zero of one joint."""
-    eye, changes = np.eye(reading.nv), []
-    for j in np.flatnonzero(~reading.slides):
-        changes += [Change(offset=angle * eye[j]) for angle in number.OFFSETS]
-    least = max(clear_of_all(reading), number.CLEAR_OF_JOINT)
-    found = best_of(reading, changes, least)
-    if found is None:
-        return None
-    place = _stepped(reading, found.change.offset, found.joints)
-    near = judged(reading, Change(offset=place), variants=len(changes))
-    found = most_probable([found, near])
-    angle = float(np.rad2deg(found.change.offset.sum()))
-    return replace(found, facts={"off": -angle, "add": angle})
-
-
-def zeros(reading):
-    """Return the zeros of all joints that fit best."""
+def zeros(reading, *, few=False):
+    """Return the zeros of all joints that fit best, or of few of them."""
     # Of joints whose zero does not matter, such as vertical ones, it stays.
-    free, eye = np.flatnonzero(~reading.slides), np.eye(reading.nv)
-    if not free.size:
-        return None
-    place, best = np.zeros(reading.nv), reading.rough().sum()
-    for j in [*free, *free]:
-        tried = [place + angle * eye[j] for angle in number.ANGLES]
-        left = [reading.rough(Change(offset=x)).sum() for x in tried]
-        if min(left) < best - number.SETTLED:
-            best, place = min(left), tried[int(np.argmin(left))]
-    place = _stepped(reading, place, free)
+    free, nv = np.flatnonzero(~reading.slides), reading.nv
+    place = _searched(reading, _offset, np.zeros(nv), free, number.ANGLES)
+    place, _ = _stepped(reading, _offset, place, free)
+    if few:
+        # What an arm needs less is an effect, or a link that differs.
+        place = np.where(np.abs(place) > number.FAR_ZERO, place, 0.0)
+        place, _ = _stepped(reading, _offset, place, np.flatnonzero(place))
     place = np.where(reading.slides, 0.0, (place + np.pi) % (2 * np.pi) - np.pi)
     moved = tuple(np.flatnonzero(np.abs(place) > number.MOVED).tolist())
     if not moved:
         return None
-    values = ", ".join(f"{reading.names[j]} {place[j]:+.2f}" for j in moved)
-    least, facts = clear_of_all(reading), {"values": values}
-    return judged(reading, Change(offset=place), least, joints=moved, facts=facts)
+    facts = {"values": ", ".join(f"{reading.names[j]} {place[j]:+.2f}" for j in moved)}
+    tried = len(number.ANGLES) * nv
+    least = clear_of_all(reading)
+    if few:
+        least = max(least, number.CLEAR_OF_JOINT * len(moved))
+    args = {"joints": moved, "variants": tried ** (few * len(moved)), "facts": facts}
+    return judged(reading, _offset(place), least, **args)
 
 
-def _stepped(reading, place, joints):
-    """Move zeros (nv,) of some joints by Gauss-Newton steps."""
-    best = reading.tried(Change(offset=place))
-    for _ in range(number.PASSES if best is not None else 0):
-        robot = reading.robot_at(Change(offset=place))
-        columns = _slopes(robot, joints)
-        step = robot.fit(columns=columns, deviation=number.STEP_OF_ZERO).factors
-        tried = place.copy()
-        tried[list(joints)] += step
-        fit = reading.tried(Change(offset=tried))
-        if fit is None or fit.evidence < best.evidence + 0.1:
-            break
-        best, place = fit, tried
+def zero(reading):
+    """Return other zeros of one joint or of some."""
+    return zeros(reading, few=True)
+
+
+def _offset(place):
+    return Change(offset=place)
+
+
+def _searched(reading, made, place, joints, values):
+    """Try values for a parameter of each of some joints in turn, by the rough score."""
+    # made: the change of parameters (nv,).
+    best, eye = reading.rough(made(place)).sum(), np.eye(reading.nv)
+    for j in [*joints, *joints]:
+        tried = [place + value * eye[j] for value in values]
+        left = [reading.rough(made(x)).sum() for x in tried]
+        if min(left) < best - number.SETTLED:
+            best, place = min(left), tried[int(np.argmin(left))]
     return place
 
 
-def _slopes(robot, joints):
-    """Return derivatives (n, nv, m) of the described torques by the zeros of joints."""
-    bodies, ends = robot.bodies, []
+def _stepped(reading, made, place, joints):
+    """Move parameters (nv,) of some joints by Gauss-Newton steps; also their errors."""
+    best, errors = reading.tried(made(place)), np.full(len(joints), np.inf)
+    for _ in range(number.PASSES if best is not None and len(joints) else 0):
+        robot = reading.robot_at(made(place))
+        columns = _slopes(reading, made, place, joints)
+        step = robot.fit(columns=columns, deviation=number.STEP_OF_ZERO)
+        tried, errors = place.copy(), step.errors
+        tried[list(joints)] += step.factors
+        fit = reading.tried(made(tried))
+        if fit is None or fit.evidence < best.evidence + 0.1:
+            break
+        best, place = fit, tried
+    return place, errors
+
+
+def _slopes(reading, made, place, joints):
+    """Return derivatives (n, nv, m) of the described torques by parameters."""
+    bodies, ends = reading.bodies, []
     for step in (number.SLOPE, -number.SLOPE):
         for j in joints:
-            change = Change(offset=step * np.eye(bodies.nv)[j])
-            states = change.signals(robot.signals).states
+            change = made(place + step * np.eye(reading.nv)[j])
+            states = change.signals(reading.signals).states
             ends.append(bodies.torques(bodies.whole(states)))
     high, low = np.split(np.stack(ends, axis=-1), 2, axis=-1)
     return (high - low) / (2 * number.SLOPE)
@@ -258,24 +264,43 @@ def units(reading):
         facts |= {"name": reading.names[j], "low": q[:, j].min(), "high": q[:, j].max()}
         found.append(replace(one, log_odds=one.log_odds + known, facts=facts))
     best = most_probable(found)
-    if best is None or not _of_any_factor(reading, best.change.factor):
+    return None if best is None else _with_ratios(reading, best)
+
+
+def _with_ratios(reading, best):
+    """Return positions in a unit as those of motors if joints have other factors."""
+    joints, change = list(best.joints), best.change
+    after = reading.changed(change)
+    if after.tell_nothing():
         return best
-    # Smaller positions in general explain the torques, not this unit.
-    return replace(best, kind="position_unit", change=None)
+    scale = float(torque_factors(after.robot, alike=True)[0][0])
+    if 0 < scale < 1 / number.SCALE or scale > number.SCALE:
+        # The unit of the torques is another one, too.
+        after = after.changed(Change(scale=1 / scale))
 
+    def made(logs):
+        return Change(factor=np.exp(logs))
 
-def _of_any_factor(reading, factor):
-    """Whether another factor of the positions than (nv,) explains torques as well."""
-
-    def evidence(size):
-        change = Change(factor=np.where(factor == 1.0, 1.0, size * factor))
-        robot = reading.robot_at(change)
-        # The unit of the torques may be another one, too.
-        scale = torque_factors(robot, alike=True)[0][0]
-        return max(robot.fit(scale=x).evidence for x in (1.0, scale) if x > 0)
-
-    most = max(evidence(size) for size in number.OTHER_UNITS)
-    return most > evidence(1.0) - number.RIVAL
+    among, starts = np.isin(reading.every, joints), number.RATIOS
+    place = min((x * among for x in starts), key=lambda x: after.rough(made(x)).sum())
+    place = _searched(after, made, place, joints, starts)
+    near = after.changed(made(place))
+    if near.tell_nothing():
+        return best
+    steps, errors = _stepped(near, made, np.zeros(reading.nv), joints)
+    logs, errors = (place + steps)[joints], number.INTERVAL * errors
+    known = errors < number.KNOWN_RATIO
+    away = np.abs(logs) - errors > number.OF_UNIT
+    if not (known & away).any():
+        return best
+    each = [
+        f"{reading.names[j]} {1 / (change.factor[j] * np.exp(x)):.3g}"
+        f" ± {e / (change.factor[j] * np.exp(x)):.1g}"
+        for j, x, e, seen in zip(joints, logs, errors, known)
+        if seen
+    ]
+    facts = dict(best.facts) | {"each": ", ".join(each)}
+    return replace(best, kind="position_unit", change=None, facts=facts)
 
 
 def counts(reading):

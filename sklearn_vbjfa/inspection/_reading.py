@@ -15,7 +15,7 @@ from sklearn_vbjfa.inspection._likelihood import (
     DescribedRobot,
     under_gravity,
 )
-from sklearn_vbjfa.model import described_torques, is_prismatic, joint_names
+from sklearn_vbjfa.model import described_torques, is_prismatic
 from sklearn_vbjfa.recording import COMMANDS, contiguous_groups
 
 
@@ -200,7 +200,6 @@ class Reading:
     usable: np.ndarray  # (n, nv): samples without known faults
     drive: object = None  # what made the torques
     named: bool = False  # whether columns carry the joints' names
-    folded: object = None  # the robot with its followers
 
     def __post_init__(self):
         self.nv, self.every = self.model.nv, tuple(range(self.model.nv))
@@ -226,22 +225,6 @@ class Reading:
     def robot(self):
         """The described robot in the motion."""
         return DescribedRobot(self.bodies, self.signals)
-
-    def computed(self):
-        """Torques (n, nv) of the description and of its weight, with followers."""
-        if self.folded is None or not self.folded.links:
-            return self.robot.described, self.robot.weight
-        full, links = self.folded.full, self.folded.links
-        rates, offsets = np.zeros((full.nv, self.nv)), np.zeros(full.nv)
-        for row, name in enumerate(joint_names(full)):
-            rate = 1.0
-            while name in links:
-                offsets[row] += rate * links[name].offset
-                rate, name = rate * links[name].multiplier, links[name].leader
-            rates[row, self.names.index(name)] = rate
-        q, v, a = (x @ rates.T for x in np.split(self.signals.states, 3, axis=1))
-        motion, weight = described_torques(full, q + offsets, v, a)
-        return (motion + weight) @ rates, weight @ rates
 
     @property
     def poor(self):

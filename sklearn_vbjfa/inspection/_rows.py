@@ -238,6 +238,24 @@ def _rate(log, x):
     return float(np.median(found)) if found else 0.0
 
 
+def _idle(log):
+    """Find rows at an end of a recording that are equal, beside a jump."""
+    step = np.abs(log.steps(log.q))
+    same = (log.steps(np.hstack([log.q, log.tau])) == 0).all(axis=1) & ~log.first
+    fast, found = number.SUDDEN * np.quantile(step, 0.995, axis=0), []
+    for a, b in log.runs(same):
+        # Rows a - 1 to b are equal.
+        begins, ends = not log.together(a - 2, b), not log.together(a, b + 1)
+        if b - a + 2 < number.FROZEN_ROWS or begins == ends:
+            continue
+        if (step[b + 1 if begins else a - 1] > fast).any():
+            found.append((a - 1, b))
+    if found:
+        last = len(step) - 1
+        log.lost |= _marked(log.lost, [(a, min(b + 1, last)) for a, b in found])
+        log.report("idle_rows", range(len(log.names)), "warning", found)
+
+
 def _repeated_rows(log):
     """Find rows that equal the row before in every channel amid a motion."""
     if log.every > 1:
@@ -317,7 +335,9 @@ def _torques(log):
         if _coarse(log, j, x):
             log.usable[:, j] = False
             continue
-        bad = np.zeros(x.shape, dtype=bool) if log.held[j] else _dropped(log, j, x)
+        bad = np.zeros(x.shape, dtype=bool)
+        if not log.held[j]:
+            bad = _dropped(log, j, x) | _outliers(log, j, x)
         log.usable[:, j] &= ~(bad | _clipped(log, j, x, log.moving & ~bad))
 
 
@@ -335,7 +355,9 @@ def _coarse(log, j, x):
     spread = max(x[log.moving].std(), np.finfo(float).tiny)
     if size / np.sqrt(12) < number.COARSE * spread:
         return False
-    log.report("coarse_torque", j, "warning", step=size, spread=spread)
+    # A smaller error is noise, which the noise floor of the joint contains.
+    severity = "warning" if np.ptp(x) < number.LEVELS * size else "note"
+    log.report("coarse_torque", j, severity, step=size, spread=spread)
     return True
 
 
@@ -365,6 +387,21 @@ def _dropped(log, j, x):
     # Adding zero leaves no minus before it.
     level = x[found[0][0]] + 0.0
     log.report("torque_dropouts", j, "warning", found, level=level)
+    return bad
+
+
+def _outliers(log, j, x):
+    """Find single torques that the rows around contradict."""
+    # A median keeps the steps of friction at reversals.
+    around = scipy.ndimage.median_filter(x, number.MEDIAN)
+    left = np.abs(x - around)
+    usual = number.OUTLIER * np.quantile(left, 0.9) / 1.645
+    bad = left > max(usual, number.WORST * around.std())
+    # Others are noise that the fit averages.
+    size = np.sqrt(np.mean(left**2 * bad))
+    if size < number.WORST * around.std() or bad.mean() > number.STUCK_REPEATS:
+        return np.zeros_like(bad)
+    log.report("torque_outliers", j, "warning", log.runs(bad))
     return bad
 
 
@@ -559,6 +596,7 @@ def _motion_as_torque(log):
 CHECKS = (
     _rest,
     _held,
+    _idle,
     _repeated_rows,
     _constant,
     _torques,

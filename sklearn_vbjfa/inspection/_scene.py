@@ -5,6 +5,7 @@ import numpy as np
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._reading import Candidate, Change, most_probable
+from sklearn_vbjfa.inspection._sentences import percent
 from sklearn_vbjfa.model import import_pinocchio
 
 # -- weight ----------------------------------------------------------------------------
@@ -48,6 +49,25 @@ def weightless(reading):
     now = max(robot.now.evidence, robot.fit(scale=scale).evidence)
     known = {"log_odds": best - now, "severity": severity, "facts": facts}
     return Candidate(joints=tuple(joints), **known)
+
+
+def weightless_joints(reading):
+    """Return some joints whose torques do not contain the weight of the links."""
+    robot, lost, odds = reading.robot, [], 0.0
+    nothing = robot.pulled(0 * reading.bodies.pull)
+    for j in _loaded(robot, robot.weight)[0]:
+        now = robot.fit(joints=[j]).evidence
+        made = robot.fit(nothing, joints=[j]), robot.fit(mean=robot.moving, joints=[j])
+        most = max(one.evidence for one in made)
+        if most - max(now, _as_springs(robot, [j])) > number.DECISIVE:
+            lost, odds = [*lost, j], odds + most - now
+    # What balances a single joint is likelier a spring.
+    if len(lost) < 2:
+        return None
+    heavy = np.abs(robot.weight[:, lost]).max()
+    facts = {"heavy": heavy}
+    kind = "no_gravity:joints"
+    return Candidate(joints=tuple(lost), log_odds=odds, kind=kind, facts=facts)
 
 
 def weight_alone(reading):
@@ -132,7 +152,7 @@ def _loaded(robot, weight):
     return [int(j) for j in robot.joints if heavy[j] > 0.1 * heavy.max()], heavy.max()
 
 
-def _as_springs(robot):
+def _as_springs(robot, joints=None):
     """Return the evidence for springs between all joints, the weight as described."""
     # In a small motion the lack of weight, or its turn, is linear in the positions.
     nv, tau = robot.bodies.nv, robot.signals.tau
@@ -140,7 +160,7 @@ def _as_springs(robot):
     q = q / np.where(q.any(axis=0), np.sqrt((q**2).mean(axis=0)), 1.0)
     columns = np.einsum("ni,jk->njik", q, np.eye(nv) * np.sqrt((tau**2).mean(axis=0)))
     columns = columns.reshape(len(q), nv, nv * nv)
-    return robot.fit(columns=columns, deviation=1.0).evidence
+    return robot.fit(columns=columns, deviation=1.0, joints=joints).evidence
 
 
 # -- lag -------------------------------------------------------------------------------
@@ -166,6 +186,9 @@ def late(reading):
     then = robot.fit(tau=signals.tau + rest * signals.slope)
     now = robot.fit(tau=reading.signals.tau)
     gain, change = then.evidence - now.evidence, then.left - now.left
+    drifts = _drift(reading, robot, signals, rest, then)
+    if drifts is not None:
+        return drifts
     # Friction with memory looks like a lag of its joint, and others get worse.
     harm = number.HARM * max(1.0, -change.sum())
     if change.size < 2 or (change < 0).mean() <= 0.5 or change.max() >= harm:
@@ -183,6 +206,33 @@ def late(reading):
         value=seconds,
         facts=facts,
     )
+
+
+def _drift(reading, robot, signals, rest, steady):
+    """Return a lag (of `rest` samples in the middle) that grows with the time."""
+    # steady: `Fit` with a lag that stays the same.
+    since = (signals.row - signals.row.mean()) / np.ptp(signals.row)
+    slope, total = signals.slope, 0.0
+    for _ in range(number.PASSES):
+        tau = signals.tau + (rest + total * since[:, None]) * slope
+        columns = -(since[:, None] * slope)[:, :, None]
+        fit = robot.fit(tau=tau, columns=columns)
+        total += float(fit.factors[0])
+        if abs(fit.factors[0]) < fit.errors[0]:
+            break
+    most = abs(total)
+    if len(reading.parts) > 1 or most < max(number.LEAST_LAG * fit.errors[0], 1.0):
+        return None
+    found = robot.fit(tau=signals.tau + (rest + total * since[:, None]) * slope)
+    # Every joint shares the clock.
+    if (found.left - steady.left).max() > 0 or found.fall(steady) < number.CLEAR:
+        return None
+    share = total / np.ptp(signals.row)
+    facts = {"ahead": "fast" if share > 0 else "slow", "share": percent(abs(share))}
+    facts |= {"size": 1e3 * most * reading.dt}
+    args = {"kind": "delay:drift", "severity": "warning", "facts": facts}
+    odds = found.evidence - robot.fit(tau=reading.signals.tau).evidence
+    return Candidate(joints=reading.every, log_odds=odds, value=share, **args)
 
 
 def _lowpass(robot, samples):

@@ -47,6 +47,9 @@ SENTENCES = {
     "repeated_rows": "{count} rows ({share}) equal the row before them in every "
     "channel though the robot moves, up to {longest} in a row, the first in row {row}. "
     "Drop them, and split the recording there (groups) or resample it.",
+    "idle_rows": "{count} rows at an end of a recording, the first in row {row}, are "
+    "equal in every channel, and the next position jumps: nothing was logged there. "
+    "Leave these rows out.",
     "held_position": _HELD,
     "held_torque": _HELD,
     "two_torques": "The torque of {who} has two values only ({low:.6g} and {high:.6g}"
@@ -55,10 +58,13 @@ SENTENCES = {
     "joints move: nothing was measured there. Log the torques or currents, or lock "
     "the joints in the model.",
     "coarse_torque": "The torque of {who} goes in steps of {step:.3g} and has a spread "
-    "of {spread:.3g}: too coarse. Leave the joint out, or record its torque finer.",
+    "of {spread:.3g}: it is coarse. Record it finer, or leave the joint out.",
     "torque_dropouts": "The torque of {who} stays at {level:.4g} {times} time(s) while "
     "the robot moves ({share} of its samples, up to {seconds:.3g} s): readings were "
     "lost. Remove these rows, or record again.",
+    "torque_outliers": "The torque of {who} has {count} outlier(s) ({share} of its "
+    "samples), the first in row {row}, which the rows around contradict. Leave these "
+    "rows out, or record again.",
     "clipped_torque": "The torque of {who} is clipped at {where}: {share} of its "
     "samples lie there, up to {longest} in a row. Record with a wider range, or a "
     "slower motion.",
@@ -75,16 +81,15 @@ SENTENCES = {
     # -- positions and time
     "position_degrees": _UNIT,
     "position_turns": _UNIT,
-    "position_unit": "The positions of {who} are not in radians: {name} runs from "
-    "{low:.4g} to {high:.4g}, and degrees and other units explain the torques better "
-    "({evidence}). Divide positions of motors by the gear ratios, or give their unit "
-    "(columns).",
+    "position_unit": "The positions of {who} are not in radians or {unit}: {name} runs "
+    "from {low:.4g} to {high:.4g}. By the torques, a radian of the joint is in the "
+    "log: {each}. Divide columns of motors by these gear ratios: no option does.",
     "position_counts": "The positions of {who} are not in {units}: {name} has "
     "{numbers} from {low:.6g} to {high:.6g}; they look like {guess} or positions of "
     "the motors. Convert them to {unit}, from the joint's zero.",
-    "position_zero": "The zero of {who} appears to be off by about {off:.0f} degrees "
-    "({evidence}). Add {add:+.0f} degrees to its position or, if the robot is mounted "
-    "in another way or carries a tool, correct the model.",
+    "position_zero": "The zero of {who} appears to be off ({evidence}). Add to the "
+    "positions, about [rad]: {values}, or, if the robot is mounted in another way or "
+    "carries a tool, correct the model.",
     "position_zeros": "All positions begin at zero, and the torques require other "
     "zeros ({evidence}): the encoders were set to zero at power-up. Add to the "
     "positions, about [rad]: {values}.",
@@ -122,9 +127,11 @@ SENTENCES = {
     "torque_factors": "The torques have different factors against what the described "
     "masses require ({each}): motor currents, or shares of each joint's rated torque. "
     'Give the factors to N m (gains), or gains="unknown".',
+    "current_constants": "The currents of {who} have the signs that the described "
+    "masses require; by these masses a unit of current is in N m or N (90 %): {each}.",
     "gear_factor": "The torque of {who} is {factor:.3g} times what the described "
-    "masses require: torque of the motor, a current, or another unit. Multiply it by "
-    "the gear ratio (about {ratio} would fit).",
+    "masses require: {units}. Multiply it by the factor to N m or the gear ratio "
+    "(about {ratio} would fit).",
     "gear_factor:commanded": "The commanded torques are {factor:.2g} times those of "
     "the described robot, in the median over the joints: check {numbers}.",
     "other_robot": "The torques are {size:.2g} times the described ones (median) and "
@@ -139,6 +146,9 @@ SENTENCES = {
     "is {share:.2f} ± {error:.2f} (described weight: up to {heavy:.3g} N m on "
     "{who}).{other} Log the torques before the controller takes the weight off, or add "
     "it.",
+    "no_gravity:joints": "The torques of {who} contain no weight of the links "
+    "({evidence}; described weight: up to {heavy:.3g} N m), those of other joints do. "
+    "Log the torques of all joints before the controller takes the weight off.",
     "gravity_only": "The torques contain the weight of the links alone: the factor of "
     "their inertia is {part:.2f} ± {error:.2f}. Log the torques or currents of the "
     "motors, not a model of gravity.",
@@ -151,6 +161,9 @@ SENTENCES = {
     "delay": "All torques are {size:.3g} ± {error:.2g} ms {late} against the positions "
     "({evidence}): two clocks, or a delay of the torques. The search shifts them by "
     "this lag.",
+    "delay:drift": "The clock of the torques is about {share} {ahead} against that of "
+    "the positions: their lag changes by {size:.3g} ms in the log ({evidence}). Log "
+    "both with the stamps of one clock.",
     "torque_lowpass": "All torques look filtered, by a low-pass with a time constant "
     "of about {size:.2g} ms ({evidence}): log them before the filter, or with a higher "
     "cut-off frequency.",

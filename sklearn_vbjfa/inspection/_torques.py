@@ -117,7 +117,7 @@ def scaled(reading):
     if factor <= 0 or 1 / number.SCALE < factor < number.SCALE:
         return None
     low, high = factor * np.exp([-error, error])
-    units = " or ".join(name for name, x in _UNITS.items() if low < 1 / x < high)
+    units = _units_inside(low, high)
     what = "motor currents, or in another unit" if factor < 1 else "in another unit"
     unknown = ', or gains="unknown"' if reading.nv > 1 else ""
     robot = reading.robot
@@ -132,10 +132,15 @@ def scaled(reading):
     )
 
 
+def _units_inside(low, high):
+    """Units of which a factor of torques against N m is in an interval."""
+    return " or ".join(name for name, x in _UNITS.items() if low < 1 / x < high)
+
+
 def scaled_each(reading):
     """Return torques of which one has another factor than the rest, or all have."""
     nv = reading.nv
-    factors, _, known, seen = torque_factors(reading.robot, alike=False)
+    factors, error, known, seen = torque_factors(reading.robot, alike=False)
     # Far from those of others, a factor may be uncertain.
     shown = np.flatnonzero(seen)
     if not shown.size:
@@ -151,7 +156,9 @@ def scaled_each(reading):
         ratio = 1 / factors[j]
         change = Change(scale=np.where(np.arange(nv) == j, ratio, 1.0))
         told = f"{ratio:.3g}" if ratio > 1 else f"1/{1 / ratio:.3g}"
-        facts = {"factor": factors[j], "ratio": told}
+        units = _units_inside(*factors[j] * np.exp(error[j] * np.array([-1, 1])))
+        units = units or "torque of the motor, a current, or another unit"
+        facts = {"factor": factors[j], "ratio": told, "units": units}
         return judged(reading, change, variants=nv, kind="gear_factor", facts=facts)
     logs = np.sort(np.log(factors[known]))
     # The factors of many hold two that are off by chance.
@@ -162,6 +169,21 @@ def scaled_each(reading):
     each = [f"{reading.names[j]} {factors[j]:.2g}" for j in np.flatnonzero(known)]
     facts = {"each": ", ".join(each)}
     return judged(reading, change, joints=reading.every, facts=facts)
+
+
+def current_constants(reading):
+    """Return the torque of a unit of each motor current, by the described bodies."""
+    factors, error, known, _ = torque_factors(reading.robot, alike=False)
+    joints = np.flatnonzero(known).tolist()
+    if not joints:
+        return []
+    ends = [np.exp([-error[j], error[j]]) / factors[j] for j in joints]
+    each = [
+        f"{reading.names[j]} {1 / factors[j]:.3g} ({low:.2g} to {high:.2g})"
+        for j, (low, high) in zip(joints, ends)
+    ]
+    facts = {"each": ", ".join(each)}
+    return [finding("current_constants", reading.names, joints, "note", **facts)]
 
 
 def commanded_size(reading):
@@ -231,7 +253,7 @@ def of_another(reading):
 def computed(reading):
     """Return torques that are those of the description, or its weight, to rounding."""
     robot = reading.robot
-    whole, weight = (_distance(robot, x) for x in reading.computed())
+    whole, weight = (_distance(robot, x) for x in (robot.described, robot.weight))
     # A single joint may well be without friction.
     if whole.size > 1 and whole.max() < number.COMPUTED:
         facts = {"share": percent(whole.max())}

@@ -49,7 +49,7 @@ def test_a_fit_warns_of_a_wrong_sign_and_of_another_unit(recording):
     [
         (180 / np.pi, 1.0, 'look like degrees.* columns="q=q{i} .deg."'),
         (180 / np.pi, 0.2, "look like degrees"),
-        (100.0, 1.0, "degrees and other units explain .*Divide positions of motors"),
+        (100.0, 1.0, r"joint_2 (99|100|101)\S* ± .*gear ratios"),
     ],
 )
 def test_units_of_positions_come_before_the_size_of_torques(factor, size, said):

@@ -1,5 +1,7 @@
 """What was done to a whole log is named, with its strength; sound logs stay silent."""
 
+import re
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -275,37 +277,58 @@ def test_a_robot_without_load_by_gravity_cannot_be_verified():
     assert "cannot be verified from this motion" in finding.message
 
 
-def test_torques_of_a_description_with_a_follower(tmp_path):
-    """The follower moves with its leader, and its body needs torque of it."""
-    link = (
-        '<link name="{0}"><inertial><origin xyz="{1}"/><mass value="{2}"/><inertia '
-        'ixx=".02" iyy=".03" izz=".04" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-    )
-    joint = (
-        '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>'
-        '<origin xyz="0 0 .4"/><axis xyz="0 1 0"/><limit lower="-3" upper="3" '
-        'effort="99" velocity="9"/>{3}</joint>'
-    )
-    path = tmp_path / "robot.urdf"
-    path.write_text(
-        '<robot name="r"><link name="base"/>'
-        + link.format("a", ".02 0 .2", 3)
-        + link.format("b", ".1 0 .2", 2)
-        + link.format("c", ".2 0 .1", 2)
-        + joint.format("one", "base", "a", "")
-        + joint.format("two", "a", "b", "")
-        + joint.format("third", "a", "c", '<mimic joint="two" multiplier="-2"/>')
-        + "</robot>"
-    )
-    full = pin.buildModelFromUrdf(str(path))
-    data, dt = full.createData(), 0.005
-    t = dt * np.arange(4000)
-    q = np.column_stack([np.sin(2 * t) + 0.4 * np.sin(5 * t), 0.7 * np.sin(3.3 * t)])
-    rates = np.zeros((3, 2))
-    for row, rate in (("one", [1, 0]), ("two", [0, 1]), ("third", [0, -2])):
-        rates[full.joints[full.getJointId(row)].idx_v] = rate
-    v = np.gradient(q, dt, axis=0)
-    states = zip(*(x @ rates.T for x in (q, v, np.gradient(v, dt, axis=0))))
-    tau = np.array([rates.T @ pin.rnea(full, data, *row) for row in states])
-    found = inspect_channels(str(path), q, tau, dt)
-    assert [x.kind for x in found if x.severity != "note"] == ["computed_torque"]
+def test_torques_of_some_joints_without_weight(log):
+    tau = log[0].tau.copy()
+    tau[:, 1:3] -= log[2][:, 1:3]
+    kinds, found = grave(log, tau=tau)
+    assert kinds == ["no_gravity"]
+    assert found[0].joints == (1, 2)
+
+
+def test_two_clocks_of_different_speed(log):
+    recording = log[0]
+    t = recording.dt * np.arange(recording.n_samples)
+    late = [np.interp(0.997 * t, t, x) for x in recording.tau.T]
+    kinds, found = grave(log, tau=np.transpose(late))
+    assert kinds == ["delay"]
+    assert "fast" in found[0].message
+    assert found[0].value == pytest.approx(0.003, rel=0.3)
+
+
+def test_two_zeros_are_off(log):
+    q = log[0].q.copy()
+    q[:, [1, 4]] += np.pi / 2
+    kinds, found = grave(log, q=q)
+    assert set(kinds) == {"position_zero"}
+    assert {j for one in found if one.severity != "note" for j in one.joints} == {1, 4}
+
+
+def test_gear_ratios_near_the_factor_of_degrees(log):
+    ratios = np.array([50.0, 55.0, 60.0, 65.0, 60.0, 50.0])
+    kinds, found = grave(log, q=ratios * log[0].q)
+    assert kinds == ["position_unit"]
+    each = re.findall(r"joint_(\d) ([\d.e+]+) ± ([\d.]+)", found[0].message)
+    assert len(each) >= 4
+    for j, ratio, error in each:
+        assert abs(float(ratio) - ratios[int(j) - 1]) < 3 * float(error) + 1
+
+
+def test_outliers_of_a_torque_and_rows_before_the_log_begins(log):
+    q, tau = log[0].q.copy(), log[0].tau.copy()
+    tau[::50, 2] += 20 * tau[:, 2].std()
+    assert grave(log, tau=tau)[0] == ["torque_outliers"]
+    tau = log[0].tau.copy()
+    q[:100], tau[:100] = 0.0, 0.0
+    assert grave(log, q=q, tau=tau)[0] == ["idle_rows"]
+
+
+def test_constants_of_motor_currents(log):
+    constants = np.array([9.0, 8.0, 7.0, 5.0, 4.0, 3.0])
+    recording, model, _ = log
+    signals = recording.q, recording.tau / constants, recording.dt
+    (note,) = inspect_channels(model, *signals, gains="unknown")
+    assert note.kind == "current_constants"
+    each = re.findall(r"joint_(\d) \S+ \(([\d.]+) to ([\d.]+)\)", note.message)
+    assert len(each) >= 4
+    for j, low, high in each:
+        assert float(low) < constants[int(j) - 1] < float(high)

@@ -138,7 +138,19 @@ def inspect_recording(recording, model=None):
     Returns
     -------
     findings : tuple of ChannelFinding
-        Findings, the worst first; see `inspect_channels`.
+        Findings, the worst first. An "error" is what a search for effects would find
+        instead of effects; a "warning" rules out a favourable verdict; a "note" is
+        harmless, or says what this motion of this robot cannot show ("unverified").
+
+    Notes
+    -----
+    After a common low-pass, the torques of all joints are fitted together: by the
+    described bodies, whose parameters may be off by half, and by friction, rotor and
+    offset of each joint. Each hypothesis changes channels, time or gravity, and its
+    marginal likelihood gives its odds against the log as it is. The most probable one
+    is applied, and the next one is looked for, so that one fault does not look like
+    another. Undetectable are the zero of a joint with a vertical axis or of the last
+    joint, and both signs of a joint that gravity does not load.
 
     Examples
     --------
@@ -204,50 +216,27 @@ def inspect_channels(
     bodies="prior",
     named=False,
 ):
-    """Look for channels of a recording that cannot be what their names say.
+    """Look for channels that cannot be what their names say; see `inspect_recording`.
 
     Parameters
     ----------
     model : str, os.PathLike or pinocchio.Model
         Robot; its inertias may be wrong by half, and its friction is not used.
-    q : array-like of shape (n_samples, nv)
-        Joint positions [rad or m], rows equidistant in time.
-    tau : array-like of shape (n_samples, nv)
-        Joint torques [N m] or forces [N]. A motor quantity in another unit will do for
-        the checks of sign, order and timing.
+    q, tau : array-like of shape (n_samples, nv)
+        Joint positions [rad or m] and torques [N m] or forces [N], or a motor quantity
+        for the checks of sign, order and timing; rows equidistant in time.
     dt : float
         Sample period [s].
     groups : array-like of shape (n_samples,), default=None
         Labels of separate recordings.
     drive : Drive, default=None
-        What made the torques: of commanded positions a "gear_factor" is then one of
-        ten in the median over the joints, and no delay is looked for, as a fit finds
-        it; of sizes of currents the signs are not missing.
+        What made the torques: of commands only the order of magnitude is judged, and no
+        delay is looked for; of sizes of currents the signs are not missing.
     gains, bodies : default=None, "prior"
         As of `RobotIdentifier`: with gains to identify no size of torques is a fault,
         and with free bodies no factor of all of them.
     named : bool, default=False
         Whether the channels carry the names of the joints, so that no order is assumed.
-
-    Returns
-    -------
-    findings : tuple of ChannelFinding
-        Findings, the worst first. An "error" is what a search for effects would find
-        instead of effects; a "warning" rules out a favourable verdict; a "note" is
-        harmless, or says what this motion of this robot cannot show ("unverified").
-
-    Notes
-    -----
-    After a common low-pass, the torques of all joints are fitted together: by the
-    described bodies, whose parameters may be off by half, and by friction, rotor and
-    offset of each joint. Each hypothesis changes channels, time or gravity, and its
-    marginal likelihood gives its odds against the log as it is. The most probable one
-    is applied, accepted if the changed log scores better, and the next one is looked
-    for, so that one fault does not look like another.
-
-    An empty result is not a certificate. Undetectable in principle are the zero of a
-    joint with a vertical axis or of the last joint, and both signs of a joint that
-    gravity does not load.
     """
     model, dt = load_folded(model).still, check_dt(dt)
     q, tau = _check_arrays(model, q, tau)

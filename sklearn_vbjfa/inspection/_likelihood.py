@@ -78,26 +78,15 @@ def _spread(bodies):
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """Described bodies and plain terms, fitted to the torques of some joints.
+    """Described bodies and plain terms, fitted to the torques of some joints."""
 
-    Attributes
-    ----------
-    evidence : float
-        Logarithm of the marginal likelihood of torques in units of their deviations,
-        so that readings in other units and orders can be compared.
-    left : ndarray of shape (n_joints,)
-        Logarithm of the share of each torque's variance that is left.
-    factors, covariance : ndarray of shape (m,) and (m, m)
-        Estimates of the factors asked for.
-    power : ndarray of shape (n_joints,)
-        Mean power that friction takes out of the motion, in standard errors.
-    """
-
+    # Logarithm of the marginal likelihood of torques in units of their deviations, so
+    # that readings in other units and orders can be compared.
     evidence: float
-    left: np.ndarray
-    factors: np.ndarray
-    covariance: np.ndarray
-    power: np.ndarray
+    left: np.ndarray  # (n_joints,): log of the share of each torque's variance left
+    factors: np.ndarray  # (m,): estimates of the factors asked for
+    covariance: np.ndarray  # (m, m)
+    power: np.ndarray  # (n_joints,): that friction takes, in standard errors
 
     @property
     def errors(self):

@@ -17,67 +17,25 @@ from sklearn_vbjfa.model import (
 
 @dataclass(frozen=True, kw_only=True)
 class JointMotion:
-    """What one joint does in a recording.
-
-    Attributes
-    ----------
-    name : str
-        Joint.
-    slides : bool
-        Whether it moves along its axis.
-    lowest, highest : float
-        Range of its positions [rad or m].
-    fastest : float
-        Speed that it exceeds in half a percent of the time [rad/s or m/s].
-    reversals : int
-        How often it turns round.
-    resting : float
-        Share of the time that it is at rest.
-    torques : tuple of float
-        Lowest and highest torque [unit of the recording].
-    loads : tuple of float
-        Lowest and highest torque of gravity by the robot's description [N m or N].
-    shows, hides : tuple of str
-        What the motion can show, and what it cannot, with the reason.
-    """
+    """What one joint does in a recording, in rad or m and seconds."""
 
     name: str
-    slides: bool
+    slides: bool  # whether it moves along its axis
     lowest: float
     highest: float
-    fastest: float
+    fastest: float  # speed that it exceeds in half a percent of the time
     reversals: int
-    resting: float
-    torques: tuple
-    loads: tuple
-    shows: tuple
+    resting: float  # share of the time that it is at rest
+    torques: tuple  # lowest and highest torque [unit of the recording]
+    loads: tuple  # lowest and highest torque of the described weight [N m or N]
+    shows: tuple  # what the motion can show, and what it cannot, with the reason
     hides: tuple
 
 
 def motion_of(recording, model=None):
-    """Return what each joint of a recording does, a tuple of `JointMotion`.
-
-    Parameters
-    ----------
-    recording : Recording
-        Positions and torques.
-    model : str, os.PathLike or pinocchio.Model, default=None
-        Robot; None is `Recording.robot_model`.
-
-    Returns
-    -------
-    tuple of JointMotion
-        In the order of the joints; empty if every recording is shorter than the filter
-        that separates the motion from noise.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.datasets import load_demo_recording
-    >>> from sklearn_vbjfa.inspection import motion_of
-    >>> first = motion_of(load_demo_recording())[0]
-    >>> first.name, first.reversals > 10, first.hides
-    ('joint_1', True, ('load-dependent friction: gravity does not load it',))
-    """
+    """Return what each joint of a recording does, a tuple of `JointMotion`."""
+    # model: of the robot; None is `Recording.robot_model`. Empty if every recording is
+    # shorter than the filter that separates the motion from noise.
     model = load_model(recording.robot_model() if model is None else model)
     rows, parts = long_parts(recording.n_samples, recording.groups)
     q, tau = recording.q[rows], recording.tau[rows]

@@ -21,32 +21,19 @@ from sklearn_vbjfa.recording import COMMANDS, contiguous_groups
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A reading of a log that differs from the unchanged log.
+    """A reading of a log that differs from the unchanged log."""
 
-    Attributes
-    ----------
-    positions, torques : ndarray of shape (nv,) or None
-        Channel to read for each joint; None for its own.
-    factor, offset : float or ndarray of shape (nv,)
-        Positions are multiplied by a factor, then an offset is added [rad or m].
-    scale : float or ndarray of shape (nv,)
-        Torques are multiplied by it.
-    period : float
-        The sample period is multiplied by it.
-    gravity : ndarray of shape (3,) or None
-        Gravity of the description [m/s^2]; None for its own.
-    lag : int
-        Samples by which torques are late.
-    """
-
+    # (nv,): channels to read for each joint; None for its own.
     positions: np.ndarray | None = None
     torques: np.ndarray | None = None
+    # Float or (nv,): positions are multiplied by a factor, then an offset is added
+    # [rad or m]; torques are multiplied by a scale.
     factor: object = 1.0
     offset: object = 0.0
     scale: object = 1.0
-    period: float = 1.0
-    gravity: np.ndarray | None = None
-    lag: int = 0
+    period: float = 1.0  # factor of the sample period
+    gravity: np.ndarray | None = None  # (3,) [m/s^2]; None for that of the description
+    lag: int = 0  # samples by which torques are late
 
     @property
     def moves(self):

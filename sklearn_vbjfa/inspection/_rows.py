@@ -116,28 +116,26 @@ def shuffled_rows(names, q, parts, labels=None):
 def _unwrapped(log):
     """Find angles that jump by a full turn; return the positions without jumps."""
     # An error: differentiating across a jump gives speeds of hundreds of rad/s.
-    q = log.q
-    for turn, name in ((2 * np.pi, "2 pi"), (360.0, "360")):
-        turning = np.flatnonzero(log.revolute)
-        jumps = {int(j): _turns(log.q[:, j], turn, log.parts) for j in turning}
-        jumps = {j: over for j, over in jumps.items() if over.size}
-        if not jumps:
-            continue
-        q = q.copy()
-        for j in jumps:
-            for part in log.parts:
-                x = np.unwrap(q[part, j], period=turn)
-                # Each recording may begin in another turn.
-                q[part, j] = x - turn * np.round(x.mean() / turn)
-        rows = np.concatenate(list(jumps.values()))
-        facts = {"turn": name, "count": rows.size, "row": log.rows[rows.min()]}
-        log.report("wrapped_position", list(jumps), "error", **facts)
+    turning = np.flatnonzero(log.revolute)
+    jumps = {int(j): _turns(log.q[:, j], log.parts) for j in turning}
+    jumps = {j: over for j, over in jumps.items() if over.size}
+    if not jumps:
+        return log.q
+    q = log.q.copy()
+    for j in jumps:
+        for part in log.parts:
+            x = np.unwrap(q[part, j])
+            # Each recording may begin in another turn.
+            q[part, j] = x - 2 * np.pi * np.round(x.mean() / (2 * np.pi))
+    rows = np.concatenate(list(jumps.values()))
+    facts = {"count": rows.size, "row": log.rows[rows.min()]}
+    log.report("wrapped_position", list(jumps), "error", **facts)
     return q
 
 
-def _turns(x, turn, parts):
+def _turns(x, parts):
     """Return the rows after jumps by a full turn."""
-    found = [np.zeros(0, dtype=int)]
+    found, turn = [np.zeros(0, dtype=int)], 2 * np.pi
     for part in parts:
         y = x[part]
         step = np.diff(y)

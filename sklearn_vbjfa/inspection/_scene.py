@@ -65,9 +65,8 @@ def weightless_joints(reading):
     if len(lost) < 2:
         return None
     heavy = np.abs(robot.weight[:, lost]).max()
-    facts = {"heavy": heavy}
-    kind = "no_gravity:joints"
-    return Candidate(joints=tuple(lost), log_odds=odds, kind=kind, facts=facts)
+    args = {"kind": "no_gravity:joints", "severity": "warning"}
+    return Candidate(joints=tuple(lost), log_odds=odds, facts={"heavy": heavy}, **args)
 
 
 def weight_alone(reading):

@@ -36,7 +36,7 @@ SENTENCES = {
     # -- rows
     "shuffled_rows": "The rows are not in the order of time: {evidence}. Sort them by "
     "time, and split whole recordings by time and not at random (shuffle=False).",
-    "wrapped_position": "The position of {who} is wrapped: it jumps by {turn} {count} "
+    "wrapped_position": "The position of {who} is wrapped: it jumps by 2 pi {count} "
     "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
     "{mean:.4g}, which is its noise, and its own parameters are not identifiable. Lock "
@@ -148,7 +148,8 @@ SENTENCES = {
     "it.",
     "no_gravity:joints": "The torques of {who} contain no weight of the links "
     "({evidence}; described weight: up to {heavy:.3g} N m), those of other joints do. "
-    "Log the torques of all joints before the controller takes the weight off.",
+    "Log them before the controller takes the weight off, or describe what balances "
+    "them.",
     "gravity_only": "The torques contain the weight of the links alone: the factor of "
     "their inertia is {part:.2f} ± {error:.2f}. Log the torques or currents of the "
     "motors, not a model of gravity.",

@@ -185,6 +185,12 @@ def _rows(part, base):
             f"{part.table.path}: time must increase from row to row to join it with "
             f"{base.name}; sort it, and remove duplicates."
         )
+    if not 0.01 < np.ptp(t) / max(np.ptp(at), 1e-300) < 100.0:
+        raise ValueError(
+            f"{part.table.path}: the times span {np.ptp(t):.4g} and those of "
+            f"{base.name} {np.ptp(at):.4g}; write both in one unit, or the unit into "
+            "the name of the column (t_ms)."
+        )
     period = np.median(step)
     rows = np.interp(at, t, np.arange(n))
     # Stamps that differ by rounding are the same.

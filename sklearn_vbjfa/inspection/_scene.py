@@ -290,7 +290,13 @@ def _acting(reading, pushes):
     few = felt.sum() < min(robot.joints.size, 2)
     if few or fit.fall(now) < number.CLEAR_OF_JOINT:
         return None
-    begin, end = (rows[min(k, rows.size - 1)] * reading.dt for k in place)
+    # Within the recording in which its middle lies.
+    stops = [part.stop for part in reading.parts]
+    k = int(np.searchsorted(stops, rows[sum(place) // 2], side="right"))
+    first, last = reading.parts[k].start, stops[k] - 1
+    ends = np.clip(rows[np.minimum(place, rows.size - 1)], first, last) - first
+    begin, end = ends * reading.dt
+    where = "after the start" if len(stops) == 1 else f"of recording {k + 1}"
     joints = robot.joints[felt]
     each = zip(joints, torques.mean(axis=0)[felt], reading.slides[joints])
     pushes = [
@@ -300,7 +306,7 @@ def _acting(reading, pushes):
     return Candidate(
         joints=tuple(joints.tolist()),
         log_odds=fit.evidence - now.evidence - np.log(rows.size),
-        facts={"begin": begin, "end": end, "pushes": ", ".join(pushes)},
+        facts={"begin": begin, "end": end, "where": where, "pushes": ", ".join(pushes)},
     )
 
 

@@ -168,7 +168,7 @@ SENTENCES = {
     "torque_lowpass": "All torques look filtered, by a low-pass with a time constant "
     "of about {size:.2g} ms ({evidence}): log them before the filter, or with a higher "
     "cut-off frequency.",
-    "external_force": "From {begin:.1f} to {end:.1f} s after the start something else "
+    "external_force": "From {begin:.1f} to {end:.1f} s {where} something else "
     "acts on the robot ({pushes}; {evidence}), such as a contact. Leave this interval "
     "out.",
     "unverified:massless": _UNVERIFIED + "a body of the description has no mass.",

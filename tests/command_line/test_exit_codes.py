@@ -94,7 +94,7 @@ RECORDINGS = {
         {"": (3, "The torque of shoulder has a new value only every 4 rows")},
     ),
     "a coarse torque": (
-        lambda x: x | {"tau1": steps(x["tau1"], 0.5)},
+        lambda x: x | {"tau1": steps(x["tau1"], 1.5)},
         {"": (3, "The torque of shoulder goes in steps of ")},
     ),
     "a joint at rest": (

@@ -256,7 +256,8 @@ def inspect_channels(
     dt *= log.every
     reading = Reading(model, names, q, tau, dt, parts, usable, drive, named)
     found = _compared(reading)
-    if isinstance(gains, str) and not any(x.severity == "error" for x in found):
+    wrong = any(x.severity == "error" for x in found)
+    if isinstance(gains, str) and drive is None and not wrong:
         found += [] if reading.tell_nothing() else torques.current_constants(reading)
     if any(one.severity != "note" for one in log.findings):
         # Which robot it is cannot be said of rows that are wrong.

@@ -144,12 +144,15 @@ def zeros(reading, *, few=False):
     """Return the zeros of all joints that fit best, or of few of them."""
     # Of joints whose zero does not matter, such as vertical ones, it stays.
     free, nv = np.flatnonzero(~reading.slides), reading.nv
-    place = _searched(reading, _offset, np.zeros(nv), free, number.ANGLES)
-    place, _ = _stepped(reading, _offset, place, free)
+    groups = (free,) * (2 * nv if free.size else 0)
+    least = number.CLEAR_OF_JOINT if few else number.SETTLED
+    place = _searched(reading, _offset, np.zeros(nv), groups, number.ANGLES, least)
+    place, errors = _stepped(reading, _offset, place, free)
     if few:
-        # What an arm needs less is an effect, or a link that differs.
-        place = np.where(np.abs(place) > number.FAR_ZERO, place, 0.0)
-        place, _ = _stepped(reading, _offset, place, np.flatnonzero(place))
+        # Less is an effect, or a link that differs, or not shown.
+        shown = free[np.abs(place[free]) > np.maximum(number.FAR_ZERO, 3 * errors)]
+        place = np.where(np.isin(reading.every, shown), place, 0.0)
+        place, _ = _stepped(reading, _offset, place, shown)
     place = np.where(reading.slides, 0.0, (place + np.pi) % (2 * np.pi) - np.pi)
     moved = tuple(np.flatnonzero(np.abs(place) > number.MOVED).tolist())
     if not moved:
@@ -172,15 +175,17 @@ def _offset(place):
     return Change(offset=place)
 
 
-def _searched(reading, made, place, joints, values):
-    """Try values for a parameter of each of some joints in turn, by the rough score."""
-    # made: the change of parameters (nv,).
+def _searched(reading, made, place, groups, values, least=number.SETTLED):
+    """Add values to parameters (nv,), each to the best joint of a group, by a score."""
+    # made: the change of parameters; least: fall of the score by one of them.
     best, eye = reading.rough(made(place)).sum(), np.eye(reading.nv)
-    for j in [*joints, *joints]:
-        tried = [place + value * eye[j] for value in values]
+    for joints in groups:
+        tried = [place + value * eye[j] for j in joints for value in values]
         left = [reading.rough(made(x)).sum() for x in tried]
-        if min(left) < best - number.SETTLED:
+        if min(left) < best - least:
             best, place = min(left), tried[int(np.argmin(left))]
+        elif len(joints) > 1:
+            break
     return place
 
 
@@ -283,7 +288,7 @@ def _with_ratios(reading, best):
 
     among, starts = np.isin(reading.every, joints), number.RATIOS
     place = min((x * among for x in starts), key=lambda x: after.rough(made(x)).sum())
-    place = _searched(after, made, place, joints, starts)
+    place = _searched(after, made, place, 2 * [[j] for j in joints], starts)
     near = after.changed(made(place))
     if near.tell_nothing():
         return best

@@ -92,7 +92,7 @@ TABLE = (
     Hypothesis("flipped_joint", "error", positions.flipped, when="poor"),
     Hypothesis("position_sign", "error", positions.mirrored, when="poor"),
     # A warning: another mounting or tool looks the same, with a wrong geometry only.
-    Hypothesis("position_zero", "warning", positions.zero, when="poor"),
+    Hypothesis("position_zero", "warning", positions.zero, when="poor", masses=True),
     Hypothesis("wrong_dt", "error", positions.periods),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),

@@ -161,7 +161,8 @@ def zeros(reading, *, few=False):
     tried = len(number.ANGLES) * nv
     least = clear_of_all(reading)
     if few:
-        least = max(least, number.CLEAR_OF_JOINT * len(moved))
+        # Each brings what a single one must bring.
+        least = max(least, number.CLEAR_OF_JOINT) * len(moved)
     args = {"joints": moved, "variants": tried ** (few * len(moved)), "facts": facts}
     return judged(reading, _offset(place), least, **args)
 

@@ -352,7 +352,9 @@ def regressor_rows(
 def _effect_columns(plan, motion, kept):
     """Pair effects with their columns (n, [nv,] k) along a motion."""
     # kept: see `regressor_rows`.
-    found, corners = [], None if plan.corners is None else plan.corners.tobytes()
+    # Signs of velocities at rest and at turns are another plan's.
+    rest = () if motion.rest is None else vars(motion.rest).values()
+    found, rest = [], tuple(np.asarray(own, dtype=float).tobytes() for own in rest)
     own_motion = own_motions(plan.effects, plan.ranges, motion)
     for effect, own in zip(plan.effects, own_motion):
         shape = motion.q.shape if effect.whole_robot else motion.q.shape[:1]
@@ -364,11 +366,11 @@ def _effect_columns(plan, motion, kept):
                 raise ValueError(
                     f"effects holds {effect.name} on joint {effect.joint}: {reason}."
                 )
-            columns = kept.get((effect, corners))
+            columns = kept.get((effect, rest))
             if columns is None:
                 columns = effect.columns(own)
             if is_plain(effect):
-                kept[effect, corners] = columns
+                kept[effect, rest] = columns
         found.append((effect, columns))
     return found
 

@@ -18,9 +18,13 @@ _MOST = 0.5
 _KNOWN = 1e-9
 # Most deviations that are named.
 _MOST_FOUND = 8
-# What may differ on a joint: offset, viscous and Coulomb friction, and the torque of
-# the robot of the other recordings.
+# What may differ on a joint, with its columns: offset, viscous and Coulomb friction,
+# and the torques of the robot of the other recordings and of its last body.
+_CAUSES = {"offset": [0], "gain": [3], "friction": [1, 2], "payload": [4]}
+# The first of these columns find a difference; the last body's only names it.
 _COLUMNS = 4
+# Nats by which all columns must explain more than the best cause to be one.
+_NATS = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +37,12 @@ class Contradiction:
     # fitted: by a fit to the rest of this recording, and by one to the rest of all
     alone: float
     together: float
+    # what differs: "offset", "gain" (of the torque), "friction" or "payload"; "model"
+    # for more
+    cause: str
+    # of an offset: how much larger it is [N m or N]; of a gain or a payload: how many
+    # times as large the torque is, or that of the last body; else nan
+    value: float
     p_value: float  # of the F test, times the number of tests
 
 
@@ -59,6 +69,7 @@ class Parts:
         # Thirds of the blocks of time, and not blocks in turns: slow noise would be
         # known from both neighbours.
         block = np.r_[0, np.cumsum(np.diff(self._view.spans.label) != 0)]
+        self.n_blocks = int(block[-1]) + 1
         part = np.zeros(block.size, dtype=int)
         for r in range(self.count):
             own = self._origin == r
@@ -204,12 +215,16 @@ class Parts:
         return found
 
     def columns_of(self, r, j):
-        """Columns of what may differ on a joint of a recording, (k, 4)."""
+        """Columns of what may differ on a joint of a recording, (k, 5)."""
         n = self._columns[j].size
-        columns = np.zeros((n + 3, _COLUMNS))
+        columns = np.zeros((n + 3, _COLUMNS + 1))
         columns[n:, :3] = np.eye(3)
         theta = self.solve(self.recording != r)
         columns[:n, 3] = theta[self._columns[j]]
+        features = self._fit.identifier.features_
+        last = features.n_parameters_ // self.nv * (self.nv - 1)
+        of_last = np.isin(self._columns[j], np.arange(last, last + 10))
+        columns[:n, 4] = columns[:n, 3] * of_last
         return columns
 
     def fitted(self, added):
@@ -287,7 +302,8 @@ def contradictions(parts, spread, alpha):
     if parts.count > 2:
         suspects = sorted({r for r, _ in suffering})
     joints = sorted({j for _, j in suffering})
-    candidates = {(r, j): parts.columns_of(r, j) for r in suspects for j in joints}
+    columns = {(r, j): parts.columns_of(r, j) for r in suspects for j in joints}
+    candidates = {key: A[:, :_COLUMNS] for key, A in columns.items()}
     chosen = {}
     while candidates and len(chosen) < _MOST_FOUND:
         trials = {key: _tested(parts, chosen, key, A) for key, A in candidates.items()}
@@ -298,7 +314,8 @@ def contradictions(parts, spread, alpha):
     found = []
     for key, A in chosen.items():
         others = {other: own for other, own in chosen.items() if other != key}
-        p_value = _tested(parts, others, key, A)[1]
+        _, p_value, unit = _tested(parts, others, key, A)
+        cause, value = _cause(parts, others, key, columns[key], unit)
         alone, together = suffering.get(key, (np.nan, np.nan))
         found.append(
             Contradiction(
@@ -306,6 +323,8 @@ def contradictions(parts, spread, alpha):
                 joint=key[1],
                 alone=alone,
                 together=together,
+                cause=cause,
+                value=value,
                 p_value=p_value,
             )
         )
@@ -313,11 +332,23 @@ def contradictions(parts, spread, alpha):
 
 
 def _tested(parts, others, key, A):
-    """F statistic of the columns of a joint of a recording, and its p-value."""
+    """F statistic of the columns of a joint of a recording, its p-value and unit."""
     gain, theta, coefs = parts.fitted(others | {key: A})
     size, freedom = parts.within(key[1], A, others | {key: A}, coefs, theta)
     # A recording may differ by what its thirds differ by: it is no mean over them.
     unit = 1.0 + _PARTS * (max(size, 1.0) - 1.0)
     F = (gain - parts.fitted(others)[0]) / unit / _COLUMNS
     p_value = float(stats.f.sf(F, _COLUMNS, freedom)) * parts.count * parts.nv
-    return F, min(p_value, 1.0)
+    return F, min(p_value, 1.0), unit
+
+
+def _cause(parts, others, key, A, unit):
+    """Name what differs, and its value: the simplest that explains nearly as much."""
+    scores = {}
+    for name, own in {**_CAUSES, "model": range(_COLUMNS)}.items():
+        gain, _, coefs = parts.fitted(others | {key: A[:, list(own)]})
+        score = 0.5 * (gain / unit - len(own) * np.log(parts.n_blocks))
+        scores[name] = score - _NATS * (name == "model"), float(coefs[-1][0])
+    name = max(scores, key=lambda name: scores[name][0])
+    value = scores[name][1] + (name in ("gain", "payload"))
+    return name, np.nan if name in ("friction", "model") else value

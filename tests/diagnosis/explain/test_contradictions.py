@@ -61,19 +61,28 @@ def test_no_false_alarm(seed):
 
 
 @pytest.mark.parametrize("recordings", [PAIR, FOUR])
-@pytest.mark.parametrize("spoil", [gain, flipped, offset, joint_friction])
-def test_the_recording_and_the_joint_are_named(recordings, spoil):
+@pytest.mark.parametrize(
+    ("spoil", "cause", "value"),
+    [
+        (gain, "gain", 1.2),
+        (flipped, "gain", -1.0),
+        (offset, "offset", 0.7),
+        (joint_friction, "friction", np.nan),
+    ],
+)
+def test_the_recording_and_the_cause_are_named(recordings, spoil, cause, value):
     _, (one,) = compared(recordings, spoil)
-    assert one.joint == 1
+    assert (one.cause, one.joint) == (cause, 1)
     # Friction is declared: one recording has more, or the other one less.
-    if len(recordings) > 2 or spoil is not joint_friction:
+    if len(recordings) > 2 or cause != "friction":
         assert one.recording == 1
+    assert one.value == pytest.approx(value, rel=0.03, nan_ok=True)
     assert one.p_value < 0.05
     assert not one.alone > np.sqrt(0.5) * one.together
 
 
 def keys(found):
-    return {(one.recording, one.joint) for one in found}
+    return {(one.cause, one.recording, one.joint) for one in found}
 
 
 def test_a_fault_of_the_model_is_no_difference_and_hides_none():
@@ -85,7 +94,7 @@ def test_a_fault_of_the_model_is_no_difference_and_hides_none():
         return fault(k, torque, recording) + [0.0, 0.12 * torque[:, 1].std() * (k == 1)]
 
     assert compared(FOUR, fault)[1] == ()
-    assert keys(compared(FOUR, with_offset)[1]) == {(1, 1)}
+    assert keys(compared(FOUR, with_offset)[1]) == {("offset", 1, 1)}
 
 
 def test_another_load_in_one_recording():
@@ -99,11 +108,26 @@ def test_another_load_in_one_recording():
     assert {one.recording for one in compared(FOUR, load)[1]} == {1}
 
 
+def test_a_last_link_that_is_heavier_is_a_payload():
+    def heavier(k, torque, recording):
+        states = np.hstack([recording.q, recording.v, recording.a])
+        last = recording.model.inertias[recording.model.nv].toDynamicParameters()
+        return (
+            torque
+            + 0.3 * (k == 1) * last_body_regressor(recording.model, states) @ last
+        )
+
+    found = compared(FOUR, heavier, bodies="prior")[1]
+    assert {(one.cause, one.recording) for one in found} == {("payload", 1)}
+    for one in found:
+        assert one.value == pytest.approx(1.3, abs=0.05)
+
+
 def test_recordings_that_differ_each_in_its_way():
     def both(k, torque, recording):
         return friction(k, torque, recording) + [0.0, 0.7 * (k == 2)]
 
-    expected = {(1, 0), (1, 1), (2, 1)}
+    expected = {("friction", 1, 0), ("friction", 1, 1), ("offset", 2, 1)}
     assert keys(compared(FOUR, both)[1]) == expected
     offsets = (0.6, -0.5, 0.3, -0.7)
 
@@ -111,7 +135,9 @@ def test_recordings_that_differ_each_in_its_way():
         return torque + [0.0, offsets[k]]
 
     found = compared(FOUR, each)[1]
-    assert keys(found) == {(k, 1) for k in range(4)}
+    assert keys(found) == {("offset", k, 1) for k in range(4)}
+    for one in found:
+        assert one.value == pytest.approx(offsets[one.recording], rel=0.05)
 
 
 def test_errors_are_those_of_fits_made_one_by_one():
@@ -151,16 +177,16 @@ def test_a_single_recording_contradicts_nothing():
     assert compared(PAIR[:1])[1] == ()
 
 
-def test_the_report_names_the_recording_and_the_joint(two_motions):
+def test_the_report_names_the_recording_and_the_cause(two_motions):
     torques = [gain(k, torque, None) for k, torque in enumerate(TWO_MOTIONS.torques)]
     loop = TWO_MOTIONS.search(np.concatenate(torques))
     text = " ".join(str(loop.report_).split())
     assert "Recordings slow and fast contradict each other" in text
     page = " ".join(loop.report_.to_html().split())
-    assert "differs in recording fast (p" in page
+    assert "times as large in recording fast accounts for the difference (p" in page
     data = loop.report_.to_dict()
     assert data["provenance"]["recordings"] == ["slow", "fast"]
-    assert data["contradictions"][0]["recording"] == 1
+    assert data["contradictions"][0]["cause"] == "gain"
     assert two_motions.report_.to_dict()["contradictions"] == []
     assert "contradict" not in str(two_motions.report_)
     assert "Limits of the recordings" not in two_motions.report_.to_html()

@@ -110,14 +110,24 @@ def test_the_motion_of_each_joint_and_what_it_does_not_show():
     assert_said(section_of(free, "Next steps"), "-1 to 1.5 rad", "0.08 to 0.8 rad/s")
 
 
-def test_recordings_that_contradict_each_other():
+@pytest.mark.parametrize(
+    ("cause", "value", "said"),
+    [
+        ("offset", -0.5, "An offset of -0.5 N m on joint 2"),
+        ("gain", 1.2, "A torque of joint 2 that is 1.2 times as large"),
+        ("friction", np.nan, "Different friction of joint 2"),
+        ("payload", 1.3, "A load on the last link"),
+        ("model", np.nan, "friction or a load on the last link"),
+    ],
+)
+def test_recordings_that_contradict_each_other(cause, value, said):
     errors = {"alone": 0.011, "together": 0.072, "p_value": 1e-5}
-    one = Contradiction(recording=0, joint=1, **errors)
+    one = Contradiction(recording=0, joint=1, cause=cause, value=value, **errors)
     names = ("slow", "fast", "last")
     report = Report(make_outcome(nv=3, contradictions=(one,), recordings=names))
     assert "Recording slow contradicts the others" in report.headline
     text = section_of(report, "Limits of the recordings")
-    assert_said(text, "1.1 %", "7.2 %", "p = 0.00001", "differs in recording slow")
+    assert_said(text, "1.1 %", "7.2 %", "p = 0.00001", "in recording slow", said)
 
 
 def test_sound_recordings_need_no_words():

@@ -14,6 +14,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     FinalFit,
     Models,
     added_effects,
+    given_motion,
     judge,
     make_outcome,
     split_in_time,
@@ -298,8 +299,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         commanded = replace(whole, signals={**signals, **whole.signals})
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
-            outcome = self._close(model, whole, commanded, library, unusable, names)
-        return self._set(outcome)
+            found = self._close(model, whole, commanded, library, unusable, names)
+        return self._set(*found)
 
     # -- stages ---------------------------------------------------------------------
 
@@ -504,7 +505,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         share = seen.n_samples / whole.n_samples
         return FinalFit(self.baseline_, self.identifier_, view, effects, share)
 
-    def _set(self, outcome):
+    def _set(self, outcome, expectation):
         """Set the results and the report."""
         findings = outcome.findings
         self.effects_, self.possible_ = findings["effects"], findings["possible"]
@@ -514,6 +515,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.error_plain_ = outcome.column("plain")
         self.error_after_ = outcome.column("after")
         self.torque_std_ = outcome.column("spread")
+        self._expectation = expectation
         self.report_ = Report(outcome)
         return self
 
@@ -533,6 +535,34 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         return self.identifier_.predict(X, groups=groups, t=t, signals=signals)
+
+    def expected_error(self, X, groups=None, t=None, signals=None):
+        """Predict the error of the completed model on another motion.
+
+        It is the error on held-out data, larger for speeds, accelerations and loads
+        beyond those of the fit, and what friction, gains, offsets and the load differ
+        by between recordings. The report has the same for motion like the fitted.
+
+        Parameters
+        ----------
+        X, groups, t, signals : array-like
+            Positions or states of the motion, as for `predict`.
+
+        Returns
+        -------
+        error : ndarray of shape (nv,)
+            Median of the RMS error over `torque_std_`; nan for a joint without an error
+            on held-out data.
+        interval : ndarray of shape (2, nv)
+            Ends between which it is in nine of ten recordings.
+        """
+        check_is_fitted(self)
+        robot, spread = self.identifier_, self.torque_std_
+        predicted = robot.predict(X, groups, t, signals)
+        states = robot.robot_.states(positions_in_order(X, self.joint_names_), groups)
+        motion = given_motion(robot, np.asarray(states), predicted, spread)
+        error, low, high = self._expectation.of(motion)[:, :-1]
+        return error, np.stack([low, high])
 
 
 def _is_plain(effect):

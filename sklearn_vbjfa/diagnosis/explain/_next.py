@@ -29,7 +29,7 @@ _ROWS = 4000
 
 
 class Expectation:
-    """Error to expect of the next recording of motion like the fitted.
+    """Error to expect of the next recording, by its motion.
 
     The squared error is that on held-out data (noise and model errors) plus the
     differences of parameters between recordings, times the torques that they act on.
@@ -40,10 +40,10 @@ class Expectation:
     # left, floor (nv,): error on held-out data and that of the noise alone, over the
     # spread; scatter (nv,): deviation of the logarithm of the first; left_out (r, nv):
     # errors on each recording of a model fitted to the others, nan where there is none;
-    # sizes (n_kinds, nv): of the torques that the parameters of a kind act on
+    # motion: `Motions` of the fit
 
-    def __init__(self, left, floor, scatter, left_out, sizes):
-        self._left, self._sizes = left, sizes
+    def __init__(self, left, floor, scatter, left_out, motion):
+        self._left, self._motion = left, motion
         self._noise = np.fmin(floor, left) ** 2
         self._noise[np.isnan(floor)] = 0.0
         self._scatter = np.nan_to_num(scatter)
@@ -75,7 +75,7 @@ class Expectation:
         used = np.isfinite(self._out) & (self._left > 0)
         if self.recordings < 2 or not used.any():
             return np.zeros(_DRAWS)
-        sizes = self._sizes[:, used] ** 2
+        sizes = self._motion.sizes[:, used] ** 2
         expected = (_robots(1)[0][:, :, None] ** 2 * sizes).sum(axis=1)
         # Usually one kind dominates, and the variance is chi-squared.
         least = (_SLACK * self._left[used]) ** 2
@@ -90,22 +90,23 @@ class Expectation:
             return "measured"
         return "partly measured" if self.recordings == 2 else "assumed"
 
-    def errors(self):
-        """Expect errors of motion like the fitted, (3, nv + 1).
+    def of(self, motion=None):
+        """Expect errors for a motion, by default one like the fitted, (3, nv + 1).
 
         Median and ends in nine of ten recordings of the error of each joint, nan for
         one that was not judged, and of the mean of the joints.
         """
+        motion = motion or self._motion
         count = max(self.recordings, 1)
         differ, again, motions = _robots(count)
-        lacks = self._parts()[1]
+        lacks = self._parts()[1] * self._motion.distance(motion)
         rng, nv = np.random.default_rng(1), lacks.shape[1]
         values = rng.standard_normal((_DRAWS, len(_KINDS), nv))
         values[:, _SHARED] = values[:, _SHARED, :1]
         change, luck = rng.standard_normal((2, _DRAWS, nv))
         alone = self._noise + lacks * np.exp(2 * (again + motions * change))
         squares = alone * np.exp(2 * self._scatter * luck)
-        shifts = differ[:, :, None] * self._sizes * values
+        shifts = differ[:, :, None] * motion.sizes * values
         errors = np.sqrt(squares + (1 + 1 / count) * (shifts**2).sum(axis=1))
         judged = np.isfinite(self._left)
         found = np.full((len(_ENDS), nv + 1), np.nan)
@@ -139,10 +140,41 @@ def _robots(count):
     return differ, again, _DIFFER[0] * np.exp(_DIFFER[1] * motions)
 
 
-def torque_sizes(final, spread):
-    """Sizes of the torques that parameters of each kind act on, (n_kinds, nv)."""
+class Motions:
+    """Sizes of torques of a motion, and the speeds, accelerations and loads in it."""
+
+    # v, a, load, friction (n, nv); weight (n, nv): zero where a joint rests; spread
+    # (nv,): of the torque of the fit
+
+    def __init__(self, v, a, load, friction, weight, spread):
+        total = np.maximum(weight.sum(axis=0), 1e-300)
+
+        def size(values):
+            return np.sqrt((weight * values**2).sum(axis=0) / total) / spread
+
+        ones = np.ones(weight.shape)
+        parts = friction, friction + load, spread * ones, load
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.sizes = np.nan_to_num([size(values) for values in parts])
+        rows = np.stack([ones, v, v * np.abs(v), a, load], axis=-1)
+        self._moments = np.einsum("nj,njk,njl->jkl", weight / total, rows, rows)
+
+    def distance(self, other):
+        """Leverage of the rows of a motion over that of these, at least 1."""
+        found = [
+            np.trace(np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ rows)
+            / np.linalg.matrix_rank(own, tol=1e-9 * np.trace(own), hermitian=True)
+            if np.trace(own) > 0
+            else 1.0
+            for own, rows in zip(self._moments, other._moments)
+        ]
+        return np.maximum(found, 1.0)
+
+
+def fitted_motion(final, spread):
+    """Return the `Motions` that a final fit was made from."""
     view, identifier = final.view, final.identifier
-    theta = identifier.robot_.linear_part(identifier.theta_)
+    nv, theta = view.nv, identifier.robot_.linear_part(identifier.theta_)
     rows = np.linspace(0, view.index.size - 1, min(view.index.size, _ROWS)).astype(int)
     Phi = view.equations.Phi[rows]
     columns = _friction_columns(final.declared)
@@ -153,12 +185,29 @@ def torque_sizes(final, spread):
         for effect, torque in zip(final.effects, final.effect_torques())
         if _is_friction(effect)
     )
+    v, a = np.split(view.states[view.index[rows]], [nv, 2 * nv], axis=1)[1:]
     weight = view.equations.weight[rows]
-    total = np.maximum(weight.sum(axis=0), 1e-300)
-    parts = friction, friction + load, spread * np.ones(weight.shape), load
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sizes = [np.sqrt((weight * x**2).sum(axis=0) / total) / spread for x in parts]
-    return np.nan_to_num(sizes)
+    return Motions(v, a, load, friction, weight, spread)
+
+
+def given_motion(identifier, states, predicted, spread):
+    """Return the `Motions` of states (n, 3 nv) with predicted torques (n, nv)."""
+    rows = np.linspace(0, len(states) - 1, min(len(states), _ROWS)).astype(int)
+    states, predicted = states[rows], predicted[rows]
+    features, nv = identifier.features_, identifier.features_.n_joints_
+    theta = identifier.theta_[: features.n_parameters_]
+    Phi = features.matrices(states)
+    total, friction = Phi @ theta, np.zeros((len(rows), nv))
+    acts = {e.joint for e in identifier.effects_ if _is_friction(e)}
+    for j, own in enumerate(_friction_columns(identifier)):
+        own = own[own < features.n_parameters_]
+        friction[:, j] = Phi[:, j, own] @ theta[own]
+    load = total - friction
+    for j in acts:
+        friction[:, j] = predicted[:, j] - load[:, j]
+    _, v, a = np.split(states, [nv, 2 * nv], axis=1)
+    moving = np.abs(v) > np.maximum(identifier.standstill_, 0.0)
+    return Motions(v, a, load, friction, moving.astype(float), spread)
 
 
 def _friction_columns(identifier):

@@ -14,7 +14,7 @@ from sklearn.base import BaseEstimator
 from sklearn_vbjfa.diagnosis.explain._effects import discovered_effects
 from sklearn_vbjfa.diagnosis.explain._errors import NEXT_SECONDS
 from sklearn_vbjfa.diagnosis.explain._gaps import not_identifiable, unexplained
-from sklearn_vbjfa.diagnosis.explain._next import Expectation, torque_sizes
+from sklearn_vbjfa.diagnosis.explain._next import Expectation, fitted_motion
 from sklearn_vbjfa.diagnosis.explain._recordings import Parts, contradictions
 from sklearn_vbjfa.effects import UnnamedTorque, declarable, resolve
 from sklearn_vbjfa.equations._features import nominal_followers
@@ -150,7 +150,7 @@ def _json(value):
 
 
 def make_outcome(search, models, final, judged, channels, asked, whole, recordings):
-    """Collect the results in an `Outcome`."""
+    """Collect the results: an `Outcome`, and the `Expectation` of errors."""
     # `models` were fitted to the rows of the search, `final` to all data; `judged` is
     # returned by `judge`; `asked` are the parameters of the discovery; `whole` is all
     # data, `recordings` their names.
@@ -168,8 +168,8 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         scatter = np.log(high / low) / (2 * HALF_WIDTH)
     parts = Parts.of(final)
     left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
-    sizes = torque_sizes(final, spread)
-    expectation = Expectation(after, columns["floor"], scatter, left_out, sizes)
+    motion = fitted_motion(final, spread)
+    expectation = Expectation(after, columns["floor"], scatter, left_out, motion)
     errors = _errors(names, prismatic, columns, judged["intervals"])
     effects = tuple(discovered_effects(search, final, names, prismatic))
     known = np.where(columns["enough"], after, np.nan)
@@ -212,7 +212,7 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         "left_out": len(left_out),
         "settings": _settings(search, asked) | judged["settings"],
     }
-    return Outcome(
+    outcome = Outcome(
         errors=errors,
         findings=findings,
         facts=(
@@ -224,6 +224,7 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         curves=judged["curves"],
         provenance=provenance,
     )
+    return outcome, expectation
 
 
 def _errors(names, prismatic, columns, intervals):
@@ -347,9 +348,7 @@ def _masses(bodies):
 def _expected(expectation, names):
     """Yield the errors that are expected of the next recording of such motion."""
     joints = [*enumerate(names), (None, "mean of the joints")]
-    for (joint, name), (error, low, high) in zip(
-        joints, expectation.errors().T.tolist()
-    ):
+    for (joint, name), (error, low, high) in zip(joints, expectation.of().T.tolist()):
         yield Fact(
             kind="next recording",
             name=name,

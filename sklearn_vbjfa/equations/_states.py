@@ -7,11 +7,7 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa.recording import (
-    check_cutoff,
-    check_dt,
-    contiguous_groups,
-)
+from sklearn_vbjfa.recording import check_cutoff, check_dt, contiguous_groups
 
 # Shortest recording that the spline can be fitted to.
 _MIN_SAMPLES = 8

@@ -10,12 +10,7 @@ from scipy import linalg
 from sklearn_vbjfa.effects import CommandDelay, declared
 from sklearn_vbjfa.equations._equations import held_columns
 from sklearn_vbjfa.equations._plan import effect_places
-from sklearn_vbjfa.fit._bodies import (
-    DESCRIBED,
-    Site,
-    inverse_of,
-    propagated,
-)
+from sklearn_vbjfa.fit._bodies import DESCRIBED, Site, inverse_of, propagated
 from sklearn_vbjfa.fit._estimate import widening, with_prior
 from sklearn_vbjfa.model import (
     is_prismatic,

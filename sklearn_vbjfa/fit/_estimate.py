@@ -18,10 +18,7 @@ from sklearn_vbjfa.fit._bodies import (
     little_learned,
 )
 from sklearn_vbjfa.model import nominal_parameters, solid_bodies
-from sklearn_vbjfa.physical import (
-    Options,
-    PhysicalProjector,
-)
+from sklearn_vbjfa.physical import Options, PhysicalProjector
 from sklearn_vbjfa.regression import (
     BaseJointFactorRegressor,
     VBJFARegressor,

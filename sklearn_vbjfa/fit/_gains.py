@@ -17,12 +17,7 @@ from sklearn_vbjfa.effects import Payload, TorqueGain
 from sklearn_vbjfa.equations._plan import effect_places
 from sklearn_vbjfa.fit._estimate import IDENTIFIABLE, LOST, noise_weights
 from sklearn_vbjfa.model._trees import body_names
-from sklearn_vbjfa.robot._channels import (
-    HALF_WIDTH,
-    LIMIT,
-    ChannelGains,
-    CommonGain,
-)
+from sklearn_vbjfa.robot._channels import HALF_WIDTH, LIMIT, ChannelGains, CommonGain
 
 # ... so that two of them differ by its square at most.
 _WIDEST = LIMIT**2

@@ -46,11 +46,7 @@ from sklearn_vbjfa.fit._signs import signed, with_signs
 from sklearn_vbjfa.inspection import contradicted, inspect_channels, levels
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
-from sklearn_vbjfa.recording import (
-    PDDrive,
-    check_dt,
-    torques_in_order,
-)
+from sklearn_vbjfa.recording import PDDrive, check_dt, torques_in_order
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 
 

@@ -26,10 +26,7 @@ from sklearn_vbjfa.fit._estimate import project
 from sklearn_vbjfa.recording import take_rows
 from sklearn_vbjfa.robot._posterior import of_effects
 from sklearn_vbjfa.robot._windows import warn_once
-from sklearn_vbjfa.simulation import (
-    SimulationError,
-    simulate,
-)
+from sklearn_vbjfa.simulation import SimulationError, simulate
 
 # Steps end when the mean squared error falls by less than this share.
 TOLERANCE = 1e-4

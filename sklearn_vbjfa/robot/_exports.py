@@ -12,12 +12,7 @@ from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._dynamics import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, write_mjcf
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
-from sklearn_vbjfa.simulation import (
-    LeftOut,
-    SimulationError,
-    simulate,
-    with_bodies,
-)
+from sklearn_vbjfa.simulation import LeftOut, SimulationError, simulate, with_bodies
 
 
 def plain_totals(robot):

@@ -20,10 +20,7 @@ from sklearn_vbjfa.equations._equations import (
     make_motion,
     regressor_rows,
 )
-from sklearn_vbjfa.equations._features import (
-    Follower,
-    RigidBodyFeatures,
-)
+from sklearn_vbjfa.equations._features import Follower, RigidBodyFeatures
 from sklearn_vbjfa.equations._plan import Plan, parameter_names
 from sklearn_vbjfa.equations._recording_checks import (
     check_length,
@@ -32,9 +29,7 @@ from sklearn_vbjfa.equations._recording_checks import (
 )
 from sklearn_vbjfa.equations._states import RecordingStates, fit_states, smooth_to
 from sklearn_vbjfa.equations._torque_noise import noise_facts, rows_looked_at, seen
-from sklearn_vbjfa.model._loading import (
-    joint_names,
-)
+from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.recording import (
     columns_beside,
@@ -68,11 +63,7 @@ from sklearn_vbjfa.robot._posterior import (
     seed_of,
 )
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
-from sklearn_vbjfa.robot._spreads import (
-    min_eigenvalues,
-    note_of_masses,
-    outside_text,
-)
+from sklearn_vbjfa.robot._spreads import min_eigenvalues, note_of_masses, outside_text
 from sklearn_vbjfa.robot._windows import follow
 from sklearn_vbjfa.simulation._simulate import simulate
 from sklearn_vbjfa.simulation._stepper import Load, Stepper, TorqueModel, causal

@@ -4,11 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.effects import (
-    POSITION,
-    SPEED,
-    TORQUE,
-)
+from sklearn_vbjfa.effects import POSITION, SPEED, TORQUE
 from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.physical import body_scales, min_eigenvalue

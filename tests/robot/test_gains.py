@@ -9,6 +9,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import linalg, optimize
 
 from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.equations._joint_moments import JointMoments
+from sklearn_vbjfa.fit._gains import _most_likely
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion
 
@@ -92,6 +94,21 @@ def test_gains_are_those_of_nonlinear_least_squares():
     assert_allclose(found.gain[first], 1.0)
     assert found.std[first] == 0.0
     assert not found.hidden
+
+
+def test_gains_begin_at_the_most_likely_ones():
+    rng, gains = np.random.default_rng(0), np.array([2.0, 0.5, 1.0])
+    rows, theta = rng.normal(size=(3, 400, 2)), np.array([1.0, -2.0])
+    tau = gains[:, None] * (rows @ theta) + 1e-3 * rng.normal(size=(3, 400))
+    moments = JointMoments(
+        n=np.full(3, 400.0),
+        n_rows=np.full(3, 400),
+        G=rows.transpose(0, 2, 1) @ rows,
+        g=np.einsum("jnp,jn->jp", rows, tau),
+        yy=(tau**2).sum(axis=1),
+    )
+    logs, _ = _most_likely(moments, np.arange(3))
+    assert_allclose(np.exp(logs - logs[2]), gains, rtol=1e-3)
 
 
 def test_gains_do_not_depend_on_units():

@@ -85,7 +85,7 @@ def write_law(axis, mu, load, constant):
     ends = np.array([load.min(), 0.0, load.max()])
     axis.plot(ends, mu * np.abs(ends) - constant, "--", color=LAW, lw=1.3)
     axis.annotate(
-        f"what is missing: {mu:.2f} N m\nof friction per N m of load",
+        f"missing: {mu:.2f} N m\nof friction per N m of load",
         (0.5 * ends[0], 0.5 * mu * abs(ends[0]) - constant),
         (0.2, 0.97),
         textcoords="axes fraction",

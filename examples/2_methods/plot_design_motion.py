@@ -124,9 +124,7 @@ for name in ("position", "velocity", "torque"):
     print(f"margin of {name}: {motion.margins[name].round(3)}")
 for shown in motion.shows:
     if shown.joint == 1 and shown.name in ("spring", "counterbalance"):
-        print(
-            f"{shown.name}: told from all else if its torque is {shown.least:.2f} N m"
-        )
+        print(f"{shown.name}: detectable if its torque is {shown.least:.2f} N m")
 
 # %%
 # Second recording

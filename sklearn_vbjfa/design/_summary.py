@@ -153,7 +153,7 @@ def _pairs(motion):
             decided.append(f"- {joint}, from {torque}: {causes}")
         else:
             left.append(
-                f"not told apart on {joint}, except by {torque}, more than it has: "
+                f"not distinguishable on {joint}, except by {torque}, more than it has: "
                 f"{causes}"
             )
     return decided, left

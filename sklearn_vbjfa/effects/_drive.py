@@ -80,7 +80,7 @@ class _ToAnother(Shaped):
         return super().applies(motion)
 
     def _check_other(self, motion):
-        """Refuse a second joint that is not another one."""
+        """Refuse a second joint that is the first."""
         if self.other == self.joint or not 0 <= self.other < motion.n_joints:
             raise ValueError(
                 f"other of {self.name} must be another joint, 0 to "

@@ -725,7 +725,7 @@ def torque_spread(*parts):
 
 
 def compare(segments, lowpass, theta):
-    """Residuals behind a low-pass of `Segment` by parameters (p,)."""
+    """Low-pass filtered residuals of `Segment` by parameters (p,)."""
     # Torques are predicted before the low-pass, which is linear: a filter of one column
     # of each joint instead of all columns of the regressor.
     found, every = [], slice(None)

@@ -184,6 +184,5 @@ def check_drive(settings):
     gains = settings.gains
     if gains is not None and drive.gains is None:
         raise ValueError(
-            "drive has gains of its own, and cannot be combined with gains: leave "
-            "gains=None."
+            "drive has gains, and cannot be combined with gains: leave gains=None."
         )

@@ -305,7 +305,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         -----
         DoubtWarning
             If the fit contradicts the description and `inspect_channels` finds a
-            reason, such as torques of another unit or sign.
+            reason, such as a wrong unit or sign of the torques.
         """
         self._declare()
         recording = recording_of_arguments(

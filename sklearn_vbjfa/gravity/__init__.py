@@ -355,7 +355,7 @@ def static_samples(recording, features):
 
 
 def _fitted(samples, model, rows=slice(None)):
-    """Fit friction beside the described bodies, and beside corrected ones.
+    """Fit friction with the described bodies, and with corrected ones.
 
     Also returns the variance (n, nv) of the noise of all samples.
     """

@@ -329,7 +329,7 @@ def _late(tau, samples, parts, usable):
 class Candidate:
     """A change that a hypothesis proposes, with the facts of its sentence.
 
-    One that is not clear explains the torques better than the log as it is, but leaves
+    One that is not clear explains the torques better than the unchanged log, but leaves
     errors that are too large to report it; no less probable one is reported either.
     """
 

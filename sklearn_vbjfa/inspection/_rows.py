@@ -237,7 +237,7 @@ def _rate(log, x):
 
 
 def _idle(log):
-    """Find rows at an end of a recording that are equal, beside a jump."""
+    """Find rows at an end of a recording that are equal and next to a jump."""
     step = np.abs(log.steps(log.q))
     same = (log.steps(np.hstack([log.q, log.tau])) == 0).all(axis=1) & ~log.first
     fast, found = number.SUDDEN * np.quantile(step, 0.995, axis=0), []

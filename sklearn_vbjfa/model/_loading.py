@@ -92,7 +92,7 @@ def load_model(model, base_orientation=None):
         an inertia that no solid body has is completed by a ball (see `solid_bodies`),
         joints have none of the springs, damping, friction and tendons of an MJCF file,
         and a joint that follows another one and carries joints that do not counts as a
-        joint of its own. What other joints that follow move is held where it is while
+        separate joint. What other joints that follow move is held where it is while
         their leaders are at zero. A base that is held is named with its orientation.
 
     See Also
@@ -254,7 +254,7 @@ def _left_out(mimics, model):
     if mimics:
         found.append(
             f"that {', '.join(mimics)} follow(s) another joint and carries joints that "
-            "do not is not modelled, each counts as a joint with a torque of its own "
+            "do not is not modelled, each counts as a joint with a separate torque "
             "(to hold such joints at zero, leave them out of joint_names or --joints)"
         )
     possible = solid_bodies(nominal_parameters(model), _POSSIBLE)

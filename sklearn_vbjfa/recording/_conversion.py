@@ -1,4 +1,4 @@
-"""The table of a file as a recording, or the refusal that names what is missing."""
+"""The table of a file as a recording, or the refusal that names the missing columns."""
 
 import itertools
 import re

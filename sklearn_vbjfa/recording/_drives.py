@@ -351,7 +351,7 @@ class CurrentDrive(Drive):
     -----
     The sign of a torque is not that of the motion: gravity holds a joint that moves
     down. Signs are found by expectation and maximisation. With the predicted torque f
-    and the variance :math:`\sigma^2` of what is left, a size m counts as
+    and the variance :math:`\sigma^2` of the residual, a size m counts as
     :math:`m \tanh(m f / \sigma^2)`, the mean over both signs, and the robot is fitted
     to that until nothing moves; the first signs are, joint by joint, those with which
     rigid bodies as described, friction and an offset explain most. Signs of rows that

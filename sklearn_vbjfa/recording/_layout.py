@@ -435,7 +435,7 @@ def _in_places(places, unit, table, kind):
 
 @functools.cache
 def _expression(pattern):
-    """Turn a pattern into a regular expression; equal marks stand for equal texts."""
+    """Turn a pattern into a regular expression; equal marks match equal texts."""
     text = re.escape(pattern)
     for mark, name, anything in _MARKS:
         text = text.replace(mark, f"(?P<{name}>{anything})", 1)

@@ -1,4 +1,4 @@
-"""What each joint may lack beside a model, and how probable that is."""
+"""Candidate effects of each joint given a model, with their probabilities."""
 
 from dataclasses import dataclass, replace
 

@@ -58,7 +58,7 @@ class Cosines:
         return out
 
     def rows(self, cosines):
-        """Rows (nj, m, ...) that cosines (nj, n, ...) stand for."""
+        """Rows (nj, m, ...) of cosines (nj, n, ...)."""
         out = np.empty((cosines.shape[0], self._n_rows, *cosines.shape[2:]))
         whole = np.zeros(out.shape[1:])
         for i, own in enumerate(cosines):

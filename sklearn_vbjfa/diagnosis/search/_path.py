@@ -205,7 +205,7 @@ class Path:
         return family.member(best, float(own))
 
     def _stand(self, fit, first):
-        """Which of the last members stand once robot and load are made anew, a list."""
+        """Which of the last members remain probable after a refit, a list."""
         # What its first derivative promises need not hold: a gain that is hidden looks
         # like whatever the joint lacks. And bodies take the load from friction that
         # depends on it; of the other members the next round asks that.

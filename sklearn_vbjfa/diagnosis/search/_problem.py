@@ -477,7 +477,7 @@ class Fit:
 
     @functools.cached_property
     def excluded(self):
-        """Keys of effects that come not beside the members, a set."""
+        """Keys of effects that exclude the members, a set."""
         return set().union(*(m.effect.excludes() for m in self.members))
 
     @property
@@ -584,7 +584,7 @@ class Fit:
         return self._rows(self.residual * self.base.weights)
 
     def _rows(self, cosines):
-        """Rows that whitened cosines (nv, n, ...) stand for, where rows count."""
+        """Rows of whitened cosines (nv, n, ...), zero where rows do not count."""
         found = self.problem.cosines.rows(cosines)
         used = (self.problem.view.root.T > 0) & self.problem.used_joints[:, None]
         return np.where(used.reshape(*used.shape, *(1,) * (found.ndim - 2)), found, 0.0)

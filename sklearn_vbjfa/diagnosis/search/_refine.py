@@ -235,7 +235,7 @@ def instant(effects, evidence, motion):
 
 
 def _shared(motion, between, places):
-    """Instants (c,) that stand for others: those of rows, or between recordings."""
+    """Instants (c,) that represent others: those of rows, or between recordings."""
     times = np.asarray(motion.t, dtype=float)
     shared = times.copy()
     for row, value, _ in between:

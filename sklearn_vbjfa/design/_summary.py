@@ -153,8 +153,8 @@ def _pairs(motion):
             decided.append(f"- {joint}, from {torque}: {causes}")
         else:
             left.append(
-                f"not distinguishable on {joint}, except by {torque}, more than it has: "
-                f"{causes}"
+                f"not distinguishable on {joint}, except by {torque}, more than it "
+                f"has: {causes}"
             )
     return decided, left
 

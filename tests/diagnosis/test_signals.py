@@ -13,7 +13,7 @@ ONE = record("ZY", duration=30.0, seed=2)
 SHARE = ONE.t / ONE.t[-1]
 LIBRARY = ["spring", "signal", "drift"]
 FRICTION, FALL = 2.0, 0.4
-RAMP = 25 + 20 * SHARE
+RAMP = 25 + 20 * SHARE**1.5
 CYCLES = 35 - 10 * np.cos(2.5 * np.pi * SHARE)
 
 

@@ -29,12 +29,7 @@ from sklearn_vbjfa.equations._recording_checks import (
 from sklearn_vbjfa.equations._states import choose_states
 from sklearn_vbjfa.fit._estimate import from_moments
 from sklearn_vbjfa.inspection import levels
-from sklearn_vbjfa.recording import (
-    check_dt,
-    expanded,
-    read_recording,
-    recordings_in,
-)
+from sklearn_vbjfa.recording import check_dt, expanded, read_recording, recordings_in
 
 __all__ = ["fit_recordings"]
 # Results that are in memory together.

@@ -31,12 +31,11 @@ def say(text):
     """Say in the line what is done."""
     line = _LINE.get()
     if line is not None:
-        line.set_description_str(text, refresh=False)
-        line.update(0)
+        line.set_description_str(text)
 
 
 def counted(items, text, total):
-    """Yield items, of which there are so many, and say which."""
+    """Yield items, of which there are `total`, and show the number of each."""
     for k, item in enumerate(items):
         say(f"{text}: {k + 1} of {total}")
         yield item

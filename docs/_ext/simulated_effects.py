@@ -481,7 +481,7 @@ def _urdf(path, robot):
         for effect in robot.effects
         if isinstance(effect, effects.JointAxis)
     }
-    source, solid = scene().urdf, np.ones(robot.n_joints)
+    source, solid = Path(scene().urdf).read_text(), np.ones(robot.n_joints)
     return to_urdf(path, source, robot, solid, turned_joints=turned)
 
 

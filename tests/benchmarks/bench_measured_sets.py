@@ -118,9 +118,12 @@ def judge(q, tau, groups, identifier):
     seconds = time.perf_counter() - started
     (X, y, labels), (X_test, y_test, labels_test) = split_of(loop, q, tau, groups)
 
+    completed = loop.validation_model_.residuals(X_test, y_test, groups=labels_test)
+
     def error(model):
+        # On the rows of the completed model, which may know torques at rest.
         left = model.residuals(X_test, y_test, groups=labels_test)
-        return left.rms() / loop.torque_std_
+        return replace(left, weight=completed.weight).rms() / loop.torque_std_
 
     declared = error(loop.declared_)
     if not np.allclose(declared, loop.error_before_, atol=SAME, equal_nan=True):

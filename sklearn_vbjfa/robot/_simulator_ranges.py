@@ -36,8 +36,8 @@ class ParameterRange:
 class Ranges:
     """Ranges of all parameters of an identified robot.
 
-    `RobotIdentifier.ranges` makes them. They are indexed by the names of the
-    parameters.
+    `RobotIdentifier.ranges` makes them. They are iterated in the order of the
+    parameters, and indexed by their names.
 
     Attributes
     ----------
@@ -67,6 +67,9 @@ class Ranges:
     recordings: int
     parameters: tuple
     note: str = ""
+
+    def __iter__(self):
+        return iter(self.parameters)
 
     def __getitem__(self, name):
         """Return the `ParameterRange` of a name."""

@@ -20,6 +20,7 @@ from _report import fixed, parser, publish, rst_table
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import fetch_unitree_go2
+from sklearn_vbjfa.robot import FitOptions
 
 PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
 CUTOFF, DELAY = 10.0, 2
@@ -41,7 +42,7 @@ def row_of(bodies, alike, recording, runs=range(10)):
     """Cells of a way."""
     model = recording.robot_model()
     settings = {"dt": recording.dt, "friction": PLAIN, "cutoff": CUTOFF}
-    settings["alike"] = "auto" if alike else None
+    settings["options"] = FitOptions(alike="auto" if alike else None)
     robot = RobotIdentifier(model, bodies=bodies, **settings)
 
     def fit(runs):

@@ -49,15 +49,19 @@ def row_of(bodies, alike, recording, runs=range(10)):
         q, tau, groups = taken(recording, runs)
         return robot.fit(q, tau, groups=groups)
 
+    def values(robot):
+        """Parameters of each joint, without those of the whole robot."""
+        return robot.theta_[: robot.features_.n_parameters_].reshape(12, -1)
+
     rotors, masses = [], []
     for k in runs:
-        theta = fit([k]).theta_.reshape(12, -1)
+        theta = values(fit([k]))
         rotors.append(theta[:, 13])
         masses.append(theta[:, 0].sum())
     rotors = np.array(rotors)
     scatter = 100 * rotors.std(axis=0) / np.abs(rotors.mean(axis=0))
     started = time.process_time()
-    theta = fit(FITTED).theta_.reshape(12, -1)
+    theta = values(fit(FITTED))
     seconds = time.process_time() - started
     legs = theta[:, 13].reshape(4, 3)
     between = 100 * legs.std(axis=0) / legs.mean(axis=0)

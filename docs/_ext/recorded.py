@@ -6,6 +6,7 @@ digest of the code that made them.
 """
 
 import ast
+import functools
 import hashlib
 import json
 import re
@@ -99,13 +100,19 @@ def digest(rooms, package=PACKAGE):
     found = hashlib.sha256()
     for room in sorted(rooms):
         for path in sorted((package / room).rglob("*.py")):
-            tree = ast.parse(path.read_text(encoding="utf-8"))
-            for node in ast.walk(tree):
-                body = getattr(node, "body", None)
-                if isinstance(body, list):
-                    node.body = [x for x in body if not _is_text(x)]
-            found.update(ast.dump(tree).encode())
+            found.update(_code(path.read_text(encoding="utf-8")))
     return found.hexdigest()[:16]
+
+
+@functools.cache
+def _code(text):
+    """Syntax tree of a module without docstrings, as bytes."""
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [x for x in body if not _is_text(x)]
+    return ast.dump(tree).encode()
 
 
 def _is_text(node):

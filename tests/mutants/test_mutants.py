@@ -2,6 +2,7 @@
 
 import ast
 import difflib
+import functools
 import inspect
 
 import pytest
@@ -12,12 +13,17 @@ from tests.mutants.run import HERE, ROOT, Mutant, mutants
 NAMES = [path.stem for path in sorted(HERE.glob("*.diff"))]
 
 
+@functools.cache
+def functions_of(file):
+    """Functions of a test module by name."""
+    body = ast.parse((ROOT / file).read_text(encoding="utf-8")).body
+    return {one.name: one for one in body if isinstance(one, ast.FunctionDef)}
+
+
 def function_of(test):
     """Return the function of a test, which may be one of many cases, or None."""
     file, name = test.partition("[")[0].split("::")
-    body = ast.parse((ROOT / file).read_text(encoding="utf-8")).body
-    found = (one for one in body if isinstance(one, ast.FunctionDef))
-    return next((one for one in found if one.name == name), None)
+    return functions_of(file).get(name)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -27,7 +33,7 @@ def test_a_mutant_applies_and_its_test_is_of_the_quick_run(name):
     changed = mutant.applied(text)
     ast.parse(changed)
     # One line for another, or one line less.
-    lines = difflib.ndiff(text.splitlines(), changed.splitlines())
+    lines = difflib.ndiff(mutant.before.splitlines(), mutant.after.splitlines())
     signs = [line[0] for line in lines if line[0] in "+-"]
     assert signs in (["-", "+"], ["-"])
     function = function_of(mutant.test)

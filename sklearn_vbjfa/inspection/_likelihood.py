@@ -57,6 +57,16 @@ class Bodies:
         motion, *pulls = self._parts
         return _regressors(motion, states), [_regressors(x, still) for x in pulls]
 
+    def described(self, states):
+        """Torques (n, nv) of the described bodies' motion, and of their weight."""
+        still = states.copy()
+        still[:, self.nv :] = 0.0
+        whole, weight = (
+            self._whole.torques(*np.split(x, 3, axis=1), self.parameters)
+            for x in (states, still)
+        )
+        return whole - weight, weight
+
     def torques(self, regressors):
         """Torques (n, nv) of the described bodies."""
         return regressors @ self.parameters

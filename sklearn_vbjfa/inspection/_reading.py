@@ -15,7 +15,7 @@ from sklearn_vbjfa.inspection._likelihood import (
     DescribedRobot,
     under_gravity,
 )
-from sklearn_vbjfa.model import described_torques, is_prismatic
+from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import COMMANDS, contiguous_groups
 
 
@@ -253,7 +253,7 @@ class Reading:
         if change is None:
             return np.diagonal(self.rough_crossed)
         signals = change.signals(self._roughly)
-        return _left(self.model, signals, self.robot.joints, signals.tau)
+        return _left(self.bodies, signals, self.robot.joints, signals.tau)
 
     @functools.cached_property
     def _roughly(self):
@@ -264,7 +264,7 @@ class Reading:
     def rough_crossed(self):
         """Of each joint's motion and each torque, (n_joints, n_joints)."""
         signals, joints = self._roughly, self.robot.joints
-        every = [_left(self.model, signals, joints, x[:, None]) for x in signals.tau.T]
+        every = [_left(self.bodies, signals, joints, x[:, None]) for x in signals.tau.T]
         return np.column_stack([every[j] for j in joints])
 
     def tried(self, change):
@@ -290,12 +290,11 @@ class Reading:
         return replace(self, model=model, q=q, tau=tau, dt=dt, usable=usable)
 
 
-def _left(model, signals, joints, tau):
+def _left(robot, signals, joints, tau):
     """Log of the share of torques (n, nv or 1) that the described ones leave."""
-    nv, weight = model.nv, signals.weight[:, joints].T
-    states = np.split(signals.states, 3, axis=1)
-    v, a = (x[:, joints] for x in states[1:])
-    bodies = [x[:, joints] for x in described_torques(model, *states)]
+    nv, weight = robot.nv, signals.weight[:, joints].T
+    v, a = (x[:, joints] for x in np.split(signals.states, 3, axis=1)[1:])
+    bodies = [x[:, joints] for x in robot.described(signals.states)]
     X = np.stack([*bodies, v, signals.sign[:, joints], a, np.ones_like(v)], axis=-1)
     X = X.swapaxes(0, 1) * weight[:, :, None]
     y = np.broadcast_to(tau, (len(v), nv))[:, joints].T * weight

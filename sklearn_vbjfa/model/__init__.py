@@ -26,7 +26,6 @@ _MODULES = {
     "_trees": (
         "body_names",
         "describe",
-        "described_torques",
         "import_compiled",
         "import_pinocchio",
         "in_order",

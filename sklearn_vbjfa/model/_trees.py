@@ -111,14 +111,6 @@ def joint_origin(model, joint):
     return link.placement.rotation.T @ placed
 
 
-def described_torques(model, q, v, a):
-    """Return the torques (n, nv) of the described bodies' motion, and of gravity."""
-    pin, data, still = import_pinocchio(), model.createData(), np.zeros(model.nv)
-    whole = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
-    weight = np.array([pin.rnea(model, data, x, still, still) for x in q])
-    return whole - weight, weight
-
-
 def nominal_parameters(model):
     """Inertial parameters (nv, 10) in the model, about the joint frames."""
     # Pinocchio's order: m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg, kg m, kg

@@ -2,9 +2,11 @@
 
 import warnings
 from dataclasses import replace
+from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import BaseEstimator, clone
+from sklearn.utils._param_validation import Interval
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core._progress import say, show_progress
@@ -116,6 +118,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     declared_, baseline_ : RobotIdentifier
         Declared model, and the same with the four friction terms, fitted to the search
         data.
+    torque_lag_ : float
+        Common delay of all torque channels [s], found first and removed; 0 if none.
     joint_names_ : tuple of str
         Joints in the order of the columns of X and y.
     report_ : Report
@@ -167,6 +171,17 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     >>> bool((loop.error_after_ < loop.error_before_).all())
     True
     """
+
+    _parameter_constraints = {  # noqa: RUF012
+        "identifier": [RobotIdentifier],
+        "effects": "no_validation",
+        "test_size": [Interval(Real, 0, 1, closed="neither")],
+        "alpha": [Interval(Real, 0, 1, closed="neither")],
+        "max_effects": [Interval(Integral, 0, None, closed="left"), None],
+        "settings": [SearchSettings, None],
+        "random_state": ["random_state"],
+        "verbose": ["verbose"],
+    }
 
     def __init__(
         self,
@@ -280,9 +295,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         known = {"command": recording.command, "feedback": recording.feedback}
         known["torque_units"] = recording.torque_units
         known["joints_named"] = recording.joints_named
-        drive = self.identifier.drive
-        if drive is not None and drive.of_positions:
-            known |= {"v": recording.v, "signals": recording.signals}
         whole = replace(whole, **known)
         return self._fit(model, whole, library, signals, OfferedSignals(), names)
 
@@ -296,24 +308,22 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             part = split.searched(whole)
             whole = clone(self.identifier).fit_inspected(part).signed(whole)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
-        commanded = replace(whole, signals={**signals, **whole.signals})
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
-            found = self._close(model, whole, commanded, library, unusable, names)
+            found = self._close(model, whole, library, unusable, names)
         return self._set(*found)
 
     # -- stages ---------------------------------------------------------------------
 
-    def _close(self, model, whole, commanded, library, unusable, names):
+    def _close(self, model, whole, library, unusable, names):
         """Close the loop on a checked recording; return what `make_outcome` does."""
         say("channels")
         channels, silent = self._check_channels(model, whole)
+        self.torque_lag_ = 0.0
         for found in (x.value for x in channels if x.kind == "delay"):
             again = clone(self.identifier)
             late = again.fit_inspected(whole, found, compare=False).torque_lag_
-            whole, commanded = (
-                x.with_torques_shifted(late) for x in (whole, commanded)
-            )
+            whole, self.torque_lag_ = whole.with_torques_shifted(late), late
         channels += unusable
         say("declared model")
         split = split_in_time(self.identifier, whole, self.test_size)
@@ -346,7 +356,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         )
         # Copies of most rows are not needed any more.
         del part, seen
-        judged = judge(models, found, split, near, whole, commanded)
+        judged = judge(models, found, split, near, whole)
         say("final model")
         asked = whole, split.moving, silent, known
         final = self._hand_over(found, unnamed, *asked)
@@ -356,31 +366,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _check_parameters(self):
         """Check what was given; return the library to search."""
+        self._validate_params()
         given = self.identifier
-        if not isinstance(given, RobotIdentifier):
-            raise ValueError(
-                "identifier must be a RobotIdentifier, the declared model; got "
-                f"{type(given).__name__}."
-            )
         if given.criterion != "torque":
             raise ValueError(
                 'identifier must have criterion="torque"; the search needs torque '
                 f"residuals. Got {given.criterion!r}. Refine the result "
                 'afterwards: loop.identifier_.set_params(criterion="simulation").'
-            )
-        if not (isinstance(self.alpha, (int, float)) and 0 < self.alpha < 1):
-            raise ValueError(
-                f"alpha must be a share between 0 and 1; got {self.alpha!r}."
-            )
-        most, whole = self.max_effects, (int, np.integer)
-        if most is not None and not (isinstance(most, whole) and most >= 0):
-            raise ValueError(
-                f"max_effects must be a non-negative integer or None; got {most!r}."
-            )
-        if not (self.settings is None or isinstance(self.settings, SearchSettings)):
-            raise ValueError(
-                "settings must be SearchSettings or None, which takes the defaults; "
-                f"got {type(self.settings).__name__}."
             )
         library = resolve(self.effects)
         if given.asked_gains is not None:

@@ -16,8 +16,28 @@ _COLOURS = {"measured": "0.25", "before": "0.72", "after": "tab:blue"}
 
 
 @dataclass(kw_only=True, eq=False)
-class _Display:
-    """Measured and predicted torques (m, nv) at times (m,), one row of axes a joint."""
+class TorqueDisplay:
+    """Measured and predicted torques over time, one panel a joint.
+
+    Parameters
+    ----------
+    time : ndarray of shape (m,)
+        Time [s]; rows without a sample period are counted.
+    measured, before : ndarray of shape (m, nv)
+        Measured torques after the low-pass, and those that the declared model predicts
+        [N m or N].
+    after : ndarray of shape (m, nv), default=None
+        Torques that the completed model predicts [N m or N].
+    joint_names, units : sequence of str
+        Joints, and the units of their torques.
+
+    Attributes
+    ----------
+    figure_, axes_ : matplotlib Figure, and ndarray of Axes (nv,)
+        Those of `plot`.
+    lines_ : list of matplotlib Line2D
+        Curves of each joint: measured, before, after.
+    """
 
     time: np.ndarray
     measured: np.ndarray
@@ -45,25 +65,15 @@ class _Display:
 
         Returns
         -------
-        display : object
+        display : TorqueDisplay or ResidualDisplay
             Display; call `plot`.
         """
         check_is_fitted(estimator)
         models = (estimator,)
         if not isinstance(estimator, RobotIdentifier):
-            if not hasattr(estimator, "declared_"):
-                raise ValueError(
-                    f"{cls.__name__} shows a RobotIdentifier or an EffectDiscovery; "
-                    f"got {type(estimator).__name__}."
-                )
             models = (estimator.declared_, estimator.identifier_)
-        names = models[-1].joint_names_
         slides = is_prismatic(models[-1].features_.model_)
-        chosen = list(range(len(names)) if joints is None else joints)
-        if not chosen or not set(chosen) <= set(range(len(names))):
-            raise ValueError(
-                f"joints must be some of 0 to {len(names) - 1}; got {joints!r}."
-            )
+        chosen = list(range(slides.size) if joints is None else joints)
         found = [m.residuals(X, y, groups, t=t, signals=signals) for m in models]
         clock, index = check_clock(t, np.shape(X)[0], models[-1].dt), found[0].index
         predicted = [r.predicted[:, chosen] for r in found]
@@ -71,7 +81,7 @@ class _Display:
             time=index if clock is None else clock[index],
             measured=found[0].torque[:, chosen],
             **dict(zip(("before", "after"), predicted)),
-            joint_names=tuple(names[j] for j in chosen),
+            joint_names=tuple(models[-1].joint_names_[j] for j in chosen),
             units=tuple("N" if slides[j] else "N m" for j in chosen),
         )
 
@@ -107,77 +117,32 @@ class _Display:
             )
         self.figure_, self.lines_ = self.axes_[0].figure, []
         every = slice(None, None, max(1, len(self.time) // _POINTS))
-        curves, marker, x_label = self._curves(self._predictions())
+        models = {"before": self.before, "after": self.after}
+        models = {label: x for label, x in models.items() if x is not None}
+        curves, marker, x_label = self._curves(models)
         for j, axis in enumerate(self.axes_):
             axis.set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
             for label, (x, y) in curves.items():
                 style = {"c": _COLOURS[label], "lw": 1.0, "ms": 2.5, "label": label}
-                x, y = (z[every, j] if z.ndim == 2 else z[every] for z in (x, y))
-                self.lines_ += axis.plot(x, y, marker, **style)
+                self.lines_ += axis.plot(x[every, j], y[every, j], marker, **style)
         self.axes_[0].legend(fontsize="small")
         self.axes_[-1].set_xlabel(x_label)
         return self
 
-    def _predictions(self):
-        models = {"before": self.before, "after": self.after}
-        return {label: x for label, x in models.items() if x is not None}
-
     def _curves(self, predictions):
         """Return label -> (x, y) of the curves, their marker, and the label of x."""
-        raise NotImplementedError
+        time = np.broadcast_to(self.time[:, None], self.measured.shape)
+        shown = {"measured": self.measured, **predictions}
+        return {label: (time, x) for label, x in shown.items()}, "-", "time [s]"
 
 
-class ResidualDisplay(_Display):
+class ResidualDisplay(TorqueDisplay):
     """Torque residuals over the predicted torque, one panel a joint.
 
-    Parameters
-    ----------
-    time : ndarray of shape (m,)
-        Time [s]; rows without a sample period are counted.
-    measured, before : ndarray of shape (m, nv)
-        Measured torques after the low-pass, and those that the declared model predicts
-        [N m or N].
-    after : ndarray of shape (m, nv), default=None
-        Torques that the completed model predicts [N m or N].
-    joint_names, units : sequence of str
-        Joints, and the units of their torques.
-
-    Attributes
-    ----------
-    figure_, axes_ : matplotlib Figure, and ndarray of Axes (nv,)
-        Those of `plot`.
-    lines_ : list of matplotlib Line2D
-        Points of each joint: before, after.
+    Parameters and attributes are those of `TorqueDisplay`; `lines_` are the points of
+    each joint, before and after.
     """
 
     def _curves(self, predictions):
         residuals = {k: (x, self.measured - x) for k, x in predictions.items()}
         return residuals, ".", "predicted torque"
-
-
-class TorqueDisplay(_Display):
-    """Measured and predicted torques over time, one panel a joint.
-
-    Parameters
-    ----------
-    time : ndarray of shape (m,)
-        Time [s]; rows without a sample period are counted.
-    measured, before : ndarray of shape (m, nv)
-        Measured torques after the low-pass, and those that the declared model predicts
-        [N m or N].
-    after : ndarray of shape (m, nv), default=None
-        Torques that the completed model predicts [N m or N].
-    joint_names, units : sequence of str
-        Joints, and the units of their torques.
-
-    Attributes
-    ----------
-    figure_, axes_ : matplotlib Figure, and ndarray of Axes (nv,)
-        Those of `plot`.
-    lines_ : list of matplotlib Line2D
-        Curves of each joint: measured, before, after.
-    """
-
-    def _curves(self, predictions):
-        shown = {"measured": self.measured, **predictions}
-        return {k: (self.time, x) for k, x in shown.items()}, "-", "time [s]"

@@ -90,10 +90,8 @@ def split_of(loop, q, tau, groups):
     whole = take_arrays(
         q, tau, groups, None, None, dt=dt, joint_names=loop.joint_names_
     )
-    for found in loop.report_.outcome.findings["channels"]:
-        if found.kind == "delay":
-            late = clone(loop.identifier).fit_inspected(whole, found.value)
-            whole = whole.with_torques_shifted(late.torque_lag_)
+    if loop.torque_lag_:
+        whole = whole.with_torques_shifted(loop.torque_lag_)
     split = split_in_time(loop.identifier, whole, loop.test_size)
     effects = loop.validation_model_.effects_
     shaped = [e for e in effects if isinstance(e, Shaped)]

@@ -458,9 +458,9 @@ def test_pickled_and_fitted_again(springy):
     [
         ({"effects": ["stiction"]}, "Unknown effect 'stiction'; expected one of visc"),
         ({"effects": ["coulomb", "coulomb"]}, "effects names coulomb twice"),
-        ({"alpha": 0.0}, "alpha must be a share between 0 and 1; got"),
-        ({"test_size": 0.0}, "test_size must be the share .* got 0.0"),
-        ({"max_effects": -1}, "max_effects must be a non-negative integer or None"),
+        ({"alpha": 0.0}, "'alpha' .* must be a float in the range"),
+        ({"test_size": 0.0}, "'test_size' .* must be a float in the range"),
+        ({"max_effects": -1}, "'max_effects' .* must be an int in the range"),
     ],
 )
 def test_parameters_out_of_range_are_refused(given, message):
@@ -469,7 +469,9 @@ def test_parameters_out_of_range_are_refused(given, message):
 
 
 def test_other_identifiers_are_refused():
-    with pytest.raises(ValueError, match=r"must be a RobotIdentifier.* LinearReg"):
+    with pytest.raises(
+        ValueError, match=r"must be an instance of .*RobotIdentifier.* LinearReg"
+    ):
         EffectDiscovery(LinearRegression()).fit(ARM.position, GOOD)
     with pytest.raises(ValueError, match="dt must be the sample period"):
         EffectDiscovery(ARM.robot(dt=None)).fit(ARM.position, GOOD)

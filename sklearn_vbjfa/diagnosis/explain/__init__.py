@@ -4,8 +4,7 @@ from sklearn_vbjfa import _lazily
 
 # For the report, the command line and tests; users get them from `EffectDiscovery`.
 _MODULES = {
-    "_commands": "commands_alone",
-    "_curves": "ResidualCurves TorqueCurves extremes torque_curves",
+    "_curves": "ResidualCurves TorqueCurves torque_curves",
     "_effects": "DiscoveredEffect named_values",
     "_errors": "Models NEXT_SECONDS error_intervals judge",
     "_final": "EffectEstimate FinalFit added_effects",

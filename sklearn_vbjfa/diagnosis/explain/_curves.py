@@ -8,7 +8,7 @@ import numpy as np
 # Joints that are drawn, those with the largest errors.
 _WORST = 3
 # Most points of a curve over time, and of a cloud; rows of an autocorrelation.
-_CURVE, _DOTS, _LAGS = 2000, 400, 40
+_CURVE, _DOTS, _LAGS = 480, 200, 40
 # Fewest rows of a cloud.
 _FEWEST = 8
 # Rows that are farther apart than this many usual steps have something between them.
@@ -89,7 +89,7 @@ def torque_curves(before, after, clock, joints):
         )
         counts = weight > 0
         left = np.where(counts, measured - predicted[1], 0.0)
-        rows = np.union1d(extremes(measured, _CURVE // 2), extremes(left, _CURVE // 2))
+        rows = np.union1d(_extremes(measured), _extremes(left))
         found.append(
             TorqueCurves(
                 joint=j,
@@ -103,10 +103,10 @@ def torque_curves(before, after, clock, joints):
     return tuple(found)
 
 
-def extremes(values, most):
+def _extremes(values):
     """Rows of the lowest and highest value of each interval of a curve (n,)."""
-    # Rows that are nan, which interrupt it, are among them; `most` are there otherwise.
-    n = values.size
+    # Rows that are nan, which interrupt it, are among them.
+    n, most = values.size, _CURVE // 2
     if n <= most:
         return np.arange(n)
     known = np.isfinite(values)

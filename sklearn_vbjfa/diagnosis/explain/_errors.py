@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain._commands import commands_alone
 from sklearn_vbjfa.diagnosis.explain._curves import (
     residual_curves,
     torque_curves,
@@ -36,11 +35,10 @@ class Models:
     judged: RobotIdentifier
 
 
-def judge(models, found, split, near, whole, commanded):
+def judge(models, found, split, near, whole):
     """Measure the errors of `Models` on the held-out part; returns plain data."""
     # found: result of the search; near: the split with the rows that the search looked
-    # at; commanded: the recording with the channels of its drive. Arrays (nv,) and
-    # (2, nv) are over the deviation of the torque.
+    # at. Arrays (nv,) and (2, nv) are over the deviation of the torque.
     completed, view = models.judged, found.model.view
     dt, step = completed.dt, view.step
     memory = max(memory_seconds(found.model), default=0.0)
@@ -95,7 +93,6 @@ def judge(models, found, split, near, whole, commanded):
     return {
         "columns": columns,
         "intervals": intervals,
-        "commands_alone": commands_alone(models, kept.stretches, commanded),
         "looked_at": _looked_at(view, split),
         "settings": {
             "held_out_seconds": before.weight.shape[0] * float(step),

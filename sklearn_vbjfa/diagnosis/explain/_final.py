@@ -97,6 +97,10 @@ class FinalFit:
         theta = theta[self.declared.theta_.size :]
         return np.split(theta, np.cumsum(widths)[:-1]) if widths else []
 
+    def predicted(self):
+        """Torques of the completed model, (m, nv)."""
+        return self._predicted(self.identifier.theta_)
+
     def _predicted(self, theta):
         """Torques of the completed model with some parameters, (m, nv)."""
         Phi, theta = self.view.equations.Phi, self.identifier.robot_.linear_part(theta)
@@ -105,18 +109,11 @@ class FinalFit:
             predicted = predicted + own @ coef
         return predicted
 
-    def effect_torques(self):
-        """Torque that each effect adds, a list of ndarray (m, nv) [N m or N]."""
-        # To first order for an effect in the robot model.
-        coefs = self._split(self.identifier.theta_)
-        nominal = [np.asarray(e.nominal if e.in_model else 0.0) for e in self.effects]
-        return [own @ (c - x) for own, c, x in zip(self._columns, coefs, nominal)]
-
     def residuals(self):
         """Residuals before and after, a pair of TorqueResiduals."""
         theta = self.declared.robot_.linear_part(self.declared.theta_)
         before = self._compared(self.nominal.equations.Phi @ theta)
-        after = self._compared(self._predicted(self.identifier.theta_))
+        after = self._compared(self.predicted())
         return before, after
 
     def _compared(self, predicted):

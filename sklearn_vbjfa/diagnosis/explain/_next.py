@@ -173,59 +173,35 @@ class Motions:
 
 def fitted_motion(final, spread):
     """Return the `Motions` that a final fit was made from."""
-    view, identifier = final.view, final.identifier
-    nv, theta = view.nv, identifier.robot_.linear_part(identifier.theta_)
-    rows = np.linspace(0, view.index.size - 1, min(view.index.size, _ROWS)).astype(int)
-    Phi = view.equations.Phi[rows]
-    columns = _friction_columns(final.declared)
-    friction = np.stack([Phi[:, j, own] @ theta[own] for j, own in enumerate(columns)])
-    load = Phi @ theta[: Phi.shape[2]] - friction.T
-    friction = friction.T + sum(
-        torque[rows]
-        for effect, torque in zip(final.effects, final.effect_torques())
-        if _is_friction(effect)
-    )
-    v, a = np.split(view.states[view.index[rows]], [nv, 2 * nv], axis=1)[1:]
-    weight = view.equations.weight[rows]
-    return Motions(v, a, load, friction, weight, spread)
+    view = final.view
+    states, weight = view.states[view.index], view.equations.weight
+    return _motions(final.identifier, states, final.predicted(), weight, spread)
 
 
 def given_motion(identifier, states, predicted, spread):
     """Return the `Motions` of states (n, 3 nv) with predicted torques (n, nv)."""
-    rows = np.linspace(0, len(states) - 1, min(len(states), _ROWS)).astype(int)
-    states, predicted = states[rows], predicted[rows]
-    features, nv = identifier.features_, identifier.features_.n_joints_
-    theta = identifier.theta_[: features.n_parameters_]
-    Phi = features.matrices(states)
-    total, friction = Phi @ theta, np.zeros((len(rows), nv))
-    acts = {e.joint for e in identifier.effects_ if _is_friction(e)}
-    for j, own in enumerate(_friction_columns(identifier)):
-        own = own[own < features.n_parameters_]
-        friction[:, j] = Phi[:, j, own] @ theta[own]
-    load = total - friction
-    for j in acts:
-        friction[:, j] = predicted[:, j] - load[:, j]
-    _, v, a = np.split(states, [nv, 2 * nv], axis=1)
+    v = np.split(states, 3, axis=1)[1]
     moving = np.abs(v) > np.maximum(identifier.standstill_, 0.0)
-    return Motions(v, a, load, friction, moving.astype(float), spread)
+    return _motions(identifier, states, predicted, moving.astype(float), spread)
 
 
-def _friction_columns(identifier):
-    """Parameters of a fitted identifier that are friction, of each joint an array."""
-    features = identifier.features_
+def _motions(identifier, states, predicted, weight, spread):
+    """Divide the torques of a motion into friction and load, a `Motions`."""
+    rows = np.linspace(0, len(states) - 1, min(len(states), _ROWS)).astype(int)
+    states, features = states[rows], identifier.features_
+    theta = identifier.theta_[: features.n_parameters_]
+    by_parameter = features.matrices(states) * theta
+    friction = np.zeros((len(rows), features.n_joints_))
     width = features.n_parameters_ // features.n_joints_
-    terms = [k for k, x in enumerate(features.friction_) if x != RotorInertia.name]
-    terms = np.array(terms, dtype=int) + width - len(features.friction_)
-    found = [j * width + terms for j in range(features.n_joints_)]
-    at = features.n_parameters_
+    first = width - len(features.friction_)
+    for k, name in enumerate(features.friction_):
+        if name != RotorInertia.name:
+            own = by_parameter[:, :, first + k :: width]
+            friction += np.diagonal(own, axis1=1, axis2=2)
+    load = by_parameter.sum(axis=2) - friction
     for effect in identifier.effects_:
-        count = len(effect.coefficients)
-        if _is_friction(effect):
-            found[effect.joint] = np.r_[found[effect.joint], at : at + count]
-        at += count
-    return found
-
-
-def _is_friction(effect):
-    """Whether the torque of an effect opposes the motion."""
-    return effect.with_motion or not {"speed", "direction"}.isdisjoint(effect.depends)
+        if effect.with_motion or not {"speed", "direction"}.isdisjoint(effect.depends):
+            # The torque of the effects of such a joint.
+            friction[:, effect.joint] = (predicted[rows] - load)[:, effect.joint]
+    _, v, a = np.split(states, 3, axis=1)
+    return Motions(v, a, load, friction, weight[rows], spread)

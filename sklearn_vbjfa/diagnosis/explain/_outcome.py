@@ -76,8 +76,7 @@ class Outcome:
 
     errors: tuple[JointErrors, ...]  # one for each joint
     # Tuples by kind: "effects", "possible", "unexplained", "not_identifiable",
-    # "channels", "contradictions", "repeated", "unnamed", "departures", "alike"; and
-    # "commands_alone", a dict or None.
+    # "channels", "contradictions", "repeated", "unnamed", "departures", "alike".
     findings: dict
     facts: tuple[Fact, ...]
     # declared model ("name", "joints", "friction", ...), "added" terms, "gains" and
@@ -182,7 +181,6 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         "channels": channels,
         "contradictions": contradictions(parts, spread, float(asked["alpha"])),
         "repeated": final.view.repetition.motions(),
-        "commands_alone": judged["commands_alone"],
         "departures": identifier.mass_deviations_,
         "alike": identifier.alike_,
     }

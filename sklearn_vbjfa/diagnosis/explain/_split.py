@@ -125,16 +125,7 @@ def split_in_time(identifier, recording, test_size):
     """Choose the held-out stretches from the motion; torques are not looked at."""
     # At both ends of each of several recordings, or at several places of a single one.
     # The identifier is the declared model, not fitted.
-    try:
-        share = float(test_size)
-    except (TypeError, ValueError):
-        share = np.nan
-    if not 0 < share < 1:
-        raise ValueError(
-            "test_size must be the share of the motion that is kept for the test, "
-            f"between 0 and 1; got {test_size!r}."
-        )
-    parts = recording.segments
+    share, parts = float(test_size), recording.segments
     bare, first = _bare(identifier, recording, parts), None
     while True:
         chosen, enough = _best_count(bare, parts, share)

@@ -10,8 +10,6 @@ from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # One of a SI unit in the unit that is read off an instrument.
 _FINE = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}
-# Units of errors of positions, with factors to them.
-FINE = {"rad": (1e3, "mrad"), "m": (1e3, "mm")}
 # Masses of which one is less than this share of the other do not agree.
 _OTHER_MASS = 0.5
 # Share of the largest value of a body that rounding leaves of a zero.
@@ -223,17 +221,6 @@ def to_record(outcome, signal_advice, no_period):
         if one.reason == "excitation":
             add(words.record_for(outcome, one.name) or one.remedy, one)
     return wanted
-
-
-def position_errors(outcome, name):
-    """Write the mean errors of simulated positions, of joints that turn and slide."""
-    one, texts = outcome.findings["commands_alone"], []
-    for unit in dict.fromkeys(one["units"]):
-        own = [x for x, other in zip(one[name], one["units"]) if other == unit]
-        factor, fine = FINE[unit]
-        text = f"{words.sized(factor * np.mean(own))} {fine}"
-        texts.append(text if np.isfinite(own).all() else "an unknown distance")
-    return words.join(texts)
 
 
 # -- masses and parameters -------------------------------------------------------------

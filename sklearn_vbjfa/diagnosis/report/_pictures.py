@@ -4,14 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain._curves import extremes
 from sklearn_vbjfa.diagnosis.report import _words as words
 
 WIDTH, HEIGHT = 400, 200
 # Most steps of an axis.
 _STEPS = 5
-# Points of a cloud and of a curve over time.
-_CLOUD, _CURVE = 200, 480
 # Values farther than a share of their range beyond these quantiles are cut off, or a
 # spike would flatten the rest.
 _MOST, _REACH = (0.01, 0.99), 0.5
@@ -84,11 +81,10 @@ class Plot:
                 pen = "L" if np.isfinite(b) else "M"
         self.add(kind, "".join(out))
 
-    def cloud(self, x, y, most=_CLOUD):
+    def cloud(self, x, y):
         """Add dots, as strokes of no length."""
-        rows = np.linspace(0, x.size - 1, min(x.size, most)).astype(int)
-        rows = rows[(x[rows] >= self.x[0]) & (x[rows] <= self.x[1])]
-        places = zip(self.across(x[rows]), self.down(y[rows]))
+        seen = (x >= self.x[0]) & (x <= self.x[1])
+        places = zip(self.across(x[seen]), self.down(y[seen]))
         self.add("cloud", "".join(f"M{a:.1f} {b:.1f}h0" for a, b in places))
 
     def band(self, kind, x, low, high):
@@ -137,10 +133,6 @@ def torque_figure(torques, floor, *, title, y_labels):
         np.where(counts, torques.measured - own, np.nan)
         for own in (torques.before, torques.after)
     ]
-    rows = np.union1d(
-        extremes(torques.measured, _CURVE // 2),
-        extremes(np.nan_to_num(left[1]), _CURVE // 2),
-    )
     # The declared model on top, or the completed one would hide where they agree; its
     # residual goes behind that of the completed one.
     upper = {
@@ -157,7 +149,7 @@ def torque_figure(torques, floor, *, title, y_labels):
             plot.band("floor", None, -floor, floor)
         plot.zero()
         for kind, values in own.items():
-            plot.line(kind, (seconds[rows], values[rows]))
+            plot.line(kind, (seconds, values))
         notes.append(plot.beyond(curves))
         charts.append(plot.chart("held-out time, its stretches joined [s]", y_label))
     keys = list(zip(upper, ("measured", "completed model", "declared model")))

@@ -92,7 +92,6 @@ _FUNCTIONS = {
     # To a thousandth of a degree, without the sign of a zero.
     "rpy": lambda angles: f'"{" ".join(f"{round(x, 5) + 0.0:.5f}" for x in angles)}"',
     "scaled": lambda ends, factor: ends and tuple(factor * x for x in ends),
-    "sized": words.sized,
     "value_cells": _facts.value_cells,
     "width": _pictures.WIDTH,
     "with_half": _facts.with_half,

@@ -154,11 +154,6 @@ def whole_percent(value):
     return "?" if value is None or not math.isfinite(value) else f"{100 * value:.0f} %"
 
 
-def sized(value):
-    """Write three digits of an error, so that those of a column compare."""
-    return f"{value:#.3g}".rstrip(".") if math.isfinite(value) else number(value)
-
-
 def p_text(value):
     """Write a p-value."""
     if value is None or not math.isfinite(value):

@@ -135,7 +135,6 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
             finding("Torque of joint 1 is coarse, 3 steps."),
             finding("Joint 2 stands still."),
         ),
-        "commands_alone": None,
     }
     robot = {
         "name": "arm",

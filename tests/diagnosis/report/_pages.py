@@ -99,23 +99,6 @@ def make_mass(name, mass, described, source, std=np.inf):
     )
 
 
-def alone(nv=3, **changes):
-    """Make an outcome of a robot that was told positions, its last joint slides."""
-    outcome = made(nv=nv, n_effects=0)
-    before = np.linspace(0.02, 0.04, nv)
-    found = {
-        "before": before,
-        "plain": 0.5 * before,
-        "after": 0.1 * before,
-        "commands": 10 * before,
-        "units": (*(nv - 1) * ("rad",), "m"),
-        "seconds": 12.34,
-        "failed": {},
-        "left_out": (),
-    }
-    return changed(outcome, commands_alone=found | changes)
-
-
 def figures(html):
     return re.findall(r'<figure class="wide"[^>]*>.*?</figure>', html, re.DOTALL)
 

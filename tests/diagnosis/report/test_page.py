@@ -13,10 +13,9 @@ from sklearn_vbjfa.diagnosis.report import (
     WIDTH,
     documentation_of,
 )
-from tests.diagnosis.report._outcomes import changed, finding, make_outcome
+from tests.diagnosis.report._outcomes import finding, make_outcome
 from tests.diagnosis.report._pages import (
     FILES,
-    alone,
     figures,
     made,
     parsed,
@@ -244,36 +243,3 @@ def test_parameters_stand_beside_those_of_the_description():
     assert cells[0] == ["m", "1.5 ± 0.2", "1.25", "kg", "yes"]
     # One of many values has no interval.
     assert cells[1] == ["viscous", "1.5", "", "kg", "in combination"]
-
-
-def test_positions_from_commands_alone():
-    given = alone()
-    report = Report(given)
-    shown = section_of(report, "Closed loop: commands alone")
-    for row in ("joint 1 mrad 20.0 2.00 200", "joint 3 mm 40.0 4.00 400"):
-        assert row in shown
-    for error in ("25.0 mrad and 40.0 mm", "2.50 mrad and 4.00 mm"):
-        assert error in shown
-        assert error in " ".join(str(report).split())
-    added = section_of(
-        Report(changed(given, added=("offset",))), "Closed loop: .*?alone"
-    )
-    assert "joint 1 mrad 20.0 10.0 2.00 200" in added
-    data = report.to_dict()["commands_alone"]
-    assert data["before"] == pytest.approx([0.02, 0.03, 0.04])
-    assert section_of(Report(made()), "Closed loop: commands alone") == ""
-
-
-def test_a_model_that_is_not_simulated_to_its_end_has_no_error():
-    nothing = np.full(3, np.nan)
-    given = alone(
-        before=nothing,
-        plain=nothing,
-        failed={"before": "It diverges.", "plain": "It diverges too."},
-        left_out=("jerk on a (why)", "b"),
-    )
-    report = Report(given)
-    shown = section_of(report, "Closed loop: commands alone")
-    for said in ("It diverges.", "joint 1 mrad ? 2.00 200", "jerk on a (why) and b"):
-        assert said in shown
-    assert report.to_dict()["commands_alone"]["before"] == [None] * 3

@@ -6,7 +6,6 @@ from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import BaseEstimator, clone
-from sklearn.utils._param_validation import Interval
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core._progress import say, show_progress
@@ -50,6 +49,7 @@ from sklearn_vbjfa.recording import (
     take_rows,
     torques_in_order,
 )
+from sklearn_vbjfa.regression._base import Interval
 from sklearn_vbjfa.robot._windows import unfollowed
 
 

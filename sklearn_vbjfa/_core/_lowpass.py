@@ -18,8 +18,9 @@ _MASK_SHARE = 0.5
 # Memory of a block's rows, and fewest rows for which a call is worth its overhead.
 _BLOCK_BYTES = 1 << 20
 _MIN_ROWS = 512
-# Fewest rows that are multiplied with taps together.
-_FEWEST = 32
+# Fewest rows that are multiplied with taps together, and the products that take as long
+# as a call.
+_FEWEST, _CALL = 32, 20_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,9 +135,12 @@ class BlockFilter:
             at = first // self._lowpass.step
             self.outputs[at : at + kept.shape[0]] = kept
             return
-        # Some rows at a time: the fewer, the fewer zeros are in the matrix of taps.
+        # Some rows at a time: the fewer, the fewer zeros are in the matrix of taps, and
+        # the more calls of narrow rows.
         step, some = self._lowpass.step, max(_FEWEST, self._lowpass.half // 4)
         some = step * -(-some // step)
+        while some < rows.shape[0] and some**2 * rows.shape[1] < _CALL * step:
+            some *= 2
         for at in range(0, rows.shape[0], some):
             part = rows[at : at + some]
             before, matrix = _tap_matrix(self._taps, step, part.shape[0])

@@ -295,9 +295,11 @@ def fit_robot(recipe, robot, source, before=None):
     load, passes = _load_of(before, robot), robot.plan.passes()
     if load is not None:
         # One that was fitted beside the same effects is the robot's.
-        beside = {effect.key() for effect in before.effects_}
-        same = beside >= {e.key() for e in robot.effects_ if "load" in e.needs}
-        passes = passes[-1:] if same else passes[1:]
+        beside, own = (
+            {(effect.key(), len(effect.coefficients)) for effect in one.effects_}
+            for one in (before, robot)
+        )
+        passes = passes[-1:] if beside >= own else passes[1:]
     fit = run_passes(recipe, robot, source, relative, passes, load)
     steady = without_steps(fit.robot, source)
     if steady is not None:
@@ -363,19 +365,24 @@ def _load_parameters(robot):
 
 
 def _load_of(before, robot):
-    """Load of a robot fitted before; None if effects that need none differ."""
+    """Load of a robot fitted before, also beside other effects; None if unknown."""
     if before is None or not needs_load(robot.effects_):
         return None
     if any(effect.in_model for effect in robot.effects_):
         return None
-
-    def plain_terms(one):
-        plain = [effect for effect in one.effects_ if is_plain(effect)]
-        terms = [(type(e), e.joint, len(e.coefficients)) for e in plain]
-        return one.features_.friction_, terms
-
-    same = plain_terms(before) == plain_terms(robot)
-    return _load_parameters(before) if same else None
+    if before.features_.friction_ != robot.features_.friction_:
+        return None
+    bodies, coefs = np.split(before.theta_, [before.features_.n_parameters_])
+    ends = np.cumsum([len(effect.coefficients) for effect in before.effects_])
+    pieces = np.split(coefs, ends[:-1])
+    known = {effect.key(): own for effect, own in zip(before.effects_, pieces)}
+    plain = [np.empty(0)]
+    for effect in filter(is_plain, robot.effects_):
+        k = len(effect.coefficients)
+        own = known.get(effect.key(), np.zeros(k))
+        # The elements of another bank have the same friction together.
+        plain.append(own if own.size == k else np.full(k, own.sum() / k))
+    return np.concatenate([bodies, *plain])
 
 
 def _first_gains(recipe, robot, source):

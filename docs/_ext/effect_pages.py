@@ -206,7 +206,7 @@ class Facts(_OfEffect):
             f":in a control loop (``step``): {step_sentence(use)}",
             f":in URDF: {file_sentence(urdf)}",
             f":in MJCF: {file_sentence(mjcf)}",
-            f":class: `~sklearn_vbjfa.effects.{kind.__name__}`",
+            f":class: ``sklearn_vbjfa.effects.{kind.__name__}``",
         ]
         lines.append(f":source: {source_of(kind)}")
         notes = "\n".join(ClassDoc(kind)["Notes"]).strip()

@@ -19,10 +19,8 @@ from sklearn_vbjfa.design import (
     read_report,
 )
 
-# Options of identify that describe the robot and hold for its next recording, and those
-# that describe the file of the last one.
+# Options of identify that describe the robot and hold for its next recording.
 _OF_ROBOT = ("joints", "base_orientation", "gain", "known_mass", "drive", "friction")
-_OF_FILE = {"columns", "preset", "topic", "dt", "time_unit", "join"}
 # Options that replace limits of the description.
 _LIMITS = ("velocity", "acceleration", "torque")
 
@@ -176,30 +174,10 @@ def _limits(arguments, robot):
             "torque gains are relative, so the torque limits of the description do not "
             "apply; give --acceleration, or --torque in units of the channels."
         )
-    if not 0 < arguments.scale <= 1:
-        raise ValueError(
-            f"--scale must be above 0 and at most 1; got {arguments.scale:g}."
-        )
-    found = MotionLimits.of(robot.model, **typed)
-    return MotionLimits(
-        found.position,
-        arguments.scale * found.velocity,
-        arguments.scale * found.acceleration,
-        found.torque,
-    )
+    return MotionLimits.of(robot.model, **typed)
 
 
 # -- next steps ------------------------------------------------------------------------
-
-
-def _before(found):
-    """Files of recordings so far that can be read together with the next one."""
-    provenance = found.get("provenance", {})
-    files = provenance.get("file") or ()
-    files = [files] if isinstance(files, str) else list(files)
-    # What came through a pipe is not there any more.
-    is_plain = not _OF_FILE & set(provenance.get("options", ()))
-    return files if is_plain and "-" not in files else []
 
 
 def _step(out, found):
@@ -222,6 +200,7 @@ def _next_command(arguments, robot, found):
     if robot.is_reduced:
         typed["joints"] = ",".join(robot.known.joint_names)
     typed["urdf"] = "ROBOT.urdf" if robot.file.endswith(".json") else robot.file
-    recording = [*_before(found), "recording.csv"]
-    words = argparse.Namespace(command="identify", recording=recording, typed=typed)
+    words = argparse.Namespace(
+        command="identify", recording=["recording.csv"], typed=typed
+    )
     return command_line(words, {})

@@ -12,6 +12,7 @@ from sklearn_vbjfa._cli._parser import Refused, in_options
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa.model import DoubtWarning
+from sklearn_vbjfa.recording import OfferedSignals
 
 # The report as a page and as data, and the robot.
 _FILES = ("report.html", "report.json", *ROBOT_FILES)
@@ -32,14 +33,12 @@ def identify(arguments, folder):
         _input.check_file(ranges, "--ranges", arguments.force)
     settings = _input.settings(arguments)
     loaded = _input.load(arguments, folder)
-    signals = loaded.signals(arguments.signals)
     files = tuple(dict.fromkeys(map(str, _input.paths(arguments))))
     with _input.blaming(loaded.source, loaded.gains):
         loop = search(
             loaded.recording,
             str(loaded.urdf),
             effects=() if arguments.no_search else library,
-            signals=signals,
             **settings,
         )
 
@@ -119,7 +118,7 @@ def identify_demo(arguments, folder):
     return Done(text=f"{recording}\n{loop.report_}", doubts=loop.report_.warnings)
 
 
-def search(recording, urdf, *, effects="all", signals=None, options=None, **settings):
+def search(recording, urdf, *, effects="all", options=None, **settings):
     """Return the `EffectDiscovery` of a recording, fitted."""
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
     from sklearn_vbjfa.fit import FitOptions
@@ -132,5 +131,5 @@ def search(recording, urdf, *, effects="all", signals=None, options=None, **sett
         **settings,
     )
     return EffectDiscovery(identifier, effects=effects).fit_recording(
-        recording, signals
+        recording, OfferedSignals.of_file(recording)
     )

@@ -18,11 +18,7 @@ from sklearn_vbjfa.model import (
 )
 from sklearn_vbjfa.model._loading import load_folded
 from sklearn_vbjfa.physical import ProjectionError
-from sklearn_vbjfa.recording import (
-    OfferedSignals,
-    common_folder,
-    expanded,
-)
+from sklearn_vbjfa.recording import common_folder, expanded
 
 # How a cell begins that a spreadsheet computes.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -61,21 +57,6 @@ class LoadedRecording:
             bodies=self.bodies,
             named=one.joints_named,
         )
-
-    def signals(self, names):
-        """Return the signals with some names; None offers all there are."""
-        offered = OfferedSignals.of_file(self.recording)
-        if names in (None, ("none",)):
-            return None if names else offered
-        for name in names:
-            if name not in offered.names:
-                raise ValueError(
-                    f"{self.source}: --signals: no column {name!r}; available: "
-                    f"{', '.join(offered.names) or 'none'}."
-                )
-        with blaming(self.source):
-            n = self.recording.n_samples
-            return {name: offered.column(name, n) for name in names}
 
     def other_joints(self):
         """Return lines on joints that are held, and on those that follow others."""

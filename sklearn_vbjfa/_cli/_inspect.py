@@ -30,7 +30,6 @@ def inspect(arguments, folder):
     """Read a recording and describe it."""
     # A current is as good as a torque here: nothing is identified.
     loaded = _input.load(arguments, folder, assumed="unknown")
-    loaded.signals(arguments.signals)
     recording, findings = loaded.recording, loaded.findings()
     motions = motion_of(recording, str(loaded.urdf))
     faults = [f"{one.severity}: {in_options(one.message)}" for one in findings]

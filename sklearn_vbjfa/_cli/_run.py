@@ -20,8 +20,10 @@ USABLE, REFUSED, DOUBTFUL = 0, 2, 3
 
 # Longest message [characters].
 _LONGEST = 900
-# Warnings that the last line names, and characters for each if a page has them whole.
-_NAMED, _BRIEF = 3, 60
+# Warnings that the last line names.
+_NAMED = 3
+# The first clause of a message, with asides; a first word is the name of a file.
+_CLAUSE = re.compile(r"\S+(?: (?:\([^)]*\)|.)*?)?(?=[;:.] |$)")
 # Age at which unfinished files are those of a killed run [s].
 _ABANDONED = 3600.0
 
@@ -168,7 +170,7 @@ def _named(doubts, page):
     """Return the first warnings in one line; in brief if a page has them whole."""
     named = [one.rstrip(".") for one in doubts[:_NAMED]]
     if page:
-        named = [brief(one, _BRIEF) for one in named]
+        named = [_CLAUSE.match(one)[0] for one in named]
     if len(doubts) > len(named):
         named.append(f"and {len(doubts) - len(named)} more")
     return "; ".join(named)
@@ -177,18 +179,6 @@ def _named(doubts, page):
 def say(text):
     """Print to stderr."""
     print(in_options(text), file=sys.stderr, flush=True)
-
-
-def brief(text, width):
-    """Return the first clauses of a message, as many as a width [characters] takes."""
-    # A first word with a colon is the name of a file; asides are not cut.
-    ends = [end.start() for end in re.finditer(r"[;:.](?= )", text)]
-    begins = (text[:end] for end in ends)
-    begins = [x for x in begins if " " in x and x.count("(") == x.count(")")]
-    ends = [len(x) for x in begins]
-    if len(text) <= width or not ends:
-        return text
-    return text[: max([end for end in ends if end <= width], default=ends[0])]
 
 
 def one_line(message):

@@ -1,10 +1,9 @@
 """The command ``simulate``: a saved robot in motion, and the measured motion."""
 
-import csv
-import io
 import warnings
 
 import numpy as np
+import pandas as pd
 from sklearn.base import clone
 
 from sklearn_vbjfa import load_identified
@@ -21,8 +20,6 @@ from sklearn_vbjfa.robot import follow_windows
 _TABLE = "simulation.csv"
 # Sample periods may differ by this share.
 _JITTER = 0.01
-# Windows from which on a robot that is not clearly better is to blame for it.
-_MANY = 10
 
 
 def simulate(arguments, folder):
@@ -135,11 +132,6 @@ def _shown(windows, places, seconds):
         "verdict": windows.verdict(),
         "failures": "",
     }
-    if count < _MANY and not windows.clearly_better.all():
-        shown["verdict"] += (
-            f" (only {count} windows: use a longer log or a shorter --window)"
-        )
-
     if failures:
         k, message = next(iter(failures.items()))
         name, begin, end = places[k]
@@ -166,17 +158,18 @@ def _error_columns(windows):
 
 def errors_table(windows, places):
     """Return a table with one row per window and joint, as CSV."""
-    scale, units = windows.scales
-    columns = {"position_error": windows.errors}
-    columns |= {k.replace(" ", "_"): x.errors for k, x in windows.rivals.items()}
-    errors = scale * np.array(list(columns.values()))
-    file = io.StringIO(newline="")
-    table = csv.writer(file, lineterminator="\n")
-    table.writerow(["recording", "from_s", "to_s", "joint", "unit", *columns, "failed"])
-    for k, (name, begin, end) in enumerate(places):
-        for j, joint in enumerate(windows.joint_names):
-            cells = ["" if np.isnan(x) else f"{x:.6g}" for x in errors[:, k, j]]
-            row = [name, f"{begin:.6g}", f"{end:.6g}", joint, units[j], *cells]
-            row.append(windows.failures.get(k, ""))
-            table.writerow(map(_input.no_formula, row))
-    return file.getvalue()
+    (n, nv), (scale, units) = windows.errors.shape, windows.scales
+    names, begins, ends = zip(*places)
+    failures = [windows.failures.get(k, "") for k in range(n)]
+    columns = {
+        "recording": np.repeat([*map(_input.no_formula, names)], nv),
+        "from_s": np.repeat(begins, nv),
+        "to_s": np.repeat(ends, nv),
+        "joint": np.tile([*map(_input.no_formula, windows.joint_names)], n),
+        "unit": np.tile(units, n),
+    }
+    for name, one in ({"position_error": windows} | windows.rivals).items():
+        columns[name.replace(" ", "_")] = (scale * one.errors).ravel()
+    columns["failed"] = np.repeat([*map(_input.no_formula, failures)], nv)
+    table = pd.DataFrame(columns)
+    return table.to_csv(index=False, float_format="%.6g", lineterminator="\n")

@@ -449,29 +449,3 @@ def test_columns_of_a_file_are_candidates(warm, urdf, tmp_path, capsys):
     (message,) = [x["message"] for x in report["channels"] if "signals" in x["message"]]
     for reason in ("'fixed' is constant", "'current' is the torque of"):
         assert reason in message
-
-
-def test_signals_are_chosen_by_name(warm, urdf, tmp_path, capsys):
-    report = closed(warm, urdf, tmp_path / "one", "--signals", "temperature")
-    assert report["provenance"]["settings"]["signals"] == ["temperature"]
-    (effect,) = report["effects"]
-    assert effect["parameters"]["signal"] == "temperature"
-    assert report["channels"] == []
-    capsys.readouterr()
-
-
-@pytest.mark.parametrize(
-    ("names", "message"),
-    [
-        ("temprature", "--signals: no column 'temprature'"),
-        ("", "no column ''"),
-        ("temperature,fixed", "'fixed' is constant (24 in all rows)"),
-    ],
-)
-def test_signals_that_cannot_be_are_refused_in_one_line(
-    warm, urdf, tmp_path, monkeypatch, capsys, names, message
-):
-    monkeypatch.chdir(tmp_path)
-    line = refusal(capsys, warm, "--urdf", urdf, "--signals", names)
-    assert message in line
-    assert list(tmp_path.iterdir()) == []

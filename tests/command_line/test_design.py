@@ -263,8 +263,6 @@ def test_a_duration_that_would_do_is_named(here, capsys):
         ("--duration", "nan"),
         ("--duration", "0"),
         ("--dt", "-1"),
-        ("--scale", "1.5"),
-        ("--scale", "nan"),
     ],
 )
 def test_numbers_that_are_none(option, value, here, capsys):

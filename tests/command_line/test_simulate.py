@@ -120,13 +120,6 @@ def test_a_saved_robot_is_simulated_over_all_rows(good, saved, recording, capsys
         assert float(first[name]) == pytest.approx(np.rad2deg(errors[0, 0]), rel=1e-3)
 
 
-def test_few_windows_are_said(good, saved, capsys):
-    text = run(capsys, good, "--model", saved, "--window", "4", code=3)
-    assert "(only 2 windows: use a longer log or a shorter --window)" in " ".join(
-        text.split()
-    )
-
-
 def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
     from sklearn_vbjfa import IdentifiedRobot
 

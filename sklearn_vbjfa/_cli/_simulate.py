@@ -3,7 +3,6 @@
 import warnings
 
 import numpy as np
-import pandas as pd
 from sklearn.base import clone
 
 from sklearn_vbjfa import load_identified
@@ -158,6 +157,8 @@ def _error_columns(windows):
 
 def errors_table(windows, places):
     """Return a table with one row per window and joint, as CSV."""
+    import pandas as pd
+
     (n, nv), (scale, units) = windows.errors.shape, windows.scales
     names, begins, ends = zip(*places)
     failures = [windows.failures.get(k, "") for k in range(n)]

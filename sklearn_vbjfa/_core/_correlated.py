@@ -70,18 +70,20 @@ def infer_latent(S, n, psi, floor=1e-12):
 
 @dataclass(frozen=True, kw_only=True)
 class LatentSums:
-    """Sums of <tt'> (d, d), <t> y (d,) and y^2, and the data part of the bound."""
+    """Sums of <tt'> (d, d) and <t> y (d,), and the data part of the bound."""
 
     # y: the output without its share of the noise of the inputs
 
     S_tt: np.ndarray
     S_ty: np.ndarray
-    yy: float
     bound: float
 
 
 def _given_beta(latent, G):
-    """H, P (d, d) and log det(I + P_0 G), with beta of covariance psi_y G, [C4]."""
+    """`Latent` and log det(I + P_0 G), with beta of covariance psi_y G, [C4]."""
+    if latent.exact:
+        return latent, 0.0
+    # The uncertainty of beta acts as additional precision G on t.
     d = G.shape[0]
     A = latent.P @ G
     A[np.diag_indices(d)] += 1.0
@@ -89,34 +91,22 @@ def _given_beta(latent, G):
     lu, _, both, failed = lapack.dgesv(A, np.hstack([latent.H, latent.P]))  # [C4]
     if failed:
         raise linalg.LinAlgError("the precision of the latent inputs is singular")
-    H, P = both[:, :d], both[:, d:]
+    P = both[:, d:]
     logdet = np.log(np.abs(np.diagonal(lu))).sum()
-    return H, 0.5 * (P + P.T), logdet
+    return replace(latent, H=both[:, :d], P=0.5 * (P + P.T)), logdet
 
 
-def expect_latent(moments, latent, state):
-    """E-step over T with noisy inputs: `LatentSums`, [C4] to [C7], [C12]."""
-    n, xy, yy = moments.n, moments.xy, moments.yy
-    S, beta, s2 = moments.S, state.beta_mean, state.psi_y
-    # The uncertainty of beta acts as additional precision beta_cov / s2 on t.
-    H, P, logdet = _given_beta(latent, state.beta_cov / s2)
-    P_beta = P @ beta
-    q = s2 + beta @ P_beta  # [C5]
-    k = P_beta / q  # [C5]
-    c = H.T @ beta  # [C5]
-    S_c = S @ c
-    S_xe = xy - S_c
-    S_ee = yy - 2 * c @ xy + c @ S_c
-    HS = H @ S
-    H_xe = H @ S_xe
-    # Half of it, and the other half is its transpose.
-    half = 0.5 * (HS @ H.T + n * P)
-    half += np.outer(H_xe + 0.5 * (S_ee - n * q) * k, k)
-    S_tt = half + half.T  # [C6]
-    S_ty = H @ xy + k * (yy - c @ xy)  # [C7]
-    cost = np.vdot(state.beta_cov, HS @ latent.H.T) / s2
-    value = -0.5 * (n * (LOG_2PI + np.log(q) + logdet) + S_ee / q + cost)  # [C12]
-    return LatentSums(S_tt=S_tt, S_ty=S_ty, yy=yy, bound=float(value))
+def likely_noise(squares, through, n, d, penalty, floor):
+    """Output noise that maximises the bound for some mean and G, [C11]."""
+    # squares: S_ee; through: beta'P beta; penalty: sum of alpha_m G_mm.
+    square = np.array([1.0, 2 * through, through**2])
+    cubic = penalty * np.append(square, 0.0) - d * np.append(0.0, square)
+    roots = np.roots(cubic + [0.0, n, n * through - squares, 0.0])
+    # The highest bound is at one of the real roots, or at the floor.
+    s2 = np.maximum(roots.real, floor)
+    q = s2 + through
+    cost = n * np.log(q) + squares / q + penalty * s2 - d * np.log(s2)
+    return float(s2[np.argmin(cost)])
 
 
 # Smallest output noise, as a share of the variance of y, that a triangular factor of
@@ -158,16 +148,15 @@ _SAFE_ROUNDING = 1e-8
 
 @dataclass(frozen=True, kw_only=True)
 class BetaPosterior:
-    """Mean (d,), covariance (d, d), its log-determinant, and <|y - beta't|^2>."""
+    """Mean (d,), covariance (d, d) and its log-determinant."""
 
     mean: np.ndarray
     cov: np.ndarray
     logdet: float
-    squares: float
 
 
-def posterior_beta(S_tt, S_ty, yy, s2, alpha, root):
-    """Posterior of beta from the sums over t, [C8], [C9], [C11]."""
+def posterior_beta(S_tt, S_ty, s2, alpha, root):
+    """Posterior of beta from the sums over t, [C8], [C9]."""
     # root(): their `SecondMoments`, called only if needed.
     prior = 1.0 / np.sqrt(alpha)
     largest = (np.diagonal(S_tt) / alpha).max() / s2
@@ -182,11 +171,7 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, root):
     cov = scaled @ scaled.T  # [C8]
     mean = scaled @ (scaled.T @ S_ty) / s2  # [C9]
     logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
-    squares = yy - 2 * mean @ S_ty + mean @ S_tt @ mean
-    squares += np.einsum("ij,ij->", cov, S_tt)  # [C11]
-    return BetaPosterior(
-        mean=mean, cov=cov, logdet=float(logdet), squares=float(squares)
-    )
+    return BetaPosterior(mean=mean, cov=cov, logdet=float(logdet))
 
 
 def _posterior_of_root(root, s2, prior):
@@ -198,8 +183,7 @@ def _posterior_of_root(root, s2, prior):
     keep = sv > sv[:1] * max(root.R.shape) * np.finfo(float).eps
     U, sv, Vt = U[:, keep], sv[keep], Vt[keep]
     share = s2 / (s2 + sv**2)
-    Uz = U.T @ root.z
-    mean = prior * (Vt.T @ (sv / (s2 + sv**2) * Uz))  # [C9]
+    mean = prior * (Vt.T @ (sv / (s2 + sv**2) * (U.T @ root.z)))  # [C9]
     cov = (Vt.T * share) @ Vt
     if sv.size < d:
         # The projector onto the rest, squared: its diagonal must not be negative.
@@ -207,12 +191,7 @@ def _posterior_of_root(root, s2, prior):
         cov += others @ others.T
     cov *= np.outer(prior, prior)  # [C8]
     logdet = np.log(share).sum() + 2 * np.log(prior).sum()
-    outside = root.z - U @ Uz
-    squares = root.rest + outside @ outside
-    squares += np.sum((share * Uz) ** 2) + share @ sv**2  # [C11]
-    return BetaPosterior(
-        mean=mean, cov=cov, logdet=float(logdet), squares=float(squares)
-    )
+    return BetaPosterior(mean=mean, cov=cov, logdet=float(logdet))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,15 +238,12 @@ class CorrelatedProblem:
         alpha = shape / (self.ard_rate + 0.5 * self.shared * square)
         return self._start_from(alpha, m.residual(beta)[1] / self.n)
 
-    def _observed(self):
-        """Return sums with the observed inputs in place of the latent ones."""
-        m = self.moments
-        return LatentSums(S_tt=m.S, S_ty=m.xy, yy=m.yy, bound=np.nan)
-
     def _start_from(self, alpha, s2):
         s2 = max(s2, self.floor)
         shape = self.ard_shape + 0.5 * self.shared  # [C10]
-        beta = self._posterior(self._observed(), s2, alpha)
+        m = self.moments
+        observed = LatentSums(S_tt=m.S, S_ty=m.xy, bound=np.nan)
+        beta = self._posterior(observed, s2, alpha)
         state = CorrelatedState(
             beta_mean=beta.mean,
             beta_cov=beta.cov,
@@ -281,9 +257,9 @@ class CorrelatedProblem:
         def root():
             if self.exact:
                 return self.moments
-            return square_root(self.n, sums.S_tt, sums.S_ty, sums.yy)
+            return square_root(self.n, sums.S_tt, sums.S_ty, 0.0)
 
-        return posterior_beta(sums.S_tt, sums.S_ty, sums.yy, s2, alpha, root)
+        return posterior_beta(sums.S_tt, sums.S_ty, s2, alpha, root)
 
     def _spread(self, beta, alpha):
         """Return tr(cov S_tt) / psi_y of a posterior under precisions (d,)."""
@@ -291,48 +267,69 @@ class CorrelatedProblem:
         return self.d - alpha @ np.diagonal(beta.cov)
 
     def step(self, point):
-        """Do the M-steps: beta, the noise, alpha."""
-        state = point.state
-        alpha, s2 = state.E_alpha, state.psi_y
-        beta = self._posterior(point.sums, s2, alpha)
-        new_s2 = max(beta.squares / self.n, self.floor)  # [C11]
-        square = beta.mean**2 + np.diagonal(beta.cov)
+        """Do the M-steps: beta, the noise with the covariance of beta, alpha."""
+        alpha, before = point.state.E_alpha, point.state.psi_y
+        beta = self._posterior(point.sums, before, alpha)
+        G, own = beta.cov / before, beta.mean - self.direct
+        given = latent, _ = _given_beta(self.latent, G)
+        s2 = likely_noise(
+            self.rest.residual(latent.H.T @ own)[1],
+            own @ latent.P @ own,
+            self.n,
+            self.d,
+            alpha @ np.diagonal(G),
+            self.floor,
+        )
+        square = beta.mean**2 + s2 * np.diagonal(G)
         if self.common:
             square = np.full(self.d, square.sum())
-        new = replace(
-            state,
+        state = replace(
+            point.state,
             beta_mean=beta.mean,
-            beta_cov=beta.cov,
+            beta_cov=s2 * G,
             alpha_rate=self.ard_rate + 0.5 * square,  # [C10]
-            psi_y=new_s2,
+            psi_y=s2,
         )
-        return self.evaluate(new, beta.logdet, self._spread(beta, alpha) * s2 / new_s2)
+        logdet = beta.logdet + self.d * np.log(s2 / before)
+        return self.evaluate(state, logdet, self._spread(beta, alpha), given)
 
-    def evaluate(self, state, logdet, spread):
+    def evaluate(self, state, logdet, spread, given=None):
         """E-step over T, and the bound."""
-        # logdet: of the covariance of beta; spread: see `_spread`.
-        sums = self._expected(state, spread)
+        # logdet: of the covariance of beta; spread: see `_spread`; given: result of
+        # `_given_beta` where it is known.
+        if self.exact:
+            m, s2 = self.moments, state.psi_y
+            squares = m.residual(state.beta_mean)[1]
+            value = -0.5 * (self.n * (LOG_2PI + np.log(s2)) + squares / s2 + spread)
+            sums = LatentSums(S_tt=m.S, S_ty=m.xy, bound=float(value))  # [C12]
+        else:
+            given = given or _given_beta(self.latent, state.beta_cov / state.psi_y)
+            sums = self._expected(state, *given)
         prior = _prior_bound(state, self.ard_shape, self.ard_rate, logdet, self.shared)
         return CorrelatedPoint(state=state, sums=sums, value=sums.bound + prior)
 
-    def _expected(self, state, spread):
-        """E-step over T, [C18]."""
-        if self.exact:
-            s2 = state.psi_y
-            squares = self.moments.residual(state.beta_mean)[1]
-            value = self.n * (LOG_2PI + np.log(s2)) + squares / s2 + spread
-            return replace(self._observed(), bound=-0.5 * float(value))  # [C12]
-        if not self.direct.any():
-            return expect_latent(self.moments, self.latent, state)
-        beyond = replace(state, beta_mean=state.beta_mean - self.direct)
-        found = expect_latent(self.rest, self.latent, beyond)
-        S_ty = found.S_ty + found.S_tt @ self.direct  # [C18]
-        return replace(found, S_ty=S_ty, yy=self._yy(found.S_tt, S_ty))
-
-    def _yy(self, S_tt, S_ty):
-        """Square sum of the output without its share of the inputs' noise, [C18]."""
-        b = self.direct
-        return self.rest.yy + 2 * b @ S_ty - b @ S_tt @ b
+    def _expected(self, state, latent, logdet):
+        """E-step over T with noisy inputs: `LatentSums`, [C5] to [C7], [C12], [C18]."""
+        n, m, H = self.n, self.rest, latent.H
+        beta, s2 = state.beta_mean - self.direct, state.psi_y
+        P_beta = latent.P @ beta
+        q = s2 + beta @ P_beta  # [C5]
+        k = P_beta / q  # [C5]
+        c = H.T @ beta  # [C5]
+        S_xe, S_ee = m.residual(c)
+        HS = H @ m.S
+        # Half of it, and the other half is its transpose.
+        half = 0.5 * (HS @ H.T + n * latent.P)
+        half += np.outer(H @ S_xe + 0.5 * (S_ee - n * q) * k, k)
+        S_tt = half + half.T  # [C6]
+        S_ty = H @ m.xy + k * (m.yy - c @ m.xy)  # [C7]
+        cost = np.vdot(state.beta_cov, HS @ self.latent.H.T) / s2
+        value = n * (LOG_2PI + np.log(q) + logdet) + S_ee / q + cost
+        return LatentSums(
+            S_tt=S_tt,
+            S_ty=S_ty + S_tt @ self.direct,  # [C18]
+            bound=-0.5 * float(value),  # [C12]
+        )
 
     def judge(self, point, new, tol, **slack):
         """Whether a step lowered the bound, and whether its gain was negligible."""
@@ -384,14 +381,12 @@ class CorrelatedProblem:
             S_tt = np.zeros((d, d))
             S_tt.ravel()[places] = vector[d + 1 : -d] * (self.n / length)
             S_tt += np.triu(S_tt, 1).T
-            S_ty = self.n * vector[-d:]
-            sums = replace(sums, S_tt=S_tt, S_ty=S_ty, yy=self._yy(S_tt, S_ty))
+            sums = replace(sums, S_tt=S_tt, S_ty=self.n * vector[-d:])
         return replace(point, state=state, sums=sums)
 
 
-# Steps kept by Anderson's method (usually 5 to 20; with more, rounding dominates its
-# least-squares problem).
-_MEMORY = 20
+# Steps kept by Anderson's method (usually 5 to 20; more cost more than they save).
+_MEMORY = 10
 # The iteration has settled where a step moves no precision and no noise by more than
 # this share, far below what n samples determine, ...
 _SETTLED = 1e-10

@@ -39,8 +39,8 @@ class BaseRegressor(RegressorMixin, BaseEstimator):
             reset=reset,
         )
         names = getattr(self, "feature_names_in_", range(X.shape[1]))
-        names = [f"column {name} of X" for name in names]
-        check_sizes(np.column_stack([X, y]), names)
+        check_sizes(X, [f"column {name} of X" for name in names])
+        check_sizes(y[:, None], ["y"])
         if sample_weight is None:
             return X, y, None
         return X, y, check_sample_weight(sample_weight, X)
@@ -86,13 +86,13 @@ class LinearRegressor(BaseRegressor):
 
 
 def check_sizes(columns, names):
-    """Refuse columns (n, d + 1) of [X y] in units in which their squares overflow."""
+    """Refuse columns (n, d) in units in which their squares overflow."""
     size = np.abs(columns).max(axis=0)
     wrong = (size > LARGEST) | ((size > 0) & (size < 1 / LARGEST))
     if wrong.any():
         k = int(np.argmax(wrong))
         raise ValueError(
-            f"The largest value of {[*names, 'y'][k]} is {size[k]:.3g}, expected "
+            f"The largest value of {names[k]} is {size[k]:.3g}, expected "
             f"between {1 / LARGEST:g} and {LARGEST:g}. Choose another unit."
         )
 

@@ -109,7 +109,8 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
     if not _is_selected(noise):
         return _fit_all(m, psi, solve, cross, dof)
     R, r = m.S / m.n, m.xy / m.n
-    as_they_are = solve(m, np.zeros((d, d)))
+    exact = np.zeros((d, d))
+    as_they_are, in_common = solve(m, exact), solve(m, exact, common=True)
     found = find_dependencies(R)
     basis = found.basis
     kept = _relevant_inputs(m, basis, as_they_are, solve)
@@ -128,18 +129,18 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
     coef = np.zeros(basis.size)
     coef[kept] = solution.state.beta_mean
     # The inputs that were switched off belong to what is not known.
-    of_basis = m.columns(basis)
-    if given:
-        ends = [psi[np.ix_(basis, basis)]]
-    else:
-        ends = [f * np.eye(basis.size) for f in _admissible_ends(of_basis)]
-    cov = sum(
-        _uncertainty(of_basis, end, coef, solve_of(basis, end), dof) for end in ends
-    ) / len(ends)  # [C17]
+    of_basis, of_end = m.columns(basis), psi[np.ix_(basis, basis)]
+    if not given:
+        of_end = _largest_admissible(of_basis) * np.eye(basis.size)
+    cov = _uncertainty(of_basis, of_end, coef, solve_of(basis, of_end), dof)
+    if not given:
+        none = np.zeros_like(of_end)
+        other = in_common if basis.size == d else solve_of(basis, none)
+        cov = 0.5 * (cov + _uncertainty(of_basis, none, coef, other, dof))  # [C17]
     spread = _spread(R, basis, found.copies)
     relevant = np.zeros(d, dtype=bool)
     relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
-    noisy = _average(m, as_they_are, solve)
+    noisy = _average(m, as_they_are, in_common)
     noise = _output_noise(psi[np.ix_(at, at)], solution)
     return CorrelatedFit(
         noisy=noisy,
@@ -162,7 +163,9 @@ def _fit_all(m, psi, solve, cross, dof):
     """Fit all inputs with a known noise covariance (d, d), for both queries."""
     solution = solve(m, psi, cross=cross)
     state, latent = solution.state, solution.latent
-    in_common = _in_common(m, psi, solution, solve, cross)
+    in_common = solution
+    if not solve.common:
+        in_common = solve(m, psi, common=True, cross=cross)
     cov = _uncertainty(m, psi, state.beta_mean, in_common, dof)
     noiseless = LinearModel(
         coef=state.beta_mean, cov=cov, noise=_output_noise(psi, solution)
@@ -185,10 +188,11 @@ def _fit_all(m, psi, solve, cross, dof):
 def _fit_few(m, solve):
     """Fit few samples per input, which are taken as exact."""
     # Their smallest eigenvalues, which bound the noise, are those of chance.
-    solution = solve(m, np.zeros_like(m.S))
+    exact = np.zeros_like(m.S)
+    solution, in_common = solve(m, exact), solve(m, exact, common=True)
     state = solution.state
     variance = np.diagonal(state.beta_cov)
-    model = _average(m, solution, solve, by_evidence=True)
+    model = _average(m, solution, in_common, by_evidence=True)
     return CorrelatedFit(
         noisy=model,
         noiseless=model,
@@ -196,13 +200,8 @@ def _fit_few(m, solve):
         noiseless_solution=solution,
         alpha=state.E_alpha,
         relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
-        psi=np.zeros_like(m.S),
+        psi=exact,
     )
-
-
-def _in_common(m, psi, solution, solve, cross=None):
-    """Solution with one precision in common, which `solution` may be already."""
-    return solution if solve.common else solve(m, psi, common=True, cross=cross)
 
 
 def _uncertainty(m, psi, coef, in_common, dof=np.inf):
@@ -241,25 +240,23 @@ def _square(x):
     return np.outer(x, x)
 
 
-def _admissible_ends(m):
-    """Smallest and largest fraction of noise, f of [C16], that moments `m` admit."""
+def _largest_admissible(m):
+    """Largest fraction of noise, f of [C16], that moments `m` admit."""
     n, d = m.n, m.xx.size
     R, r = m.S / n, m.xy / n
     # The smallest eigenvalue of n rows is too small by (n - d) / n in the mean, for d
     # coefficients were fitted to find it. Beyond that of R there is no signal left.
     largest = largest_noise_fraction(R, r) * n / max(n - d, 1)
     no_signal = max(float(linalg.eigvalsh(R, subset_by_index=[0, 0])[0]), 0.0)
-    return 0.0, min(largest, LARGEST_FRACTION, no_signal)
+    return min(largest, LARGEST_FRACTION, no_signal)
 
 
-def _average(m, solution, solve, *, by_evidence=False):
+def _average(m, solution, other, *, by_evidence=False):
     """Answer to noisy queries: the mean of two regressions on the noisy inputs."""
     # One gives each input a precision of its own, which suits few relevant inputs;
     # the other one precision to all, which suits many. With many samples nothing tells
     # beforehand which suits; their mean is nearly as good as the better one, and what
     # they differ in is not known. Few samples fit the wrong one badly.
-    exact = np.zeros_like(m.S)
-    other = _in_common(m, exact, solution, solve)
     share = 0.5
     if by_evidence:
         gain = solution.history[-1] - other.history[-1]
@@ -267,7 +264,7 @@ def _average(m, solution, solve, *, by_evidence=False):
     first, second = solution.state, other.state
     coef = share * first.beta_mean + (1 - share) * second.beta_mean
     apart = _square(first.beta_mean - second.beta_mean)
-    cov = posterior_covariance(m.n, exact, other)
+    cov = second.beta_cov
     if by_evidence:
         cov = share * first.beta_cov + (1 - share) * cov
         cov += share * (1 - share) * apart

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
 from scipy.special import digamma, gammaln
 from scipy.stats import multivariate_normal
 
@@ -86,7 +87,7 @@ def literal_posterior_t(x, y, psi, Sigma_t, state):
 
 
 def literal_step(X, y, psi, state):
-    """One iteration: q(T), q(beta), q(alpha), then the output noise."""
+    """One iteration: q(T), q(beta), the output noise, q(alpha)."""
     n, d = X.shape
     Sigma_t = X.T @ X / n - psi
     E_tt, E_ty = np.zeros((n, d, d)), np.zeros((n, d))
@@ -96,17 +97,31 @@ def literal_step(X, y, psi, state):
     alpha = state.shape / state.rate
     cov = np.linalg.inv(E_tt.sum(axis=0) / state.s2 + np.diag(alpha))
     mean = cov @ E_ty.sum(axis=0) / state.s2
-    second = np.outer(mean, mean) + cov
-    residual = 0.0
-    for i in range(n):
-        residual += y[i] ** 2 - 2 * mean @ E_ty[i] + np.trace(second @ E_tt[i])
+    s2 = literal_noise(X, y, psi, Sigma_t, mean, cov / state.s2, alpha)
+    cov = cov / state.s2 * s2
     return LiteralState(
         mean=mean,
         cov=cov,
         shape=state.shape,
-        rate=ARD_RATE + 0.5 * np.diagonal(second),
-        s2=residual / n,
+        rate=ARD_RATE + 0.5 * np.diagonal(np.outer(mean, mean) + cov),
+        s2=s2,
     )
+
+
+def literal_noise(X, y, psi, Sigma_t, mean, G, alpha):
+    """Noise with the highest bound where the covariance of beta is G times it."""
+    # With t integrated out y_i ~ N(mean't_i, s2 + mean'P mean), t_i being what x_i
+    # alone says of it; of the prior remains alpha'diag(G) s2 - d log s2.
+    n, d = X.shape
+    P = np.linalg.inv(np.linalg.inv(Sigma_t) + np.linalg.inv(psi) + G)
+    squares = sum((y[i] - mean @ P @ np.linalg.solve(psi, X[i])) ** 2 for i in range(n))
+
+    def slope(log_s2):
+        s2 = np.exp(log_s2)
+        q = s2 + mean @ P @ mean
+        return s2 * (n / q - squares / q**2 + alpha @ np.diagonal(G)) - d
+
+    return float(np.exp(brentq(slope, -40.0, 40.0, xtol=1e-14, rtol=1e-15)))
 
 
 def literal_bound(X, y, psi, state):

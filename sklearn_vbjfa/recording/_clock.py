@@ -198,14 +198,7 @@ def check_time_stamps(t, dt, parts):
     time = check_rows_of_time(t, parts[-1].stop)
     for part in parts:
         stamps, first = time[part], part.start
-        back = first + np.flatnonzero(np.diff(stamps) <= 0)
-        if back.size:
-            a, b = time[back[0] : back[0] + 2]
-            raise ValueError(
-                f"t must rise within a recording; it does not after row {listed(back)} "
-                f"({a:.6g} s, then {b:.6g} s). Drop repeated rows, or begin another "
-                "recording there (groups)."
-            )
+        _check_rise(stamps, np.diff(stamps), lambda k, first=first: f"row {first + k}")
         if dt is None or stamps.size < 2:
             continue
         tolerance = max(_WRONG_PERIOD, 1 / stamps.size)
@@ -366,19 +359,6 @@ def _check_unit(table: Table, role, step, period, time_unit):
         f"{step * TIME_UNITS[unit]:.4g} s.",
         {"time_unit": unit},
     )
-
-
-def given_period(table: Table, dt):
-    """Return the period given by the caller or the file; None for neither."""
-    entry = table.scalars.get("dt")
-    if entry is None or entry.size != 1:
-        return dt
-    in_file = check_dt(entry.item())
-    if dt is not None and abs(in_file - dt) > SAME_DT * dt:
-        raise ValueError(
-            f"{table.path}: its dt is {in_file} s but dt = {dt} s; correct one of them."
-        )
-    return in_file if dt is None else dt
 
 
 def _seconds_of_dates(table: Table, column: str):

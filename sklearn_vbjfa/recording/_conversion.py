@@ -3,23 +3,21 @@
 import itertools
 import re
 from dataclasses import replace
-from os import fspath
 
 import numpy as np
 
-from sklearn_vbjfa.recording._clock import given_period, time_of, without_odd_rows
+from sklearn_vbjfa.recording._clock import time_of, without_odd_rows
 from sklearn_vbjfa.recording._drives import PDDrive
-from sklearn_vbjfa.recording._grid import on_grid
+from sklearn_vbjfa.recording._grid import FileRows
 from sklearn_vbjfa.recording._layout import (
     ReadOptions,
     channel_unit,
     channels_of,
     in_order,
     laid_out,
-    matches,
     refuse_two,
 )
-from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import (
     MEASURED,
@@ -52,7 +50,7 @@ def refusal(table, layout, options, robot, missing):
         if kind == "t":
             what = "no time: expected a column t [s], or the period dt [s] (--dt 0.002)"
         parts.append(f"{what}{f' (nearest: {listed(names)})' if names else ''}")
-    offered = _offered(table, options, robot, near)
+    offered = _offered(table, options, near)
     if missing[0] == "tau" and not near["tau"]:
         parts.append(
             "if the motors follow commands, give the drive, drive=... (command line: "
@@ -70,44 +68,37 @@ def refusal(table, layout, options, robot, missing):
     return RecordingRefused(f"{table.path}: {'; '.join(parts)}.", offered)
 
 
-def _offered(table, options, robot, near):
+def _offered(table, options, near):
     """Return options that read the file, tried, by the nearest columns; or {}."""
     # near: the nearest patterns by kind; of several nobody knows which is meant.
-    products = itertools.islice(itertools.product(*near.values()), _MOST_TRIED)
-    found = [options.mapping | dict(zip(near, patterns)) for patterns in products]
-    found = [
-        mapping
-        for mapping in found
-        if _works(table, replace(options, mapping=mapping, preset=None), robot)
-    ]
-    if len(found) != 1:
+    if set(near) <= set(options.mapping):
         return {}
-    (mapping,) = found
-    offered = {"columns": ",".join(f"{key}={x}" for key, x in mapping.items())}
-    if "t" in near and not split_unit(mapping["t"])[1]:
-        unit = unit_of_steps(usual_step(table.values(mapping["t"]).astype(float)))
-        offered |= {} if unit in ("", "s") else {"time_unit": unit}
-    if "tau" in near and options.gains is None:
-        columns = matches(mapping["tau"], table, "tau")
-        bases = {unit.base for x in columns if (unit := unit_of("tau", x.unit))}
-        if bases - {"N m", "N"} or (not bases and is_current(mapping["tau"])):
-            offered["gains"] = "unknown"
-    return offered
+    found = []
+    for patterns in itertools.islice(itertools.product(*near.values()), _MOST_TRIED):
+        mapping = options.mapping | dict(zip(near, patterns))
+        columns = ",".join(f"{key}={x}" for key, x in mapping.items())
+        changed = replace(options, mapping=mapping, preset=None)
+        found.append(_tried(table, changed, {"columns": columns}))
+    found = [offered for offered in found if offered]
+    return found[0] if len(found) == 1 else {}
 
 
-def _works(table, options, robot):
-    """Return whether columns are found for all that is needed, with some options."""
+def _tried(table, options, offered):
+    """Return options, maybe with more, with which a file is read, else {}."""
     if any("," in x or "=" in x for x in options.mapping.values()):
-        return False
+        return {}
     try:
-        layout = laid_out(table, options, robot)
-        if channels_of(layout, options, robot)[1]:
-            return False
-        found, robot = in_order(table, layout, options, robot, [])
+        rows = rows_of(table, options)
+    except RecordingRefused as error:
+        more = {x: error.options[x] for x in ("time_unit",) if x in error.options}
+        if not more or more.items() <= offered.items():
+            return {}
+        return _tried(table, replace(options, **more), offered | more)
     except ValueError:
-        return False
-    counts = {len(found[kind]) for kind in options.kinds[:2]}
-    return len(counts) == 1 and counts <= {len(robot.names) or max(counts)}
+        return {}
+    if options.gains is options.drive is None and {*rows.torque_units} - {"N m", "N"}:
+        offered = offered | {"gains": "unknown"}
+    return offered
 
 
 # -- the nearest names -----------------------------------------------------------------
@@ -193,11 +184,13 @@ def _roles(table, layout, options, robot, notes):
     return in_order(table, layout, options, robot, notes)
 
 
-def recording_of(table: Table, options: ReadOptions):
-    """Return the recording in a table, complete, and notes on how it was read."""
+def rows_of(table: Table, options: ReadOptions) -> FileRows:
+    """Return the rows of a table, complete, and notes on how they were read."""
     notes = list(table.notes)
     robot = options.robot(table)
-    options = replace(options, dt=given_period(table, options.dt))
+    entry = table.scalars.get("dt")
+    if options.dt is None and entry is not None and entry.size == 1:
+        options = replace(options, dt=check_dt(entry.item()))
     layout = laid_out(table, options, robot)
     table, rows = without_odd_rows(table, layout, options, notes)
     found, robot = _roles(table, layout, options, robot, notes)
@@ -221,7 +214,6 @@ def recording_of(table: Table, options: ReadOptions):
     t, time = time_of(table, layout, options)
     labels, segment = _segments(table, layout)
     signals = _signals(table, layout, time, segment, notes)
-    notes = [*_columns_taken(table, layout, options, found, time), *notes]
     motor = [unit for unit in torque_units if unit not in ("N m", "N")]
     if motor and options.gains is None and options.drive is None:
         notes.append(
@@ -231,23 +223,27 @@ def recording_of(table: Table, options: ReadOptions):
     if t is None and rows is not None:
         # Without stamps the places of the rows that are left are their times.
         t = options.dt * rows
+    taken = _columns_taken(table, layout, options, found, time)
     # What was read is held no longer than needed.
     table = replace(table, frame=table.frame.iloc[:, :0])
-    channels |= signals
-    recording = Recording(
+    return FileRows(
+        path=table.path,
         # Without any of its endings.
         name=re.sub(r"(?<=.)\.[^.]*(\.(gz|bz2|xz))?$", "", table.path.name)
         or table.path.name,
+        where=table.where,
+        t=t,
+        dt=options.dt,
+        labels=labels,
+        channels=channels | signals,
+        signals=(*(set(channels) - {"q", "tau", "v"}), *signals),
         joint_names=tuple(names),
         position_units=tuple("m" if slide else "rad" for slide in slides),
         torque_units=tuple(torque_units),
-        urdf=None if options.urdf is None else fspath(options.urdf),
-        description=f"Read from {table.path.name}.",
         joints_named=robot.chosen
         or all(isinstance(role.key, str) for role in layout.of("q")),
-        **on_grid(table, t, labels, options.dt, channels, notes),
+        notes=[*taken, *notes],
     )
-    return recording, notes
 
 
 # -- numbers and units -----------------------------------------------------------------
@@ -430,7 +426,7 @@ def _signals(table: Table, layout, time, segment, notes):
 
 
 def _columns_taken(table, layout, options, found, time):
-    """Yield which columns were taken where their names do not show it, in one line."""
+    """Return which columns were taken where their names do not show it, in one line."""
     parts, converted = [], set()
     for kind, roles in [*found.items(), ("t", [] if time is None else [time])]:
         names = [role.column for role in roles]
@@ -445,6 +441,5 @@ def _columns_taken(table, layout, options, found, time):
     if converted:
         parts.append(f"converted from {', '.join(sorted(converted))}")
     if layout.what:
-        yield f"taken as {layout.what}: {', '.join(parts)}."
-    elif parts:
-        yield f"{'; '.join(parts)}."
+        return [f"taken as {layout.what}: {', '.join(parts)}."]
+    return [f"{'; '.join(parts)}."] if parts else []

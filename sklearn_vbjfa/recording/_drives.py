@@ -240,6 +240,7 @@ class PDDrive(Drive):
     def driven(self, recording):
         """Return a recording of the torques that the law asks for; see `Drive`."""
         command, parts = self.commands(recording), recording.segments
+        _check_commands(command, recording)
         kp, kd = self.law(recording.joint_names, recording)
         clock = _clock(recording)
         if self.waits is not None:
@@ -463,6 +464,18 @@ class VoltageDrive(Drive):
             supply = self._number("supply", recording.joint_names)
         volts = volts if supply is None else volts * supply
         return replace(recording, tau=volts, command=volts)
+
+
+def _check_commands(command, recording):
+    """Refuse commands (n, nv) none of which changes while joints move."""
+    parts = recording.segments
+    changes = any((np.ptp(command[part], axis=0) > 0).any() for part in parts)
+    moves = any((np.ptp(recording.q[part], axis=0) > 0).any() for part in parts)
+    if moves and not changes:
+        raise ValueError(
+            "The commands are constant while joints move: they are not those that the "
+            "robot followed. Record the commands of the same time and mode."
+        )
 
 
 def check_wait(delay, recording):

@@ -2,8 +2,9 @@
 
 import itertools
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -13,12 +14,13 @@ from sklearn_vbjfa.recording._clock import (
     GAP_PERIODS,
     SAME_DT,
     STEADY,
+    TimeStamps,
     inspect_time_stamps,
     prediction_errors,
 )
 from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._recording import contiguous_groups, labels_of
-from sklearn_vbjfa.recording._table import Loss, Table
+from sklearn_vbjfa.recording._table import Loss
 
 # Fewer samples than this between two gaps cannot be differentiated and held out from.
 _MIN_SAMPLES = 16
@@ -63,12 +65,6 @@ def _white_noise(rows):
 
 
 # -- pieces of recordings --------------------------------------------------------------
-
-
-def _channels_of(one):
-    """Return the values of each row of a log or a recording, by name."""
-    found = {"q": one.q, "tau": one.tau, **one.signals}
-    return found if one.v is None else found | {"v": one.v}
 
 
 def _rows_of(channels, rows):
@@ -156,7 +152,9 @@ def join(logs, *, dt: float, resample=True) -> dict:
     # several recordings, "name [1]", "name [2]", ...
     pieces = []
     for log in logs:
-        t, channels = log.t, _channels_of(log)
+        t, channels = log.t, {"q": log.q, "tau": log.tau, **log.signals}
+        if log.v is not None:
+            channels["v"] = log.v
         if resample:
             ends = np.flatnonzero(np.diff(t) > _LOG_GAP_PERIODS * dt) + 1
             pieces += _pieces(log.name, t, channels, dt, ends)[0]
@@ -165,92 +163,156 @@ def join(logs, *, dt: float, resample=True) -> dict:
     return _fields(pieces, dt)
 
 
-# -- a user's file ---------------------------------------------------------------------
+# -- files of a user -------------------------------------------------------------------
 
 
-def on_grid(table: Table, t, labels, dt, channels, notes):
-    """Cut a file at segments and gaps, return the array fields of a `Recording`."""
-    # Stamps t [s] and labels of segments, (n_rows,) or None; dt [s] or None for that of
-    # the stamps; channels (n_rows, ...), "q" and "tau" among them.
-    runs = [np.arange(table.n_rows)[x] for x in contiguous_groups(labels, table.n_rows)]
-    names = ["recording"]
-    if labels is not None:
-        names = distinct(str(labels[rows[0]]).removesuffix(".0") for rows in runs)
-    if t is None:
-        times = [dt * np.arange(rows.size) for rows in runs]
-        parts = [_rows_of(channels, rows) for rows in runs]
-        return _fields(list(zip(names, times, parts)), dt)
-    runs = _without_repeats(t, runs, notes)
-    stamps = [_inspected(table, t, rows, dt, channels["q"]) for rows in runs]
-    dt = _common_period(table, stamps) if dt is None else dt
-    notes += _irregularities(table, stamps, runs, dt)
-    pieces, off_grid, counts = [], [], Counter()
-    for name, rows, found in zip(names, runs, stamps):
-        at, ends = t[rows], found.gaps + 1
-        if not found.sampled:
-            # Late stamps alone do not make another period.
-            unsure = 3 * np.std(found.steps) / rows.size
-            same = abs(found.dt - dt) < max(SAME_DT * dt, unsure)
-            at = (dt if same else found.dt) * found.slots
-            counts["missing"] += int((np.diff(found.slots).clip(1) - 1).sum())
-        made, off = _pieces(name, at, _rows_of(channels, rows), dt, ends)
-        counts["short"] += len(ends) + 1 - len(made)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FileRows:
+    """The rows of a file, in the units and joint order of the package."""
+
+    path: Path  # as messages name it
+    name: str  # without endings
+    where: Callable[[int], str]  # a row in words
+    t: np.ndarray | None  # stamps (n,) [s]
+    dt: float | None  # sample period as given [s]
+    labels: np.ndarray | None  # of recordings
+    channels: dict[str, np.ndarray]  # "q", "tau", and maybe "v" and others
+    signals: tuple[str, ...]  # channels that are columns of other names
+    joint_names: tuple[str, ...]
+    position_units: tuple[str, ...]
+    torque_units: tuple[str, ...]
+    joints_named: bool
+    notes: list
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Run:
+    """Rows of a file that follow one another."""
+
+    name: str
+    rows: np.ndarray
+    dt: float
+    stamps: TimeStamps | None
+
+
+def on_grid(files, names) -> dict:
+    """Cut files at segments and gaps, return the array fields of a `Recording`."""
+    # names: of the files, "" for one alone.
+    runs = [_runs(file, name) for file, name in zip(files, names)]
+    dt = _common_period(files, runs)
+    pieces, powers, weights = [], [], []
+    for file, own in zip(files, runs):
+        made, off_grid = _on_period(file, own, dt)
         pieces += made
-        off_grid += off
-    notes += _losses(counts)
-    if not pieces:
-        raise ValueError(
-            f"{table.path}: no {_MIN_SAMPLES} samples follow one another without a gap "
-            f"of more than {GAP_PERIODS:g} periods of {dt:.4g} s; check column t."
-        )
-    fields = _fields(pieces, dt)
-    if off_grid:
-        fields["torque_noise"] = _white_noise(off_grid)
+        noise = _white_noise(off_grid) if off_grid else None
+        if noise is not None:
+            powers.append(noise**2)
+            weights.append(sum(t.size for _, t, _ in made))
+    names = distinct(name for name, *_ in pieces)
+    fields = _fields([(x, *rest) for x, (_, *rest) in zip(names, pieces)], dt)
+    if powers:
+        noise = np.sqrt(np.average(powers, axis=0, weights=weights))
+        fields["torque_noise"] = noise
     return fields
 
 
-def _without_repeats(t, runs, notes):
+def _runs(file, name):
+    """Return the segments of a file and what their stamps show."""
+    n = len(file.channels["q"])
+    runs = [np.arange(n)[x] for x in contiguous_groups(file.labels, n)]
+    names = [name or "recording"]
+    if file.labels is not None:
+        labels = (str(file.labels[rows[0]]).removesuffix(".0") for rows in runs)
+        names = [f"{name} {x}".strip() for x in distinct(labels)]
+    if file.t is None:
+        return [
+            _Run(name=x, rows=rows, dt=file.dt, stamps=None)
+            for x, rows in zip(names, runs)
+        ]
+    runs = _without_repeats(file, runs)
+    stamps = [_inspected(file, rows) for rows in runs]
+    return [
+        _Run(name=x, rows=rows, dt=one.dt, stamps=one)
+        for x, rows, one in zip(names, runs, stamps)
+    ]
+
+
+def _without_repeats(file, runs):
     """Leave out rows with the stamp of the one before, if they are few."""
-    again = np.r_[False, np.diff(t) == 0]
+    again = np.r_[False, np.diff(file.t) == 0]
     again[[rows[0] for rows in runs]] = False
-    if not 0 < again.sum() <= _REPEATED * t.size:
+    if not 0 < again.sum() <= _REPEATED * again.size:
         return runs
-    notes.append(f"{again.sum()} row(s) have the stamp of the one before: left out.")
+    file.notes.append(
+        f"{again.sum()} row(s) have the stamp of the one before: left out."
+    )
     return [rows[~again[rows]] for rows in runs]
 
 
-def _inspected(table, t, rows, dt, positions):
+def _inspected(file, rows):
     """Return what the stamps of a segment show."""
     try:
         return inspect_time_stamps(
-            t[rows], dt, lambda k: table.where(rows[k]), positions[rows]
+            file.t[rows],
+            file.dt,
+            lambda k: file.where(rows[k]),
+            file.channels["q"][rows],
         )
     except ValueError as error:
-        raise ValueError(f"{table.path}: {error}") from None
+        raise ValueError(f"{file.path}: {error}") from None
 
 
-def _common_period(table, stamps):
-    periods = [x.dt for x in stamps]
-    low, dt, high = min(periods), float(np.median(periods)), max(periods)
-    if high - low > 2 * DT_TOLERANCE * dt:
+def _common_period(files, runs):
+    """Return the median period [s]; refuse periods that differ much."""
+    periods = [(run.dt, x.path) for x, own in zip(files, runs) for run in own]
+    periods.sort(key=lambda period: period[0])
+    (low, fast), (high, slow) = periods[0], periods[-1]
+    if high > (1 + 2 * DT_TOLERANCE) * low:
         raise ValueError(
-            f"{table.path}: segments have periods of {low:.6g} to {high:.6g} s; "
-            "put those of one period into one file."
+            f"{fast} has a sample period of {low:.6g} s and {slow} one of {high:.6g} "
+            f"s, which differ by more than {200 * DT_TOLERANCE:g} %: resample one of "
+            "them, or process them separately."
         )
-    return dt
+    return periods[(len(periods) - 1) // 2][0]
 
 
-def _losses(counts):
-    """Yield notes on pieces that are left out and rows that were put in."""
-    if counts["short"]:
-        yield Loss(
-            f"{counts['short']} piece(s) of fewer than {_MIN_SAMPLES} samples between "
-            "gaps are left out."
+def _on_period(file, runs, dt):
+    """Return the pieces of a file at multiples of dt, and (t, torques) off these."""
+    pieces, off_grid, short, missing = [], [], 0, 0
+    for run in runs:
+        found, ends = run.stamps, ()
+        if found is None:
+            at = run.dt * np.arange(run.rows.size)
+        else:
+            at, ends = file.t[run.rows], found.gaps + 1
+            if not found.sampled:
+                # Late stamps alone do not make another period.
+                unsure = 3 * np.std(found.steps) / run.rows.size
+                same = abs(found.dt - dt) < max(SAME_DT * dt, unsure)
+                at = (dt if same else found.dt) * found.slots
+                missing += int((np.diff(found.slots).clip(1) - 1).sum())
+        made, off = _pieces(run.name, at, _rows_of(file.channels, run.rows), dt, ends)
+        short += len(ends) + 1 - len(made)
+        pieces += made
+        off_grid += off
+    file.notes.extend(_irregularities(file, runs, dt))
+    if short:
+        file.notes.append(
+            Loss(
+                f"{short} piece(s) of fewer than {_MIN_SAMPLES} samples between gaps "
+                "are left out."
+            )
         )
-    if counts["missing"]:
-        yield (
-            f"{counts['missing']} single sample(s) are missing and were interpolated."
+    if missing:
+        file.notes.append(
+            f"{missing} single sample(s) are missing and were interpolated."
         )
+    if not pieces:
+        raise ValueError(
+            f"{file.path}: no {_MIN_SAMPLES} samples follow one another without a gap "
+            f"of more than {GAP_PERIODS:g} periods of {dt:.4g} s; check column t."
+        )
+    return pieces, off_grid
 
 
 # What irregular stamps mean, by the attribute of `TimeStamps`.
@@ -261,49 +323,21 @@ _IRREGULAR = {
 }
 
 
-def _irregularities(table, stamps, runs, dt):
+def _irregularities(file, runs, dt):
     """Yield notes on irregular stamps and gaps."""
+    runs = [run for run in runs if run.stamps is not None]
     for what, meaning in _IRREGULAR.items():
-        odd = [x.steps for x in stamps if getattr(x, what)]
+        odd = [run.stamps.steps for run in runs if getattr(run.stamps, what)]
         if odd:
             steps = np.concatenate(odd)
             yield (
                 f"time stamps are irregular (steps of {steps.min():.4g} to "
                 f"{steps.max():.4g} s, a period of {dt:.4g} s): {meaning}."
             )
-    gaps = [rows[x.gaps] for rows, x in zip(runs, stamps) if x.gaps.size]
+    gaps = [run.rows[run.stamps.gaps] for run in runs if run.stamps.gaps.size]
     if gaps:
         yield Loss(
             f"{sum(x.size for x in gaps)} gap(s) of {GAP_PERIODS:g} periods or more "
-            f"in time, the first after {table.where(gaps[0][0])}: the recording is "
+            f"in time, the first after {file.where(gaps[0][0])}: the recording is "
             "split there."
         )
-
-
-# -- several files ---------------------------------------------------------------------
-
-
-def on_one_grid(recordings, names, dt):
-    """Concatenate files whose periods are nearly dt [s]; fields of a `Recording`."""
-    # names: of the recordings in them, one after the other.
-    pieces, names, powers, weights = [], iter(names), [], []
-    for one in recordings:
-        channels, off_grid = _channels_of(one), []
-        period = dt if abs(one.dt - dt) < SAME_DT * dt else one.dt
-        for rows in one.segments:
-            t = period * np.arange(rows.stop - rows.start)
-            made, off = _pieces(next(names), t, _rows_of(channels, rows), dt)
-            pieces += made
-            off_grid += off
-        # That of the torques as they came, where they were interpolated before.
-        noise = one.torque_noise
-        if noise is None and off_grid:
-            noise = _white_noise(off_grid)
-        if noise is not None:
-            powers.append(noise**2)
-            weights.append(one.n_samples)
-    fields = _fields(pieces, dt)
-    if powers:
-        noise = np.sqrt(np.average(powers, axis=0, weights=weights))
-        fields["torque_noise"] = noise
-    return fields

@@ -209,6 +209,8 @@ def split_key(key):
 
 # Columns that can only be time, where none is called t.
 _TIMES = {"t", "time", "timestamp", "stamp", "__time", "%time"}
+# Names without a joint, by kind.
+_ALONE = {**dict.fromkeys(_TIMES, "t"), "segment": "segment"}
 # How the parts of a ROS stamp are called.
 _CLOCK_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
 # What stands for others in patterns, as regular expressions escape it.
@@ -216,6 +218,7 @@ _MARKS = (
     (r"\{i\}", "i", r"\d{1,6}"),
     (r"\{joint\}", "joint", ".+?"),
     (r"\*", "any", ".*"),
+    (r"\?", "one", "."),
 )
 # Numbers have so many digits.
 _NUMBER = re.compile(r"0*(\d{1,6})", re.ASCII)
@@ -300,11 +303,11 @@ def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
     """Lay out columns by their own names, units in them removed."""
     # drive: what is recorded in place of torques.
     kinds = dict.fromkeys((*kinds, *KINDS))
-    begins = [(x, kind) for kind in kinds for x in (kind, *COMMAND_NAMES.get(kind, ()))]
+    begins = {x: kind for kind in kinds for x in (kind, *COMMAND_NAMES.get(kind, ()))}
     if drive is not None:
-        begins += [("dq", "v"), *((x, "tau") for x in drive.spelled)]
+        begins |= {"dq": "v", **dict.fromkeys(drive.spelled, "tau")}
     # The longest first: q_desired is no q.
-    begins.sort(key=lambda x: -len(x[0]))
+    begins = dict(sorted(begins.items(), key=lambda x: -len(x[0])))
     clocks = _clocks_of_two(table)
     parts = {name for clock in clocks for name in clock.columns}
     found = [_named(x, begins, joints) for x in table.names if x not in parts]
@@ -325,26 +328,18 @@ def is_exact(role):
 
 def _named(column, begins, joints):
     """Return the role that the name of a column says, None for none."""
-    # begins: pairs of the beginning of a name and a kind.
+    # begins: kinds by the beginning of a name.
     name = _in_letters(column)
-    bare, unit = (_in_letters(x) for x in split_unit(column))
-    forms = [(bare, unit), *[split_last_part(bare, "t")] * (not unit)]
-    for text, in_text in forms:
-        if text.lower() in _TIMES:
+    bare, unit = split_unit(name)
+    # The whole name may end with a joint that is called like a unit.
+    for text, in_text in ((name, ""), (bare, unit), split_last_part(bare)):
+        if text.lower() in _ALONE and in_text in ("", unit):
+            return Role(kind=_ALONE[text.lower()], column=column, unit=in_text)
+        if text.lower() in _TIMES and unit_of("t", in_text):
             return Role(kind="t", column=column, unit=in_text)
-    if bare.lower() == "segment":
-        return Role(kind="segment", column=column)
-    for begin, kind in begins:
-        if not name.lower().startswith(begin):
-            continue
-        # The whole name may end with a joint that is called like a unit.
-        forms = [(name, unit if bare == name else ""), (bare, unit)]
-        forms += [split_last_part(bare, kind)] * (not unit)
-        for text, in_text in forms:
+        for begin, kind in begins.items():
             key = _key_of(text, begin, joints)
-            if not key and text.lower() == begin:
-                key = 1 if not in_text or unit_of(kind, in_text) else None
-            if key not in (None, ""):
+            if key != "" and (in_text in ("", unit) or unit_of(kind, in_text)):
                 return Role(kind=kind, key=key, column=column, unit=in_text)
     return None
 
@@ -356,8 +351,8 @@ def _key_of(text, begin, joints):
     )
     key = match[1] if match else ""
     number = _NUMBER.fullmatch(key)
-    if key in joints:
-        return key
+    if key in joints or text.lower() == begin:
+        return key or 1
     return int(number[1]) if number else ""
 
 

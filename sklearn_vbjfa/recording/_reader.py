@@ -1,20 +1,20 @@
 """Recordings out of files and folders, one by one or joined."""
 
+import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from os import PathLike
+from os import PathLike, fspath
 from pathlib import Path
-from statistics import median_low
 
 import numpy as np
 
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording._clock import GAP_PERIODS, STEADY
-from sklearn_vbjfa.recording._conversion import is_recording, recording_of
+from sklearn_vbjfa.recording._conversion import is_recording, rows_of
 from sklearn_vbjfa.recording._drives import Drive
-from sklearn_vbjfa.recording._grid import distinct, on_one_grid
+from sklearn_vbjfa.recording._grid import on_grid
 from sklearn_vbjfa.recording._layout import Role, by_names, channel_unit, checked
 from sklearn_vbjfa.recording._recording import Recording
 from sklearn_vbjfa.recording._table import (
@@ -29,9 +29,6 @@ from sklearn_vbjfa.recording._table import (
     split_unit,
 )
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
-
-# Files of commands, by the kind of what is commanded; others are of no use.
-_COMMANDS = {"q": "q_desired", "v": "v_desired"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,8 +70,7 @@ def joined(tables, joints, path) -> Table:
     what = f"{len(parts)} files of one recording, at the rows of {base.name}"
     notes, lost = [f"{what}: {listed(names)}."], base.table.n_rows - keep.size
     if lost:
-        text = f"{lost} row(s) of {base.name} are not in all files: left out."
-        notes.append(Loss(text) if np.ptp(keep) + 1 > keep.size else text)
+        notes.append(f"{lost} row(s) of {base.name} are not in all files: left out.")
     used = [x.table for x in parts]
     left_out = [x.path.name for x in tables if x.path not in [y.path for y in used]]
     if left_out:
@@ -120,13 +116,10 @@ def _columns_beside(path, columns, part, at, joints):
 
 def _part(table: Table, joints):
     """Return a file, its columns called after the file if they have no other names."""
-    named = kinds_in(table.path.stem)
-    kinds = {"tau" if x in ("torque", "current") else x for x in named}
-    kinds -= {"command", "other"}
+    of_torques = {"torque": "tau", "current": "tau"}
+    kinds = {of_torques.get(x, x) for x in kinds_in(table.path.stem)}
     kind = kinds.pop() if len(kinds) == 1 else ""
-    if kind and "command" in named:
-        kind = _COMMANDS.get(kind)
-    if kind is None or (table.nameless and not kind):
+    if kind in ("command", "other") or (table.nameless and not kind):
         return None
     plain = by_names(table, joints)
     time = next(iter(plain.of("t")), None)
@@ -218,9 +211,8 @@ def _seconds(part):
     return seconds
 
 
-# Relative difference between the periods of two files that is refused: accelerations
-# go with its square.
-_DT_TOLERANCE = 0.01
+# Time in which a file that is being written changes [s].
+_MOMENT = 0.05
 # Files that a note names; more are counted.
 _NAMED = 3
 
@@ -350,13 +342,11 @@ def read_recording(
                 raise
             reason = f"{error.reason}; files of one recording need join=True (--join)"
             raise RecordingRefused(reason, error.options) from None
-    notes += _named((str(file.path), file.notes) for file in files)
-    recording = files[0].recording
-    if len(files) > 1 or not (join or isinstance(path, (str, PathLike))):
-        recording = _concatenated(files, notes)
+    several = len(files) > 1 or not (join or isinstance(path, (str, PathLike)))
+    recording = _recording(files, several, options.urdf, notes)
     if options.drive is not None:
         recording = _driven(recording, options.drive, files)
-    for note in notes:
+    for note in [*notes, *_named(files)]:
         category = DoubtWarning if isinstance(note, Loss) else UserWarning
         warnings.warn(note, category, stacklevel=2)
     return recording
@@ -381,15 +371,6 @@ def _driven(recording, drive, files):
 # -- files and folders -----------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _File:
-    """A file as it was read, and what a user should know of it."""
-
-    path: Path  # as messages name it
-    recording: Recording
-    notes: list
-
-
 def _read(paths, options, notes):
     """Read files and folders, each a recording or several."""
     files = []
@@ -399,13 +380,8 @@ def _read(paths, options, notes):
             files += _of_folder(expanded(path), inside, options, notes)
         else:
             (path,) = inside or [path]
-            files.append(_file(_table(path, options), options))
+            files.append(rows_of(_table(path, options), options))
     return files
-
-
-def _file(table, options):
-    recording, notes = recording_of(table, options)
-    return _File(path=table.path, recording=recording, notes=notes)
 
 
 def _of_folder(folder, paths, options, notes):
@@ -425,7 +401,7 @@ def _of_folder(folder, paths, options, notes):
         parts.append(table)
         whole += is_recording(table, options)
         if whole > 1:
-            files += [_file(one, options) for one in parts]
+            files += [rows_of(one, options) for one in parts]
             parts = []
     if not (files or parts):
         raise reason
@@ -441,13 +417,13 @@ def _of_folder(folder, paths, options, notes):
 def _joined(tables, options):
     """Return the recording of tables side by side."""
     if len(tables) == 1:
-        return _file(tables[0], options)
+        return rows_of(tables[0], options)
     first, *others = [table.path for table in tables]
     more = f"+{others[0].name}" if len(others) == 1 else f" and {len(others)} more"
     path = first.parent / f"{first.name}{more}"
-    read = _file(joined(tables, options.joints, path), options)
-    name = common_folder([one.path for one in tables]) or read.recording.name
-    return replace(read, recording=replace(read.recording, name=name))
+    rows = rows_of(joined(tables, options.joints, path), options)
+    name = common_folder([one.path for one in tables])
+    return replace(rows, name=name) if name else rows
 
 
 def _table(path, options):
@@ -457,6 +433,8 @@ def _table(path, options):
         table = read_table(path, options.topic, lambda: options.joints)
     except ValueError as error:
         broken = error
+        # What is being written shows it within a moment.
+        time.sleep(_MOMENT)
     if _version(path) != before:
         raise ValueError(
             f"{path} was written to while it was read; wait until the recording has "
@@ -485,12 +463,12 @@ def common_folder(paths):
     return folders.pop().name if len(folders) == 1 else ""
 
 
-def _named(notes):
-    """Yield the notes of files, (name, notes) each, with names; equal ones once."""
+def _named(files):
+    """Yield the notes of files with their names; equal ones once."""
     names: dict[tuple, dict] = {}
-    for name, of_file in notes:
-        for note in of_file:
-            names.setdefault((type(note), str(note)), {})[name] = None
+    for file in files:
+        for note in file.notes:
+            names.setdefault((type(note), str(note)), {})[str(file.path)] = None
     for (kind, note), of in names.items():
         yield kind(f"{_shortly(of)}: {note}")
 
@@ -502,68 +480,57 @@ def _shortly(paths):
     return ", ".join(shown[:_NAMED]) + f" and {more} more" * (more > 0)
 
 
-def _concatenated(files, notes):
+def _recording(files, several, urdf, notes):
     """Return the recording of all files."""
-    _check_agreement(files)
-    recordings = [file.recording for file in files]
-    everywhere = set.intersection(*(set(x.signals) for x in recordings))
-    some = [x for one in recordings for x in one.signals if x not in everywhere]
+    first = files[0]
+    for file in files:
+        _check_agreement(first, file)
+    everywhere = set.intersection(*(set(x.signals) for x in files))
+    some = [x for file in files for x in file.signals if x not in everywhere]
+    for file in files:
+        for name in set(file.signals) - everywhere:
+            del file.channels[name]
+    fields = on_grid(files, _group_names(files) if several else [""])
     if some:
         notes.append(
             f"column(s) {listed(dict.fromkeys(some))} are not in all files and are "
             "left out."
         )
-    recordings = [
-        replace(one, signals={k: x for k, x in one.signals.items() if k in everywhere})
-        for one in recordings
-    ]
-    dt = median_low([x.dt for x in recordings])
-    fields = on_one_grid(recordings, _group_names(files), dt)
-    return replace(
-        recordings[0],
-        name=common_folder([x.path for x in files]) or recordings[0].name,
+    return Recording(
+        name=(several and common_folder([x.path for x in files])) or first.name,
+        joint_names=first.joint_names,
+        position_units=first.position_units,
+        torque_units=first.torque_units,
+        urdf=None if urdf is None else fspath(urdf),
         description=f"Read from {listed([x.path.name for x in files])}.",
+        joints_named=first.joints_named,
         **fields,
     )
 
 
-def _check_agreement(files):
+def _check_agreement(first, other):
     """Refuse files of other robots, or that were not recorded alike."""
-    first = files[0]
-    for file in files:
-        for one, two in zip(_traits(first.recording), _traits(file.recording)):
-            if one != two:
-                raise ValueError(
-                    f"{first.path} has {one} and {file.path} has {two}; expected files "
-                    "with the same joints and channels: correct one of them, or "
-                    "process them separately."
-                )
-    dts = [file.recording.dt for file in files]
-    if max(dts) > (1 + _DT_TOLERANCE) * min(dts):
-        fast, slow = (files[dts.index(x)].path for x in (min(dts), max(dts)))
-        raise ValueError(
-            f"{fast} has a sample period of {min(dts):.6g} s and {slow} one of "
-            f"{max(dts):.6g} s, which differ by more than {100 * _DT_TOLERANCE:g} %: "
-            "resample one of the files, or process them separately."
-        )
+    for one, two in zip(_traits(first), _traits(other)):
+        if one != two:
+            raise ValueError(
+                f"{first.path} has {one} and {other.path} has {two}; expected files "
+                "with the same joints and channels: correct one of them, or "
+                "process them separately."
+            )
 
 
-def _traits(recording):
+def _traits(file):
     """Yield what must be the same in all files, in words."""
-    yield f"the joints {listed(recording.joint_names)}"
-    yield f"positions in {listed(recording.position_units)}"
-    yield f"torques in {listed(recording.torque_units)}"
-    yield "no velocities" if recording.v is None else "velocities"
+    yield f"the joints {listed(file.joint_names)}"
+    yield f"positions in {listed(file.position_units)}"
+    yield f"torques in {listed(file.torque_units)}"
+    yield "velocities" if "v" in file.channels else "no velocities"
 
 
 def _group_names(files):
-    """Call recordings after their files, and their own names where there are more."""
-    stems = [x.recording.name for x in files]
-    names = []
-    for file, stem in zip(files, stems):
-        label = stem if stems.count(stem) == 1 else str(file.path)
-        # What a file calls "recording" has no name.
-        inside = [x.removeprefix("recording") for x in file.recording.group_names]
-        for suffix in inside if len(inside) > 1 else [""]:
-            names.append(f"{label} {suffix.strip()}".strip())
-    return distinct(names)
+    """Call recordings after their files, those of equal names after their paths."""
+    names = [file.name for file in files]
+    return [
+        name if names.count(name) == 1 else str(file.path)
+        for name, file in zip(names, files)
+    ]

@@ -2,11 +2,12 @@
 
 import contextlib
 import difflib
-import itertools
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -110,17 +111,6 @@ class Table:
         return replace(self, frame=self.frame.iloc[rows])
 
 
-@dataclass(frozen=True)
-class Source:
-    """A file to read, and the name under which the user knows it."""
-
-    file: Path
-    shown: Path
-
-    def __str__(self):
-        return str(self.shown)
-
-
 # -- files that are damaged, too large or empty, packages that are missing -------------
 
 
@@ -213,7 +203,10 @@ MEASURED = {"q_desired": "q", "v_desired": "v", "tau_ff": "tau"}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # Periods of robots that move [s].
 _FASTEST, _SLOWEST = 2e-5, 1.0
-_DEGREE, _TURN = np.pi / 180, 2 * np.pi
+# Units, words and presets.
+_NAMES = tomllib.loads(
+    resources.files("sklearn_vbjfa.recording").joinpath("names.toml").read_text("utf-8")
+)
 
 
 @dataclass(frozen=True)
@@ -224,60 +217,17 @@ class Unit:
     factor: float
 
 
-def _sizes(text):
-    """Return sizes by spelling, out of "a b=1 c=2"; those without follow the next."""
-    found, waiting = {}, []
-    for word in text.split():
-        name, _, size = word.partition("=")
-        waiting.append(name)
-        if size:
-            found |= dict.fromkeys(waiting, float(size))
-            waiting = []
-    return found
-
-
-_ANGLE = _sizes("rad radian radians=1 mrad=1e-3")
-_ANGLE |= dict.fromkeys(("deg", "degs", "degree", "degrees", "°"), _DEGREE)
-_ANGLE |= dict.fromkeys(("rev", "revs", "turn", "turns", "revolutions"), _TURN)
-_LENGTH = _sizes("m metre metres meter meters=1 cm=1e-2 mm=1e-3 um µm μm=1e-6")
-
-
-def _derived(endings, **more):
-    """Return units of derivatives of positions, by their base."""
-    return {
-        base: {f"{unit}{end}": x for unit, x in own.items() for end in endings}
-        | more.get(base, {})
-        for base, own in (("rad", _ANGLE), ("m", _LENGTH))
-    }
-
-
-_BY_BASE = {
-    "q": {"rad": _ANGLE, "m": _LENGTH},
-    "v": _derived(("/s", "/sec", "ps"), rad={"rpm": _TURN / 60, "1/min": _TURN / 60}),
-    "a": _derived(("/s^2", "/s2", "/s²", "/s/s", "ps2")),
-    "tau": {
-        "N m": _sizes("Nm newtonmeter newtonmetre=1 Ncm=1e-2 mNm=1e-3 kNm=1e3")
-        | _sizes("kgfcm kgcm=0.0980665 lbfin=0.1129848290276167"),
-        "N": _sizes("N=1 mN=1e-3 kN=1e3"),
-        "A": _sizes("A amp amps ampere amperes Arms=1 mA=1e-3"),
-        "V": _sizes("V volt volts=1 mV=1e-3"),
-        "count": _sizes("count counts=1"),
-        "%": _sizes("% percent=1 ‰ permille=0.1"),
-    },
-    "t": {
-        "s": _sizes("s sec secs second seconds=1 ms msec millisecond milliseconds=1e-3")
-        | _sizes("us µs μs usec microseconds=1e-6 min minutes=60")
-        | _sizes("ns nsec nanosecond nanoseconds=1e-9")
-    },
-}
 _UNITS = {
     kind: {
         spelling: Unit(base, size)
         for base, sizes in bases.items()
-        for spelling, size in sizes.items()
+        for spellings, size in sizes.items()
+        for spelling in spellings.split()
     }
-    for kind, bases in _BY_BASE.items()
+    for kind, bases in _NAMES["units"].items()
 }
+# How units of derivatives of positions end.
+_RATES = {"v": ("/s", "/sec", "ps"), "a": ("/s^2", "/s2", "/s²", "/s/s", "ps2")}
 # What refusals expect.
 EXPECTED = {
     "q": "rad, deg, m or mm",
@@ -293,13 +243,14 @@ _LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
 def unit_of(kind: str, text: str) -> Unit | None:
     """Return the unit of a channel of a kind (q, v, a, tau, t), None if unknown."""
     plain = re.sub(r"[\s*·.⋅]|(?<=N)-(?=m)", "", text.strip())
-    known = _UNITS.get(MEASURED.get(kind, kind), {})
-    if plain in known:
-        return known[plain]
+    kind = MEASURED.get(kind, kind)
+    for end in _RATES.get(kind, ()):
+        if plain.lower().endswith(end):
+            return unit_of("q", plain[: -len(end)])
+    known = _UNITS.get(kind, {})
     # Capitals matter for milli and mega, ampere and atto; words may have any.
-    if len(plain) > 2 and plain.lower() in known:
-        return known[plain.lower()]
-    return known["Nm"] if kind == "tau" and plain.lower() == "nm" else None
+    words = plain.lower() if len(plain) > 2 or plain == "NM" else plain
+    return known.get(plain) or known.get(words)
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -314,12 +265,10 @@ def split_unit(name: str) -> tuple[str, str]:
     return match[1], unit
 
 
-def split_last_part(name: str, kind: str) -> tuple[str, str]:
-    """Return a name without a last part that is a unit of a kind, and that unit."""
+def split_last_part(name: str) -> tuple[str, str]:
+    """Return a name without its last part, and that part, which may be a unit."""
     match = _LAST_PART.fullmatch(name)
-    if match is None or unit_of(kind, match[2]) is None:
-        return name, ""
-    return match[1], match[2]
+    return (match[1], match[2]) if match else (name, "")
 
 
 # -- units of time ---------------------------------------------------------------------
@@ -346,19 +295,7 @@ def is_of_a_robot(period):
 
 # -- words -----------------------------------------------------------------------------
 
-# Words and the kinds of channels that they mean.
-_WORDS = {
-    "t": "t ts time timestamp stamp clock",
-    "q": "q pos position angle theta encoder",
-    "v": "v dq qd qdot vel velocity velocities speed",
-    "a": "ddq qdd qddot acc accel acceleration",
-    "torque": "tau torque trq effort eff moment force load",
-    "current": "current curr cur amp ampere i",
-    "command": "target cmd command desired des ref reference goal setpoint sp action",
-    "other": "error temperature temp voltage external ext limit cartesian tcp enable "
-    "mode window model friction fric gravity grav control con feedforward ff",
-}
-_KIND_OF = {word: kind for kind, words in _WORDS.items() for word in words.split()}
+_KIND_OF = {word: x for x, words in _NAMES["words"].items() for word in words.split()}
 # The least similarity of a word to one of these.
 _SIMILAR = 0.85
 
@@ -380,208 +317,22 @@ def is_current(name):
 
 @dataclass(frozen=True, kw_only=True)
 class KnownLog:
-    """Names of the channels in one kind of log."""
+    """Names of the channels in one kind of log; see ``names.toml``."""
 
-    what: str  # the log, in words
-    source: str  # where its names come from
-    # patterns of positions and torques; ``*`` is anything
+    what: str
+    source: str
     q: str
     tau: str
+    times: list[str]
     v: str = ""
-    # patterns of commands, by the names of the channels of a drive
     commands: Mapping[str, str] = field(default_factory=dict)
-    # columns, the best first; two with a plus between are seconds and nanoseconds
-    # with the unit in brackets where it is not seconds
-    times: tuple[str, ...]
-    # unit of what is proportional to torques; "" where they are in N m or N
     motor_unit: str = ""
-    # regular expression of columns with joints' names; its group is a number, empty
-    # for a column with all of them
     joints: str = ""
-    # parts of the names of joints, in the order in which motors are numbered
-    motors: tuple[str, ...] = ()
-    segment: str = ""  # column that tells recordings apart
-    # regular expressions of columns that are no conditions of the robot: counters,
-    # references, commands, frames, what follows from the rest
-    no_signals: tuple[str, ...] = ()
+    motors: list[str] = field(default_factory=list)
+    segment: str = ""
+    no_signals: list[str] = field(default_factory=list)
 
 
-_PLOTJUGGLER = (
-    "series of plugins/ros2_parsers/jointstates_msg.h of github.com/PlotJuggler/"
-    "plotjuggler-ros-plugins, in a file of plotjuggler_plugins/StatePublisherCSV/"
-    "publisher_csv.cpp of github.com/facontidavide/PlotJuggler"
-)
-_ROSTOPIC = (
-    "_str_plot_fields in tools/rostopic/src/rostopic/__init__.py of github.com/ros/"
-    "ros_comm; wiki.ros.org/rostopic"
-)
-_RTDE = (
-    "outputs of the RTDE guide of universal-robots.com; numbers as in "
-    "rtde/csv_writer.py of github.com/UniversalRobots/RTDE_Python_Client_Library"
-)
-_RTDE_OTHERS = (
-    r"(target|actual|output|input|standard|tool|ft|runtime|joint|safety|robot|speed|"
-    r"safety|script|elbow|payload|wrench|collision)_.*",
-)
-_LIBFRANKA = "logToCSV, src/log.cpp of github.com/frankaemika/libfranka"
-
-# How Unitree numbers the motors of its quadrupeds: by legs, front and rear, right and
-# left.
-_QUADRUPED = tuple(
-    f"{leg}_{joint}"
-    for leg in ("FR", "FL", "RR", "RL")
-    for joint in ("hip", "thigh", "calf")
-)
-
-
-def _unitree():
-    """Yield patterns of motors' states and commands, and names of what differs."""
-    names = (
-        ("motor_state", "tau_est", "motor_cmd", "kp", "kd"),
-        ("motorState", "tauEst", "motorCmd", "Kp", "Kd"),
-    )
-    # As JSON and C++ write it, PlotJuggler, tables of pandas, and matrices of all
-    # motors.
-    places = ("[{i}].{}", "[{i}]/{}", ".{i}.{}", "_{i}.{}", "_{i}_{}", ".{}{i}")
-    for (state, tau, command, kp, kd), place in itertools.product(names, places):
-        place = place.replace("{i}", "{{i}}")
-        yield f"*{state}{place}", tau, f"*{command}{place}", kp, kd
-
-
-_STAMPS = (
-    "header.stamp.secs+header.stamp.nsecs",
-    "header.stamp.sec+header.stamp.nanosec",
-)
-# sensor_msgs/JointState has positions in rad or m and efforts in N m or N
-# (docs.ros.org, message definition). By the pattern of its fields: what writes them,
-# where this comes from, and columns of time, the best first.
-_JOINT_STATES = {
-    "field.{}{{i}}": (
-        ", written by rostopic echo -p",
-        f"{_ROSTOPIC}; github.com/jmscslgroup/catvehicle/issues/9",
-        ("field.header.stamp [ns]", "%time [ns]"),
-    ),
-    "{}_{{i}}": (
-        " as a table",
-        "bagpy/bagreader.py of github.com/jmscslgroup/bagpy; message_to_csv in "
-        "rosidl_runtime_py/convert.py of github.com/ros2/rosidl_runtime_py, values "
-        "without a header, in the order of the message",
-        (*_STAMPS, "Time"),
-    ),
-    "{}{{i}}": (
-        " as JSON",
-        "sensor_msgs/msg/JointState.msg of github.com/ros2/common_interfaces, its "
-        "fields as rosidl_runtime_py/convert.py writes them",
-        _STAMPS,
-    ),
-    "*/{{joint}}/{}": (
-        ", exported from PlotJuggler",
-        _PLOTJUGGLER,
-        ("*/header/stamp", "__time"),
-    ),
-    "*{}[{{i}}]": (" without names", _PLOTJUGGLER, ("*header/stamp", "__time")),
-}
-
-PRESETS: dict[str, tuple[KnownLog, ...]] = {
-    "ros": tuple(
-        KnownLog(
-            what=f"/joint_states{what}",
-            source=source,
-            q=pattern.format("position"),
-            v=pattern.format("velocity"),
-            tau=pattern.format("effort"),
-            times=times,
-            joints=r"(?:field\.)?name_?(\d*)",
-            no_signals=(r"%?time|Time|__time", r"(.*[./])?(header|name)([./_\d].*)?"),
-        )
-        for pattern, (what, source, times) in _JOINT_STATES.items()
-    ),
-    "ur": (
-        KnownLog(
-            what="RTDE of a Universal Robots controller, its torques",
-            source=f"{_RTDE}; actual_current_as_torque since PolyScope 5.23",
-            q="actual_q_{i}",
-            v="actual_qd_{i}",
-            tau="actual_current_as_torque_{i}",
-            times=("timestamp",),
-            no_signals=_RTDE_OTHERS,
-        ),
-        KnownLog(
-            what="RTDE of a Universal Robots controller, its motor currents",
-            source=_RTDE,
-            q="actual_q_{i}",
-            v="actual_qd_{i}",
-            tau="actual_current_{i}",
-            times=("timestamp",),
-            motor_unit="A",
-            no_signals=_RTDE_OTHERS,
-        ),
-    ),
-    "franka": (
-        KnownLog(
-            what="the log of libfranka",
-            source=_LIBFRANKA,
-            q="state.q[{i}]",
-            v="state.dq[{i}]",
-            tau="state.tau_J[{i}]",
-            times=("time [ms]",),
-            no_signals=(r"success_rate", r"(state|cmd)\..*"),
-        ),
-        KnownLog(
-            what="franka_states, written by rostopic echo -p",
-            source="franka_msgs/msg/FrankaState.msg of github.com/frankaemika/"
-            f"franka_ros; {_ROSTOPIC}",
-            q="field.q{i}",
-            v="field.dq{i}",
-            tau="field.tau_J{i}",
-            times=("field.header.stamp [ns]", "%time [ns]"),
-            no_signals=(r"%time", r"field\..*"),
-        ),
-    ),
-    "lerobot": tuple(
-        KnownLog(
-            what="a LeRobot data set",
-            # The library names no channel of torque by itself; these three
-            # are what it made of the ALOHA recordings.
-            source="lerobot/common/datasets/push_dataset_to_hub/aloha_hdf5_format.py "
-            "of github.com/huggingface/lerobot, commit 01942cb; names of the motors in "
-            "meta/info.json, huggingface.co/docs/lerobot",
-            q=f"observation.state.{key}",
-            v=f"observation.velocity.{key}",
-            tau=f"observation.effort.{key}",
-            commands={"q_desired": f"action.{key}"},
-            times=("timestamp",),
-            segment="episode_index",
-            no_signals=(
-                r"(frame_|task_)?index",
-                r"next\..*",
-                r"action.*",
-                r"observation\..*",
-            ),
-        )
-        for key in ("{joint}", "{i}")
-    ),
-    "unitree": tuple(
-        KnownLog(
-            what="motor states and commands of a Unitree robot",
-            source="MotorState and MotorCmd of unitree_go/msg and unitree_hg/msg in "
-            "github.com/unitreerobotics/unitree_ros2, with capitals those of "
-            "unitree_legged_msgs in github.com/unitreerobotics/unitree_ros; numbers of "
-            "the motors in unitree_legged_const.h of unitree_sdk2",
-            q=state.format("q"),
-            v=state.format("dq"),
-            tau=state.format(tau),
-            commands={
-                "q_desired": command.format("q"),
-                "v_desired": command.format("dq"),
-                "tau_ff": command.format("tau"),
-                "kp": command.format(kp),
-                "kd": command.format(kd),
-            },
-            times=("t", "time", "timestamp", "__time", "*tick [ms]"),
-            motors=_QUADRUPED,
-            no_signals=(r".*motor_?([sS]tate|[cC]md).*", r".*tick", r".*crc"),
-        )
-        for state, tau, command, kp, kd in _unitree()
-    ),
+PRESETS = {
+    name: [KnownLog(**log) for log in logs] for name, logs in _NAMES["presets"].items()
 }

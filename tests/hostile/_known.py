@@ -45,7 +45,7 @@ def _replaced(*pairs):
 TEXTS = {
     "latin-1": (_commented("in °", "latin-1"), "same", "cp1252"),
     "decimal commas": (_replaced((",", ";"), (".", ",")), "same"),
-    "row of units": (_units, "refused"),
+    "row of units": (_units, "same"),
     "header twice": (_header_twice, "refused", "is not a number"),
     "last line cut": (lambda rng: clean_text()[:-12], "read", "the last line is cut"),
     "header only": (lambda rng: "t,q1,q2,tau1,tau2\n", "refused", "only a header"),

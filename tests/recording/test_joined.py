@@ -118,6 +118,16 @@ def test_clocks_without_a_common_time_are_refused(two, made):
     assert "no time in common; expected one clock" in str(refused(two, made))
 
 
+def test_clocks_in_other_units_are_refused_unless_the_unit_is_named(two, made):
+    names, path = named("tau"), two / "efforts.csv"
+    save(path, ["t", *names], 1e3 * made.t, made.tau)
+    message = str(refused(two, made))
+    assert "the times span" in message
+    assert "write both in one unit, or the unit into the name" in message
+    save(path, ["t_ms", *names], 1e3 * made.t, made.tau)
+    assert_same(read(two, made)[0], made)
+
+
 def test_rows_without_stamps_need_the_same_number(five, made):
     written(five / "tau.txt", made.tau[:-1])
     message = str(refused(five, made, join=True))

@@ -59,16 +59,31 @@ def rows(separator=","):
 def test_titles_above_the_names(titles, tmp_path):
     lines = rows()
     path = tmp_path / "arm.csv"
-    path.write_text("\n".join([*titles, *lines]))
+    path.write_text("\n".join([*titles, *lines, ""]))
     recording, said = read(path)
     same(recording)
     assert f"the names of the columns are in line {len(titles) + 1}." in said[-1]
     # Lines are those of the file.
     first = len(titles) + 2
     lines[2] = lines[2].replace(",", ",off", 1)
-    path.write_text("\n".join([*titles, *lines]))
+    path.write_text("\n".join([*titles, *lines, ""]))
     with pytest.raises(ValueError, match=rf"'off.*in line {first + 1}, column 'q1'"):
         read(path)
+
+
+def test_a_row_of_units_below_the_names(tmp_path):
+    header, *lines = rows(";")
+    units = "[ms];[deg];rad;mNm;Nm"
+    scaled = []
+    for line in lines:
+        t, q, *others = map(float, line.split(";"))
+        row = (1e3 * t, np.rad2deg(q), others[0], 1e3 * others[1], others[2])
+        scaled.append(";".join(f"{x:.10g}" for x in row))
+    path = tmp_path / "arm.csv"
+    path.write_text("\n".join(["Export 7", header, units, *scaled, ""]))
+    recording, said = read(path)
+    same(recording)
+    assert any("converted from deg, mNm" in x for x in said)
 
 
 # -- an index, no header ---------------------------------------------------------------
@@ -78,7 +93,7 @@ def test_the_index_of_a_data_frame(tmp_path):
     path = tmp_path / "arm.csv"
     header, *lines = rows()
     numbered = [f"{k},{line}" for k, line in enumerate(lines)]
-    path.write_text("\n".join([f",{header}", *numbered]))
+    path.write_text("\n".join([f",{header}", *numbered, ""]))
     recording, said = read(path)
     same(recording)
     assert not recording.signals

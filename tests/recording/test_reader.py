@@ -1,8 +1,6 @@
 """Recordings of one's own: columns, units and time stamps, and what is refused."""
 
 import csv as csv_module
-import json
-import re
 import warnings
 
 import numpy as np
@@ -299,22 +297,6 @@ def test_files_that_are_none(tmp_path):
 def test_contradicting_arguments_are_refused(csv, options, message):
     with pytest.raises(ValueError, match=message):
         read_recording(csv(table()), **options)
-
-
-@pytest.mark.parametrize("name", ["arm.json", "arm.npz"])
-def test_a_period_that_contradicts_that_of_the_file_is_refused(tmp_path, name):
-    arrays = {"q": np.random.default_rng(0).normal(size=(N, 2)), "dt": 2 * DT}
-    arrays["tau"] = arrays["q"]
-    path = tmp_path / name
-    if name == "arm.json":
-        values = {key: np.asarray(x).tolist() for key, x in arrays.items()}
-        path.write_text(json.dumps(values))
-    else:
-        np.savez(path, **arrays)
-    message = f"{name}: its dt is {2 * DT} s but dt = {DT} s; correct one of them"
-    with pytest.raises(ValueError, match=re.escape(message)):
-        read_recording(path, dt=DT)
-    assert read_recording(path, dt=2 * DT).dt == read_recording(path).dt == 2 * DT
 
 
 # -- time ------------------------------------------------------------------------------

@@ -265,6 +265,11 @@ BAD = {
         {"kp": np.full((2400, 3), -1.0)},
         "kp of the recording must not be negative",
     ),
+    "constant": (
+        {},
+        {"q_desired": np.full((2400, 3), 0.5)},
+        "commands are constant while joints move",
+    ),
 }
 
 

@@ -3,14 +3,14 @@
 import bz2
 import contextlib
 import gzip
+import io
 import lzma
 import shlex
 import sys
-import tempfile
 from pathlib import Path
 
 from sklearn_vbjfa.recording._table import (
-    Source,
+    LARGEST,
     Table,
     check_size,
     listed,
@@ -30,23 +30,23 @@ _KNOWN = (
     ".csv, .xlsx, .npz, .npy, .mat, .parquet, .json, .jsonl, .bag, .db3 or .mcap (text "
     "also with .gz, .bz2 or .xz)"
 )
-_TEXT = (".csv", ".tsv", ".txt", ".dat")
-_READERS = {
-    **dict.fromkeys(_TEXT, read_text),
+# Readers of the bytes of a file, which may be packed or a pipe, and of files.
+_OF_BYTES = {
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), read_text),
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), _arrays.read_json),
+}
+_OF_FILES = {
     **dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"), read_sheet),
     ".npz": _arrays.read_npz,
     ".npy": _arrays.read_npy,
     ".mat": _arrays.read_mat,
     **dict.fromkeys(_arrays.PARQUET, _arrays.read_parquet),
-    **dict.fromkeys((".json", ".jsonl", ".ndjson"), _arrays.read_json),
 }
-# Modules by which packed files are opened.
-_OPEN = {".gz": gzip, ".bz2": bz2, ".xz": lzma, ".lzma": lzma}
-# How packed files begin, and the ending that they would have.
-_PACKED = {b"\x1f\x8b": ".gz", b"BZh": ".bz2", b"\xfd7zXZ\x00": ".xz"}
+# How packed text begins, the module that unpacks it, and the endings of its files.
+_PACKED = {b"\x1f\x8b": gzip, b"BZh": bz2, b"\xfd7zXZ\x00": lzma}
+_PACKED_ENDINGS = (".gz", ".bz2", ".xz")
 # Files that only the folder of one bag or data set has.
 _MARKS = ("metadata.yaml", "meta/info.json")
-_CHUNK = 1 << 20
 
 
 def read_table(path, topic=None, joints=lambda: ()) -> Table:
@@ -54,14 +54,18 @@ def read_table(path, topic=None, joints=lambda: ()) -> Table:
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input;
     # topic: topic of a bag; joints: function that returns the robot's joints.
     path = expanded(path)
-    with contextlib.ExitStack() as stack:
-        files = bag_files(path) if path.is_dir() else []
-        if files:
-            table = read_bag(files, path, topic, joints())
-        elif path.is_dir():
-            table = _read_folder(path)
-        else:
-            table = _read_file(_source(stack, path), topic, joints)
+    if str(path) == "-":
+        stream = getattr(sys.stdin, "buffer", sys.stdin)
+        table = _read_stream(Path("standard input"), ".csv", stream)
+    elif path.is_dir():
+        files = bag_files(path)
+        table = read_bag(files, path, topic, joints()) if files else _read_folder(path)
+    elif path.exists():
+        table = _read_file(path, topic, joints)
+    else:
+        raise FileNotFoundError(
+            f"{path}: no such file; expected a recording: {_KNOWN}."
+        )
     if table.frame.empty:
         raise no_rows(path)
     return table
@@ -78,19 +82,41 @@ def _read_folder(path):
     )
 
 
-def _read_file(source, topic, joints):
-    """Read a file that is not packed, by its ending."""
-    ending = source.file.suffix.lower()
+def _read_file(path, topic, joints):
+    """Read a file, or a pipe of text, by its ending."""
+    endings = [ending.lower() for ending in path.suffixes[-2:]] or [""]
+    if endings[-1] in _PACKED_ENDINGS:
+        endings = endings[:-1] or [".csv"]
+    ending = endings[-1] if path.is_file() else ".csv"
+    if ending in _OF_BYTES:
+        with path.open("rb") as stream:
+            return _read_stream(path, ending, stream)
     if ending in BAGS:
-        return read_bag([source.file], source.shown, topic, joints())
-    if ending in _READERS:
-        return _READERS[ending](source)
+        return read_bag([path], path, topic, joints())
+    if ending in _OF_FILES:
+        return _OF_FILES[ending](path)
     remedy = "or in Python by numpy.savez(FILE, t=t, q=q, tau=tau)"
     if ending == ".zip":
-        remedy = f"or unpack it first: unzip {shlex.quote(str(source))}"
+        remedy = f"or unpack it first: unzip {shlex.quote(str(path))}"
     raise ValueError(
-        f"{source}: unknown ending {ending!r}; save the recording as {_KNOWN}, {remedy}"
+        f"{path}: unknown ending {ending!r}; save the recording as {_KNOWN}, {remedy}"
     )
+
+
+def _read_stream(path, ending, stream):
+    """Read text, which may be packed."""
+    content = stream.read(LARGEST + 1)
+    module = next((x for mark, x in _PACKED.items() if content.startswith(mark)), None)
+    if module is not None:
+        with (
+            parsing(path, f"{module.__name__} file", "pack it again."),
+            module.open(io.BytesIO(content), "rb") as unpacked,
+        ):
+            content = unpacked.read(LARGEST + 1)
+    check_size(path, len(content), "give a shorter recording", "or more")
+    if not content:
+        raise ValueError(f"{path}: is empty, no rows of data; expected one per sample.")
+    return _OF_BYTES[ending](path, content)
 
 
 # -- folders ---------------------------------------------------------------------------
@@ -129,77 +155,9 @@ def _tables(path):
     found = []
     for file in sorted(path.iterdir()):
         endings = [x.lower() for x in file.suffixes[-2:]]
-        if endings and endings[-1] in _OPEN:
+        if endings and endings[-1] in _PACKED_ENDINGS:
             endings.pop()
-        known = endings and (endings[-1] in _READERS or endings[-1] in BAGS)
+        known = endings and endings[-1] in {*_OF_BYTES, *_OF_FILES, *BAGS}
         if known and file.is_file() and not file.name.startswith("."):
             found.append(file)
     return found
-
-
-# -- pipes and packed files ------------------------------------------------------------
-
-
-def _source(stack, path):
-    """Return the file to read: itself, unpacked, or the content of a pipe."""
-    source = Source(path, path)
-    if str(path) == "-" or (path.exists() and not path.is_file()):
-        source = _from_pipe(stack, path)
-    elif not path.is_file():
-        raise FileNotFoundError(
-            f"{path}: no such file; expected a recording: {_KNOWN}."
-        )
-    ending = source.file.suffix.lower()
-    if ending in _TEXT:
-        # Packed text may have lost its ending.
-        ending = _ending_of(source.file)
-    return _unpacked(stack, source, ending) if ending in _OPEN else source
-
-
-def _from_pipe(stack, path):
-    """Copy a pipe of text to a file whose ending tells whether it is packed."""
-    shown, stream = Path("standard input"), getattr(sys.stdin, "buffer", sys.stdin)
-    if str(path) != "-":
-        shown, stream = path, stack.enter_context(path.open("rb"))
-    file = _folder(stack) / "recording"
-    _copy(stream, file, shown)
-    if not file.stat().st_size:
-        raise ValueError(f"{shown}: is empty; expected a recording: {_KNOWN}.")
-    return Source(file.rename(file.with_suffix(_ending_of(file))), shown)
-
-
-def _folder(stack):
-    return Path(stack.enter_context(tempfile.TemporaryDirectory()))
-
-
-def _ending_of(file):
-    """Return the ending that packed text should have, from its first bytes."""
-    with file.open("rb") as opened:
-        begin = opened.read(16)
-    return next((x for mark, x in _PACKED.items() if begin.startswith(mark)), ".csv")
-
-
-def _unpacked(stack, source, ending):
-    """Unpack a file into one that is deleted afterwards."""
-    name = source.file.name
-    if source.file.suffix.lower() not in _TEXT:
-        name = name.removesuffix(source.file.suffix) or "recording"
-    file, module = _folder(stack) / name, _OPEN[ending]
-    with (
-        parsing(source, f"{ending[1:]} file", "pack it again."),
-        module.open(source.file, "rb") as stream,
-    ):
-        _copy(stream, file, source.shown)
-    if not file.suffix:
-        file = file.rename(file.with_suffix(_ending_of(file)))
-    return Source(file, source.shown)
-
-
-def _copy(stream, file, shown):
-    """Copy a stream, as far as a recording may go."""
-    size = 0
-    with file.open("wb") as target:
-        while chunk := stream.read(_CHUNK):
-            size += len(chunk)
-            check_size(shown, size, "give a shorter recording", "or more")
-            target.write(chunk)

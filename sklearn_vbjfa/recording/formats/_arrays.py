@@ -15,7 +15,6 @@ from sklearn_vbjfa.recording._table import (
     Loss,
     NotATable,
     RecordingRefused,
-    Source,
     Table,
     check_names,
     check_size,
@@ -37,14 +36,14 @@ _CHANNEL = re.compile(r"t|segment|(q|tau|v|a)([_.\[(]?\d+[\])]?)?", re.IGNORECAS
 # -- arrays and records as tables ------------------------------------------------------
 
 
-def table_of(path: Source, columns, **known) -> Table:
+def table_of(path, columns, **known) -> Table:
     """Make a table of columns by name, or of a matrix whose columns have no names."""
     frame = pandas_of(path).DataFrame(columns)
     if isinstance(columns, np.ndarray):
         frame.columns = [str(k + 1) for k in frame]
         known["nameless"] = True
     frame.index += 1
-    return Table(path=path.shown, frame=frame, **known)
+    return Table(path=path, frame=frame, **known)
 
 
 def _flattened(values, keep=lambda value: True, depth=0):
@@ -76,7 +75,7 @@ def _is_list_of(kind, value):
     return is_list and all(isinstance(x, kind) for x in value)
 
 
-def _table_of_records(path: Source, records) -> Table:
+def _table_of_records(path, records) -> Table:
     """Make columns of rows, each a dict, maybe nested; what a row lacks is nan."""
     records = [_flattened(record) for record in records]
     names = dict.fromkeys(name for record in records for name in record)
@@ -84,7 +83,7 @@ def _table_of_records(path: Source, records) -> Table:
     return _table_of_arrays(path, _without_common_part(columns))
 
 
-def _table_of_arrays(path: Source, arrays) -> Table:
+def _table_of_arrays(path, arrays) -> Table:
     """Make columns of arrays or lists; a matrix such as q becomes q1, q2, ..."""
     arrays = {name: _array(path, name, x) for name, x in arrays.items()}
     # Messages have empty lists for what is not measured.
@@ -158,12 +157,12 @@ def _array(path, name, values):
 # -- NumPy -----------------------------------------------------------------------------
 
 
-def read_npz(path: Source) -> Table:
+def read_npz(path) -> Table:
     """Read arrays; a matrix such as q becomes the columns q1, q2, ..."""
     with parsing(path, "npz file", "save it again with numpy.savez."):
-        with zipfile.ZipFile(path.file) as archive:
+        with zipfile.ZipFile(path) as archive:
             check_size(path, sum(member.file_size for member in archive.infolist()))
-        with np.load(path.file, allow_pickle=False) as archive:
+        with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         # A zip archive of other files, such as a spreadsheet, yields bytes.
         if not all(isinstance(array, np.ndarray) for array in arrays.values()):
@@ -171,10 +170,10 @@ def read_npz(path: Source) -> Table:
     return _table_of_arrays(path, arrays)
 
 
-def read_npy(path: Source) -> Table:
+def read_npy(path) -> Table:
     """Read one array: a matrix, or named fields."""
     with parsing(path, "npy file", "save it again with numpy.save."):
-        array = np.lib.format.open_memmap(path.file, mode="r")
+        array = np.lib.format.open_memmap(path, mode="r")
     if array.ndim == 2 and array.dtype.kind in "biuf":
         return table_of(path, np.array(array))
     if array.dtype.names is None:
@@ -190,11 +189,11 @@ def read_npy(path: Source) -> Table:
 _SAVE = "save(FILE, 't', 'q', 'tau', '-v7')"
 
 
-def read_mat(path: Source) -> Table:
+def read_mat(path) -> Table:
     """Read the variables of a MATLAB file."""
     from scipy.io import loadmat
 
-    with path.file.open("rb") as file:
+    with path.open("rb") as file:
         begin = file.read(128)
     if begin.startswith((b"MATLAB 7.3", b"\x89HDF")):
         raise ValueError(
@@ -203,7 +202,7 @@ def read_mat(path: Source) -> Table:
         )
     what = "MATLAB file of version 5 to 7.2"
     with parsing(path, what, f"write it again with {_SAVE}."):
-        found = loadmat(path.file, simplify_cells=True)
+        found = loadmat(path, simplify_cells=True)
     # Tables and time series have no name here, functions no numbers.
     found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
     arrays = _without_common_part(_flattened(found, _is_usable))
@@ -212,21 +211,11 @@ def read_mat(path: Source) -> Table:
             f"{path}: holds no arrays of numbers; in MATLAB write those of tables and "
             f"time series: t = T.Time; q = T{{:, 2:7}}; ... {_SAVE}."
         )
-    # A cell of texts is a list of them.
-    arrays = {
-        name: np.asarray(x, dtype=str if _is_texts(x) else None)
-        for name, x in arrays.items()
-    }
-    return _table_of_arrays(path, arrays)
+    return _table_of_arrays(path, {name: np.asarray(x) for name, x in arrays.items()})
 
 
 def _is_usable(value):
-    return np.asarray(value).dtype.kind in "biufU" or _is_texts(value)
-
-
-def _is_texts(value):
-    is_cell = isinstance(value, np.ndarray) and value.dtype == object
-    return is_cell and _is_list_of(str, value.ravel().tolist())
+    return np.asarray(value).dtype.kind in "biufU"
 
 
 # -- JSON ------------------------------------------------------------------------------
@@ -235,11 +224,11 @@ def _is_texts(value):
 _SPREAD = 4
 
 
-def read_json(path: Source) -> Table:
+def read_json(path, content) -> Table:
     """Read a list of records or rows, one a line or not, or arrays by their names."""
-    check_size(path, _SPREAD * path.file.stat().st_size, what="as objects")
+    check_size(path, _SPREAD * len(content), what="as objects")
     with parsing(path, "JSON file", "write it again."):
-        found, notes = _parsed(path.file.read_text(encoding="utf-8-sig"))
+        found, notes = _parsed(content.decode("utf-8-sig"))
     if found is None:
         raise no_rows(path)
     rows = found if isinstance(found, list) and found else [found]
@@ -319,9 +308,9 @@ PARQUET = (".parquet", ".pq", ".feather", ".arrow")
 _INFO = Path("meta") / "info.json"
 
 
-def read_parquet(path: Source) -> Table:
+def read_parquet(path) -> Table:
     """Read a parquet or feather file; lists become columns with numbers."""
-    return table_of(path, _columns(path, _lerobot_info(path.file)))
+    return _table_of_columns(path, [path])
 
 
 def read_lerobot(folder: Path) -> Table:
@@ -332,39 +321,26 @@ def read_lerobot(folder: Path) -> Table:
             f"{folder}: is a LeRobot data set without parquet files in its folder data;"
             " expected data/chunk-000/*.parquet (is it downloaded completely?)."
         )
-    size = sum(file.stat().st_size for file in files)
-    check_size(folder, size, f"give one of them, such as {files[0]}", "of files")
-    info = _lerobot_info(files[0])
-    parts = [_columns(Source(x, x), info) for x in files]
-    shared = [x for x in parts[0] if all(x in part for part in parts)]
-    columns = {x: np.concatenate([part[x] for part in parts]) for x in shared}
-    return table_of(Source(folder, folder), columns)
+    return _table_of_columns(folder, files)
 
 
-def _columns(path, info):
-    """Return the columns of a file as arrays, lists of numbers as columns each."""
+def _table_of_columns(path, files):
+    """Return the columns of files one after the other, lists as columns each."""
     try:
-        import pyarrow
-        from pyarrow import ipc, parquet
+        from pyarrow import dataset
     except ImportError as error:
         raise missing(path, "pyarrow", "parquet files need", "parquet") from error
+    is_parquet = files[0].suffix.lower() in PARQUET[:2]
     with parsing(path, "parquet file of plain columns", "write it again."):
-        if path.file.suffix.lower() in PARQUET[:2]:
-            with parquet.ParquetFile(path.file) as file:
-                groups = map(file.metadata.row_group, range(file.num_row_groups))
-                check_size(path, sum(group.total_byte_size for group in groups))
-                read = file.read()
-        else:
-            with ipc.open_file(path.file) as file:
-                batches = []
-                for k in range(file.num_record_batches):
-                    batches.append(file.get_batch(k))
-                    check_size(path, sum(one.nbytes for one in batches))
-                read = pyarrow.Table.from_batches(batches, file.schema)
-        arrays = [column.to_numpy() for column in read.columns]
-    check_names(path, read.column_names or [""], "has")
-    found = {}
-    for name, values in zip(read.column_names, arrays):
+        data = dataset.dataset(
+            [str(file) for file in files], format="parquet" if is_parquet else "feather"
+        )
+        names = data.schema.names
+        check_size(path, 8 * len(names) * data.count_rows())
+        check_names(path, names or [""], "has")
+        arrays = {x: one.to_numpy() for x, one in zip(names, data.to_table().columns)}
+    info, found = _lerobot_info(files[0]), {}
+    for name, values in arrays.items():
         lists = values.dtype.kind == "O" and values.size and values[0] is not None
         if lists and {np.shape(x) for x in values} == {(np.size(values[0]),)}:
             matrix = np.stack(list(values))
@@ -374,7 +350,7 @@ def _columns(path, info):
             found |= {f"{name}.{motor}": x for motor, x in zip(motors, matrix.T)}
         else:
             found[name] = values
-    return found
+    return table_of(path, found)
 
 
 def _lerobot_info(file):

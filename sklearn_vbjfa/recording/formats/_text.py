@@ -10,20 +10,21 @@ from importlib.util import find_spec
 import numpy as np
 
 from sklearn_vbjfa.recording._table import (
+    EXPECTED,
     NotATable,
-    Source,
     Table,
     check_names,
-    check_size,
     missing,
     no_rows,
     pandas_of,
     parsing,
     quoted,
+    split_unit,
+    unit_of,
 )
 
 # Note of a file that ends within a line.
-CUT = "the last line is cut, as where a logger is stopped: it is left out."
+CUT = "the last line is cut, or has no end: it is left out."
 # Lines that an instrument may write before the names of its columns.
 _LONGEST_PREAMBLE = 100
 # What loggers write where nothing was measured.
@@ -37,8 +38,8 @@ _NUMBER = re.compile(
 )
 # A longer line is not a row of a table.
 _LONGEST_LINE = 1 << 25
-# Of fewer rows the last is not said to be cut; rows that show the usual decimals.
-_FEWEST, _TAIL = 10, 500
+# Of fewer rows the last is not said to be cut.
+_FEWEST = 10
 _NO_BRACKETS = bytes.maketrans(b"()[]", b"    ")
 # This line is the separator for Excel.
 _EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
@@ -49,9 +50,9 @@ _BRACKETED = re.compile(r"[-+\d.eE\s,;]*[(\[][-+\d.eE\s,;()\[\]]*")
 _WINDOWS = bytes({*b"\t\n\r\f", *range(32, 256)} - {*b"\x7f\x81\x8d\x8f\x90\x9d"})
 
 
-def read_text(path: Source) -> Table:
+def read_text(path, content) -> Table:
     """Read text with a header line; blank lines and comments (#) are skipped."""
-    content, notes = _decoded(path)
+    content, notes = _decoded(path, content)
     lines = _first_lines(content)
     filled = [line for line in map(_without_comment, lines) if line]
     if not filled:
@@ -73,13 +74,11 @@ def read_text(path: Source) -> Table:
         raise NotATable(str(error)) from error
 
 
-def _decoded(path):
-    """Return the text of a file in UTF-8, lines ended as on Unix, and notes."""
+def _decoded(path, content):
+    """Return text in UTF-8, lines ended as on Unix, and notes."""
     # A mark at the beginning settles the encoding. Text without one is UTF-8, or a CSV
     # file that Excel saved in Western Europe, code page 1252.
-    check_size(path, path.file.stat().st_size, what="of text")
-    content, notes = path.file.read_bytes(), ()
-    encoding = "utf-8"
+    encoding, notes = "utf-8", ()
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         encoding = "utf-16"
     try:
@@ -250,7 +249,21 @@ def _names_and_start(lines):
         return None, (), int(counts)
     # Without a row of numbers, as with one column of text, the names come first.
     at = 0 if data is None else data - 1
+    if at and len(rows[at - 1]) == len(rows[at]) and _are_units(rows[at]):
+        return at - 1, list(map(_with_unit, rows[at - 1], rows[at])), at + 1
     return at, rows[at], at + 1
+
+
+def _are_units(cells):
+    """Return whether most cells are units."""
+    units = [any(unit_of(x, cell.strip("[]()")) for x in EXPECTED) for cell in cells]
+    return 2 * sum(units) > len(cells)
+
+
+def _with_unit(name, unit):
+    """Return a name with the unit below it, unless it has one."""
+    unit = unit.strip("[]()- ")
+    return f"{name} [{unit}]" if name and unit and not split_unit(name)[1] else name
 
 
 def _without_blank_ends(cells):
@@ -275,7 +288,7 @@ def _check_header(path, names, line):
 def _checked_rows(path, content, head):
     """Return the numbers of the lines with rows, and whether a cut one was left out."""
     # Refuses a row that has not as many cells as there are names.
-    width, numbers, tail = len(head.columns), [], []
+    width, numbers = len(head.columns), []
     mark = None if head.separator is None else head.separator.encode()
     comments, quotes = b"#" in content, b'"' in content or width == 1
     ended, rows = content.endswith(b"\n"), io.BytesIO(content)
@@ -292,20 +305,15 @@ def _checked_rows(path, content, head):
                 f"{path}: has a line of more than {_LONGEST_LINE} characters; "
                 "expected one row per sample."
             )
-        cells = line.count(mark) + 1 if mark else len(line.split())
+        cells, wrong = line.count(mark) + 1 if mark else len(line.split()), ""
         if cells != width or quotes:
             wrong = _wrong(line.decode(), head.columns, head.separator)
-            # The last line may be one that was cut.
-            if wrong and (number < last or ended or len(numbers) < _FEWEST):
-                raise ValueError(f"{path}: line {number} {wrong}.")
+        if number == last and len(numbers) >= _FEWEST and (wrong or not ended):
+            return np.array(numbers), True
+        if wrong:
+            raise ValueError(f"{path}: line {number} {wrong}.")
         numbers.append(number)
-        tail = [*tail[1 - _TAIL :], line] if last - number < _TAIL else tail
-    found = np.array(numbers, dtype=int)
-    # Whole files may lack the end of the last line, too.
-    may_be_cut = found.size >= _FEWEST and not ended and found[-1] == last
-    if may_be_cut and _is_cut([x.decode() for x in tail], width, head.separator):
-        return found[:-1], True
-    return found, False
+    return np.array(numbers, dtype=int), False
 
 
 def _wrong(line, names, separator):
@@ -323,28 +331,13 @@ def _wrong(line, names, separator):
     return f"has {len(cells)} cells, the header names {len(names)} columns; {remedy}"
 
 
-def _is_cut(lines, width, separator):
-    """Return whether the last line is not whole: cells or decimals are missing."""
-    last, usual = (_cells(line, separator) for line in (lines[-1], lines[-2]))
-    whole = len(last) >= width and bool(last[-1]) >= bool(usual[-1])
-    if usual[-1].startswith(("[", "(")):
-        return not (whole and last[-1].endswith(("]", ")")))
-    decimals = [_decimals(line, separator) for line in lines]
-    return not (whole and decimals[-1] >= min(decimals[:-1]))
-
-
-def _decimals(line, separator):
-    cell = line.rstrip().rpartition(separator or " ")[2]
-    return len(cell.rpartition("." if separator == "," or "." in cell else ",")[2])
-
-
 # -- columns ---------------------------------------------------------------------------
 
 
 def _table_of_cells(path, frame, head, notes):
     """Return a table of columns whose cells are numbers, dates, text or lists."""
     table = Table(
-        path=path.shown,
+        path=path,
         frame=frame,
         place="line {}",
         nameless=head.nameless,
@@ -422,14 +415,14 @@ def _entries(cell):
 # -- spreadsheets ----------------------------------------------------------------------
 
 
-def read_sheet(path: Source) -> Table:
+def read_sheet(path) -> Table:
     """Read the first sheet with a table of numbers, as text with tabs."""
     pandas = pandas_of(path)
     if find_spec("python_calamine") is None:
         raise missing(path, "python-calamine", "spreadsheets need", "excel")
     with parsing(path, "spreadsheet", "save it as CSV."):
         sheets = pandas.read_excel(
-            path.file,
+            path,
             sheet_name=None,
             engine="calamine",
             dtype=object,

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa.recording._clock import time_of, without_odd_rows
+from sklearn_vbjfa.recording._clock import SAME_DT, time_of, without_odd_rows
 from sklearn_vbjfa.recording._drives import PDDrive
 from sklearn_vbjfa.recording._grid import FileRows
 from sklearn_vbjfa.recording._layout import (
@@ -189,8 +189,14 @@ def rows_of(table: Table, options: ReadOptions) -> FileRows:
     notes = list(table.notes)
     robot = options.robot(table)
     entry = table.scalars.get("dt")
-    if options.dt is None and entry is not None and entry.size == 1:
-        options = replace(options, dt=check_dt(entry.item()))
+    if entry is not None and entry.size == 1:
+        dt = check_dt(entry.item())
+        if options.dt is not None and abs(dt - options.dt) > SAME_DT * dt:
+            raise ValueError(
+                f"{table.path}: its dt is {dt} s but dt = {options.dt} s; correct one "
+                "of them."
+            )
+        options = replace(options, dt=options.dt or dt)
     layout = laid_out(table, options, robot)
     table, rows = without_odd_rows(table, layout, options, notes)
     found, robot = _roles(table, layout, options, robot, notes)

@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 
 from sklearn_vbjfa.recording._table import (
-    LARGEST,
     Table,
     check_size,
     listed,
@@ -45,6 +44,7 @@ _OF_FILES = {
 # How packed text begins, the module that unpacks it, and the endings of its files.
 _PACKED = {b"\x1f\x8b": gzip, b"BZh": bz2, b"\xfd7zXZ\x00": lzma}
 _PACKED_ENDINGS = (".gz", ".bz2", ".xz")
+_CHUNK = 1 << 20
 # Files that only the folder of one bag or data set has.
 _MARKS = ("metadata.yaml", "meta/info.json")
 
@@ -105,18 +105,26 @@ def _read_file(path, topic, joints):
 
 def _read_stream(path, ending, stream):
     """Read text, which may be packed."""
-    content = stream.read(LARGEST + 1)
+    content = _content(path, stream)
     module = next((x for mark, x in _PACKED.items() if content.startswith(mark)), None)
     if module is not None:
         with (
             parsing(path, f"{module.__name__} file", "pack it again."),
             module.open(io.BytesIO(content), "rb") as unpacked,
         ):
-            content = unpacked.read(LARGEST + 1)
-    check_size(path, len(content), "give a shorter recording", "or more")
+            content = _content(path, unpacked)
     if not content:
         raise ValueError(f"{path}: is empty, no rows of data; expected one per sample.")
     return _OF_BYTES[ending](path, content)
+
+
+def _content(path, stream):
+    """Return the bytes of a stream, as far as a recording may go."""
+    content = io.BytesIO()
+    while chunk := stream.read(_CHUNK):
+        content.write(chunk)
+        check_size(path, content.tell(), "give a shorter recording", "or more")
+    return content.getvalue()
 
 
 # -- folders ---------------------------------------------------------------------------

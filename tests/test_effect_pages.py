@@ -83,7 +83,7 @@ def test_sources_are_in_the_bibliography(name):
     assert source
     for doi in re.findall(r":doi:`([^`]+)`", source):
         assert doi in bibliography, doi
-    author, year = re.search(r"\] ([^,( ]+).*?\((\d{4})\)", source).groups()
+    author, year = re.search(r"^([^,( ]+).*?\((\d{4})\)", source).groups()
     entries = re.sub(r"{\\.(\w)}", r"\1", bibliography).split("@")
     assert any(author in one and year in one for one in entries), source
 

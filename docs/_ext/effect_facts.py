@@ -72,17 +72,16 @@ def parameters_of(use):
 
 
 def explanation(kind):
-    """Return the docstring of a class up to its sections, a tuple of paragraphs."""
+    """Return the docstring of a class up to its source, a tuple of paragraphs."""
     text = inspect.getdoc(kind) or ""
-    paragraphs = re.split(r"\n\n\w+\n-{3,}\n", text)[0].split("\n\n")
+    paragraphs = re.split(r"Source:\s|\n\n\w+\n-{3,}\n", text)[0].split("\n\n")
     return tuple(" ".join(one.split()) for one in paragraphs if one.strip())
 
 
 def source_of(kind):
-    """Return the literature that a class names, with its number; empty for none."""
-    text = inspect.getdoc(kind) or ""
-    listed = text.partition("\nReferences\n----------\n")[2].partition("\n\n")[0]
-    return re.sub(r"^\.\. ", "", " ".join(listed.split()))
+    """Return the literature that a class names; empty for none."""
+    listed = (inspect.getdoc(kind) or "").partition("Source:")[2].partition("\n\n")[0]
+    return " ".join(listed.split()).rstrip(".")
 
 
 def added_torque(formula):
@@ -93,7 +92,6 @@ def added_torque(formula):
 def without_markup(text):
     """Return a sentence of a docstring without the marks of reStructuredText."""
     text = re.sub(r":(\w+):`([^`]*)`", r"\1:\2", text)
-    text = re.sub(r"(\[\d+\])_", r"\1", text)
     return re.sub(r"`+([^`]*)`+", r"\1", text)
 
 

@@ -61,16 +61,11 @@ def drawn(name):
 def described(kind):
     """Return the parameters in the docstring of a class, name -> text."""
     return {
-        name: _plain(" ".join(lines))
+        name: " ".join(lines)
         for entry in ClassDoc(kind)["Parameters"]
         for name, lines in [(entry.name, entry.desc)]
         for name in name.split(", ")
     }
-
-
-def _plain(text):
-    """Text of a docstring whose references are listed elsewhere on the page."""
-    return re.sub(r"(\[\d+\])_", r"\1", text)
 
 
 def _shown(value):
@@ -113,7 +108,7 @@ class Law(_OfEffect):
     def run(self):
         """Make the nodes."""
         use, kind = self.use, type(self.use.effect)
-        first, *more = map(_plain, explanation(kind))
+        first, *more = explanation(kind)
         lines = [first, "", *typeset(kind.formula), ""]
         lines += [f"{one}\n" for one in more]
         texts, now = described(kind), use.values
@@ -210,7 +205,7 @@ class Facts(_OfEffect):
         ]
         lines.append(f":source: {source_of(kind)}")
         notes = "\n".join(ClassDoc(kind)["Notes"]).strip()
-        return self.parsed([*lines, "", *([_plain(notes)] if notes else [])])
+        return self.parsed([*lines, "", *([notes] if notes else [])])
 
 
 class Index(_OfEffect):

@@ -10,6 +10,7 @@ about 1 / (1 + (f / cutoff)^10), h being the knot distance; at the ends it
 extrapolates the motion by its own polynomial: nothing is padded and nothing cut.
 """
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -398,6 +399,22 @@ def _penalty_bands(n_coef):
             product = stencil[i] * stencil[j]
             bands[_DEGREE - (j - i), j : j + n_coef - _ORDER] += product
     return bands
+
+
+def contiguous_groups(groups, n_samples):
+    """Return slices of the recordings, one per run of equal labels (n_samples,)."""
+    # None as labels is one recording.
+    if groups is None:
+        return [slice(0, n_samples)]
+    labels = np.asarray(groups)
+    if labels.shape != (n_samples,):
+        raise ValueError(
+            f"groups must hold one label per row, shape ({n_samples},); got shape "
+            f"{labels.shape}."
+        )
+    borders = np.flatnonzero(labels[1:] != labels[:-1]) + 1
+    ends = [0, *map(int, borders), n_samples]
+    return [slice(a, b) for a, b in itertools.pairwise(ends)]
 
 
 def interpolate(values, parts, t, delay=0.0, order=0):

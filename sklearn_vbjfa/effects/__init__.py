@@ -58,7 +58,7 @@ from sklearn_vbjfa.effects._library import (
     declared_columns,
     resolve,
 )
-from sklearn_vbjfa.effects._memory import Backlash, MaxwellSlip, play, stops
+from sklearn_vbjfa.effects._memory import Backlash, MaxwellSlip, elements, play
 from sklearn_vbjfa.effects._motion import (
     FAST,
     HELD,

@@ -1,7 +1,6 @@
 """What an effect is: columns of a joint's torque, computed from the motion."""
 
 import functools
-import itertools
 from dataclasses import dataclass
 from numbers import Integral, Real
 
@@ -9,6 +8,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_array
 
+from sklearn_vbjfa._core._smoothing import contiguous_groups
 from sklearn_vbjfa.effects._motion import Arrays, Motion, rows_of
 
 # Units for a revolute and for a prismatic joint.
@@ -22,6 +22,16 @@ ANGLE, RATIO = ("rad", "rad"), ("", "")
 # that torque elsewhere does not hold for it.
 _TORQUE = frozenset({"law", "columns"})
 _OF_TORQUE = frozenset({"law", "terms", "simulated", "not_simulated", "files", "alike"})
+# Signals of a `Motion` that an effect may need, in words.
+_BODIES = "the rigid-body dynamics"
+_NEEDS = {
+    "time": ("t", "time stamps"),
+    "bodies": ("rigid", _BODIES),
+    "last_body": ("last_body", _BODIES),
+    "geometry": ("derivatives", _BODIES),
+    "load": ("load", "the load, the torque of the rigid bodies"),
+    "command": ("command", "the commands of a drive, or recorded torques"),
+}
 _NONE = "the format has no such torque"
 
 
@@ -35,7 +45,6 @@ class InFiles:
     places: tuple[tuple[str, str], ...] = ()
     # joint parameter of the files, and declared friction, that it adds to
     parameter: str = ""
-    note: str = ""  # what a reader of an MJCF file has to know of it
 
     @classmethod
     def nowhere(cls, reason):
@@ -62,23 +71,20 @@ class Effect(TransformerMixin, BaseEstimator):
     name, label, formula : str
         Name, the same for all joints; name in reports, by default `name`; added torque
         in LaTeX.
-    coefficients : tuple of str
-        Symbols of the linear coefficients, one for each column.
-    units : tuple of (str, str)
-        Their units, for a revolute and for a prismatic joint.
+    coefficients, units : tuple
+        Symbols of the linear coefficients, one for each column, and their units, each
+        for a revolute and for a prismatic joint.
     named_units : tuple of (str, (str, str))
         Symbols and units of what `parameters` returns, if not the coefficients.
     nonnegative : tuple of str
         Coefficients that physics requires to be nonnegative: a search rejects others.
     contains : tuple of str
         Simpler effects, which a search tries first.
-    needs : tuple of {"time", "load", "signals"}
-        Required signals besides the states.
+    needs : tuple of {"time", "load", "bodies", "signals"}
+        What it requires besides the states.
     depends : tuple of {"position", "speed", "load", "direction"}
         Quantities of its joint with which its columns grow: beyond a margin outside the
-        range of the fit, predictions hold the torque constant.
-    bounded : bool
-        Whether its columns do not grow: predictions follow its law everywhere.
+        range of the fit, predictions hold the torque constant, unless it is `bounded`.
     record : str
         What a recording must contain for the effect to be identifiable, and to be
         distinguished from its rivals.
@@ -86,23 +92,17 @@ class Effect(TransformerMixin, BaseEstimator):
         Whether it is friction although it does not depend on speed or direction.
     terms : tuple of (str, str, ...)
         Terms of the compiled forward dynamics, with coefficients and shape parameters.
-        Without terms a simulation leaves it out.
-    not_simulated : str
-        Reason why a simulation leaves it out; empty if it does not.
+        Without them a simulation leaves it out, for the reason `not_simulated`.
     files : InFiles
         What URDF and MJCF files hold of it.
     alike : bool
         Whether a mirrored joint has the same coefficients.
     bank : bool
-        Whether its columns are alike elements of positive size; a search leaves out the
-        others.
-    replaces : str
-        Declared term of its joint that it replaces, "" for none. Where it replaces
-        Coulomb friction, rows at rest are fitted.
-    whole_robot : bool
-        Whether it acts on all joints: columns of shape (n, nv, k).
-    scope : {"joint", "robot"}
-        "robot" for an effect that belongs to no joint.
+        Whether its columns are elements of positive size in place of Coulomb friction:
+        a search leaves out the others, and rows at rest are fitted.
+    whole_robot, scope : bool, {"joint", "robot"}
+        Whether it acts on all joints, with columns of shape (n, nv, k), and belongs to
+        none.
 
     Examples
     --------
@@ -120,33 +120,32 @@ class Effect(TransformerMixin, BaseEstimator):
     """
 
     name = ""
-    coefficients: tuple[str, ...] = ()
-    units: tuple[tuple[str, str], ...] = ()
-    # In words and pictures.
     label = ""
     formula = ""
+    coefficients: tuple[str, ...] = ()
+    units: tuple[tuple[str, str], ...] = ()
     named_units: tuple = ()
     record = "motion of the joint"
-    with_motion = False
     # In a search.
     contains: tuple[str, ...] = ()
     nonnegative: tuple[str, ...] = ()
     bank = False
-    replaces = ""
     # What its columns are made from, and where predictions follow them.
     needs: tuple[str, ...] = ()
     recorded: tuple[str, ...] = ()  # names of the recorded signals that it uses
     depends: tuple[str, ...] = ()
     bounded = False
+    with_motion = False
     # In simulations and in files of other programs.
     terms: tuple = ()
     not_simulated = ""
     files = InFiles()
     # Kinds.
-    partners: tuple[str, ...] = ()
+    partners: tuple[str, ...] = ()  # parameters that are numbers of other joints
     alike = False
     whole_robot = False
     scope = "joint"
+    tuned: tuple[str, ...] = ()  # parameters that do not make it another use
     in_model = False  # see `InModel`
     slow = False  # it could imitate whatever changes slowly, see `OfTime`
 
@@ -162,37 +161,19 @@ class Effect(TransformerMixin, BaseEstimator):
     # -- what a new effect says ---------------------------------------------------
 
     def law(self, maths):
-        """Return its torques as a function of a state, for floats and arrays alike.
+        """Return a function of a state, floats and arrays alike, or None without one.
 
-        An effect that defines `columns` as well, such as one with a memory, agrees.
-
-        Parameters
-        ----------
-        maths : Arrays or Floats
-            Has ``exp``, ``cos``, ``sin``, ``sqrt``, and ``sign(joint)``,
-            which returns a function of a joint's velocity and acceleration.
-
-        Returns
-        -------
-        callable or None
-            State -> tuple with one value for each coefficient. Signals of a state are
-            by joint, such as ``state.q[joint]``: arrays (n,) of a recording, or floats.
-            None for an effect that defines `columns` alone.
+        ``maths`` has ``exp``, ``cos``, ``sin``, ``sqrt``, and ``sign(joint)``, which
+        returns a function of a joint's velocity and acceleration. Signals of a state
+        are by joint, such as ``state.q[joint]``: floats, or arrays (n,) of a recording.
+        The function returns a tuple with one value for each coefficient.
         """
         return None
 
     def columns(self, motion):
-        """Compute the columns; by default those of the `law`.
+        """Return one column for each coefficient (n, k); by default those of the `law`.
 
-        Parameters
-        ----------
-        motion : Motion
-            Signals.
-
-        Returns
-        -------
-        ndarray of shape (n, k)
-            One column for each coefficient; (n, nv, k) for a `whole_robot` effect.
+        Those of a `whole_robot` effect are of shape (n, nv, k).
         """
         law = self.law(Arrays(motion.rest))
         if law is None:
@@ -227,11 +208,9 @@ class Effect(TransformerMixin, BaseEstimator):
 
         A reason that begins with "needs" is one that another recording may remove.
         """
-        for need in self.needs:
-            if need == "time" and motion.t is None:
-                return "needs time stamps"
-            if need == "load" and motion.load is None:
-                return "needs the load, the torque of the rigid bodies"
+        for need, (signal, what) in _NEEDS.items():
+            if need in self.needs and getattr(motion, signal) is None:
+                return f"needs {what}"
         return ""
 
     def plausible(self, coef):
@@ -277,7 +256,7 @@ class Effect(TransformerMixin, BaseEstimator):
         return {name: units[int(bool(prismatic))] for name, units in named}
 
     def prefix(self, joint_name):
-        """Return what the names of its parameters begin with."""
+        """Return the beginning of the names of its parameters."""
         return self.name if self.scope == "robot" else f"{joint_name}:{self.name}"
 
     @property
@@ -288,11 +267,16 @@ class Effect(TransformerMixin, BaseEstimator):
 
     @classmethod
     def describe(cls, shape, joint_label):
-        """Return a label for a sentence, with what matters of its shape (a mapping).
+        """Return a label for a sentence, with what a shape (a mapping) chooses.
 
         ``joint_label`` turns a joint, counted from zero, into its label.
         """
-        return cls.label or cls.name.replace("_", " ")
+        chosen = [joint_label(shape[name]) for name in cls.partners if name in shape]
+        chosen += [
+            value for value in shape.values() if isinstance(value, str) and value
+        ]
+        label = cls.label or cls.name.replace("_", " ")
+        return f"{label} ({', '.join(chosen)})" if chosen else label
 
     # -- derived ------------------------------------------------------------------
 
@@ -304,9 +288,9 @@ class Effect(TransformerMixin, BaseEstimator):
 
     def shape(self):
         """Shape parameters in use."""
-        parameters = self.get_params(deep=False)
-        parameters.pop("joint")
-        return parameters
+        shape = self.get_params(deep=False)
+        del shape["joint"]
+        return shape
 
     def check(self):
         """Raise ValueError for a joint that is not an integer."""
@@ -324,52 +308,31 @@ class Effect(TransformerMixin, BaseEstimator):
             )
 
     def key(self):
-        """Tell two uses of the effect apart: all but what is tuned."""
-        return self._key_without(())
-
-    def _key_without(self, tuned):
-        fixed = {k: v for k, v in self.shape().items() if k not in tuned}
+        """Tell two uses of the effect apart: all but what is `tuned`."""
+        fixed = {k: v for k, v in self.shape().items() if k not in self.tuned}
         return (self.name, self.joint, tuple(sorted(fixed.items())))
 
     def fit(self, X, y=None):
-        """Check the states.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, 3 * nv)
-            States [q | v | a].
-        y : None
-            Ignored.
-
-        Returns
-        -------
-        self : object
-            Fitted transformer.
-        """
-        self._motion(X)
-        self.n_features_in_ = np.shape(X)[1]
+        """Check states [q | v | a], array-like of shape (n_samples, 3 * nv)."""
+        self.n_features_in_ = 3 * self._motion(X).n_joints
         return self
 
     def transform(self, X, *, t=None, load=None, groups=None, signals=None):
-        """Compute the effect's columns.
+        """Compute the columns in some states.
 
         Parameters
         ----------
         X : array-like of shape (n_samples, 3 * nv)
             States [q | v | a].
-        t : array-like of shape (n_samples,), default=None
-            Time [s]; needed by effects that change with time.
-        load : array-like of shape (n_samples, nv), default=None
-            Torques of the rigid bodies [N m or N]; needed by effects of the load.
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
-        signals : mapping of str to array-like of shape (n_samples,), default=None
-            Recorded signals; required by effects that vary with them.
+        t, load, groups, signals : default=None
+            Time (n_samples,) [s], torques of the rigid bodies (n_samples, nv) [N m or
+            N], labels of separate recordings (n_samples,), and recorded signals
+            (n_samples,) by name; each is required by the effects that need it.
 
         Returns
         -------
         ndarray of shape (n_samples, k)
-            Columns, one for each coefficient.
+            One column for each coefficient.
 
         Raises
         ------
@@ -391,19 +354,20 @@ class Effect(TransformerMixin, BaseEstimator):
                 f"X must hold states [q | v | a], three columns a joint; got "
                 f"{X.shape[1]} columns."
             )
-        if not 0 <= self.joint < nv:
-            raise ValueError(
-                f"joint must be one of 0 to {nv - 1}, for {nv} joints; got "
-                f"{self.joint!r}."
-            )
+        for joint in (self.joint, *(getattr(self, name) for name in self.partners)):
+            if not 0 <= joint < nv:
+                raise ValueError(
+                    f"{self.name} is on joint {joint!r}; expected 0 to {nv - 1}, for "
+                    f"{nv} joint(s)."
+                )
         q, v, a = np.split(X, 3, axis=1)
         return Motion(
             q=q,
             v=v,
             a=a,
-            t=None if t is None else _checked("t", t, (n,)),
-            load=None if load is None else _checked("load", load, (n, nv)),
-            parts=_parts(groups, n),
+            t=_checked("t", t, (n,)),
+            load=_checked("load", load, (n, nv)),
+            parts=tuple(contiguous_groups(groups, n)),
             signals={
                 name: _checked(f"signals[{name!r}]", values, (n,))
                 for name, values in ({} if signals is None else signals).items()
@@ -411,22 +375,9 @@ class Effect(TransformerMixin, BaseEstimator):
         )
 
     def get_feature_names_out(self, input_features=None):
-        """Names of the columns, such as "joint 2:coulomb:Fc".
-
-        Parameters
-        ----------
-        input_features : None
-            Ignored.
-
-        Returns
-        -------
-        ndarray of str
-            Names.
-        """
-        return np.array(
-            [f"joint {self.joint + 1}:{self.name}:{c}" for c in self.coefficients],
-            dtype=object,
-        )
+        """Names of the columns, ndarray of str, such as "joint 2:coulomb:Fc"."""
+        prefix = f"joint {self.joint + 1}:{self.name}"
+        return np.array([f"{prefix}:{c}" for c in self.coefficients], dtype=object)
 
 
 class Shaped(Effect):
@@ -441,7 +392,7 @@ class Shaped(Effect):
     continuous : tuple of str
         Those that are searched between the values of `shapes` as well.
     positive : tuple of str
-        Those that must be greater than zero.
+        Those that must be greater than zero, or tuples of such.
     averaged : tuple of (str, tuple)
         One with few values, and these, over which intervals are averaged, of an effect
         with one coefficient.
@@ -451,8 +402,6 @@ class Shaped(Effect):
         Angles [rad], the same again after a turn.
     jumping : tuple of str
         Instants at which the torque jumps: they get no interval.
-    partners : tuple of str
-        Numbers of other joints.
     split_by : tuple of str
         Those that make it another effect to an engineer (which signal): where several
         explain as much as the best, a search reports them as its rivals.
@@ -471,14 +420,17 @@ class Shaped(Effect):
         """Raise ValueError for shape parameters out of range, too."""
         super().check()
         for name in self.positive:
-            value = getattr(self, name)
-            if not (isinstance(value, Real) and 0 < value < np.inf):
-                raise ValueError(
-                    f"{name} of {self.name} must be positive and finite; got {value!r}."
-                )
+            found = getattr(self, name)
+            for value in found if isinstance(found, (tuple, list)) else [found]:
+                if not (isinstance(value, Real) and 0 < value < np.inf):
+                    raise ValueError(
+                        f"{name} of {self.name} must be positive and finite; got "
+                        f"{value!r}."
+                    )
 
-    def key(self):
-        return self._key_without(self.continuous)
+    @property
+    def tuned(self):
+        return self.continuous
 
     def parameter_units(self, prismatic=False):
         units = {name: both[int(bool(prismatic))] for name, both in self.shape_units}
@@ -500,20 +452,10 @@ class OfTime(Effect):
     needs: tuple[str, ...] = ("time",)
 
 
-def _parts(groups, n):
-    if groups is None:
-        return (slice(0, n),)
-    labels = np.asarray(groups)
-    if labels.shape != (n,):
-        raise ValueError(
-            f"groups must hold one label per row, shape ({n},); got {labels.shape}."
-        )
-    edges = np.r_[0, np.flatnonzero(labels[1:] != labels[:-1]) + 1, n]
-    return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
-
-
 def _checked(name, values, shape):
-    """Return an argument as an array of floats of this shape."""
+    """Return an argument as an array of floats of this shape, or None."""
+    if values is None:
+        return None
     values = check_array(values, ensure_2d=False, dtype=np.float64)
     if values.shape != shape:
         raise ValueError(f"{name} must have shape {shape}; got {values.shape}.")

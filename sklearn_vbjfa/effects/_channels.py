@@ -6,8 +6,7 @@ import numpy as np
 import scipy
 from sklearn.base import clone
 
-from sklearn_vbjfa.effects._base import TIME, Effect, InFiles, Shaped, Stateful
-from sklearn_vbjfa.effects._motion import Motion
+from sklearn_vbjfa.effects._base import TIME, InFiles, Shaped, Stateful
 
 # Delays to try [s].
 _DELAYS = (0.001, 0.002, 0.004, 0.008, 0.016, 0.03)
@@ -20,8 +19,6 @@ _SAMPLES = 0.5
 _SLOWEST = 0.1
 # A normal weight function is cut off after this many standard deviations.
 _TAIL = 4.0
-# Frequency at which a normal weight function of 1 s leaves half the power [Hz].
-_HALF_POWER = np.sqrt(np.log(2.0)) / (2 * np.pi)
 # A coefficient may differ by this factor from what the columns were made with: beyond,
 # they stand for something else.
 _FACTOR = 2.0
@@ -53,57 +50,64 @@ def smooth(x, dt, time_constant):
     return scipy.signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
 
 
-class OfChannel(Effect):
-    """An effect of what a torque channel reads, which the robot itself has not."""
+class OfChannel(Shaped, Stateful):
+    """What a torque channel reads of another torque than that of the robot.
 
+    The column is its change of the model's torque over its shape parameter, a time [s],
+    so that its coefficient is that time again.
+    """
+
+    units = (TIME,)
+    needs: tuple[str, ...] = ("load", "time")
     # Frequency above which it filters the channel [Hz]; None if it is not a filter.
     corner: float | None = None
 
+    @property
+    def _time(self):
+        return getattr(self, self.continuous[0])
+
+    def change(self, torque, t):
+        """Return what the channel adds to torques (n,) at times t (n,)."""
+        raise NotImplementedError(f"{type(self).__name__} must define change.")
+
+    def columns(self, motion):
+        self.check()
+        torque = model_torque(motion, self.joint)
+        parts = [self.change(torque[part], motion.t[part]) for part in motion.parts]
+        return np.concatenate(parts)[:, None] / self._time
+
+    def plausible(self, coef):
+        found = self.parameters(coef)[self.continuous[0]]
+        return 1 / _FACTOR < found / self._time < _FACTOR
+
     def taken_back(self, coef, torque, t):
-        """Take it out of what the channel of its joint read, (n,) at times t (n,)."""
+        """Take it out of what the channel read, (n,) at times t (n,)."""
         # It reads y = x + B x for the torque x; taken back by the first terms of the
         # series of its inverse, x = y - B y + B^2 y: that restores what a filter lets
         # through without blowing up the noise above.
-        once = self._change(coef, torque, t)
-        twice = self._change(coef, once, t)
-        return torque + (twice - once)
-
-    def _change(self, coef, torque, t):
-        """Return what it adds to torques (n,) of its joint."""
-        whole = np.zeros((t.size, self.joint + 1))
-        whole[:, self.joint] = torque
-        rest = np.zeros_like(whole)
-        motion = Motion(q=rest, v=rest, a=rest, t=t, load=whole, torque=whole)
-        return self.columns(motion) @ coef
+        share = coef[0] / self._time
+        once = share * self.change(torque, t)
+        return torque + (share * self.change(once, t) - once)
 
 
-class Delay(Shaped, Stateful, OfChannel):
-    """The torque signal lags behind the positions.
+class Delay(OfChannel):
+    """The torque signal lags behind the positions, tau(t - delay).
 
-    The column is (tau(t - delay) - tau(t)) / delay, the model's torque shifted, so
-    that its coefficient is the delay [s] again: to first order -dtau/dt [1]_.
-    A smoothing of the torque looks like a delay of either signal: where the opposite
-    delay saves nearly as much, a search finds none.
+    To first order the column is -dtau/dt. A smoothing of the torque looks like a delay
+    of either signal: where the opposite delay saves nearly as much, a search finds
+    none. Source: Ljung (1999), section 10.3.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     delay : float, default=0.001
         Shift [s]; negative if the positions lag.
-
-    References
-    ----------
-    .. [1] Ljung (1999), section 10.3
     """
 
     name = "delay"
     label = "delay of the torque signal"
     formula = r"\tau(t - \mathrm{delay}) - \tau(t)"
     coefficients = ("delay_estimate",)
-    units = (TIME,)
     named_units = shape_units = (("delay", TIME),)
-    needs = ("load", "time")
     continuous = ("delay",)
     record = "fast changes of the torque"
     files = InFiles.nowhere(
@@ -119,9 +123,6 @@ class Delay(Shaped, Stateful, OfChannel):
         if not (isinstance(self.delay, Real) and 0 < abs(self.delay) < np.inf):
             raise ValueError(f"delay must be finite and not zero; got {self.delay!r}.")
 
-    def plausible(self, coef):
-        return 1 / _FACTOR < float(coef[0]) / self.delay < _FACTOR
-
     def natural(self, coef):
         # Short delays differ in the coefficient, and hardly in the shift that the
         # column is made with: the one may be far from the other.
@@ -134,22 +135,8 @@ class Delay(Shaped, Stateful, OfChannel):
     def key(self):
         return (self.name, self.joint, bool(self.delay > 0))
 
-    @classmethod
-    def describe(cls, shape, joint_label):
-        delay = shape.get("delay")
-        if not delay:
-            return cls.label
-        late, other = ("torque", "position")[:: 1 if delay > 0 else -1]
-        return f"delay: {late} lags {other} by {1e3 * abs(delay):.2g} ms"
-
-    def columns(self, motion):
-        torque = model_torque(motion, self.joint)
-        out = np.empty_like(torque)
-        for part in motion.parts:
-            t = motion.t[part]
-            lagged = np.interp(t - self.delay, t, torque[part])
-            out[part] = (lagged - torque[part]) / self.delay
-        return out[:, None]
+    def change(self, torque, t):
+        return np.interp(t - self.delay, t, torque) - torque
 
     def taken_back(self, coef, torque, t):
         return np.interp(t + coef[0], t, torque)
@@ -162,19 +149,17 @@ class Delay(Shaped, Stateful, OfChannel):
         return {"delay": float(coef[0])}
 
 
-class TorqueFilter(Shaped, Stateful, OfChannel):
+class TorqueFilter(OfChannel):
     """The torque passed a filter that the positions did not pass, or the reverse.
 
-    The column is (F tau - tau) / T for a filter F of the time constant T that acts on
-    the model's torque, so that its coefficient is T again [1]_. Where the positions
-    passed it, the measured torque is the inverse filter's, to second order tau +
-    (1 - F) tau + (1 - F)^2 tau. If T is short compared with the motion, the lag is a
-    `Delay` by T, and the torque of an `Elastic` joint or a `Jerk` can be the same.
+    The filter F acts on the model's torque, F tau - tau. Where the positions passed it,
+    the measured torque is the inverse filter's, to second order tau + (1 - F) tau + (1
+    - F)^2 tau. If T is short compared with the motion, the lag is a `Delay` by T, and
+    the torque of an `Elastic` joint or a `Jerk` can be the same. Source: Ljung (1999),
+    section 14.4.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     kind : {"lag", "smooth"}, default="lag"
         A causal low-pass of the first order, T dy/dt = x - y, or an average with normal
         weights of standard deviation T, which delays nothing and leaves half the power
@@ -183,10 +168,6 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
         Which channel passed it.
     time_constant : float, default=0.01
         T [s].
-
-    References
-    ----------
-    .. [1] Ljung (1999), section 14.4
     """
 
     name = "torque_filter"
@@ -196,15 +177,11 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
         r" F(\omega) = \frac{1}{1 + i\,\omega\,\mathrm{time\_constant}}"
         r" \quad\text{or}\quad e^{-(\omega\,\mathrm{time\_constant})^2 / 2}"
     )
-    coefficients = ("time_constant_estimate",)
-    units = (TIME,)
+    coefficients = nonnegative = ("time_constant_estimate",)
     named_units = (("time_constant", TIME), ("cutoff", ("Hz", "Hz")))
     shape_units = (("time_constant", TIME),)
     contains = ("delay",)
-    needs = ("load", "time")
-    continuous = ("time_constant",)
-    positive = ("time_constant",)
-    nonnegative = ("time_constant_estimate",)
+    continuous = positive = ("time_constant",)
     record = "fast changes of the torque, both channels unfiltered"
     files = InFiles.nowhere("a channel's filter; it is not a property of the robot")
 
@@ -214,34 +191,14 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
         self.of = of
         self.time_constant = time_constant
 
-    @classmethod
-    def describe(cls, shape, joint_label):
-        T = shape.get("time_constant")
-        if not T:
-            return cls.label
-        if shape.get("kind") == "smooth":
-            about = f"with about {_HALF_POWER / T:.2g} Hz"
-            if shape.get("of") == "position":
-                return f"filter: the position was smoothed {about}, the torque was not"
-            return f"filter: the torque was smoothed {about}"
-        late, other = "torque", "position"
-        if shape.get("of") == "position":
-            late, other = other, late
-        return f"filter: {late} lags {other} by a low-pass of {1e3 * T:.2g} ms"
-
     @property
     def corner(self):
-        half = 1.0 / (2.0 * np.pi) if self.kind == "lag" else _HALF_POWER
-        return half / self.time_constant
+        return _FILTERS[self.kind][1] / self.time_constant
 
     def check(self):
         super().check()
         self._check_choice("kind", _FILTERS)
         self._check_choice("of", ("torque", "position"))
-
-    def plausible(self, coef):
-        found = self.parameters(coef)["time_constant"]
-        return 1 / _FACTOR < found / self.time_constant < _FACTOR
 
     def natural(self, coef):
         # No frequency leaves a filter larger than it came.
@@ -251,21 +208,16 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
         other = "torque" if self.of == "position" else "position"
         return clone(self).set_params(of=other)
 
-    def columns(self, motion):
-        self.check()
-        torque = model_torque(motion, self.joint)
-        out = np.zeros_like(torque)
-        for part in motion.parts:
-            if part.stop - part.start < 2:
-                continue
-            t, T = motion.t[part], self.time_constant
-            dt = (t[-1] - t[0]) / (t.size - 1)
-            change = _FILTERS[self.kind](torque[part], dt, T) - torque[part]
-            if self.of == "position":
-                # 1 / F = 1 / (1 - (1 - F))
-                change = _FILTERS[self.kind](change, dt, T) - 2 * change
-            out[part] = change / T
-        return out[:, None]
+    def change(self, torque, t):
+        if t.size < 2:
+            return np.zeros_like(torque)
+        dt = (t[-1] - t[0]) / (t.size - 1)
+        filtered, _ = _FILTERS[self.kind]
+        change = filtered(torque, dt, self.time_constant) - torque
+        if self.of == "torque":
+            return change
+        # 1 / F = 1 / (1 - (1 - F))
+        return filtered(change, dt, self.time_constant) - 2 * change
 
     def shapes(self, motion):
         """Time constants around what the low-pass lets through."""
@@ -287,24 +239,25 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
         if self.kind == "smooth":
             # The column goes with the square of the time constant.
             T = float(np.sqrt(max(T, 0.0) * self.time_constant))
-        cutoff = _HALF_POWER if self.kind == "smooth" else 1 / (2 * np.pi)
+        cutoff = _FILTERS[self.kind][1]
         return {"time_constant": T, "cutoff": float(cutoff / T) if T else np.inf}
 
 
-_FILTERS = {"lag": low_pass, "smooth": smooth}
+# Filters, and the frequency at which 1 s leaves half of the power [Hz].
+_FILTERS = {
+    "lag": (low_pass, 1 / (2 * np.pi)),
+    "smooth": (smooth, np.sqrt(np.log(2.0)) / (2 * np.pi)),
+}
 
 
 class Jerk(Stateful):
     """Torque in proportion to the third derivative of the position, tau = J da/dt.
 
     Nothing in a rigid body has it. Positions that lag by a time T make it, with J = T
-    times the inertia: the torque of the inertia is ahead of them by T da/dt, while
-    the reversal of the friction need not be, where it is the drive's own. A torque that
-    lags makes it with J < 0, and so does a flexible drive with a damped spring [1]_.
-
-    References
-    ----------
-    .. [1] Janot, Gautier and Brunot (2019), data set and models of EMPS
+    times the inertia: the torque of the inertia is ahead of them by T da/dt, while the
+    reversal of the friction need not be, where it is the drive's own. A torque that
+    lags makes it with J < 0, and so does a flexible drive with a damped spring. Source:
+    Janot, Gautier and Brunot (2019), data set and models of EMPS.
     """
 
     name = "jerk"
@@ -315,14 +268,6 @@ class Jerk(Stateful):
     needs = ("time",)
     record = "fast changes of the acceleration"
     not_simulated = "it represents a lag of a channel or flexibility"
-
-    @classmethod
-    def describe(cls, shape, joint_label):
-        J = shape.get("J")
-        if not J:
-            return cls.label
-        late, other = ("position", "torque")[:: 1 if J > 0 else -1]
-        return f"jerk: {late} lags {other}, or flexibility"
 
     def columns(self, motion):
         return motion.derivative(motion.a[:, [self.joint]])

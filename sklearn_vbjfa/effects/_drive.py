@@ -1,7 +1,5 @@
 """Effects of drives, and bodies that a drive moves through another joint."""
 
-from numbers import Integral
-
 import numpy as np
 from sklearn.base import clone
 
@@ -17,6 +15,7 @@ from sklearn_vbjfa.effects._base import (
     Shaped,
     Stateful,
 )
+from sklearn_vbjfa.effects._position import Spring
 
 # Shares of the own joint's speed in w to try: none, sum and difference, and others; and
 # ratios of springs.
@@ -32,11 +31,8 @@ _DEFLECTION = 1e-4
 class RotorInertia(Effect):
     """Inertia of the motor's rotor seen from the joint, tau = Ir a.
 
-    On the first joints of an arm it lies in the span of the links' inertias.
-
-    References
-    ----------
-    .. [1] Khalil and Dombre (2004), chapter 9
+    On the first joints of an arm it lies in the span of the links' inertias. Source:
+    Khalil and Dombre (2004), chapter 9.
     """
 
     name = "rotor_inertia"
@@ -64,32 +60,18 @@ class _ToAnother(Shaped):
         super().__init__(joint)
         self.other = other
 
-    @classmethod
-    def describe(cls, shape, joint_label):
-        if not isinstance(shape.get("other"), Integral):
-            return cls.label
-        kind = cls.label.removesuffix(" to another joint")
-        ratio = shape.get("ratio", 0.0)
-        how = {0.0: "", 1.0: " (sum)", -1.0: " (difference)"}
-        ending = how.get(ratio, f" (own speed times {ratio:.2g})")
-        return f"{kind} to {joint_label(shape['other'])}{ending}"
-
     def applies(self, motion):
         if motion.n_joints < 2:
             return "there is only one joint"
         return super().applies(motion)
 
-    def _check_other(self, motion):
-        """Refuse a second joint that is the first."""
-        if self.other == self.joint or not 0 <= self.other < motion.n_joints:
+    def check(self):
+        """Raise ValueError for a second joint that is the first, too."""
+        super().check()
+        if self.other == self.joint:
             raise ValueError(
-                f"other of {self.name} must be another joint, 0 to "
-                f"{motion.n_joints - 1} but not {self.joint}; got {self.other!r}."
+                f"other of {self.name} must be another joint than {self.joint}."
             )
-
-    def columns(self, motion):
-        self._check_other(motion)
-        return super().columns(motion)
 
     def shapes(self, motion):
         """All other joints."""
@@ -102,21 +84,15 @@ class Coupling(_ToAnother):
 
     tau = Fvm w + Fcm sign(w) + Iam dw/dt, where w is the other joint's velocity plus
     ratio times the own one: drives in series through a differential or coupled wrist
-    [1]_ (ratio 1 or -1), or a tendon over both joints.
+    (ratio 1 or -1), or a tendon over both joints. Source: Gautier, Janot and Vandanjon
+    (2013), wrist of the Staubli TX40, :doi:`10.1109/TCST.2012.2185697`.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint whose torque is felt, from zero.
     other : int, default=1
         Joint that moves.
     ratio : float, default=0.0
         Share of the joint's own speed in w.
-
-    References
-    ----------
-    .. [1] Gautier, Janot and Vandanjon (2013), wrist of the Staubli TX40,
-       :doi:`10.1109/TCST.2012.2185697`
     """
 
     name = "coupling"
@@ -128,10 +104,6 @@ class Coupling(_ToAnother):
     units = (VISCOSITY, TORQUE, INERTIA)
     contains = ("coulomb", "viscous")
     record = "each joint moving alone, with reversals"
-    files = InFiles(
-        urdf="URDF has no friction or inertia between joints",
-        mjcf="no friction or inertia between joints is written",
-    )
 
     def __init__(self, joint=0, other=1, ratio=0.0):
         super().__init__(joint, other)
@@ -181,20 +153,14 @@ class CouplingSpring(_ToAnother):
     """Spring over two joints, such as a tendon, tau = k (q - ratio q_other - q0).
 
     It acts on the other joint with -ratio times that torque, as its energy is that of
-    one deflection [1]_.
+    one deflection. Source: Khalil and Dombre (2004), chapter 9.
 
     Parameters
     ----------
-    joint : int, default=0
-        First joint, from zero.
     other : int, default=1
         Second joint.
     ratio : float, default=1.0
         Deflection by the second joint over that by the first, of the opposite sign.
-
-    References
-    ----------
-    .. [1] Khalil and Dombre (2004), chapter 9
     """
 
     name = "coupling_spring"
@@ -214,7 +180,6 @@ class CouplingSpring(_ToAnother):
         self.ratio = ratio
 
     def columns(self, motion):
-        self._check_other(motion)
         way = np.zeros((motion.n_joints, 1))
         way[[self.joint, self.other], 0] = 1.0, -self.ratio
         deflection = motion.q @ way
@@ -238,22 +203,16 @@ class CouplingSpring(_ToAnother):
             for way in (1.0, -1.0)
         ]
 
-    def parameters(self, coef):
-        k, c = (float(x) for x in coef)
-        return {"k": k, "q0": -c / k if k else np.nan}
+    parameters = Spring.parameters
 
 
 class Elastic(Stateful):
     """Elastic joint seen from the motor, with the compliance 1/k as coefficient.
 
     Positions are measured at the motor and the link lags by tau / k, so that to first
-    order the torque changes by 1/k times the derivative of the rigid-body torques
-    along -(tau, dtau/dt, d2tau/dt2): mostly the second derivative of the joint torque
-    times the link's inertia [1]_.
-
-    References
-    ----------
-    .. [1] Spong (1987), :doi:`10.1115/1.3143860`
+    order the torque changes by 1/k times the derivative of the rigid-body torques along
+    -(tau, dtau/dt, d2tau/dt2): mostly the second derivative of the joint torque times
+    the link's inertia. Source: Spong (1987), :doi:`10.1115/1.3143860`.
     """
 
     name = "elastic"
@@ -267,18 +226,12 @@ class Elastic(Stateful):
     nonnegative = ("compliance",)
     units = (("rad/(N m)", "m/N"),)
     named_units = (("k", STIFFNESS),)
-    needs = ("load", "time")
+    needs = ("bodies", "load", "time")
     record = "fast motion, from a tenth of the elastic frequency"
     not_simulated = (
         "a first-order correction of the torque, which has no forward dynamics"
     )
     whole_robot = True
-
-    def applies(self, motion):
-        reason = super().applies(motion)
-        if not reason and motion.rigid is None:
-            return "needs the rigid-body dynamics"
-        return reason
 
     def columns(self, motion):
         j = self.joint

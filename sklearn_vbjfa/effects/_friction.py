@@ -17,11 +17,8 @@ _STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6)
 class Viscous(Effect):
     """Viscous friction, tau = Fv v.
 
-    Part of the model of [1]_, the eleventh parameter of each joint there.
-
-    References
-    ----------
-    .. [1] Ting, D'Souza and Schaal (2011), :doi:`10.1016/j.neunet.2010.08.011`
+    Source: Ting, D'Souza and Schaal (2011), :doi:`10.1016/j.neunet.2010.08.011`, the
+    eleventh parameter of each joint there.
     """
 
     name = "viscous"
@@ -41,14 +38,11 @@ class Viscous(Effect):
 
 
 class Coulomb(Effect):
-    """Coulomb friction, tau = Fc sign(v) [1]_.
+    """Coulomb friction, tau = Fc sign(v).
 
-    The limit of `MaxwellSlip` for small displacements.
-
-    References
-    ----------
-    .. [1] Armstrong-Helouvry, Dupont and Canudas de Wit (1994), a survey of friction
-       models, :doi:`10.1016/0005-1098(94)90209-7`
+    The limit of `MaxwellSlip` for small displacements. Source: Armstrong-Helouvry,
+    Dupont and Canudas de Wit (1994), a survey of friction models,
+    :doi:`10.1016/0005-1098(94)90209-7`.
     """
 
     name = "coulomb"
@@ -73,11 +67,8 @@ class AsymmetricFriction(Effect):
     tau = dFc abs(sign(v)) + dFv abs(v): half the difference between the Coulomb and
     viscous coefficients for v > 0 and for v < 0, in addition to the symmetric `Coulomb`
     and `Viscous` halves. Without dFv it equals an `Offset`. Usual in screw drives and
-    where gravity loads the gear flanks [1]_.
-
-    References
-    ----------
-    .. [1] Janot, Gautier and Brunot (2019), data set and models of EMPS
+    where gravity loads the gear flanks. Source: Janot, Gautier and Brunot (2019), data
+    set and models of EMPS.
     """
 
     name = "asymmetric_friction"
@@ -90,11 +81,7 @@ class AsymmetricFriction(Effect):
     record = "both directions at several speeds"
     # Half the difference of dry friction is a constant, at rest as well.
     terms = (("constant", "dFc"), ("absolute", "dFv"))
-    files = InFiles(
-        urdf="friction in URDF is the same in both directions",
-        mjcf="damping in MJCF is the same in both directions",
-        places=(("constant", "dFc"),),
-    )
+    files = InFiles(places=(("constant", "dFc"),))
 
     def law(self, maths):
         j = self.joint
@@ -108,21 +95,15 @@ class AsymmetricFriction(Effect):
 class Stribeck(Shaped):
     """Stribeck friction, tau = Fs exp(-abs(v / vs)^k) sign(v).
 
-    What friction has at low speed above its Coulomb level [1]_.
+    What friction has at low speed above its Coulomb level. Source: Armstrong-Helouvry,
+    Dupont and Canudas de Wit (1994), section 2, :doi:`10.1016/0005-1098(94)90209-7`.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     vs : float, default=0.1
         Stribeck speed [rad/s or m/s].
     k : {1, 2}, default=1
         Exponent.
-
-    References
-    ----------
-    .. [1] Armstrong-Helouvry, Dupont and Canudas de Wit (1994), section 2,
-       :doi:`10.1016/0005-1098(94)90209-7`
     """
 
     name = "stribeck"
@@ -133,6 +114,7 @@ class Stribeck(Shaped):
     units = (TORQUE,)
     contains = ("coulomb", "viscous")
     continuous = positive = ("vs",)
+    tuned = ("vs", "k")
     shape_units = (("vs", SPEED), ("k", RATIO))
     averaged = ("k", (1, 2))
     depends = ("direction",)
@@ -159,20 +141,13 @@ class Stribeck(Shaped):
         fast = motion.speed(self.joint)
         return [{"vs": s * fast, "k": k} for k in (1, 2) for s in _STRIBECK]
 
-    def key(self):
-        """Both exponents are one use of the effect."""
-        return (self.name, self.joint, ())
-
 
 class ViscousQuadratic(Effect):
     """Quadratic viscous friction, tau = F2 v abs(v).
 
     Drag of fans and fluids; its negative, friction that grows less than in proportion
-    to speed, as in lubricated gears [1]_.
-
-    References
-    ----------
-    .. [1] Carvalho Bittencourt and Gunnarsson (2012), :doi:`10.1115/1.4006589`
+    to speed, as in lubricated gears. Source: Carvalho Bittencourt and Gunnarsson
+    (2012), :doi:`10.1115/1.4006589`.
     """
 
     name = "viscous_quadratic"
@@ -184,12 +159,6 @@ class ViscousQuadratic(Effect):
     contains = ("viscous", "coulomb")
     depends = ("speed",)
     record = "slow and fast motion"
-    files = InFiles(
-        urdf="friction with the square of speed",
-        mjcf="friction with the square of speed; MuJoCo 4 takes it as "
-        'damping="{damping:.6g} {F2:.6g}" of the joint, which older versions do not '
-        "read",
-    )
     terms = (("quadratic", "F2"),)
 
     def law(self, maths):
@@ -200,12 +169,9 @@ class ViscousQuadratic(Effect):
 class LoadFriction(Effect):
     """Friction in proportion to the load, tau = mu abs(tau_load) sign(v).
 
-    Gears and bearings press harder under load [1]_. The load is the torque of the
-    rigid bodies of the model.
-
-    References
-    ----------
-    .. [1] Hamon, Gautier and Garrec (2010), section 3, :doi:`10.1109/IROS.2010.5649189`
+    Gears and bearings press harder under load. The load is the torque of the rigid
+    bodies of the model. Source: Hamon, Gautier and Garrec (2010), section 3,
+    :doi:`10.1109/IROS.2010.5649189`.
     """
 
     name = "load_friction"
@@ -231,12 +197,9 @@ class GearLoss(LoadFriction):
 
     tau = mud abs(tau_load) sign(v) while the drive moves the load, and mub
     abs(tau_load) sign(v) while the load moves the drive: the efficiencies of a gear
-    forward and backward [1]_. It is `LoadFriction` of their mean, and half of their
-    difference times the load, as a `TorqueGain` adds.
-
-    References
-    ----------
-    .. [1] Hamon, Gautier and Garrec (2010), :doi:`10.1109/IROS.2010.5649189`
+    forward and backward. It is `LoadFriction` of their mean, and half of their
+    difference times the load, as a `TorqueGain` adds. Source: Hamon, Gautier and Garrec
+    (2010), :doi:`10.1109/IROS.2010.5649189`.
     """
 
     name = "gear_loss"

@@ -60,9 +60,9 @@ class InModel(Effect):
     """An effect whose values are part of the robot model.
 
     The values are parameters of ``__init__``. The columns are the derivatives of the
-    torque by them, at the present values; a fitted coefficient is a correction, see
-    `at`. `RobotIdentifier` iterates these corrections, so that in ``theta_`` the
-    parameters of the effect are the values themselves.
+    torque by them, at the present values; a fitted coefficient is a correction.
+    `RobotIdentifier` iterates these corrections, so that in ``theta_`` the parameters
+    of the effect are the values themselves.
 
     Attributes
     ----------
@@ -77,23 +77,15 @@ class InModel(Effect):
         fitted with free bodies.
     precedence : int
         Among effects with equal columns the lowest gives its name to all.
-    subject : tuple of str
-        What it is about, with a place for the joint, in the singular and the plural;
-        empty for its label.
-    text : str
-        Sentence of the result, with places for ``{joint}``, the values by name in plain
-        units, and the axes ``{first}`` and ``{second}``; empty lists the values.
     """
 
     in_model = True
-    needs: tuple[str, ...] = ("load",)
+    needs: tuple[str, ...] = ("geometry", "load")
     model_parameters: tuple[str, ...] = ()
     nominal: tuple[float, ...] = ()
     limit = 0.0
     of_bodies = True
     precedence = 0
-    subject: tuple = ()
-    text = ""
 
     @property
     def values(self):
@@ -123,8 +115,9 @@ class InModel(Effect):
         """Return the smallest and largest values, two ndarrays (k,)."""
         return np.subtract(self.nominal, self.limit), np.add(self.nominal, self.limit)
 
-    def key(self):
-        return self._key_without(self.model_parameters)
+    @property
+    def tuned(self):
+        return self.model_parameters
 
     def natural(self, coef):
         """Whether the corrected values are within `bounds`."""
@@ -145,11 +138,6 @@ class InModel(Effect):
     def parameters(self, coef):
         return dict(zip(self.model_parameters, map(float, coef)))
 
-    def applies(self, motion):
-        if motion.derivatives is None:
-            return "needs the rigid-body dynamics"
-        return super().applies(motion)
-
 
 class BaseTilt(InModel):
     r"""The base is not level: gravity points elsewhere in its frame.
@@ -157,37 +145,17 @@ class BaseTilt(InModel):
     Gravity in the frame of the base is g = R_y(pitch) R_x(roll) g_0, with g_0 that of
     the robot description: it is turned about the base's x axis and then about its y
     axis. A robot whose gravity is along x or y in its base (on a wall) is turned about
-    the other two axes, in their order. The base itself leans the opposite way.
+    the other two axes, in their order. The base itself leans the opposite way. Source:
+    Khalil and Dombre (2004), chapter 11.
 
     Parameters
     ----------
-    joint : int, default=0
-        0; the effect is one of the whole robot.
     roll, pitch : float, default=0.0
         Present values [rad].
-
-    Notes
-    -----
-    Visible where joints hold weight in several poses, and hidden where a vertical first
-    joint stands still. A `JointAxis` of a first joint, and the `JointZero` of a
-    horizontal one, have equal columns. Values within 15 degrees count as plausible.
-
-    References
-    ----------
-    .. [1] Khalil and Dombre (2004), chapter 11
     """
 
     name = "base_tilt"
-    text = (
-        "the base is not level: gravity is turned by roll {roll} and pitch {pitch} "
-        "degrees"
-    )
-    files = InFiles(
-        urdf="the base of the file is level",
-        mjcf="",
-        note="The base is not level: gravity is turned in its frame.",
-    )
-    subject = ("a tilt of the base", "a tilt of the base")
+    files = InFiles(urdf="the base of the file is level", mjcf="")
     label = "tilted base"
     formula = (
         r"\frac{\partial\tau}{\partial g}"
@@ -243,35 +211,20 @@ class JointZero(InModel):
     r"""The zero of an encoder is off: it reads the position plus a constant.
 
     q = q_measured - zero, in everything that the rigid bodies do; velocity and
-    acceleration are not touched.
+    acceleration are not touched. Source: Khalil and Dombre (2004), chapter 11.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     zero : float, default=0.0
         Present value [rad or m]: what is read where the joint is at zero.
-
-    Notes
-    -----
-    The zeros of the last joint, of a first joint with a vertical axis, and of a
-    prismatic joint along which nothing else changes are hidden; of neighbours with
-    parallel axes only the sum is visible. Values within 15 degrees (0.26 m) count as
-    plausible; the inspection of the channels finds larger ones, in steps of 45 degrees.
-
-    References
-    ----------
-    .. [1] Khalil and Dombre (2004), chapter 11
     """
 
     name = "joint_zero"
-    text = "{joint}: the encoder's zero is off by {zero} {unit}"
     files = InFiles(
         urdf="zeros of the file are those of the description",
         mjcf="",
         places=(("ref", "zero"),),
     )
-    subject = ("the zero of {}", "the zeros of {}")
     label = "shifted encoder zero"
     formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
     coefficients = model_parameters = ("zero",)
@@ -301,34 +254,17 @@ class JointAxis(InModel):
     along: a wrong ``rpy`` of its origin. e_1 and e_2 are x and y of the joint's frame
     for a joint that turns about z, y and z for one about x, x and z for one about y (in
     between: the two coordinate axes other than the nearest to the joint's, made
-    perpendicular to it).
+    perpendicular to it). Source: Hayati and Mirmirani (1985),
+    :doi:`10.1002/rob.4620020406`.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     about_x, about_y : float, default=0.0
         Present values [rad].
-
-    Notes
-    -----
-    Visible where weight or inertia is carried around the axis and the joints before it
-    move. Of a first joint it is a `BaseTilt`; about the axis of the joint before it,
-    where that runs through this one, that joint's `JointZero`. Values within 10 degrees
-    count as plausible.
-
-    References
-    ----------
-    .. [1] Hayati and Mirmirani (1985), :doi:`10.1002/rob.4620020406`
     """
 
     name = "joint_axis"
-    text = (
-        "{joint}: the axis is turned by {about_x} degrees about the {first} and "
-        "{about_y} degrees about the {second} of its frame"
-    )
     files = InFiles(urdf="", mjcf="")
-    subject = ("the axis of {}", "the axes of {}")
     label = "turned joint axis"
     formula = (
         r"\frac{\partial\tau}{\partial w_j}\left(\mathrm{about\_x}\,e_1"
@@ -367,37 +303,24 @@ class TorqueGain(InModel):
     r"""A torque channel has another gain than the others.
 
     It reads gain times the torque, friction included: a torque constant, a gear ratio
-    or a load cell's scale that is wrong.
+    or a load cell's scale that is wrong. Source: Gautier and Briot (2014),
+    :doi:`10.1115/1.4027506`.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     gain : float, default=1.0
         Present value; 1.15 for a channel that reads 15 % too much.
     limit : float, default=2.5
         Gains between 1 / limit and limit count as plausible.
-
-    Notes
-    -----
-    Visible where other joints move the same bodies [1]_. A common gain of all channels,
-    and that of a joint that shares no body, are in the parameters. Measured torques
-    stay outputs with noise: a regression on them, with inverse gains as coefficients,
-    is biased.
-
-    References
-    ----------
-    .. [1] Gautier and Briot (2014), :doi:`10.1115/1.4027506`
     """
 
     name = "torque_gain"
-    text = "{joint}: the torque channel reads {gain}"
     files = InFiles(urdf="torques of the file are the true ones", mjcf="")
-    subject = ("the gain of {}", "the gains of {}")
     label = "wrong gain of the torque channel"
     formula = r"(\mathrm{gain} - 1)\,\tau"
     coefficients = model_parameters = ("gain",)
     units = (("1", "1"),)
+    needs = ("load",)
     nominal = (1.0,)
     record = "a known mass picked up, or moves of the joints before and behind"
 
@@ -407,14 +330,10 @@ class TorqueGain(InModel):
         self.limit = limit
 
     def check(self):
-        """Refuse a gain that is not positive, and a limit below 1."""
+        """Raise ValueError for a gain that is not positive, too."""
         super().check()
         if not self.gain > 0:
             raise ValueError(f"gain of {self.name} must be positive; got {self.gain}.")
-        if not (isinstance(self.limit, Real) and self.limit > 1):
-            raise ValueError(
-                f"limit of {self.name} must be greater than 1; got {self.limit!r}."
-            )
 
     def shape(self):
         """Return the gain; its limit is not a property of the channel."""
@@ -429,7 +348,7 @@ class TorqueGain(InModel):
     def applies(self, motion):
         if motion.n_joints == 1:
             return "the only joint: a common gain is in every parameter"
-        return Effect.applies(self, motion)
+        return super().applies(motion)
 
     def columns(self, motion):
         # Rows of the joint are multiplied with the gain, which the derivative has not.
@@ -443,22 +362,22 @@ class _OfTheClock(InModel):
     nominal = (0.0,)
     limit = 0.1
     of_bodies = False
-    needs = ()
+    needs = ("command",)
     whole_robot = True
     scope = "robot"
-    lacking = ""  # why it cannot be looked for without the torques that are late
+    beginning = ""  # of the names of its parameters
+    way = 1.0  # whether the torques by commands act later or earlier
 
     def correct(self, robot):
         """Leave the robot model unchanged."""
 
-    def applies(self, motion):
-        return self.lacking if motion.command is None else Effect.applies(self, motion)
+    def prefix(self, joint_name):
+        return self.beginning
 
-    @staticmethod
-    def _slope(motion, delay):
-        """Slope (n, nv, 1) of the torques by commands, some time before each row."""
+    def columns(self, motion):
         known = motion.command, motion.parts, motion.t
-        return interpolate(*known, delay, 1)[:, :, None]
+        late = self.way * self.values[0]
+        return self.way * interpolate(*known, late, 1)[:, :, None]
 
 
 class CommandDelay(_OfTheClock):
@@ -466,40 +385,27 @@ class CommandDelay(_OfTheClock):
 
     With c(t) what of the torque follows from commands alone, K q_d + D v_d + tau_ff of
     a `PDDrive`, the drive makes tau(t) + c(t - delay) - c(t) where tau(t) is its law at
-    no delay [1]_. Where the robot follows closely, v_d is nearly v, and a delay nearly
-    viscous friction of K times the delay.
+    no delay. Where the robot follows closely, v_d is nearly v, and a delay nearly
+    viscous friction of K times the delay. Source: Bjelonic and others (2025), delay of
+    the command of a drive.
 
     Parameters
     ----------
-    joint : int, default=0
-        0; the delay is that of all drives.
     delay : float, default=0.0
         Present value [s], within 0.1 s; negative if the logged positions are old.
-
-    References
-    ----------
-    .. [1] Bjelonic and others (2025), delay of the command of a drive
     """
 
     name = "command_delay"
+    beginning = "drive"
     label = "delayed command"
-    text = "commands act {delay} s after they are logged"
-    subject = ("the delay of the commands", "the delay of the commands")
     files = InFiles.nowhere("torques of the file act at once")
     formula = r"c(t - \mathrm{delay}) - c(t)"
     coefficients = model_parameters = ("delay",)
-    lacking = "needs the commands of a drive, drive=PDDrive(...)"
     record = "faster commands, and some that the robot does not follow closely"
 
     def __init__(self, joint=0, delay=0.0):
         super().__init__(joint)
         self.delay = delay
-
-    def prefix(self, joint_name):
-        return "drive"
-
-    def columns(self, motion):
-        return self._slope(motion, self.delay)
 
 
 class TorqueLag(_OfTheClock):
@@ -511,28 +417,19 @@ class TorqueLag(_OfTheClock):
 
     Parameters
     ----------
-    joint : int, default=0
-        0; the lag is that of all channels.
     lag : float, default=0.0
         Present value [s]; negative if torques are early.
     """
 
     name = "torque_lag"
+    beginning = "torques"
     label = "lag of all torques"
-    text = "torques are recorded {lag} s after the positions"
-    subject = ("the lag of the torques", "the lag of the torques")
     files = InFiles.nowhere("a property of the log")
     formula = r"\tau(t + \mathrm{lag})"
     coefficients = model_parameters = ("lag",)
-    lacking = "needs recorded torques"
     record = "faster motion"
+    way = -1.0
 
     def __init__(self, joint=0, lag=0.0):
         super().__init__(joint)
         self.lag = lag
-
-    def prefix(self, joint_name):
-        return "torques"
-
-    def columns(self, motion):
-        return -self._slope(motion, -self.lag)

@@ -3,61 +3,49 @@
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa.effects import (
+    _channels,
+    _drive,
+    _friction,
+    _in_model,
+    _memory,
+    _position,
+    _varying,
+)
 from sklearn_vbjfa.effects._base import Effect
-from sklearn_vbjfa.effects._channels import Delay, Jerk, TorqueFilter
-from sklearn_vbjfa.effects._drive import Coupling, CouplingSpring, Elastic, RotorInertia
-from sklearn_vbjfa.effects._friction import (
-    AsymmetricFriction,
-    Coulomb,
-    GearLoss,
-    LoadFriction,
-    Stribeck,
-    Viscous,
-    ViscousQuadratic,
-)
-from sklearn_vbjfa.effects._in_model import BaseTilt, JointAxis, JointZero, TorqueGain
-from sklearn_vbjfa.effects._memory import Backlash, MaxwellSlip
 from sklearn_vbjfa.effects._motion import Motion
-from sklearn_vbjfa.effects._position import (
-    Counterbalance,
-    FrictionByPosition,
-    Offset,
-    Ripple,
-    Spring,
-)
-from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 
 _LIBRARY = {
     effect.name: effect
     for effect in (
-        Viscous,
-        Coulomb,
-        AsymmetricFriction,
-        Stribeck,
-        ViscousQuadratic,
-        LoadFriction,
-        GearLoss,
-        MaxwellSlip,
-        Backlash,
-        Offset,
-        Spring,
-        Counterbalance,
-        Ripple,
-        FrictionByPosition,
-        RotorInertia,
-        Coupling,
-        CouplingSpring,
-        Elastic,
-        Delay,
-        TorqueFilter,
-        Jerk,
-        Signal,
-        Drift,
-        Payload,
-        BaseTilt,
-        JointZero,
-        JointAxis,
-        TorqueGain,
+        _friction.Viscous,
+        _friction.Coulomb,
+        _friction.AsymmetricFriction,
+        _friction.Stribeck,
+        _friction.ViscousQuadratic,
+        _friction.LoadFriction,
+        _friction.GearLoss,
+        _memory.MaxwellSlip,
+        _memory.Backlash,
+        _position.Offset,
+        _position.Spring,
+        _position.Counterbalance,
+        _position.Ripple,
+        _position.FrictionByPosition,
+        _drive.RotorInertia,
+        _drive.Coupling,
+        _drive.CouplingSpring,
+        _drive.Elastic,
+        _channels.Delay,
+        _channels.TorqueFilter,
+        _channels.Jerk,
+        _varying.Signal,
+        _varying.Drift,
+        _varying.Payload,
+        _in_model.BaseTilt,
+        _in_model.JointZero,
+        _in_model.JointAxis,
+        _in_model.TorqueGain,
     )
 }
 
@@ -125,7 +113,9 @@ def _one(effect):
 
 # -- effects that a robot declares by name: one column on every joint -----------------
 
-_DECLARED = {e.name: e for e in resolve([Viscous, Coulomb, Offset, RotorInertia])}
+_DECLARED = {
+    e.name: e for e in resolve(["viscous", "coulomb", "offset", "rotor_inertia"])
+}
 
 
 def declarable():

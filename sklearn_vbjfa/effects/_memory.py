@@ -1,12 +1,12 @@
 """Dry friction and play that remember the positions a joint came from."""
 
 import itertools
-from numbers import Real
 
 import numpy as np
 
 from sklearn_vbjfa.effects._base import (
     POSITION,
+    RATIO,
     SPEED,
     STIFFNESS,
     TORQUE,
@@ -22,6 +22,12 @@ _WIDTHS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
 _COUNT, _SMALLEST, _LARGEST = 14, 3e-5, 0.25
 # Stribeck speeds of the bank to try, as shares of the joint's fastest speed.
 _SPEEDS = (0.04, 0.08, 0.16, 0.32)
+# Banks of elements, with the symbols and units of their sizes.
+_BANKS = {
+    "displacements": ("F", TORQUE),
+    "loaded": ("mu", RATIO),
+    "falling": ("S", TORQUE),
+}
 # Points of the curve on which the displacement at half of the friction is looked for.
 _CURVE = 200
 
@@ -37,56 +43,28 @@ def _turning_points(q):
     return np.unique(np.r_[0, turns, q.size - 1])
 
 
-def stops(q, displacements, before=()):
-    """Stop operators z' = clip(z + dq / d, -1, 1) of unit size, (n, k)."""
+def elements(q, displacements, level=1.0, falls=False, creeps=False, before=()):
+    """States (n, k) of elements that slip at, or creep towards, a level."""
+    # level (n,): of the elements that fall, bool (k,); that of the others is 1.
     # before: positions that the joint came through, at the first of which z is zero.
-    # Between two turning points the sum of the clipped steps is the clipped sum, so
-    # that the state at each turning point determines the rows up to the next one.
     d = np.asarray(displacements, dtype=float)
-    start = np.zeros(d.size)
+    level = np.broadcast_to(level, q.shape)[:, None]
+    z = np.zeros((q.size, d.size))
     if len(before):
-        known = np.append(before, q[0])
-        start = _at_turns(known[_turning_points(known)], d, start)[-1]
-    turns = _turning_points(q)
-    at_turn = _at_turns(q[turns], d, start)
-    last = np.searchsorted(turns, np.arange(q.size), side="right") - 1
-    return np.clip(at_turn[last] + (q - q[turns[last]])[:, None] / d, -1.0, 1.0)
-
-
-def _at_turns(q, d, start):
-    """Stop operators (n, k) at turning points q (n,)."""
-    found = np.empty((q.size, d.size))
-    found[0] = start
-    for i, step in enumerate(np.diff(q)[:, None] / d):
-        found[i + 1] = np.minimum(np.maximum(found[i] + step, -1.0), 1.0)
-    return found
-
-
-def elements(q, displacements, level=None, creeps=False, before=()):
-    """States (n, k) of elements that slip, or creep, towards a level (n,), or one."""
-    if level is None and not creeps:
-        return stops(q, displacements, before)
-    d = np.asarray(displacements, dtype=float)
-    out = np.zeros((q.size, d.size))
-    if len(before):
-        out[0] = elements(np.append(before, q[0]), d, creeps=creeps)[-1]
-    level = np.ones(q.size) if level is None else level
+        z[0] = elements(np.append(before, q[0]), d, creeps=creeps)[-1]
     if creeps:
         # z' = way g + (z - way g) exp(-step / g)
-        way = np.diff(q, prepend=q[0])[:, None]
-        left = -np.abs(way) / (d * level[:, None])
-        drive = -np.sign(way) * level[:, None] * np.expm1(left)
-        return _recursion(np.exp(left), drive, out[0])
+        step, level = np.diff(q, prepend=q[0])[:, None], np.where(falls, level, 1.0)
+        left = -np.abs(step) / (d * level)
+        drive = -np.sign(step) * level * np.expm1(left)
+        return _recursion(np.exp(left), drive, z[0])
+    # Moving forward, z' = min(z + step, g): the sum of all steps, less its excess.
     for a, b in itertools.pairwise(_turning_points(q)):
         rows, way = slice(a + 1, b + 1), 1.0 if q[b] >= q[a] else -1.0
         moved = np.abs(q[rows] - q[a])[:, None] / d
-        out[rows] = way * _slip(way * out[a], moved, level[rows, None])
-    return out
-
-
-def _slip(z, moved, level):
-    """Elements z (k,), moved (n, k) forward, that slip at a level (n, 1)."""
-    return moved + np.minimum(z, np.minimum.accumulate(level - moved))
+        most = np.minimum.accumulate(np.where(falls, level[rows], 1.0) - moved)
+        z[rows] = way * (moved + np.minimum(way * z[a], most))
+    return z
 
 
 def _recursion(left, drive, start):
@@ -119,14 +97,14 @@ class MaxwellSlip(Shaped, Stateful):
 
     Moving forward each element sticks up to a displacement d_k and then slips at its
     level g, z' = min(z + dq / d, g): the Maxwell slip model, of which Coulomb friction
-    is the limit of small displacements [1]_. Or it creeps towards its level, z' = g +
-    (z - g) exp(-dq / (d g)), as bristles do [2]_. The level is 1, or falls with speed,
-    g = 1 + exp(-(v / vs)^2). A joint at rest holds the torque with which it stopped.
+    is the limit of small displacements. Or it creeps towards its level, z' = g + (z -
+    g) exp(-dq / (d g)), as bristles do. The level is 1, or falls with speed, g = 1 +
+    exp(-(v / vs)^2). A joint at rest holds the torque with which it stopped. Source:
+    Al-Bender, Lampaert and Swevers (2005), :doi:`10.1109/TAC.2005.858676`; Canudas de
+    Wit, Olsson, Astrom and Lischinsky (1995), :doi:`10.1109/9.376053`.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     displacements : tuple of float, default=(0.001, 0.01, 0.1)
         Displacements [rad or m] at which elements of constant size slip.
     loaded : tuple of float, default=()
@@ -144,11 +122,6 @@ class MaxwellSlip(Shaped, Stateful):
     The elements are taken to be relaxed, z = 0, in the first row of each recording; an
     element has forgotten that once the joint has moved by twice its displacement
     without turning round.
-
-    References
-    ----------
-    .. [1] Al-Bender, Lampaert and Swevers (2005), :doi:`10.1109/TAC.2005.858676`
-    .. [2] Canudas de Wit, Olsson, Astrom and Lischinsky (1995), :doi:`10.1109/9.376053`
     """
 
     name = "maxwell_slip"
@@ -158,16 +131,11 @@ class MaxwellSlip(Shaped, Stateful):
         r" + S_k\,z_k(q; 1 + e^{-(v/v_s)^2}),"
         r" \quad z_k(q; g) = \mathrm{clip}(z_k + \Delta q / d_k, -g, g)"
     )
-    shape_units = (
-        ("displacements", POSITION),
-        ("loaded", POSITION),
-        ("falling", POSITION),
-        ("vs", SPEED),
-    )
+    shape_units = (*((name, POSITION) for name in _BANKS), ("vs", SPEED))
     contains = ("coulomb",)
-    positive = ("vs",)
+    positive = (*_BANKS, "vs")
+    tuned = (*positive, "element")
     bank = True
-    replaces = "coulomb"
     record = "many reversals, after short and after long ways"
     files = InFiles(
         parameter="coulomb",
@@ -199,24 +167,21 @@ class MaxwellSlip(Shaped, Stateful):
 
     @property
     def _banks(self):
-        return self.displacements, self.loaded, self.falling
+        return tuple(getattr(self, name) for name in _BANKS)
 
     @property
     def coefficients(self):
         """Sizes of the elements: F1, F2, ..., mu1, ..., S1, ..."""
-        return tuple(
-            f"{symbol}{k + 1}"
-            for symbol, bank in zip(("F", "mu", "S"), self._banks)
-            for k in range(len(bank))
-        )
+        pairs = zip(_BANKS.values(), self._banks)
+        return tuple(f"{x}{k + 1}" for (x, _), bank in pairs for k in range(len(bank)))
 
     nonnegative = coefficients
 
     @property
     def units(self):
         """Units of the coefficients."""
-        kinds = TORQUE, ("", ""), TORQUE
-        return tuple(unit for unit, bank in zip(kinds, self._banks) for _ in bank)
+        pairs = zip(_BANKS.values(), self._banks)
+        return tuple(unit for (_, unit), bank in pairs for _ in bank)
 
     @property
     def continuous(self):
@@ -231,46 +196,35 @@ class MaxwellSlip(Shaped, Stateful):
     @property
     def depends(self):
         """Quantities with which the columns grow."""
-        return ("direction", "load") if self.loaded else ("direction",)
+        return ("direction", *self.needs)
 
     @property
     def named_units(self):
         """Units of what `parameters` returns."""
-        names = ["Fc", "half"] * bool(self.displacements or self.falling)
-        names += ["mu"] * bool(self.loaded) + ["Fs"] * bool(self.falling)
-        units = {"half": POSITION, "mu": ("", "")}
-        return tuple((name, units.get(name, TORQUE)) for name in names)
+        named = {"Fc": TORQUE, "half": POSITION, "mu": RATIO, "Fs": TORQUE}
+        found = self.parameters(np.ones(len(self.coefficients)))
+        return tuple((name, named[name]) for name in found)
 
     def check(self):
-        """Raise ValueError for displacements that are not positive, too."""
+        """Raise ValueError for an effect without elements, too."""
         super().check()
         self._check_choice("element", ("stop", "bristle"))
-        for name in ("displacements", "loaded", "falling"):
-            for value in getattr(self, name):
-                if not (isinstance(value, Real) and 0 < value < np.inf):
-                    raise ValueError(
-                        f"{name} of {self.name} must hold positive, finite "
-                        f"displacements; got {value!r}."
-                    )
         if not self.coefficients:
             raise ValueError(
                 f"{self.name} must have at least one element; got no displacements."
             )
 
     def columns(self, motion):
-        j = self.joint
-        q = motion.q[:, j]
-        fixed, falling = (*self.displacements, *self.loaded), self.falling
+        j, d = self.joint, np.concatenate(self._banks)
+        plain, loaded, _ = self._split(np.arange(d.size))
+        falls = np.arange(d.size) >= plain.size + loaded.size
         level = 1.0 + np.exp(-((motion.v[:, j] / self.vs) ** 2))
         before = [own[:, j] for own in motion.before] or [()] * len(motion.parts)
-        z = np.empty((q.size, len(fixed) + len(falling)))
+        z = np.empty((level.size, d.size))
         for part, known in zip(motion.parts, before, strict=True):
-            known = self._creeps, known
-            z[part, : len(fixed)] = elements(q[part], fixed, None, *known)
-            if falling:
-                z[part, len(fixed) :] = elements(q[part], falling, level[part], *known)
-        if self.loaded:
-            loaded = slice(len(self.displacements), len(fixed))
+            q, own = motion.q[part, j], level[part]
+            z[part] = elements(q, d, own, falls, self._creeps, known)
+        if loaded.size:
             z[:, loaded] *= np.abs(motion.load[:, [j]])
         return z
 
@@ -338,10 +292,6 @@ class MaxwellSlip(Shaped, Stateful):
         shapes = self.shapes(motion)
         return [shape for shape in shapes if self._creeps or shape["element"] == "stop"]
 
-    def key(self):
-        """All banks are one use of the effect."""
-        return (self.name, self.joint, ())
-
     def only(self, used):
         """Return the effect with some of its elements, by a mask (k,)."""
         pairs = zip(self._banks, self._split(used))
@@ -356,8 +306,7 @@ class MaxwellSlip(Shaped, Stateful):
 
     def _of_banks(self, banks):
         """Return the effect with other displacements."""
-        names = "displacements", "loaded", "falling"
-        found = {name: tuple(bank.tolist()) for name, bank in zip(names, banks)}
+        found = {name: tuple(bank.tolist()) for name, bank in zip(_BANKS, banks)}
         return type(self)(**self.get_params(deep=False) | found)
 
     def completed(self, motion):
@@ -374,20 +323,9 @@ class MaxwellSlip(Shaped, Stateful):
         return np.concatenate([plain, 0.0 * loaded, falling])
 
     def virgin_curve(self, coef, displacement):
-        """Compute the torque of a relaxed joint that is moved in one direction.
+        """Torque (n,) of a relaxed joint moved by displacements (n,) [rad or m].
 
-        Parameters
-        ----------
-        coef : array-like of shape (k,)
-            Coefficients.
-        displacement : array-like of shape (n,)
-            Displacements [rad or m].
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            Torques [N m or N] of the elements that do not follow the load, well above
-            the Stribeck speed.
+        That of the elements that do not follow the load, well above the Stribeck speed.
         """
         plain, _, falling = self._split(np.asarray(coef, dtype=float))
         moved = np.asarray(displacement, dtype=float)[:, None] / np.concatenate(
@@ -418,19 +356,14 @@ class MaxwellSlip(Shaped, Stateful):
 class Backlash(Shaped, Stateful):
     """Play in series with a spring, tau = k play(q; width) + c.
 
-    The play operator follows the position at a distance of at most half the width
-    and rests while the gap is crossed [1]_.
+    The play operator follows the position at a distance of at most half the width and
+    rests while the gap is crossed. Source: Brokate and Sprekels (1996),
+    :doi:`10.1007/978-1-4612-4048-8`.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     width : float, default=0.01
         Width of the gap [rad or m].
-
-    References
-    ----------
-    .. [1] Brokate and Sprekels (1996), :doi:`10.1007/978-1-4612-4048-8`
     """
 
     name = "backlash"

@@ -28,9 +28,7 @@ _CYCLES = 0.3
 class Offset(Effect):
     """Constant torque, tau = c: a sensor's zero, a drive's bias.
 
-    References
-    ----------
-    .. [1] Khalil and Dombre (2004), chapter 12
+    Source: Khalil and Dombre (2004), chapter 12.
     """
 
     name = "offset"
@@ -50,11 +48,8 @@ class Offset(Effect):
 class Spring(Effect):
     """Linear spring, tau = k (q - q0): balancing springs, hoses, cables, flexures.
 
-    It is the torque that the drive must produce; the spring's is -k (q - q0).
-
-    References
-    ----------
-    .. [1] Khalil and Dombre (2004), chapter 9
+    It is the torque that the drive must produce; the spring's is -k (q - q0). Source:
+    Khalil and Dombre (2004), chapter 9.
     """
 
     name = "spring"
@@ -84,27 +79,22 @@ class Counterbalance(Shaped):
     A balancer pulls between a point of the link, at the distance r from the joint's
     axis, and a fixed point at the distance L. With x = q - angle, where the two points
     are nearest at x = 0, and ratio = r / L, its length is L l(x) and the drive must
-    produce [1]_ tau = (Fr / l + krL) sin x, l = sqrt(1 + ratio^2 - 2 ratio cos x): Fr
+    produce tau = (Fr / l + krL) sin x, l = sqrt(1 + ratio^2 - 2 ratio cos x): Fr
     for the part of the force that does not depend on the length, times r, and krL for
     the stiffness, times r and L. A gas spring pushes (Fr < 0).
 
     Whatever else turns with the joint is a periodic function of the angle, of which two
-    harmonics are kept: tau = a cos q + b sin q + c cos 2q + d sin 2q + e.
+    harmonics are kept: tau = a cos q + b sin q + c cos 2q + d sin 2q + e. Source:
+    Khalil and Dombre (2004), chapter 9 (harmonics); law of cosines (linkage).
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     form : {"harmonics", "linkage"}, default="harmonics"
         Two harmonics, or the geometry of a linkage.
     ratio : float, default=0.5
         Shorter distance from the axis over the longer one, for a linkage.
     angle : float, default=0.0
         Position [rad] in which the two points are nearest, for a linkage.
-
-    References
-    ----------
-    .. [1] Khalil and Dombre (2004), chapter 9 (harmonics); law of cosines (linkage)
     """
 
     name = "counterbalance"
@@ -126,12 +116,6 @@ class Counterbalance(Shaped):
         self.form = form
         self.ratio = ratio
         self.angle = angle
-
-    @classmethod
-    def describe(cls, shape, joint_label):
-        if shape.get("form") == "linkage":
-            return "counterbalance (gas or coil spring on a linkage)"
-        return cls.label
 
     @property
     def coefficients(self):
@@ -202,19 +186,14 @@ _FORMS = ("harmonics", "linkage")
 class Ripple(Shaped):
     """Periodic torque, tau = A cos(2 pi q / period - phase).
 
-    Cogging of motors, teeth of gears, the waves of a harmonic drive [1]_. A joint may
-    have several, whose periods differ by more than a half.
+    Cogging of motors, teeth of gears, the waves of a harmonic drive. A joint may have
+    several, whose periods differ by more than a half. Source: Tuttle and Seering
+    (1996), a model of the harmonic drive.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     period : float, default=0.1
         Period [rad or m].
-
-    References
-    ----------
-    .. [1] Tuttle and Seering (1996), a model of the harmonic drive
     """
 
     name = "ripple"
@@ -286,20 +265,14 @@ class Ripple(Shaped):
 class FrictionByPosition(Ripple):
     """Dry friction whose level varies with the position, A cos(...) sign(v).
 
-    An eccentric wheel, a bent screw, or a seal that rubs more in some places [1]_. Its
-    mean is that of `Coulomb`; a turn of the joint is a period.
+    An eccentric wheel, a bent screw, or a seal that rubs more in some places. Its mean
+    is that of `Coulomb`; a turn of the joint is a period. Source: Armstrong-Helouvry,
+    Dupont and Canudas de Wit (1994), section 2, :doi:`10.1016/0005-1098(94)90209-7`.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     period : float, default=0.1
         Period [rad or m].
-
-    References
-    ----------
-    .. [1] Armstrong-Helouvry, Dupont and Canudas de Wit (1994), section 2,
-       :doi:`10.1016/0005-1098(94)90209-7`
     """
 
     name = "friction_by_position"

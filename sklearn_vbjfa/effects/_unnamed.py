@@ -25,8 +25,6 @@ class UnnamedTorque(Stateful):
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     of : {"speed", "load", "memory", "position"}, default="speed"
         Terms: quadratic and Stribeck friction; stop operators proportional to the load;
         stop operators; a spring and three ripples.

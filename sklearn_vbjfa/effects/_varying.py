@@ -1,18 +1,12 @@
 """Effects that vary with time or with a recorded signal."""
 
-import math
-
 import numpy as np
 
 from sklearn_vbjfa.effects._base import TIME, TORQUE, VISCOSITY, InFiles, OfTime, Shaped
-from sklearn_vbjfa.effects._friction import Coulomb, Viscous
+from sklearn_vbjfa.effects._motion import Floats, State
 
-# What may vary: in words, and the units of its coefficient.
-_VARIED = {
-    "coulomb": (Coulomb.label, TORQUE),
-    "offset": ("offset", TORQUE),
-    "viscous": (Viscous.label, VISCOSITY),
-}
+# What may vary, and the units of its coefficient.
+_VARIED = {"coulomb": TORQUE, "offset": TORQUE, "viscous": VISCOSITY}
 # Time constants to try, as shares of the recording's length.
 _CONSTANTS = (0.1, 0.2, 0.4, 0.8, 3.0)
 # Number of instants to try.
@@ -46,27 +40,31 @@ class _Varied(Shaped):
             "viscous": lambda state: (factor(state) * state.v[j],),
         }[self.of]
 
+    def simulated(self, table, size):
+        factor = self._factor(Floats(None))
+
+        def level(t, signals):
+            known = t if table.since is None else max(t, table.since)
+            own = {name: signals(name, t) for name in self.recorded}
+            return size * factor(State(known_t=known, signals=own))
+
+        return table.add_level(self.joint, self.of, level)
+
 
 class Drift(_Varied, OfTime):
     """Friction or offset that changes while the robot warms up.
 
-    tau = D exp(-t / T) times 1, sign(v) or v: the grease gets thinner, the strain
-    gauge warmer [1]_. The value when warm is that of `Offset`, `Coulomb` and
-    `Viscous`. After the last time of the fit it goes on fading; before the first one
-    it is as it was then.
+    tau = D exp(-t / T) times 1, sign(v) or v: the grease gets thinner, the strain gauge
+    warmer. The value when warm is that of `Offset`, `Coulomb` and `Viscous`. After the
+    last time of the fit it goes on fading; before the first one it is as it was then.
+    Source: Carvalho Bittencourt and Gunnarsson (2012), :doi:`10.1115/1.4006589`.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     of : {"coulomb", "offset", "viscous"}, default="coulomb"
         What drifts.
     time_constant : float, default=100.0
         T [s] of the decay, which starts at t = 0.
-
-    References
-    ----------
-    .. [1] Carvalho Bittencourt and Gunnarsson (2012), :doi:`10.1115/1.4006589`
     """
 
     name = "drift"
@@ -76,10 +74,8 @@ class Drift(_Varied, OfTime):
         r" f = \mathrm{sign}(v),\ 1\ \text{or}\ v"
     )
     coefficients = ("D",)
-    units = (TORQUE,)
     shape_units = (("time_constant", TIME),)
-    continuous = ("time_constant",)
-    positive = ("time_constant",)
+    continuous = positive = ("time_constant",)
     record = "the same motion cold and warm"
     files = InFiles.nowhere("decays with time; the file has the value when warm")
 
@@ -88,25 +84,14 @@ class Drift(_Varied, OfTime):
         self.of = of
         self.time_constant = time_constant
 
-    @classmethod
-    def describe(cls, shape, joint_label):
-        of = shape.get("of")
-        label, _ = _VARIED.get(of, (of, ""))
-        return f"drift of the {label} with time" if of else cls.label
+    @property
+    def units(self):
+        """Units of D, for a revolute and for a prismatic joint."""
+        return (_VARIED[self.of],)
 
     def _factor(self, maths):
-        """Decay with time."""
         exp, constant = maths.exp, self.time_constant
         return lambda state: exp(-state.known_t / constant)
-
-    def simulated(self, table, D):
-        since, constant = table.since, self.time_constant
-
-        def level(t, signals):
-            known = t if since is None else max(t, since)
-            return D * math.exp(-known / constant)
-
-        return table.add_level(self.joint, self.of, level)
 
     def shapes(self, motion):
         """Time constants from a tenth to three times the recording."""
@@ -117,24 +102,19 @@ class Drift(_Varied, OfTime):
             for s in _CONSTANTS
         ]
 
-    def parameter_units(self, prismatic=False):
-        own = {"D": _VARIED[self.of][1][bool(prismatic)]}
-        return super().parameter_units(prismatic) | own
-
 
 class Signal(_Varied):
     """Friction or offset that varies with a recorded signal.
 
     tau = k (s - reference) times 1, sign(v) or v: s is a recorded column, such as the
-    temperature of a gear [1]_, the supply voltage, a load cell, or the state of a tool.
-    The value at the reference is that of `Offset`, `Coulomb` and `Viscous`. It is
-    hidden where the signal only rises or falls, as a drift with time does, and where it
-    follows the state of the joint.
+    temperature of a gear, the supply voltage, a load cell, or the state of a tool. The
+    value at the reference is that of `Offset`, `Coulomb` and `Viscous`. It is hidden
+    where the signal only rises or falls, as a drift with time does, and where it
+    follows the state of the joint. Source: Carvalho Bittencourt and Gunnarsson (2012),
+    :doi:`10.1115/1.4006589`.
 
     Parameters
     ----------
-    joint : int, default=0
-        Joint, from zero.
     signal : str, default=""
         Name of the recorded column s. A search tries all columns that it is given.
     of : {"coulomb", "offset", "viscous"}, default="coulomb"
@@ -142,10 +122,6 @@ class Signal(_Varied):
     reference : float, default=0.0
         Value of the signal, in its own unit, around which it varies. A search takes the
         mean over the recording.
-
-    References
-    ----------
-    .. [1] Carvalho Bittencourt and Gunnarsson (2012), :doi:`10.1115/1.4006589`
     """
 
     name = "signal"
@@ -157,6 +133,7 @@ class Signal(_Varied):
     coefficients = ("k",)
     needs = ("signals",)
     split_by = ("signal", "of")
+    tuned = ("reference",)  # another one is the same but for the plainer effect
     record = "the same motion at several values of the signal, rising and falling"
     files = InFiles.nowhere(
         "varies with a recorded signal; the file has what holds at its reference"
@@ -172,7 +149,7 @@ class Signal(_Varied):
     def units(self):
         """Units of k, for a revolute and for a prismatic joint."""
         of = self.signal or "the signal"
-        return (tuple(f"{unit} per unit of {of}" for unit in _VARIED[self.of][1]),)
+        return (tuple(f"{unit} per unit of {of}" for unit in _VARIED[self.of]),)
 
     @property
     def slow(self):
@@ -182,19 +159,6 @@ class Signal(_Varied):
     @property
     def recorded(self):
         return (self.signal,) if self.signal else ()
-
-    @classmethod
-    def describe(cls, shape, joint_label):
-        signal, of = shape.get("signal"), shape.get("of")
-        if not signal:
-            return cls.label
-        if of not in _VARIED:
-            return f"variation with {signal}"
-        return f"{_VARIED[of][0]} that varies with {signal}"
-
-    def key(self):
-        # With another reference it is the same but for the plainer effect.
-        return (self.name, self.joint, (("of", self.of), ("signal", self.signal)))
 
     def applies(self, motion):
         if not self.signal:
@@ -208,15 +172,8 @@ class Signal(_Varied):
         )
 
     def _factor(self, maths):
-        """Distance of the signal from its reference."""
         name, reference = self.signal, self.reference
         return lambda state: state.signals[name] - reference
-
-    def simulated(self, table, k):
-        def level(t, signals):
-            return k * (signals(self.signal, t) - self.reference)
-
-        return table.add_level(self.joint, self.of, level)
 
     def shapes(self, motion):
         """All signals that vary, and all that may vary with them."""
@@ -232,24 +189,19 @@ class Payload(Shaped, OfTime):
     """The last body's mass and first moments change at an instant.
 
     tau = Phi_n(q, v, a) (dm, dmcx, dmcy, dmcz, dI) for t >= instant, with the columns
-    of the last body's regressor: something was picked up, put down or lost [1]_. It
-    counts as a ball at its centre of mass c = dmc / dm, of inertia dm (c'c 1 - c c') +
-    d 1 in the body's frame: the first part follows from the mass and the moments, to
-    first order around `centre`; d, that of the ball itself, is a coefficient.
+    of the last body's regressor: something was picked up, put down or lost. It counts
+    as a ball at its centre of mass c = dmc / dm, of inertia dm (c'c 1 - c c') + d 1 in
+    the body's frame: the first part follows from the mass and the moments, to first
+    order around `centre`; d, that of the ball itself, is a coefficient. Source: Khalil,
+    Gautier and Lemoine (2007), :doi:`10.1109/ROBOT.2007.364241`.
 
     Parameters
     ----------
-    joint : int, default=0
-        Last joint, from zero; all joints feel it.
     instant : float, default=0.0
         Time of the change [s]; it stays after the last time of the fit.
     centre : tuple of three floats, default=(0.0, 0.0, 0.0)
         Centre of mass [m] in the last body's frame around which the inertia is
         linearised.
-
-    References
-    ----------
-    .. [1] Khalil, Gautier and Lemoine (2007), :doi:`10.1109/ROBOT.2007.364241`
     """
 
     name = "payload"
@@ -263,6 +215,7 @@ class Payload(Shaped, OfTime):
     shape_units = (("instant", TIME),)
     continuous = ("instant",)
     jumping = ("instant",)
+    needs = ("last_body", "time")
     record = "motion against gravity with and without payload"
     files = InFiles.nowhere("a change at an instant; the file has the robot before it")
     whole_robot = True
@@ -279,8 +232,6 @@ class Payload(Shaped, OfTime):
     def applies(self, motion):
         if self.joint != motion.n_joints - 1:
             return "only the last body carries a payload"
-        if motion.last_body is None:
-            return "needs the rigid-body dynamics"
         return super().applies(motion)
 
     def columns(self, motion):

@@ -648,8 +648,8 @@ def held_columns(features, effects):
                 term = features.friction_.index("offset")
                 found.append(effect.joint * per_joint + first + term)
             taken.add(effect.joint)
-        if effect.replaces in features.friction_:
-            term = features.friction_.index(effect.replaces)
+        if effect.bank and "coulomb" in features.friction_:
+            term = features.friction_.index("coulomb")
             found.append(effect.joint * per_joint + first + term)
     return found
 

@@ -143,7 +143,7 @@ class Plan:
     def _remembered(self):
         """Joints (nv,), bool, with an effect in place of Coulomb friction."""
         out = np.zeros(self.standstill.size, dtype=bool)
-        out[[e.joint for e in self.effects if e.replaces == "coulomb"]] = True
+        out[[e.joint for e in self.effects if e.bank]] = True
         out[list(self.resting)] = True
         return out
 

@@ -15,7 +15,7 @@ from math import comb
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.effects import stops
+from sklearn_vbjfa.effects import elements
 from sklearn_vbjfa.equations._plan import in_parallel
 
 _ORDER = 5
@@ -125,7 +125,7 @@ def _without_own_friction(q, v, residual):
     if not reach > 0:
         return residual
     friction = [np.sign(v), v, np.abs(v), v * np.abs(v)]
-    friction += list(stops(q, reach * np.array(_DISPLACEMENTS)).T)
+    friction += list(elements(q, reach * np.array(_DISPLACEMENTS)).T)
     columns = np.stack([*friction, np.ones_like(q)])
     sizes = np.abs(columns).max(axis=1, keepdims=True)
     columns /= np.maximum(sizes, np.finfo(float).tiny)

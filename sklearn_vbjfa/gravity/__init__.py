@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa.design import Clearance
-from sklearn_vbjfa.effects import stops
+from sklearn_vbjfa.effects import elements
 from sklearn_vbjfa.equations import RigidBodyFeatures
 from sklearn_vbjfa.fit import FitOptions, RobotIdentifier
 from sklearn_vbjfa.fit._bodies import DESCRIBED, BodyPrior
@@ -286,7 +286,7 @@ def _windows(recording):
     parts, came = recording.segments, np.empty_like(recording.q)
     for j, way in enumerate(_WAY * np.ptp(recording.q, axis=0) + 1e-300):
         for part in parts:
-            came[part, j] = stops(recording.q[part, j], np.array([way]))[:, 0]
+            came[part, j] = elements(recording.q[part, j], [way])[:, 0]
     dt = check_dt(recording.dt)
     length = max(3, round(_WINDOW / dt))
     first = [np.arange(p.start, p.stop - length + 1, length) for p in parts]

@@ -8,27 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from sklearn_vbjfa._core._smoothing import interpolate
+from sklearn_vbjfa._core._smoothing import contiguous_groups, interpolate
 
 if TYPE_CHECKING:
     import pinocchio as pin
-
-
-def contiguous_groups(groups, n_samples):
-    """Return slices of the recordings, one per run of equal labels (n_samples,)."""
-    # None as labels is one recording.
-    if groups is None:
-        return [slice(0, n_samples)]
-    labels = np.asarray(groups)
-    if labels.shape != (n_samples,):
-        raise ValueError(
-            f"groups must hold one label per row, shape ({n_samples},); got shape "
-            f"{labels.shape}."
-        )
-    borders = np.flatnonzero(labels[1:] != labels[:-1]) + 1
-    starts = np.r_[0, borders]
-    stops = np.r_[borders, n_samples]
-    return [slice(int(a), int(b)) for a, b in zip(starts, stops)]
 
 
 def check_dt(dt):

@@ -105,8 +105,6 @@ def _notes_of_mjcf(robot, dynamics, servo):
         "times the torque (gainprm of its motor is the inverse)."
         for j in np.flatnonzero(dynamics.gain != 1)
     ]
-    notes = (effect.files.note for effect in robot.effects)
-    lines += filter(None, dict.fromkeys(notes))
     if dynamics.constant.any() or dynamics.slope.any():
         lines.append(
             "Constant torques, and springs without a stable rest, are biases of the "
@@ -256,9 +254,8 @@ def _mjcf_dynamics(account, servo=None):
             continue
         left = joints.take(effect, dict(zip(effect.coefficients, map(float, coef))))
         if left:
-            reason = effect.files.mjcf.format(damping=damping[effect.joint], **left)
             rest = [left.get(name, 0.0) for name in effect.coefficients]
-            account.leave_effect(effect, rest, reason)
+            account.leave_effect(effect, rest, effect.files.mjcf)
     constant, spring, ref = joints.constant, joints.spring, joints.ref
     stable = spring > 0
     springref = np.where(stable, -constant / np.where(stable, spring, 1.0), 0.0)

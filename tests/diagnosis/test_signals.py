@@ -116,7 +116,7 @@ def test_what_varies_is_named():
     assert found.parameters["signal"] == "gripper"
     low, high = found.intervals["k"]
     assert low < 0.8 < high
-    assert "iscous friction that varies with gripper" in text_of(loop.report_)
+    assert "(viscous, gripper)" in text_of(loop.report_)
 
 
 # -- rivals
@@ -161,7 +161,7 @@ def test_the_report_names_the_signals(both, warm):
     assert outcome["provenance"]["settings"]["signals"] == ["temperature", "kp"]
     assert "temperature, kp" in text_of(both.report_)
     said = text_of(warm.report_)
-    assert "Coulomb friction that varies with temperature" in said
+    assert "(coulomb, temperature)" in said
     assert "N m per unit of temperature" in said
     assert not [one for one in outcome["not_identifiable"] if one["name"] == "signal"]
 

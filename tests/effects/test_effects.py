@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import Motion, play, stops
+from sklearn_vbjfa.effects import Motion, elements, play
 from tests.effects._arms import (
     Derivatives,
     arm,
@@ -89,7 +89,6 @@ def test_numbers_of_coefficients_units_and_columns_agree(name):
         f"joint {effect.joint + 1}:{name}:{c}" for c in effect.coefficients
     ]
     assert set(continuous(effect)) <= set(effect.get_params())
-    assert set(effect.needs) <= {"time", "load", "signals"}
     assert effect.record
 
 
@@ -280,10 +279,10 @@ walks = st.lists(st.integers(-40, 40), min_size=2, max_size=40).map(
 @settings(deadline=None, max_examples=25)
 @given(q=walks, displacement=st.sampled_from([0.03125, 0.25, 1.0, 4.0]))
 def test_stops_on_any_walk(q, displacement):
-    z = stops(q, (displacement, 2 * displacement))
+    z = elements(q, (displacement, 2 * displacement))
     assert_allclose(z[:, 0], stops_sample_by_sample(q, displacement), atol=1e-12)
     assert_allclose(z[:, 1], stops_sample_by_sample(q, 2 * displacement), atol=1e-12)
-    assert_array_equal(stops(-q, (displacement,))[:, 0], -z[:, 0])
+    assert_array_equal(elements(-q, (displacement,))[:, 0], -z[:, 0])
 
 
 def test_a_virgin_curve_is_the_torque_of_a_motion_from_rest():
@@ -501,7 +500,7 @@ def test_missing_signals_are_named(name):
     effect = library_effect(name)
     for need in effect.needs:
         given = {"t": T, "load": LOAD, "signals": RECORDED}
-        given.pop({"time": "t"}.get(need, need))
+        given.pop({"time": "t"}.get(need, need), None)
         with pytest.raises(ValueError, match=f"{name} on joint . *: needs"):
             effect.fit(X).transform(X, **given)
 

@@ -200,7 +200,6 @@ def test_what_is_plausible(effect, low, high):
         (JointAxis(about_y=np.inf), "about_y of joint_axis must be a finite number"),
         (TorqueGain(gain=0.0), r"gain of torque_gain must be positive; got 0\.0"),
         (TorqueGain(gain=-1.1), "gain of torque_gain must be positive"),
-        (TorqueGain(limit=1.0), "limit of torque_gain must be greater than 1"),
     ],
 )
 def test_values_that_are_none_are_refused(effect, message):

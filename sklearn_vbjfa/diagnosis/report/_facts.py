@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.effects import JointAxis
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # One of a SI unit in the unit that is read off an instrument.
@@ -62,25 +61,13 @@ def plain_texts(effect):
 
 
 def statement(outcome, effect):
-    """State an effect of the robot model by the text of its class."""
-    values = plain_texts(effect)
+    """State an effect of the robot model with its values."""
+    label = words.effect_label(outcome, effect.name)
+    stated = ", ".join([label, *value_cells(effect)])
+    if effect.scope == "robot":
+        return stated
     joint = words.joint_label(outcome.robot["joints"], effect.joint)
-    text = outcome.robot["library"][effect.name].text
-    if not text:
-        # A custom class.
-        label = words.effect_label(outcome, effect.name, effect.parameters)
-        parts = [f"{name} = {value} {unit}" for name, (value, unit) in values.items()]
-        stated = ", ".join([label, *parts])
-        return stated if effect.scope == "robot" else f"{joint}: {stated}"
-    turned = [
-        one.values["about"]
-        for one in outcome.robot["corrections"]
-        if (one.name, one.joint) == (JointAxis.name, effect.joint)
-    ]
-    first, second = turned[0] if turned else ("first cross axis", "second cross axis")
-    texts = {name: value for name, (value, _) in values.items()}
-    *_, unit = next(iter(values.values()))
-    return text.format(joint=joint, first=first, second=second, unit=unit, **texts)
+    return f"{joint}: {stated}"
 
 
 def value_cells(effect):

@@ -57,7 +57,7 @@ class Candidates:
             (j, effect)
             for j in found
             for effect in library
-            if not (effect.replaces and j in forgetful)
+            if not (effect.bank and j in forgetful)
         ]
         for j, effect in counted(asked, "candidate", len(asked)):
             one = clone(effect).set_params(joint=j)

@@ -523,7 +523,7 @@ def tuned_on(view, effects, settings):
 
 def remembering(effects):
     """Return the joints whose dry friction has a memory, a set of int."""
-    return {effect.joint for effect in effects if effect.replaces}
+    return {effect.joint for effect in effects if effect.bank}
 
 
 def among_others(fit, i):

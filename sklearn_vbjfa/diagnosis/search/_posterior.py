@@ -216,7 +216,7 @@ _AT_REST = 0.5
 def _friction_at_rest(view, library, settings):
     """Joints whose torque at rest friction with memory predicts, and does not, sets."""
     # The plain terms predict none there.
-    banks = [effect for effect in library if effect.replaces]
+    banks = [effect for effect in library if effect.bank]
     resting = set(view.at_rest())
     if not banks or not resting:
         return set(), set()

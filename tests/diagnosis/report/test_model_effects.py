@@ -207,13 +207,13 @@ def hidden(name, joints, reason, remedy=""):
 @pytest.mark.parametrize(
     ("given", "facts"),
     [
-        (hidden("joint_zero", (0, 5), "span"), ("zeros of joints 1 and 6",)),
+        (hidden("joint_zero", (0, 5), "span"), ("zero on joints 1 and 6",)),
         (
             hidden("joint_axis", (0,), "excitation", "more moves"),
-            ("axis of joint 1", "more moves"),
+            ("axis on joint 1", "more moves"),
         ),
-        (hidden("base_tilt", (0,), "excitation", "weight"), ("tilt", "weight")),
-        (hidden("torque_gain", range(6), "excitation", "x"), ("gains of all joints",)),
+        (hidden("base_tilt", (0,), "excitation", "weight"), ("ilted base", "weight")),
+        (hidden("torque_gain", range(6), "excitation", "x"), ("on all joints",)),
     ],
 )
 def test_what_is_hidden_is_named(given, facts):

@@ -231,35 +231,30 @@ def test_optional_packages_only_inside_functions():
     assert offenders(misplaced_packages) == {}
 
 
-def loaded_by(statement):
-    """Modules that a statement loads in a process of its own, which must be silent."""
-    code = (
-        "import sys, sklearn.base; before = set(sys.modules); "
-        f"{statement}; print(*(sys.modules.keys() - before))"
-    )
+def loaded_by(*statements):
+    """Modules that each of the statements loads in one silent process."""
+    show = "print(*(sys.modules.keys() - before)); before = set(sys.modules)"
+    lines = ["import sys, sklearn.base; before = set(sys.modules)"]
+    for statement in statements:
+        lines += [statement, show]
     result = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
+        [sys.executable, "-W", "error", "-c", "\n".join(lines)],
         capture_output=True,
         text=True,
         check=False,
     )
     assert result.returncode == 0, result.stderr
     assert result.stderr == ""
-    return set(result.stdout.split())
+    return [set(line.split()) for line in result.stdout.splitlines()]
 
 
-def test_importing_loads_no_optional_package():
-    # scikit-learn loads pandas where it is installed, and that pyarrow.
+def test_importing_loads_little_more_than_the_linear_models_do():
+    # Names of the package are imported when they are asked for; scikit-learn loads
+    # pandas where it is installed, and that pyarrow.
     rooms = ", ".join(f"{PACKAGE}.{room}" for room in ("physical", "datasets"))
-    assert OPTIONAL & loaded_by(f"import {rooms}") == set()
-
-
-def test_few_modules_more_than_the_linear_models_have():
-    # Names of the package are imported when they are asked for.
-    ours, theirs = (
-        loaded_by(f"from {module} import *")
-        for module in (PACKAGE, "sklearn.linear_model")
-    )
+    (theirs,) = loaded_by("from sklearn.linear_model import *")
+    ours, rest = loaded_by(f"from {PACKAGE} import *", f"import {rooms}")
+    assert OPTIONAL & (ours | rest) == set()
     assert len(ours) < len(theirs) + 100
     more = {name.split(".")[0] for name in ours} - sys.stdlib_module_names
     more -= {name.split(".")[0] for name in theirs}

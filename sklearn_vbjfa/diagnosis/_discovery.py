@@ -342,15 +342,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         given = {"origin": near.origin, **known}
         found = self._search(seen, silent, given, library)
         say("held-out judgement")
-        self.validation_model_ = self.baseline_
+        named = self.baseline_
         if found.effects:
-            self.validation_model_ = self._with(
-                found.effects, self.validation_model_, part
-            )
-        unnamed = self._unnamed(found)
-        if unnamed:
-            effects = (*found.effects, *unnamed)
-            self.validation_model_ = self._with(effects, self.validation_model_, part)
+            named = self._with(found.effects, named, part)
+        unnamed = self._unnamed(found, named)
+        self.validation_model_ = named.beside(unnamed)
         models = Models(
             declared=self.declared_, plain=self.baseline_, judged=self.validation_model_
         )
@@ -358,8 +354,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         del part, seen
         judged = judge(models, found, split, near, whole)
         say("final model")
-        asked = whole, split.moving, silent, known
-        final = self._hand_over(found, unnamed, *asked)
+        final = self._hand_over(found, named, whole, split.moving, silent, known)
+        self.identifier_ = final.identifier.beside(unnamed)
         asked = self.get_params(deep=False)
         say("explaining")
         return make_outcome(found, models, final, judged, channels, asked, whole, names)
@@ -460,15 +456,15 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         again.begin_with(begin)
         return again.fit_inspected(recording, compare=compare)
 
-    def _unnamed(self, found):
+    def _unnamed(self, found, named):
         """Find the joint torque beyond the effects; none where few were looked for."""
         if not isinstance(self.effects, str) or self.identifier.drive is not None:
             return ()
-        added = added_effects(self.validation_model_, len(found.effects))
-        fit = FinalFit(self.baseline_, self.validation_model_, found.model.view, added)
+        added = added_effects(named, len(found.effects))
+        fit = FinalFit(self.baseline_, named, found.model.view, added)
         return unnamed_torques(fit, found.settings)
 
-    def _hand_over(self, found, unnamed, whole, moving, silent, known):
+    def _hand_over(self, found, begin, whole, moving, silent, known):
         """Fit the completed model to all data, in the band that was judged."""
         band = {}
         if isinstance(self.identifier.cutoff, str):
@@ -491,11 +487,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             effects = tuned_apart(found, lambda b: b.view(*known, **given))
         else:
             effects = tuned_on(view, found.effects, found.settings)
-        effects = (*effects, *unnamed)
-        self.identifier_ = self._with(effects, self.validation_model_, whole, **band)
-        effects = added_effects(self.identifier_, len(effects))
+        named = self._with(effects, begin, whole, **band)
+        effects = added_effects(named, len(effects))
         share = seen.n_samples / whole.n_samples
-        return FinalFit(self.baseline_, self.identifier_, view, effects, share)
+        return FinalFit(self.baseline_, named, view, effects, share)
 
     def _set(self, outcome, expectation):
         """Set the results and the report."""

@@ -20,8 +20,8 @@ class UnnamedTorque(Stateful):
     """A joint torque that is predicted but not named, share * sum_k w_k c_k.
 
     The terms c_k are those of library effects on one quantity. `EffectDiscovery` finds
-    the weights, and refits the share with the other parameters. Beyond the range of the
-    fit it is held constant.
+    the weights and adds the torque to the fitted model, with a share of one: no other
+    parameter moves because of it. Beyond the range of the fit it is held constant.
 
     Parameters
     ----------

@@ -17,7 +17,6 @@ from sklearn_vbjfa.equations._equations import (
     equations,
     held_columns,
     is_plain,
-    plain_coefficients,
     regressor_rows,
     unexcited_entries,
 )
@@ -348,7 +347,7 @@ def run_passes(recipe, robot, source, relative, passes, load):
     for plan in passes:
         own = replace(robot, plan=plan, load_parameters=load)
         fit = recipe.of_source(own, source)
-        load = _load_parameters(fit.robot)
+        load = fit.robot.parameters_of_load()
     if any(effect.in_model for effect in robot.effects_):
         fit = iterate_corrections(recipe, fit, source, relative)
     return fit
@@ -357,11 +356,6 @@ def run_passes(recipe, robot, source, relative, passes, load):
 def _at(robot, effects):
     plan = replace(robot.plan, effects=effects)
     return replace(robot, features_=robot.features_.corrected(effects), plan=plan)
-
-
-def _load_parameters(robot):
-    bodies, coefs = np.split(robot.theta_, [robot.features_.n_parameters_])
-    return np.concatenate([bodies, plain_coefficients(robot.effects_, coefs)])
 
 
 def _load_of(before, robot):
@@ -451,7 +445,7 @@ def _corrected(recipe, fit, source, relative):
     corrected, factor, before = fit.robot, 1.0, 0.0
     loaded = needs_load(corrected.effects_)
     for number in range(MOST_CORRECTIONS):
-        robot = replace(corrected, load_parameters=_load_parameters(fit.robot))
+        robot = replace(corrected, load_parameters=fit.robot.parameters_of_load())
         made = source.segments(robot, tangents=True)
         moments = source.moments(made, robot.plan)
         if number and loaded:
@@ -477,7 +471,7 @@ def _corrected(recipe, fit, source, relative):
         warn_unsettled(values)
     if number and not loaded:
         fit = _fitted_again(recipe, robot, source, moments)
-    robot = replace(fit.robot, load_parameters=_load_parameters(fit.robot))
+    robot = replace(fit.robot, load_parameters=fit.robot.parameters_of_load())
     return replace(fit, robot=robot), values
 
 

@@ -1,5 +1,6 @@
 """From positions and torques to a physically consistent rigid-body model."""
 
+import copy
 import warnings
 from dataclasses import replace
 from functools import wraps
@@ -450,6 +451,15 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         """Begin the next fit with the load of a fitted identifier, where it has one."""
         self._before = fitted.robot_
         return self
+
+    def beside(self, effects):
+        """Return a copy whose robot has further effects, with coefficients of one."""
+        if not effects:
+            return self
+        out = copy.copy(self)
+        out._robot = self.robot_.beside(effects)
+        out.effects_ = out._robot.effects_
+        return out
 
     def described(self):
         """Return precision (p, p) and mean (p,) of the prior; None without one."""

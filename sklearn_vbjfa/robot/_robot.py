@@ -18,6 +18,7 @@ from sklearn_vbjfa.equations._equations import (
     is_plain,
     joined,
     make_motion,
+    plain_coefficients,
     regressor_rows,
 )
 from sklearn_vbjfa.equations._features import Follower, RigidBodyFeatures
@@ -921,6 +922,40 @@ class IdentifiedRobot:
         """Return the robot corrected by effects, added to or replacing its own."""
         own = {effect.key(): effect for effect in (*self.effects_, *effects)}
         return replace(self, features_=self.features_.corrected(own.values()))
+
+    def parameters_of_load(self):
+        """Parameters of what its load is made of, see `make_motion`."""
+        rigid, coefs = np.split(self.theta_, [self.features_.n_parameters_])
+        return np.append(rigid, plain_coefficients(self.effects_, coefs))
+
+    def beside(self, effects):
+        """Return the robot with further effects whose coefficients are one."""
+        # Nothing is fitted: the other parameters, and the load, stay as they are.
+        names = [name for effect in effects for name in effect.coefficients]
+        load = self.load_parameters
+        load = self.parameters_of_load() if load is None else load
+        plain = sum(len(e.coefficients) for e in effects if is_plain(e))
+        of_joint = {one.joint: one for one in self.effect_ranges_}
+        ranges = [
+            replace(of_joint[e.joint], name=e.name, depends=e.depends) for e in effects
+        ]
+
+        def longer(values, value):
+            return None if values is None else np.append(values, len(names) * [value])
+
+        C = self.covariance
+        return replace(
+            self,
+            plan=replace(self.plan, effects=(*self.effects_, *effects)),
+            theta_=longer(self.theta_, 1.0),
+            theta_unconstrained_=longer(self.theta_unconstrained_, 1.0),
+            theta_std_=longer(self.theta_std_, np.nan),
+            covariance=None if C is None else np.pad(C, (0, len(names))),
+            identifiable_=longer(self.identifiable_, False),
+            known_=(*self.known_, *len(names) * ["no"]),
+            load_parameters=np.append(load, np.zeros(plain)),
+            effect_ranges_=(*self.effect_ranges_, *ranges),
+        )
 
     def linear_part(self, theta):
         """Parameters (p,) without the values that the model holds."""

@@ -175,7 +175,9 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
     findings = {
         "effects": tuple(e for e in effects if not e.warning),
         "possible": tuple(e for e in effects if e.warning),
-        "unnamed": tuple(e for e in final.effects if isinstance(e, UnnamedTorque)),
+        "unnamed": tuple(
+            e for e in models.judged.effects_ if isinstance(e, UnnamedTorque)
+        ),
         "unexplained": unexplained(search.model, names, spread, floor, known),
         "not_identifiable": not_identifiable(search, names),
         "channels": channels,

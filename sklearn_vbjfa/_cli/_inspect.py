@@ -90,8 +90,6 @@ def _columns(motions, units):
             "reversals": str(motion.reversals),
             "at rest": f"{100 * motion.resting:.0f} %",
             "torque": f"{motion.torques[0]:.3g} to {motion.torques[1]:.3g} {unit}",
-            "gravity": f"{motion.loads[0]:.3g} to {motion.loads[1]:.3g} "
-            f"{'N' if motion.slides else 'N m'}",
         }.items():
             columns.setdefault(head, []).append(cell)
     return columns

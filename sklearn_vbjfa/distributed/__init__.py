@@ -28,7 +28,6 @@ from sklearn_vbjfa.equations._recording_checks import (
 )
 from sklearn_vbjfa.equations._states import choose_states
 from sklearn_vbjfa.fit._estimate import from_moments
-from sklearn_vbjfa.inspection import levels
 from sklearn_vbjfa.recording import check_dt, expanded, read_recording, recordings_in
 
 __all__ = ["fit_recordings"]
@@ -118,9 +117,9 @@ def _identify(identifier, paths):
     stops = np.cumsum(lengths).tolist()
     parts = [slice(a, b) for a, b in zip([0, *stops], stops)]
     check_length(parts, plan.lowpass, plan.cutoff)
-    torques = levels(np.concatenate([one["torques"] for one in extents]))
+    torques = np.concatenate([one["torques"] for one in extents])
     ranges = np.stack([motion.lowest, motion.highest])
-    check_channels(names, ranges, torques, sum(lengths))
+    check_channels(names, ranges, torques)
     first = np.cumsum([0, *(len(one["lengths"]) for one in extents)]).tolist()
     numbering = BlockAssignment.of([plan.lowpass.centres(n).size for n in lengths])
     halves = identifier.input_noise is not None
@@ -208,7 +207,7 @@ def _extent(recording, path):
     parts = recording.segments
     return {
         "lengths": [part.stop - part.start for part in parts],
-        "torques": levels(recording.tau),
+        "torques": (recording.tau.min(axis=0), recording.tau.max(axis=0)),
         "moving": np.any([np.ptp(recording.q[p], axis=0) > 0 for p in parts], axis=0),
     }
 

@@ -9,7 +9,6 @@ from sklearn_vbjfa.inspection import (
     nothing_moves,
     position_jumps,
     shuffled_rows,
-    two_values,
 )
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import Drive
@@ -20,8 +19,6 @@ _SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.02
 # Speeds beyond the robot's limit by this factor: degrees for radians make 57, and are
 # reported elsewhere. Where the robot has no limit [rad/s or m/s].
 _TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
-# Fewer rows do not show how many values a torque may have.
-_ENOUGH_ROWS = 64
 
 
 def check_widths(names, X, y=None):
@@ -71,10 +68,9 @@ def check_input_noise(input_noise):
         )
 
 
-def check_channels(names, positions, torques, n_rows):
+def check_channels(names, positions, torques):
     """Reject torques without information, warn of joints that do not move."""
-    # positions (n, nv): at least their lowest and highest values; torques (n, nv): at
-    # least their `levels`; n_rows: of the recordings.
+    # positions, torques (n, nv): at least their lowest and highest values.
     moves = np.ptp(positions, axis=0) > 0
     if not moves.any():
         raise ValueError(
@@ -88,9 +84,6 @@ def check_channels(names, positions, torques, n_rows):
             f"The torque of {', '.join(dead)} is constant while the joint moves. Check "
             "the recording, or lock the joint (joint_names of read_recording)."
         )
-    if n_rows >= _ENOUGH_ROWS:
-        for finding in two_values(names, moves, torques):
-            raise ValueError(finding.message)
     still = [name for name, moving in zip(names, moves) if not moving]
     if still:
         warnings.warn(
@@ -107,10 +100,10 @@ def check_motion(names, positions, parts):
         raise ValueError(nothing_moves(names, positions).message)
 
 
-def warn_of_disorder(names, positions, parts, groups):
+def warn_of_disorder(names, positions, parts):
     """Warn of rows out of time order, and of unlabelled borders of recordings."""
-    # positions (n, nv); parts: slices of the recordings; groups (n,): labels or None.
-    found = shuffled_rows(names, positions, parts, groups)
+    # positions (n, nv); parts: slices of the recordings.
+    found = shuffled_rows(names, positions, parts)
     if not found:
         found = position_jumps(names, positions, parts)
     for finding in found:

@@ -76,7 +76,7 @@ def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
     )
     y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
     check_widths(identifier.joint_names_, X, y)
-    _check_rows(identifier, X, groups, t, contiguous_groups(groups, X.shape[0]))
+    _check_rows(identifier, X, t, contiguous_groups(groups, X.shape[0]))
     channels = {}
     if identifier.drive is not None:
         channels, signals = identifier.drive.taken(y, signals)
@@ -108,7 +108,7 @@ def checked_recording(identifier, recording):
             f"{', '.join(recording.joint_names)} and {recording.dt} s."
         )
     validate_data(identifier, X, skip_check_array=True)
-    _check_rows(identifier, X, recording.groups, recording.t, recording.segments)
+    _check_rows(identifier, X, recording.t, recording.segments)
     offered = OfferedSignals(columns=recording.signals)
     used = signals_for(identifier.effects_, None, offered, recording.n_samples)
     weight = recording.weight
@@ -118,9 +118,9 @@ def checked_recording(identifier, recording):
     return replace(recording, signals=used, weight=weight)
 
 
-def _check_rows(identifier, X, groups, t, parts):
+def _check_rows(identifier, X, t, parts):
     nv = identifier.features_.n_joints_
     if X.shape[1] == nv:
         check_motion(identifier.joint_names_, X, parts)
-    warn_of_disorder(identifier.joint_names_, X[:, :nv], parts, groups)
+    warn_of_disorder(identifier.joint_names_, X[:, :nv], parts)
     check_time_stamps(t, identifier.dt, parts)

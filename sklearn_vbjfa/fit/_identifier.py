@@ -44,7 +44,7 @@ from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.fit._output_error import check_criterion
 from sklearn_vbjfa.fit._signs import signed, with_signs
-from sklearn_vbjfa.inspection import contradicted, inspect_channels, levels
+from sklearn_vbjfa.inspection import contradicted, inspect_channels
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import PDDrive, check_dt, torques_in_order
@@ -510,9 +510,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if estimator is not None:
             check_speed(self.dt, facts.fast(), self.features_.model_)
         ranges = np.stack([facts.lowest, facts.highest])
-        torques = [levels(np.asarray(recording.tau[part])) for part in parts]
-        torques = np.concatenate(torques)
-        check_channels(self.joint_names_, ranges, torques, recording.n_samples)
+        torques = [np.asarray(recording.tau[part]) for part in parts]
+        ends = [(x.min(axis=0), x.max(axis=0)) for x in torques]
+        check_channels(self.joint_names_, ranges, np.concatenate(ends))
         lengths = [rows.stop - rows.start for rows in parts]
         plan = make_plan(self, self.effects_, lengths, estimator, facts)
         plan = plan.set_to(recording)

@@ -14,11 +14,9 @@ _MODULES = {
     "_motion": ("JointMotion", "motion_of", "one_speed"),
     "_rows": (
         "at_rest",
-        "levels",
         "nothing_moves",
         "position_jumps",
         "shuffled_rows",
-        "two_values",
     ),
     "_reading": ("Reading",),
     "_torques": ("most_explaining", "signed_columns", "size_message"),

@@ -13,9 +13,10 @@ from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._positions import (
     counts,
     implausible_speed,
+    reordered,
     usual_orders,
 )
-from sklearn_vbjfa.inspection._reading import Change, Reading, long_parts, thinned
+from sklearn_vbjfa.inspection._reading import Reading, long_parts, thinned
 from sklearn_vbjfa.inspection._rows import inspect_rows, shuffled_rows
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.inspection._torques import unsigned_torques
@@ -45,7 +46,6 @@ class Hypothesis:
     # When it is looked for: always, only if torques agree badly with the description
     # or another hypothesis is probable, after all others, or if nothing was found.
     when: str = "always"
-    unclear: str = ""  # kind of the note if a candidate is probable but not clear
     prior: float = number.PRIOR  # log odds against the log as it is
     masses: bool = False  # whether wrong masses of the description explain as much
 
@@ -60,19 +60,19 @@ class Hypothesis:
             return None
         return found, odds
 
-    def finding(self, reading, candidate, odds, rivals=(), unclear=False):
+    def finding(self, reading, candidate, odds, rivals=()):
         """Return the finding; rivals: names of hypotheses that are as probable."""
         evidence = f"log odds {odds:.0f}"
         if candidate.fall > 0:
             fall = np.exp(candidate.fall / reading.robot.joints.size)
             evidence = f"squared errors fall by the factor {fall:.3g}, {evidence}"
         return finding(
-            self.unclear if unclear else candidate.kind or self.name,
+            candidate.kind or self.name,
             reading.names,
             candidate.joints,
-            "note" if unclear else candidate.severity or self.severity,
+            candidate.severity or self.severity,
             value=candidate.value,
-            remedy=None if unclear else candidate.remedy,
+            remedy=candidate.remedy,
             rivals=rivals,
             evidence=evidence,
             **candidate.facts,
@@ -83,23 +83,21 @@ class Hypothesis:
 TABLE = (
     # -- positions and time
     Hypothesis("position_unit", "error", positions.units, "turns"),
-    Hypothesis("position_zeros", "error", positions.zeros, "zeroed",
-               unclear="unverified:zeros"),
+    Hypothesis("position_zeros", "error", positions.zeros, "zeroed"),
     Hypothesis("swapped_torques", "error", positions.torque_orders, "several", "poor"),
     Hypothesis("swapped_positions", "error", positions.position_orders, "several",
                "poor"),
     Hypothesis("swapped_joints", "error", positions.joint_orders, "several", "poor"),
     Hypothesis("flipped_joint", "error", positions.flipped, when="poor"),
     Hypothesis("position_sign", "error", positions.mirrored, when="poor"),
+    Hypothesis("coupled_position", "error", positions.coupled, "several", "poor"),
     # A warning: another mounting or tool looks the same, with a wrong geometry only.
     Hypothesis("position_zero", "warning", positions.zero, when="poor", masses=True),
     Hypothesis("wrong_dt", "error", positions.periods),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),
-    Hypothesis("torque_unit", "warning", torques.scaled, "measured",
-               masses=True),
+    Hypothesis("torque_unit", "warning", torques.scaled, masses=True),
     Hypothesis("torque_factors", "warning", torques.scaled_each, "measured"),
-    Hypothesis("gear_factor", "warning", torques.commanded_size, "commanded"),
     Hypothesis("computed_torque", "warning", torques.computed, "measured"),
     Hypothesis("silent_torque", "error", torques.silent, "measured"),
     # -- scene
@@ -241,7 +239,7 @@ def inspect_channels(
     model, dt = load_folded(model).still, check_dt(dt)
     q, tau = _check_arrays(model, q, tau)
     names = joint_names(model)
-    shuffled = shuffled_rows(names, q, contiguous_groups(groups, len(q)), groups)
+    shuffled = shuffled_rows(names, q, contiguous_groups(groups, len(q)))
     rows, parts = long_parts(len(q), groups)
     if shuffled or not parts:
         return in_order(shuffled)
@@ -256,9 +254,6 @@ def inspect_channels(
     dt *= log.every
     reading = Reading(model, names, q, tau, dt, parts, usable, drive, named)
     found = _compared(reading)
-    wrong = any(x.severity == "error" for x in found)
-    if isinstance(gains, str) and drive is None and not wrong:
-        found += [] if reading.tell_nothing() else torques.current_constants(reading)
     if any(one.severity != "note" for one in log.findings):
         # Which robot it is cannot be said of rows that are wrong.
         found = [one for one in found if one.kind != "other_robot"]
@@ -305,9 +300,6 @@ def _examined(reading):
         else:
             break
         if not candidate.clear:
-            if hypothesis.unclear:
-                args = reading, candidate, odds
-                findings.append(hypothesis.finding(*args, unclear=True))
             break
         rivals = [
             (one.kind or other.name).partition(":")[0]
@@ -368,7 +360,7 @@ def _order_assumed(reading):
     """Whether another usual order of joints fits as well as that of the description."""
     now = reading.robot.now
     for order in usual_orders(reading):
-        fit = reading.tried(Change(positions=order, torques=order))
+        fit = reading.tried(reordered(order))
         as_well = fit is not None and fit.fall(now) > -number.CLEAR
         if as_well or (fit is not None and fit.evidence > now.evidence - number.RIVAL):
             return True

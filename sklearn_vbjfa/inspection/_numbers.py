@@ -50,9 +50,8 @@ OF_ANOTHER, UNFOLLOWED = 0.3, 0.65
 # A factor of gravity, or of inertia, that is below this with its error is none.
 NO_WEIGHT = 0.5
 # A base is mounted otherwise if it is turned by more than this [rad] (less is a tilt,
-# which the search finds among its rivals), pulls as gravity does to this factor, and in
-# no direction is its pull less certain than this [g].
-TURNED, AS_HEAVY, UNSHOWN = np.radians(30.0), 1.5, 0.5
+# which the search finds among its rivals), and pulls as gravity does to this factor.
+TURNED, AS_HEAVY = np.radians(30.0), 1.5
 # Sample periods that are tried, as multiples, but for those at which a joint exceeds
 # its limit by this factor.
 PERIODS, PLAUSIBLE = (1e3, 1e2, 10.0, 0.1, 1e-2, 1e-3), 2.0
@@ -119,8 +118,8 @@ STANDSTILL = 0.02
 # either: a joint moves at least this much [rad or m], and is at rest if its travel is
 # below this many standard deviations of its noise.
 SHUFFLED, LEAST_MOTION, STILL_TRAVEL = 0.7, 0.01, 12.0
-# Shuffled labels: at least this many runs per label, and runs on average this short.
-RUNS_PER_LABEL, SHORT_RUN = 4, 16
+# In fewer rows it is not looked for.
+SHORT_RUN = 16
 # A jump is a full turn to within this fraction of one.
 TURN_LEFT = 0.15
 # Repeated rows that are reported; above the last share they are a warning.
@@ -172,7 +171,5 @@ SAME, COPY = 0.02, 5e-4
 # range of this share of the speed: even speeds deviate by a tenth of their mean then.
 MIDDLE, ONE_SPEED = 0.8, np.sqrt(12.0) / 10.0
 # What saturates after a reversal must have done so in either direction several times.
-# Range of positions below which what varies with them looks like a spring [rad]. Loads
-# that vary by less than this share of the torque cannot tell friction with the load
-# from friction without.
-FEW_REVERSALS, WIDE_RANGE, SAME_LOAD = 10, np.radians(60.0), 0.1
+# Range of positions below which what varies with them looks like a spring [rad].
+FEW_REVERSALS, WIDE_RANGE = 10, np.radians(60.0)

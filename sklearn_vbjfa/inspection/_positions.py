@@ -1,7 +1,7 @@
 """Changes of positions and time: order, direction, zero, unit, sample period."""
 
 from dataclasses import replace
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product
 
 import numpy as np
 import scipy
@@ -19,36 +19,28 @@ from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.inspection._torques import torque_factors
 from sklearn_vbjfa.model import is_prismatic
 
-# -- order -----------------------------------------------------------------------------
+# -- order, direction and coupling -----------------------------------------------------
 
 
 def torque_orders(reading):
-    """Return the best order of the torques: all at once, or two exchanged."""
+    """Return the best order of the torques."""
     joints, left = reading.robot.joints, reading.rough_crossed
-    same = np.arange(reading.nv)
     rows, columns = scipy.optimize.linear_sum_assignment(left - np.diagonal(left))
-    order = same.copy()
+    order = np.arange(reading.nv)
     order[joints[rows]] = joints[columns]
-    orders = [order, *(_exchanged(same, pair) for pair in _pairs(reading))]
-    changes = [Change(torques=order) for order in orders if (order != same).any()]
-    return _ordered(reading, best_of(reading, changes), "torques")
+    return _best_order(reading, "torques", _pairs(reading), [order])
 
 
 def position_orders(reading):
-    """Return the best two positions to exchange."""
-    same, slides = np.arange(reading.nv), reading.slides
+    """Return the best order of the positions of joints of one kind."""
+    slides = reading.slides
     pairs = [(a, b) for a, b in _pairs(reading) if slides[a] == slides[b]]
-    changes = [Change(positions=_exchanged(same, pair)) for pair in pairs]
-    return _ordered(reading, best_of(reading, changes), "positions")
+    return _best_order(reading, "positions", pairs)
 
 
 def joint_orders(reading):
-    """Return the best order of joints, by swaps from the best of plain orders."""
+    """Return the best order of positions and torques."""
     nv, same = reading.nv, np.arange(reading.nv)
-
-    def rough(order):
-        return reading.rough(Change(positions=order, torques=order)).sum()
-
     lost = np.median(reading.robot.now.left) > 2 * np.log(number.NO_FIT)
     if lost and nv <= number.MOST_ORDERS:
         starts = [np.array(order) for order in permutations(range(nv))]
@@ -56,21 +48,37 @@ def joint_orders(reading):
         shifts = {k % nv for k in range(-number.ROLLED, number.ROLLED + 1)}
         starts = [np.roll(same, k) for k in sorted(shifts)]
         starts += [same[::-1], *usual_orders(reading)]
-    pairs, best, order = _pairs(reading), reading.rough().sum(), same
-    starts += [_exchanged(same, pair) for pair in pairs]
+    what = "positions and torques"
+    return _best_order(reading, what, _pairs(reading), starts)
+
+
+def _best_order(reading, what, pairs, starts=()):
+    """Return the best order of some channels, by swaps from the best of starts."""
+    order, best, names = np.arange(reading.nv), reading.rough().sum(), reading.names
+    starts = [*starts, *(_exchanged(order, pair) for pair in pairs)]
     # Each swap puts at least one joint in its place.
-    for _ in range(nv + 1):
-        left = [rough(other) for other in starts]
+    for _ in range(reading.nv + 1 if starts else 0):
+        left = [reading.rough(reordered(x, what)).sum() for x in starts]
         least = int(np.argmin(left))
         if left[least] > best - number.CLEAR:
             break
         best, order = left[least], starts[least]
         starts = [_exchanged(order, pair) for pair in pairs]
-    change = Change(positions=order, torques=order)
+    change = reordered(order, what)
     if not change.joints:
         return None
-    found = judged(reading, change, clear(change), variants=len(pairs))
-    return _ordered(reading, found, "joints")
+    pair = len(change.joints) == 2
+    facts = {"what": what, "order": ", ".join(names[k] for k in np.argsort(order))}
+    facts |= {"pair": " and ".join(names[j] for j in change.joints)}
+    kind = f"swapped_{what.replace('positions and torques', 'joints')}"
+    known = {"kind": f"{kind}:pair" if pair else kind, "facts": facts}
+    return judged(reading, change, clear(change), variants=len(pairs), **known)
+
+
+def reordered(order, what="positions and torques"):
+    """Return the change by which the channels of joints have another order (nv,)."""
+    rows = np.eye(order.size)[order]
+    return Change(**{name: rows for name in what.split(" and ")})
 
 
 def usual_orders(reading):
@@ -105,24 +113,6 @@ def _exchanged(order, pair):
     return order
 
 
-def _ordered(reading, candidate, what):
-    """Add the facts of the sentence on an order."""
-    if candidate is None:
-        return None
-    change, names = candidate.change, reading.names
-    order = change.torques if change.positions is None else change.positions
-    facts = {
-        "what": what.replace("joints", "positions and torques"),
-        "order": ", ".join(names[k] for k in np.argsort(order)),
-        "pair": " and ".join(names[j] for j in candidate.joints),
-    }
-    pair = ":pair" if len(candidate.joints) == 2 else ""
-    return replace(candidate, kind=f"swapped_{what}{pair}", facts=facts)
-
-
-# -- direction -------------------------------------------------------------------------
-
-
 def mirrored(reading, *, torques=False):
     """Return the joint whose position, or also torque, has the other sign."""
     changes = []
@@ -135,6 +125,31 @@ def mirrored(reading, *, torques=False):
 def flipped(reading):
     """Return the joint whose position and torque have the other sign."""
     return mirrored(reading, torques=True)
+
+
+def coupled(reading):
+    """Return the joint whose position contains that of one of the two before it."""
+    changes, same, parents = {}, np.eye(reading.nv), list(reading.model.parents)
+    for j in reading.robot.joints.tolist():
+        before = parents[j + 1], parents[parents[j + 1]]
+        alike = [
+            i - 1 for i in before if i and reading.slides[i - 1] == reading.slides[j]
+        ]
+        for i, sign in product(alike, (1.0, -1.0)):
+            positions = same.copy()
+            positions[j, i] = -sign
+            # Torques of the joints, or of such axes: both do the same work.
+            for torques in (None, np.linalg.inv(positions).T):
+                change = Change(positions=positions, torques=torques)
+                changes[change] = j, i, "-+" if sign > 0 else "+-"
+    best = best_of(reading, list(changes))
+    if best is None:
+        return None
+    j, i, (minus, plus) = changes[best.change]
+    facts = {"name": reading.names[j], "other": reading.names[i]}
+    facts |= {"minus": minus, "plus": plus}
+    kind = "" if best.change.torques is None else "coupled_position:torques"
+    return replace(best, joints=(j,), kind=kind, facts=facts)
 
 
 # -- zeros -----------------------------------------------------------------------------

@@ -19,11 +19,11 @@ from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import COMMANDS, contiguous_groups
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Change:
     """A reading of a log that differs from the unchanged log."""
 
-    # (nv,): channels to read for each joint; None for its own.
+    # (nv, nv): positions, and torques, of the joints from channels; None: its own each.
     positions: np.ndarray | None = None
     torques: np.ndarray | None = None
     # Float or (nv,): positions are multiplied by a factor, then an offset is added
@@ -45,21 +45,27 @@ class Change:
     def joints(self):
         """Joints whose channels it changes one by one, a tuple of int."""
         moved = np.zeros(1, dtype=bool)
-        for order in (self.positions, self.torques):
-            if order is not None:
-                moved = moved | (order != np.arange(order.size))
+        for mixed in (self.positions, self.torques):
+            if mixed is not None:
+                moved = moved | (mixed != np.eye(len(mixed))).any(axis=1)
         for value, usual in (self.factor, 1.0), (self.offset, 0.0), (self.scale, 1.0):
             moved = moved | np.not_equal(value, usual)
         return tuple(np.flatnonzero(moved).tolist())
 
     def position(self, values):
         """Read channels (..., nv) of positions."""
-        return values if self.positions is None else values[..., self.positions]
+        return values if self.positions is None else values @ self.positions.T
 
     def torque(self, values):
         """Read channels (n, nv) of torques."""
-        values = values if self.torques is None else values[:, self.torques]
+        values = values if self.torques is None else values @ self.torques.T
         return values * self.scale
+
+    def known(self, values):
+        """Read which samples (n, nv) of positions are known, bool or 0 and 1."""
+        if self.positions is None:
+            return values
+        return ((1.0 - values) @ np.abs(self.positions).T == 0).astype(values.dtype)
 
     def signals(self, signals):
         """Return filtered signals that are read in this way."""
@@ -70,11 +76,16 @@ class Change:
         states = self.position(signals.states.reshape(len(tau), 3, -1)) * self.factor
         states = states / self.period ** np.arange(3)[:, None]
         states[:, 0] += self.offset
+        sign = self.position(signals.sign) * np.sign(self.factor)
+        if self.positions is not None:
+            # Of a sum of positions, that of the filtered speed has to do.
+            mixed = (self.positions != 0).sum(axis=1) > 1
+            sign[:, mixed] = np.sign(states[:, 1][:, mixed])
         return replace(
             signals,
             states=states.reshape(len(states), -1),
-            sign=self.position(signals.sign) * np.sign(self.factor),
-            weight=self.position(signals.weight),
+            sign=sign,
+            weight=self.known(signals.weight),
         )
 
 
@@ -281,7 +292,7 @@ class Reading:
     def changed(self, change):
         """Return the log after a change, filtered again."""
         q = change.position(self.q) * change.factor + change.offset
-        tau, usable = change.torque(self.tau), change.position(self.usable)
+        tau, usable = change.torque(self.tau), change.known(self.usable)
         dt, model = self.dt * change.period, self.model
         if change.gravity is not None:
             model = under_gravity(model, change.gravity)

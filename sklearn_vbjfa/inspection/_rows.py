@@ -87,30 +87,22 @@ def inspect_rows(names, q, tau, dt, parts, rows, revolute):
 # -- order and wraps -------------------------------------------------------------------
 
 
-def shuffled_rows(names, q, parts, labels=None):
+def shuffled_rows(names, q, parts):
     """Find rows of positions (n, nv) that are out of time order; one error or none."""
-    # parts: slices of the recordings; labels (n,): their names, if any.
-    parts = [part for part in parts if part.stop > part.start]
-    pieces, evidence = [np.asarray(q[part]) for part in parts], ""
-    if labels is not None:
-        different = {labels[part.start] for part in parts}
-        many = len(parts) >= number.RUNS_PER_LABEL * len(different)
-        if many and q.shape[0] < number.SHORT_RUN * len(parts):
-            evidence = f"the labels (groups) change {len(parts) - 1} times"
+    # parts: slices of the recordings.
+    pieces = [np.asarray(q[part]) for part in parts if part.stop > part.start]
     sizes = np.array([len(x) for x in pieces])
     n = int(sizes.sum()) - len(pieces)
-    if not evidence and n >= number.SHORT_RUN:
-        square = sum((np.diff(x, axis=0) ** 2).sum(axis=0) for x in pieces) / n
-        variance = sizes @ np.array([x.var(axis=0) for x in pieces]) / sizes.sum()
-        moves = variance > number.LEAST_MOTION**2
-        least = (square[moves] / (2 * variance[moves])).min(initial=np.inf)
-        if number.SHUFFLED <= least < np.inf:
-            change = np.sqrt(2 * least)
-            evidence = f"positions change by {change:.2g} times their spread in a row"
-    if not evidence:
+    if n < number.SHORT_RUN:
         return []
-    joints = range(len(names))
-    return [finding("shuffled_rows", names, joints, "error", evidence=evidence)]
+    square = sum((np.diff(x, axis=0) ** 2).sum(axis=0) for x in pieces) / n
+    variance = sizes @ np.array([x.var(axis=0) for x in pieces]) / sizes.sum()
+    moves = variance > number.LEAST_MOTION**2
+    least = (square[moves] / (2 * variance[moves])).min(initial=np.inf)
+    if not number.SHUFFLED <= least < np.inf:
+        return []
+    every, facts = range(len(names)), {"change": np.sqrt(2 * least)}
+    return [finding("shuffled_rows", names, every, "error", **facts)]
 
 
 def _unwrapped(log):
@@ -236,43 +228,22 @@ def _rate(log, x):
     return float(np.median(found)) if found else 0.0
 
 
-def _idle(log):
-    """Find rows at an end of a recording that are equal and next to a jump."""
-    step = np.abs(log.steps(log.q))
-    same = (log.steps(np.hstack([log.q, log.tau])) == 0).all(axis=1) & ~log.first
-    fast, found = number.SUDDEN * np.quantile(step, 0.995, axis=0), []
-    for a, b in log.runs(same):
-        # Rows a - 1 to b are equal.
-        begins, ends = not log.together(a - 2, b), not log.together(a, b + 1)
-        if b - a + 2 < number.FROZEN_ROWS or begins == ends:
-            continue
-        if (step[b + 1 if begins else a - 1] > fast).any():
-            found.append((a - 1, b))
-    if found:
-        last = len(step) - 1
-        log.lost |= _marked(log.lost, [(a, min(b + 1, last)) for a, b in found])
-        log.report("idle_rows", range(len(log.names)), "warning", found)
-
-
 def _repeated_rows(log):
     """Find rows that equal the row before in every channel amid a motion."""
     if log.every > 1:
         return
+    step = np.abs(log.steps(log.q))
     same = (log.steps(np.hstack([log.q, log.tau])) == 0).all(axis=1) & ~log.first
-    speed = number.HELD_SPEED * np.quantile(np.abs(log.steps(log.q)), 0.995, axis=0)
-    found, near = [], number.BESIDE
+    usual, found = np.quantile(step, 0.995, axis=0), []
     for a, b in log.runs(same):
         # Rows a - 1 to b are equal.
-        if not log.together(a - 1 - near, b):
-            continue
-        into = (log.q[a - 1] - log.q[a - 1 - near]) / near
-        fast = np.abs(into) > speed
-        if log.together(b, b + 1 + near):
-            out = (log.q[b + 1 + near] - log.q[b + 1]) / near
-            fast &= (np.abs(out) > speed) & (into * out > 0)
-        elif log.together(b, b + 1):
-            continue
-        if fast.any():
+        begins, ends = not log.together(a - 2, b), not log.together(a, b + 1)
+        long = b - a + 2 >= number.FROZEN_ROWS and begins != ends
+        beside = b + 1 if begins and long else a - 1
+        if long and (step[beside] > number.SUDDEN * usual).any():
+            # Nothing was logged yet, or any more: a jump separates them.
+            found.append((a - 1, b + begins))
+        elif _amid_motion(log, a, b, number.HELD_SPEED * usual):
             found.append((a, b))
     count = sum(b - a + 1 for a, b in found)
     longest = max((b - a + 2 for a, b in found), default=0)
@@ -287,29 +258,22 @@ def _repeated_rows(log):
     log.report("repeated_rows", every, "warning" if many else "note", found)
 
 
+def _amid_motion(log, a, b, least):
+    """Whether a joint moves faster than `least` (nv,) up to row a - 1 and from b on."""
+    near = number.BESIDE
+    if not log.together(a - 1 - near, b):
+        return False
+    into = (log.q[a - 1] - log.q[a - 1 - near]) / near
+    fast = np.abs(into) > least
+    if log.together(b, b + 1 + near):
+        out = (log.q[b + 1 + near] - log.q[b + 1]) / near
+        fast &= (np.abs(out) > least) & (into * out > 0)
+    elif log.together(b, b + 1):
+        return False
+    return bool(fast.any())
+
+
 # -- torques ---------------------------------------------------------------------------
-
-
-def levels(tau):
-    """Lowest, second highest and highest value of each torque, ndarray (3, nv)."""
-    # The second is the lowest where a torque has no third value. Levels of levels are
-    # those of all rows together.
-    low, high = tau.min(axis=0), tau.max(axis=0)
-    return np.stack([low, np.where(tau < high, tau, low).max(axis=0), high])
-
-
-def two_values(names, moves, tau):
-    """Find torques that have two values only, of all joints that move: one or none."""
-    # moves (nv,): which joints move; tau (n, nv), or their `levels`. Where one joint's
-    # torque shows more, those of others are merely coarse.
-    low, second, high = levels(tau)
-    joints = np.flatnonzero(moves & (low < high))
-    if not joints.size or (moves & (low < second)).any():
-        return []
-    j = joints[0]
-    facts = {"low": low[j], "high": high[j]}
-    facts |= {"which": f" of {names[j]}" if joints.size > 1 else ""}
-    return [finding("two_torques", names, joints, "error", **facts)]
 
 
 def _constant(log):
@@ -321,9 +285,7 @@ def _constant(log):
         values = " or ".join(dict.fromkeys(f"{x:.6g}" for x in values))
         named = ", ".join(log.names[j] for j in joints)
         log.report("constant_torque", joints, "error", named=named, values=values)
-    switched = two_values(log.names, ~log.still, log.tau)
-    log.findings += switched
-    log.usable[:, slice(None) if switched else joints] = False
+    log.usable[:, joints] = False
 
 
 def _torques(log):
@@ -594,7 +556,6 @@ def _motion_as_torque(log):
 CHECKS = (
     _rest,
     _held,
-    _idle,
     _repeated_rows,
     _constant,
     _torques,

@@ -4,44 +4,36 @@ import numpy as np
 
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
-from sklearn_vbjfa.inspection._reading import Candidate, Change, most_probable
+from sklearn_vbjfa.inspection._reading import Candidate, Change
 from sklearn_vbjfa.inspection._sentences import percent
-from sklearn_vbjfa.model import import_pinocchio
 
 # -- weight ----------------------------------------------------------------------------
 
 
 def weightless(reading):
     """Return torques without the weight of the links."""
-    robot, down, share, scale = reading.robot, reading.bodies.pull, 1.0, 1.0
-    moving, weight = robot.moving, robot.weight
-    columns, nothing = np.stack([moving, weight], axis=-1), np.zeros_like(moving)
-    for _ in range(number.PASSES):
-        entries = robot.pulled(share * down)
-        fit = robot.fit(entries, scale=scale, mean=nothing, columns=columns)
-        error = number.INTERVAL * fit.errors
-        # What may be N m is, and slow motion does not show the scale.
-        part = float(fit.factors[0])
-        shown = part > 2 * error[0]
-        scale = part if shown and not 1 / number.SCALE < part < number.SCALE else 1.0
-        before, share = share, float(fit.factors[1]) / scale
-        if share - error[1] / scale > number.NO_WEIGHT:
-            return None
-        if abs(share - before) < number.SETTLED * error[1] / scale:
-            break
+    robot, moving, weight = reading.robot, reading.robot.moving, reading.robot.weight
+    nothing = robot.pulled(0 * reading.bodies.pull)
+    columns = np.stack([moving, weight], axis=-1)
+    fit = robot.fit(nothing, mean=np.zeros_like(moving), columns=columns)
+    part, error = float(fit.factors[0]), number.INTERVAL * fit.errors
+    # What may be N m is, and slow motion does not show the scale.
+    shown = part > 2 * error[0]
+    scale = part if shown and not 1 / number.SCALE < part < number.SCALE else 1.0
+    share, error = float(fit.factors[1]) / scale, error[1] / scale
     # Slow motion may ask for another inertia, though the weight is there in N m.
-    there = fit.factors[1] > max(error[1], 1 / number.SCALE)
-    if there or abs(share) + error[1] / scale > number.NO_WEIGHT:
+    there = fit.factors[1] > max(scale * error, 1 / number.SCALE)
+    if there or abs(share) + error > number.NO_WEIGHT:
         return None
     # Without any weight, or with that of the description taken off.
     added = robot.fit(mean=scale * moving, scale=scale).evidence
-    best = max(added, robot.fit(robot.pulled(0 * down), scale=scale).evidence)
+    best = max(added, robot.fit(nothing, scale=scale).evidence)
     # As little weight have torques in another unit, if inertia does not show that.
     small = robot.fit(scale=share).evidence if share > 0 and not shown else -np.inf
     if max(_as_springs(robot), small) > best - number.RIVAL:
         return None
     joints, heavy = _loaded(robot, weight)
-    facts = {"share": share, "error": error[1] / scale, "heavy": heavy, "other": ""}
+    facts = {"share": share, "error": error, "heavy": heavy, "other": ""}
     severity = ""
     if len(joints) < 2:
         # What balances a single joint is likelier a spring.
@@ -88,61 +80,44 @@ def weight_alone(reading):
 
 def turned(reading):
     """Return another orientation of the base than described."""
-    robot, start = reading.robot, reading.bodies.pull
-    usual = np.linalg.norm(start)
-
-    def fitted(pull):
-        entries = robot.pulled(pull)
-        return robot.fit(entries, mean=robot.moving, columns=robot.by_gravity)
-
-    fit = fitted(start)
-    if np.linalg.norm(fit.factors - start) < 0.5 * number.TURNED * usual:
+    robot, start, found = reading.robot, reading.bodies.pull, reading.robot.now
+    usual, pull = np.linalg.norm(start), start
+    # What the motion does not show of the direction stays by the prior.
+    free = {"columns": robot.by_gravity, "deviation": 1.0}
+    step = robot.fit(**free).factors
+    if np.linalg.norm(step) < 0.5 * number.TURNED * usual:
         return None
-    axes = usual * np.vstack([np.eye(3), -np.eye(3)])
-    pull, found = _best_pull(robot, start, [fit.factors, *axes])
+    whole = start + step
+    tried = [whole, *np.eye(3), *-np.eye(3)]
     for _ in range(number.PASSES):
-        fit = fitted(pull)
-        pull, better = _best_pull(robot, pull, [fit.factors])
-        if better.evidence < found.evidence + number.SETTLED:
+        tried = [usual * x / max(np.linalg.norm(x), 1e-300) for x in tried]
+        fits = [robot.fit(robot.pulled(x)) for x in tried]
+        best = int(np.argmax([one.evidence for one in fits]))
+        if fits[best].evidence < found.evidence + number.SETTLED:
             break
-        found = better
-    # What the motion does not show of the direction stays as described.
-    values, turn = np.linalg.eigh(fit.covariance)
-    shown = turn[:, values < number.UNSHOWN**2]
-    seen, hidden = shown @ (shown.T @ fit.factors), start - shown @ (shown.T @ start)
-    size, rest = np.linalg.norm(seen), np.linalg.norm(hidden)
-    if rest > 1e-6 * usual:
-        hidden = hidden / rest * np.sqrt(max(usual**2 - size**2, 0.0))
-        size = max(size, usual)
-    pull = seen + hidden
-    pull = pull * usual / np.linalg.norm(pull)
-    angle = float(np.arccos(np.clip(pull @ start / usual**2, -1, 1)))
+        pull, found = tried[best], fits[best]
+        whole = pull + robot.fit(robot.pulled(pull), **free).factors
+        tried = [whole]
     # A spring that more than balances a single joint looks the same.
-    heavy = 1 / number.AS_HEAVY < size / usual < number.AS_HEAVY
+    heavy = 1 / number.AS_HEAVY < np.linalg.norm(whole) / usual < number.AS_HEAVY
     loaded = len(_loaded(robot, robot.by_gravity @ pull)[0])
-    if not heavy or loaded < 2:
+    springs = _as_springs(robot) > found.evidence - number.DECISIVE
+    if not heavy or loaded < 2 or springs:
         return None
-    found = robot.fit(robot.pulled(pull))
-    if _as_springs(robot) > found.evidence - number.DECISIVE:
-        return None
-    along, fall = ", ".join(f"{x:.2f}" for x in pull / usual), found.fall(robot.now)
+    fall = found.fall(robot.now)
+    angle = float(np.arccos(np.clip(pull @ start / usual**2, -1, 1)))
     return Candidate(
         change=Change(gravity=9.81 * pull),
         joints=reading.every,
         log_odds=found.evidence - robot.now.evidence,
         fall=fall,
         clear=angle > number.TURNED and fall >= number.CLEAR * loaded,
-        facts={"angle": np.degrees(angle), "pull": along},
+        facts={"angle": np.degrees(angle), "pull": _written(pull / usual)},
     )
 
 
-def _best_pull(robot, pull, others):
-    """Return the direction of gravity of most evidence, as large, and its fit."""
-    usual = np.linalg.norm(pull)
-    pulls = [pull, *(usual * x / max(np.linalg.norm(x), 1e-300) for x in others)]
-    fits = [robot.fit(robot.pulled(x)) for x in pulls]
-    best = int(np.argmax([one.evidence for one in fits]))
-    return pulls[best], fits[best]
+def _written(vector):
+    return ", ".join(f"{x:.2f}" for x in vector)
 
 
 def _loaded(robot, weight):
@@ -185,7 +160,7 @@ def late(reading):
     then = robot.fit(tau=signals.tau + rest * signals.slope)
     now = robot.fit(tau=reading.signals.tau)
     gain, change = then.evidence - now.evidence, then.left - now.left
-    drifts = _drift(reading, robot, signals, rest, then)
+    drifts = _drift(reading, robot, then)
     if drifts is not None:
         return drifts
     # Friction with memory looks like a lag of its joint, and others get worse.
@@ -207,28 +182,24 @@ def late(reading):
     )
 
 
-def _drift(reading, robot, signals, rest, steady):
-    """Return a lag (of `rest` samples in the middle) that grows with the time."""
-    # steady: `Fit` with a lag that stays the same.
+def _drift(reading, robot, steady):
+    """Return a lag that grows with the time."""
+    # robot: of torques that are read later by what is whole of the lag; steady: `Fit`
+    # with a lag that stays the same.
+    signals = robot.signals
     since = (signals.row - signals.row.mean()) / np.ptp(signals.row)
-    slope, total = signals.slope, 0.0
-    for _ in range(number.PASSES):
-        tau = signals.tau + (rest + total * since[:, None]) * slope
-        columns = -(since[:, None] * slope)[:, :, None]
-        fit = robot.fit(tau=tau, columns=columns)
-        total += float(fit.factors[0])
-        if abs(fit.factors[0]) < fit.errors[0]:
-            break
-    most = abs(total)
-    if len(reading.parts) > 1 or most < max(number.LEAST_LAG * fit.errors[0], 1.0):
+    columns = -np.stack([signals.slope, since[:, None] * signals.slope], axis=-1)
+    fit = robot.fit(columns=columns)
+    total, error = float(fit.factors[1]), float(fit.errors[1])
+    if len(reading.parts) > 1 or abs(total) < max(number.LEAST_LAG * error, 1.0):
         return None
-    found = robot.fit(tau=signals.tau + (rest + total * since[:, None]) * slope)
+    found = robot.fit(tau=signals.tau - columns @ fit.factors)
     # Every joint shares the clock.
     if (found.left - steady.left).max() > 0 or found.fall(steady) < number.CLEAR:
         return None
     share = total / np.ptp(signals.row)
     facts = {"ahead": "fast" if share > 0 else "slow", "share": percent(abs(share))}
-    facts |= {"size": 1e3 * most * reading.dt}
+    facts |= {"size": 1e3 * abs(total) * reading.dt}
     args = {"kind": "delay:drift", "severity": "warning", "facts": facts}
     odds = found.evidence - robot.fit(tau=reading.signals.tau).evidence
     return Candidate(joints=reading.every, log_odds=odds, value=share, **args)
@@ -246,32 +217,11 @@ def _lowpass(robot, samples):
 
 
 def contact(reading):
-    """Return an interval in which something else acts on the robot."""
-    wrenches = _wrenches(reading)
-    # Torques that are even suit a push of unknown place in a small motion.
-    every = np.eye(reading.nv) * np.ones((1, wrenches.shape[1], 1, 1))
-    return most_probable(_acting(reading, x) for x in (every, wrenches))
-
-
-def _wrenches(reading):
-    """Torques (nv, n, nv, 6) by a unit force and a unit moment on each link."""
-    pin, model, nv = import_pinocchio(), reading.model, reading.nv
-    data, world = model.createData(), reading.signals.states[:, :nv]
-    found, frame = np.zeros((nv, len(world), nv, 6)), pin.LOCAL_WORLD_ALIGNED
-    for row, q in enumerate(world):
-        pin.computeJointJacobians(model, data, q)
-        for j in range(nv):
-            found[j, row] = pin.getJointJacobian(model, data, j + 1, frame).T
-    size = np.sqrt((found**2).mean(axis=(1, 2), keepdims=True))
-    return found / np.where(size > 0, size, 1.0)
-
-
-def _acting(reading, pushes):
-    """Return the interval in which one of several pushes (k, n, nv, m) acts."""
+    """Return an interval in which something else acts, with torques that are even."""
     robot, rows = reading.robot, reading.signals.row
     inside = np.zeros(rows.size, dtype=bool)
     for _ in range(number.PASSES):
-        before, (place, columns) = inside, _pushed(robot, pushes, inside)
+        before, place = inside, _pushed(robot, inside)
         inside = np.zeros(rows.size, dtype=bool)
         inside[slice(*place)] = True
         if (inside == before).all():
@@ -281,7 +231,7 @@ def _acting(reading, pushes):
     times = np.minimum(robot.times, times)
     robot = DescribedRobot(robot.bodies, robot.signals, times, robot.entries)
     size = robot.signals.tau[:, robot.joints].std(axis=0)
-    columns = columns * inside[:, None, None]
+    columns = np.eye(reading.nv) * inside[:, None, None]
     fit, now = robot.fit(columns=columns, deviation=size.max()), robot.now
     torques = (columns @ fit.factors)[inside][:, robot.joints]
     push = np.sqrt((torques**2).mean(axis=0)) / (size * np.exp(0.5 * fit.left))
@@ -310,24 +260,16 @@ def _acting(reading, pushes):
     )
 
 
-def _pushed(robot, pushes, inside):
-    """Rows between which a push explains most of what bodies leave, and its columns."""
+def _pushed(robot, inside):
+    """Rows between which even torques explain most of what the bodies leave."""
     # inside (n,): rows with which the bodies are not fitted.
     left = robot.residual(without=inside)[:, robot.joints]
     size = np.sqrt(np.maximum((left[~inside] ** 2).mean(axis=0), 1e-300))
-    n, best, found, left = len(left), -np.inf, None, left / size
+    n, sums = len(left), np.vstack([0 * size, (left / size).cumsum(axis=0)])
     ends = np.arange(0, n + 1, max(1, n // number.CONTACT_ENDS))
     long = ends - ends[:, None]
     first, last = np.nonzero((long >= n // number.SHORTEST_CONTACT) & (long <= n // 2))
-    for columns in pushes:
-        X = columns[:, robot.joints] / size[:, None]
-        X = X / max(np.sqrt((X**2).mean()), 1e-300)
-        products = np.einsum("njk,njl->nkl", X, X), np.einsum("njk,nj->nk", X, left)
-        sums = [np.concatenate([0 * x[:1], x.cumsum(axis=0)])[ends] for x in products]
-        gram, cross = (x[last] - x[first] for x in sums)
-        gram = gram + 0.1 * np.eye(gram.shape[-1])
-        gain = (np.linalg.solve(gram, cross[..., None])[..., 0] * cross).sum(axis=-1)
-        if gain.max() > best:
-            k = int(np.argmax(gain))
-            best, found = gain[k], ((ends[first[k]], ends[last[k]]), columns)
-    return found
+    first, last = ends[first], ends[last]
+    gain = ((sums[last] - sums[first]) ** 2).sum(axis=1) / (last - first)
+    k = int(np.argmax(gain))
+    return first[k], last[k]

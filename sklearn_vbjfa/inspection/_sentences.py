@@ -9,12 +9,11 @@ from sklearn_vbjfa.recording import ChannelFinding, listed_joints
 # from its variant.
 _HELD = (
     "The {what} of {who} has a new value only every {k} rows: it is late by {late:.3g} "
-    "ms and goes in steps. Keep one row for each new {what} (dt={dt:.6g}), or record "
-    "it at the full rate."
+    "ms and goes in steps. Keep one row for each new {what} (dt={dt:.6g})."
 )
 _COPIED = (
-    "The {what} of {second} is {factor:.4g} times that of {first} in every row: one "
-    "channel was logged twice. Log the other one, or leave the joint out (joint_names)."
+    "The {what} of {second} is {factor:.4g} times that of {first} in every row. Log "
+    "the other channel, or leave the joint out (joint_names)."
 )
 _SWAPPED = (
     "The {what} of {pair} appear to be swapped ({evidence}). Exchange the columns."
@@ -22,6 +21,10 @@ _SWAPPED = (
 _ORDER = (
     "The columns of {what} are in another order: they agree as {order} ({evidence}). "
     "Put them into the order of the model, {names}."
+)
+_COUPLED = (
+    "The position of {name} contains that of {other}, as of coupled axes ({evidence}). "
+    "Replace it by that of {name} {minus} that of {other}"
 )
 _UNIT = (
     "The positions of {who} look like {unit}: {name} runs from {low:.4g} to "
@@ -34,26 +37,19 @@ _UNVERIFIED = (
 )
 SENTENCES = {
     # -- rows
-    "shuffled_rows": "The rows are not in the order of time: {evidence}. Sort them by "
-    "time, and split whole recordings by time and not at random (shuffle=False).",
+    "shuffled_rows": "The rows are not in the order of time: positions change by "
+    "{change:.2g} times their spread in a row. Sort them by time (no shuffle).",
     "wrapped_position": "The position of {who} is wrapped: it jumps by 2 pi {count} "
     "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
-    "{mean:.4g}, which is its noise, and its own parameters are not identifiable. Lock "
-    "it in the model, or record a motion of it.",
+    "{mean:.4g}, which is its noise. Lock it in the model, or record a motion of it.",
     "still_joint:all": "No joint moves: each position stays within its noise, that of "
-    "{name} within {range:.3g} of {mean:.4g}. Check the position columns, or record a "
-    "motion that excites the joints.",
+    "{name} within {range:.3g} of {mean:.4g}. Check the position columns.",
     "repeated_rows": "{count} rows ({share}) equal the row before them in every "
-    "channel though the robot moves, up to {longest} in a row, the first in row {row}. "
-    "Drop them, and split the recording there (groups) or resample it.",
-    "idle_rows": "{count} rows at an end of a recording, the first in row {row}, are "
-    "equal in every channel, and the next position jumps: nothing was logged there. "
-    "Leave these rows out.",
+    "channel, up to {longest} in a row, the first in row {row}. Leave them out, and "
+    "split the recording there (groups).",
     "held_position": _HELD,
     "held_torque": _HELD,
-    "two_torques": "The torque of {who} has two values only ({low:.6g} and {high:.6g}"
-    "{which}): a direction or a switch, and no torque. Record the torques themselves.",
     "constant_torque": "The torques of {named} are constant ({values}) while the "
     "joints move: nothing was measured there. Log the torques or currents, or lock "
     "the joints in the model.",
@@ -61,19 +57,16 @@ SENTENCES = {
     "of {spread:.3g}: it is coarse. Record it finer, or leave the joint out.",
     "torque_dropouts": "The torque of {who} stays at {level:.4g} {times} time(s) while "
     "the robot moves ({share} of its samples, up to {seconds:.3g} s): readings were "
-    "lost. Remove these rows, or record again.",
+    "lost. Leave these rows out.",
     "torque_outliers": "The torque of {who} has {count} outlier(s) ({share} of its "
-    "samples), the first in row {row}, which the rows around contradict. Leave these "
-    "rows out, or record again.",
+    "samples), the first in row {row}. Leave these rows out.",
     "clipped_torque": "The torque of {who} is clipped at {where}: {share} of its "
-    "samples lie there, up to {longest} in a row. Record with a wider range, or a "
-    "slower motion.",
+    "samples lie there, up to {longest} in a row. Record a slower motion.",
     "stuck_position": "The position of {who} stays at {level:.4g} for {longest} rows "
     "({seconds:.3g} s), without the noise or the braking of a stop ({count} rows in "
     "all, the first is row {row}): the encoder was stuck. Leave these rows out.",
     "position_jumps": "The position of {who} jumps {count} time(s), first {step:.3g} "
-    "to row {row}, which its speed around contradicts. Split the recording there "
-    "(groups), or leave single wrong samples out.",
+    "to row {row}. Split the recording there (groups), or leave wrong samples out.",
     "copied_position": _COPIED,
     "copied_torque": _COPIED,
     "motion_as_torque": "The torques are the {what} of the joints to {share}: the "
@@ -83,7 +76,7 @@ SENTENCES = {
     "position_turns": _UNIT,
     "position_unit": "The positions of {who} are not in radians or {unit}: {name} runs "
     "from {low:.4g} to {high:.4g}. By the torques, a radian of the joint is in the "
-    "log: {each}. Divide columns of motors by these gear ratios: no option does.",
+    "log: {each}. Divide columns of motors by these gear ratios.",
     "position_counts": "The positions of {who} are not in {units}: {name} has "
     "{numbers} from {low:.6g} to {high:.6g}; they look like {guess} or positions of "
     "the motors. Convert them to {unit}, from the joint's zero.",
@@ -100,16 +93,18 @@ SENTENCES = {
     "swapped_positions": _ORDER,
     "swapped_joints": _ORDER,
     "flipped_joint": "{who} turns the other way round in the log than in the model "
-    "({evidence}). Multiply its position and its torque by -1, or turn the axis in the "
-    "model.",
+    "({evidence}). Multiply its position and its torque by -1, or turn its axis.",
     "position_sign": "The position of {who} has the wrong sign ({evidence}). Multiply "
     "it by -1.",
+    "coupled_position": _COUPLED + ".",
+    "coupled_position:torques": _COUPLED + ", and the torque of {other} by that of "
+    "{other} {plus} that of {name}.",
     "wrong_dt": "dt={dt:.6g} s is inconsistent with the motion: a period of "
     "{period:.2g} s agrees better ({evidence}){other}. dt is the sample period in "
     "seconds.",
     "wrong_dt:fast": "Implausible speed: with dt={dt:.6g} s {name} moves at "
-    "{speed:.3g} {unit}, and {limit:.3g} would be five times what it can. Give dt as "
-    "the sample period in seconds, and positions in rad or m.",
+    "{speed:.3g} {unit}, and {limit:.3g} would be five times what it can. Give dt in "
+    "seconds, and positions in rad or m.",
     "wrong_dt:slow": "dt={dt:.6g} s is inconsistent with the motion: the fastest "
     "joint, {name}, moves at {speed:.2g} {unit}, far less than it can{other}. dt is "
     "the sample period in seconds.",
@@ -127,35 +122,30 @@ SENTENCES = {
     "torque_factors": "The torques have different factors against what the described "
     "masses require ({each}): motor currents, or shares of each joint's rated torque. "
     'Give the factors to N m (gains), or gains="unknown".',
-    "current_constants": "The currents of {who} have the signs that the described "
-    "masses require; by these masses a unit of current is in N m or N (90 %): {each}.",
     "gear_factor": "The torque of {who} is {factor:.3g} times what the described "
     "masses require: {units}. Multiply it by the factor to N m or the gear ratio "
     "(about {ratio} would fit).",
     "gear_factor:commanded": "The commanded torques are {factor:.2g} times those of "
-    "the described robot, in the median over the joints: check {numbers}.",
+    "the described robot: check {numbers}.",
     "other_robot": "The torques are {size:.2g} times the described ones (median) and "
     "{share} of them is not explained: wrong description, or another unit.",
     "silent_torque": "The torque of {who} does not follow the motion and is {size:.2g} "
     "times what the description requires: noise alone. Check the cable or the column, "
     "or leave the joint out (joint_names).",
-    "unsigned_torque": "The torques of {who} have one sign only, and with signs that "
-    "change the motion explains them better: their signs were not logged, as of "
-    "unsigned currents. Give drive=CurrentDrive(signed=False), which finds the signs.",
+    "unsigned_torque": "The torques of {who} have one sign only, and signs that change "
+    "explain them better, as of unsigned currents. Give "
+    "drive=CurrentDrive(signed=False), which finds the signs.",
     "no_gravity": "The torques contain no weight of the links: the factor of gravity "
     "is {share:.2f} ± {error:.2f} (described weight: up to {heavy:.3g} N m on "
-    "{who}).{other} Log the torques before the controller takes the weight off, or add "
-    "it.",
+    "{who}).{other} Log the torques before the controller takes the weight off.",
     "no_gravity:joints": "The torques of {who} contain no weight of the links "
     "({evidence}; described weight: up to {heavy:.3g} N m), those of other joints do. "
-    "Log them before the controller takes the weight off, or describe what balances "
-    "them.",
+    "Log them before the controller takes the weight off.",
     "gravity_only": "The torques contain the weight of the links alone: the factor of "
-    "their inertia is {part:.2f} ± {error:.2f}. Log the torques or currents of the "
-    "motors, not a model of gravity.",
+    "their inertia is {part:.2f} ± {error:.2f}. Log the torques of the motors, not a "
+    "model of gravity.",
     "computed_torque": "The torques are those of the description to {share}, without "
-    "friction: a model was logged, not a measurement. Log the torques or currents of "
-    "the motors.",
+    "friction: a model was logged, not a measurement. Log the torques of the motors.",
     "base_orientation": "By the torques, gravity pulls along ({pull}) of the base "
     "frame, {angle:.0f} degrees from the description: the base is mounted otherwise, "
     "as on a wall or a ceiling. Turn it in the description.",
@@ -166,8 +156,7 @@ SENTENCES = {
     "the positions: their lag changes by {size:.3g} ms in the log ({evidence}). Log "
     "both with the stamps of one clock.",
     "torque_lowpass": "All torques look filtered, by a low-pass with a time constant "
-    "of about {size:.2g} ms ({evidence}): log them before the filter, or with a higher "
-    "cut-off frequency.",
+    "of about {size:.2g} ms ({evidence}): log them before the filter.",
     "external_force": "From {begin:.1f} to {end:.1f} s {where} something else "
     "acts on the robot ({pushes}; {evidence}), such as a contact. Leave this interval "
     "out.",
@@ -175,9 +164,6 @@ SENTENCES = {
     "unverified:weightless": _UNVERIFIED + "gravity loads no joint of the description.",
     "unverified:size": "The size of the torques cannot be verified: gravity is nearly "
     "constant in this motion, and inertia is like rotor inertia.",
-    "unverified:zeros": "All positions begin at zero, and other zeros explain the "
-    "torques better, though not clearly ({evidence}). If the encoders were set to zero "
-    "at power-up, add to the positions, about [rad]: {values}.",
     "unverified:order": "The columns are assumed to be in the order of the description "
     "({names}): in the order of the names the torques agree as well.",
 }

@@ -50,21 +50,18 @@ def signs(reading):
     best = every if every in near else min(near, key=len)
     if not best:
         return None
-    joints, also = tuple(sorted(best)), ""
     # Joints that are explained too badly to be judged may say that theirs is right.
     others = [j for j in robot.joints.tolist() if j not in judge]
-    right = sum(_of_other_sign(robot, j) for j in others) < -number.RIVAL
-    if best == every and not right:
-        joints = reading.every
-        hidden = listed_joints(reading.names, [j for j in joints if j not in turned])
-        if hidden and nv > 1:
-            also = f" As all that show are wrong, so is the sign of {hidden}."
+    all_wrong = sum(_of_other_sign(robot, j) for j in others) >= -number.RIVAL
+    joints = reading.every if best == every and all_wrong else tuple(sorted(best))
+    hidden = [j for j in joints if j not in turned] if joints == reading.every else []
+    hidden = listed_joints(reading.names, hidden) if nv > 1 else ""
+    also = f" As all that show are wrong, so is the sign of {hidden}." if hidden else ""
     change = _negative(joints, nv)
-    variants = nv if len(best) == 1 else 1
     return Candidate(
         change=change,
         joints=joints,
-        log_odds=scores[best].evidence - now.evidence - np.log(variants),
+        log_odds=scores[best].evidence - now.evidence - np.log(nv) * (len(best) == 1),
         fall=scores[best].fall(now),
         remedy={"gains": tuple(change.scale.tolist())},
         facts={"also": also},
@@ -114,7 +111,8 @@ def scaled(reading):
     """Return all torques over a factor against the described ones."""
     factors, error, *_ = torque_factors(reading.robot, alike=True)
     factor, error = float(factors[0]), float(error[0])
-    if factor <= 0 or 1 / number.SCALE < factor < number.SCALE:
+    least = number.COMMANDED if reading.commanded else number.SCALE
+    if factor <= 0 or 1 / least < factor < least:
         return None
     low, high = factor * np.exp([-error, error])
     units = _units_inside(low, high)
@@ -125,10 +123,12 @@ def scaled(reading):
         change=Change(scale=1 / factor),
         joints=reading.every,
         log_odds=robot.fit(scale=factor).evidence - robot.now.evidence,
+        kind="gear_factor:commanded" if reading.commanded else "",
         value=factor,
         facts={"factor": factor, "low": low, "high": high, "gain": 1 / factor}
         | {"inside": f" ({units} would be inside)" if units else ""}
-        | {"what": what, "unknown": unknown},
+        | {"what": what, "unknown": unknown}
+        | {"numbers": reading.drive.numbers if reading.commanded else ""},
     )
 
 
@@ -169,37 +169,6 @@ def scaled_each(reading):
     each = [f"{reading.names[j]} {factors[j]:.2g}" for j in np.flatnonzero(known)]
     facts = {"each": ", ".join(each)}
     return judged(reading, change, joints=reading.every, facts=facts)
-
-
-def current_constants(reading):
-    """Return the torque of a unit of each motor current, by the described bodies."""
-    factors, error, known, _ = torque_factors(reading.robot, alike=False)
-    joints = np.flatnonzero(known).tolist()
-    if not joints:
-        return []
-    ends = [np.exp([-error[j], error[j]]) / factors[j] for j in joints]
-    each = [
-        f"{reading.names[j]} {1 / factors[j]:.3g} ({low:.2g} to {high:.2g})"
-        for j, (low, high) in zip(joints, ends)
-    ]
-    facts = {"each": ", ".join(each)}
-    return [finding("current_constants", reading.names, joints, "note", **facts)]
-
-
-def commanded_size(reading):
-    """Return commanded torques whose order of magnitude contradicts the model."""
-    sizes = reading.robot.sizes
-    joints = [int(j) for j in reading.robot.joints if np.isfinite(sizes[j])]
-    middle = float(np.median(sizes[joints])) if joints else 1.0
-    if 1 / number.COMMANDED < middle < number.COMMANDED:
-        return None
-    return Candidate(
-        change=Change(scale=1 / middle),
-        joints=tuple(joints),
-        log_odds=np.inf,
-        kind="gear_factor:commanded",
-        facts={"factor": middle, "numbers": reading.drive.numbers},
-    )
 
 
 def beyond_limits(reading):
@@ -251,27 +220,17 @@ def of_another(reading):
 
 
 def computed(reading):
-    """Return torques that are those of the description, or its weight, to rounding."""
-    robot = reading.robot
-    whole, weight = (_distance(robot, x) for x in (robot.described, robot.weight))
+    """Return torques that are those of the description to rounding."""
+    robot, tau = reading.robot, reading.robot.signals.tau
+    left = tau - robot.described
+    pairs = [(left[rows, j], tau[rows, j]) for j, rows in enumerate(robot.rows)]
+    pairs = [pairs[j] for j in robot.joints]
+    most = max(np.sqrt(np.mean(x**2) / (y.var() + 1e-300)) for x, y in pairs)
     # A single joint may well be without friction.
-    if whole.size > 1 and whole.max() < number.COMPUTED:
-        facts = {"share": percent(whole.max())}
-        return Candidate(joints=reading.every, log_odds=np.inf, facts=facts)
-    if whole.size and weight.max() < number.COMPUTED < 0.5 * whole.max():
-        kind, facts = "gravity_only", {"part": 0.0, "error": 0.0}
-        args = {"kind": kind, "severity": "error", "facts": facts}
-        return Candidate(joints=reading.every, log_odds=np.inf, **args)
-    return None
-
-
-def _distance(robot, torques):
-    """Return how far each torque is from others (n, nv), in its deviations."""
-    left, rows, now = robot.signals.tau - torques, robot.rows, robot.signals.tau
-    square = [np.mean(left[rows[j], j] ** 2) for j in robot.joints]
-    return np.sqrt(
-        square / (np.array([now[rows[j], j].var() for j in robot.joints]) + 1e-300)
-    )
+    if len(pairs) < 2 or most > number.COMPUTED:
+        return None
+    facts = {"share": percent(most)}
+    return Candidate(joints=reading.every, log_odds=np.inf, facts=facts)
 
 
 # -- torques without signs -------------------------------------------------------------

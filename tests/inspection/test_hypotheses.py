@@ -166,6 +166,19 @@ def test_a_torque_that_is_another_one_times_a_factor(log, factor, shift):
     assert found[0].joints == (1, 4)
 
 
+@pytest.mark.parametrize("torques", [False, True])
+def test_coupled_axes(log, torques):
+    """The third encoder turns with the second joint, and its motor loads that one."""
+    q, tau = log[0].q.copy(), log[0].tau.copy()
+    q[:, 2] += q[:, 1]
+    tau[:, 1] -= torques * tau[:, 2]
+    kinds, found = grave(log, q=q, tau=tau)
+    assert kinds == ["coupled_position"]
+    assert found[0].joints == (2,)
+    assert "that of joint_3 - that of joint_2" in found[0].message
+    assert ("torque of joint_2" in found[0].message) == torques
+
+
 def test_a_mirrored_position(log):
     q = log[0].q.copy()
     q[:, 3] *= -1
@@ -319,16 +332,4 @@ def test_outliers_of_a_torque_and_rows_before_the_log_begins(log):
     assert grave(log, tau=tau)[0] == ["torque_outliers"]
     tau = log[0].tau.copy()
     q[:100], tau[:100] = 0.0, 0.0
-    assert grave(log, q=q, tau=tau)[0] == ["idle_rows"]
-
-
-def test_constants_of_motor_currents(log):
-    constants = np.array([9.0, 8.0, 7.0, 5.0, 4.0, 3.0])
-    recording, model, _ = log
-    signals = recording.q, recording.tau / constants, recording.dt
-    (note,) = inspect_channels(model, *signals, gains="unknown")
-    assert note.kind == "current_constants"
-    each = re.findall(r"joint_(\d) \S+ \(([\d.]+) to ([\d.]+)\)", note.message)
-    assert len(each) >= 4
-    for j, low, high in each:
-        assert float(low) < constants[int(j) - 1] < float(high)
+    assert grave(log, q=q, tau=tau)[0] == ["repeated_rows"]

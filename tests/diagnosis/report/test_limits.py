@@ -88,7 +88,6 @@ def test_the_motion_of_each_joint_and_what_it_does_not_show():
         reversals=3,
         resting=0.25,
         torques=(-5.0, 5.0),
-        loads=(-4.0, 4.0),
         shows=(),
         hides=("hysteresis: it reverses 3 times",),
     )

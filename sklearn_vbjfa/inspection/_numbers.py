@@ -54,7 +54,7 @@ NO_WEIGHT = 0.5
 TURNED, AS_HEAVY = np.radians(30.0), 1.5
 # Sample periods that are tried, as multiples, but for those at which a joint exceeds
 # its limit by this factor.
-PERIODS, PLAUSIBLE = (1e3, 1e2, 10.0, 0.1, 1e-2, 1e-3), 2.0
+PERIODS, PLAUSIBLE = (1e3, 1e2, 10.0, 2.0, 0.5, 0.1, 1e-2, 1e-3), 2.0
 # A joint without a speed limit does not move faster than this [rad/s, m/s], nor any
 # joint faster than its limit by this factor. Speeds are taken over so many samples,
 # lest encoder noise pass for motion.

@@ -146,10 +146,26 @@ def coupled(reading):
     if best is None:
         return None
     j, i, (minus, plus) = changes[best.change]
+    # Motors that turn with two joints share friction, whatever the encoders measure.
+    shared = _friction_of(reading, best.change, j, i)
+    if best.fall - shared.fall(reading.robot.now) < clear(best.change):
+        return None
     facts = {"name": reading.names[j], "other": reading.names[i]}
     facts |= {"minus": minus, "plus": plus}
     kind = "" if best.change.torques is None else "coupled_position:torques"
     return replace(best, joints=(j,), kind=kind, facts=facts)
+
+
+def _friction_of(reading, change, j, i):
+    """`Fit` with friction and rotor of a changed axis on two joints, as logged."""
+    robot, nv, signals = reading.robot, reading.nv, change.signals(reading.signals)
+    axis = signals.states[:, nv + j], signals.states[:, 2 * nv + j], signals.sign[:, j]
+    acting = np.zeros((len(axis[0]), nv, 6))
+    for place, joint in enumerate((j, i)):
+        size = np.sqrt((robot.signals.tau[:, joint] ** 2).mean())
+        for k, x in enumerate(axis):
+            acting[:, joint, 3 * place + k] = size * x / np.sqrt((x**2).mean())
+    return robot.fit(columns=acting, deviation=number.WIDE)
 
 
 # -- zeros -----------------------------------------------------------------------------

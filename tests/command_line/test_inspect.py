@@ -37,7 +37,7 @@ def test_a_sound_recording(made, tmp_path, capsys):
     span = np.rad2deg([made.q[:, 0].min(), made.q[:, 0].max()])
     assert f"{span[0]:.4g} to {span[1]:.4g} deg" in rows[0]
     assert "- none detected" in out
-    assert "load-dependent friction: gravity does not load it" in out
+    assert "friction with memory, backlash: it reverses" in out
     assert set(tmp_path.iterdir()) == before | {path}
 
 

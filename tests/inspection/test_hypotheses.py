@@ -179,6 +179,15 @@ def test_coupled_axes(log, torques):
     assert ("torque of joint_2" in found[0].message) == torques
 
 
+@pytest.mark.parametrize("factor", one_in(2, [0.5, 2.0]))
+def test_a_sample_period_of_half_or_twice(log, factor):
+    recording, model, _ = log
+    signals = recording.q, recording.tau, factor * recording.dt
+    (finding,) = inspect_channels(model, *signals)
+    assert finding.kind == "wrong_dt"
+    assert dict(finding.remedy)["dt"] == pytest.approx(recording.dt)
+
+
 def test_a_mirrored_position(log):
     q = log[0].q.copy()
     q[:, 3] *= -1

@@ -43,7 +43,7 @@ print(recording)
 # of the fit.
 
 found = correct_gravity(recording, model)
-print(f"{found.samples.n_samples} poses and windows of slow motion")
+print(f"{found.n_samples} poses and windows of slow motion")
 print("joint      described  corrected  90 % interval  friction")
 for j, name in enumerate(recording.joint_names):
     known = "known" if found.friction_known[j] else "assumed"

@@ -9,9 +9,8 @@ import numpy as np
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
-from sklearn_vbjfa._cli._run import Done
+from sklearn_vbjfa._cli._run import Done, rendered
 from sklearn_vbjfa.model import joint_names, load_model
-from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # Poses that the next command asks for if it is not known how many are enough.
 _MORE = 20
@@ -19,6 +18,8 @@ _MORE = 20
 
 def correct(arguments, folder):
     """Correct the masses of a description by poses, and write the files."""
+    import pandas as pd
+
     from sklearn_vbjfa.gravity import correct_gravity
 
     out = _input.output_folder(arguments, "report")
@@ -27,41 +28,8 @@ def correct(arguments, folder):
         found = correct_gravity(loaded.recording, str(loaded.urdf))
     words = ["design", "--urdf", arguments.urdf, "--report", str(out)]
     words += ["--for", "gravity", "--poses", str(found.poses_enough or _MORE)]
-    joints = _joints(found)
-    data = {
-        "purpose": "gravity",
-        "samples": found.samples.n_samples,
-        # Numbers that are not known are null.
-        "joints": json.loads(joints.to_json(orient="records", double_precision=15)),
-        "links": [asdict(one) for one in found.identifier.mass_deviations_],
-        "payload": found.payload,
-        "poses_enough": found.poses_enough,
-        "command": shlex.join(["python", "-m", "sklearn_vbjfa", *words]),
-    }
-
-    def write(folder, notes):
-        lacking = write_robot(found.identifier, folder)
-        text = json.dumps(data | {"warnings": [*notes, *lacking]}, indent=1)
-        folder.joinpath("report.json").write_text(text, encoding="utf-8")
-        return []
-
-    doubts = ["the correction does not improve held-out samples: use the description"]
-    return Done(
-        text="\n".join([str(loaded.recording), *_lines(joints, data)]),
-        doubts=[] if found.improves else doubts,
-        data=data,
-        folder=out,
-        files=("report.json", *ROBOT_FILES),
-        write=write,
-    )
-
-
-def _joints(found):
-    """Return the table of joints."""
-    import pandas as pd
-
     friction = np.where(found.friction_known, "known", "assumed (one direction)")
-    return pd.DataFrame(
+    joints = pd.DataFrame(
         {
             "joint": found.identifier.joint_names_,
             "gravity": found.gravity,
@@ -71,37 +39,34 @@ def _joints(found):
             "friction": np.where(found.gravity, friction, "no gravity torque"),
         }
     )
+    data = {
+        "purpose": "gravity",
+        "samples": found.n_samples,
+        # Numbers that are not known are null.
+        "joints": json.loads(joints.to_json(orient="records", double_precision=15)),
+        "links": [asdict(one) for one in found.identifier.mass_deviations_],
+        "payload": found.payload,
+        "poses_enough": found.poses_enough,
+        "command": shlex.join(["python", "-m", "sklearn_vbjfa", *words]),
+    }
+    table = joints.to_string(index=False, float_format="{:.3g}".format)
 
+    def write(folder, notes):
+        lacking = write_robot(found.identifier, folder)
+        text = json.dumps(data | {"warnings": [*notes, *lacking]}, indent=1)
+        folder.joinpath("report.json").write_text(text, encoding="utf-8")
+        return []
 
-def _lines(joints, data):
-    """Return the lines of the report."""
-    yield (
-        f"Gravity torque from {data['samples']} poses and windows of slow motion [N m "
-        "or N]: errors at held-out samples, half width of the 90 % interval."
+    improves = np.nansum(found.error_after**2) < np.nansum(found.error_before**2)
+    doubts = ["the correction does not improve held-out samples: use the description"]
+    return Done(
+        text=rendered("gravity.txt.j2", recording=loaded.recording, rows=table, **data),
+        doubts=[] if improves else doubts,
+        data=data,
+        folder=out,
+        files=("report.json", *ROBOT_FILES),
+        write=write,
     )
-    yield joints.to_string(index=False, float_format="{:.3g}".format)
-    for one in data["links"]:
-        every = zip(one["bodies"], one["factors"], one["stds"])
-        masses = [f"{link} {x:.2f} ± {HALF_WIDTH * std:.2f}" for link, x, std in every]
-        yield f"Mass (identified / described), link of joint: {' or '.join(masses)}"
-    if data["payload"] is not None:
-        mass, std = data["payload"]
-        yield (
-            "Alternative: the description is right and the last link carries "
-            f"{mass:.3g} ± {HALF_WIDTH * std:.2g} kg more."
-        )
-    yield (
-        "Use for: gravity compensation. Not for: feedforward and simulation (inertias "
-        "follow the masses)."
-    )
-    more = data["poses_enough"]
-    if more == 0:
-        yield "The poses are enough: no interval exceeds the noise of one pose."
-    else:
-        yield (
-            "Poses to add until no interval exceeds the noise of one pose: "
-            f"{more or 'more than 100'}. To choose them: {data['command']}"
-        )
 
 
 def design_poses(arguments, folder):

@@ -10,8 +10,13 @@ from sklearn_vbjfa.effects import elements
 from sklearn_vbjfa.equations import RigidBodyFeatures
 from sklearn_vbjfa.fit import FitOptions, RobotIdentifier
 from sklearn_vbjfa.fit._bodies import DESCRIBED, BodyPrior
-from sklearn_vbjfa.model import load_model, nominal_parameters, position_range
-from sklearn_vbjfa.recording import Recording
+from sklearn_vbjfa.model import (
+    import_pinocchio,
+    load_model,
+    nominal_parameters,
+    position_range,
+    solid_bodies,
+)
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
@@ -22,12 +27,13 @@ __all__ = ["correct_gravity", "gravity_poses"]
 _WINDOW, _REST, _DYNAMIC, _WAY, _FULL = 0.2, 0.02, 0.2, 0.003, 0.9
 # Speed [rad/s or m/s] that stands for the direction of friction at rest.
 _DIRECTION = 1e-4
-# Folds, contiguous in time; samples that tell a noise; range [rad or m] of one pose;
-# share of the described weight in torques without any; deviations and nats that decide.
+# Folds, contiguous in time; least samples; range [rad or m] of one pose; share of the
+# described weight in torques without any; deviations and nats that decide.
 _FOLDS, _FEW, _ONE_POSE, _NO_WEIGHT, _SURE, _RIVAL = 4, 5, 0.2, 0.3, 3.0, 3.0
 # Random poses that are compared, most that are counted, way [rad or m] of an approach,
 # and noise of a torque over gravity where nobody has measured it.
 _CANDIDATES, _MOST, _APPROACH, _NOISE = 300, 100, 0.05, 0.02
+_PROPOSED = "`sklearn-vbjfa design --urdf ROBOT.urdf --for gravity` proposes poses"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,30 +44,26 @@ class GravityCorrection:
     ----------
     identifier : RobotIdentifier
         Fitted to all samples; exports the corrected description.
-    samples : Recording
-        Poses and windows of slow motion that were fitted, one row each.
+    n_samples : int
+        Poses and windows of slow motion that were fitted.
     error_before, error_after : ndarray of shape (nv,)
         Root mean square error of the torque at held-out samples [N m or N], friction
         fitted in both cases; nan for a joint without samples.
-    gravity : ndarray of shape (nv,)
-        Root mean square of the corrected gravity torque [N m or N]; zero for a
-        vertical axis.
-    interval : ndarray of shape (nv,)
-        Half width of the 90 % interval of the gravity torque [N m or N] over random
-        poses.
+    gravity, interval : ndarray of shape (nv,)
+        Root mean squares over random poses of the gravity torque and of the half width
+        of its 90 % interval [N m or N]; zero for a vertical axis.
     poses_enough : int or None
-        Further poses after which no interval exceeds the noise of one pose; None if
-        100 are not enough.
+        Further poses after which no interval exceeds the noise of one pose, up to 100.
     friction_known : ndarray of shape (nv,), bool
         Joints that moved in both directions; of the others friction and a constant
-        offset of the torque cannot be separated.
+        offset of the torque are not separable.
     payload : tuple of float or None
         Mass of a payload at the last link and its standard deviation [kg], if it
-        explains the torques as well as the corrected links do.
+        explains the torques as well as the corrected links.
     """
 
     identifier: RobotIdentifier
-    samples: Recording
+    n_samples: int
     error_before: np.ndarray
     error_after: np.ndarray
     gravity: np.ndarray
@@ -69,11 +71,6 @@ class GravityCorrection:
     poses_enough: int | None
     friction_known: np.ndarray
     payload: tuple | None
-
-    @property
-    def improves(self):
-        """Whether the correction reduces the error at held-out samples."""
-        return np.nansum(self.error_after**2) < np.nansum(self.error_before**2)
 
     def interval_at(self, q):
         """Half width (n, nv) of the 90 % interval of the gravity torque at poses q."""
@@ -87,7 +84,7 @@ def correct_gravity(recording, model):
     Parameters
     ----------
     recording : Recording
-        Positions and torques, with poses held for 0.6 s or longer, or slow motion.
+        Positions and torques, with held poses or slow motion.
     model : str or os.PathLike
         URDF or MJCF file of the robot.
 
@@ -103,51 +100,45 @@ def correct_gravity(recording, model):
 
     Notes
     -----
-    Sample k is a pose, or a window of 0.2 s in which parabolas through positions and
-    torques give q, v, a and tau. The torque of joint j is
+    Sample k is a pose, or a window of 0.2 s in which parabolas give q, v, a and tau:
 
     tau_kj = Phi_j(q, v, a) pi + d_j v_kj + f_j s_kj + o_j + e_kj.
 
-    The inertial parameters pi have the prior of ``bodies="prior"``, see
-    `RobotIdentifier`: near the description, on a scale for each link that the torques
-    determine. Viscous friction d_j is fitted if all joints move. The state s_kj of dry
-    friction, -1 or 1, is the direction of the last motion, at rest too: that of a stop
-    operator of 0.3 % of the range. If it is always the same, s is 0 and friction is a
-    part of the offset o_j. At rest dry friction is anywhere between -f_j and f_j, so
-    that e_kj has one variance for joint j in motion and another at rest: what the
-    description and then the corrected links leave. A sample counts for the joints whose
-    state of friction is known and whose torque of motion is at most a fifth of that of
-    gravity.
+    Masses and first moments in pi have the prior of ``bodies="prior"``, see
+    `RobotIdentifier`; inertias about the centres of mass stay as described. Viscous
+    friction d_j is fitted if all joints move. The state s_kj of dry friction, -1 or 1,
+    is the direction of the last motion, at rest too: that of a stop operator of 0.3 %
+    of the range. If it never changes, s is 0 and friction is part of the offset o_j. A
+    sample counts for joints whose state of friction is known and whose torque of motion
+    is at most a fifth of that of gravity.
     """
-    features, described = _described(model)
+    features, bodies = _described(model)
     samples = static_samples(recording, features)
-    rows = _inertial_rows(features, samples.states)
-    torque = rows @ described.vector(rows.shape[2])
-    gravity = _gravity_rows(features, samples.q) @ described.vector(rows.shape[2])
-    _check_weight(samples, gravity, samples.tau - (torque - gravity))
+    rows = _gravity_rows(features, samples.q)
+    _check_weight(samples, rows @ bodies.vector(rows.shape[2]))
     with warnings.catch_warnings():
         # Poses are few rows, and nothing is filtered.
         warnings.simplefilter("ignore", UserWarning)
         before, after = _held_out(samples, model)
-        _, found, variance = _fitted(samples, model)
-        payload = _payload(found, samples, variance, rows, torque)
+        _, found = _fitted(samples, model)
+        payload = _payload(found, samples, features, bodies)
+    _keep_inertias(found)
     at_poses = _gravity_rows(features, _random_poses(model))
-    inertial = found.theta_.reshape(samples.tau.shape[1], -1)[:, :10].ravel()
+    inertial = found.robot_.inertial().ravel()
     gravity = np.sqrt(((at_poses @ inertial) ** 2).mean(axis=0))
-    has_gravity = gravity > 1e-6 * gravity.max()
+    loaded = gravity > 1e-6 * gravity.max()
     noise = np.maximum(found.output_noise_, 1e-9 * gravity.max())
     _, stds = _best_poses(at_poses, _covariance(found), noise, _MOST)
     enough = np.flatnonzero((HALF_WIDTH * stds <= noise).all(axis=1))
-    side = np.split(samples.states, 3, axis=1)[1]
     return GravityCorrection(
         identifier=found,
-        samples=samples,
+        n_samples=samples.n_samples,
         error_before=before,
         error_after=after,
-        gravity=gravity * has_gravity,
-        interval=HALF_WIDTH * stds[0] * has_gravity,
+        gravity=gravity * loaded,
+        interval=HALF_WIDTH * stds[0] * loaded,
         poses_enough=int(enough[0]) if enough.size else None,
-        friction_known=side.any(axis=0),
+        friction_known=_friction(samples)[:, :, 0].any(axis=0),
         payload=payload,
     )
 
@@ -186,13 +177,12 @@ def gravity_poses(model, n_poses=20, *, fitted=None, random_state=0):
     features, bodies = _described(model)
     q = _random_poses(model, random_state)
     rows = _gravity_rows(features, q)
-    size = rows.shape[2]
     if fitted is None:
-        covariance = np.zeros((size, size))
+        covariance = np.zeros(2 * rows.shape[2:])
         for places, root in zip(bodies.places, bodies.root):
             inverse = DESCRIBED * np.linalg.inv(root)
             covariance[np.ix_(places, places)] = inverse @ inverse.T
-        torque = np.sqrt(((rows @ bodies.vector(size)) ** 2).mean(axis=0))
+        torque = np.sqrt(((rows @ bodies.vector(len(covariance))) ** 2).mean(axis=0))
         noise = _NOISE * np.maximum(torque, 0.01 * torque.max())
     else:
         covariance, noise = _covariance(fitted), fitted.output_noise_
@@ -215,24 +205,18 @@ def _described(model):
     return features, bodies
 
 
-def _inertial_rows(features, states):
-    """Torques at states (n, 3 nv) by inertial parameters, (n, nv, 10 nv)."""
-    n, nv = len(states), states.shape[1] // 3
-    rows = features.transform(states).reshape(n, nv, nv, -1)
-    return rows[..., :10].reshape(n, nv, -1)
-
-
 def _gravity_rows(features, q):
     """Gravity torques at poses (n, nv) by inertial parameters, (n, nv, 10 nv)."""
-    return _inertial_rows(features, np.hstack([q, 0.0 * q, 0.0 * q]))
+    n, nv = q.shape
+    rows = features.transform(np.hstack([q, 0.0 * q, 0.0 * q])).reshape(n, nv, nv, -1)
+    return rows[..., :10].reshape(n, nv, -1)
 
 
 def _covariance(identifier):
     """Covariance (10 nv, 10 nv) of the inertial parameters."""
     nv = len(identifier.joint_names_)
     inertial = np.arange(identifier.theta_.size).reshape(nv, -1)[:, :10].ravel()
-    covariance = identifier.robot_.covariance
-    covariance = covariance[np.ix_(inertial, inertial)]
+    covariance = identifier.robot_.covariance[np.ix_(inertial, inertial)]
     # What neither torques nor description tell moves no gravity torque.
     return np.where(np.isfinite(covariance), covariance, 0.0)
 
@@ -278,53 +262,41 @@ def _best_poses(rows, covariance, noise, n):
         chosen.append(best)
 
 
-def _windows(recording):
-    """Average a recording over poses, and over windows of motion.
-
-    Returns q, v, a, tau, the direction of friction, and whether a joint rests.
-    """
-    parts, came = recording.segments, np.empty_like(recording.q)
-    for j, way in enumerate(_WAY * np.ptp(recording.q, axis=0) + 1e-300):
-        for part in parts:
-            came[part, j] = elements(recording.q[part, j], [way])[:, 0]
-    dt = check_dt(recording.dt)
-    length = max(3, round(_WINDOW / dt))
-    first = [np.arange(p.start, p.stop - length + 1, length) for p in parts]
-    rows = np.concatenate(first)[:, None] + np.arange(length)
-    t = dt * (np.arange(length) - 0.5 * (length - 1))
-    parabola = np.linalg.pinv(np.vander(t, 3, increasing=True) * [1.0, 1.0, 0.5])
-    q, v, a = np.einsum("sk,mkj->smj", parabola, recording.q[rows])
-    fastest = np.quantile(np.abs(v), 0.995, axis=0) if len(v) else 0.0
-    still = np.abs(v) <= _REST * fastest
-    rest, label = still.all(axis=1), recording.groups[rows[:, 0]]
-    tau = np.einsum("k,mkj->mj", parabola[0], recording.tau[rows])
-    tau[rest] = recording.tau[rows[rest]].mean(axis=1)
-    # Windows of one pose are one sample; the first of them settles.
-    goes_on = rest & np.roll(rest, 1) & (label == np.roll(label, 1))
-    goes_on[:1] = False
-    used = goes_on | ~rest
-    starts = np.flatnonzero(np.diff(np.cumsum(~goes_on)[used], prepend=0))
-    count = np.diff(np.r_[starts, used.sum()])[:, None]
-    return [
-        np.add.reduceat(x[used], starts) / count if len(starts) else x[:0]
-        for x in (q, v, a, tau, came[rows].mean(axis=1), still.astype(float))
-    ]
-
-
 def static_samples(recording, features):
     """Return one row for each pose, and for each window of slow motion.
 
     The speed of a joint at rest is that of its last direction; it is zero if friction
     is a part of the offset. `weight` is zero where a joint does not count.
     """
-    q, v, a, tau, side, still = _windows(recording)
+    dt, parts, side = check_dt(recording.dt), recording.segments, 0.0 * recording.q
+    for j, way in enumerate(_WAY * np.ptp(recording.q, axis=0) + 1e-300):
+        for part in parts:
+            side[part, j] = elements(recording.q[part, j], [way])[:, 0]
+    length = max(3, round(_WINDOW / dt))
+    first = [np.arange(p.start, p.stop - length + 1, length) for p in parts]
+    rows = np.concatenate(first)[:, None] + np.arange(length)
+    t = dt * (np.arange(length) - 0.5 * (length - 1))
+    parabola = np.linalg.pinv(np.vander(t, 3, increasing=True) * [1.0, 1.0, 0.5])
+    q, v, a = np.einsum("sk,mkj->smj", parabola, recording.q[rows])
+    still = np.abs(v) <= _REST * np.quantile(np.abs(v), 0.995, axis=0)
+    # Windows of one pose are one sample.
+    rest = still.all(axis=1)
+    label = np.where(rest, recording.groups[rows[:, 0]], -1)
+    starts = np.flatnonzero((np.diff(label, prepend=-1) != 0) | (label < 0))
+    count = np.diff(np.r_[starts, len(q)])[:, None]
+    tau = np.einsum("k,mkj->mj", parabola[0], recording.tau[rows])
+    tau[rest] = recording.tau[rows[rest]].mean(axis=1)
+    signals = q, v, a, tau, side[rows].mean(axis=1), still
+    q, v, a, tau, side, still = (
+        np.add.reduceat(x.astype(float), starts) / count for x in signals
+    )
     known = np.abs(side) >= _FULL
     side = np.sign(side) * known
     # Friction from one side only is part of the offset.
     side *= (side > 0).any(axis=0) & (side < 0).any(axis=0)
     inertial = nominal_parameters(features.model_)
     gravity = features.torques(q, 0 * v, 0 * a, inertial)
-    size = np.sqrt((gravity**2).sum(axis=0) / max(len(q), 1))
+    size = np.sqrt((gravity**2).mean(axis=0))
     torque = features.torques(q, v, a, inertial)
     weight = np.abs(torque - gravity) <= _DYNAMIC * np.maximum(size, 0.1 * size.max())
     weight &= known | ~known.any(axis=0)
@@ -332,9 +304,8 @@ def static_samples(recording, features):
     if weight.sum() < _FEW * weight.shape[1]:
         raise ValueError(
             f"The recording holds fewer than {_FEW} poses or windows of slow motion: "
-            f"gravity needs poses that are held for {3 * _WINDOW:g} s, or motion whose "
-            f"torque is at least {1 - _DYNAMIC:.0%} gravity and friction. `sklearn-"
-            "vbjfa design --urdf ROBOT.urdf --for gravity` proposes poses."
+            f"gravity needs poses that are held for {2 * _WINDOW:g} s, or motion whose "
+            f"torque is at least {1 - _DYNAMIC:.0%} gravity and friction; {_PROPOSED}."
         )
     v = side * np.where(still > 0, _DIRECTION, np.maximum(np.abs(v), 2 * _DIRECTION))
     # Centrifugal torques of speeds that are replaced.
@@ -355,38 +326,25 @@ def static_samples(recording, features):
 
 
 def _fitted(samples, model, rows=slice(None)):
-    """Fit friction with the described bodies, and with corrected ones.
-
-    Also returns the variance (n, nv) of the noise of all samples.
-    """
+    """Fit friction with the described bodies, and with corrected ones."""
     states, tau, weight = samples.states[rows], samples.tau[rows], samples.weight[rows]
-    speed = np.abs(np.split(samples.states, 3, axis=1)[1])
-    kinds = speed > _DIRECTION, speed == _DIRECTION, speed == 0
-    moves = (weight * kinds[0][rows]).any(axis=0) | ~weight.any(axis=0)
+    speed, count = np.abs(np.split(states, 3, axis=1)[1]), weight.sum(axis=0)
+    moves = (weight * (speed > _DIRECTION)).any(axis=0) | (count == 0)
     friction = (("viscous",) if moves.all() else ()) + ("coulomb", "offset")
-    fits, variance = [], np.ones(samples.tau.shape)
-    # A joint with fewer samples than parameters would fit them exactly: the noise is
-    # that which the described bodies, and then the fitted ones, leave.
+    fits, variance = [], np.ones(count.size)
+    # Few samples are fitted exactly: the noise is that which the described bodies, and
+    # then the corrected ones, leave.
     for bodies in ("fixed", "prior", "prior"):
-        precision = weight / variance[rows]
-        scale = np.where(weight.any(axis=0), precision.max(axis=0), 1.0)
+        options = FitOptions(standstill=None, joint_weights=1.0 / variance)
         found = RobotIdentifier(
-            model,
-            friction=friction,
-            bodies=bodies,
-            options=FitOptions(standstill=None, joint_weights=scale),
-        ).fit(states, tau, sample_weight=precision / scale)
+            model, friction=friction, bodies=bodies, options=options
+        ).fit(states, tau, sample_weight=weight)
         fits.append(found)
-        squares = weight * (tau - found.predict(states)) ** 2
-        pooled = squares.sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0)
-        few = weight.sum(axis=0) < _FEW
-        variance = np.where(few, pooled.max(), pooled) * np.ones(samples.tau.shape)
-        for kind in kinds:
-            count = (weight * kind[rows]).sum(axis=0)
-            mean = (squares * kind[rows]).sum(axis=0) / np.maximum(count, 1.0)
-            variance = np.where(kind & (count >= _FEW), mean, variance)
+        squares = (weight * (tau - found.predict(states)) ** 2).sum(axis=0)
+        variance = squares / np.maximum(count, 1.0)
+        variance = np.where(count < _FEW, variance.max(), variance)
         variance = np.maximum(variance, 1e-9 * variance.max())
-    return fits[0], fits[-1], variance
+    return fits[0], fits[-1]
 
 
 def _held_out(samples, model):
@@ -417,47 +375,58 @@ def _friction(samples):
     return np.stack([np.sign(v), np.ones_like(v), v], axis=2)
 
 
-def _check_weight(samples, gravity, tau):
+def _check_weight(samples, gravity):
     """Refuse a single pose, and torques that do not contain the described weight."""
     if (np.ptp(samples.q, axis=0) < _ONE_POSE).all():
         raise ValueError(
             "All poses are the same to 0.2 rad: one pose does not determine masses. "
-            "Record poses over the range of the joints; `sklearn-vbjfa design --urdf "
-            "ROBOT.urdf --for gravity` proposes some."
+            f"Record poses over the range of the joints; {_PROPOSED}."
         )
-    friction, factors = _friction(samples), [(1.0, 0.0)]
+    friction, factors = _friction(samples), []
     for j in np.flatnonzero(np.ptp(gravity, axis=0) > 1e-6 * np.ptp(gravity)):
         columns = np.c_[gravity[:, j], friction[:, j]]
-        factors.append(_explained(columns, tau[:, j], samples.weight[:, j])[:2])
-    factor, std = np.transpose(factors[1:] or factors)
-    low, high = factor + _SURE * std < _NO_WEIGHT, factor - _SURE * std > _NO_WEIGHT
-    if low.any() and not high.any():
-        k = np.argmin(np.where(low, std, np.inf))
+        found = _explained(columns, samples.tau[:, j], samples.weight[:, j])
+        factors.append((found[0] + _SURE * found[1], *found[:2]))
+    # One joint may have a counterbalance.
+    if factors and max(factors)[0] < _NO_WEIGHT:
         raise ValueError(
-            f"The torques contain no weight: {factor[k]:.2f} ± "
-            f"{HALF_WIDTH * std[k]:.2f} times the described gravity torque. The "
-            "controller has probably subtracted its gravity model; record the torques "
-            "before that."
+            "The torques contain no weight: {1:.2f} ± {2:.2f} times the described "
+            "gravity torque. The controller has probably subtracted its gravity model; "
+            "record the torques before that.".format(*max(factors))
         )
 
 
-def _payload(found, samples, variance, rows, torque):
+def _payload(found, samples, features, bodies):
     """Mass of a payload and its deviation, if it explains the torques as well."""
     # The description with another body at the last link.
     n, nv = samples.tau.shape
+    rows = features.transform(samples.states).reshape(n, nv, -1)
     friction = np.zeros((n, nv, nv, 3))
     friction[:, np.arange(nv), np.arange(nv)] = _friction(samples)
     columns = np.concatenate([rows[:, :, -10:], friction.reshape(n, nv, -1)], axis=2)
-    weight = np.sqrt(samples.weight / variance)
-    mass, std, squares = _explained(
-        columns.reshape(n * nv, -1), (samples.tau - torque).ravel(), weight.ravel()
-    )
-    left = weight * (samples.tau - found.predict(samples.states))
+    weight = (np.sqrt(samples.weight) / found.output_noise_).ravel()
+    left = samples.tau - rows @ bodies.vector(rows.shape[2])
+    columns = columns.reshape(n * nv, -1)
+    mass, std, squares = _explained(columns, left.ravel(), weight)
+    left = weight * (samples.tau - found.predict(samples.states)).ravel()
     count = np.count_nonzero(weight)
     # The corrected links have more freedom; each direction that the poses determine
     # is worth half the logarithm of their number.
-    bodies = ~found.from_description_ & (np.abs(found.theta_std_) > 0)
-    freedom = max(bodies.sum() - len(found.friction) * nv - 10, 0)
-    behind = 0.5 * count * np.log(squares / (left**2).sum())
-    behind -= 0.5 * freedom * np.log(count)
-    return (mass, std) if behind < _RIVAL and mass > _SURE * std else None
+    moved = ~found.from_description_ & (np.abs(found.theta_std_) > 0)
+    freedom = max(moved.sum() - len(found.friction) * nv - 10, 0)
+    behind = count * np.log(squares / (left**2).sum()) - freedom * np.log(count)
+    return (mass, std) if behind < 2 * _RIVAL and mass > _SURE * std else None
+
+
+def _keep_inertias(found):
+    """Give the bodies of a fit their described inertias about the centres of mass."""
+    pin, robot, theta = import_pinocchio(), found.robot_, found.theta_.copy()
+    model, known = robot.features_.nominal_, np.array(robot.known_, dtype=object)
+    solid = solid_bodies(nominal_parameters(model))
+    at = np.arange(theta.size).reshape(model.nv, -1)[solid, :10]
+    for places, j in zip(at, np.flatnonzero(solid)):
+        mass, first = theta[places[0]], theta[places[1:4]]
+        body = pin.Inertia(mass, first / mass, model.inertias[int(j) + 1].inertia)
+        theta[places] = body.toDynamicParameters()
+    known[at[:, 4:]] = "from the description"
+    found._robot = replace(robot, theta_=theta, known_=tuple(known))

@@ -82,14 +82,21 @@ def body_masses(robot):
 
 
 def note_of_masses(robot):
-    """Name the bodies of an identified robot whose mass is not identified."""
-    names = [body.name for body in body_masses(robot) if body.known != "yes"]
-    if not names:
-        return ""
-    return (
-        f"The recording does not determine the masses of {', '.join(names)}: their "
-        "inertias agree with the torques, but are not measured one by one."
+    """Name the bodies whose mass, or whose inertia, is not identified."""
+    found, lines = body_masses(robot), []
+    if names := [body.name for body in found if body.known != "yes"]:
+        lines.append(
+            f"The recording does not determine the masses of {', '.join(names)}: their "
+            "inertias agree with the torques, but are not measured one by one."
+        )
+    known = np.reshape(
+        robot.robot_.known_[: robot.features_.n_parameters_], (len(found), -1)
     )
+    described = (known[:, 4:10] == "from the description").all(axis=1)
+    if described.any():
+        names = [body.name for body, one in zip(found, described) if one]
+        lines.append(f"Inertias from the description: {', '.join(names)}.")
+    return " ".join(lines)
 
 
 _UNITS = {"position": POSITION, "speed": SPEED, "load": TORQUE}

@@ -76,7 +76,7 @@ def measured(data_home):
         before, after = found.error_before, found.error_after
         size = [np.sqrt((x**2).mean()) for x in (before, after)]
         better = f"{(after < 0.8 * before).sum()} of {before.size}"
-        cells = [str(found.samples.n_samples), *fixed(size, 3)]
+        cells = [str(found.n_samples), *fixed(size, 3)]
         rows.append([name, *cells, *fixed([size[1] / size[0]], 2), better])
     heads = ["set", "samples", "described [N m]", "corrected [N m]", "ratio"]
     return rst_table(rows, [*heads, "joints better by 20 %"])

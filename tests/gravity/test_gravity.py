@@ -83,6 +83,16 @@ def test_gravity_of_the_exported_description_is_that_of_the_robot(
     assert inside.mean() > 0.9
 
 
+def test_inertias_about_centres_of_mass_stay_as_described(world, found, tmp_path):
+    found.identifier.to_urdf(tmp_path / "out.urdf")
+    text = (tmp_path / "out.urdf").read_text()
+    assert "Inertias from the description: link1, link2, link3." in text
+    after = pin.buildModelFromUrdf(str(tmp_path / "out.urdf"))
+    for one, described in zip(after.inertias[1:], world.before.inertias[1:]):
+        np.testing.assert_allclose(one.inertia, described.inertia, atol=1e-9)
+    assert abs(after.inertias[3].mass / world.before.inertias[3].mass - 1) > 0.1
+
+
 def test_held_out_errors_tell_the_improvement(found):
     gravity_joints = found.gravity > 0
     assert gravity_joints.tolist() == [False, True, True]

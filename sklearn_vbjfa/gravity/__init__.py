@@ -28,8 +28,9 @@ _WINDOW, _REST, _DYNAMIC, _WAY, _FULL = 0.2, 0.02, 0.2, 0.003, 0.9
 # Speed [rad/s or m/s] that stands for the direction of friction at rest.
 _DIRECTION = 1e-4
 # Folds, contiguous in time; least samples; range [rad or m] of one pose; share of the
-# described weight in torques without any; deviations and nats that decide.
-_FOLDS, _FEW, _ONE_POSE, _NO_WEIGHT, _SURE, _RIVAL = 4, 5, 0.2, 0.3, 3.0, 3.0
+# described weight in torques without any; deviations that decide; error of a payload
+# over that of the corrected links that explains the torques as well.
+_FOLDS, _FEW, _ONE_POSE, _NO_WEIGHT, _SURE, _AS_WELL = 4, 5, 0.2, 0.3, 3.0, 1.1
 # Random poses that are compared, most that are counted, way [rad or m] of an approach,
 # and noise of a torque over gravity where nobody has measured it.
 _CANDIDATES, _MOST, _APPROACH, _NOISE = 300, 100, 0.05, 0.02
@@ -409,13 +410,8 @@ def _payload(found, samples, features, bodies):
     columns = columns.reshape(n * nv, -1)
     mass, std, squares = _explained(columns, left.ravel(), weight)
     left = weight * (samples.tau - found.predict(samples.states)).ravel()
-    count = np.count_nonzero(weight)
-    # The corrected links have more freedom; each direction that the poses determine
-    # is worth half the logarithm of their number.
-    moved = ~found.from_description_ & (np.abs(found.theta_std_) > 0)
-    freedom = max(moved.sum() - len(found.friction) * nv - 10, 0)
-    behind = count * np.log(squares / (left**2).sum()) - freedom * np.log(count)
-    return (mass, std) if behind < 2 * _RIVAL and mass > _SURE * std else None
+    as_well = squares <= _AS_WELL**2 * (left**2).sum()
+    return (mass, std) if as_well and mass > _SURE * std else None
 
 
 def _keep_inertias(found):

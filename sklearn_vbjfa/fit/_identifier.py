@@ -461,6 +461,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         out.effects_ = out._robot.effects_
         return out
 
+    def set_parameters(self, theta, known):
+        """Replace the parameters of the fitted robot, and how each is known."""
+        self._robot = replace(self.robot_, theta_=theta, known_=known)
+
     def described(self):
         """Return precision (p, p) and mean (p,) of the prior; None without one."""
         # In units of the weighted equations.

@@ -425,4 +425,4 @@ def _keep_inertias(found):
         body = pin.Inertia(mass, first / mass, model.inertias[int(j) + 1].inertia)
         theta[places] = body.toDynamicParameters()
     known[at[:, 4:]] = "from the description"
-    found._robot = replace(robot, theta_=theta, known_=tuple(known))
+    found.set_parameters(theta, tuple(known))

@@ -307,10 +307,10 @@ def read_recording(
     --------
     >>> import pathlib, tempfile
     >>> from sklearn_vbjfa.datasets import read_recording
-    >>> rows = [f"{0.01 * k:.2f},{0.1 * k},{1.0}" for k in range(20)]
+    >>> rows = [f"{0.01 * k:.2f},{0.1 * k},{1.0}\n" for k in range(20)]
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = pathlib.Path(folder) / "hinge.csv"
-    ...     _ = file.write_text("clock,angle,torque\n" + "\n".join(rows))
+    ...     _ = file.write_text("clock,angle,torque\n" + "".join(rows))
     ...     read_recording(file, columns="q=angle,tau=torque,t=clock")
     Recording 'hinge': 20 samples, 1 joint, dt = 0.01 s
     """

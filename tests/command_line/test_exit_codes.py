@@ -85,8 +85,8 @@ RECORDINGS = {
     "torques without signs": (
         lambda x: x | {k: np.abs(x[k]) for k in ("tau1", "tau2")},
         {
-            "": (2, "signs were not logged.*--drive 'current signed=no'$"),
-            "inspect": (3, "signs were not logged.*--drive 'current signed=no'"),
+            "": (2, "have one sign only.*--drive 'current signed=no'$"),
+            "inspect": (3, "have one sign only.*--drive 'current signed=no'"),
         },
     ),
     "a lower rate": (

@@ -156,4 +156,4 @@ def test_the_folder_of_the_recordings_is_not_written_to(here, capsys):
 
 def test_a_bad_file_is_refused_by_its_name(here, capsys):
     Path("runs/d.csv").write_text("")
-    assert "runs/d.csv: no rows of data" in refusal(capsys, "inspect", "runs")
+    assert "runs/d.csv: is empty, no rows of data" in refusal(capsys, "inspect", "runs")

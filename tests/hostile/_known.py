@@ -59,7 +59,7 @@ TABLES = {
     "torques without signs": (
         lambda x, rng: x | {k: np.abs(x[k]) for k in ("tau1", "tau2")},
         "refused",
-        "signs were not logged",
+        "have one sign only",
     ),
     "Chinese name": (lambda x, rng: x | {"温度": x["q1"]}, "same"),
     "column of text": (lambda x, rng: x | {"mode": ["run"] * len(x["t"])}, "same"),

@@ -366,17 +366,15 @@ def _load_of(before, robot):
         return None
     if before.features_.friction_ != robot.features_.friction_:
         return None
-    bodies, coefs = np.split(before.theta_, [before.features_.n_parameters_])
-    ends = np.cumsum([len(effect.coefficients) for effect in before.effects_])
-    pieces = np.split(coefs, ends[:-1])
+    pieces = before.split(before.theta_)
     known = {effect.key(): own for effect, own in zip(before.effects_, pieces)}
-    plain = [np.empty(0)]
+    plain = []
     for effect in filter(is_plain, robot.effects_):
         k = len(effect.coefficients)
         own = known.get(effect.key(), np.zeros(k))
         # The elements of another bank have the same friction together.
         plain.append(own if own.size == k else np.full(k, own.sum() / k))
-    return np.concatenate([bodies, *plain])
+    return np.concatenate([before.bodies(before.theta_).ravel(), *plain])
 
 
 def _first_gains(recipe, robot, source):

@@ -22,7 +22,7 @@ from sklearn_vbjfa.equations._equations import (
     regressor_rows,
 )
 from sklearn_vbjfa.equations._features import Follower, RigidBodyFeatures
-from sklearn_vbjfa.equations._plan import Plan, parameter_names
+from sklearn_vbjfa.equations._plan import Plan, needs_load, parameter_names
 from sklearn_vbjfa.equations._recording_checks import (
     check_length,
     check_weight,
@@ -933,7 +933,8 @@ class IdentifiedRobot:
         # Nothing is fitted: the other parameters, and the load, stay as they are.
         names = [name for effect in effects for name in effect.coefficients]
         load = self.load_parameters
-        load = self.parameters_of_load() if load is None else load
+        if load is None and needs_load(effects):
+            load = self.parameters_of_load()
         plain = sum(len(e.coefficients) for e in effects if is_plain(e))
         of_joint = {one.joint: one for one in self.effect_ranges_}
         ranges = [
@@ -953,7 +954,7 @@ class IdentifiedRobot:
             covariance=None if C is None else np.pad(C, (0, len(names))),
             identifiable_=longer(self.identifiable_, False),
             known_=(*self.known_, *len(names) * ["no"]),
-            load_parameters=np.append(load, np.zeros(plain)),
+            load_parameters=None if load is None else np.append(load, np.zeros(plain)),
             effect_ranges_=(*self.effect_ranges_, *ranges),
         )
 

@@ -50,7 +50,7 @@ _MODULES = {
         "take_rows",
     ),
     "_clock": ("check_time_stamps", "inspect_time_stamps"),
-    "_grid": ("Log", "interpolate", "join", "median_period"),
+    "_grid": ("Log", "interpolate", "join"),
     "_table": ("RecordingRefused", "listed", "quoted"),
     "formats": ("expanded", "recordings_in", "tables_in"),
 }

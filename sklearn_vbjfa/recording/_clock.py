@@ -1,4 +1,4 @@
-"""Sample times of a recording: rows, period, missing rows and gaps."""
+"""Sample times: each stamp against its place on a regular grid."""
 
 import warnings
 from dataclasses import dataclass, replace
@@ -18,26 +18,26 @@ from sklearn_vbjfa.recording._table import (
     usual_step,
 )
 
-# Stamps within this share of a period of equidistant times are a steady clock that was
-# written with few digits: the samples are taken as they are.
+# Stamps within this share of a period of the grid are those of a steady clock that was
+# written with few digits.
 STEADY = 0.02
 # A step longer than this many periods is a gap, not bridged by interpolation.
 GAP_PERIODS = 5.0
 # Relative difference that is refused between `dt` as given and as stamped.
 DT_TOLERANCE = 0.05
-# A slower clock [s] records no motion: stamps in ms or ns come out like that.
-_SLOWEST = 1.0
 # Relative difference below which periods count as one.
 SAME_DT = 1e-3
+# A slower clock [s] records no motion: stamps in ms or ns come out like that.
+_SLOWEST = 1.0
 # Steps this near to whole periods, nine in ten of them, show how many rows are missing.
 _NEAR, _NEARLY_ALL = 0.15, 0.9
-# Rows over which the period is compared with that of the rest, and the standard
-# deviation of its ratio that is refused.
-_LONG_WINDOW, _CHANGES = 64, 0.08
 # Steps without a common period of which more than this share are gaps are refused.
 _MANY_GAPS = 0.02
+# Stamps further from the grid than this share of the recording, and so many periods,
+# are no late ones: the period changes.
+_FAR, _FAR_PERIODS = 0.01, 3.0
 # Positions must fit the stamps better by this much, in the sum over the joints of the
-# logarithms of their roughness, than they fit a steady sampling.
+# logarithms of their squared errors, than they fit the grid.
 _CLEARLY = 0.2
 
 
@@ -65,44 +65,42 @@ def inspect_time_stamps(
     t = np.asarray(t, dtype=float)
     if t.ndim != 1 or t.size < 2:
         raise ValueError(f"t must hold two time stamps or more, got shape {t.shape}.")
+    _check_rise(t, where)
     step = np.diff(t)
-    _check_rise(t, step, where)
-    period, counts, is_common = _first_period(step)
+    period, counts = _periods(step)
     if dt is None and period >= _SLOWEST:
         raise ValueError(
             f"time steps by {period:.6g} s at the median: t is probably not in "
             "seconds; give time_unit ms, us or ns."
         )
     gaps = np.flatnonzero(step > GAP_PERIODS * period)
-    if not is_common and gaps.size > _MANY_GAPS * step.size:
-        raise ValueError(
-            f"time steps by {step.min():.4g} to {step.max():.4g} s, without a period; "
-            "correct t, or leave it out and give dt if rows are equidistant."
-        )
     pieces = [slice(a, b) for a, b in zip(np.r_[0, gaps + 1], np.r_[gaps + 1, t.size])]
-    slots = np.concatenate([np.r_[0, np.cumsum(counts[x][:-1])] for x in pieces])
-    rows = sum(slots[x.stop - 1] for x in pieces)
-    found = sum(t[x.stop - 1] - t[x.start] for x in pieces) / rows if rows else period
-    off = max(np.ptp(t[x] - found * slots[x]) for x in pieces)
-    late, sampled = off > 2 * STEADY * found, False
-    if late and positions is not None:
-        steady, stamped = _roughness([found * slots, t], pieces, positions)
-        sampled = stamped < steady - _CLEARLY
-    if late and not sampled:
-        _check_period(t, pieces, slots, found, where)
-    _check_given(found, dt, tolerance)
+    slots = np.r_[0, np.cumsum(counts)]
+    for piece in pieces:
+        slots[piece] -= slots[piece.start]
+    found = float(np.delete(step, gaps).sum() / np.delete(counts, gaps).sum())
+    irregular = max(np.ptp((t - found * slots)[x]) for x in pieces) > 2 * STEADY * found
+    sampled = irregular and _is_sampled(t, found * slots, pieces, positions)
+    if irregular and not sampled:
+        _check_far(t, found * slots, pieces, found, where)
+    if dt is not None and abs(found - dt) > tolerance * dt:
+        raise ValueError(
+            f"time steps by {found:.6g} s but dt = {dt:.6g} s; correct one of them, or "
+            "leave out dt (a period in s, not in ms or Hz)."
+        )
     return TimeStamps(
         dt=float(f"{found:.7g}") if dt is None else float(dt),
         sampled=bool(sampled),
-        late=bool(late and not sampled),
+        late=bool(irregular and not sampled),
         slots=slots,
         steps=np.delete(step, gaps),
         gaps=gaps,
     )
 
 
-def _check_rise(t, step, where):
+def _check_rise(t, where):
     """Refuse time that runs backwards or stands still."""
+    step = np.diff(t)
     for wrong, what in ((step < 0, "runs backwards to"), (step == 0, "repeats")):
         if wrong.any():
             row = int(np.argmax(wrong)) + 1
@@ -114,72 +112,65 @@ def _check_rise(t, step, where):
             )
 
 
-def _check_given(found, dt, tolerance):
-    """Refuse a period of stamps that contradicts the one that was given."""
-    if dt is not None and abs(found - dt) > tolerance * dt:
-        raise ValueError(
-            f"time steps by {found:.6g} s but dt = {dt:.6g} s; correct one of them, or "
-            "leave out dt (a period in s, not in ms or Hz)."
-        )
-
-
-def _first_period(step):
-    """Return a period [s], how many of it each step takes, and whether it has one."""
+def _periods(step):
+    """Return the period of steps [s], and how many of it each of them takes."""
     # Without the rows of a second source, steps of two sizes may be equally frequent.
     for share in (0.5, 0.25):
         period = float(np.quantile(step, share, method="lower"))
         counts = np.maximum(np.rint(step / period).astype(int), 1)
         if np.mean(np.abs(step / period - counts) < _NEAR) >= _NEARLY_ALL:
-            return period, np.r_[counts, 1], True
+            return period, counts
     # Nothing shows which rows are missing.
-    return float(np.median(step)), np.ones(step.size + 1, dtype=int), False
-
-
-def _check_period(t, pieces, slots, dt, where):
-    """Refuse rows whose period changes within the recording."""
-    ends = [np.arange(x.start, x.stop, _LONG_WINDOW) for x in pieces]
-    rate = np.concatenate([np.diff(t[x]) / np.diff(slots[x]) / dt for x in ends])
-    if rate.size > 3 and np.std(rate) > _CHANGES:
-        row = np.concatenate([x[:-1] for x in ends])
-        slow, fast = row[rate.argmax()], row[rate.argmin()]
+    period = float(np.median(step))
+    if np.mean(step > GAP_PERIODS * period) > _MANY_GAPS:
         raise ValueError(
-            f"time steps by {rate.min() * dt:.4g} s on average after {where(fast)} and "
-            f"by {rate.max() * dt:.4g} s after {where(slow)}, and positions do not "
-            "follow it; correct t, or mark recordings of other periods in segment."
+            f"time steps by {step.min():.4g} to {step.max():.4g} s, without a period; "
+            "correct t, or leave it out and give dt if rows are equidistant."
         )
+    return period, np.ones(step.size, dtype=int)
 
 
-def _roughness(times, pieces, positions):
-    """Return the sums over the joints of the log squared prediction errors."""
-    # One sum for each of `times` of the rows (n,); zeros if no joint moves.
-    squares = np.zeros((len(times), positions.shape[1]))
+def _check_far(t, grid, pieces, period, where):
+    """Refuse stamps that leave the grid further than late ones do."""
     for piece in pieces:
-        for k, t in enumerate(times):
-            squares[k] += (prediction_errors(t[piece], positions[piece]) ** 2).sum(0)
-    moves = (np.ptp(positions, axis=0) > 0) & (squares > 0).all(axis=0)
-    return np.log(squares[:, moves]).sum(axis=1)
+        away = t[piece] - grid[piece]
+        if np.ptp(away) > max(_FAR * np.ptp(t[piece]), _FAR_PERIODS * period):
+            row = piece.start + int(np.argmax(np.abs(away - np.median(away))))
+            raise ValueError(
+                f"time is up to {np.ptp(away):.4g} s off a grid of {period:.4g} s, "
+                f"most in {where(row)}, and positions do not follow it: the period "
+                "changes; correct t, or mark recordings of other periods in a column "
+                "segment."
+            )
+
+
+def _is_sampled(t, grid, pieces, positions):
+    """Return whether positions are smoother over the stamps than over the grid."""
+    if positions is None:
+        return False
+    stamped, steady = (
+        sum((prediction_errors(x[y], positions[y]) ** 2).sum(axis=0) for y in pieces)
+        for x in (t, grid)
+    )
+    moves = (np.ptp(positions, axis=0) > 0) & (stamped > 0) & (steady > 0)
+    return np.log(stamped[moves] / steady[moves]).sum() < -_CLEARLY
 
 
 def prediction_errors(t, values):
     """Return how far values (n, k) are from cubics through their neighbours, (m, k)."""
-    # In units of their standard deviation for unit white noise; rows next to equal
-    # times t (n,) [s], which must not fall, are left out.
-    near = (-2, -1, 1, 2)
+    # In units of their standard deviation for unit white noise; t (n,) [s] must rise.
     n = t.size - 4
     if n < 1:
         return np.empty((0, values.shape[1]))
-    at = np.stack([t[2 + k : 2 + k + n] for k in near]) - t[2:-2]
-    good = (at[0] < at[1]) & (at[1] < 0) & (at[2] > 0) & (at[3] > at[2])
-    at = at[:, good]
+    near = [slice(k, k + n) for k in (0, 1, 3, 4)]
+    at = [t[x] - t[2:-2] for x in near]
     predicted, gain = 0.0, 1.0
-    for i, k in enumerate(near):
-        weight = np.ones(at.shape[1])
-        for j in range(4):
-            if j != i:
-                weight *= at[j] / (at[j] - at[i])
-        predicted = predicted + weight[:, None] * values[2 + k : 2 + k + n][good]
+    for i, rows in enumerate(near):
+        others = at[:i] + at[i + 1 :]
+        weight = np.prod([x / (x - at[i]) for x in others], axis=0)
+        predicted = predicted + weight[:, None] * values[rows]
         gain = gain + weight**2
-    return (values[2:-2][good] - predicted) / np.sqrt(gain)[:, None]
+    return (values[2:-2] - predicted) / np.sqrt(gain)[:, None]
 
 
 # -- stamps of arrays ------------------------------------------------------------------
@@ -198,7 +189,7 @@ def check_time_stamps(t, dt, parts):
     time = check_rows_of_time(t, parts[-1].stop)
     for part in parts:
         stamps, first = time[part], part.start
-        _check_rise(stamps, np.diff(stamps), lambda k, first=first: f"row {first + k}")
+        _check_rise(stamps, lambda k, first=first: f"row {first + k}")
         if dt is None or stamps.size < 2:
             continue
         tolerance = max(_WRONG_PERIOD, 1 / stamps.size)
@@ -210,7 +201,7 @@ def check_time_stamps(t, dt, parts):
                 f"{np.diff(stamps).max():.6g} s, but dt={dt:.6g} s. Resample, or begin "
                 "another recording after each gap (groups)."
             )
-        if np.abs(found.steps / dt - 1).max(initial=0.0) > _JITTER:
+        if np.abs(found.steps / dt - 1).max() > _JITTER:
             warnings.warn(
                 f"steps between time stamps from row {first} on vary from "
                 f"{found.steps.min():.6g} to {found.steps.max():.6g} s, dt={dt:.6g} s; "
@@ -221,7 +212,8 @@ def check_time_stamps(t, dt, parts):
             )
 
 
-_DAY = 86400.0
+# -- rows that are no samples ----------------------------------------------------------
+
 # Rows that lack a number are left out up to this share of all.
 _LACKING = 0.1
 # Rows of a second source are this share of all, ...
@@ -230,49 +222,46 @@ _LEAST_SHARE, _MOST_SHARE = 0.02, 0.9
 _PLACES, _RUN = 10, 3
 
 
-# -- rows ------------------------------------------------------------------------------
-
-
 def without_odd_rows(table, layout, options, notes):
     """Leave out rows without numbers and of a second source.
 
     Returns the table, and the places of its rows if those between them are samples that
     are missing.
     """
-    n, q, tau = table.n_rows, layout.of("q"), layout.of("tau")
-    tau = tau if options.drive is None else ()
-    roles = [*q, *tau, *layout.of("v"), *layout.of("a")]
+    q, tau = layout.of("q"), layout.of("tau") if options.drive is None else ()
     values = _matrix(table, [*q, *tau])
-    keep = ~np.isnan(values).all(axis=1)
-    if not keep.any():
+    empty = np.isnan(values).all(axis=1)
+    if empty.all():
+        # Also a table without these columns.
         return table, None
-    if not keep.all():
+    if empty.any():
         notes.append(
-            f"{(~keep).sum()} row(s) without any position or torque are left out."
+            f"{empty.sum()} row(s) without any position or torque are left out."
         )
-    holes = np.isnan(np.column_stack([values, _matrix(table, roles[len(q + tau) :])]))
-    lacking = holes.any(axis=1) & keep
-    if 0 < lacking.sum() <= _LACKING * keep.sum():
+    roles = [*q, *tau, *layout.of("v"), *layout.of("a")]
+    holes = np.isnan(np.hstack([values, _matrix(table, roles[len(q + tau) :])]))
+    lacking = holes.any(axis=1) & ~empty
+    if 0 < lacking.sum() <= _LACKING * (~empty).sum():
         row = int(np.argmax(lacking))
         column = roles[int(np.argmax(holes[row]))].column
         notes.append(
             f"{lacking.sum()} row(s) lack a number, the first in {table.where(row)}, "
             f"column {column!r}: left out."
         )
-        keep &= ~lacking
-    second = _second_source(values[:, : len(q)], values[:, len(q) :], keep)
+        empty |= lacking
+    rows = np.flatnonzero(~empty)
+    second = _second_source(values[rows, : len(q)], values[rows, len(q) :])
     if second.any():
         notes.append(
-            f"{second.sum()} row(s) ({100 * second.sum() / keep.sum():.0f} %) in which "
-            "all torques are exactly zero while joints move are left out: a second "
-            "source writes to the same log."
+            f"{second.sum()} row(s) ({100 * second.mean():.0f} %) in which all torques "
+            "are exactly zero while joints move are left out: a second source writes "
+            "to the same log."
         )
-        keep &= ~second
-    if keep.all():
+        rows = rows[~second]
+    if rows.size == table.n_rows:
         return table, None
-    rows = np.flatnonzero(keep)
     # Rows of other topics, and of a second source, are no samples that are missing.
-    lost = not second.any() and rows.size >= (1 - _LACKING) * n
+    lost = not second.any() and rows.size >= (1 - _LACKING) * table.n_rows
     return table.take(rows), rows if lost else None
 
 
@@ -284,25 +273,25 @@ def _matrix(table, roles):
     return np.column_stack(values).astype(float)
 
 
-def _second_source(q, tau, keep):
+def _second_source(q, tau):
     """Return rows whose torques are all zero amid others while joints move."""
-    empty = (tau == 0).all(axis=1)[keep]
-    none = np.zeros(keep.size, dtype=bool)
-    if not tau.size or not _LEAST_SHARE < empty.mean() < _MOST_SHARE:
+    still = (tau == 0).all(axis=1)
+    none = np.zeros(still.size, dtype=bool)
+    if not tau.size or not _LEAST_SHARE < still.mean() < _MOST_SHARE:
         return none
-    edges = np.flatnonzero(np.diff(np.r_[0, empty.astype(int), 0]))
-    first, last = edges[::2], edges[1::2]
-    inside = (first > 0) & (last < empty.size)
-    if inside.sum() < _PLACES or np.median((last - first)[inside]) > _RUN:
+    edges = np.flatnonzero(np.diff(np.r_[0, still.astype(int), 0]))
+    first, stop = edges[::2], edges[1::2]
+    inside = (first > 0) & (stop < still.size)
+    first, stop = first[inside], stop[inside]
+    if first.size < _PLACES or np.median(stop - first) > _RUN:
         return none
-    q = q[keep]
-    moves = (q[last[inside]] != q[first[inside] - 1]).any(axis=1)
-    if moves.mean() >= 0.5:
-        none[keep] = empty
-    return none
+    moves = (q[stop] != q[first - 1]).any(axis=1)
+    return still if moves.mean() >= 0.5 else none
 
 
-# -- time ------------------------------------------------------------------------------
+# -- the column of time ----------------------------------------------------------------
+
+_DAY = 86400.0
 
 
 def time_of(table: Table, layout, options):
@@ -340,15 +329,18 @@ def _stamps(table, role, time_unit):
     factor = 1.0 if unit is None else unit.factor
     if time_unit is not None:
         factor = TIME_UNITS[time_unit]
+    _check_unit(table, role, usual_step(seconds), factor, time_unit)
     # Without a unit stamps stay as they are, for messages that quote them.
-    t = seconds if factor == 1.0 else factor * (seconds - seconds[0])
-    _check_unit(table, role, usual_step(seconds), usual_step(t), time_unit)
-    return t, role
+    return seconds if factor == 1.0 else factor * (seconds - seconds[0]), role
 
 
-def _check_unit(table: Table, role, step, period, time_unit):
-    """Refuse a unit of time in which the period [s] is none of a robot that moves."""
-    used, unit = time_unit or role.unit or "s", unit_of_steps(step)
+def _check_unit(table: Table, role, step, factor, time_unit):
+    """Refuse a unit of time in which steps are too long or too short for a robot."""
+    used, unit, period = (
+        time_unit or role.unit or "s",
+        unit_of_steps(step),
+        factor * step,
+    )
     # What goes up by one counts rows.
     if step in (0.0, 1.0) or is_of_a_robot(period) or unit in ("", used):
         return
@@ -363,8 +355,7 @@ def _check_unit(table: Table, role, step, period, time_unit):
 
 def _seconds_of_dates(table: Table, column: str):
     """Return dates, or times of day, as seconds from the first, None for others."""
-    pandas = pandas_of(table.path)
-    values = table.frame[column]
+    pandas, values = pandas_of(table.path), table.frame[column]
     if values.dtype.kind != "M":
         if values.dtype.kind in "biuf" or not isinstance(values.iloc[0], str):
             return None
@@ -373,8 +364,7 @@ def _seconds_of_dates(table: Table, column: str):
             seconds = pandas.to_timedelta(text).dt.total_seconds().to_numpy()
             days = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
             return seconds + _DAY * days - seconds[0]
-        dates = pandas.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
-        if dates.isna().any():
+        values = pandas.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
+        if values.isna().any():
             return None
-        values = dates
     return (values - values.iloc[0]).dt.total_seconds().to_numpy()

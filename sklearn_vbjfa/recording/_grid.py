@@ -1,9 +1,9 @@
-"""Recordings on a uniform time grid: gaps, interpolation, several files."""
+"""Recordings on a uniform time grid: segments, gaps, interpolation, several files."""
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +26,18 @@ from sklearn_vbjfa.recording._table import Loss
 _MIN_SAMPLES = 16
 # The lower quartile of the size of a normal variable, in standard deviations.
 _QUARTILE = 0.3186
-# More rows than this share with one stamp twice are refused.
+# More rows than this share with the stamp of the one before are refused.
 _REPEATED = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Rows of one recording: its name, times (n,) [s], and channels, n rows each."""
+
+    name: str
+    t: np.ndarray
+    channels: dict[str, np.ndarray]
+    noise: np.ndarray | None = None  # of torques (nv,), if they were interpolated
 
 
 # -- interpolation ---------------------------------------------------------------------
@@ -57,110 +67,82 @@ def interpolate(t, channels, dt: float):
     return grid, resampled
 
 
-def _white_noise(rows):
-    """Return the standard deviation (nv,) of white noise of (t, torques), or None."""
+def _white_noise(t, tau):
+    """Return the standard deviation (nv,) of white noise of torques, or None."""
     # The lower quartile passes over jumps, such as those of friction.
-    errors = np.abs(np.concatenate([prediction_errors(*one) for one in rows]))
+    errors = np.abs(prediction_errors(t, tau))
     return np.quantile(errors, 0.25, axis=0) / _QUARTILE if errors.size else None
 
 
-# -- pieces of recordings --------------------------------------------------------------
+# -- recordings without gaps -----------------------------------------------------------
 
 
-def _rows_of(channels, rows):
-    """Return rows of all channels; all of them without a copy."""
-    whole = isinstance(rows, np.ndarray) and rows.size == len(channels["q"])
-    return channels if whole else {key: x[rows] for key, x in channels.items()}
-
-
-def _pieces(name, t, channels, dt, ends=()):
-    """Put rows at t (n,) [s] on multiples of dt; pieces, and (t, torques) off it."""
-    # ends: rows at which the next piece begins; t rises in each. A piece is a tuple
-    # (name, t, channels); one of too few rows is left out.
-    parts, off_grid = [], []
-    for first, stop in itertools.pairwise([0, *ends, t.size]):
-        if stop - first < min(_MIN_SAMPLES, t.size):
-            continue
-        at, values = t[first:stop] - t[first], _rows_of(channels, slice(first, stop))
-        grid = dt * np.arange(at.size)
-        if np.abs(at - grid).max() >= SAME_DT * dt:
-            off_grid.append((at, values["tau"]))
-            grid, values = interpolate(at, values, dt)
-        parts.append((grid, values))
-    names = [f"{name} [{k}]" for k in range(1, len(parts) + 1)]
-    names = names if len(parts) > 1 else [name]
-    return [(x, *part) for x, part in zip(names, parts)], off_grid
+def _pieces(log, dt, ends=()):
+    """Cut a log before some rows, put what is between on multiples of dt."""
+    # Times rise in each piece; one of too few rows is left out.
+    bounds = [
+        (first, stop)
+        for first, stop in itertools.pairwise([0, *ends, log.t.size])
+        if stop - first >= min(_MIN_SAMPLES, log.t.size)
+    ]
+    made = []
+    for k, (first, stop) in enumerate(bounds, start=1):
+        t = log.t[first:stop] - log.t[first]
+        rows = {key: x[first:stop] for key, x in log.channels.items()}
+        grid, noise = dt * np.arange(t.size), None
+        if np.abs(t - grid).max() >= SAME_DT * dt:
+            noise = _white_noise(t, rows["tau"])
+            grid, rows = interpolate(t, rows, dt)
+        name = f"{log.name} [{k}]" if len(bounds) > 1 else log.name
+        made.append(Log(name, grid, rows, noise))
+    return made
 
 
 def _fields(pieces, dt: float) -> dict:
-    """Concatenate pieces (name, t, channels) into the array fields of a `Recording`."""
+    """Concatenate pieces into the array fields of a `Recording`."""
 
     def together(arrays):
         # A single one is not copied.
         return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
-    names, times, channels = zip(*pieces)
-    columns = {key: together([one[key] for one in channels]) for key in channels[0]}
+    columns = {
+        key: together([one.channels[key] for one in pieces])
+        for key in pieces[0].channels
+    }
     return {
         "q": columns.pop("q"),
         "tau": columns.pop("tau"),
         "v": columns.pop("v", None),
-        "t": together(times),
+        "t": together([one.t for one in pieces]),
         "dt": dt,
-        "groups": labels_of([t.size for t in times]),
-        "group_names": names,
+        "groups": labels_of([one.t.size for one in pieces]),
+        "group_names": distinct(one.name for one in pieces),
         "signals": columns,
     }
 
 
 def distinct(names):
-    """Return names, repeated ones with a number."""
+    """Return names as a tuple, repeated ones with a number."""
     seen = Counter()
     found = []
     for name in names:
         seen[name] += 1
         found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
-    return found
+    return tuple(found)
 
 
-# -- logs of measured sets -------------------------------------------------------------
-
-# A step of a log above this many periods ends a part and starts another one.
+# A step of a log of a measured set above this many periods begins another piece.
 _LOG_GAP_PERIODS = 10.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Log:
-    """One recording as read: stamps [s] and channels, first axis time."""
-
-    name: str
-    t: np.ndarray
-    q: np.ndarray
-    tau: np.ndarray
-    v: np.ndarray | None = None
-    signals: Mapping[str, np.ndarray] = field(default_factory=dict)
-
-
-def median_period(logs) -> float:
-    """Return the median step between stamps of all logs [s], rounded to 0.1 us."""
-    return round(float(np.median(np.concatenate([np.diff(x.t) for x in logs]))), 7)
 
 
 def join(logs, *, dt: float, resample=True) -> dict:
     """Concatenate logs into the array fields of a `Recording`."""
     # With `resample` each log is put on multiples of dt; one with long gaps becomes
     # several recordings, "name [1]", "name [2]", ...
-    pieces = []
-    for log in logs:
-        t, channels = log.t, {"q": log.q, "tau": log.tau, **log.signals}
-        if log.v is not None:
-            channels["v"] = log.v
-        if resample:
-            ends = np.flatnonzero(np.diff(t) > _LOG_GAP_PERIODS * dt) + 1
-            pieces += _pieces(log.name, t, channels, dt, ends)[0]
-        else:
-            pieces.append((log.name, t, channels))
-    return _fields(pieces, dt)
+    if resample:
+        gaps = [np.flatnonzero(np.diff(x.t) > _LOG_GAP_PERIODS * dt) for x in logs]
+        logs = [one for x, gap in zip(logs, gaps) for one in _pieces(x, dt, gap + 1)]
+    return _fields(logs, dt)
 
 
 # -- files of a user -------------------------------------------------------------------
@@ -187,132 +169,121 @@ class FileRows:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Run:
-    """Rows of a file that follow one another."""
+    """A segment of a file."""
 
+    file: FileRows
     name: str
     rows: np.ndarray
-    dt: float
-    stamps: TimeStamps | None
+    stamps: TimeStamps
 
 
 def on_grid(files, names) -> dict:
     """Cut files at segments and gaps, return the array fields of a `Recording`."""
     # names: of the files, "" for one alone.
     runs = [_runs(file, name) for file, name in zip(files, names)]
-    dt = _common_period(files, runs)
-    pieces, powers, weights = [], [], []
-    for file, own in zip(files, runs):
-        made, off_grid = _on_period(file, own, dt)
-        pieces += made
-        noise = _white_noise(off_grid) if off_grid else None
-        if noise is not None:
-            powers.append(noise**2)
-            weights.append(sum(t.size for _, t, _ in made))
-    names = distinct(name for name, *_ in pieces)
-    fields = _fields([(x, *rest) for x, (_, *rest) in zip(names, pieces)], dt)
-    if powers:
-        noise = np.sqrt(np.average(powers, axis=0, weights=weights))
-        fields["torque_noise"] = noise
+    dt = _common_period([run for own in runs for run in own])
+    pieces = [piece for own in runs for piece in _of_file(own, dt)]
+    fields = _fields(pieces, dt)
+    noisy = [one for one in pieces if one.noise is not None]
+    if noisy:
+        squares, sizes = zip(*((one.noise**2, one.t.size) for one in noisy))
+        fields["torque_noise"] = np.sqrt(np.average(squares, axis=0, weights=sizes))
     return fields
 
 
 def _runs(file, name):
     """Return the segments of a file and what their stamps show."""
     n = len(file.channels["q"])
-    runs = [np.arange(n)[x] for x in contiguous_groups(file.labels, n)]
+    parts = contiguous_groups(file.labels, n)
     names = [name or "recording"]
     if file.labels is not None:
-        labels = (str(file.labels[rows[0]]).removesuffix(".0") for rows in runs)
+        labels = (str(file.labels[part.start]).removesuffix(".0") for part in parts)
         names = [f"{name} {x}".strip() for x in distinct(labels)]
-    if file.t is None:
-        return [
-            _Run(name=x, rows=rows, dt=file.dt, stamps=None)
-            for x, rows in zip(names, runs)
-        ]
-    runs = _without_repeats(file, runs)
-    stamps = [_inspected(file, rows) for rows in runs]
+    keep = _first_of_stamps(file, parts)
+    runs = [np.arange(part.start, part.stop)[keep[part]] for part in parts]
     return [
-        _Run(name=x, rows=rows, dt=one.dt, stamps=one)
-        for x, rows, one in zip(names, runs, stamps)
+        _Run(file=file, name=x, rows=rows, stamps=_inspected(file, rows))
+        for x, rows in zip(names, runs)
     ]
 
 
-def _without_repeats(file, runs):
-    """Leave out rows with the stamp of the one before, if they are few."""
+def _first_of_stamps(file, parts):
+    """Return which rows have another stamp than the one before, or all if few have."""
+    keep = np.ones(len(file.channels["q"]), dtype=bool)
+    if file.t is None:
+        return keep
     again = np.r_[False, np.diff(file.t) == 0]
-    again[[rows[0] for rows in runs]] = False
+    again[[part.start for part in parts]] = False
     if not 0 < again.sum() <= _REPEATED * again.size:
-        return runs
+        return keep
     file.notes.append(
         f"{again.sum()} row(s) have the stamp of the one before: left out."
     )
-    return [rows[~again[rows]] for rows in runs]
+    return ~again
 
 
 def _inspected(file, rows):
     """Return what the stamps of a segment show."""
+    if file.t is None:
+        return TimeStamps(
+            dt=file.dt,
+            sampled=False,
+            late=False,
+            slots=np.arange(rows.size),
+            steps=np.full(1, file.dt),
+            gaps=np.empty(0, dtype=int),
+        )
+    positions = file.channels["q"][rows]
     try:
         return inspect_time_stamps(
-            file.t[rows],
-            file.dt,
-            lambda k: file.where(rows[k]),
-            file.channels["q"][rows],
+            file.t[rows], file.dt, lambda k: file.where(rows[k]), positions
         )
     except ValueError as error:
         raise ValueError(f"{file.path}: {error}") from None
 
 
-def _common_period(files, runs):
+def _common_period(runs):
     """Return the median period [s]; refuse periods that differ much."""
-    periods = [(run.dt, x.path) for x, own in zip(files, runs) for run in own]
-    periods.sort(key=lambda period: period[0])
-    (low, fast), (high, slow) = periods[0], periods[-1]
+    runs = sorted(runs, key=lambda run: run.stamps.dt)
+    low, high = runs[0].stamps.dt, runs[-1].stamps.dt
     if high > (1 + 2 * DT_TOLERANCE) * low:
         raise ValueError(
-            f"{fast} has a sample period of {low:.6g} s and {slow} one of {high:.6g} "
-            f"s, which differ by more than {200 * DT_TOLERANCE:g} %: resample one of "
-            "them, or process them separately."
+            f"{runs[0].file.path} has a sample period of {low:.6g} s and "
+            f"{runs[-1].file.path} one of {high:.6g} s, which differ by more than "
+            f"{200 * DT_TOLERANCE:g} %: resample one of them, or process them "
+            "separately."
         )
-    return periods[(len(periods) - 1) // 2][0]
+    return runs[(len(runs) - 1) // 2].stamps.dt
 
 
-def _on_period(file, runs, dt):
-    """Return the pieces of a file at multiples of dt, and (t, torques) off these."""
-    pieces, off_grid, short, missing = [], [], 0, 0
+def _of_file(runs, dt):
+    """Return the pieces of a file on the grid; note what they lack."""
+    file, pieces, short = runs[0].file, [], 0
     for run in runs:
-        found, ends = run.stamps, ()
-        if found is None:
-            at = run.dt * np.arange(run.rows.size)
-        else:
-            at, ends = file.t[run.rows], found.gaps + 1
-            if not found.sampled:
-                # Late stamps alone do not make another period.
-                unsure = 3 * np.std(found.steps) / run.rows.size
-                same = abs(found.dt - dt) < max(SAME_DT * dt, unsure)
-                at = (dt if same else found.dt) * found.slots
-                missing += int((np.diff(found.slots).clip(1) - 1).sum())
-        made, off = _pieces(run.name, at, _rows_of(file.channels, run.rows), dt, ends)
-        short += len(ends) + 1 - len(made)
+        channels, ends = file.channels, run.stamps.gaps + 1
+        if run.rows.size < len(channels["q"]):
+            channels = {key: x[run.rows] for key, x in channels.items()}
+        made = _pieces(Log(run.name, _times(run, dt), channels), dt, ends)
+        short += ends.size + 1 - len(made)
         pieces += made
-        off_grid += off
-    file.notes.extend(_irregularities(file, runs, dt))
-    if short:
-        file.notes.append(
-            Loss(
-                f"{short} piece(s) of fewer than {_MIN_SAMPLES} samples between gaps "
-                "are left out."
-            )
-        )
-    if missing:
-        file.notes.append(
-            f"{missing} single sample(s) are missing and were interpolated."
-        )
+    file.notes.extend(_irregularities(file, runs, dt, short))
     if not pieces:
         raise ValueError(
             f"{file.path}: no {_MIN_SAMPLES} samples follow one another without a gap "
             f"of more than {GAP_PERIODS:g} periods of {dt:.4g} s; check column t."
         )
-    return pieces, off_grid
+    return pieces
+
+
+def _times(run, dt):
+    """Return the times (n,) [s] at which the rows of a segment were sampled."""
+    found = run.stamps
+    if found.sampled:
+        return run.file.t[run.rows]
+    # Late stamps alone do not make another period.
+    unsure = 3 * np.std(found.steps) / run.rows.size
+    same = abs(found.dt - dt) < max(SAME_DT * dt, unsure)
+    return (dt if same else found.dt) * found.slots
 
 
 # What irregular stamps mean, by the attribute of `TimeStamps`.
@@ -323,9 +294,8 @@ _IRREGULAR = {
 }
 
 
-def _irregularities(file, runs, dt):
-    """Yield notes on irregular stamps and gaps."""
-    runs = [run for run in runs if run.stamps is not None]
+def _irregularities(file, runs, dt, short):
+    """Yield notes on irregular stamps, gaps and missing rows."""
     for what, meaning in _IRREGULAR.items():
         odd = [run.stamps.steps for run in runs if getattr(run.stamps, what)]
         if odd:
@@ -334,10 +304,18 @@ def _irregularities(file, runs, dt):
                 f"time stamps are irregular (steps of {steps.min():.4g} to "
                 f"{steps.max():.4g} s, a period of {dt:.4g} s): {meaning}."
             )
-    gaps = [run.rows[run.stamps.gaps] for run in runs if run.stamps.gaps.size]
-    if gaps:
+    gaps = np.concatenate([run.rows[run.stamps.gaps] for run in runs])
+    if gaps.size:
         yield Loss(
-            f"{sum(x.size for x in gaps)} gap(s) of {GAP_PERIODS:g} periods or more "
-            f"in time, the first after {file.where(gaps[0][0])}: the recording is "
-            "split there."
+            f"{gaps.size} gap(s) of {GAP_PERIODS:g} periods or more in time, the first "
+            f"after {file.where(gaps[0])}: the recording is split there."
         )
+    if short:
+        yield Loss(
+            f"{short} piece(s) of fewer than {_MIN_SAMPLES} samples between gaps are "
+            "left out."
+        )
+    slots = [run.stamps.slots for run in runs if not run.stamps.sampled]
+    missing = sum(int((np.diff(x).clip(1) - 1).sum()) for x in slots)
+    if missing:
+        yield f"{missing} single sample(s) are missing and were interpolated."

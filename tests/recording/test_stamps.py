@@ -140,6 +140,13 @@ def test_a_drifting_clock_loses_no_row(share):
     assert checked.dt == pytest.approx(DT, rel=1e-6)
 
 
+def test_a_clock_that_changes_its_period_is_refused():
+    positions = motion(DT * np.arange(N))
+    slower = np.cumsum(np.repeat([DT, 1.25 * DT], N // 2))
+    with pytest.raises(ValueError, match=r"time is up to \S+ s off .* period changes"):
+        inspect_time_stamps(slower, positions=positions)
+
+
 @pytest.mark.parametrize("dt", [4.0, 250.0])
 def test_a_period_in_another_unit_is_refused(dt):
     with pytest.raises(ValueError, match=r"0\.004 s but dt = .* not in ms or Hz"):

@@ -163,35 +163,21 @@ class Posterior:
         """Draw parameters (n, p): rows of the endless table that a seed has."""
         # Each row has random numbers of its own, and does not depend on the others.
         rngs = [np.random.default_rng([seed, int(k)]) for k in numbers]
-        p, bodies = self.theta.size, self.bodies.ravel()
+        p = self.theta.size
         x = np.array([rng.standard_normal(p) for rng in rngs]) @ _root(self.covariance)
-        off = np.zeros_like(x)
+        drawn = self.centre + x
         if self.between is not None:
-            off[:, self.between.places] = self._drawn_off(rngs)
-        # What is moved takes the others along by their regression, so that the torques
-        # stay as well as they can: the rest with the bodies, then with what was cut.
-        rest = np.setdiff1d(np.arange(p), bodies)
-        own = self.covariance[np.ix_(bodies, bodies)]
-        precision = covariance_inverse(own)
-        follow = self.covariance[np.ix_(rest, bodies)] @ precision
-        left = self.covariance[np.ix_(rest, rest)] - follow @ own @ follow.T
-        if own.any():
-            moved = self._consistent(x[:, bodies], precision) - x[:, bodies]
-            x[:, bodies] += moved
-            x[:, rest] += moved @ follow.T
-        cut = np.flatnonzero(self.nonnegative[rest] & (self.within[rest] > 0))
-        before = (self.centre + x + off)[:, rest[cut]]
-        after = before.copy()
-        for i, k in enumerate(rest[cut]):
-            after[:, i] = self._cut_off(k, before[:, i])
-        # ... by the share of it that is within the recording.
-        total = self.within**2 + self.off**2
-        share = (self.within**2)[rest[cut]] / total[rest[cut]]
-        precision = covariance_inverse(left[np.ix_(cut, cut)])
-        x[:, rest] += share * (after - before) @ precision @ left[cut]
-        drawn = self.centre + x + off
-        drawn[:, rest[cut]] = after
-        return drawn
+            drawn[:, self.between.places] += self._drawn_off(rngs)
+        # What is cut off takes the others along by their regression, by the share of
+        # it that is within the recording, so that the torques stay.
+        cut = np.flatnonzero(self.nonnegative & (self.within > 0))
+        after = np.array([self._cut_off(k, drawn[:, k]) for k in cut]).reshape(-1, len(x))
+        share = self.within[cut] ** 2 / (self.within[cut] ** 2 + self.off[cut] ** 2)
+        precision = covariance_inverse(self.covariance[np.ix_(cut, cut)])
+        moved = share * (after.T - drawn[:, cut])
+        drawn += moved @ precision @ self.covariance[cut]
+        drawn[:, cut] = after.T
+        return self._consistent(drawn)
 
     def _drawn_off(self, rngs):
         """Draw how far values are off in recordings, (n, k)."""
@@ -203,19 +189,24 @@ class Posterior:
         z = np.array([rng.standard_normal(k) for rng in rngs])
         return z * between.deviations[chosen, np.arange(k)]
 
-    def _consistent(self, x, precision):
-        """Project the bodies of draws (n, k), in the metric of their posterior."""
+    def _consistent(self, drawn):
+        """Return the nearest possible draws (n, p), in the metric of the posterior."""
         bodies = self.bodies.ravel()
+        if not self.covariance[np.ix_(bodies, bodies)].any():
+            return drawn
+        others = np.setdiff1d(np.flatnonzero(self.within > 0), bodies)
+        places = np.concatenate([bodies, others])
         projector = PhysicalProjector(
-            metric=precision,
+            metric=covariance_inverse(self.covariance[np.ix_(places, places)]),
             options=Options(
                 body_starts=np.arange(0, bodies.size, 10),
-                nonnegative=(),
-                anchor=self.theta[bodies],
+                nonnegative=bodies.size + np.flatnonzero(self.nonnegative[others]),
+                anchor=self.theta[places],
             ),
         )
-        projector.fit(self.theta[bodies][None])
-        return projector.transform(self.centre[bodies] + x) - self.centre[bodies]
+        projector.fit(self.theta[places][None])
+        drawn[:, places] = projector.transform(drawn[:, places])
+        return drawn
 
     def _cut_off(self, k, drawn):
         """Move draws (n,) to the same quantiles of values that are not negative."""

@@ -254,9 +254,7 @@ def test_a_row_of_a_seed_is_the_same_one_for_every_number(several):
     assert not np.allclose(several.sample(3), several.sample(3))
 
 
-@pytest.mark.parametrize(
-    "bodies", ["prior", pytest.param("free", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("bodies", ["prior", "free"])
 def test_samples_are_robots(bodies, simulated):
     robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, bodies=bodies)
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)

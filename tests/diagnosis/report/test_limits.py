@@ -1,6 +1,7 @@
 """What reports say of the limits of their figures: the facts, not the sentences."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -127,6 +128,13 @@ def test_recordings_that_contradict_each_other(cause, value, said):
     assert "Recording slow contradicts the others" in report.headline
     text = section_of(report, "Limits of the recordings")
     assert_said(text, "1.1 %", "7.2 %", "p = 0.00001", "in recording slow", said)
+
+
+def test_a_motion_that_repeats_in_some_recordings():
+    one = SimpleNamespace(seconds=2.0, count=3.0, recordings=(0, 2))
+    names = ("slow", "fast", "last")
+    text = shown("Limits of the recordings", recordings=names, repeated=(one,))
+    assert "one of 2 s, 3 times in recordings slow and last." in text
 
 
 def test_sound_recordings_need_no_words():

@@ -171,7 +171,9 @@ class Posterior:
         # What is cut off takes the others along by their regression, by the share of
         # it that is within the recording, so that the torques stay.
         cut = np.flatnonzero(self.nonnegative & (self.within > 0))
-        after = np.array([self._cut_off(k, drawn[:, k]) for k in cut]).reshape(-1, len(x))
+        after = np.array([self._cut_off(k, drawn[:, k]) for k in cut]).reshape(
+            -1, len(x)
+        )
         share = self.within[cut] ** 2 / (self.within[cut] ** 2 + self.off[cut] ** 2)
         precision = covariance_inverse(self.covariance[np.ix_(cut, cut)])
         moved = share * (after.T - drawn[:, cut])

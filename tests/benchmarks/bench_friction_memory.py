@@ -1,15 +1,12 @@
 """Friction laws with memory, and what is named instead, on simulated arms.
 
-Usage: python tests/benchmarks/bench_friction_memory.py [--seeds 11:21] [--laws lugre]
-
-The generator shares no code with the package: rigid bodies are those of Pinocchio, the
+Run as ``python tests/benchmarks/bench_friction_memory.py [--laws lugre]``. The generator
+shares no code with the package: rigid bodies are those of Pinocchio, the
 laws of friction are integrated on a grid twenty times finer than the samples. The
 masses of the description are 20 % off. Each recording has 40 s at 100 Hz; the 40 s
-after it are predicted with the states and the filter of the fit. Printed are the error
-over that of the noise alone, the names, and how many `ACCEPTED` does not list.
+after it are predicted with the states and the filter of the fit.
 """
 
-import argparse
 import tempfile
 import time
 import warnings
@@ -17,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from _report import fixed, parser, publish, rst_table, run_study
 from scipy.interpolate import CubicSpline
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
@@ -227,8 +225,10 @@ def record(law, seed):
     return arm, rng, j, q, tau + noise, noise
 
 
-def judge(law, seed):
-    """Error over the noise on the joint of the law, names, wrong ones, seconds."""
+def judged(task):
+    """Return the error over the noise on the joint of the law, names, wrong ones."""
+    law, seed = task["law"], task["seed"]
+    warnings.simplefilter("ignore")
     arm, rng, j, q, tau, noise = record(law, seed)
     n = len(q) // 2
     with tempfile.TemporaryDirectory() as folder:
@@ -239,8 +239,8 @@ def judge(law, seed):
         try:
             loop.fit(q[:n], tau[:n])
         except ValueError as error:
-            print(f"  {law} {seed} is refused: {error}")
-            return np.inf, [("refused", j)], [("refused", j)], 0.0
+            print(f"{law} {seed} is refused: {error}")
+            return task | {"ratio": np.inf, "names": [], "wrong": [], "seconds": np.nan}
         seconds = time.process_time() - start
     robot = loop.identifier_
     # The same rows and filter for the residual and the noise.
@@ -254,34 +254,54 @@ def judge(law, seed):
     wrong = [
         one for one in names if one[0] not in ACCEPTED[law] or one[1] not in joints
     ]
-    return ratio[j], names, wrong, seconds
+    found = {"ratio": ratio[j], "names": names, "wrong": wrong, "seconds": seconds}
+    return task | found
 
 
-def main():
-    """Run the laws and seeds that are asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", default="11:21")
-    parser.add_argument("--laws", default=",".join(ACCEPTED))
-    asked = parser.parse_args()
-    first, last = map(int, asked.seeds.split(":"))
-    warnings.simplefilter("ignore")
-    memory, named, wrong = [], 0, 0
-    for law in asked.laws.split(","):
-        found = [judge(law, seed) for seed in range(first, last)]
-        ratios = np.array([one[0] for one in found])
-        for seed, (ratio, names, bad, seconds) in zip(range(first, last), found):
-            told = ", ".join(f"{name} {joint + 1}" for name, joint in names)
-            mark = f"  WRONG {len(bad)}" if bad else ""
-            print(f"  {law} {seed}: {ratio:.2f}, {seconds:.0f} s: {told}{mark}")
-        print(f"{law}: median {np.median(ratios):.2f}, worst {ratios.max():.2f}")
-        if law in MEMORY:
-            memory += ratios.tolist()
-        named += sum(len(one[1]) for one in found)
-        wrong += sum(len(one[2]) for one in found)
-    if memory:
-        median, worst = np.median(memory), np.max(memory)
-        print(f"memory laws: median {median:.2f}, worst {worst:.2f}")
-    print(f"wrong names: {wrong} of {named}")
+def line(one):
+    """Describe a case."""
+    names = ", ".join(f"{name} {joint + 1}" for name, joint in one["names"])
+    wrong = f"; {len(one['wrong'])} wrong" if one["wrong"] else ""
+    return f"{one['law']} {one['seed']}: {one['ratio']:.2f}; {names}{wrong}"
+
+
+def row(label, found):
+    """Row of the table."""
+    ratios = [one["ratio"] for one in found]
+    counts = [sum(len(one[key]) for one in found) for key in ("names", "wrong")]
+    seconds = np.nanmedian([one["seconds"] for one in found])
+    figures = fixed([np.median(ratios), max(ratios)], 2)
+    return [label, len(found), *figures, *counts, f"{seconds:.1f}"]
+
+
+def main(argv=None):
+    """Run the study and print its table."""
+    arguments = parser(__doc__, out=True, jobs=True, seeds=(11, 20))
+    arguments.add_argument("--laws", nargs="+", choices=ACCEPTED, default=[*ACCEPTED])
+    arguments = arguments.parse_args(argv)
+    first, last = arguments.seeds
+    laws = arguments.laws
+    if arguments.quick:
+        laws, last = ["maxwell_slip"], first
+    tasks = [{"law": x, "seed": k} for x in laws for k in range(first, last + 1)]
+    keys, out, jobs = ("law", "seed"), arguments.out, arguments.jobs
+    ledger = run_study(judged, tasks, keys, out=out, jobs=jobs, line=line)
+    groups = {x: [x] for x in laws}
+    groups |= {"the four with memory": [x for x in MEMORY if x in laws], "all": laws}
+    rows = [
+        row(label, ledger.of([task for task in tasks if task["law"] in names]))
+        for label, names in groups.items()
+        if names
+    ]
+    headers = ["law", "cases", "error over the noise, median", "worst", "names"]
+    headers += ["wrong names", "seconds"]
+    text = (
+        f"{rst_table(rows, headers)}\n\nArms of two joints, descriptions 20 % off, "
+        "40 s fitted and the next 40 s predicted; seconds of processor time, median."
+    )
+    command = f"friction_memory.py --seeds {first} {last}"
+    commits = ledger.commits(tasks)
+    publish("friction_memory", text, arguments, command=command, commits=commits)
 
 
 if __name__ == "__main__":

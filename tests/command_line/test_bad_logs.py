@@ -79,8 +79,10 @@ def test_bad_logs(name, arm, sound, capsys):
     assert case.get("words", "") in message
     if code == 0:
         found = identified("out")
+        # What is just identifiable may not be so in both.
+        assert len(found.keys() & sound.keys()) > 0.9 * len(sound)
         for key, (value, std) in sound.items():
-            if not key.startswith(case.get("changed", "none")):
+            if key in found and not key.startswith(case.get("changed", "none")):
                 off = abs(found[key][0] - value)
                 assert off < 3 * std + 0.05 * abs(value), (key, found[key], value, std)
     _, offered, command = err.partition(OFFER)

@@ -72,16 +72,19 @@ def test_effects_are_found_beside_unknown_gains(recording):
 @pytest.mark.slow
 def test_a_payload_that_is_found_fixes_the_common_gain(recording):
     loop = close(recording, {"payload": MASS}, ["payload", "spring"], ())
-    assert {(e.name, e.joint) for e in loop.effects_} == {("spring", 1), ("payload", 2)}
+    # The spring saves too little of the error to be named.
+    probable = (*loop.effects_, *loop.possible_)
+    assert {(e.name, e.joint) for e in probable} == {("spring", 1), ("payload", 2)}
+    assert [e.name for e in loop.effects_] == ["payload"]
     assert not loop.declared_.gains_.absolute
     assert loop.identifier_.gains_.absolute
     assert_allclose(loop.identifier_.gains_.gain, GAINS, rtol=0.03)
-    found = {e.name: e for e in loop.effects_}
+    found = {e.name: e for e in probable}
     assert_allclose(found["payload"].parameters["dm"], MASS, rtol=1e-6)
     assert_allclose(found["spring"].parameters["k"], STIFFNESS, rtol=0.05)
     low, high = found["spring"].intervals["k"]
     assert low - (high - low) < STIFFNESS < high + (high - low)
-    assert "rests on the payload of 1.5 kg" in text_of(loop.report_)
+    assert "follows from the payload of 1.5 kg" in text_of(loop.report_)
 
 
 def test_the_reference_stays_and_gains_are_not_searched(recording):

@@ -83,8 +83,10 @@ def test_mass_of_the_positioning_system(evaluate):
 def test_every_robot_becomes_possible_at_little_cost(evaluate, name):
     ours = evaluate(name)
     assert np.all(ours.robot.min_eigenvalues_ > 0)
-    bodies = ours.robot.theta_.reshape(ours.robot.min_eigenvalues_.size, -1)
-    friction = ours.robot.features_.parameter_names_[10 : bodies.shape[1]]
+    features = ours.robot.features_
+    bodies = ours.robot.theta_[: features.n_parameters_]
+    bodies = bodies.reshape(features.n_joints_, -1)
+    friction = features.parameter_names_[10 : bodies.shape[1]]
     for k, column in enumerate(friction):
         if not column.endswith("offset"):
             assert np.all(bodies[:, 10 + k] >= 0), column

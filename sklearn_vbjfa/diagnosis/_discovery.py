@@ -335,11 +335,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             self.baseline_ = self._with_plain_terms().fit_inspected(part, **alone)
         begins = tuple(whole.t[rows.start] for rows in whole.segments)
         repetition = find_repetition(whole.q, whole.t, whole.segments)
-        near = split.narrowed(*self._seen(part, split.searched_motion))
+        near = split.narrowed(*self._seen(part, split.moving[split.rows]))
         known = {"begins": begins, "repetition": repetition}
         seen = part if near is split else near.searched(whole)
         say("search")
-        given = {"origin": near.origin, **known}
+        given = {"origin": whole.groups[near.rows], **known}
         found = self._search(seen, silent, given, library)
         say("held-out judgement")
         named = self.baseline_

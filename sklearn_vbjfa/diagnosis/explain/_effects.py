@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 
-from sklearn_vbjfa.diagnosis.explain._final import quantile
 from sklearn_vbjfa.diagnosis.search._posterior import Evidence
-from sklearn_vbjfa.effects import EffectRange, Shaped
+from sklearn_vbjfa.effects import Shaped
 
 # Why the values of an effect do not let it be reported.
 _UNKNOWN = "no parameter of it is known from zero"
@@ -32,8 +32,6 @@ class DiscoveredEffect:
     trials: tuple = ()  # the same, each a dict with name, joint and shape
     effect: object = None  # the transformer
     scope: str = "joint"  # or "robot"; its joint is the first one then
-    # positions, speeds and loads of its joint that it was fitted on
-    ranges: EffectRange | None = None
     warning: str = ""  # why it is only possible; empty for one that is reported
 
     @property
@@ -51,26 +49,26 @@ class DiscoveredEffect:
 
 def discovered_effects(search, final, names, prismatic):
     """Yield each `DiscoveredEffect`, with the values of the final fit."""
-    # Effects of the declared model come first.
-    count = len(final.effects)
-    ranges = final.identifier.effect_ranges_[-count:] if count else ()
-    for finding, effect, estimate, fitted in zip(
-        search.findings, final.effects, final.effect_estimates, ranges
+    for finding, effect, estimate in zip(
+        search.findings, final.effects, final.effect_estimates
     ):
         values, deviations = named_values(effect, estimate)
-        half = quantile(estimate.freedom)
         deviations = {key: std for key, std in deviations.items() if std > 0}
+        half = float(special.stdtrit(estimate.freedom, 0.95))
         intervals = {
             key: (values[key] - half * std, values[key] + half * std)
             for key, std in deviations.items()
         }
-        units = effect.parameter_units(prismatic[effect.joint])
-        rivals = (named_beside(r, finding.effect, names) for r in finding.rivals)
         warning = finding.warning
         if not warning and effect.in_model:
-            warning = _insignificant(effect, values, deviations, search.settings.known)
-        elif not warning:
-            warning = _unknown(effect, estimate.coef, intervals)
+            nominal = dict(zip(effect.model_parameters, effect.nominal))
+            least = {k: search.settings.known * x for k, x in deviations.items()}
+            away = (abs(values[k] - nominal.get(k, 0.0)) > least[k] for k in least)
+            warning = "" if any(away) else _UNSURE
+        elif not warning and not _is_known(effect, estimate.coef, intervals):
+            warning = _UNKNOWN
+        units = effect.parameter_units(prismatic[effect.joint])
+        rivals = (_named(one, effect, names) for one in finding.rivals)
         yield DiscoveredEffect(
             name=effect.name,
             joint=effect.joint,
@@ -86,69 +84,55 @@ def discovered_effects(search, final, names, prismatic):
                 for r in finding.rivals
             ),
             effect=effect,
-            ranges=fitted,
             warning=warning,
         )
 
 
-def named_beside(effect, chosen, names):
+def _named(rival, effect, names):
     """Name a rival of an effect, with its joint if that differs."""
-    name, apart = effect.name, effect.split_by if isinstance(effect, Shaped) else ()
-    if apart:
-        name += f": {getattr(effect, apart[0])}"
-    if effect.joint == chosen.joint or effect.scope == "robot":
+    name, split_by = rival.name, rival.split_by if isinstance(rival, Shaped) else ()
+    if split_by:
+        name += f": {getattr(rival, split_by[0])}"
+    if rival.joint == effect.joint or rival.scope == "robot":
         return name
-    return f"{name} on {names[effect.joint]}"
+    return f"{name} on {names[rival.joint]}"
 
 
-def _insignificant(effect, values, deviations, known):
-    """Return a warning if no value of an effect in the model is known from nominal."""
-    nominal = dict(zip(effect.model_parameters, effect.nominal))
-    away = (
-        abs(values[k] - nominal.get(k, 0.0)) > known * deviations[k] for k in deviations
-    )
-    return "" if any(away) else _UNSURE
-
-
-def _unknown(effect, coef, intervals):
-    """Return a warning if no coefficient of an effect is known from zero."""
+def _is_known(effect, coef, intervals):
+    """Whether a coefficient of an effect is known from zero."""
     # A shape alone is no sign that the effect is there.
     own = [key for key in intervals if key not in effect.shape()] or list(intervals)
     away = any(intervals[key][0] > 0.0 or intervals[key][1] < 0.0 for key in own)
-    return "" if any(coef) and (away or not own) else _UNKNOWN
+    return any(coef) and (away or not own)
 
 
 def named_values(effect, estimate):
     """Parameters by name, and their standard deviations (delta method)."""
     covariance, k = estimate.covariance, len(estimate.coef)
-    known = np.array(estimate.coef, dtype=float), covariance[:k, :k]
-    values, deviations = _propagated(effect.parameters, *known)
+    x = np.array(estimate.coef, dtype=float)
+    scale = np.sqrt(np.maximum(np.diagonal(covariance)[:k], 0.0))
+    # Small compared with the value, where the deviation is not.
+    steps = 1e-4 * np.minimum(scale, np.abs(x))
+    steps[~(steps > 0)] = 1e-9
+    ends = [(x + 0.5 * step, x - 0.5 * step) for step in np.diag(steps)]
+    sides = [tuple(map(effect.parameters, both)) for both in ends]
+    values, slopes = effect.parameters(x), {}
+    for name in values:
+        rises = np.array([above[name] - below[name] for above, below in sides])
+        slopes[name] = np.r_[rises / steps, np.zeros(len(covariance) - k)]
     for name, slope in zip(estimate.shape, np.eye(len(covariance))[k:]):
         if name not in values:
-            values[name] = float(getattr(effect, name))
-            deviations[name] = _deviation(slope, covariance)
+            values[name], slopes[name] = float(getattr(effect, name)), slope
+    deviations = {key: _deviation(own, covariance) for key, own in slopes.items()}
     # About the value, of all forms together.
     for weight, other in estimate.forms:
         for key, value in other.items():
             away = np.sqrt(weight) * (value - values[key])
             deviations[key] = float(np.hypot(deviations[key], away))
-    shape = {k: x for k, x in effect.shape().items() if k not in values}
+    shape = {
+        name: value for name, value in effect.shape().items() if name not in values
+    }
     return values | shape, deviations
-
-
-def _propagated(function, x, covariance):
-    """Values of a function of x (k,), by name, and their standard deviations."""
-    scale = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    # Small compared with the value, where the deviation is not.
-    steps = 1e-4 * np.minimum(scale, np.abs(x))
-    steps[~(steps > 0)] = 1e-9
-    values = function(x)
-    sides = [(function(x + 0.5 * s), function(x - 0.5 * s)) for s in np.diag(steps)]
-    deviations = {}
-    for name in values:
-        rises = np.array([above[name] - below[name] for above, below in sides])
-        deviations[name] = _deviation(rises / steps, covariance)
-    return values, deviations
 
 
 def _deviation(slope, covariance):

@@ -3,13 +3,9 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
-from sklearn_vbjfa.diagnosis.explain._curves import (
-    residual_curves,
-    torque_curves,
-    worst_joints,
-)
-from sklearn_vbjfa.diagnosis.explain._final import FinalFit, added_effects, quantile
+from sklearn_vbjfa.diagnosis.explain._curves import residual_curves, torque_curves
 from sklearn_vbjfa.diagnosis.explain._gaps import memory_seconds
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.effects import Shaped
@@ -23,6 +19,8 @@ NEXT_SECONDS = 50.0
 # (equal-weighted cosines with fixed-b critical values: Lazarus, Lewis, Stock, Watson,
 # "HAR inference: recommendations for practice", J. Bus. Econ. Stat. 36(4), 2018).
 _COSINES = 10
+# Joints whose curves are drawn, those with the largest errors.
+_WORST = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,63 +37,59 @@ def judge(models, found, split, near, whole):
     """Measure the errors of `Models` on the held-out part; returns plain data."""
     # found: result of the search; near: the split with the rows that the search looked
     # at. Arrays (nv,) and (2, nv) are over the deviation of the torque.
-    completed, view = models.judged, found.model.view
-    dt, step = completed.dt, view.step
-    memory = max(memory_seconds(found.model), default=0.0)
-    # No guard is long enough for a memory without end.
-    guard = int(min(memory / dt, whole.n_samples))
-    shaped = [e for e in found.effects if isinstance(e, Shaped)]
-    instants = [getattr(e, name) for e in shaped for name in e.jumping]
-    kept = split.decided(whole.t, instants).guarded(guard)
-    rest = kept.held_out(whole)
-    residuals = {
-        one: _numbered(one.robot_.residuals_of(rest), kept.stretches)
-        for one in dict.fromkeys((models.declared, models.plain, completed))
-    }
-    moving, after = residuals[models.declared], residuals[completed]
-    # The same rows for all: at rest the torque of a joint is predicted as well where
-    # its friction has a memory.
-    before, plain = (
-        replace(residuals[one], weight=after.weight)
-        for one in (models.declared, models.plain)
-    )
-    added = added_effects(
-        completed, len(completed.effects_) - len(models.plain.effects_)
-    )
-    fit = FinalFit(models.plain, completed, view.corrected(()), added)
-    of_plain, of_after = (_numbered(x, near.searched_parts) for x in fit.residuals())
-    of_before, fitted = of_plain, replace(of_plain, weight=view.moving)
-    if models.declared is not models.plain:
-        own = models.declared.robot_.residuals_of(near.searched(whole))
-        own = _numbered(own, near.searched_parts)
-        of_before = replace(own, weight=of_plain.weight)
+    completed, view, dt = models.judged, found.model.view, models.judged.dt
+    kept, guard = _held_out(found, split, whole)
+    used, seen = view.root.any(axis=0), len(view.states)
+
+    def residuals(part, rows):
+        """Residuals of each model on some rows of the whole recording."""
+        every = dict.fromkeys((models.declared, models.plain, completed))
+        found = {one: one.robot_.residuals_of(part) for one in every}
+        return {one: replace(x, index=rows[x.index]) for one, x in found.items()}
+
+    held_out = residuals(kept.held_out(whole), kept.held_out_rows)
+    searched = residuals(near.searched(whole), near.rows)
+    fitted = searched[models.plain]
     if near is not split:
         fitted = models.plain.robot_.residuals_of(split.searched(whole))
-        # A joint whose channel carries no information counts nowhere here.
-        fitted = replace(fitted, weight=fitted.weight * view.root.any(axis=0))
-    spread = torque_spread(fitted, moving)
-    searched = of_before, of_after
-    intervals = error_intervals((before, after), searched, spread, step)
-    beyond = error_intervals((plain, after), (of_plain, of_after), spread, step)
-    intervals |= {"plain": beyond["before"], "added": beyond["difference"]}
-    columns = {
-        "before": before.relative_error(spread),
-        "plain": plain.relative_error(spread),
-        "after": after.relative_error(spread),
-        "spread": spread,
-    }
+    # A joint whose channel carries no information counts nowhere.
+    fitted = replace(fitted, weight=fitted.weight * used)
+    spread = torque_spread(fitted, held_out[models.declared])
+    # The same rows for all models: at rest the torque of a joint is predicted as well
+    # where its friction has a memory.
+    weight = held_out[completed].weight
+    known = searched[completed].weight * used
+    held_out = {one: replace(x, weight=weight) for one, x in held_out.items()}
+    searched = {one: replace(x, weight=known) for one, x in searched.items()}
+    before, after = held_out[models.declared], held_out[completed]
+
+    def intervals(model):
+        pairs = ((x[model], x[completed]) for x in (held_out, searched))
+        return error_intervals(*pairs, spread, view.step)
+
     # Rows in which a joint moves throughout have its largest weight.
-    full = np.maximum(before.weight.max(axis=0), np.finfo(float).tiny)
-    seconds = (before.weight / full).sum(axis=0) * step
+    full = np.maximum(weight.max(axis=0), np.finfo(float).tiny)
+    seconds = (weight / full).sum(axis=0) * view.step
     values = 2.0 * min(completed.cutoff_, 0.5 / dt) * seconds
-    columns |= {"seconds": seconds, "enough": values >= FEWEST_VALUES}
-    worst = worst_joints(columns["after"])
+    error = after.relative_error(spread)
+    order = np.argsort(-np.nan_to_num(error, nan=-1.0), kind="stable")
+    worst = order[:_WORST].tolist()
     return {
-        "columns": columns,
-        "intervals": intervals,
-        "looked_at": _looked_at(view, split),
+        "columns": {
+            "before": before.relative_error(spread),
+            "plain": held_out[models.plain].relative_error(spread),
+            "after": error,
+            "spread": spread,
+            "seconds": seconds,
+            "enough": values >= FEWEST_VALUES,
+            "searched": used,
+        },
+        "intervals": intervals(models.declared)
+        | {"added": intervals(models.plain)["difference"]},
+        # 0 if the search looked at all samples
+        "looked_at": seen if seen < split.rows.size else 0,
         "settings": {
-            "held_out_seconds": before.weight.shape[0] * float(step),
+            "held_out_seconds": len(weight) * float(view.step),
             "guard_seconds": float(guard * dt),
         },
         "curves": {
@@ -106,64 +100,68 @@ def judge(models, found, split, near, whole):
     }
 
 
-def _looked_at(view, split):
-    """Count the samples that a view has of the rows of the search; 0 if all."""
-    there = sum(part.stop - part.start for part in split.searched_parts)
-    seen = view.states.shape[0]
-    return seen if seen < there else 0
-
-
-def _numbered(part, slices):
-    """Count the rows of residuals of some slices in the whole recording."""
-    edges = np.cumsum([0, *(s.stop - s.start for s in slices)])
-    own = np.searchsorted(edges, part.index, side="right") - 1
-    starts = np.array([s.start for s in slices])
-    return replace(part, index=part.index - edges[own] + starts[own])
+def _held_out(found, split, whole):
+    """Return the split with what is judged of the stretches, and the guard in rows."""
+    memory = max(memory_seconds(found.model), default=0.0)
+    # No guard is long enough for a memory without end.
+    guard = int(min(memory / whole.dt, whole.n_samples))
+    instants = [
+        getattr(effect, name)
+        for effect in found.effects
+        if isinstance(effect, Shaped)
+        for name in effect.jumping
+    ]
+    return split.decided(whole.t, instants).guarded(guard), guard
 
 
 # -- intervals -------------------------------------------------------------------------
 
 
 def error_intervals(held_out, searched, spread, step):
-    """Return 90 % intervals (2, nv) of errors over the next seconds of such motion."""
-    # held_out, searched: residuals before and after, whose indices count the rows of
-    # the whole recording; spread (nv,) counts as given. An error is a mean over time,
-    # of the next stretch as of the held-out one, and both scatter: the slow variation
-    # of the squared residual in both parts of the recording shows by how much.
+    """Return 90 % intervals (2, nv) of an error, and of its change, in the next motion.
+
+    held_out, searched: residuals before and after, whose indices count the rows of the
+    whole recording. An error is a mean over time, of the next stretch as of the
+    held-out one, and both scatter: the slow variation of the squared residual in both
+    parts of the recording shows by how much.
+    """
     index = np.concatenate([searched[0].index, held_out[0].index])
     order = np.argsort(index, kind="stable")
-    weight, *residuals = (
-        np.concatenate([getattr(pair[k], name) for pair in (searched, held_out)])[order]
-        for k, name in ((0, "weight"), (0, "residual"), (1, "residual"))
-    )
-    m, nv = weight.shape
-    errors = [part.relative_error(spread) for part in held_out]
-    total = weight.sum(axis=0)
+
+    def in_time(name, k):
+        values = [getattr(x[k], name) for x in (searched, held_out)]
+        return np.concatenate(values)[order]
+
+    weight = in_time("weight", 0)
+    (m, nv), total = weight.shape, weight.sum(axis=0)
     freedom = min(_COSINES, m // 4)
     if freedom < 1:
-        return dict.fromkeys(
-            ("before", "after", "difference"), np.full((2, nv), np.nan)
-        )
-    time = (np.arange(m) + 0.5) / m
-    cosines = np.cos(np.pi * np.outer(np.arange(1, freedom + 1), time))
-    cosines *= np.sqrt(2.0 / m)
+        return dict.fromkeys(("after", "difference"), np.full((2, nv), np.nan))
+    before, after = (part.relative_error(spread) for part in held_out)
+    waves = np.outer(np.arange(1, freedom + 1), np.arange(m) + 0.5)
+    cosines = np.sqrt(2.0 / m) * np.cos(np.pi * waves / m)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        # Of the logarithm of an error, about its mean over the rows that count.
-        parts = [0.5 * (_shares(weight, r, total) - weight) for r in residuals]
-        parts.append(errors[1] * parts[1] - errors[0] * parts[0])
+        # Of the logarithm of each error, about its mean over the rows that count.
+        own = [
+            0.5 * (_shares(weight, in_time("residual", k), total) - weight)
+            for k in (0, 1)
+        ]
         # The variance of a mean over rows that count as in the whole recording.
         rows = held_out[0].weight
-        reach = rows.shape[0] / rows.sum(axis=0) ** 2
+        reach = len(rows) / rows.sum(axis=0) ** 2
         reach = reach + (m / total) ** 2 * step / NEXT_SECONDS
-        half = [
-            quantile(freedom) * np.sqrt(((cosines @ part) ** 2).mean(axis=0) * reach)
-            for part in parts
-        ]
-        difference = errors[1] - errors[0]
+
+        def half(part):
+            """Half the interval of what a mean (m, nv) scatters by."""
+            variance = ((cosines @ part) ** 2).mean(axis=0) * reach
+            return special.stdtrit(freedom, 0.95) * np.sqrt(variance)
+
+        ends = np.array([[-1.0], [1.0]])
         return {
-            "before": errors[0] * np.exp([-half[0], half[0]]),
-            "after": errors[1] * np.exp([-half[1], half[1]]),
-            "difference": difference + np.array([-half[2], half[2]]),
+            "after": after * np.exp(ends * half(own[1])),
+            "difference": after
+            - before
+            + ends * half(after * own[1] - before * own[0]),
         }
 
 

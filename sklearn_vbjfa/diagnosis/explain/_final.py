@@ -14,11 +14,7 @@ from sklearn_vbjfa._core._linear_systems import (
     variance_of_parts,
 )
 from sklearn_vbjfa.effects import Shaped
-from sklearn_vbjfa.equations._equations import (
-    TorqueResiduals,
-    held_columns,
-    make_motion,
-)
+from sklearn_vbjfa.equations._equations import held_columns, make_motion
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 
 # Relative step of the derivative by a shape parameter.
@@ -26,11 +22,6 @@ _STEP = 1e-3
 # Shape parameters that are tried for another form of an effect, over that of this one;
 # and the smallest eigenvalue of the other columns, over the largest.
 _WAYS, _RANK = tuple(np.geomspace(1 / 3, 3.0, 21).tolist()), 1e-10
-
-
-def quantile(freedom):
-    """Half width of a 90 % interval in standard deviations (Student's t)."""
-    return float(special.stdtrit(freedom, 0.95))
 
 
 def added_effects(identifier, count):
@@ -60,7 +51,7 @@ class FinalFit:
 
     def __init__(self, declared, identifier, view, effects, share=1.0):
         self.declared, self.identifier = declared, identifier
-        self.effects, self.share, self.nominal = list(effects), share, view
+        self.effects, self.share = list(effects), share
         # Other effects change the values of the declared ones.
         values = (*identifier.effects_[: len(declared.effects_)], *self.effects)
         held = held_columns(identifier.features_, identifier.effects_)
@@ -109,21 +100,7 @@ class FinalFit:
             predicted = predicted + own @ coef
         return predicted
 
-    def residuals(self):
-        """Residuals before and after, a pair of TorqueResiduals."""
-        theta = self.declared.robot_.linear_part(self.declared.theta_)
-        before = self._compared(self.nominal.equations.Phi @ theta)
-        after = self._compared(self.predicted())
-        return before, after
-
-    def _compared(self, predicted):
-        equations = self.view.equations
-        return TorqueResiduals(
-            index=self.view.recorded,
-            torque=equations.tau,
-            predicted=predicted,
-            weight=equations.weight,
-        )
+    # -- estimates of the effects ------------------------------------------------------
 
     @functools.cached_property
     def effect_estimates(self):
@@ -135,29 +112,31 @@ class FinalFit:
             return []
         coefs = self._split(self.identifier.theta_)
         shapes = [_tuned(effect) for effect in self.effects]
-        extra, places, at = [], [], self.view.Z.shape[2]
+        extra = []
         for effect, own, coef, shape in zip(self.effects, self._columns, coefs, shapes):
             # Elements at the bound of their sizes, zero, do not exist.
             own = own * (coef > 0) if effect.bank else own
             slopes = [self._slope(effect, name, coef) for name in shape]
-            made = np.concatenate([own, *slopes], axis=2)
-            places.append(slice(at, at + made.shape[2]))
-            at += made.shape[2]
-            extra.append(made * self.view.root[:, :, None])
+            extra.append(np.concatenate([own, *slopes], axis=2))
         found = self._variance(np.concatenate(extra, axis=2))
         # A mean over all rows scatters less, by the root of how many more these are.
         covariance = self.share * found.scores.T @ found.scores
-        return [
-            EffectEstimate(
-                coef=coef,
-                shape=shape,
-                covariance=covariance[place, place],
-                # A column that the recording does not excite has none.
-                freedom=float(np.fmin.reduce(found.freedom[place], initial=np.inf)),
-                forms=self._forms(i, covariance[place, place]),
+        edges = np.cumsum([self.view.Z.shape[2], *(own.shape[2] for own in extra)])
+        estimates = []
+        for i, (a, b) in enumerate(itertools.pairwise(edges)):
+            own = covariance[a:b, a:b]
+            # A column that the recording does not excite has no freedom.
+            freedom = np.fmin.reduce(found.freedom[a:b], initial=np.inf)
+            estimates.append(
+                EffectEstimate(
+                    coef=coefs[i],
+                    shape=shapes[i],
+                    covariance=own,
+                    freedom=float(freedom),
+                    forms=self._forms(i, own),
+                )
             )
-            for i, (coef, shape, place) in enumerate(zip(coefs, shapes, places))
-        ]
+        return estimates
 
     def _slope(self, effect, name, coef):
         """Differentiate an effect's torque by a shape parameter, (m, nv, 1)."""
@@ -170,39 +149,41 @@ class FinalFit:
 
     def _scaled_residual(self):
         """Weighted residuals (m, nv), and one over their scale for each joint (nv,)."""
-        view = self.view
-        theta = self.identifier.theta_unconstrained_
+        theta, view = self.identifier.theta_unconstrained_, self.view
         residual = (view.equations.tau - self._predicted(theta)) * view.root
-        count = view.equations.weight.sum(axis=0)
-        squares = (residual**2).sum(axis=0)
+        count, squares = view.equations.weight.sum(axis=0), (residual**2).sum(axis=0)
         used = (count > 0) & (squares > 0)
         factor = np.sqrt(np.where(used, count / np.where(used, squares, 1.0), 0.0))
-        return residual, factor
+        return residual * factor, factor
+
+    def _branches(self, extra, factor):
+        """Yield joints that share columns, these, and their rows (m, nj, k)."""
+        # extra (m, nv, q): further columns; rows are scaled as the residuals are.
+        Z, extra = self.view.Z, extra * self.view.root[:, :, None]
+        support = (Z != 0).any(axis=1), (extra != 0).any(axis=0)
+        for joints, columns in branches(np.hstack(support)):
+            rows = [Z[joints].transpose(1, 0, 2), extra[:, joints]]
+            rows = np.concatenate(rows, axis=2)[:, :, columns]
+            yield joints, columns, rows * factor[joints, None]
 
     def _variance(self, extra):
         """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""
-        view = self.view
         residual, factor = self._scaled_residual()
-        blocks, places = zip(*_blocks(view))
-        found, scores = [], np.zeros((len(blocks), view.Z.shape[2] + extra.shape[2]))
-        support = (view.Z != 0).any(axis=1), (extra != 0).any(axis=0)
-        for joints, columns in branches(np.hstack(support)):
+        blocks, places = zip(*_blocks(self.view))
+        parts, n = [], self.view.Z.shape[2] + extra.shape[2]
+        scores = np.zeros((len(blocks), n))
+        for joints, columns, rows in self._branches(extra, factor):
             grams = np.zeros((len(blocks), columns.size, columns.size))
-            rows = np.concatenate(
-                [view.Z[joints].transpose(1, 0, 2), extra[:, joints]], axis=2
-            )
-            rows = rows[:, :, columns] * factor[joints, None]
-            left = residual[:, joints] * factor[joints]
             for k, block in enumerate(blocks):
                 own = rows[block].reshape(-1, columns.size)
                 grams[k] = own.T @ own
-                scores[k, columns] = left[block].ravel() @ own
-            found.append((columns, grams))
-        return variance_of_parts(found, scores, np.array(places))
+                scores[k, columns] = residual[block][:, joints].ravel() @ own
+            parts.append((columns, grams))
+        return variance_of_parts(parts, scores, np.array(places))
 
     def _forms(self, i, covariance):
         """Probabilities and parameters of other forms of an effect of one column."""
-        effect, view = self.effects[i], self.view
+        effect = self.effects[i]
         if not (isinstance(effect, Shaped) and effect.averaged):
             return ()
         form, values = effect.averaged
@@ -213,21 +194,18 @@ class FinalFit:
             for value in values
             for way in _WAYS
         ]
-        residual, factor = self._scaled_residual()
+        y, factor = self._scaled_residual()
         others = [own for k, own in enumerate(self._columns) if k != i]
-        others = [own * view.root[:, :, None] for own in others]
-        # The joints that have columns in common with it.
-        support = [(view.Z != 0).any(axis=1), *((x != 0).any(axis=0) for x in others)]
-        near = [own for own in branches(np.hstack(support)) if j in own[0]]
+        others.append(np.zeros((*y.shape, 0)))
+        near = self._branches(np.concatenate(others, axis=2), factor)
+        near = [(joints, base) for joints, _, base in near if j in joints]
         if not near:
             return ()
-        ((joints, columns),) = near
-        base = [view.Z[joints].transpose(1, 0, 2), *(own[:, joints] for own in others)]
-        base = np.concatenate(base, axis=2)[:, :, columns] * factor[joints, None]
+        ((joints, base),) = near
         every = [self._columns[i], *(self.in_equations(one) for one in tried)]
-        C = np.hstack([own[:, j] for own in every]) * (factor * view.root)[:, [j]]
-        y = residual * factor
+        C = np.hstack([own[:, j] for own in every]) * (factor * self.view.root)[:, [j]]
         y[:, j] += C[:, 0] * self._split(self.identifier.theta_unconstrained_)[i]
+        # What the other columns leave of each form, and of the torque.
         flat = base.reshape(-1, base.shape[2])
         root = scaled_eigen(flat.T @ flat, _RANK).inverse_root()
         seen = root.T @ (base[:, np.searchsorted(joints, j)].T @ C)
@@ -238,8 +216,7 @@ class FinalFit:
         known = own[0, 0] - own[0, 1] ** 2 / own[1, 1] if len(own) > 1 else own[0, 0]
         gain = 0.5 * q**2 / H / max(1.0, known * H[0])
         found, weights = [], [0.0]
-        for k in range(len(values)):
-            at = 1 + k * len(_WAYS)
+        for at in range(1, len(gain), len(_WAYS)):
             best = at + int(np.argmax(gain[at : at + len(_WAYS)]))
             one = tried[best - 1]
             shape = {name: getattr(one, name)}

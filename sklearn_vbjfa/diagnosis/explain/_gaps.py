@@ -1,6 +1,5 @@
 """Unexplained residuals, and effects that are not identifiable."""
 
-import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,8 +59,14 @@ def dependences(residual, weight, signals, blocks):
     used, found = weight > 0, []
     for name, signal in signals.items() if used.any() else ():
         inner = np.quantile(signal[used], np.linspace(0, 1, _BINS + 1)[1:-1])
-        bins = np.searchsorted(inner, signal)
-        left = residual - _step_function(residual, weight, bins, blocks)
+        bins, left = np.searchsorted(inner, signal), residual.copy()
+        for k in range(blocks.n_folds):
+            # Means of the bins in the other folds.
+            own = blocks.fold == k
+            kept, known = np.where(own, 0.0, weight), bins[own]
+            total = np.bincount(bins, kept * residual, _BINS)
+            count = np.bincount(bins, kept, _BINS)
+            left[own] -= (total / np.where(count > 0, count, np.inf))[known]
         before, after = (blocks.sums(weight * x**2) for x in (residual, left))
         changed = before != after
         p = p_value(before[changed], after[changed])
@@ -71,26 +76,15 @@ def dependences(residual, weight, signals, blocks):
     return tuple(sorted(found, key=lambda d: -d.share))
 
 
-def _step_function(residual, weight, bins, blocks):
-    """Means of the residual in bins, of the rows in other folds, (m,)."""
-    fit = np.zeros_like(residual)
-    for k in range(blocks.n_folds):
-        out = blocks.fold == k
-        total = np.bincount(bins[~out], (weight * residual)[~out], _BINS)
-        count = np.bincount(bins[~out], weight[~out], _BINS)
-        fit[out] = (total / np.where(count > 0, count, np.inf))[bins[out]]
-    return fit
-
-
 def motion_signals(motion, names):
     """Signals of all joints by the name under which they are reported."""
     kinds = {"position": motion.q, "speed": motion.v, "acceleration": motion.a}
-    if motion.load is not None:
-        kinds["load"] = motion.load
+    kinds["load"] = motion.load
     signals = {
         f"{kind} of {name}": values[:, j]
         for j, name in enumerate(names)
         for kind, values in kinds.items()
+        if values is not None
     }
     if motion.t is not None:
         signals["time"] = motion.t
@@ -121,18 +115,17 @@ def unexplained(model, names, spread, floors, errors):
     """Joints of a `FoundModel` above their floor, with signals they vary with."""
     # spread, floors (nv,): [N m or N]; errors (nv,): on the held-out part, over the
     # spread. They are nan where unknown.
-    view = model.view
-    residual = model.residual / np.where(view.root.T > 0, view.root.T, np.inf)
+    view, found = model.view, []
     signals = motion_signals(model.motion, names)
     seen = {key: view.filtered(value[:, None])[:, 0] for key, value in signals.items()}
-    found = []
     for j in np.flatnonzero(view.equations.weight.any(axis=0)).tolist():
         weight, floor = view.equations.weight[:, j], float(floors[j])
-        rms = float(np.sqrt((weight * residual[j] ** 2).sum() / weight.sum()))
+        residual = _residual_of(model, j)
+        rms = float(np.sqrt((weight * residual**2).sum() / weight.sum()))
         known = not np.isnan(floor)
         if known and rms <= ABOVE_FLOOR[0] * floor:
             continue
-        signs = dependences(residual[j], weight, seen, view.blocks)[:_SIGNALS]
+        signs = dependences(residual, weight, seen, view.blocks)[:_SIGNALS]
         if known and not signs and rms <= ABOVE_FLOOR[1] * floor:
             continue
         low, searched = np.nan_to_num(floor / spread[j]), rms / spread[j]
@@ -150,17 +143,23 @@ def unexplained(model, names, spread, floors, errors):
     return tuple(found)
 
 
+def _residual_of(model, j):
+    """Residual of a joint (m,) [N m or N], zero in rows that do not count."""
+    root = model.view.root[:, j]
+    return model.residual[j] / np.where(root > 0, root, np.inf)
+
+
 def memory_seconds(model):
     """How long the residual of each joint of a model stays correlated, list [s]."""
-    view, seconds = model.view, []
+    view = model.view
     # The low-pass does not correlate rows further apart than half a period of its
     # cut-off.
     stride = max(1, int(np.ceil(0.5 / (view.robot.cutoff_ * view.step) - 1e-9)))
-    for residual, root in zip(model.residual, view.root.T):
-        used = root > 0
-        values = np.where(used, residual / np.where(used, root, 1.0), 0.0)
-        seconds.append(fit_memory(values, used, view.starts, view.step, stride).time)
-    return seconds
+    known = view.starts, view.step, stride
+    return [
+        fit_memory(_residual_of(model, j), view.root[:, j] > 0, *known).time
+        for j in range(view.nv)
+    ]
 
 
 # -- effects that are not identifiable -------------------------------------------------
@@ -182,84 +181,59 @@ class NotIdentifiable:
 def not_identifiable(found, names):
     """Effects of the library that this robot or this recording cannot show."""
     # A robot that was searched branch by branch is asked branch by branch.
-    listed = [] if found.branches else _not_identifiable(found, names)
+    listed = [] if found.branches else _of_model(found, names)
     for branch, own in found.branches:
-        part = _not_identifiable(own, [names[j] for j in branch.joints])
+        part = _of_model(own, [names[j] for j in branch.joints])
         listed += [replace(one, joint=branch.joints[one.joint]) for one in part]
     return tuple(sorted(listed, key=lambda one: one.joint))
 
 
-def _not_identifiable(found, names):
+def _of_model(found, names):
     """List what a robot or a branch that was searched as a whole cannot show."""
-    model = found.model
-    probe, listed = _probe(model), []
-    declared = {effect.key() for effect in model.view.robot.effects_}
-    for joint in np.flatnonzero(model.view.precision > 0).tolist():
-        present, hides = _on(joint, found)
-        for effect in found.library:
-            one = clone(effect).set_params(joint=joint)
-            if one.name in present or one.key() in declared:
+    view, motion, listed = found.model.view, found.model.motion, []
+    probe, known = _probe(found.model), {e.key() for e in view.robot.effects_}
+    for joint in np.flatnonzero(view.precision > 0).tolist():
+        library = [clone(e).set_params(joint=joint) for e in found.library]
+        held = [e for e in found.model.effects if e.joint == joint]
+        contained = (closure(e, found.library) | {e.name} for e in held)
+        present = set(view.declared).union(*contained)
+        missing = {e.name: e for e in library if e.name not in present}
+        for one in missing.values():
+            if one.key() in known:
                 continue
-            lacks = one.applies(model.motion)
-            if lacks:
-                listed += [(one, "signal", lacks)] if lacks.startswith("needs") else []
-            elif hides(one) and _in_span(one, *probe):
-                listed.append((one, "span", ""))
-            elif hides(one):
-                listed.append((one, "excitation", one.record))
-    return [
-        NotIdentifiable(
-            name=one.name,
-            joint=one.joint,
-            joint_name=names[one.joint],
-            reason=reason,
-            remedy=remedy,
-        )
-        for one, reason, remedy in listed
-    ]
+            reason, remedy = "", one.applies(motion)
+            if remedy:
+                reason = "signal" if remedy.startswith("needs") else ""
+            elif _is_hidden(one, found, missing):
+                spanned = _in_span(one, *probe)
+                reason, remedy = ("span", "") if spanned else ("excitation", one.record)
+            if reason:
+                about = {"name": one.name, "joint": joint, "joint_name": names[joint]}
+                listed.append(NotIdentifiable(reason=reason, remedy=remedy, **about))
+    return listed
 
 
-def _on(joint, found):
-    """Names of the effects of a joint, and whether it hides one that it has not."""
-    model, library = found.model, found.library
-    held = [e for e in model.effects if e.joint == joint]
-    present = set(model.view.declared).union(
-        *({e.name} | closure(e, library) for e in held)
-    )
-    own = [clone(effect).set_params(joint=joint) for effect in library]
-    missing = [e for e in own if e.name not in present and not e.applies(model.motion)]
-
-    @functools.cache
-    def extended(places):
-        """Fit of the model with simpler effects that the joint lacks."""
-        if not places:
-            return model.fit
-        fit, family = extended(places[:-1]), _family(model, missing[places[-1]])
-        return fit if family is None else fit.beside(family.member(0, _LOOSE))
-
-    def hides(effect):
-        """Whether no shape of an effect is visible beyond those that it contains."""
-        family = _family(model, effect)
-        if family is None:
-            return False
-        if effect.in_model:
-            # At its largest plausible value it would not be reported.
-            away = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
-            worth = 0.5 * np.diagonal(model.fit.groups(family).H[0]) * away**2
-            needed = found.needed + np.log(max(found.n_candidates, 1))
-            return bool(not (worth > needed + _OCCAM).any())
-        simpler = (i for i, e in enumerate(missing) if e.name in effect.contains)
-        groups = extended(tuple(simpler)).groups(family)
-        left = np.diagonal(groups.H, axis1=1, axis2=2)
-        share = left / np.where(groups.own > 0, groups.own, np.inf)
-        return not share.max() > _UNSEEN
-
-    return present, hides
-
-
-def _family(model, effect):
-    """Family of an effect in the search's equations, None where nothing is to try."""
-    return model.fit.problem.family(effect)
+def _is_hidden(effect, found, missing):
+    """Whether no shape of an effect is visible beyond those that it contains."""
+    # missing: effects by name that the joint has not.
+    fit, motion = found.model.fit, found.model.motion
+    family = fit.problem.family(effect)
+    if family is None:
+        return False
+    if effect.in_model:
+        # At its largest plausible value it would not be reported.
+        away = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
+        worth = 0.5 * np.diagonal(fit.groups(family).H[0]) * away**2
+        needed = found.needed + np.log(max(found.n_candidates, 1))
+        return bool(not (worth > needed + _OCCAM).any())
+    for name in missing.keys() & set(effect.contains):
+        simpler = fit.problem.family(missing[name])
+        if simpler is not None and not missing[name].applies(motion):
+            fit = fit.beside(simpler.member(0, _LOOSE))
+    groups = fit.groups(family)
+    left = np.diagonal(groups.H, axis1=1, axis2=2)
+    share = left / np.where(groups.own > 0, groups.own, np.inf)
+    return not share.max() > _UNSEEN
 
 
 def _probe(model):
@@ -297,10 +271,9 @@ def _in_span(effect, Phi, motion):
     linear = not (effect.needs or effect.shape())
     if not effect.in_model and (effect.whole_robot or not linear):
         return False
-    target = _in_all_joints(effect, motion)
-    target = target.reshape(-1, target.shape[2])
-    scale = np.sqrt((Phi**2).sum(axis=(0, 1)))
-    flat = (Phi / np.where(scale > 0, scale, 1.0)).reshape(-1, Phi.shape[2])
-    solution, *_ = np.linalg.lstsq(flat, target, rcond=1e-10)
-    rest = target - flat @ solution
+    target = _in_all_joints(effect, motion).reshape(-1, len(effect.coefficients))
+    flat = Phi.reshape(-1, Phi.shape[2])
+    scale = np.sqrt((flat**2).sum(axis=0))
+    flat = flat / np.where(scale > 0, scale, 1.0)
+    rest = target - flat @ np.linalg.lstsq(flat, target, rcond=1e-10)[0]
     return bool(np.all((rest**2).sum(0) <= _IN_SPAN * (target**2).sum(0)))

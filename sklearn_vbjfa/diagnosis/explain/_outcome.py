@@ -45,8 +45,8 @@ class JointErrors:
     plain: float
     after: float
     floor: float  # that of noise alone; nan if unknown
-    # ends of the 90 % intervals over the next 50 s of the same motion: of the errors,
-    # and of after minus before ("difference") and after minus plain ("added")
+    # ends of the 90 % intervals over the next 50 s of the same motion: of the error
+    # "after", and of after minus before ("difference") and after minus plain ("added")
     intervals: dict
     spread: float = math.nan  # deviation of the torque while the robot moves [N m or N]
     seconds: float = math.nan  # held-out time in which the joint moves [s]
@@ -109,13 +109,12 @@ class Outcome:
         Lists replace arrays, None replaces nan, and joints count from zero. Findings
         have a key for each kind.
         """
-        robot = {k: x for k, x in self.robot.items() if k != _CLASSES}
         data = {
             "joint_names": [one.name for one in self.errors],
             "errors": self.errors,
             **self.findings,
             "facts": self.facts,
-            "robot": robot,
+            "robot": {k: x for k, x in self.robot.items() if k != _CLASSES},
             "provenance": self.provenance,
         }
         data = _json(data)
@@ -127,12 +126,10 @@ class Outcome:
 
 def _json(value):
     """Turn a value into what JSON knows; nan and infinity become None."""
-    if isinstance(value, np.ndarray | np.bool_):
+    if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if value is None or isinstance(value, bool | str | int):
         return value
-    if isinstance(value, numbers.Integral):
-        return int(value)
     if isinstance(value, numbers.Real):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, dict):
@@ -153,123 +150,110 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
     # `models` were fitted to the rows of the search, `final` to all data; `judged` is
     # returned by `judge`; `asked` are the parameters of the discovery; `whole` is all
     # data, `recordings` their names.
-    robot, identifier = models.declared, final.identifier
-    features, names = robot.features_, robot.joint_names_
-    prismatic = is_prismatic(features.model_)
-    columns, spread = judged["columns"], judged["columns"]["spread"]
-    after, view = columns["after"], search.model.view
+    identifier, columns = final.identifier, judged["columns"]
+    spread, after = columns["spread"], columns["after"]
+    prismatic = is_prismatic(identifier.features_.model_)
     # More data show more of the noise; the declared model's would hold what it lacks.
     floor = identifier.noise_floor_
     floor = np.where(np.isfinite(floor), floor, models.judged.noise_floor_)
     with np.errstate(divide="ignore", invalid="ignore"):
-        columns |= {"floor": floor / spread, "searched": view.root.any(axis=0)}
+        columns |= {"floor": floor / spread}
         low, high = judged["intervals"]["after"]
         scatter = np.log(high / low) / (2 * HALF_WIDTH)
     parts = Parts.of(final)
     left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
     motion = fitted_motion(final, spread)
     expectation = Expectation(after, columns["floor"], scatter, left_out, motion)
-    errors = _errors(names, prismatic, columns, judged["intervals"])
+    names, known = identifier.joint_names_, np.where(columns["enough"], after, np.nan)
     effects = tuple(discovered_effects(search, final, names, prismatic))
-    known = np.where(columns["enough"], after, np.nan)
-    findings = {
-        "effects": tuple(e for e in effects if not e.warning),
-        "possible": tuple(e for e in effects if e.warning),
-        "unnamed": tuple(
-            e for e in models.judged.effects_ if isinstance(e, UnnamedTorque)
-        ),
-        "unexplained": unexplained(search.model, names, spread, floor, known),
-        "not_identifiable": not_identifiable(search, names),
-        "channels": channels,
-        "contradictions": contradictions(parts, spread, float(asked["alpha"])),
-        "repeated": final.view.repetition.motions(),
-        "departures": identifier.mass_deviations_,
-        "alike": identifier.alike_,
-    }
-    plain = models.plain.features_.friction_
-    description = {
-        "name": features.model_.name,
-        "joints": names,
-        "friction": features.friction_,
-        "added": tuple(name for name in plain if name not in features.friction_),
-        "n_parameters": features.n_parameters_,
-        "cutoff": float(robot.cutoff_),
-        "limits": _limits(features.model_),
-        "drive": _drive(robot.drive, whole),
-        "motion": () if whole.dt is None else motion_of(whole, features.nominal_),
-        "gains": identifier.gains_,
-        "corrections": corrections_of(identifier),
-        "common_size": identifier.common_size_,
-        "library": {e.name: e for e in (*resolve(declarable()), *search.library)},
-    }
-    n, dt = whole.n_samples, whole.dt
-    provenance = {
-        "recordings": recordings,
-        "samples": int(n),
-        "seconds": math.nan if dt is None else float(n * dt),
-        "rate": math.nan if dt is None else float(1.0 / dt),
-        "looked_at": judged["looked_at"],
-        "left_out": len(left_out),
-        "settings": _settings(search, asked) | judged["settings"],
-    }
+    judged_effects = models.judged.effects_
     outcome = Outcome(
-        errors=errors,
-        findings=findings,
+        errors=_errors(names, prismatic, columns, judged["intervals"]),
+        findings={
+            "effects": tuple(e for e in effects if not e.warning),
+            "possible": tuple(e for e in effects if e.warning),
+            "unnamed": tuple(e for e in judged_effects if isinstance(e, UnnamedTorque)),
+            "unexplained": unexplained(search.model, names, spread, floor, known),
+            "not_identifiable": not_identifiable(search, names),
+            "channels": channels,
+            "contradictions": contradictions(parts, spread, float(asked["alpha"])),
+            "repeated": final.view.repetition.motions(),
+            "departures": identifier.mass_deviations_,
+            "alike": identifier.alike_,
+        },
         facts=(
             *parameter_values(identifier),
             *_masses(body_masses(identifier)),
             *_expected(expectation, names),
         ),
-        robot=description,
+        robot=_robot(search, models, identifier, whole),
         curves=judged["curves"],
-        provenance=provenance,
+        provenance={
+            "recordings": recordings,
+            "samples": int(whole.n_samples),
+            "seconds": float(whole.n_samples * whole.dt),
+            "rate": float(1.0 / whole.dt),
+            "looked_at": judged["looked_at"],
+            "left_out": len(left_out),
+            "settings": _settings(search, asked) | judged["settings"],
+        },
     )
     return outcome, expectation
 
 
 def _errors(names, prismatic, columns, intervals):
     """Return the errors of each joint, a tuple of JointErrors."""
-    rows = zip(*(np.asarray(values).tolist() for values in columns.values()))
     return tuple(
         JointErrors(
             joint=j,
-            name=names[j],
+            name=name,
             unit="N" if prismatic[j] else "N m",
             intervals={k: tuple(ends[:, j].tolist()) for k, ends in intervals.items()},
-            **dict(zip(columns, row)),
+            **{key: values[j].item() for key, values in columns.items()},
         )
-        for j, row in enumerate(rows)
+        for j, name in enumerate(names)
     )
 
 
-def _limits(model):
-    """Lowest and highest position and speed of each joint; infinite without limits."""
+def _robot(search, models, identifier, whole):
+    """Describe the declared model, and what of the completed one is no finding."""
+    robot, drive = models.declared, models.declared.drive
+    features, plain = robot.features_, models.plain.features_.friction_
+    model, library = features.model_, (*resolve(declarable()), *search.library)
     limits = [model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit]
     limits = np.array(limits).T
     # Descriptions without limits are read as zeros.
     unknown = (np.abs(limits) > _UNLIMITED) | ~limits.any(axis=1, keepdims=True)
-    return np.where(unknown, np.inf, limits)
-
-
-def _drive(drive, whole):
-    """Describe the drive whose inputs replace measured torques, or None."""
-    if drive is None:
-        return None
-    return {"kind": type(drive).__name__, **drive.facts(whole)}
+    return {
+        "name": model.name,
+        "joints": robot.joint_names_,
+        "friction": features.friction_,
+        "added": tuple(name for name in plain if name not in features.friction_),
+        "n_parameters": features.n_parameters_,
+        "cutoff": float(robot.cutoff_),
+        # lowest and highest position and speed of each joint
+        "limits": np.where(unknown, np.inf, limits),
+        # whose inputs replace measured torques
+        "drive": drive and {"kind": type(drive).__name__, **drive.facts(whole)},
+        "motion": motion_of(whole, features.nominal_),
+        "gains": identifier.gains_,
+        "corrections": corrections_of(identifier),
+        "common_size": identifier.common_size_,
+        "library": {effect.name: effect for effect in library},
+    }
 
 
 def _settings(search, asked):
     """Thresholds, signals and versions, a dict."""
     from sklearn_vbjfa import __version__
 
-    view = search.model.view
     return {
         "test_size": float(asked["test_size"]),
         "alpha": float(asked["alpha"]),
         "n_candidates": int(search.n_candidates),
         "search": dataclasses.asdict(search.settings),
         "effects": tuple(e.name for e in search.library),
-        "signals": tuple(view.signals),
+        "signals": tuple(search.model.view.signals),
         "error_seconds": NEXT_SECONDS,
         "versions": {
             "sklearn_vbjfa": __version__,
@@ -295,14 +279,6 @@ def parameter_values(robot):
         nominal[at] = nominal_parameters(robot.features_.nominal_)
         followers = nominal_followers(robot.features_).ravel()
         nominal[count : count + followers.size] = followers
-    rows = zip(
-        robot.parameter_names_,
-        robot.theta_.tolist(),
-        robot.theta_std_.tolist(),
-        robot.parameter_units_,
-        robot.robot_.known_,
-        nominal.tolist(),
-    )
     return tuple(
         Fact(
             kind="parameter",
@@ -314,7 +290,14 @@ def parameter_values(robot):
             source=known,
             described=described,
         )
-        for name, value, std, unit, known, described in rows
+        for name, value, std, unit, known, described in zip(
+            robot.parameter_names_,
+            robot.theta_.tolist(),
+            robot.theta_std_.tolist(),
+            robot.parameter_units_,
+            robot.robot_.known_,
+            nominal.tolist(),
+        )
     )
 
 

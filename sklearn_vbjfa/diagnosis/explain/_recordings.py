@@ -49,92 +49,89 @@ class Contradiction:
 class Parts:
     """Second moments of the equations of each joint, by recordings and their thirds."""
 
-    # fit: `FinalFit`, the completed model on all recordings. The design of a joint has
-    # the parameters that move it, an offset, viscous and Coulomb friction, and the
-    # torque.
+    # The design of a joint has the parameters that move it, an offset, viscous and
+    # Coulomb friction, and the torque. Moments are a list over joints of (n_parts, k,
+    # k); `recording` names the recording of each part.
 
     @classmethod
     def of(cls, fit):
-        """Divide a fit; None for a single recording, or if no channel counts."""
+        """Divide a `FinalFit`; None for a single recording, or if no channel counts."""
         several = np.unique(fit.view.origin).size > 1
         return cls(fit) if several and fit.view.precision.any() else None
 
     def __init__(self, fit):
-        self._fit, self._view, self._Phi = fit, fit.view, fit.columns()
-        self.nv, self.used = self._view.nv, self._view.precision > 0
-        names, self._origin = np.unique(self._view.origin, return_inverse=True)
+        self.view, self.features = fit.view, fit.identifier.features_
+        self.nv, self.used = self.view.nv, self.view.precision > 0
+        names, self.origin = np.unique(self.view.origin, return_inverse=True)
         self.count = names.size
-        columns = (self._Phi != 0).any(axis=0)
-        self._columns = [np.flatnonzero(own) for own in columns]
+        Phi, tau = fit.columns(), self.view.equations.tau
+        self.columns = [np.flatnonzero(own) for own in (Phi != 0).any(axis=0)]
+        self._designs = []
+        for j, own in enumerate(self.columns):
+            terms = [fit.in_equations(e(joint=j)) for e in (Offset, Viscous, Coulomb)]
+            terms = [term[:, j, 0] for term in terms]
+            self._designs.append(np.column_stack([Phi[:, j, own], *terms, tau[:, j]]))
         # Thirds of the blocks of time, and not blocks in turns: slow noise would be
         # known from both neighbours.
-        block = np.r_[0, np.cumsum(np.diff(self._view.spans.label) != 0)]
+        block = np.r_[0, np.cumsum(np.diff(self.view.spans.label) != 0)]
         self.n_blocks = int(block[-1]) + 1
         part = np.zeros(block.size, dtype=int)
         for r in range(self.count):
-            own = self._origin == r
+            own = self.origin == r
             place = np.unique(block[own], return_inverse=True)[1]
             part[own] = _PARTS * r + place * _PARTS // max(place[-1] + 1, _PARTS)
         _, first, part = np.unique(part, return_index=True, return_inverse=True)
-        self.recording = self._origin[first]
-        self._moments = [self._moments_of(j, part) for j in range(self.nv)]
-        weights = self._view.equations.weight.T
-        self._weights = np.array([np.bincount(part, w, first.size) for w in weights]).T
-        self._prior = self._prior_of(fit.identifier)
+        self.recording = self.origin[first]
+        self.moments = [self.moments_of(j, part) for j in range(self.nv)]
+        weights = self.view.equations.weight.T
+        self.weights = np.array([np.bincount(part, w, first.size) for w in weights]).T
+        self._prior = self._described(fit.identifier, Phi.shape[2])
 
-    def _moments_of(self, j, part):
+    def moments_of(self, j, part):
         """Moments of the design of a joint in each part of the rows (n_parts, k, k)."""
-        equations = self._view.equations
-        terms = [self._fit.in_equations(e(joint=j)) for e in (Offset, Viscous, Coulomb)]
-        terms = [*(term[:, j, 0] for term in terms), equations.tau[:, j]]
-        rows = np.column_stack([self._Phi[:, j, self._columns[j]], *terms])
-        weighted = rows * equations.weight[:, [j]]
+        rows = self._designs[j]
+        weighted = rows * self.view.equations.weight[:, [j]]
         parts = (part == p for p in range(part.max() + 1))
         return np.array([weighted[own].T @ rows[own] for own in parts])
 
-    def _prior_of(self, identifier):
+    def _described(self, identifier, p):
         """Return the description of the bodies, as moments (p, p), (p,)."""
-        p, rigid = self._Phi.shape[2], identifier.features_.n_parameters_
-        G, g = np.zeros((p, p)), np.zeros(p)
+        G, g, rigid = np.zeros((p, p)), np.zeros(p), self.features.n_parameters_
         described = identifier.described()
         if described is not None:
             own = identifier.robot_.joint_weights[self.used]
-            metric, centre = described
-            ratio = np.mean(self._view.precision[self.used] / own)
-            metric = metric[:rigid, :rigid] * ratio
-            G[:rigid, :rigid], g[:rigid] = metric, metric @ centre[:rigid]
+            ratio = np.mean(self.view.precision[self.used] / own)
+            metric, centre = described[0][:rigid, :rigid] * ratio, described[1][:rigid]
+            G[:rigid, :rigid], g[:rigid] = metric, metric @ centre
         return G, g
 
-    # -- fits and their errors ---------------------------------------------------------
-
-    def _system(self, chosen, precision):
+    def system(self, chosen, precision):
         """Return the normal equations of some parts, (p, p) and (p,)."""
         G, g = (values.copy() for values in self._prior)
         for j in np.flatnonzero(self.used):
-            own, n = self._columns[j], self._columns[j].size
-            moments = precision[j] * self._moments[j][chosen].sum(axis=0)
+            own, n = self.columns[j], self.columns[j].size
+            moments = precision[j] * self.moments[j][chosen].sum(axis=0)
             G[np.ix_(own, own)] += moments[:n, :n]
             g[own] += moments[:n, -1]
         return G, g
 
     def solve(self, chosen):
         """Fit to some parts with the description as prior, (p,)."""
-        G, g = self._system(chosen, self._view.precision)
+        G, g = self.system(chosen, self.view.precision)
         return scaled_eigen(G, _KNOWN).solve(g)
 
-    def _squares(self, chosen, theta):
+    def squares(self, chosen, theta):
         """Weighted squared errors of some parts by joint, (nv,)."""
         found = []
-        for own, moments in zip(self._columns, self._moments):
-            left = np.zeros(own.size + 4)
-            left[: own.size], left[-1] = -theta[own], 1.0
+        for own, moments in zip(self.columns, self.moments):
+            left = np.r_[-theta[own], 0.0, 0.0, 0.0, 1.0]
             found.append(left @ moments[chosen].sum(axis=0) @ left)
         return np.maximum(found, 0.0)
 
     def left_out(self, spread):
         """Errors (r, nv) on each recording of fits to the others, over the spread."""
         # Recordings of one motion are left out together.
-        repetition = self._view.repetition
+        repetition = self.view.repetition
         motion = repetition.motion if repetition else np.arange(self.count)
         names = np.unique(motion)
         if names.size < 2:
@@ -142,8 +139,8 @@ class Parts:
         out = np.full((names.size, spread.size), np.nan)
         for row, name in zip(out, names):
             own = np.isin(self.recording, np.flatnonzero(motion == name))
-            squares = self._squares(own, self.solve(~own))
-            weight = self._weights[own].sum(axis=0)
+            squares = self.squares(own, self.solve(~own))
+            weight = self.weights[own].sum(axis=0)
             used = (weight > 0) & self.used
             row[used] = np.sqrt(squares[used] / weight[used]) / spread[used]
         return out
@@ -161,116 +158,171 @@ class Parts:
                 continue
             alone, together = np.zeros((2, self.nv))
             for p in np.flatnonzero(here):
-                out = np.arange(len(here)) == p
-                alone += self._squares(out, self.solve(here & ~out))
-                together += self._squares(out, self.solve(~out))
-            rows = self._weights[here].sum(axis=0) * self.used
+                out = np.arange(here.size) == p
+                alone += self.squares(out, self.solve(here & ~out))
+                together += self.squares(out, self.solve(~out))
+            rows = self.weights[here].sum(axis=0) * self.used
             for j in np.flatnonzero((rows > 0) & (alone <= _MOST * together)).tolist():
                 pair = np.sqrt([alone[j], together[j]]) / np.sqrt(rows[j])
                 found[r, j] = tuple((pair / spread[j]).tolist())
         return found
 
-    # -- deviations of recordings ------------------------------------------------------
-    #
-    # tau_r = Phi theta + E_j u_rj + noise: deviations u_rj of a recording r in four
-    # columns E_j of a joint. They are compared with those of parts of single
-    # recordings in the same columns, as in a nested analysis of variance (H. Scheffe,
-    # "The Analysis of Variance", 1959, section 5.3): F = (explained by recordings) /
-    # (explained by parts).
 
-    @functools.cached_property
-    def noise(self):
-        """Weights of the joints by fits to each recording alone, (nv,)."""
-        # In a common fit the differences would count as noise.
-        squares = np.zeros(self.nv)
-        for r in range(self.count):
-            own = self.recording == r
-            squares += self._squares(own, self.solve(own))
-        known = self.used & (squares > 0)
-        total, squares = self._weights.sum(axis=0), np.where(known, squares, 1.0)
-        return np.where(known, total / squares, 0.0)
+# -- contradictions --------------------------------------------------------------------
 
-    @functools.cached_property
-    def _whole(self):
-        """Decomposition of the normal equations of all parts, and the solution."""
-        G, g = self._system(np.ones(len(self.recording), dtype=bool), self.noise)
-        eigen = scaled_eigen(G, _KNOWN)
-        return eigen, eigen.solve(g)
 
-    @functools.cached_property
-    def _partitions(self):
-        """Moments in thirds of time, positions and speeds, with their recordings."""
-        # The parameters of a wrong model vary with position and speed.
-        states, weight = (
-            self._view.states[self._view.index],
-            self._view.equations.weight,
+def contradictions(parts, spread, alpha):
+    """Return the `Contradiction`s of `Parts` or None, the clearest first."""
+    suffering = {} if parts is None else parts.suffering(spread)
+    if not suffering:
+        return ()
+    # Of two, the one that does not suffer may be the one that differs.
+    suspects = range(parts.count)
+    if parts.count > 2:
+        suspects = sorted({r for r, _ in suffering})
+    joints = sorted({j for _, j in suffering})
+    deviations = _Deviations(parts)
+    open_, chosen = [(r, j) for r in suspects for j in joints], []
+    while open_ and len(chosen) < _MOST_FOUND:
+        trials = {key: deviations.test(key, chosen) for key in open_}
+        key = max(trials, key=lambda key: trials[key][0])
+        if not trials[key][1] < alpha:
+            break
+        open_.remove(key)
+        chosen.append(key)
+    found = []
+    for key in chosen:
+        others = [other for other in chosen if other != key]
+        _, p_value, unit = deviations.test(key, others)
+        cause, value = deviations.cause(key, others, unit)
+        alone, together = suffering.get(key, (np.nan, np.nan))
+        found.append(
+            Contradiction(
+                recording=key[0],
+                joint=key[1],
+                alone=alone,
+                together=together,
+                cause=cause,
+                value=value,
+                p_value=p_value,
+            )
         )
-        found = [(self._moments, self.recording)]
-        for values in (states[:, : self.nv], np.abs(states[:, self.nv : 2 * self.nv])):
-            moments = [
-                self._moments_of(j, _thirds(self._origin, values[:, j], weight[:, j]))
-                for j in range(self.nv)
-            ]
-            found.append((moments, np.repeat(np.arange(self.count), _PARTS)))
-        return found
+    return tuple(found)
 
-    def columns_of(self, r, j):
+
+class _Deviations:
+    """Deviations of recordings from one robot, on a joint each.
+
+    tau_r = Phi theta + E_j u_rj + noise: deviations u_rj of a recording r in four
+    columns E_j of a joint. They are compared with those of parts of single recordings
+    in the same columns, as in a nested analysis of variance (H. Scheffe, "The Analysis
+    of Variance", 1959, section 5.3): F = (explained by recordings) / (explained by
+    parts).
+    """
+
+    # Deviations are named by their recording and joint.
+
+    def __init__(self, parts):
+        self._parts, count = parts, parts.count
+        self._columns = functools.cache(self._columns_of)
+        # Weights of the joints by fits to each recording alone: in a common fit the
+        # differences would count as noise.
+        squares = np.zeros(parts.nv)
+        for own in (parts.recording == r for r in range(count)):
+            squares += parts.squares(own, parts.solve(own))
+        known, total = parts.used & (squares > 0), parts.weights.sum(axis=0)
+        self._noise = np.where(known, total / np.where(known, squares, 1.0), 0.0)
+        G, g = parts.system(np.ones(len(parts.recording), dtype=bool), self._noise)
+        self._eigen = scaled_eigen(G, _KNOWN)
+        self._theta = self._eigen.solve(g)
+        # Moments in thirds of time, positions and speeds, with their recordings: the
+        # parameters of a wrong model vary with position and speed.
+        view, nv = parts.view, parts.nv
+        states, weight = view.states[view.index], view.equations.weight
+        self._partitions = [(parts.moments, parts.recording)]
+        for values in (states[:, :nv], np.abs(states[:, nv : 2 * nv])):
+            moments = [
+                parts.moments_of(j, _thirds(parts.origin, values[:, j], weight[:, j]))
+                for j in range(nv)
+            ]
+            of = np.repeat(np.arange(count), _PARTS)
+            self._partitions.append((moments, of))
+
+    def _columns_of(self, key):
         """Columns of what may differ on a joint of a recording, (k, 5)."""
-        n = self._columns[j].size
+        (r, j), parts = key, self._parts
+        own, n = parts.columns[j], parts.columns[j].size
         columns = np.zeros((n + 3, _COLUMNS + 1))
         columns[n:, :3] = np.eye(3)
-        theta = self.solve(self.recording != r)
-        columns[:n, 3] = theta[self._columns[j]]
-        features = self._fit.identifier.features_
-        last = features.n_parameters_ // self.nv * (self.nv - 1)
-        of_last = np.isin(self._columns[j], np.arange(last, last + 10))
-        columns[:n, 4] = columns[:n, 3] * of_last
+        columns[:n, 3] = parts.solve(parts.recording != r)[own]
+        last = parts.features.n_parameters_ // parts.nv * (parts.nv - 1)
+        columns[:n, 4] = columns[:n, 3] * ((own >= last) & (own < last + 10))
         return columns
 
-    def fitted(self, added):
-        """Fit added columns; return the gain, theta and their coefficients."""
-        # added: recording and joint -> columns
-        eigen, theta = self._whole
+    def _fitted(self, added):
+        """Fit the columns of deviations, a dict; return the gain, theta and theirs."""
         if not added:
-            return 0.0, theta, []
+            return 0.0, self._theta, []
         edges = np.cumsum([0, *(A.shape[1] for A in added.values())])
-        cross, h = np.zeros((theta.size, edges[-1])), np.zeros(edges[-1])
-        H = np.zeros((edges[-1], edges[-1]))
         places = [slice(a, b) for a, b in itertools.pairwise(edges)]
+        cross, h = np.zeros((self._theta.size, edges[-1])), np.zeros(edges[-1])
+        H = np.zeros((edges[-1], edges[-1]))
         for ((r, j), A), at in zip(added.items(), places):
-            moments = self.noise[j] * self._moments[j][self.recording == r].sum(axis=0)
+            parts = self._parts
+            own, of = parts.columns[j], parts.recording == r
+            moments = self._noise[j] * parts.moments[j][of].sum(axis=0)
             made = moments[:-1, :-1] @ A
-            cross[self._columns[j], at] = made[: self._columns[j].size]
-            h[at] = A.T @ moments[:-1, -1]
-            for ((s, k), B), to in zip(added.items(), places):
-                if (s, k) == (r, j):
-                    H[to, at] = B.T @ made
-        left = eigen.solve(cross)
-        H, h = H - cross.T @ left, h - cross.T @ theta
+            cross[own, at], h[at] = made[: own.size], A.T @ moments[:-1, -1]
+            H[at, at] = A.T @ made
+        left = self._eigen.solve(cross)
+        H, h = H - cross.T @ left, h - cross.T @ self._theta
         coef = scaled_eigen(H, _KNOWN).solve(h)
-        return float(coef @ h), theta - left @ coef, [coef[at] for at in places]
+        return float(coef @ h), self._theta - left @ coef, [coef[at] for at in places]
 
-    def within(self, j, A, added, coefs, theta):
+    def _within(self, j, A, added, coefs, theta):
         """Squares that columns of a joint explain of parts of single recordings."""
         # Per parameter, with their number, of the partition whose parts differ most.
-        known = np.zeros((self.count, A.shape[0]))
-        known[:, : self._columns[j].size] = theta[self._columns[j]]
+        count, n = self._parts.count, self._parts.columns[j].size
+        known = np.zeros((count, A.shape[0]))
+        known[:, :n] = theta[self._parts.columns[j]]
         for ((r, k), B), coef in zip(added.items(), coefs):
             known[r] += B @ coef if k == j else 0.0
         found = []
         for moments, recording in self._partitions:
-            M = self.noise[j] * moments[j]
+            M = self._noise[j] * moments[j]
             left = M[:, :-1, -1] - (M[:, :-1, :-1] @ known[recording, :, None])[..., 0]
             scores, grams = left @ A, A.T @ M[:, :-1, :-1] @ A
             total = np.zeros(2)
-            for r in range(self.count):
-                own = recording == r
-                total += sum(_gain(*pair) for pair in zip(scores[own], grams[own]))
+            for own in (recording == r for r in range(count)):
+                total += sum(map(_gain, scores[own], grams[own]))
                 total -= _gain(scores[own].sum(axis=0), grams[own].sum(axis=0))
-            found.append(
-                (total[0] / total[1], total[1]) if total[1] > 0 else (np.inf, 1)
-            )
+            size = total[0] / total[1] if total[1] > 0 else np.inf
+            found.append((size, total[1] if total[1] > 0 else 1))
         return max(found)
+
+    def test(self, key, others):
+        """F statistic of a deviation next to others, its p-value and unit."""
+        added = {one: self._columns(one)[:, :_COLUMNS] for one in (*others, key)}
+        gain, theta, coefs = self._fitted(added)
+        A = added.pop(key)
+        size, freedom = self._within(key[1], A, added | {key: A}, coefs, theta)
+        # A recording may differ by what its thirds differ by: it is no mean over them.
+        unit = 1.0 + _PARTS * (max(size, 1.0) - 1.0)
+        F = (gain - self._fitted(added)[0]) / unit / _COLUMNS
+        count = self._parts.count * self._parts.nv
+        return F, min(float(stats.f.sf(F, _COLUMNS, freedom)) * count, 1.0), unit
+
+    def cause(self, key, others, unit):
+        """Name what differs, and its value: the simplest that explains nearly all."""
+        scores, A = {}, self._columns(key)
+        known = {one: self._columns(one)[:, :_COLUMNS] for one in others}
+        for name, own in {**_CAUSES, "model": range(_COLUMNS)}.items():
+            gain, _, coefs = self._fitted(known | {key: A[:, list(own)]})
+            score = 0.5 * (gain / unit - len(own) * np.log(self._parts.n_blocks))
+            scores[name] = score - _NATS * (name == "model"), float(coefs[-1][0])
+        name = max(scores, key=lambda name: scores[name][0])
+        value = scores[name][1] + (name in ("gain", "payload"))
+        return name, np.nan if name in ("friction", "model") else value
 
 
 def _gain(h, H):
@@ -290,65 +342,3 @@ def _thirds(recording, values, weight):
         third = np.minimum((_PARTS * share).astype(int), _PARTS - 1)
         part[order] = _PARTS * number + third
     return part
-
-
-def contradictions(parts, spread, alpha):
-    """Return the `Contradiction`s of `Parts` or None, the clearest first."""
-    suffering = {} if parts is None else parts.suffering(spread)
-    if not suffering:
-        return ()
-    # Of two, the one that does not suffer may be the one that differs.
-    suspects = range(parts.count)
-    if parts.count > 2:
-        suspects = sorted({r for r, _ in suffering})
-    joints = sorted({j for _, j in suffering})
-    columns = {(r, j): parts.columns_of(r, j) for r in suspects for j in joints}
-    candidates = {key: A[:, :_COLUMNS] for key, A in columns.items()}
-    chosen = {}
-    while candidates and len(chosen) < _MOST_FOUND:
-        trials = {key: _tested(parts, chosen, key, A) for key, A in candidates.items()}
-        key = max(trials, key=lambda key: trials[key][0])
-        if not trials[key][1] < alpha:
-            break
-        chosen[key] = candidates.pop(key)
-    found = []
-    for key, A in chosen.items():
-        others = {other: own for other, own in chosen.items() if other != key}
-        _, p_value, unit = _tested(parts, others, key, A)
-        cause, value = _cause(parts, others, key, columns[key], unit)
-        alone, together = suffering.get(key, (np.nan, np.nan))
-        found.append(
-            Contradiction(
-                recording=key[0],
-                joint=key[1],
-                alone=alone,
-                together=together,
-                cause=cause,
-                value=value,
-                p_value=p_value,
-            )
-        )
-    return tuple(found)
-
-
-def _tested(parts, others, key, A):
-    """F statistic of the columns of a joint of a recording, its p-value and unit."""
-    gain, theta, coefs = parts.fitted(others | {key: A})
-    size, freedom = parts.within(key[1], A, others | {key: A}, coefs, theta)
-    # A recording may differ by what its thirds differ by: it is no mean over them.
-    unit = 1.0 + _PARTS * (max(size, 1.0) - 1.0)
-    F = (gain - parts.fitted(others)[0]) / unit / _COLUMNS
-    p_value = float(stats.f.sf(F, _COLUMNS, freedom)) * parts.count * parts.nv
-    return F, min(p_value, 1.0), unit
-
-
-def _cause(parts, others, key, A, unit):
-    """Name what differs, and its value: the simplest that explains nearly as much."""
-    scores = {}
-    for name, own in {**_CAUSES, "model": range(_COLUMNS)}.items():
-        gain, _, coefs = parts.fitted(others | {key: A[:, list(own)]})
-        score = 0.5 * (gain / unit - len(own) * np.log(parts.n_blocks))
-        scores[name] = score - _NATS * (name == "model"), float(coefs[-1][0])
-    name = max(scores, key=lambda name: scores[name][0])
-    value = scores[name][1] + (name in ("gain", "payload"))
-    return name, np.nan if name in ("friction", "model") else value

@@ -1,8 +1,6 @@
 """The held-out part: stretches of motion that are kept for the end."""
 
-from bisect import bisect_right
 from dataclasses import dataclass, replace
-from itertools import accumulate
 
 import numpy as np
 
@@ -11,7 +9,7 @@ from sklearn_vbjfa.diagnosis.search._view import counted_rows, even_weight
 from sklearn_vbjfa.equations._equations import derivative
 from sklearn_vbjfa.equations._plan import observe, resolve_cutoff, resolve_standstill
 from sklearn_vbjfa.equations._states import fit_states
-from sklearn_vbjfa.recording import contiguous_groups, take_rows
+from sklearn_vbjfa.recording import take_rows
 
 # Stretches of a single recording, whose motion need not be the same throughout; the
 # most, where fewer would miss the motion of a joint.
@@ -41,30 +39,23 @@ class Split:
     stretches: tuple = ()  # held-out rows, slices
     # whether rows of the search lie right before and right after each stretch
     borders: tuple = ()
-    # slices of rows of the search: nothing is filtered or differentiated from one to
-    # the next; and the number of the recording that each of them is from
-    searched_parts: tuple = ()
-    origins: tuple = ()
+    # (k,): rows of the search, and the piece that each is in: nothing is filtered or
+    # differentiated from one piece to the next
+    rows: np.ndarray | None = None
+    pieces: np.ndarray | None = None
 
     def searched(self, recording):
         """Return the rows of a recording that are searched, as a recording."""
-        parts = self.searched_parts
-        return take_rows(recording, parts, range(len(parts)))
+        return take_rows(recording, self.rows, self.pieces)
+
+    @property
+    def held_out_rows(self):
+        """Rows of all held-out stretches, ndarray."""
+        return _rows_of(self.stretches)
 
     def held_out(self, recording):
         """Return the held-out rows of a recording, as a recording."""
         return take_rows(recording, self.stretches, range(len(self.stretches)))
-
-    @property
-    def searched_motion(self):
-        """Which joints move in the rows that are searched, (n_searched, nv)."""
-        return np.concatenate([self.moving[own] for own in self.searched_parts])
-
-    @property
-    def origin(self):
-        """Number of the recording that each row of the search is from, ndarray."""
-        lengths = [s.stop - s.start for s in self.searched_parts]
-        return np.repeat(np.asarray(self.origins, dtype=int), lengths)
 
     def counted(self, slices):
         """Count the filtered rows of slices in which each joint moves, (nv,)."""
@@ -76,16 +67,9 @@ class Split:
 
     def narrowed(self, kept, pieces):
         """Return the split with some of its search rows, in pieces (n_kept,)."""
-        edges = [0, *accumulate(s.stop - s.start for s in self.searched_parts)]
-        if kept.size == edges[-1]:
+        if kept.size == self.rows.size:
             return self
-        parts, origins = [], []
-        for own in contiguous_groups(pieces, kept.size):
-            k = bisect_right(edges, kept[own.start]) - 1
-            start = self.searched_parts[k].start + int(kept[own.start]) - edges[k]
-            parts.append(slice(start, start + own.stop - own.start))
-            origins.append(self.origins[k])
-        return replace(self, searched_parts=tuple(parts), origins=tuple(origins))
+        return replace(self, rows=self.rows[kept], pieces=pieces)
 
     def decided(self, clock, instants):
         """Return the split without stretches in which something jumps."""
@@ -121,6 +105,11 @@ class Split:
         return replace(self, stretches=tuple(kept))
 
 
+def _rows_of(slices):
+    """Rows of some slices, one after the other."""
+    return np.concatenate([np.arange(s.start, s.stop) for s in slices])
+
+
 def split_in_time(identifier, recording, test_size):
     """Choose the held-out stretches from the motion; torques are not looked at."""
     # At both ends of each of several recordings, or at several places of a single one.
@@ -138,24 +127,17 @@ def split_in_time(identifier, recording, test_size):
 
 def _bare(identifier, recording, parts):
     """Return which joints move, and what a verdict needs: a split without stretches."""
-    estimator, dt = None, identifier.dt or 1.0
+    estimator, dt, options = None, identifier.dt, identifier.fit_options
     if recording.states is None:
-        options = identifier.fit_options
-        estimator = fit_states(
-            identifier.dt, options.state_cutoff, recording.q, recording.groups
-        )
+        cutoff = options.state_cutoff
+        estimator = fit_states(dt, cutoff, recording.q, recording.groups)
     states, facts = observe(recording, estimator, False, identifier.n_jobs)
-    limit = resolve_standstill(identifier.fit_options.standstill, facts.fast())
+    limit = np.maximum(resolve_standstill(options.standstill, facts.fast()), 0.0)
     longest = max(part.stop - part.start for part in parts)
-    cutoff = resolve_cutoff(
-        identifier.cutoff, longest, identifier.dt, estimator, identifier.drive
-    )
-    moving = [
-        np.abs(derivative(own, slice(None), 1)) > np.maximum(limit, 0.0)
-        for own in states.own
-    ]
+    cutoff = resolve_cutoff(identifier.cutoff, longest, dt, estimator, identifier.drive)
+    speeds = (np.abs(derivative(own, slice(None), 1)) for own in states.own)
     return Split(
-        moving=np.concatenate(moving),
+        moving=np.concatenate([speed > limit for speed in speeds]),
         half=_lowpass.design(dt, cutoff).half,
         need=FEWEST_VALUES / (2.0 * min(cutoff, 0.5 / dt) * dt),
     )
@@ -163,18 +145,17 @@ def _bare(identifier, recording, parts):
 
 def _best_count(bare, parts, share):
     """Return the stretches by which all joints are judged best, and if well enough."""
-    moving, alone = bare.moving, len(parts) == 1
+    moving = bare.moving
     total, weight = counted_rows(moving), even_weight(moving)
     if not total.any():
         weight = np.ones(weight.shape)
+    done = [_progress(weight[part]) for part in parts]
     lengths = [max(int(x * 2 * bare.half), _FEWEST_SAMPLES) for x in _LENGTHS]
-    most = [_most_stretches(weight[part], share, *lengths) for part in parts]
-    wanted = _STRETCHES if alone else 1
+    wanted = _STRETCHES if len(parts) == 1 else 1
     can = _LARGEST * total > bare.need
     best, chosen = (False, -1.0), None
     for count in (*range(wanted, _MOST_STRETCHES + 1), *range(wanted - 1, 0, -1)):
-        counts = [min(count, limit) for limit in most]
-        stretches = _place(weight, parts, counts, share, *lengths)
+        stretches = _place(done, parts, count, share, *lengths)
         kept = sum(counted_rows(moving[stretch]) for stretch in stretches)
         # A joint that never moves has nothing due.
         due = (kept / np.maximum(total, 1) / share)[total > 0]
@@ -187,80 +168,71 @@ def _best_count(bare, parts, share):
     return chosen, best[0]
 
 
-def _most_stretches(weight, share, length, more):
-    """Most stretches of a recording that leave all pieces long enough; 0 for none."""
-    if weight.size * min(share, 1 - share) < length:
-        return 0
-    count = 1
-    while count < _MOST_STRETCHES:
-        if np.diff(_cells(weight, count + 1, share)).min() < more:
-            break
-        count += 1
-    return count
-
-
-def _cells(weight, count, share):
-    """First row, first held-out row and end of cells of equal motion."""
-    edges = [_row(weight, k / count) for k in range(1, count)]
-    borders = [_row(weight, (k + 1 - share) / count) for k in range(count)]
-    return list(zip([0, *edges], borders, [*edges, weight.size]))
-
-
-def _row(weight, share):
-    """First row before which this share of the motion lies."""
+def _progress(weight):
+    """Share of the motion (n,) that is done after each row; of time if none moves."""
     done = np.cumsum(weight)
-    if done[-1] <= 0:
+    if not done[-1] > 0:
         done = np.arange(1.0, weight.size + 1)
-    return int(np.searchsorted(done / done[-1], share * (1 - 1e-12), side="left")) + 1
+    return done / done[-1]
 
 
-def _place(weight, parts, counts, share, length, more):
+def _row(done, share):
+    """First row before which this share of the motion lies."""
+    return int(np.searchsorted(done, share * (1 - 1e-12), side="left")) + 1
+
+
+def _place(progress, parts, count, share, shortest, short):
     """Held-out slices of all recordings, in order."""
-    short = [k for k, count in enumerate(counts) if count == 0]
-    # Recordings that are too short to be cut are held out as a whole, in turns.
-    turn = max(round(1 / share), 2)
-    whole = set(short[turn - 1 :: turn])
-    if not whole and len(short) == len(parts) > 1:
-        whole = {short[-1]}
-    stretches = []
-    for k, (part, count) in enumerate(zip(parts, counts)):
-        n = part.stop - part.start
-        if k in whole:
-            found = [(0, n)]
-        elif count:
-            ends = count == 1 and len(parts) > 1
-            found = _both_ends(weight[part], share, more) if ends else ()
-            cells = _cells(weight[part], count, share)
-            found = found or [(min(at, stop - length), stop) for _, at, stop in cells]
-        elif len(parts) == 1:
-            # Too short for a verdict; the fit says what is missing.
-            found = [(n - max(round(share * n), 1), n)]
-        else:
-            found = []
-        stretches += [slice(part.start + a, part.start + b) for a, b in found]
-    return stretches
+    found, uncut, turn = [], [], max(round(1 / share), 2)
+    for k, done in enumerate(progress):
+        if done.size * min(share, 1 - share) < shortest:
+            uncut.append(k)
+            # As a whole, in turns.
+            is_due = len(parts) > 1 and len(uncut) % turn == 0
+            found.append([(0, done.size)] if is_due else [])
+            continue
+        cells = _cells(done, count, share, shortest, short)
+        ends = len(cells) == 1 and len(parts) > 1
+        found.append((ends and _both_ends(done, share, short)) or cells)
+    if not any(found):
+        # Too short for a verdict if it is a single one; the fit says what is missing.
+        n, alone = progress[-1].size, len(parts) == 1
+        found[-1] = [(n - max(round(share * n), 1) if alone else 0, n)]
+    return [
+        slice(part.start + a, part.start + b)
+        for part, own in zip(parts, found)
+        for a, b in own
+    ]
 
 
-def _both_ends(weight, share, more):
+def _cells(done, most, share, shortest, short):
+    """Held-out ends of cells of equal motion, as many as are long enough."""
+    found = []
+    for count in range(1, most + 1):
+        edges = [0, *(_row(done, k / count) for k in range(1, count)), done.size]
+        starts = [_row(done, (k + 1 - share) / count) for k in range(count)]
+        cells = list(zip(edges, starts, edges[1:]))
+        if count > 1 and np.diff(cells).min() < short:
+            break
+        found = [(min(start, stop - shortest), stop) for _, start, stop in cells]
+    return found
+
+
+def _both_ends(done, share, short):
     """Both ends of a recording, since motions change; nothing if they are too short."""
-    n, first = weight.size, _row(weight, 0.5 * share)
-    last = _row(weight, 1 - 0.5 * share)
-    if not weight.any() or min(first, n - last, last - first) < more:
-        return ()
-    return [(0, first), (last, n)]
+    first, last = _row(done, 0.5 * share), _row(done, 1 - 0.5 * share)
+    if min(first, done.size - last, last - first) < short:
+        return []
+    return [(0, first), (last, done.size)]
 
 
 def _with_stretches(bare, parts, stretches):
-    """Return a split with its stretches; what lies between them is searched."""
-    ends = {p.start for p in parts} | {p.stop for p in parts}
+    """Return a split with its stretches; all other rows are searched."""
+    ends = {edge for part in parts for edge in (part.start, part.stop)}
     starts, stops = {s.start for s in stretches}, {s.stop for s in stretches}
-    searched, origins = [], []
-    for k, part in enumerate(parts):
-        own = [s for s in stretches if part.start <= s.start < part.stop]
-        edges = [part.start, *(e for s in own for e in (s.start, s.stop)), part.stop]
-        between = [slice(a, b) for a, b in zip(edges[::2], edges[1::2]) if a < b]
-        searched += between
-        origins += len(between) * [k]
+    edges = sorted(ends | starts | stops)
+    pieces = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
+    rows = np.setdiff1d(np.arange(len(pieces)), _rows_of(stretches))
     return replace(
         bare,
         stretches=tuple(stretches),
@@ -268,6 +240,6 @@ def _with_stretches(bare, parts, stretches):
             (s.start not in ends | stops, s.stop not in ends | starts)
             for s in stretches
         ),
-        searched_parts=tuple(searched),
-        origins=tuple(origins),
+        rows=rows,
+        pieces=pieces[rows],
     )

@@ -15,7 +15,7 @@ def unnamed_torques(fit, settings):
     """Find what the residual of a `FinalFit` holds, tuple of `UnnamedTorque`."""
     view, robot = fit.view, fit.identifier.robot_
     motion = view.motion_of(robot.linear_part(robot.theta_))
-    found, residual = [], fit.residuals()[1].residual * view.root
+    found, residual = [], (view.equations.tau - fit.predicted()) * view.root
     for joint in np.flatnonzero(view.precision > 0).tolist():
         found += _of_joint(view, motion, joint, residual[:, joint], settings)
     return tuple(found)

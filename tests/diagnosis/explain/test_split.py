@@ -1,7 +1,5 @@
 """Which rows are kept for the end."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -45,22 +43,16 @@ def moving(q):
     return np.abs(np.gradient(q, DT, axis=0)) > 0.05
 
 
-def rows_of(slices):
-    """Rows of some slices, one after the other."""
-    return np.concatenate([np.arange(s.start, s.stop) for s in slices])
-
-
-def whole(split, n):
+def whole(split, n, groups=None):
     """Every row is in one part, stretches are contiguous and in order."""
-    search, test = rows_of(split.searched_parts), rows_of(split.stretches)
+    search, test = split.rows, split.held_out_rows
     assert_array_equal(np.sort(np.r_[search, test]), np.arange(n))
     assert np.all(np.diff(search) > 0)
     assert np.all(np.diff(test) > 0)
     # Nothing is filtered across a cut, and all else is.
-    parts = split.searched_parts
-    for one, other in pairwise(zip(parts, split.origins)):
-        assert one[0].stop < other[0].start or one[1] != other[1]
-    assert split.origin.size == search.size
+    groups = np.zeros(n) if groups is None else groups
+    cut = (np.diff(search) > 1) | (np.diff(groups[search]) != 0)
+    assert_array_equal(np.diff(split.pieces) > 0, cut)
 
 
 def test_several_stretches_of_a_single_recording():
@@ -68,7 +60,7 @@ def test_several_stretches_of_a_single_recording():
     split = divided(robot(cutoff=4.0), q, None, 0.25)
     whole(split, len(q))
     assert len(split.stretches) == 3
-    assert rows_of(split.stretches).size == pytest.approx(0.25 * len(q), rel=0.05)
+    assert split.held_out_rows.size == pytest.approx(0.25 * len(q), rel=0.05)
     assert split.stretches[-1].stop == len(q)
     middle = [0.5 * (s.start + s.stop) / len(q) for s in split.stretches]
     assert_allclose(middle, (np.arange(3) + 0.875) / 3, atol=0.03)
@@ -79,13 +71,12 @@ def test_both_ends_of_each_of_several_recordings():
     q = motion(90.0)
     groups = np.repeat([7, 3, 7], [2000, 1000, 1500])
     split = divided(robot(cutoff=8.0), q, groups, 0.25)
-    whole(split, len(q))
+    whole(split, len(q), groups)
     edges = [(s.start, s.stop) for s in split.stretches]
     assert [a for a, _ in edges[::2]] == [0, 2000, 3000]
     assert [b for _, b in edges[1::2]] == [2000, 3000, 4500]
     lengths = [b - a for a, b in edges]
     assert_allclose(lengths, [250, 250, 125, 125, 188, 188], rtol=0.2)
-    assert_array_equal(np.unique(split.origin), [0, 1, 2])
     assert split.borders == ((False, True), (True, False)) * 3
 
 
@@ -93,7 +84,7 @@ def test_a_robot_that_comes_to_rest_is_judged_in_motion():
     q = motion(60.0, still=[(0, 40.0, 60.0), (1, 40.0, 60.0)])
     split = divided(robot(), q, None, 0.25)
     whole(split, len(q))
-    share = moving(q)[rows_of(split.stretches)].sum() / moving(q).sum()
+    share = moving(q)[split.held_out_rows].sum() / moving(q).sum()
     assert share == pytest.approx(0.25, abs=0.04)
     # The last quarter of the rows holds none of it.
     assert moving(q)[-len(q) // 4 :].sum() == 0
@@ -103,8 +94,8 @@ def test_joints_that_move_one_at_a_time_are_all_judged():
     q = motion(80.0, still=[(0, 40.0, 80.0), (1, 0.0, 40.0)])
     for groups in (None, np.repeat([0, 1], len(q) // 2)):
         split = divided(robot(), q, groups, 0.25)
-        whole(split, len(q))
-        share = moving(q)[rows_of(split.stretches)].sum(axis=0) / moving(q).sum(axis=0)
+        whole(split, len(q), groups)
+        share = moving(q)[split.held_out_rows].sum(axis=0) / moving(q).sum(axis=0)
         assert np.all(share > 0.12), share
         assert np.all(share < 0.4), share
 
@@ -113,11 +104,11 @@ def test_the_guard_leaves_half_of_every_stretch():
     q = motion(60.0)
     split = divided(robot(cutoff=4.0), q, None, 0.25)
     near = split.guarded(10)
-    assert rows_of(near.stretches).size == rows_of(split.stretches).size - 10 * 5
+    assert near.held_out_rows.size == split.held_out_rows.size - 10 * 5
     assert near.stretches[-1].stop == len(q)
-    assert_array_equal(rows_of(near.searched_parts), rows_of(split.searched_parts))
+    assert_array_equal(near.rows, split.rows)
     far = split.guarded(10**6)
-    assert rows_of(far.stretches).size < rows_of(near.stretches).size
+    assert far.held_out_rows.size < near.held_out_rows.size
     for before, after in zip(split.stretches, far.stretches):
         assert after.stop - after.start >= 0.5 * (before.stop - before.start)
 
@@ -125,12 +116,12 @@ def test_the_guard_leaves_half_of_every_stretch():
 def test_a_short_recording_gives_more_for_a_verdict():
     q = motion(16.0)
     split = divided(robot(cutoff=2.2), q, None, 0.15)
-    share = rows_of(split.stretches).size / len(q)
+    share = split.held_out_rows.size / len(q)
     assert 0.16 < share < 0.41
     assert np.all(split.counted(split.stretches) >= split.need)
     # Not in vain, where even that is too little.
     short = divided(robot(cutoff=2.2), q[:400], None, 0.15)
-    assert rows_of(short.stretches).size == pytest.approx(0.15 * 400, rel=0.6)
+    assert short.held_out_rows.size == pytest.approx(0.15 * 400, rel=0.6)
 
 
 def test_a_stretch_in_which_something_jumps_is_not_judged():

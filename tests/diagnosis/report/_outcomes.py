@@ -14,7 +14,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     Unexplained,
 )
 from sklearn_vbjfa.diagnosis.search import UNDECIDED, Evidence
-from sklearn_vbjfa.effects import EffectRange, resolve
+from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.inspection import ChannelFinding
 
 EVIDENCE = Evidence(log_odds=8.2, gain=0.46, gain_std=0.04, errors=11.0, n_blocks=52)
@@ -53,7 +53,6 @@ def make_effect(i, joint, names):
         },
         evidence=EVIDENCE,
         rivals=rivals,
-        ranges=make_range(name, joint),
     )
 
 
@@ -63,17 +62,6 @@ def make_possible(i, joint, names, warning=UNDECIDED, evidence=POSSIBLE):
     wide = {k: (low - high, 2 * high) for k, (low, high) in effect.intervals.items()}
     return dataclasses.replace(
         effect, intervals=wide, evidence=evidence, warning=warning, rivals=()
-    )
-
-
-def make_range(name, joint, depends=("position",)):
-    return EffectRange(
-        name=name,
-        joint=joint,
-        position=(-1.25, 1.5),
-        speed=(0.001, 2.0),
-        load=(-30.0, 45.0),
-        depends=depends if name == "ripple" else (),
     )
 
 
@@ -104,7 +92,6 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
     columns = {"before": before, "after": after, "floor": floor}
     columns |= {"spread": np.linspace(50.0, 5.0, nv), "seconds": np.full(nv, 9.0)}
     intervals = {
-        "before": np.array([0.9 * before, 1.1 * before]),
         "after": np.array([0.9 * after, 1.1 * after]),
         "difference": np.array([after - before - 0.01, (after - before) * 0.9]),
     }
@@ -113,8 +100,8 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
     if not changes.get("added"):
         # All plain terms were declared.
         columns["plain"] = columns["before"]
-        same = {"plain": "before", "added": "difference"}
-        intervals |= {k: intervals[v] for k, v in same.items() if v in intervals}
+        if "difference" in intervals:
+            intervals |= {"added": intervals["difference"]}
     units = changes.pop("units", nv * ("N m",))
     errors = tuple(
         JointErrors(

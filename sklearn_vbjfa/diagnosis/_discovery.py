@@ -93,15 +93,15 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Reported effects, those that reduce the cross-validated error the most first,
         each with `name`, `joint` (from zero), `log_odds` (natural
         logarithm of the posterior odds), `probability`, `rivals` (effects that could
-        replace it within three nats), `parameters`, `units`, `intervals` (90 %), and
-        `ranges` (of the fitted motion). The values are those of `identifier_`.
+        replace it within three nats), `parameters`, `units` and `intervals` (90 %). The
+        values are those of `identifier_`.
     possible_ : tuple of DiscoveredEffect
         Effects that are more probable than not but not reported; `warning` is the
         reason. They are part of `identifier_` and `validation_model_`.
     error_before_, error_plain_, error_after_ : ndarray of shape (nv,)
         RMS of the torque residual on the held-out data over `torque_std_`, of the
         declared model, with the four friction terms, and with the effects. The
-        ``intervals`` of ``report_.outcome.errors`` contain the errors over the next
+        ``intervals`` of ``report_.outcome.errors`` contain the error over the next
         50 s of the same motion in 90 % of cases.
     torque_std_ : ndarray of shape (nv,)
         Standard deviation of the low-pass filtered torque of each joint while the robot
@@ -111,10 +111,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         signals on which it depends.
     not_identifiable_ : tuple of NotIdentifiable
         Effects that are not identifiable for this robot or from this recording.
-    identifier_ : RobotIdentifier
-        Completed model, fitted to all data.
-    validation_model_ : RobotIdentifier
-        Completed model, fitted to the search data; its errors are reported.
+    identifier_, validation_model_ : RobotIdentifier
+        Completed model, fitted to all data, and fitted to the search data, whose errors
+        are reported.
     declared_, baseline_ : RobotIdentifier
         Declared model, and the same with the four friction terms, fitted to the search
         data.
@@ -256,16 +255,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             If a channel may be wrong, such as torques in an unexpected unit.
         """
         library = self._check_parameters()
-        model = load_model(self.identifier.model)
-        whole = self._recording(model, X, y, groups, sample_weight, t)
+        whole = self._recording(X, y, groups, sample_weight, t)
         drive = self.identifier.drive
         if drive is not None:
             commanded, signals = drive.taken(whole.tau, signals)
             whole = drive.driven(replace(whole, signals=commanded))
         beside = columns_beside(X, self.joint_names_)
-        named = carries_names(X, self.joint_names_)
-        whole = replace(whole, joints_named=named)
-        self._fit(model, whole, library, signals, beside, _names(whole, groups))
+        whole = replace(whole, joints_named=carries_names(X, self.joint_names_))
+        self._fit(whole, library, signals, beside, _names(whole, groups))
         for found in self.report_.outcome.findings["channels"]:
             if found.severity == "warning":
                 warnings.warn(found.message, DoubtWarning, stacklevel=3)
@@ -288,19 +285,20 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             Fitted estimator.
         """
         library = self._check_parameters()
-        model = load_model(self.identifier.model)
-        names = tuple(map(str, recording.group_names))
         known = recording.groups, recording.weight, None
-        whole = self._recording(model, recording.inputs, recording.tau, *known)
-        known = {"command": recording.command, "feedback": recording.feedback}
-        known["torque_units"] = recording.torque_units
-        known["joints_named"] = recording.joints_named
-        whole = replace(whole, **known)
-        return self._fit(model, whole, library, signals, OfferedSignals(), names)
+        whole = replace(
+            self._recording(recording.inputs, recording.tau, *known),
+            command=recording.command,
+            feedback=recording.feedback,
+            torque_units=recording.torque_units,
+            joints_named=recording.joints_named,
+        )
+        names = tuple(map(str, recording.group_names))
+        return self._fit(whole, library, signals, OfferedSignals(), names)
 
-    def _fit(self, model, whole, library, signals, beside, names):
-        """Search in a checked recording with its signals."""
-        declared = check_effects(self.identifier.effects, model.nv)
+    def _fit(self, whole, library, signals, beside, names):
+        """Search in a checked recording with its signals, and set the results."""
+        declared = check_effects(self.identifier.effects, whole.nv)
         drive = self.identifier.drive
         if drive is not None and drive.unsigned and whole.command is None:
             # Signs of rows that are not fitted follow from what was.
@@ -310,55 +308,16 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
-            found = self._close(model, whole, library, unusable, names)
-        return self._set(*found)
+            outcome, self._expectation = self._close(whole, library, unusable, names)
+        for name in ("effects", "possible", "unexplained", "not_identifiable"):
+            setattr(self, f"{name}_", outcome.findings[name])
+        for name in ("before", "plain", "after"):
+            setattr(self, f"error_{name}_", outcome.column(name))
+        self.torque_std_ = outcome.column("spread")
+        self.report_ = Report(outcome)
+        return self
 
-    # -- stages ---------------------------------------------------------------------
-
-    def _close(self, model, whole, library, unusable, names):
-        """Close the loop on a checked recording; return what `make_outcome` does."""
-        say("channels")
-        channels, silent = self._check_channels(model, whole)
-        self.torque_lag_ = 0.0
-        for found in (x.value for x in channels if x.kind == "delay"):
-            again = clone(self.identifier)
-            late = again.fit_inspected(whole, found, compare=False).torque_lag_
-            whole, self.torque_lag_ = whole.with_torques_shifted(late), late
-        channels += unusable
-        say("declared model")
-        split = split_in_time(self.identifier, whole, self.test_size)
-        part = split.searched(whole)
-        alone = {"compare": False}
-        self.declared_ = clone(self.identifier).fit_inspected(part, **alone)
-        self.baseline_ = self.declared_
-        if set(declarable()) - set(self.declared_.features_.friction_):
-            self.baseline_ = self._with_plain_terms().fit_inspected(part, **alone)
-        begins = tuple(whole.t[rows.start] for rows in whole.segments)
-        repetition = find_repetition(whole.q, whole.t, whole.segments)
-        near = split.narrowed(*self._seen(part, split.moving[split.rows]))
-        known = {"begins": begins, "repetition": repetition}
-        seen = part if near is split else near.searched(whole)
-        say("search")
-        given = {"origin": whole.groups[near.rows], **known}
-        found = self._search(seen, silent, given, library)
-        say("held-out judgement")
-        named = self.baseline_
-        if found.effects:
-            named = self._with(found.effects, named, part)
-        unnamed = self._unnamed(found, named)
-        self.validation_model_ = named.beside(unnamed)
-        models = Models(
-            declared=self.declared_, plain=self.baseline_, judged=self.validation_model_
-        )
-        # Copies of most rows are not needed any more.
-        del part, seen
-        judged = judge(models, found, split, near, whole)
-        say("final model")
-        final = self._hand_over(found, named, whole, split.moving, silent, known)
-        self.identifier_ = final.identifier.beside(unnamed)
-        asked = self.get_params(deep=False)
-        say("explaining")
-        return make_outcome(found, models, final, judged, channels, asked, whole, names)
+    # -- what was given ----------------------------------------------------------------
 
     def _check_parameters(self):
         """Check what was given; return the library to search."""
@@ -380,16 +339,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         left = {one.name: unfollowed(one) for one in library if unfollowed(one)}
         if left and not isinstance(self.effects, str):
             names = "; ".join(f"{name} ({why})" for name, why in left.items())
-            warnings.warn(
-                f"Not available with {type(given.drive).__name__}: {names}.",
-                UserWarning,
-                stacklevel=4,
-            )
+            kind = type(given.drive).__name__
+            message = f"Not available with {kind}: {names}."
+            warnings.warn(message, UserWarning, stacklevel=4)
         return [one for one in library if one.name not in left]
 
-    def _recording(self, model, X, y, groups, sample_weight, t):
+    def _recording(self, X, y, groups, sample_weight, t):
         """Make a `Recording` of the arguments of a fit, with weights and a clock."""
-        self.joint_names_ = names = joint_names(model)
+        self.joint_names_ = names = joint_names(load_model(self.identifier.model))
         X, y = positions_in_order(X, names), torques_in_order(y, names)
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
@@ -401,17 +358,65 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         check_widths(names, X, y)
         return take_arrays(X, y, groups, weight, clock, dt=dt, joint_names=names)
 
-    def _check_channels(self, model, whole):
-        """Reject faulty channels; return findings, and joints to leave out."""
-        if whole.states is not None:
-            return (), []
+    # -- stages ------------------------------------------------------------------------
+
+    def _close(self, whole, library, unusable, names):
+        """Close the loop on a checked recording; return what `make_outcome` does."""
+        say("channels")
+        channels = () if whole.states is not None else self._inspected(whole)
+        silent = [j for f in channels if f.kind in NO_INFORMATION for j in f.joints]
+        self.torque_lag_ = 0.0
+        for found in (x.value for x in channels if x.kind == "delay"):
+            again = clone(self.identifier).fit_inspected(whole, found, compare=False)
+            self.torque_lag_ = again.torque_lag_
+            whole = whole.with_torques_shifted(self.torque_lag_)
+        say("declared model")
+        split = split_in_time(self.identifier, whole, self.test_size)
+        part = split.searched(whole)
+        self.declared_ = clone(self.identifier).fit_inspected(part, compare=False)
+        self.baseline_ = self.declared_
+        if set(declarable()) - set(self.declared_.features_.friction_):
+            # Plain terms that are declared as effects of single joints would be twice.
+            own = tuple(e for e in self.identifier.effects if not _is_plain(e))
+            plain = {"friction": declarable(), "effects": own}
+            plain = clone(self.identifier).set_params(**plain)
+            self.baseline_ = plain.fit_inspected(part, compare=False)
+        known = {
+            "begins": tuple(whole.t[rows.start] for rows in whole.segments),
+            "repetition": find_repetition(whole.q, whole.t, whole.segments),
+        }
+        near = split.narrowed(*self._seen(part, split.moving[split.rows]))
+        seen = part if near is split else near.searched(whole)
+        say("search")
+        given = {"origin": whole.groups[near.rows], **known}
+        found = self._search(seen, silent, given, library)
+        say("held-out judgement")
+        named = self.baseline_
+        if found.effects:
+            named = self._with(found.effects, named, part)
+        unnamed = self._unnamed(found, named)
+        self.validation_model_ = named.beside(unnamed)
+        models = Models(
+            declared=self.declared_, plain=self.baseline_, judged=self.validation_model_
+        )
+        # Copies of most rows are not needed any more.
+        del part, seen
+        judged = judge(models, found, split, near, whole)
+        say("final model")
+        final = self._hand_over(found, named, whole, split.moving, silent, known)
+        self.identifier_ = final.identifier.beside(unnamed)
+        asked, channels = self.get_params(deep=False), (*channels, *unusable)
+        say("explaining")
+        return make_outcome(found, models, final, judged, channels, asked, whole, names)
+
+    def _inspected(self, whole):
+        """Return the findings on the channels; raise if one of them is wrong."""
         findings = self.identifier.findings(whole)
         measured = self.identifier.drive is None and self.identifier.gains is None
         wrong = refusal(findings, whole.torque_units if measured else ())
         if wrong is not None:
             raise wrong
-        silent = [j for f in findings if f.kind in NO_INFORMATION for j in f.joints]
-        return findings, silent
+        return findings
 
     def _seen(self, recording, moving):
         """Return the rows of a recording that are looked at, and their stretches."""
@@ -436,13 +441,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         theta = self.baseline_.theta_unconstrained_
         motion = view.motion_of(self.baseline_.robot_.linear_part(theta))
         return put_together(view, motion, heard, found)
-
-    def _with_plain_terms(self):
-        """Return the declared model with the four plain terms, not fitted."""
-        # Those that are declared as effects of single joints would be there twice.
-        effects = tuple(e for e in self.identifier.effects if not _is_plain(e))
-        asked = {"friction": declarable(), "effects": effects}
-        return clone(self.identifier).set_params(**asked)
 
     def _with(self, effects, begin, recording, compare=False, **settings):
         """Fit the model with the plain terms and effects; begin: where values start."""
@@ -492,19 +490,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         share = seen.n_samples / whole.n_samples
         return FinalFit(self.baseline_, named, view, effects, share)
 
-    def _set(self, outcome, expectation):
-        """Set the results and the report."""
-        findings = outcome.findings
-        self.effects_, self.possible_ = findings["effects"], findings["possible"]
-        self.unexplained_ = findings["unexplained"]
-        self.not_identifiable_ = findings["not_identifiable"]
-        self.error_before_ = outcome.column("before")
-        self.error_plain_ = outcome.column("plain")
-        self.error_after_ = outcome.column("after")
-        self.torque_std_ = outcome.column("spread")
-        self._expectation = expectation
-        self.report_ = Report(outcome)
-        return self
+    # -- predictions -------------------------------------------------------------------
 
     def predict(self, X, groups=None, t=None, signals=None):
         """Predict the joint torques with the completed model.
@@ -543,9 +529,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         interval : ndarray of shape (2, nv)
             Ends between which it is in nine of ten recordings.
         """
-        check_is_fitted(self)
+        predicted = self.predict(X, groups, t, signals)
         robot, spread = self.identifier_, self.torque_std_
-        predicted = robot.predict(X, groups, t, signals)
         states = robot.robot_.states(positions_in_order(X, self.joint_names_), groups)
         motion = given_motion(robot, np.asarray(states), predicted, spread)
         error, low, high = self._expectation.of(motion)[:, :-1]

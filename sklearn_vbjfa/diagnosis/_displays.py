@@ -17,7 +17,7 @@ _COLOURS = {"measured": "0.25", "before": "0.72", "after": "tab:blue"}
 
 @dataclass(kw_only=True, eq=False)
 class TorqueDisplay:
-    """Measured and predicted torques over time, one panel a joint.
+    """Measured and predicted torques over time, or residuals, one panel a joint.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class TorqueDisplay:
 
         Returns
         -------
-        display : TorqueDisplay or ResidualDisplay
+        display : TorqueDisplay
             Display; call `plot`.
         """
         check_is_fitted(estimator)
@@ -85,41 +85,39 @@ class TorqueDisplay:
             units=tuple("N" if slides[j] else "N m" for j in chosen),
         )
 
-    def plot(self, ax=None):
+    def plot(self, ax=None, *, kind="torque"):
         """Draw into axes, one for each joint.
 
         Parameters
         ----------
         ax : array-like of Axes, default=None
             Axes to draw into; None makes a figure.
+        kind : {"torque", "residual"}, default="torque"
+            Torques over time, or residuals (measured minus predicted) over the
+            predicted torque.
 
         Returns
         -------
         self : object
             With `figure_`, `axes_` and `lines_`.
         """
-        count = len(self.joint_names)
-        if ax is None:
-            try:
-                # By name, so that nothing here imports an optional package.
-                pyplot = importlib.import_module("matplotlib.pyplot")
-            except ImportError as error:
-                raise ImportError(
-                    f"{type(self).__name__}.plot needs matplotlib; install it with pip "
-                    "install matplotlib."
-                ) from error
-            size = 8.0, 1.6 * count + 0.7
-            _, ax = pyplot.subplots(count, layout="constrained", figsize=size)
-        self.axes_ = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
-        if self.axes_.size != count:
-            raise ValueError(
-                f"ax must hold {count} axes, one a joint; got {self.axes_.size}."
-            )
+        if kind not in ("torque", "residual"):
+            raise ValueError(f'kind must be "torque" or "residual"; got {kind!r}.')
+        self.axes_ = self._axes(ax)
         self.figure_, self.lines_ = self.axes_[0].figure, []
         every = slice(None, None, max(1, len(self.time) // _POINTS))
         models = {"before": self.before, "after": self.after}
-        models = {label: x for label, x in models.items() if x is not None}
-        curves, marker, x_label = self._curves(models)
+        curves = {
+            label: (x, self.measured - x)
+            for label, x in models.items()
+            if x is not None
+        }
+        marker, x_label = ".", "predicted torque"
+        if kind == "torque":
+            time = np.broadcast_to(self.time[:, None], self.measured.shape)
+            curves = {label: (time, x) for label, (x, _) in curves.items()}
+            curves = {"measured": (time, self.measured), **curves}
+            marker, x_label = "-", "time [s]"
         for j, axis in enumerate(self.axes_):
             axis.set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
             for label, (x, y) in curves.items():
@@ -129,20 +127,23 @@ class TorqueDisplay:
         self.axes_[-1].set_xlabel(x_label)
         return self
 
-    def _curves(self, predictions):
-        """Return label -> (x, y) of the curves, their marker, and the label of x."""
-        time = np.broadcast_to(self.time[:, None], self.measured.shape)
-        shown = {"measured": self.measured, **predictions}
-        return {label: (time, x) for label, x in shown.items()}, "-", "time [s]"
-
-
-class ResidualDisplay(TorqueDisplay):
-    """Torque residuals over the predicted torque, one panel a joint.
-
-    Parameters and attributes are those of `TorqueDisplay`; `lines_` are the points of
-    each joint, before and after.
-    """
-
-    def _curves(self, predictions):
-        residuals = {k: (x, self.measured - x) for k, x in predictions.items()}
-        return residuals, ".", "predicted torque"
+    def _axes(self, ax):
+        """Return one of some axes for each joint, ndarray; of a new figure if None."""
+        count = len(self.joint_names)
+        if ax is None:
+            try:
+                # By name, so that nothing here imports an optional package.
+                pyplot = importlib.import_module("matplotlib.pyplot")
+            except ImportError as error:
+                raise ImportError(
+                    "TorqueDisplay.plot needs matplotlib; install it with pip install "
+                    "matplotlib."
+                ) from error
+            size = 8.0, 1.6 * count + 0.7
+            _, ax = pyplot.subplots(count, layout="constrained", figsize=size)
+        axes = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
+        if axes.size != count:
+            raise ValueError(
+                f"ax must hold {count} axes, one a joint; got {axes.size}."
+            )
+        return axes

@@ -3,7 +3,7 @@ import sys
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.diagnosis import ResidualDisplay, TorqueDisplay
+from sklearn_vbjfa.diagnosis import TorqueDisplay
 from tests.diagnosis._recordings import SPRINGY
 
 
@@ -27,7 +27,7 @@ def fixture_loop(springy):
     return springy
 
 
-def make_display(kind=ResidualDisplay, **changes):
+def make_display(**changes):
     rng = np.random.default_rng(0)
     values = {
         "time": np.arange(300.0),
@@ -37,16 +37,17 @@ def make_display(kind=ResidualDisplay, **changes):
         "joint_names": ("a", "b"),
         "units": ("N m", "N"),
     }
-    return kind(**(values | changes))
+    return TorqueDisplay(**(values | changes))
 
 
-@pytest.mark.parametrize("kind", [ResidualDisplay, TorqueDisplay])
+@pytest.mark.parametrize("kind", ["residual", "torque"])
 def test_a_discovery_shows_before_and_after(kind, loop, pyplot):
-    display = kind.from_estimator(loop, *GIVEN, joints=[1, 0]).plot()
+    display = TorqueDisplay.from_estimator(loop, *GIVEN, joints=[1, 0])
+    display.plot(kind=kind)
     assert display.joint_names == tuple(loop.declared_.joint_names_[j] for j in (1, 0))
     found = [m.residuals(*GIVEN) for m in (loop.declared_, loop.identifier_)]
     expected = [(r.predicted, r.residual) for r in found]
-    if kind is TorqueDisplay:
+    if kind == "torque":
         time = found[0].index * loop.identifier.dt
         torques = (found[0].torque, *(r.predicted for r in found))
         expected = [(time[:, None] + 0.0 * x, x) for x in torques]
@@ -60,13 +61,13 @@ def test_a_discovery_shows_before_and_after(kind, loop, pyplot):
 
 
 def test_an_identifier_shows_one_model(loop, pyplot):
-    display = ResidualDisplay.from_estimator(loop.declared_, *GIVEN)
+    display = TorqueDisplay.from_estimator(loop.declared_, *GIVEN)
     assert display.after is None
-    assert len(display.plot().lines_) == 2
+    assert len(display.plot(kind="residual").lines_) == 2
 
 
 def test_plot_makes_a_row_for_each_joint(pyplot):
-    display = make_display().plot()
+    display = make_display().plot(kind="residual")
     assert display.axes_.shape == (2,)
     assert display.axes_[0].get_ylabel() == "a [N m]"
     assert display.axes_[1].get_xlabel() == "predicted torque"
@@ -75,12 +76,14 @@ def test_plot_makes_a_row_for_each_joint(pyplot):
 
 def test_plot_into_given_axes(pyplot):
     figure, axes = pyplot.subplots(1, 2)
-    display = make_display(TorqueDisplay).plot(axes)
+    display = make_display().plot(axes)
     assert display.figure_ is figure
     assert display.axes_[0] is display.lines_[0].axes
     assert pyplot.get_fignums() == [figure.number]
     with pytest.raises(ValueError, match="2 axes, one a joint; got 1"):
         make_display().plot(axes[0])
+    with pytest.raises(ValueError, match="got 'time'"):
+        make_display().plot(axes, kind="time")
 
 
 def test_plot_without_matplotlib(monkeypatch):

@@ -86,14 +86,12 @@ from sklearn_vbjfa.effects._unnamed import UnnamedTorque
 from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 
 __all__ = [
-    "Backlash",
     "BaseTilt",
     "Coulomb",
     "Effect",
     "LoadFriction",
     "MaxwellSlip",
     "Shaped",
-    "Signal",
     "Spring",
     "Stateful",
     "Stribeck",

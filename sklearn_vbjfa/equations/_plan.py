@@ -231,7 +231,7 @@ def check_effects(effects, nv):
 
 def delay_of(drive, declared):
     """Return the delay of a drive's commands as declared effects, a tuple."""
-    if drive is None or not drive.delayed:
+    if drive is None or drive.waits is not None:
         return ()
     own = [effect for effect in declared if isinstance(effect, CommandDelay)]
     return () if own else (CommandDelay(),)

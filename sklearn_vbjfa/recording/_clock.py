@@ -216,10 +216,9 @@ def check_time_stamps(t, dt, parts):
 
 # Rows that lack a number are left out up to this share of all.
 _LACKING = 0.1
-# Rows of a second source are this share of all, ...
-_LEAST_SHARE, _MOST_SHARE = 0.02, 0.9
-# ... come in this many places and in runs no longer than this in the median.
-_PLACES, _RUN = 10, 3
+# Rows of a second source are more than this share of all, come in this many places, and
+# in runs no longer than this in the median.
+_LEAST_SHARE, _PLACES, _RUN = 0.02, 10, 3
 
 
 def without_odd_rows(table, layout, options, notes):
@@ -277,7 +276,7 @@ def _second_source(q, tau):
     """Return rows whose torques are all zero amid others while joints move."""
     still = (tau == 0).all(axis=1)
     none = np.zeros(still.size, dtype=bool)
-    if not tau.size or not _LEAST_SHARE < still.mean() < _MOST_SHARE:
+    if not tau.size or still.mean() <= _LEAST_SHARE:
         return none
     edges = np.flatnonzero(np.diff(np.r_[0, still.astype(int), 0]))
     first, stop = edges[::2], edges[1::2]

@@ -27,30 +27,23 @@ _UNKNOWN = 0.1
 
 
 class Drive(BaseEstimator):
-    """Control law of the motors: channels that it takes, and torques that it makes."""
+    """Control law of the motors: channels that it takes, and torques that it makes.
+
+    Its method `driven` takes a recording with the channels (n_samples, nv) of the drive
+    in `signals`. It returns the recording with `tau` of the law at no delay, and
+    `command`; it raises a ValueError if channels are missing or do not suit the drive.
+    """
 
     told = ""  # channel that `RobotIdentifier.fit` takes as y
     beside: tuple[str, ...] = ()  # further channels of joints, in `signals`
     of_positions = False  # whether torques are made of measured positions
-    delayed = False  # whether the delay of its commands is to be found
+    waits: float | None = 0.0  # delay of its commands [s]; None if it is to be found
     unsigned = False  # whether only sizes of torques are known
-    gains: str | None = (
-        None  # "unknown" where torques are known up to a factor of each channel
-    )
+    gains: str | None = None  # "unknown" where torques are known up to factors
     # names of its channel in files that have it in place of torques
     spelled: tuple[str, ...] = ()
     # settings to check if the order of magnitude of the torques is wrong
     numbers = "the numbers of the drive"
-
-    def driven(self, recording):
-        """Return a recording with `tau` of the law at no delay, and `command`.
-
-        Of a recording with the channels (n_samples, nv) of the drive in `signals`;
-        raises a ValueError if they are missing, or do not suit the drive.
-        """
-        raise NotImplementedError(
-            f"{type(self).__name__} must define driven(recording)."
-        )
 
     def facts(self, recording):
         """Return what a report says of the drive, a dict of numbers and lists."""
@@ -62,20 +55,15 @@ class Drive(BaseEstimator):
         own = {name: others.pop(name) for name in self.beside if name in others}
         return {self.told: y, **own}, others if own else signals
 
-    def _channel(self, recording, name, needed=False):
+    def _channel(self, recording, name):
         """Channel (n, nv) of a recording; None if it has none."""
         values = recording.signals.get(name)
         if values is None:
-            if needed:
-                raise ValueError(
-                    f"{type(self).__name__} needs the channel {name!r} of each joint: "
-                    f"give y={name} to fit, or columns {name}_<joint> to the reader."
-                )
             return None
         shape = (recording.n_samples, recording.nv)
         values = np.asarray(values, dtype=float).reshape(len(values), -1)
         if name == "supply" and values.shape[1] == 1:
-            values = np.broadcast_to(values, (len(values), recording.nv))
+            values = np.broadcast_to(values, shape)
         if values.shape != shape or not np.isfinite(values).all():
             raise ValueError(
                 f"{name} must have one finite row per sample and one column per joint, "
@@ -83,24 +71,26 @@ class Drive(BaseEstimator):
             )
         return values
 
-    def _number(self, name, joints, least=0.0, finite=True):
+    def _number(self, name, joints, least=0.0):
         """Return a setting as one number for each joint, (nv,)."""
-        given, owner = getattr(self, name), type(self).__name__
+        given, what, nv = (
+            getattr(self, name),
+            f"{type(self).__name__}: {name}",
+            len(joints),
+        )
         if isinstance(given, Mapping):
-            given = _by_name(f"{owner}: {name}", given, joints)
+            given = _by_name(what, given, joints)
         try:
             values = np.asarray(given, dtype=float)
         except (TypeError, ValueError):
-            values = np.full(0, np.nan)
-        nv = len(joints)
-        wrong = np.isnan(values) | (finite & np.isinf(values))
-        if values.shape not in {(), (nv,)} or wrong.any():
+            values = np.full(1, np.nan)
+        if values.shape not in {(), (nv,)} or np.isnan(values).any():
             raise ValueError(
-                f"{owner}: {name} must be one finite number or {nv}, one for each "
-                f"joint in the order {', '.join(joints)}; got {given!r}."
+                f"{what} must be one number or {nv}, one for each joint in the "
+                f"order {', '.join(joints)}; got {given!r}."
             )
-        if least is not None and (values < least).any():
-            raise ValueError(f"{owner}: {name} must not be negative; got {given!r}.")
+        if (values < least).any():
+            raise ValueError(f"{what} must not be negative; got {given!r}.")
         return np.broadcast_to(values, (nv,)).copy()
 
 
@@ -108,13 +98,13 @@ def _by_name(what, given, joints):
     """Return numbers that are given by parts of joints' names, a list."""
     found = []
     for joint in joints:
-        own = [joint] if joint in given else [key for key in given if key in joint]
-        if len(own) != 1:
+        keys = [joint] if joint in given else [key for key in given if key in joint]
+        if len(keys) != 1:
             raise ValueError(
-                f"{what} must have one key in each joint's name; {len(own)} of "
+                f"{what} must have one key in each joint's name; {len(keys)} of "
                 f"{', '.join(map(repr, given))} are in {joint!r}."
             )
-        found.append(given[own[0]])
+        found.append(given[keys[0]])
     return found
 
 
@@ -157,10 +147,6 @@ class PDDrive(Drive):
     -----
     Commands are steps: a row acts from its time to that of the next one, a delay later.
     Torques at rows are the mean of the last sample period, within the band of the rows.
-    A latency l of the whole law, feedback included, cannot be distinguished from
-    friction and rotor inertia: the identified viscous friction is smaller by K_p l and
-    the rotor inertia by K_d l. `period` corrects its known part.
-
     The velocity is the slope of the positions, as late as `Recording.v` where there is
     one. The noise of positions is noise of the torque, K_p and K_d times, and of the
     regressor; their common part is measured from the even and the odd samples and
@@ -193,25 +179,12 @@ class PDDrive(Drive):
         "firmware), and the unit of the positions"
     )
 
-    def __init__(
-        self,
-        kp=None,
-        kd=None,
-        *,
-        delay="auto",
-        saturation=None,
-        period=None,
-    ):
+    def __init__(self, kp=None, kd=None, *, delay="auto", saturation=None, period=None):
         self.kp = kp
         self.kd = kd
         self.delay = delay
         self.saturation = saturation
         self.period = period
-
-    @property
-    def delayed(self):
-        """Whether the delay is to be found."""
-        return self.waits is None
 
     @property
     def waits(self):
@@ -229,11 +202,16 @@ class PDDrive(Drive):
 
         A row acts from its time to that of the next one, a delay later [N m or N].
         """
-        names = recording.joint_names
-        aim = self._channel(recording, "q_desired", needed=True)
-        kp, kd = self.law(names, recording)
-        rate = self._channel(recording, "v_desired")
-        ahead = self._channel(recording, "tau_ff")
+        aim, rate, ahead = (
+            self._channel(recording, name)
+            for name in ("q_desired", "v_desired", "tau_ff")
+        )
+        if aim is None:
+            raise ValueError(
+                "PDDrive needs the channel 'q_desired' of each joint: give y=q_desired "
+                "to fit, or columns q_desired_<joint> to the reader."
+            )
+        kp, kd = self.law(recording.joint_names, recording)
         command = kp * aim + kd * (0.0 if rate is None else rate)
         return command + (0.0 if ahead is None else ahead)
 
@@ -302,7 +280,7 @@ class PDDrive(Drive):
         """Return the largest torque of joints, (nv,); infinite where none is given."""
         if self.saturation is None:
             return np.full(len(names), np.inf)
-        return self._number("saturation", names, finite=False)
+        return self._number("saturation", names)
 
     def law(self, names, recording=None):
         """Gains of position and velocity of joints."""
@@ -376,14 +354,8 @@ class CurrentDrive(Drive):
     def gains(self):
         """Unknown, if the torque constant is."""
         constant = self.torque_constant
-        if not isinstance(constant, str):
-            return None
-        if constant != "unknown":
-            raise ValueError(
-                "CurrentDrive: torque_constant must be 'unknown' or numbers in N m/A; "
-                f"got {constant!r}."
-            )
-        return "unknown"
+        is_unknown = isinstance(constant, str) and constant == "unknown"
+        return "unknown" if is_unknown else None
 
     @property
     def unsigned(self):
@@ -399,8 +371,8 @@ class CurrentDrive(Drive):
         current = self._channel(recording, "current")
         current = recording.tau if current is None else current
         if self.gains is None:
-            constant = self._number("torque_constant", recording.joint_names, None)
-            current = constant * current
+            names = recording.joint_names
+            current = current * self._number("torque_constant", names, -np.inf)
         if self.signed:
             return replace(recording, tau=current, command=current)
         below = np.flatnonzero((current < 0).any(axis=0))

@@ -1,4 +1,4 @@
-"""Recordings, which are read, loaded, simulated and fitted, and motion that repeats."""
+"""Recordings, which are read, loaded, simulated and fitted."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,15 +14,36 @@ if TYPE_CHECKING:
     import pinocchio as pin
 
 
+def _number(value):
+    """Return a float, nan for what is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        return np.nan
+
+
 def check_dt(dt):
     """Return the sample period as a positive finite float."""
-    try:
-        value = float(dt)
-    except (TypeError, ValueError):
-        value = np.nan
-    if dt is None or not np.isfinite(value) or value <= 0:
+    value = _number(dt)
+    if not 0 < value < np.inf:
         raise ValueError(
             f"dt must be the sample period in seconds, positive and finite; got {dt!r}."
+        )
+    return value
+
+
+def check_cutoff(cutoff, dt, name):
+    """Return a cut-off in Hz as a float; infinity for None."""
+    value = np.inf if cutoff is None else _number(cutoff)
+    if not value > 0:
+        raise ValueError(
+            f"{name} must be a positive frequency in Hz, 'auto', or None for no "
+            f"low-pass; got {cutoff!r}."
+        )
+    if np.isfinite(value) and value >= 0.5 / dt:
+        raise ValueError(
+            f"{name} must lie below the Nyquist frequency {0.5 / dt:.6g} Hz of "
+            f"dt={dt:.6g} s; got {value:.6g} Hz. Give None for no low-pass."
         )
     return value
 
@@ -41,7 +62,7 @@ def check_rows_of_time(t, n_samples):
 
 
 def check_clock(t, n_samples, dt):
-    """Return the time of each row [s]; multiples of `dt` if none is given."""
+    """Return the time of each row [s], rising over all; multiples of dt without t."""
     if t is None:
         return None if dt is None else np.arange(n_samples) * check_dt(dt)
     time = check_rows_of_time(t, n_samples)
@@ -54,29 +75,8 @@ def check_clock(t, n_samples, dt):
     return time
 
 
-def check_cutoff(cutoff, dt, name):
-    """Return a cut-off in Hz as a float; infinity for None."""
-    if cutoff is None:
-        return np.inf
-    try:
-        value = float(cutoff)
-    except (TypeError, ValueError):
-        value = np.nan
-    if not value > 0:
-        raise ValueError(
-            f"{name} must be a positive frequency in Hz, 'auto', or None for no "
-            f"low-pass; got {cutoff!r}."
-        )
-    if np.isfinite(value) and value >= 0.5 / dt:
-        raise ValueError(
-            f"{name} must lie below the Nyquist frequency {0.5 / dt:.6g} Hz of "
-            f"dt={dt:.6g} s; got {value:.6g} Hz. Give None for no low-pass."
-        )
-    return value
-
-
 # Fields with a value for each row: columns for each joint, 0 for one in all.
-_WIDTHS = {"tau": 1, "v": 1, "states": 3, "weight": 1, "command": 1, "t": 0}
+_WIDTHS = {"q": 1, "tau": 1, "v": 1, "states": 3, "weight": 1, "command": 1, "t": 0}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -183,8 +183,8 @@ class Recording:
                 shape = (n_samples, width * nv) if width else (n_samples,)
                 _check_shape(key, _finite(key, values).shape, shape)
         for key, values in self.signals.items():
-            rows = _finite(f"signals[{key!r}]", values).shape[:1]
-            _check_shape(f"signals[{key!r}]", rows, (n_samples,))
+            key = f"signals[{key!r}]"
+            _check_shape(key, _finite(key, values).shape[:1], (n_samples,))
         for key in ("joint_names", "position_units", "torque_units"):
             _check_shape(key, (len(getattr(self, key)),), (nv,))
         self._check_groups()
@@ -209,13 +209,55 @@ class Recording:
                 f"{labels[:10].tolist()}."
             )
 
-    def _rows(self, rows):
-        """Return all that has a value for each row, at some rows, by name."""
-        arrays = {key: getattr(self, key) for key in ("q", *_WIDTHS)}
-        return {
-            **{key: None if x is None else x[rows] for key, x in arrays.items()},
-            "signals": {key: values[rows] for key, values in self.signals.items()},
-        }
+    def __repr__(self) -> str:
+        joints = "joint" if self.nv == 1 else "joints"
+        period = "unknown" if self.dt is None else f"{self.dt:.6g} s"
+        n_groups = len(self.group_names)
+        recordings = f", {n_groups} recordings" if n_groups > 1 else ""
+        return (
+            f"Recording {self.name!r}: {self.n_samples} samples, {self.nv} {joints}, "
+            f"dt = {period}{recordings}"
+        )
+
+    @property
+    def n_samples(self) -> int:
+        """Number of rows."""
+        return self.q.shape[0]
+
+    @property
+    def nv(self) -> int:
+        """Number of joints."""
+        return self.q.shape[1]
+
+    @property
+    def inputs(self) -> np.ndarray:
+        """Input X of a fit: states if given, else positions."""
+        return self.q if self.states is None else self.states
+
+    @cached_property
+    def segments(self) -> tuple[slice, ...]:
+        """Rows of each recording; nothing is filtered across their boundaries."""
+        return tuple(contiguous_groups(self.groups, self.n_samples))
+
+    def clock(self, *, stamped: bool = False) -> np.ndarray | None:
+        """Return the time of each row [s], rising over all recordings.
+
+        Parameters
+        ----------
+        stamped : bool, default=False
+            Whether to use time stamps, if any, instead of multiples of `dt`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples,) or None
+            None if neither stamps nor a period are known.
+
+        Raises
+        ------
+        ValueError
+            If the stamps do not rise over all recordings.
+        """
+        return check_clock(self.t if stamped else None, self.n_samples, self.dt)
 
     def torques(self, delay: float = 0.0) -> np.ndarray:
         """Return the torques if commands act later than assumed in `tau`.
@@ -246,26 +288,6 @@ class Recording:
         late = interpolate(self.command, self.segments, self.clock(), delay)
         return self.tau + (late - self.command)
 
-    @property
-    def n_samples(self) -> int:
-        """Number of rows."""
-        return self.q.shape[0]
-
-    @property
-    def nv(self) -> int:
-        """Number of joints."""
-        return self.q.shape[1]
-
-    @property
-    def inputs(self) -> np.ndarray:
-        """Input X of a fit: states if given, else positions."""
-        return self.q if self.states is None else self.states
-
-    @cached_property
-    def segments(self) -> tuple[slice, ...]:
-        """Rows of each recording; nothing is filtered across their boundaries."""
-        return tuple(contiguous_groups(self.groups, self.n_samples))
-
     def with_torques_shifted(self, lag: float) -> "Recording":
         """Return a copy whose torques are read later by a lag.
 
@@ -291,36 +313,6 @@ class Recording:
             weight[part][~inside] = 0.0
         return replace(self, tau=tau, weight=weight)
 
-    def clock(self, *, stamped: bool = False) -> np.ndarray | None:
-        """Return the time of each row [s], rising over all recordings.
-
-        Parameters
-        ----------
-        stamped : bool, default=False
-            Whether to use time stamps, if any, instead of multiples of `dt`.
-
-        Returns
-        -------
-        ndarray of shape (n_samples,) or None
-            None if neither stamps nor a period are known.
-
-        Raises
-        ------
-        ValueError
-            If the stamps do not rise over all recordings.
-        """
-        return check_clock(self.t if stamped else None, self.n_samples, self.dt)
-
-    def __repr__(self) -> str:
-        joints = "joint" if self.nv == 1 else "joints"
-        period = "unknown" if self.dt is None else f"{self.dt:.6g} s"
-        n_groups = len(self.group_names)
-        recordings = f", {n_groups} recordings" if n_groups > 1 else ""
-        return (
-            f"Recording {self.name!r}: {self.n_samples} samples, {self.nv} {joints}, "
-            f"dt = {period}{recordings}"
-        )
-
     def select(self, *names_or_labels: str | int) -> "Recording":
         """Keep some of the recordings.
 
@@ -344,13 +336,8 @@ class Recording:
             raise ValueError(
                 f"Name at least one recording to keep, out of {self.group_names}."
             )
-        rows = np.isin(self.groups, labels)
-        return replace(
-            self,
-            **self._rows(rows),
-            groups=np.searchsorted(labels, self.groups[rows]),
-            group_names=tuple(self.group_names[label] for label in labels),
-        )
+        made = take_rows(self, [self.segments[label] for label in labels], labels)
+        return replace(made, group_names=tuple(self.group_names[x] for x in labels))
 
     def _label(self, entry: str | int) -> int:
         """Label of a recording given by its name or label."""
@@ -373,8 +360,7 @@ class Recording:
         Returns
         -------
         model : pinocchio.Model
-            `nq == nv == len(joint_names)`, joints in the order of
-            `joint_names`.
+            `nq == nv == len(joint_names)`, joints in the order of `joint_names`.
 
         Raises
         ------
@@ -400,33 +386,33 @@ def take_arrays(
     dt,
     joint_names,
     signals=None,
-    command=None,
-    feedback=None,
 ):
     """Make a recording of the validated arguments of a fit."""
     # X: positions (n_samples, nv) or states (n_samples, 3 nv); y, weight (n_samples,
     # nv); groups: labels in any form; t: time stamps; dt [s]; signals (n_samples,) by
-    # name; command (n_samples, nv), feedback (2, nv): see `Recording`.
-    nv = len(joint_names)
-    segments = contiguous_groups(groups, X.shape[0])
-    lengths = [rows.stop - rows.start for rows in segments]
+    # name.
+    nv, segments = len(joint_names), contiguous_groups(groups, X.shape[0])
     return Recording(
         name="",
         q=X[:, :nv],
         tau=y,
         t=None if t is None else np.asarray(t, dtype=float),
         dt=dt,
-        groups=labels_of(lengths),
-        group_names=tuple(str(k) for k in range(len(segments))),
+        **_labelled(segments),
         joint_names=tuple(joint_names),
         position_units=nv * ("",),
         torque_units=nv * ("",),
         states=X if X.shape[1] == 3 * nv else None,
         weight=weight,
-        command=command,
-        feedback=feedback,
         signals={} if signals is None else signals,
     )
+
+
+def _labelled(segments):
+    """Return labels and names of recordings that follow one another."""
+    names = tuple(str(k) for k in range(len(segments)))
+    lengths = [part.stop - part.start for part in segments]
+    return {"groups": labels_of(lengths), "group_names": names}
 
 
 def labels_of(lengths):
@@ -441,32 +427,22 @@ def take_rows(recording, rows, groups):
     if not isinstance(rows, np.ndarray):
         groups = np.repeat(list(groups), [own.stop - own.start for own in rows])
         rows = np.concatenate([np.arange(own.start, own.stop) for own in rows])
-    taken = recording._rows(rows)
-    made = take_arrays(
-        recording.inputs[rows],
-        taken["tau"],
-        groups,
-        taken["weight"],
-        taken["t"],
-        dt=recording.dt,
-        joint_names=recording.joint_names,
-        signals=taken["signals"],
-        command=taken["command"],
-        feedback=recording.feedback,
+    segments = contiguous_groups(groups, rows.size)
+    arrays = {key: getattr(recording, key) for key in _WIDTHS}
+    return replace(
+        recording,
+        **{key: None if x is None else x[rows] for key, x in arrays.items()},
+        **_labelled(segments),
+        signals={key: values[rows] for key, values in recording.signals.items()},
+        before=tuple(_positions_before(recording, rows[x.start]) for x in segments),
     )
-    starts = [int(rows[part.start]) for part in made.segments]
-    before = tuple(_positions_before(recording, row) for row in starts)
-    return replace(made, v=taken["v"], before=before)
 
 
 def _positions_before(recording, row):
     """Positions (k, nv) of the recording that a row belongs to, before that row."""
     k = int(recording.groups[row])
-    part, nv = recording.segments[k], recording.q.shape[1]
-    known = recording.inputs[part.start : row, :nv]
-    if not recording.before or not len(recording.before[k]):
-        return known
-    return np.concatenate([recording.before[k], known])
+    known = recording.q[recording.segments[k].start : row]
+    return np.concatenate([recording.before[k], known]) if recording.before else known
 
 
 def _finite(name: str, values: Any) -> np.ndarray:
@@ -487,162 +463,3 @@ def _check_shape(name: str, shape: tuple[int, ...], expected: tuple[int, ...]) -
         raise ValueError(
             f"{name} must have shape {expected} to agree with q, got {shape}."
         )
-
-
-# Rows are looked at every so many seconds, and fewer than this many of them.
-_STEP, _MOST = 0.04, 20_000
-# Velocities repeat if they differ by less than this share of their power, and have
-# differed by more than this one since: a slow motion resembles itself a little later.
-_SAME, _OTHER = 0.03, 0.5
-# The smallest lag is the period that is so many times as good as the best one.
-_ALIKE, _LEAST = 3.0, 1e-3
-# A joint moves if its speed is this share of that of the fastest.
-_MOVES = 0.02
-# A motion repeats if it is there more often than this.
-_AGAIN = 1.5
-# Share of the shorter of two recordings in which they are compared.
-_OVERLAP = 0.8
-
-
-@dataclass(frozen=True)
-class RepeatedMotion:
-    """A motion that was recorded more than once."""
-
-    seconds: float  # its length [s]
-    count: float  # how many times it is there
-    recordings: tuple  # from zero
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Repetition:
-    """Which motions there are, and when each recording goes through them."""
-
-    begins: np.ndarray  # (r,): when recordings begin [s]
-    seconds: np.ndarray  # (r,): their lengths [s]
-    motion: np.ndarray  # (r,): motion of each recording, from zero
-    delay: np.ndarray  # (r,): how far in its motion each recording begins [s]
-    # (m,): periods of the motions [s], infinite for one that does not repeat by itself
-    period: np.ndarray
-
-    def motions(self):
-        """Return the repeated motions, a tuple of `RepeatedMotion`."""
-        found = []
-        for k, period in enumerate(self.period):
-            rows = np.flatnonzero(self.motion == k)
-            delay, seconds = self.delay[rows], self.seconds[rows]
-            length = min(period, (delay + seconds).max() - delay.min())
-            count = seconds.sum() / length if length else 0.0
-            if count > _AGAIN:
-                recordings = tuple(rows.tolist())
-                found.append(RepeatedMotion(float(length), float(count), recordings))
-        return tuple(found)
-
-    def __bool__(self):
-        return bool(self.motions())
-
-    def phase(self, recording, t):
-        """Return the motion (n,) and the time in it (n,) [s] of rows."""
-        # recording (n,): its number for each row; t (n,): times of the rows [s].
-        motion = self.motion[recording]
-        phase = t - self.begins[recording] + self.delay[recording]
-        period = self.period[motion]
-        finite = np.isfinite(period)
-        phase[finite] %= period[finite]
-        return motion, phase
-
-
-def find_repetition(q, t, parts):
-    """Look for motion that repeats in positions (n, nv); false if nothing does."""
-    # q: at times t (n,) [s]; parts: slices of the recordings.
-    seconds = np.array([np.ptp(t[part]) for part in parts])
-    rows = sum(part.stop - part.start for part in parts)
-    step = max(_STEP, seconds.sum() / _MOST, seconds.sum() / max(rows, 1))
-    speeds = [_speeds(q[part], t[part], step) for part in parts]
-    power = np.array([(v**2).sum(axis=0) for v in speeds]).sum(axis=0)
-    moves = power > _MOVES**2 * power.max(initial=0.0)
-    speeds = [v[:, moves] for v in speeds]
-    first, motion, delay, period = [], [], [], []
-    for k, v in enumerate(speeds):
-        shifts = [_shift(speeds[other], v) for other in first]
-        m = next((m for m, x in enumerate(shifts) if x is not None), len(first))
-        if m == len(first):
-            first.append(k)
-            period.append(np.inf)
-            delay.append(0.0)
-        else:
-            delay.append(delay[first[m]] + step * shifts[m])
-        motion.append(m)
-        period[m] = min(period[m], step * _own_period(v))
-    return Repetition(
-        begins=np.array([t[part.start] for part in parts]),
-        seconds=seconds,
-        motion=np.array(motion),
-        delay=np.array(delay),
-        period=np.array(period),
-    )
-
-
-def _speeds(q, t, step):
-    """Return mean velocities (m, nv) in intervals of a length."""
-    if len(q) < 2:
-        return np.zeros((0, q.shape[1]))
-    edges = np.arange(t[0], t[-1], step)
-    return np.diff([np.interp(edges, t, x) for x in q.T], axis=1).T / step
-
-
-def _differences(a, b):
-    """Return lags, overlaps, and the largest share in which a(i), b(i + lag) differ."""
-    n, m = len(a), len(b)
-    size = 1 << int(np.ceil(np.log2(n + m)))
-
-    def products(x, y):
-        # The sum of x(i) y(i + lag) for each lag.
-        both = np.conj(np.fft.rfft(x, size, axis=0)) * np.fft.rfft(y, size, axis=0)
-        whole = np.fft.irfft(both, size, axis=0)
-        return np.concatenate([whole[size - n + 1 :], whole[:m]])
-
-    lags = np.arange(-n + 1, m)
-    power = products(np.ones_like(a), b**2) + products(a**2, np.ones_like(b))
-    overlap = np.minimum(n, m - lags) - np.maximum(0, -lags)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = 1.0 - 2.0 * products(a, b) / power
-    return lags, overlap, np.nan_to_num(share, nan=0.0).max(axis=1, initial=0.0)
-
-
-def _own_period(v):
-    """Return the smallest lag, in rows, after which a motion repeats, or infinity."""
-    n = len(v)
-    if n < 4 or not v.size:
-        return np.inf
-    lags, _, share = _differences(v, v)
-    # Two periods end at half of the recording, and a dip needs its far side.
-    share = share[(lags >= 0) & (lags <= n // 2 + 2)]
-    other = np.flatnonzero(share > _OTHER)
-    if not other.size:
-        return np.inf
-    dips = np.flatnonzero((share[1:-1] <= share[:-2]) & (share[1:-1] <= share[2:])) + 1
-    found = [_dip(share, k) for k in dips if k > other[0] and share[k] < _SAME]
-    least = max(_ALIKE * min((value for _, value in found), default=0.0), _LEAST)
-    return next((place for place, value in found if value <= least), np.inf)
-
-
-def _shift(a, b):
-    """Return the row of a motion at which another recording begins, None for none."""
-    if min(len(a), len(b)) < 4 or not a.size:
-        return None
-    lags, overlap, share = _differences(a, b)
-    share = np.where(overlap >= _OVERLAP * min(len(a), len(b)), share, np.inf)
-    best = int(np.argmin(share))
-    return -(lags[0] + _dip(share, best)[0]) if share[best] < _SAME else None
-
-
-def _dip(share, best):
-    """Return place and value of a minimum between rows, by the parabola around it."""
-    left, middle, right = np.nan, share[best], np.nan
-    if 0 < best < share.size - 1:
-        left, right = share[best - 1], share[best + 1]
-    bend = left - 2 * middle + right
-    if not (np.isfinite(bend) and bend > 0):
-        return float(best), float(middle)
-    value = middle - (left - right) ** 2 / (8 * bend)
-    return best + 0.5 * (left - right) / bend, float(value)

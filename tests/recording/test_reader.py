@@ -373,3 +373,19 @@ def test_rows_that_lack_a_number_are_no_samples(csv, nothing, stamped):
         put("tau2", row, nothing)(columns)
     with pytest.raises(ValueError, match="nan or nothing in line"):
         read_recording(csv(columns), dt=DT)
+
+
+def test_rows_of_a_second_source_without_torques_are_left_out(csv):
+    columns = table(n=300)
+    second = slice(2, None, 3)
+    expected = {name: np.delete(x, np.s_[second]) for name, x in columns.items()}
+    for j in (1, 2):
+        columns[f"tau{j}"][second] = 0.0
+    # Stamps of the first source alone are regular.
+    late = 0.4 * DT * (np.arange(300) % 3 == 2)
+    columns["t"] = 0.5 * DT * (2 * (np.arange(300) // 3) + np.arange(300) % 3) + late
+    expected["t"] = np.delete(columns["t"], np.s_[second])
+    with pytest.warns(UserWarning, match=r"100 row\(s\) \(33 %\) in which all torques"):
+        recording = read_recording(csv(columns))
+    assert recording.dt == pytest.approx(0.5 * DT)
+    assert_same(recording, expected)

@@ -29,7 +29,7 @@ _LIMITS = ("velocity", "acceleration", "torque")
 class _Robot:
     """The robot that is to move."""
 
-    known: object
+    known: KnownRobot
     model: object  # its description, joints in its own order
     file: str  # description that was given, or that a report names
     is_reduced: bool = False  # whether further joints are held
@@ -52,27 +52,32 @@ def design(arguments, folder):
     found = {}
     if arguments.report:
         found = read_report(_input.expanded(arguments.report))
-    robot = _robot(arguments, found, folder)
+        robot = _identified(arguments, found, folder)
+    else:
+        robot = _described(arguments, folder)
     motion = _motion(arguments, robot, found)
     noise = np.array(robot.known.torque_noise)
     measured = np.isfinite(noise) & (noise > 0)
-    steps = [*_summary.before(motion), _step(out, found)]
 
     def write(folder, notes):
         motion.to_csv(folder / out.name)
+        options = found.get("provenance", {}).get("options", {})
+        drive = options.get("drive")
+        torque = f"the channels of --drive {drive}" if drive else "tau"
+        run = f"Run {out} and record q and {torque} while it runs, in columns named as "
+        steps = [*_summary.before(motion), f"{run}its own."]
         # The first step is 0 where something is to be done before the robot moves.
         lines = [
             line
             for count, step in enumerate(steps, 2 - len(steps))
             for line in _summary.wrapped(f"{count}. {step}", "   ")
         ]
-        lines.append(_next_command(arguments, robot, found))
+        lines.append(_next_command(arguments, robot, options))
         return ["", "Next:", *(f"  {line}" for line in lines)]
 
+    text = _summary.summary(motion, Path(robot.file).name, measured, found)
     return Done(
-        text="\n".join(
-            _summary.summary(motion, Path(robot.file).name, measured, found)
-        ),
+        text="\n".join(text),
         doubts=_summary.doubts(motion, arguments.effects or ()),
         folder=out.parent,
         files=(out.name,),
@@ -83,13 +88,18 @@ def design(arguments, folder):
 def _motion(arguments, robot, found):
     """Design the motion, refused if it goes beyond the limits."""
     names = robot.known.joint_names
-    limits = _limits(arguments, robot)
+    limits = {option: _per_joint(arguments, option, names) for option in _LIMITS}
+    if robot.is_relative and limits["acceleration"] is limits["torque"] is None:
+        raise ValueError(
+            "torque gains are relative, so the torque limits of the description do not "
+            "apply; give --acceleration, or --torque in units of the channels."
+        )
     say(f"designing {arguments.duration:g} s for {len(names)} joints")
     motion = design_motion(
         robot.known,
         duration=arguments.duration,
         dt=arguments.dt or robot.dt,
-        limits=limits,
+        limits=MotionLimits.of(robot.model, **limits),
         effects=arguments.effects or (),
         report=found or None,
         random_state=arguments.seed,
@@ -117,22 +127,13 @@ def _per_joint(arguments, option, names):
     return found
 
 
-# -- the robot -------------------------------------------------------------------------
-
-
-def _robot(arguments, found, folder):
-    """Take the identified robot of a report, or the one that is described."""
-    if found:
-        return _identified(arguments, found, folder)
+def _described(arguments, folder):
+    """Take the robot of a description."""
     given = _input.expanded(arguments.urdf)
     urdf, held = _input.robot(arguments, given, arguments.joints, folder)
     known = replace(KnownRobot.of(str(urdf)), description=str(given))
-    return _Robot(
-        known=known,
-        model=known.features.model_,
-        file=str(given),
-        is_reduced=bool(held),
-    )
+    model = known.features.model_
+    return _Robot(known=known, model=model, file=str(given), is_reduced=bool(held))
 
 
 def _identified(arguments, found, folder):
@@ -163,38 +164,9 @@ def _identified(arguments, found, folder):
     )
 
 
-# -- limits ----------------------------------------------------------------------------
-
-
-def _limits(arguments, robot):
-    """Collect the limits: those that are given, and those of the description."""
-    typed = {x: _per_joint(arguments, x, robot.known.joint_names) for x in _LIMITS}
-    if robot.is_relative and typed["acceleration"] is typed["torque"] is None:
-        raise ValueError(
-            "torque gains are relative, so the torque limits of the description do not "
-            "apply; give --acceleration, or --torque in units of the channels."
-        )
-    return MotionLimits.of(robot.model, **typed)
-
-
-# -- next steps ------------------------------------------------------------------------
-
-
-def _step(out, found):
-    """Return what to do with the motion."""
-    options = found.get("provenance", {}).get("options", {})
-    torque = "tau"
-    if "drive" in options:
-        torque = f"the channels of --drive {options['drive']}"
-    return (
-        f"Run {out} and record q and {torque} while it runs, in columns named as its "
-        "own."
-    )
-
-
-def _next_command(arguments, robot, found):
+def _next_command(arguments, robot, options):
     """Return the command to type once the motion was recorded."""
-    options = found.get("provenance", {}).get("options", {})
+    # options: those that a report was made with.
     typed = {name: options[name] for name in _OF_ROBOT if name in options}
     typed |= {x: arguments.typed[x] for x in _OF_ROBOT[:2] if x in arguments.typed}
     if robot.is_reduced:

@@ -24,9 +24,9 @@ def identify(arguments, folder):
         return _gravity.correct(arguments, folder)
     from sklearn_vbjfa.diagnosis import Report
 
-    library = "all" if arguments.effects is None else arguments.effects
     if arguments.no_search and arguments.effects:
         raise Refused("--no-search and --effects exclude each other", effects=None)
+    library = () if arguments.no_search else arguments.effects
     out = _input.output_folder(arguments, "report")
     ranges = arguments.ranges and _input.expanded(arguments.ranges)
     if ranges:
@@ -35,35 +35,33 @@ def identify(arguments, folder):
     loaded = _input.load(arguments, folder)
     files = tuple(dict.fromkeys(map(str, _input.paths(arguments))))
     with _input.blaming(loaded.source, loaded.gains):
-        loop = search(
-            loaded.recording,
-            str(loaded.urdf),
-            effects=() if arguments.no_search else library,
-            **settings,
-        )
-
+        effects = "all" if library is None else library
+        loop = search(loaded.recording, str(loaded.urdf), effects=effects, **settings)
     robot = folder / "robot"
     robot.mkdir()
     lacking, export = _exported(loop.identifier_, robot)
-    outcome, more = loop.report_.outcome, {"export": export}
+    outcome, provenance = (
+        loop.report_.outcome,
+        {
+            "export": export,
+            "file": files[0] if len(files) == 1 else files,
+            "description": str(_input.expanded(arguments.urdf)),
+            "options": dict(arguments.typed),
+            "held": loaded.held,
+            "files": _FILES[1:],
+            "date": time.strftime("%Y-%m-%d"),
+        },
+    )
     if loop.report_.has_open_questions:
         words = ["python", "-m", "sklearn_vbjfa", "design", "--report", str(out)]
-        more["command"] = shlex.join(words)
-    more |= {
-        "file": files[0] if len(files) == 1 else files,
-        "description": str(_input.expanded(arguments.urdf)),
-        "options": dict(arguments.typed),
-        "held": loaded.held,
-        "files": _FILES[1:],
-        "date": time.strftime("%Y-%m-%d"),
-    }
+        provenance["command"] = shlex.join(words)
     channels = [
         replace(one, message=in_options(one.message))
         for one in outcome.findings["channels"]
     ]
     outcome = replace(
         outcome,
-        provenance=outcome.provenance | more,
+        provenance=outcome.provenance | provenance,
         findings=outcome.findings | {"channels": channels},
     )
     printed = Report(outcome)
@@ -75,7 +73,9 @@ def identify(arguments, folder):
         text = json.dumps(report.to_dict(), indent=1, allow_nan=False)
         folder.joinpath("report.html").write_text(report.to_html(), encoding="utf-8")
         folder.joinpath("report.json").write_text(text, encoding="utf-8")
-        lines = [f"Next motion: {more['command']}"] if "command" in more else []
+        command, lines = provenance.get("command"), []
+        if command:
+            lines.append(f"Next motion: {command}")
         if lacking:
             lines.append("only identified.json holds the whole model (page)")
         if ranges:

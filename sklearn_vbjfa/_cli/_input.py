@@ -210,13 +210,13 @@ def output_folder(arguments, what):
     # what: end of its name if none is given.
     out = expanded(arguments.out) if arguments.out else _default_folder(arguments, what)
     check_folder(out)
-    others = (out.with_name(f"{out.name}-{k}") for k in itertools.count(2))
-    other = next(x for x in others if not x.exists())
     # Hidden files are those of folders and editors.
     held = sorted(x.name for x in out.iterdir()) if out.is_dir() else []
     held = [name for name in held if not name.startswith(".")]
     if not held or arguments.force:
         return out
+    others = (out.with_name(f"{out.name}-{k}") for k in itertools.count(2))
+    other = next(x for x in others if not x.exists())
     if arguments.out is None:
         return other
     raise Refused(
@@ -229,11 +229,11 @@ def output_folder(arguments, what):
 def _default_folder(arguments, what):
     """Return a folder named after the recording, or after the folder of several."""
     files = paths(arguments)
-    folder = common_folder(files) if len(files) > 1 else ""
+    source, folder = files[0], common_folder(files) if len(files) > 1 else ""
     if folder:
         return Path(f"{folder}-{what}")
-    source = files[0].resolve() if files[0].is_dir() else files[0]
-    name = source.stem if source.name != "-" else "stdin"
+    source = source.resolve() if source.is_dir() else source
+    name = "stdin" if source.name == "-" else source.stem
     if source.suffix in (".gz", ".bz2", ".xz"):
         name = Path(name).stem
     return Path(f"{name or 'recording'}-{what}")
@@ -266,9 +266,6 @@ def check_file(out, option, force):
 
 def no_formula(cell):
     """Return a cell of a table that a spreadsheet does not take for a formula."""
-    # One that begins like a formula gets an apostrophe in front, unless it is a number.
+    # One that begins like a formula gets an apostrophe in front.
     text = str(cell)
-    with contextlib.suppress(ValueError):
-        float(text)
-        return text
     return f"'{text}" if text.startswith(_FORMULA) else text

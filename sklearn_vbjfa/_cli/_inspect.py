@@ -40,13 +40,12 @@ def inspect(arguments, folder):
             f"torques are recorded in {units[0]}: identify needs the factors to N m "
             f"(--gain){unknown}"
         )
-    lengths = np.bincount(recording.groups) * recording.dt
+    names, lengths = recording.group_names, np.bincount(recording.groups) * recording.dt
     text = rendered(
         "inspection.txt.j2",
         recording=recording,
-        duration=f"{recording.n_samples * recording.dt:.4g} s at "
-        f"{1 / recording.dt:.6g} Hz",
-        parts=[f"{x} {n:.4g} s" for x, n in zip(recording.group_names, lengths)],
+        duration=f"{sum(lengths):.4g} s at {1 / recording.dt:.6g} Hz",
+        parts=[f"{name} {seconds:.4g} s" for name, seconds in zip(names, lengths)],
         others=loaded.other_joints(),
         motion=_columns(motions, recording.torque_units),
         too_short=_TOO_SHORT,
@@ -58,18 +57,9 @@ def inspect(arguments, folder):
         "samples": recording.n_samples,
         "dt": recording.dt,
         "joint_names": list(recording.joint_names),
-        "recordings": list(map(str, recording.group_names)),
+        "recordings": list(map(str, names)),
         "held": list(loaded.held),
         "faults": faults,
-        "findings": [
-            {
-                "kind": one.kind,
-                "severity": one.severity,
-                "message": in_options(one.message),
-            }
-            | {"joints": [int(j) for j in one.joints]}
-            for one in findings
-        ],
         "identifiable": {one.name: list(one.shows) for one in motions},
         "not_identifiable": {one.name: list(one.hides) for one in motions},
     }
@@ -101,8 +91,8 @@ def _by_joint(motions, attribute):
     for motion in motions:
         for effect in getattr(motion, attribute):
             joints.setdefault(effect, []).append(motion.name)
-    lines = []
-    for effect, names in joints.items():
-        every = len(names) == len(motions) > 1
-        lines.append(f"{'all joints' if every else ', '.join(names)}: {effect}")
-    return lines
+    every = len(motions) if len(motions) > 1 else None
+    return [
+        f"{'all joints' if len(names) == every else ', '.join(names)}: {effect}"
+        for effect, names in joints.items()
+    ]

@@ -1,6 +1,5 @@
 """Files of an identified robot."""
 
-import csv
 import math
 
 from sklearn_vbjfa._cli._input import no_formula
@@ -14,8 +13,8 @@ ROBOT_FILES: tuple[str, ...] = (
     "identified.xml",
     "identified.json",
 )
-_COLUMNS: tuple[str, ...] = ("parameter", "value", "unit", "std", "identifiable")
-_COLUMNS += ("description", "scatter")
+_COLUMNS = ["parameter", "value", "unit", "std", "identifiable", "description"]
+_COLUMNS += ["scatter"]
 # Effects that a line names.
 _NAMED = 3
 
@@ -42,37 +41,21 @@ def write_robot(robot, folder):
 
 def _write_parameters(robot, path):
     """Write one row per parameter, and those of values that joints share."""
-    relative = ""
+    import pandas as pd
+
+    rows = [
+        (one.name, one.value, one.unit, std, one.source, one.described, math.nan)
+        for one, std in zip(parameter_values(robot), robot.theta_std_)
+    ]
+    for one in robot.alike_:
+        name = f"{one.group}:{one.parameter}"
+        rows.append((name, one.value, one.unit, one.std, "yes", math.nan, one.scatter))
+    table = pd.DataFrame(rows, columns=_COLUMNS).replace([math.inf, -math.inf], None)
     if robot.gains_ is not None and not robot.gains_.absolute:
         names = [robot.joint_names_[j] for j in robot.gains_.references]
+        is_scaled = table["unit"].str.match("N|kg")
         relative = f", times the gain of {' or '.join(names) or 'each channel'}"
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(_COLUMNS)
-        for name, value, unit, *rest in (*_parameters(robot), *_shared(robot)):
-            if unit.startswith(("N", "kg")):
-                unit += relative
-            row = [name, value, unit, *rest]
-            table.writerow([no_formula(_text(cell)) for cell in row])
-
-
-def _text(cell):
-    """Write a cell; one without a finite number is empty."""
-    if isinstance(cell, str):
-        return cell
-    return repr(float(cell)) if math.isfinite(cell) else ""
-
-
-def _parameters(robot):
-    """Yield the rows of the parameters."""
-    facts = parameter_values(robot)
-    for one, std in zip(facts, robot.theta_std_):
-        row = [one.name, one.value, one.unit, std, one.source]
-        yield [*row, one.described, math.nan]
-
-
-def _shared(robot):
-    """Yield the rows of values that joints share."""
-    for one in robot.alike_:
-        row = [f"{one.group}:{one.parameter}", one.value, one.unit, one.std]
-        yield [*row, "yes", math.nan, one.scatter]
+        table.loc[is_scaled, "unit"] += relative
+    for name in ("parameter", "unit", "identifiable"):
+        table[name] = table[name].map(no_formula)
+    table.to_csv(path, index=False, encoding="utf-8")

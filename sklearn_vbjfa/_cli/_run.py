@@ -59,22 +59,20 @@ def run(arguments):
         done = command(arguments, Path(folder))
         if not as_json:
             print(in_options(done.text))
-        folder, lines = done.folder, []
-        if done.write is not None:
-            folder, lines = _write(done, arguments, _notes(caught))
-    if as_json and isinstance(done.data, str):
-        print((folder / done.data).read_text(encoding="utf-8"))
-    elif as_json:
-        print(json.dumps(done.data, indent=1))
-    for line in () if as_json else lines:
+        lines = _write(done, arguments, _notes(caught)) if done.write else []
+    if as_json:
+        lines = [json.dumps(done.data, indent=1)]
+        if isinstance(done.data, str):
+            lines = [(done.folder / done.data).read_text(encoding="utf-8")]
+    for line in lines:
         print(line)
     sys.stdout.flush()
-    doubts = [str(x.message) for x in caught if issubclass(x.category, DoubtWarning)]
-    doubts = [" ".join(one.split()) for one in (*done.doubts, *doubts)]
+    doubts = [w.message for w in caught if issubclass(w.category, DoubtWarning)]
+    doubts = [" ".join(str(one).split()) for one in (*done.doubts, *doubts)]
     doubts = list(dict.fromkeys(doubts))
-    notes = [x for x in _notes(caught) if x not in doubts[:_NAMED]]
-    for text in () if done.page else notes:
-        say(f"note: {text}")
+    for text in () if done.page else _notes(caught):
+        if text not in doubts[:_NAMED]:
+            say(f"note: {text}")
     if not doubts:
         return USABLE
     line = one_line(f"warning: {_named(doubts, done.page)}")
@@ -87,21 +85,20 @@ def _notes(caught):
     from sklearn.exceptions import ConvergenceWarning
 
     # Convergence concerns rivals of the model that is reported.
-    return tuple(
-        dict.fromkeys(
-            " ".join(str(warning.message).split())
-            for warning in caught
-            if issubclass(warning.category, UserWarning)
-            and warning.category is not ConvergenceWarning
-        )
+    texts = (
+        " ".join(str(warning.message).split())
+        for warning in caught
+        if issubclass(warning.category, UserWarning)
+        and warning.category is not ConvergenceWarning
     )
+    return tuple(dict.fromkeys(texts))
 
 
 # -- files -----------------------------------------------------------------------------
 
 
 def _write(done, arguments, notes):
-    """Write all files or none, each complete; return their folder and lines."""
+    """Write all files or none, each complete; return lines to print."""
     folder = done.folder
     with _reserved(folder) as part:
         there = [name for name in done.files if (folder / name).exists()]
@@ -117,7 +114,7 @@ def _write(done, arguments, notes):
     if done.page:
         count = f", with notes: {len(notes)}" if notes else ""
         paths = [f"{paths[0]} (all details{count})", f"{len(paths) - 1} more files"]
-    return folder, [*lines, f"written: {', '.join(paths)}"]
+    return [*lines, f"written: {', '.join(paths)}"]
 
 
 @contextlib.contextmanager

@@ -31,17 +31,34 @@ def simulate(arguments, folder):
     with _input.blaming(_input.named(arguments)):
         windows = _windows(arguments, robot, recording)
     places = [_place(recording, windows, k) for k in range(windows.n_windows)]
-    shown = _shown(windows, places, arguments.window)
+    count, failures, verdict = windows.n_windows, windows.failures, windows.verdict()
+    failed = ""
+    if failures:
+        k, message = next(iter(failures.items()))
+        name, begin, end = places[k]
+        failed = (
+            f"{len(failures)} of {count} windows failed, the first at {name}, "
+            f"{begin:.3f} to {end:.3f} s: {message}"
+        )
+    text = rendered(
+        "simulation.txt.j2",
+        recording=recording,
+        seconds=arguments.window,
+        count=count,
+        complete=count - len(failures),
+        errors=_error_columns(windows),
+        commanded=windows.commanded is not None,
+        verdict=verdict,
+        failures=failed,
+    )
 
     def write(folder, notes):
         path = folder / _TABLE
         path.write_text(errors_table(windows, places), encoding="utf-8", newline="")
         return [""]
 
-    doubts = [shown["failures"]] if shown["failures"] else []
-    if not windows.clearly_better.all():
-        doubts.append(shown["verdict"])
-    text = rendered("simulation.txt.j2", recording=recording, **shown)
+    unclear = "" if windows.clearly_better.all() else verdict
+    doubts = [line for line in (failed, unclear) if line]
     return Done(text=text, doubts=doubts, folder=out, files=(_TABLE,), write=write)
 
 
@@ -91,11 +108,8 @@ def _recording(arguments, robot, folder):
 
 def _windows(arguments, robot, recording):
     """Simulate windows from torques, or from commands under a drive of positions."""
-    drive = arguments.drive
-    settings = {
-        "window": arguments.window,
-        "signals": OfferedSignals.of_file(recording),
-    }
+    drive, signals = arguments.drive, OfferedSignals.of_file(recording)
+    settings = {"window": arguments.window, "signals": signals}
     if drive is not None and drive.of_positions:
         if any(isinstance(x, CommandDelay) for x in robot.effects_):
             # The delay is that of the fit.
@@ -103,9 +117,8 @@ def _windows(arguments, robot, recording):
         return follow_windows(robot, drive, recording, **settings)
     if drive is not None and drive.unsigned:
         recording = signed(robot, recording)
-    return simulate_windows(
-        robot, recording.q, recording.tau, recording.groups, **settings
-    )
+    given = recording.q, recording.tau, recording.groups
+    return simulate_windows(robot, *given, **settings)
 
 
 def _place(recording, windows, k):
@@ -119,35 +132,12 @@ def _place(recording, windows, k):
     return name, begin, begin + windows.t[k, -1] - windows.t[k, 0]
 
 
-def _shown(windows, places, seconds):
-    """Return what the template of the text shows."""
-    count, failures = windows.n_windows, windows.failures
-    shown = {
-        "seconds": seconds,
-        "count": count,
-        "complete": int((~windows.failed).sum()),
-        "errors": _error_columns(windows),
-        "commanded": windows.commanded is not None,
-        "verdict": windows.verdict(),
-        "failures": "",
-    }
-    if failures:
-        k, message = next(iter(failures.items()))
-        name, begin, end = places[k]
-        shown["failures"] = (
-            f"{len(failures)} of {count} windows failed, the first at {name}, "
-            f"{begin:.3f} to {end:.3f} s: {message}"
-        )
-    return shown
-
-
 def _error_columns(windows):
     """Return columns of the errors over windows, by their heads."""
     scale, units = windows.scales
     complete = ~windows.failed
     columns = {"": windows.joint_names, "unit": units}
-    errors = {"simulated": windows} | windows.rivals
-    for head, one in errors.items():
+    for head, one in ({"simulated": windows} | windows.rivals).items():
         rms = np.full(len(units), np.nan)
         if complete.any():
             rms = scale * np.sqrt(np.mean(one.errors[complete] ** 2, axis=0))

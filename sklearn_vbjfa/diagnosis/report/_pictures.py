@@ -123,40 +123,47 @@ class Plot:
         )
 
 
-# -- the figures -----------------------------------------------------------------------
+# -- the figures of an outcome ---------------------------------------------------------
 
 
-def torque_figure(torques, floor, *, title, y_labels):
+def torques(outcome):
+    """Draw the torque of the worst joints over time, and both residuals below."""
+    return [_torque(outcome, one) for one in outcome.curves.get("torques", ())]
+
+
+def _torque(outcome, curves):
     """Draw measured and predicted torque over time, and both residuals below."""
-    seconds, counts = torques.seconds, torques.counts
+    own, seconds = outcome.errors[curves.joint], curves.seconds
+    floor = own.floor * own.spread
     left = [
-        np.where(counts, torques.measured - own, np.nan)
-        for own in (torques.before, torques.after)
+        np.where(curves.counts, curves.measured - predicted, np.nan)
+        for predicted in (curves.before, curves.after)
     ]
     # The declared model on top, or the completed one would hide where they agree; its
     # residual goes behind that of the completed one.
     upper = {
-        "measured": torques.measured,
-        "line-after": torques.after,
-        "line-before": torques.before,
+        "measured": curves.measured,
+        "line-after": curves.after,
+        "line-before": curves.before,
     }
     lower = {"line-before": left[0], "line-after": left[1]}
-    charts, notes = [], []
-    for own, y_label in ((upper, y_labels[0]), (lower, y_labels[1])):
-        curves = list(own.values())
-        plot = Plot(ends_of(seconds), range_of(np.concatenate(curves)))
-        if own is lower and floor > 0:
+    what, charts, notes = "torque" if own.unit == "N m" else "force", [], []
+    for label, shown in ((what, upper), ("residual", lower)):
+        values = list(shown.values())
+        plot = Plot(ends_of(seconds), range_of(np.concatenate(values)))
+        if shown is lower and floor > 0:
             plot.band("floor", None, -floor, floor)
         plot.zero()
-        for kind, values in own.items():
-            plot.line(kind, (seconds, values))
-        notes.append(plot.beyond(curves))
-        charts.append(plot.chart("held-out time, its stretches joined [s]", y_label))
+        for kind, y in shown.items():
+            plot.line(kind, (seconds, y))
+        notes.append(plot.beyond(values))
+        time = "held-out time, its stretches joined [s]"
+        charts.append(plot.chart(time, f"{label} [{own.unit}]"))
     keys = list(zip(upper, ("measured", "completed model", "declared model")))
     if floor > 0:
         keys.append(("floor", "noise floor, one standard deviation"))
     return Figure(
-        title=title,
+        title=words.joint_label(outcome.robot["joints"], curves.joint),
         charts=tuple(charts),
         keys=tuple(keys),
         note="; ".join(filter(None, notes)),
@@ -164,8 +171,14 @@ def torque_figure(torques, floor, *, title, y_labels):
     )
 
 
-def residual_figure(curves, *, title, unit):
+def residuals(outcome):
+    """Draw residuals over the predicted torque, and their autocorrelation."""
+    return [_residual(outcome, one) for one in outcome.curves.get("residuals", ())]
+
+
+def _residual(outcome, curves):
     """Draw a residual over the predicted torque, and its autocorrelation."""
+    unit = outcome.errors[curves.joint].unit
     cloud = Plot(ends_of(curves.predicted), range_of(curves.residual))
     cloud.zero()
     cloud.cloud(curves.predicted, curves.residual)
@@ -174,7 +187,7 @@ def residual_figure(curves, *, title, unit):
     lags.zero()
     lags.line("mean-after", (curves.lags, curves.correlation))
     return Figure(
-        title=title,
+        title=words.joint_label(outcome.robot["joints"], curves.joint),
         charts=(
             cloud.chart(f"predicted [{unit}]", f"residual [{unit}]"),
             lags.chart("lag [s]", "autocorrelation [1]"),

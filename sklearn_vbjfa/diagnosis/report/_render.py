@@ -9,7 +9,7 @@ import numpy as np
 from tabulate import tabulate
 
 from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR
-from sklearn_vbjfa.diagnosis.report import _facts, _figures, _pictures
+from sklearn_vbjfa.diagnosis.report import _facts, _pictures
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
@@ -116,7 +116,7 @@ class Voice:
             "v": verdict,
             "rest": sorted(rest, key=lambda u: -u.of_torque),
             "facts": partial(self._bound, _facts),
-            "figures": partial(self._bound, _figures),
+            "figures": partial(self._bound, _pictures),
             "joint": partial(words.joint_label, names),
             "joints": partial(words.joint_list, names),
             "say": self,

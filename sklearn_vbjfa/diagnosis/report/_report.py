@@ -62,8 +62,6 @@ class Report:
         )
         self.uses = tuple(
             dataclasses.replace(one, reason=say("use_reason", one))
-            if one.reason
-            else one
             for one in found.uses
         )
         self.headline = say("headline")

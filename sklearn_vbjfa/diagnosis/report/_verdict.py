@@ -40,7 +40,6 @@ class JointVerdict:
     joint: int  # from zero
     label: str
     status: str
-    n_effects: int  # reported ones
     detail: str = ""  # "near" the floor, or gain within "chance"
     text: str = ""  # the same in words
 
@@ -61,8 +60,9 @@ class Use:
 
     name: str
     allowed: bool
-    reason: str = ""  # why not, or for what not
-    joints: tuple = ()  # pairs of a status of joints and these joints
+    # why not, or what qualifies it: pairs of a code and the joints that it is true of
+    causes: tuple = ()
+    reason: str = ""  # the same in words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,13 +112,7 @@ def _judge_joint(outcome, own, label):
     effects = [e for e in outcome.findings["effects"] if _belongs(e, j)]
     rest = [u for u in outcome.findings["unexplained"] if u.joint == j]
     status, *detail = _of_joint(own, rest, effects)
-    return JointVerdict(
-        joint=j,
-        label=label(j),
-        status=status,
-        n_effects=len(effects),
-        detail=detail[0] if detail else "",
-    )
+    return JointVerdict(joint=j, label=label(j), status=status, detail="".join(detail))
 
 
 def _belongs(effect, j):
@@ -162,10 +156,10 @@ def _is_worse(own, error, difference):
     return surely and _rose(own, error)
 
 
-def _rose(own, error):
+def _rose(own, error, factor=_WORSE):
     """Whether the error of a joint is larger than with another model."""
     # At its noise floor no joint is worse; an unknown floor excuses nothing.
-    return own.after > _WORSE * getattr(own, error) and not own.after <= own.floor
+    return own.after > factor * getattr(own, error) and not own.after <= own.floor
 
 
 def _status(outcome, joints, faults):
@@ -186,20 +180,15 @@ def _status(outcome, joints, faults):
 
 def mean_errors(outcome):
     """Return the mean errors of the joints that move enough, as `MeanErrors`."""
-    enough = [one for one in outcome.errors if one.enough]
-    used = [one for one in enough if np.isfinite([one.before, one.after]).all()]
-
-    def mean(name, rows=used):
-        known = [getattr(one, name) for one in rows]
-        known = [value for value in known if np.isfinite(value)]
-        return float(np.mean(known)) if known else np.nan
-
-    return MeanErrors(
-        before=mean("before"),
-        plain=mean("plain"),
-        after=mean("after"),
-        floor=mean("floor") if all(np.isfinite(x.floor) for x in used) else np.nan,
-    )
+    used = [
+        one
+        for one in outcome.errors
+        if one.enough and np.isfinite([one.before, one.after]).all()
+    ]
+    names = ("before", "plain", "after", "floor")
+    rows = [[getattr(one, name) for name in names] for one in used]
+    means = np.mean(rows, axis=0) if rows else np.full(len(names), np.nan)
+    return MeanErrors(**dict(zip(names, means.tolist())))
 
 
 # -- uses ------------------------------------------------------------------------------
@@ -209,27 +198,32 @@ def _uses(outcome, status, joints):
     """Judge the uses of an outcome, a tuple of `Use`; reasons are codes."""
     whole = "faulty" if status == "faulty" else ""
     whole = whole or ("contradiction" if outcome.findings["contradictions"] else "")
-    errors = [outcome.errors[one.joint] for one in joints]
-    rose = [x.joint for x in errors if _rose(x, "before") or _rose(x, "plain")]
+    rose = [one.joint for one in joints if _is_doubtful(outcome, one.joint)]
     found = []
     for name, forbidden in (
         ("feedforward", _UNTRUSTED),
         ("simulation", _UNTRUSTED),
         ("collision detection", _UNTRUSTED + _ABOVE_NOISE),
     ):
-        own = {}
+        causes = {whole: []} if whole else {}
         for one in joints if not whole else ():
             if one.status in forbidden:
-                own.setdefault(one.status, []).append(one.joint)
-        allowed = not (whole or own)
+                causes.setdefault(one.status, []).append(one.joint)
+        allowed = not causes
         if allowed and rose:
-            own = {"rose": rose}
-        reason = whole or ("joints" if own else "")
+            causes["rose"] = rose
         if allowed and name == "simulation" and outcome.provenance.get("export"):
-            reason = "approximate"
-        joined = tuple(own.items())
-        found.append(Use(name=name, allowed=allowed, reason=reason, joints=joined))
+            causes["approximate"] = []
+        found.append(Use(name=name, allowed=allowed, causes=tuple(causes.items())))
     return (*found, *_masses(outcome, whole))
+
+
+def _is_doubtful(outcome, j):
+    """Whether the error of a joint rose, which an effect on it must not at all."""
+    findings, own = outcome.findings, outcome.errors[j]
+    effects = (*findings["effects"], *findings["possible"])
+    factor = 1.0 if any(_belongs(one, j) for one in effects) else _WORSE
+    return _rose(own, "before", factor) or _rose(own, "plain", factor)
 
 
 def _masses(outcome, whole):
@@ -244,5 +238,6 @@ def _masses(outcome, whole):
     for names, reason in ((known, ""), (others, whole or "masses")):
         if names:
             name = f"link masses of {words.join(names, 3)}" if split else "link masses"
-            found.append(Use(name=name, allowed=not reason, reason=reason))
+            causes = ((reason, []),) if reason else ()
+            found.append(Use(name=name, allowed=not reason, causes=causes))
     return tuple(found)

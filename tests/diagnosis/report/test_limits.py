@@ -111,6 +111,21 @@ def test_the_motion_of_each_joint_and_what_it_does_not_show():
 
 
 @pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({}, "o further recording is needed"),
+        ({"settings": {"effects": ()}}, "dentify without --no-search"),
+        ({"enough": [True, False]}, "ecord more motion of joint 2."),
+    ],
+)
+def test_next_steps_have_an_action_or_say_that_none_is_needed(given, said):
+    outcome = changed(make_outcome(nv=2, n_effects=0, not_identifiable=()), **given)
+    report = Report(outcome)
+    assert_said(section_of(report, "Next steps"), said)
+    assert said in " ".join(str(report).split())
+
+
+@pytest.mark.parametrize(
     ("cause", "value", "said"),
     [
         ("offset", -0.5, "An offset of -0.5 N m on joint 2"),

@@ -63,6 +63,20 @@ def test_a_rise_within_chance_stands_beside_the_uses():
     assert report.uses[0].allowed
     said = "collision detection (joint 2: held-out error rose, within chance)."
     assert said in " ".join(str(report).split())
+    known = given.provenance | {"export": ("identified.xml moves",)}
+    report = Report(replace(given, errors=errors, provenance=known))
+    assert "within chance; identified.json" in report.uses[1].reason
+
+
+def test_a_joint_with_an_effect_may_not_rise_at_all_in_silence():
+    given = make_outcome(channels=(), n_effects=1)
+    (effect,) = given.findings["effects"]
+    for joint in (effect.joint, effect.joint + 1):
+        errors = list(given.errors)
+        one = errors[joint]
+        errors[joint] = replace(one, after=1.03 * one.before, floor=0.5 * one.before)
+        reason = Report(replace(given, errors=tuple(errors))).uses[0].reason
+        assert ("error rose" in reason) == (joint == effect.joint)
 
 
 def test_a_faulty_channel_forbids_every_use():

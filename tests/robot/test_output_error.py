@@ -94,7 +94,9 @@ def test_sensitivities_are_derivatives_of_the_simulation(case):
     axes, effects = ROBOTS[case]
     friction = ("viscous",) if case == "smooth friction" else FRICTION
     model = arm(axes)
-    robot, states, tau = identified(model, effects, duration=3.0, friction=friction)
+    # The medians of few windows scatter where a joint sticks.
+    seconds = 3.0 if case == "pendulum" else 6.0
+    robot, states, tau = identified(model, effects, duration=seconds, friction=friction)
     robot.theta_ = robot.theta_.copy()
     # Effects of some size, which the torques did not have.
     robot.theta_[robot.features_.n_parameters_ :] = 0.4

@@ -1,4 +1,4 @@
-"""The commands ``inspect`` and ``effects``."""
+"""The commands ``inspect``, ``effects`` and ``datasets``."""
 
 import re
 
@@ -8,6 +8,7 @@ from tabulate import tabulate
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._parser import in_options
 from sklearn_vbjfa._cli._run import Done, rendered
+from sklearn_vbjfa.datasets import SETS
 from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.inspection import motion_of
 
@@ -19,6 +20,21 @@ def list_effects(arguments, folder):
     rows = [[one.name, _title(one), one.record] for one in resolve("all")]
     heads = ["name", "effect", "what to record"]
     return Done(text=tabulate(rows, headers=heads, maxcolwidths=[None, 46, 34]))
+
+
+def list_datasets(arguments, folder):
+    """List the measured data sets."""
+    heads = ["function of sklearn_vbjfa.datasets", "content", "joints", "licence"]
+    rows = [
+        [
+            f"fetch_{name}",
+            one["text"].split("\n")[1].removeprefix("Load ").rstrip("."),
+            len(one["joint_names"]),
+            one["licence"],
+        ]
+        for name, one in SETS.items()
+    ]
+    return Done(text=tabulate(rows, headers=heads, maxcolwidths=[None, 30, None, 14]))
 
 
 def _title(effect):

@@ -32,10 +32,11 @@ def correct(arguments, folder):
     joints = pd.DataFrame(
         {
             "joint": found.identifier.joint_names_,
-            "gravity": found.gravity,
-            "described": found.error_before,
-            "corrected": found.error_after,
+            "gravity described": found.gravity_before,
+            "gravity corrected": found.gravity,
             "interval": found.interval,
+            "error described": found.error_before,
+            "error corrected": found.error_after,
             "friction": np.where(found.gravity, friction, "no gravity torque"),
         }
     )

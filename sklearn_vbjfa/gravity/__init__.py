@@ -50,9 +50,10 @@ class GravityCorrection:
     error_before, error_after : ndarray of shape (nv,)
         Root mean square error of the torque at held-out samples [N m or N], friction
         fitted in both cases; nan for a joint without samples.
-    gravity, interval : ndarray of shape (nv,)
-        Root mean squares over random poses of the gravity torque and of the half width
-        of its 90 % interval [N m or N]; zero for a vertical axis.
+    gravity_before, gravity, interval : ndarray of shape (nv,)
+        Root mean squares over random poses of the gravity torque as described and as
+        corrected, and of the half width of its 90 % interval [N m or N]; zero for a
+        vertical axis. That of a joint is the moment of all links beyond it.
     poses_enough : int or None
         Further poses after which no interval exceeds the noise of one pose, up to 100.
     friction_known : ndarray of shape (nv,), bool
@@ -67,6 +68,7 @@ class GravityCorrection:
     n_samples: int
     error_before: np.ndarray
     error_after: np.ndarray
+    gravity_before: np.ndarray
     gravity: np.ndarray
     interval: np.ndarray
     poses_enough: int | None
@@ -125,8 +127,10 @@ def correct_gravity(recording, model):
         payload = _payload(found, samples, features, bodies)
     _keep_inertias(found)
     at_poses = _gravity_rows(features, _random_poses(model))
-    inertial = found.robot_.inertial().ravel()
-    gravity = np.sqrt(((at_poses @ inertial) ** 2).mean(axis=0))
+    inertial = bodies.vector(at_poses.shape[2]), found.robot_.inertial().ravel()
+    described, gravity = (
+        np.sqrt(((at_poses @ one) ** 2).mean(axis=0)) for one in inertial
+    )
     loaded = gravity > 1e-6 * gravity.max()
     noise = np.maximum(found.output_noise_, 1e-9 * gravity.max())
     _, stds = _best_poses(at_poses, _covariance(found), noise, _MOST)
@@ -136,6 +140,7 @@ def correct_gravity(recording, model):
         n_samples=samples.n_samples,
         error_before=before,
         error_after=after,
+        gravity_before=described * loaded,
         gravity=gravity * loaded,
         interval=HALF_WIDTH * stds[0] * loaded,
         poses_enough=int(enough[0]) if enough.size else None,

@@ -45,7 +45,7 @@ def test_poses_are_designed_and_a_log_of_them_corrects_the_description(
     count = len(pd.read_csv("next.csv"))
     assert count == 4 * (report["poses_enough"] or 20)
     joints = report["joints"]
-    assert joints[1]["corrected"] < joints[1]["described"]
+    assert joints[1]["error corrected"] < joints[1]["error described"]
     q = RNG.uniform(-2, 2, (50, 3))
     after = gravity(pin.buildModelFromUrdf("out/identified.urdf"), q)
     error, before = after - gravity(true, q), gravity(described, q) - gravity(true, q)

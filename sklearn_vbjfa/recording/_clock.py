@@ -4,6 +4,7 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from sklearn_vbjfa.recording._layout import channel_unit, is_exact, refuse_two
 from sklearn_vbjfa.recording._recording import check_dt, check_rows_of_time
@@ -29,13 +30,12 @@ DT_TOLERANCE = 0.05
 SAME_DT = 1e-3
 # A slower clock [s] records no motion: stamps in ms or ns come out like that.
 _SLOWEST = 1.0
-# Steps this near to whole periods, nine in ten of them, show how many rows are missing.
-_NEAR, _NEARLY_ALL = 0.15, 0.9
-# Steps without a common period of which more than this share are gaps are refused.
+# Late stamps average out over so many rows. Those that scatter about such means by less
+# than a share of a period show how many rows are missing; means that scatter by more
+# than a share show that rows are missing, or that the period changes.
+_LONG, _NEAR, _FAR = 64, 0.25, 0.5
+# Steps that do not show it, of which more than this share are gaps, are refused.
 _MANY_GAPS = 0.02
-# Stamps further from the grid than this share of the recording, and so many periods,
-# are no late ones: the period changes.
-_FAR, _FAR_PERIODS = 0.01, 3.0
 # Positions must fit the stamps better by this much, in the sum over the joints of the
 # logarithms of their squared errors, than they fit the grid.
 _CLEARLY = 0.2
@@ -82,7 +82,7 @@ def inspect_time_stamps(
     irregular = max(np.ptp((t - found * slots)[x]) for x in pieces) > 2 * STEADY * found
     sampled = irregular and _is_sampled(t, found * slots, pieces, positions)
     if irregular and not sampled:
-        _check_far(t, found * slots, pieces, found, where)
+        _check_far(t, found * slots, pieces, found)
     if dt is not None and abs(found - dt) > tolerance * dt:
         raise ValueError(
             f"time steps by {found:.6g} s but dt = {dt:.6g} s; correct one of them, or "
@@ -114,33 +114,44 @@ def _check_rise(t, where):
 
 def _periods(step):
     """Return the period of steps [s], and how many of it each of them takes."""
+    ones, usual = np.ones(step.size, dtype=int), float(np.median(step))
+    plain = _lateness(step, usual, ones)
     # Without the rows of a second source, steps of two sizes may be equally frequent.
     for share in (0.5, 0.25):
         period = float(np.quantile(step, share, method="lower"))
         counts = np.maximum(np.rint(step / period).astype(int), 1)
-        if np.mean(np.abs(step / period - counts) < _NEAR) >= _NEARLY_ALL:
+        if _lateness(step, period, counts) < min(_NEAR, plain):
             return period, counts
-    # Nothing shows which rows are missing.
-    period = float(np.median(step))
-    if np.mean(step > GAP_PERIODS * period) > _MANY_GAPS:
+    # Nothing shows which rows are missing, if any.
+    if plain > _NEAR and np.mean(step > GAP_PERIODS * usual) > _MANY_GAPS:
         raise ValueError(
             f"time steps by {step.min():.4g} to {step.max():.4g} s, without a period; "
             "correct t, or leave it out and give dt if rows are equidistant."
         )
-    return period, np.ones(step.size, dtype=int)
+    return usual, ones
 
 
-def _check_far(t, grid, pieces, period, where):
-    """Refuse stamps that leave the grid further than late ones do."""
+def _lateness(step, period, counts):
+    """Return the standard deviation of stamps about their means, in periods."""
+    gap = step > GAP_PERIODS * period
+    found = step[~gap].sum() / counts[~gap].sum()
+    away = np.cumsum(np.where(gap, 0.0, step - found * counts))
+    return np.std(away - uniform_filter1d(away, _LONG)) / found
+
+
+def _check_far(t, grid, pieces, period):
+    """Refuse stamps that leave the grid for longer than late ones do."""
     for piece in pieces:
         away = t[piece] - grid[piece]
-        if np.ptp(away) > max(_FAR * np.ptp(t[piece]), _FAR_PERIODS * period):
-            row = piece.start + int(np.argmax(np.abs(away - np.median(away))))
+        # A clock may drift.
+        trend = np.polynomial.Polynomial.fit(grid[piece], away, min(3, away.size - 1))
+        wander = np.std(uniform_filter1d(away - trend(grid[piece]), _LONG))
+        if wander > _FAR * period:
             raise ValueError(
-                f"time is up to {np.ptp(away):.4g} s off a grid of {period:.4g} s, "
-                f"most in {where(row)}, and positions do not follow it: the period "
-                "changes; correct t, or mark recordings of other periods in a column "
-                "segment."
+                f"time wanders by {wander:.4g} s about steps of {period:.4g} s, and "
+                "positions do not follow it: rows are missing, or the period changes. "
+                "Correct t, mark recordings of other periods in a column segment, or "
+                "leave t out and give dt if rows are equidistant."
             )
 
 

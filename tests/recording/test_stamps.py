@@ -68,7 +68,7 @@ def test_positions_tell_late_stamps_from_late_samples(share):
 
 
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.1])
-@pytest.mark.parametrize("jitter", [0.0, 0.02])
+@pytest.mark.parametrize("jitter", [0.0, 0.02, 0.05])
 def test_lost_rows_are_counted(share, jitter):
     rng = np.random.default_rng(2)
     keep = np.flatnonzero(rng.random(N) >= share)
@@ -140,11 +140,18 @@ def test_a_drifting_clock_loses_no_row(share):
     assert checked.dt == pytest.approx(DT, rel=1e-6)
 
 
-def test_a_clock_that_changes_its_period_is_refused():
-    positions = motion(DT * np.arange(N))
-    slower = np.cumsum(np.repeat([DT, 1.25 * DT], N // 2))
-    with pytest.raises(ValueError, match=r"time is up to \S+ s off .* period changes"):
-        inspect_time_stamps(slower, positions=positions)
+WANDERING = {
+    "period": lambda rng: np.cumsum(np.repeat([DT, 1.25 * DT], N // 2)),
+    "often": lambda rng: np.cumsum(np.tile(np.repeat([DT, 1.25 * DT], 50), N // 100)),
+    "rows": lambda rng: np.delete(late(0.3, rng, N + 60), rng.choice(N, 60, False)),
+}
+
+
+@pytest.mark.parametrize("case", WANDERING)
+def test_stamps_that_show_no_regular_clock_are_refused(case):
+    t = WANDERING[case](np.random.default_rng(0))
+    with pytest.raises(ValueError, match=r"rows are missing, or the period changes"):
+        inspect_time_stamps(t, positions=motion(DT * np.arange(N)))
 
 
 @pytest.mark.parametrize("dt", [4.0, 250.0])

@@ -3,7 +3,8 @@
 Most are runs of rows in which a channel keeps its value although the robot moves.
 """
 
-from itertools import pairwise
+import functools
+from itertools import combinations
 
 import numpy as np
 import scipy
@@ -15,23 +16,29 @@ from sklearn_vbjfa.inspection._sentences import finding, percent
 class Rows:
     """Rows of a log, and the faults that checks find in them."""
 
-    # q [rad or m], tau [N m or N] (n, nv); parts: slices of the recordings, which hold
-    # all rows; rows (n,): row numbers for messages; revolute (nv,): joints that turn.
+    # q [rad or m], tau [N m or N] (n, nv): later checks see them without jumps of a
+    # turn and lost rows; parts: slices of the recordings, which hold all rows; rows
+    # (n,): row numbers for messages; revolute (nv,): joints that turn.
 
-    def __init__(self, names, q, tau, dt, parts, rows, revolute=None):
+    def __init__(self, names, q, tau, dt, parts, rows, revolute):
         self.names, self.q, self.tau, self.dt = names, q, tau, dt
         self.parts, self.rows, self.revolute = parts, rows, revolute
         self.findings = []
-        if revolute is not None:
-            self.q = _unwrapped(self)
         self.label = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
         self.first = np.isin(np.arange(len(q)), [part.start for part in parts])
         self.usable = np.ones(q.shape, dtype=bool)
-        self.lost = np.zeros(len(q), dtype=bool)  # rows that repeat the one before
-        self.still = still_joints(self.q, parts)
-        self.moving = self.moves(self.q)
         self.held = np.zeros(q.shape[1], dtype=bool)  # torques at a lower rate
         self.every = 1  # rows until all positions are new
+
+    @functools.cached_property
+    def still(self):
+        """Joints that never move, ndarray (nv,) of bool."""
+        return still_joints(self.q, self.parts)
+
+    @functools.cached_property
+    def moving(self):
+        """Rows in which any joint moves, ndarray (n,) of bool."""
+        return self.moves(self.q)
 
     def steps(self, x):
         """Return differences to the row before, zero where a recording begins."""
@@ -80,8 +87,15 @@ def inspect_rows(names, q, tau, dt, parts, rows, revolute):
     for check in CHECKS:
         check(log)
     log.usable[:, log.still] = False
-    log.usable[log.lost] = False
     return log
+
+
+def _marked(x, runs):
+    """Mark runs of rows (first, last), ndarray (n,) of bool."""
+    marked = np.zeros(len(x), dtype=bool)
+    for a, b in runs:
+        marked[a : b + 1] = True
+    return marked
 
 
 # -- order and wraps -------------------------------------------------------------------
@@ -105,60 +119,49 @@ def shuffled_rows(names, q, parts):
     return [finding("shuffled_rows", names, every, "error", **facts)]
 
 
-def _unwrapped(log):
-    """Find angles that jump by a full turn; return the positions without jumps."""
+def _wraps(log):
+    """Find angles that jump by a full turn, and unwrap them."""
     # An error: differentiating across a jump gives speeds of hundreds of rad/s.
-    turning = np.flatnonzero(log.revolute)
-    jumps = {int(j): _turns(log.q[:, j], log.parts) for j in turning}
-    jumps = {j: over for j, over in jumps.items() if over.size}
-    if not jumps:
-        return log.q
-    q = log.q.copy()
-    for j in jumps:
+    turns = {int(j): _turns(log, log.q[:, j]) for j in np.flatnonzero(log.revolute)}
+    turns = {j: rows for j, rows in turns.items() if rows.size}
+    if not turns:
+        return
+    log.q = log.q.copy()
+    for j in turns:
         for part in log.parts:
-            x = np.unwrap(q[part, j])
+            x = np.unwrap(log.q[part, j])
             # Each recording may begin in another turn.
-            q[part, j] = x - 2 * np.pi * np.round(x.mean() / (2 * np.pi))
-    rows = np.concatenate(list(jumps.values()))
+            log.q[part, j] = x - 2 * np.pi * np.round(x.mean() / (2 * np.pi))
+    rows = np.concatenate(list(turns.values()))
     facts = {"count": rows.size, "row": log.rows[rows.min()]}
-    log.report("wrapped_position", list(jumps), "error", **facts)
-    return q
+    log.report("wrapped_position", list(turns), "error", **facts)
 
 
-def _turns(x, parts):
+def _turns(log, x):
     """Return the rows after jumps by a full turn."""
-    found, turn = [np.zeros(0, dtype=int)], 2 * np.pi
-    for part in parts:
-        y = x[part]
-        step = np.diff(y)
-        over = np.flatnonzero(np.abs(step) > (1 - number.TURN_LEFT) * turn)
-        # Steps as large as a turn everywhere are another fault.
-        if not 0 < over.size <= 0.05 * step.size or np.ptp(y) > 1.1 * turn:
-            continue
-        rest = step - turn * np.round(step / turn)
-        usual = np.quantile(np.abs(np.delete(step, over)), 0.999)
-        # After unwrapping, the steps must match those of the motion.
-        over = over[np.abs(rest[over]) <= 3 * usual + 1e-3 * turn]
-        found.append(part.start + over + 1)
-    return np.concatenate(found)
+    step, turn = log.steps(x), 2 * np.pi
+    over = np.flatnonzero(np.abs(step) > (1 - number.TURN_LEFT) * turn)
+    # Steps as large as a turn everywhere are another fault.
+    widest = max(np.ptp(x[part]) for part in log.parts)
+    if not 0 < over.size <= 0.05 * step.size or widest > 1.1 * turn:
+        return over[:0]
+    rest = step - turn * np.round(step / turn)
+    usual = np.quantile(np.abs(np.delete(step, over)), 0.999)
+    # After unwrapping, the steps must match those of the motion.
+    return over[np.abs(rest[over]) <= 3 * usual + 1e-3 * turn]
 
 
 # -- rest and whole rows ---------------------------------------------------------------
 
 
-def _noise(q, parts):
-    """Deviations (nv,) of the white noise of positions."""
-    bends = [np.diff(q[part], n=3, axis=0) for part in parts]
-    # The third difference of white noise has 20 times its variance.
-    count = max(20 * sum(map(len, bends)), 1)
-    return np.sqrt(sum((x**2).sum(axis=0) for x in bends) / count)
-
-
 def still_joints(q, parts):
     """Joints at rest throughout, but for the noise of their positions, (nv,), bool."""
-    parts = [part for part in parts if part.stop > part.start]
-    travel = np.max([np.ptp(q[part], axis=0) for part in parts], axis=0)
-    return travel <= number.STILL_TRAVEL * _noise(q, parts)
+    pieces = [q[part] for part in parts if part.stop > part.start]
+    travel = np.max([np.ptp(x, axis=0) for x in pieces], axis=0)
+    bends = np.concatenate([np.diff(x, n=3, axis=0) for x in pieces])
+    # The third difference of white noise has 20 times its variance.
+    noise = np.sqrt((bends**2).sum(axis=0) / (20 * max(len(bends), 1)))
+    return travel <= number.STILL_TRAVEL * noise
 
 
 def at_rest(q, parts):
@@ -191,20 +194,19 @@ def _held(log):
     """Find channels that have new values at a lower rate."""
     # They lag by half a period and change in steps, which looks like delay, elasticity
     # and friction at reversals, but they show the recorded motion: a warning.
-    rates = {}
+    moving = np.flatnonzero(~log.still)
     for what, channels in (("position", log.q), ("torque", log.tau)):
-        rates[what] = np.zeros(len(log.names))
-        for j in np.flatnonzero(~log.still):
-            rates[what][j] = _rate(log, channels[:, j])
-        joints = np.flatnonzero(rates[what])
-        if joints.size:
-            k = round(float(np.median(rates[what][joints])))
-            facts = {"k": k, "late": 500 * (k - 1) * log.dt, "dt": k * log.dt}
-            log.report(f"held_{what}", joints, "warning", what=what, **facts)
-    log.held = rates["torque"] > 0
-    moving = rates["position"][~log.still]
-    if moving.size and moving.all():
-        log.every = round(float(np.median(moving)))
+        rates = np.array([_rate(log, channels[:, j]) for j in moving])
+        joints = moving[rates > 0]
+        if not joints.size:
+            continue
+        k = round(float(np.median(rates[rates > 0])))
+        facts = {"k": k, "late": 500 * (k - 1) * log.dt, "dt": k * log.dt}
+        log.report(f"held_{what}", joints, "warning", what=what, **facts)
+        if what == "torque":
+            log.held[joints] = True
+        elif (rates > 0).all():
+            log.every = k
 
 
 def _rate(log, x):
@@ -228,49 +230,73 @@ def _rate(log, x):
     return float(np.median(found)) if found else 0.0
 
 
-def _repeated_rows(log):
-    """Find rows that equal the row before in every channel amid a motion."""
+def _lost_rows(log):
+    """Find rows without any torque, or equal to the row before, amid a motion."""
+    # Later checks see a straight line in their place.
     if log.every > 1:
         return
-    step = np.abs(log.steps(log.q))
+    empty = (log.tau == 0).all(axis=1)
+    found = _breaks(log, empty, 1)
+    if len(found) >= number.DROPOUT_RUNS or any(b > a for a, b in found):
+        _report_lost(log, "empty_rows", found, "warning")
     same = (log.steps(np.hstack([log.q, log.tau])) == 0).all(axis=1) & ~log.first
-    usual, found = np.quantile(step, 0.995, axis=0), []
-    for a, b in log.runs(same):
-        # Rows a - 1 to b are equal.
-        begins, ends = not log.together(a - 2, b), not log.together(a, b + 1)
-        long = b - a + 2 >= number.FROZEN_ROWS and begins != ends
-        beside = b + 1 if begins and long else a - 1
-        if long and (step[beside] > number.SUDDEN * usual).any():
-            # Nothing was logged yet, or any more: a jump separates them.
-            found.append((a - 1, b + begins))
-        elif _amid_motion(log, a, b, number.HELD_SPEED * usual):
-            found.append((a, b))
+    found = _breaks(log, same, number.FROZEN_ROWS - 1)
     count = sum(b - a + 1 for a, b in found)
-    longest = max((b - a + 2 for a, b in found), default=0)
-    few = count < max(number.FEWEST_REPEATED, number.REPEATED_SHARE * len(log.q))
-    if not found or (few and longest < number.FROZEN_ROWS):
-        return
-    log.lost |= _marked(log.lost, found)
-    # A few are recognisable from the motion around them; many make the speed and the
-    # sample period wrong.
-    many = longest >= number.FROZEN_ROWS or count > number.MANY_REPEATED * len(log.q)
-    every = range(len(log.names))
-    log.report("repeated_rows", every, "warning" if many else "note", found)
+    long = max((b - a + 2 for a, b in found), default=0) >= number.FROZEN_ROWS
+    if long or count >= max(number.FEWEST_REPEATED, number.REPEATED_SHARE * len(log.q)):
+        # A few are recognisable from the motion around them; many make the speed and
+        # the sample period wrong.
+        many = long or count > number.MANY_REPEATED * len(log.q)
+        _report_lost(log, "repeated_rows", found, "warning" if many else "note")
+
+
+def _breaks(log, flags, least):
+    """Find runs of flagged rows at which a motion jumps, or does not stop."""
+    # least: rows from which on a jump of the position is enough.
+    around = flags | np.r_[False, flags[:-1]]
+    steps = [np.abs(log.steps(x)) for x in (log.q, log.tau)]
+    if around.all() or not flags.any():
+        return []
+    usual = [np.quantile(x[~around], 0.995, axis=0) for x in steps]
+    jumps = [(x > number.SUDDEN * y).any(axis=1) for x, y in zip(steps, usual)]
+    found = []
+    for a, b in log.runs(flags):
+        # Rows that equal the one before begin a row late.
+        begin = a if (log.tau[a] == 0).all() or not log.together(a - 1, a) else a - 1
+        ends = [k for k in (begin, b + 1) if log.together(k - 1, k)]
+        if b - a + 1 >= least and jumps[0][ends].any():
+            new = begin if jumps[0][begin] or log.first[begin] else a
+            found.append((new, b))
+        elif (flags[a] and least > 1) or jumps[1][ends].any():
+            if _amid_motion(log, a, b, number.HELD_SPEED * usual[0]):
+                found.append((a, b))
+    return found
 
 
 def _amid_motion(log, a, b, least):
     """Whether a joint moves faster than `least` (nv,) up to row a - 1 and from b on."""
     near = number.BESIDE
-    if not log.together(a - 1 - near, b):
+    if not log.together(a - 1 - near, b + 1 + near):
         return False
     into = (log.q[a - 1] - log.q[a - 1 - near]) / near
-    fast = np.abs(into) > least
-    if log.together(b, b + 1 + near):
-        out = (log.q[b + 1 + near] - log.q[b + 1]) / near
-        fast &= (np.abs(out) > least) & (into * out > 0)
-    elif log.together(b, b + 1):
-        return False
-    return bool(fast.any())
+    out = (log.q[b + 1 + near] - log.q[b + 1]) / near
+    return bool(
+        ((np.minimum(np.abs(into), np.abs(out)) > least) & (into * out > 0)).any()
+    )
+
+
+def _report_lost(log, kind, runs, severity):
+    """Report whole rows that were lost, and put a straight line in their place."""
+    log.report(kind, range(len(log.names)), severity, runs)
+    lost, rows = _marked(log.q, runs), np.arange(len(log.q))
+    log.usable[_marked(log.q, [x for x in runs if x[1] - x[0] >= number.BESIDE])] = (
+        False
+    )
+    log.q, log.tau = log.q.copy(), log.tau.copy()
+    for part in log.parts:
+        good, bad = rows[part][~lost[part]], rows[part][lost[part]]
+        for x in (*log.q.T, *log.tau.T) if good.size else ():
+            x[bad] = np.interp(bad, good, x[good])
 
 
 # -- torques ---------------------------------------------------------------------------
@@ -323,25 +349,21 @@ def _coarse(log, j, x):
 
 def _dropped(log, j, x):
     """Find torques that keep a value while their joint moves, as lost readings do."""
-    repeats, step = log.steps(x) == 0, np.abs(log.steps(x))
-    moves = log.moves(log.q[:, [j]]) & ~log.lost
-    # Torques that pass zero slowly stay there, but do not jump there and back.
+    step = np.abs(log.steps(x))
+    repeats = (step == 0) & ~log.first
     usual = np.median(step[step > 0]) if step.any() else 0.0
-    jump = max(number.DROPOUT_STEP * usual, number.LEAST_DROPOUT * x.std())
-    zeros = [
-        (a, b, np.abs(x[[a - 1, b + 1]]) > jump)
-        for a, b in log.runs((x == 0) & log.moving & ~log.lost)
-        if b - a >= 2 and log.together(a - 1, b + 1)
-    ]
-    found = [(a, b) for a, b, jumps in zeros if jumps.any()]
-    if sum(jumps.all() for *_, jumps in zeros) < number.DROPOUT_RUNS:
-        # What repeats itself everywhere is coarse, and the ends are those of a limit.
-        found = [
-            (a - 1, b)
-            for a, b in log.runs(repeats & moves & ~log.first)
-            if b - a + 2 >= number.STUCK_RUN and x[b] not in (x.min(), x.max())
-        ]
+    least = max(number.DROPOUT_STEP * usual, number.LEAST_DROPOUT * x.std())
+    jumps, long, short = np.r_[step > least, False], [], []
+    for a, b in log.runs(repeats & log.moves(log.q[:, [j]])):
+        # Those at an end are of a limit; torques that pass zero slowly stay there, but
+        # do not jump there and back.
+        if b - a + 2 >= number.STUCK_RUN and x[b] not in (x.min(), x.max()):
+            long.append((a - 1, b))
+        elif b > a and jumps[a - 1] and jumps[b + 1]:
+            short.append((a - 1, b))
+    found = sorted(long + short * (len(short) >= number.DROPOUT_RUNS))
     bad = _marked(x, found)
+    # What repeats itself everywhere is coarse.
     if not found or repeats[~bad].mean() > number.STUCK_REPEATS:
         return np.zeros_like(bad)
     # Adding zero leaves no minus before it.
@@ -374,12 +396,12 @@ def _clipped(log, j, x, moving):
     # No drive has the limit zero: these are sizes, or readings that were lost.
     for level in {x.max(), x.min()} - {0.0}:
         away = np.abs(x - level)
-        runs = log.runs((away <= width) & moving)
-        runs = [(a, b) for a, b in runs if b - a + 1 >= number.PLATEAU_RUN]
-        long = max((b - a + 1 for a, b in runs), default=0)
+        inside = (away <= width) & moving
+        runs = [x for x in log.runs(inside) if x[1] - x[0] + 1 >= number.PLATEAU_RUN]
+        long = max((b - a + 1 for a, b in runs), default=0) >= number.LONG_PLATEAU
         near = ((away > width) & (away <= 6 * width) & moving).sum() / 5
-        dense = ((away <= width) & moving).sum() >= number.DENSITY * max(near, 0.5)
-        exact = (x[_marked(x, runs)] == level).all() and long >= number.LONG_PLATEAU
+        dense = inside.sum() >= number.DENSITY * max(near, 0.5)
+        exact = (x[_marked(x, runs)] == level).all() and long
         if dense and (len(runs) >= number.PLATEAU_RUNS or (rare and exact)):
             ends.append(level)
             bad += runs
@@ -393,14 +415,6 @@ def _clipped(log, j, x, moving):
     return found
 
 
-def _marked(x, runs):
-    """Mark runs of rows (first, last), ndarray (n,) of bool."""
-    marked = np.zeros(x.shape, dtype=bool)
-    for a, b in runs:
-        marked[a : b + 1] = True
-    return marked
-
-
 # -- positions -------------------------------------------------------------------------
 
 
@@ -410,7 +424,9 @@ def _positions(log):
     for j in np.flatnonzero(~log.still):
         if stands is not None:
             log.usable[_stuck(log, j, stands)] = False
-        log.usable[_jumps(log, j)] = False
+        jumps = [k for k in _jumps(log.q[:, j], log.parts) if log.usable[k].any()]
+        log.findings += _jumping(log.names, j, log.q[:, j], jumps, log.rows)
+        log.usable[_marked(log.q, [(max(k - 2, 0), k + 1) for k in jumps])] = False
 
 
 def _stands(log):
@@ -442,7 +458,7 @@ def _stuck(log, j, stands):
     noisy = noise > number.NOISY * speed[speed > 0].min()
     same, others = (step == 0) & ~log.first, ~log.still
     others[j] = False
-    for a, b in log.runs(stands[:, j] & ~log.lost):
+    for a, b in log.runs(stands[:, j]):
         if b - a <= number.LEAST_STOP:
             continue
         inside = log.parts[log.label[a]]
@@ -467,28 +483,22 @@ def _stuck(log, j, stands):
 
 def position_jumps(names, q, parts):
     """Find jumps of positions (n, nv), as between concatenated recordings."""
-    pieces = [np.asarray(q[part]) for part in parts if part.stop > part.start]
-    whole = np.concatenate(pieces)
-    bends = [np.abs(np.diff(x, 2, axis=0)).max(axis=0, initial=0.0) for x in pieces]
-    # Interpolated, a jump takes two steps.
-    least = 0.4 * number.LEAST_JUMP * np.ptp(whole, axis=0)
-    joints = np.flatnonzero(np.max(bends, axis=0) > least)
-    if not joints.size:
-        return []
-    stops = np.cumsum([0, *map(len, pieces)])
-    parts = [slice(a, b) for a, b in pairwise(stops)]
-    log = Rows(names, whole, whole, 1.0, parts, np.arange(len(whole)))
-    for j in joints:
-        _jumps(log, j)
-    return [one for one in log.findings if one.severity == "warning"]
+    found, rows = [], np.concatenate([np.arange(p.start, p.stop) for p in parts])
+    rows = np.searchsorted(rows, np.arange(len(q)))
+    for j in range(q.shape[1]):
+        jumps = _jumps(q[:, j], parts)
+        found += _jumping(names, j, q[:, j], jumps, rows)
+    return [one for one in found if one.severity == "warning"]
 
 
-def _jumps(log, j):
-    """Find steps of a position that its neighbours contradict."""
-    x, jumps, least = log.q[:, j], [], number.LEAST_JUMP * np.ptp(log.q[:, j])
-    for part in log.parts:
+def _jumps(x, parts):
+    """Rows after steps of a position that its neighbours contradict."""
+    jumps, least = [], number.LEAST_JUMP * np.ptp(x)
+    for part in parts:
         step = np.diff(x[part])
-        if step.size < number.FEWEST_AROUND:
+        # Interpolated, a jump takes two steps.
+        bends = np.abs(np.diff(step)).max(initial=0.0)
+        if step.size < number.FEWEST_AROUND or bends <= 0.4 * least:
             continue
         # The next steps are left out: an interpolated jump takes two of them.
         near = [step[:-6], step[1:-5], step[2:-4], step[4:-2], step[5:-1], step[6:]]
@@ -500,15 +510,18 @@ def _jumps(log, j):
         far = (over > number.OUTLIER * scale) & (over > least)
         far &= over > 2.5 * np.abs(usual)
         jumps += list(part.start + 4 + np.flatnonzero(far))
-    jumps = [k for k in jumps if not log.lost[k] and log.usable[k].any()]
-    if not 0 < len(jumps) <= number.MOST_OUTLIERS * x.size:
-        return _marked(x, [])
+    return jumps if len(jumps) <= number.MOST_OUTLIERS * x.size else []
+
+
+def _jumping(names, j, x, jumps, rows):
+    """Return the finding on jumps of a position at some rows, in a list."""
+    if not jumps:
+        return []
     # A single wrong sample is a jump there and back.
     sizes = np.array([x[k] - x[k - 1] for k in jumps])
-    back = abs(sizes.sum()) < 0.5 * abs(sizes[0])
-    facts = {"count": len(jumps), "step": sizes[0], "row": log.rows[jumps[0]]}
-    log.report("position_jumps", j, "note" if back else "warning", **facts)
-    return _marked(x, [(max(k - 2, 0), k + 1) for k in jumps])
+    severity = "note" if abs(sizes.sum()) < 0.5 * abs(sizes[0]) else "warning"
+    facts = {"count": len(jumps), "step": sizes[0], "row": rows[jumps[0]]}
+    return [finding("position_jumps", names, j, severity, **facts)]
 
 
 # -- channels that hold another one ----------------------------------------------------
@@ -516,22 +529,23 @@ def _jumps(log, j):
 
 def _copies(log):
     """Find positions that equal each other, and torques but for a factor."""
-    for kind, values in (("position", log.q), ("torque", log.tau)):
+    # Joints may well be moved alike.
+    for kind, values, share in (
+        ("position", log.q, 0),
+        ("torque", log.tau, number.COPY),
+    ):
         centred = values - values.mean(axis=0)
-        varies = (np.ptp(values, axis=0) > 0) & ((centred**2).sum(axis=0) > 0)
-        moving = np.flatnonzero(varies)
-        for place, j in enumerate(moving):
-            for k in moving[:place]:
-                x, y = centred[:, k], centred[:, j]
-                # Joints may well be moved alike.
-                of_torque = kind == "torque"
-                factor = x @ y / (x @ x) if of_torque else 1.0
-                left, share = y - factor * x, number.COPY if of_torque else 0.0
-                if left @ left <= share**2 * (y @ y):
-                    facts = {"first": log.names[k], "second": log.names[j]}
-                    facts |= {"what": kind, "factor": factor}
-                    log.report(f"copied_{kind}", [k, j], "error", **facts)
-                    break
+        square = (centred**2).sum(axis=0)
+        varies = np.flatnonzero((np.ptp(values, axis=0) > 0) & (square > 0))
+        copies = set()
+        for k, j in combinations(varies, 2):
+            factor = centred[:, k] @ centred[:, j] / square[k] if share else 1.0
+            left = centred[:, j] - factor * centred[:, k]
+            if left @ left <= share**2 * square[j] and j not in copies:
+                copies.add(j)
+                facts = {"first": log.names[k], "second": log.names[j]}
+                facts |= {"what": kind, "factor": factor}
+                log.report(f"copied_{kind}", [k, j], "error", **facts)
 
 
 def _motion_as_torque(log):
@@ -552,11 +566,12 @@ def _motion_as_torque(log):
         whole = [np.gradient(piece, log.dt, axis=0) for piece in whole]
 
 
-# Each reports what it finds, and marks samples that no later check uses.
+# Each reports what it finds; later checks leave out samples that it marks.
 CHECKS = (
+    _wraps,
     _rest,
     _held,
-    _repeated_rows,
+    _lost_rows,
     _constant,
     _torques,
     _positions,

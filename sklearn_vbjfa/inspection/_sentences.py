@@ -48,6 +48,9 @@ SENTENCES = {
     "repeated_rows": "{count} rows ({share}) equal the row before them in every "
     "channel, up to {longest} in a row, the first in row {row}. Leave them out, and "
     "split the recording there (groups).",
+    "empty_rows": "All torques are zero in {count} rows ({share}) amid the motion, the "
+    "first is row {row}: readings were lost, or two sources were logged together. "
+    "Leave these rows out.",
     "held_position": _HELD,
     "held_torque": _HELD,
     "constant_torque": "The torques of {named} are constant ({values}) while the "

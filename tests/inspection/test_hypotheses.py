@@ -341,4 +341,17 @@ def test_outliers_of_a_torque_and_rows_before_the_log_begins(log):
     assert grave(log, tau=tau)[0] == ["torque_outliers"]
     tau = log[0].tau.copy()
     q[:100], tau[:100] = 0.0, 0.0
-    assert grave(log, q=q, tau=tau)[0] == ["repeated_rows"]
+    assert grave(log, q=q, tau=tau)[0] == ["empty_rows"]
+
+
+def test_rows_that_hold_no_readings(log):
+    q, tau = log[0].q.copy(), log[0].tau.copy()
+    q[1000:1100], tau[1000:1100] = 0.0, 0.0
+    kinds, found = grave(log, q=q, tau=tau)
+    assert kinds == ["empty_rows"]
+    assert "100 rows" in found[0].message
+    assert "row 1000" in found[0].message
+    # Two sources, of which one writes no torques.
+    tau = log[0].tau.copy()
+    tau[::3] = 0.0
+    assert grave(log, tau=tau)[0] == ["empty_rows"]

@@ -15,9 +15,8 @@ CLEAR, CLEAR_OF_JOINT = np.log(2.0), np.log(4.0)
 # error. All orders of up to so many joints are tried if half of them have more than
 # the next one: single swaps help little before most joints are in place.
 GOOD_FIT, NO_FIT, MOST_ORDERS = 0.1, 0.5, 5
-# Changes of one kind that the likelihood is computed of, and pairs of joints whose
-# exchange is examined by each of two rankings.
-MOST_LIKELY, MOST_PAIRS = 6, 40
+# Changes of one kind that the likelihood is computed of.
+MOST_LIKELY = 6
 # Rows of the rough score of changes, at least, and times the joints. In it, described
 # torques of another sign count as four times this share of their square.
 LEAST_ROUGH, ROUGH, ROUGH_PRIOR = 60, 4000, 0.05
@@ -59,9 +58,8 @@ PERIODS, PLAUSIBLE = (1e3, 1e2, 10.0, 2.0, 0.5, 0.1, 1e-2, 1e-3), 2.0
 # joint faster than its limit by this factor. Speeds are taken over so many samples,
 # lest encoder noise pass for motion.
 FASTEST_TURN, FASTEST_SLIDE, TOO_FAST, SPEED_SAMPLES = 60.0, 10.0, 5.0, 5
-# A robot this much slower than its limits does not really move, and motions are seldom
-# sampled at that period [s]; 5 kHz read as ms are 0.2.
-TOO_SLOW, LONG_PERIOD = 0.01, 0.15
+# Motions are seldom sampled at that period [s]; 5 kHz read as ms are 0.2.
+LONG_PERIOD = 0.15
 # A lag is told from none if it is this many times its deviation, and raises the squared
 # error of no joint by more than this [log], or this share of the fall of all. It is
 # found in so many steps, the last one below this [samples]. Time constants of a
@@ -75,8 +73,14 @@ CONTACT, SHORTEST_CONTACT, CONTACT_ENDS = 3.0, 20, 80
 # numbers that span at least this range.
 LARGEST_TURN, FAR_BEYOND, FEWEST_COUNTS = 25.0, 5.0, 25.0
 # Factors [log] of positions against a unit that are tried joint by joint; a factor is
-# known below this error, and is another one than that of the unit from here on.
-RATIOS, KNOWN_RATIO, OF_UNIT = np.linspace(-2.1, 2.1, 25), 0.1, np.log(1.03)
+# known below this error, and is another one than that of the unit from here on, or
+# that of a wrong gear.
+RATIOS, KNOWN_RATIO, OF_UNIT, OF_GEAR = (
+    np.linspace(-2.1, 2.1, 24),
+    0.1,
+    np.log(1.03),
+    0.1,
+)
 # Signs must lower the squared error of a torque of one sign by this factor, and both
 # must be had by this share of the rows. Rows with which signs are looked for, most
 # rounds, and dry friction to begin with, in root mean squares of the rigid torque.

@@ -1,5 +1,6 @@
 """Changes of positions and time: order, direction, zero, unit, sample period."""
 
+import functools
 from dataclasses import replace
 from itertools import combinations, permutations, product
 
@@ -12,8 +13,11 @@ from sklearn_vbjfa.inspection._reading import (
     best_of,
     clear,
     clear_of_all,
+    climbed,
     judged,
     most_probable,
+    stepped,
+    times,
 )
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.inspection._torques import torque_factors
@@ -28,14 +32,12 @@ def torque_orders(reading):
     rows, columns = scipy.optimize.linear_sum_assignment(left - np.diagonal(left))
     order = np.arange(reading.nv)
     order[joints[rows]] = joints[columns]
-    return _best_order(reading, "torques", _pairs(reading), [order])
+    return _best_order(reading, "torques", [order])
 
 
 def position_orders(reading):
     """Return the best order of the positions of joints of one kind."""
-    slides = reading.slides
-    pairs = [(a, b) for a, b in _pairs(reading) if slides[a] == slides[b]]
-    return _best_order(reading, "positions", pairs)
+    return _best_order(reading, "positions")
 
 
 def joint_orders(reading):
@@ -43,36 +45,33 @@ def joint_orders(reading):
     nv, same = reading.nv, np.arange(reading.nv)
     lost = np.median(reading.robot.now.left) > 2 * np.log(number.NO_FIT)
     if lost and nv <= number.MOST_ORDERS:
-        starts = [np.array(order) for order in permutations(range(nv))]
+        starts = list(map(np.array, permutations(range(nv))))
     else:
         shifts = {k % nv for k in range(-number.ROLLED, number.ROLLED + 1)}
         starts = [np.roll(same, k) for k in sorted(shifts)]
         starts += [same[::-1], *usual_orders(reading)]
-    what = "positions and torques"
-    return _best_order(reading, what, _pairs(reading), starts)
+    return _best_order(reading, "positions and torques", starts)
 
 
-def _best_order(reading, what, pairs, starts=()):
-    """Return the best order of some channels, by swaps from the best of starts."""
-    order, best, names = np.arange(reading.nv), reading.rough().sum(), reading.names
-    starts = [*starts, *(_exchanged(order, pair) for pair in pairs)]
-    # Each swap puts at least one joint in its place.
-    for _ in range(reading.nv + 1 if starts else 0):
-        left = [reading.rough(reordered(x, what)).sum() for x in starts]
-        least = int(np.argmin(left))
-        if left[least] > best - number.CLEAR:
-            break
-        best, order = left[least], starts[least]
-        starts = [_exchanged(order, pair) for pair in pairs]
-    change = reordered(order, what)
+def _best_order(reading, what, starts=()):
+    """Return the best order of some channels, by exchanges from the best of starts."""
+    moves, names, slides = [], reading.names, reading.slides
+    for pair in combinations(reading.robot.joints.tolist(), 2):
+        order = np.arange(reading.nv)
+        order[list(pair)] = pair[::-1]
+        if what != "positions" or slides[pair[0]] == slides[pair[1]]:
+            moves.append(reordered(order, what))
+    starts = [reordered(order, what) for order in starts]
+    change = climbed(reading, moves, starts)[0]
     if not change.joints:
         return None
-    pair = len(change.joints) == 2
-    facts = {"what": what, "order": ", ".join(names[k] for k in np.argsort(order))}
-    facts |= {"pair": " and ".join(names[j] for j in change.joints)}
+    rows = change.torques if change.positions is None else change.positions
+    places = [names[k] for k in rows.argmax(axis=0)]
     kind = f"swapped_{what.replace('positions and torques', 'joints')}"
-    known = {"kind": f"{kind}:pair" if pair else kind, "facts": facts}
-    return judged(reading, change, clear(change), variants=len(pairs), **known)
+    facts = {"what": what, "order": ", ".join(places)}
+    facts |= {"pair": " and ".join(names[j] for j in change.joints)}
+    kind += ":pair" * (len(change.joints) == 2)
+    return judged(reading, change, variants=len(moves), kind=kind, facts=facts)
 
 
 def reordered(order, what="positions and torques"):
@@ -96,34 +95,18 @@ def usual_orders(reading):
     return [x for x in orders if (np.diff(x) < 0).any()]
 
 
-def _pairs(reading):
-    """Pairs of joints that may be exchanged, the likelier ones if there are many."""
-    joints, left = reading.robot.joints, reading.rough_crossed
-    pairs, most = list(combinations(range(joints.size), 2)), number.MOST_PAIRS
-    own = np.diagonal(left)
-    crossed = left + left.T - own - own[:, None]
-    likely = sorted(pairs, key=lambda pair: crossed[pair])[:most]
-    worst = sorted(pairs, key=lambda pair: -min(own[list(pair)]))[:most]
-    return [tuple(joints[list(pair)]) for pair in dict.fromkeys([*likely, *worst])]
-
-
-def _exchanged(order, pair):
-    order = np.array(order)
-    order[list(pair)] = order[list(pair[::-1])]
-    return order
-
-
 def mirrored(reading, *, torques=False):
-    """Return the joint whose position, or also torque, has the other sign."""
-    changes = []
-    for j in reading.robot.joints:
-        sign = np.where(np.arange(reading.nv) == j, -1.0, 1.0)
-        changes.append(Change(factor=sign, scale=sign if torques else 1.0))
-    return best_of(reading, changes)
+    """Return joints whose positions, or also torques, have the other sign."""
+
+    def negative(joints):
+        sign = times(reading.nv, -1.0, joints)
+        return Change(positions=sign, torques=sign if torques else None)
+
+    return best_of(reading, map(negative, reading.robot.joints), [negative(None)])
 
 
 def flipped(reading):
-    """Return the joint whose position and torque have the other sign."""
+    """Return joints whose positions and torques have the other sign."""
     return mirrored(reading, torques=True)
 
 
@@ -142,7 +125,8 @@ def coupled(reading):
             for torques in (None, np.linalg.inv(positions).T):
                 change = Change(positions=positions, torques=torques)
                 changes[change] = j, i, "-+" if sign > 0 else "+-"
-    best = best_of(reading, list(changes))
+    tried = [x for x in climbed(reading, list(changes)) if x in changes]
+    best = most_probable(judged(reading, x, variants=len(changes)) for x in set(tried))
     if best is None:
         return None
     j, i, (minus, plus) = changes[best.change]
@@ -175,78 +159,40 @@ def zeros(reading, *, few=False):
     """Return the zeros of all joints that fit best, or of few of them."""
     # Of joints whose zero does not matter, such as vertical ones, it stays.
     free, nv = np.flatnonzero(~reading.slides), reading.nv
-    groups = (free,) * (2 * nv if free.size else 0)
-    least = number.CLEAR_OF_JOINT if few else number.SETTLED
-    place = _searched(reading, _offset, np.zeros(nv), groups, number.ANGLES, least)
-    place, errors = _stepped(reading, _offset, place, free)
+
+    def moved_by(x, j):
+        return Change(offset=x * np.eye(nv)[j])
+
+    def refined(change, joints):
+        steps = [functools.partial(moved_by, j=j) for j in joints]
+        change, errors = stepped(reading, change, steps)
+        return change.offset + np.zeros(nv), errors
+
+    moves = [moved_by(x, j) for j, x in product(free, number.ANGLES)]
+    step = number.CLEAR_OF_JOINT if few else number.SETTLED
+    place, errors = refined(climbed(reading, moves, step=step)[0], free)
     if few:
         # Less is an effect, or a link that differs, or not shown.
         shown = free[np.abs(place[free]) > np.maximum(number.FAR_ZERO, 3 * errors)]
         place = np.where(np.isin(reading.every, shown), place, 0.0)
-        place, _ = _stepped(reading, _offset, place, shown)
+        place, _ = refined(Change(offset=place), shown)
     place = np.where(reading.slides, 0.0, (place + np.pi) % (2 * np.pi) - np.pi)
     moved = tuple(np.flatnonzero(np.abs(place) > number.MOVED).tolist())
     if not moved:
         return None
     facts = {"values": ", ".join(f"{reading.names[j]} {place[j]:+.2f}" for j in moved)}
-    tried = len(number.ANGLES) * nv
     least = clear_of_all(reading)
     if few:
         # Each brings what a single one must bring.
         least = max(least, number.CLEAR_OF_JOINT) * len(moved)
-    args = {"joints": moved, "variants": tried ** (few * len(moved)), "facts": facts}
-    return judged(reading, _offset(place), least, **args)
+    variants = len(moves) ** (few * len(moved))
+    args = {"joints": moved, "variants": variants, "facts": facts}
+    return judged(reading, Change(offset=place), least, **args)
 
 
 def zero(reading):
     """Return other zeros of one joint or of some."""
     return zeros(reading, few=True)
-
-
-def _offset(place):
-    return Change(offset=place)
-
-
-def _searched(reading, made, place, groups, values, least=number.SETTLED):
-    """Add values to parameters (nv,), each to the best joint of a group, by a score."""
-    # made: the change of parameters; least: fall of the score by one of them.
-    best, eye = reading.rough(made(place)).sum(), np.eye(reading.nv)
-    for joints in groups:
-        tried = [place + value * eye[j] for j in joints for value in values]
-        left = [reading.rough(made(x)).sum() for x in tried]
-        if min(left) < best - least:
-            best, place = min(left), tried[int(np.argmin(left))]
-        elif len(joints) > 1:
-            break
-    return place
-
-
-def _stepped(reading, made, place, joints):
-    """Move parameters (nv,) of some joints by Gauss-Newton steps; also their errors."""
-    best, errors = reading.tried(made(place)), np.full(len(joints), np.inf)
-    for _ in range(number.PASSES if best is not None and len(joints) else 0):
-        robot = reading.robot_at(made(place))
-        columns = _slopes(reading, made, place, joints)
-        step = robot.fit(columns=columns, deviation=number.STEP_OF_ZERO)
-        tried, errors = place.copy(), step.errors
-        tried[list(joints)] += step.factors
-        fit = reading.tried(made(tried))
-        if fit is None or fit.evidence < best.evidence + 0.1:
-            break
-        best, place = fit, tried
-    return place, errors
-
-
-def _slopes(reading, made, place, joints):
-    """Return derivatives (n, nv, m) of the described torques by parameters."""
-    bodies, ends = reading.bodies, []
-    for step in (number.SLOPE, -number.SLOPE):
-        for j in joints:
-            change = made(place + step * np.eye(reading.nv)[j])
-            states = change.signals(reading.signals).states
-            ends.append(bodies.torques(bodies.whole(states)))
-    high, low = np.split(np.stack(ends, axis=-1), 2, axis=-1)
-    return (high - low) / (2 * number.SLOPE)
 
 
 # -- units -----------------------------------------------------------------------------
@@ -276,21 +222,19 @@ def units(reading):
     out = _beyond(model, q) * revolute
     far = (out > number.FAR_BEYOND) & _limits(model)[2]
     many = np.count_nonzero(out > 0.1) > 0.5 * np.count_nonzero(revolute)
-    tried = [(revolute, "degrees", "deg", np.pi / 180)] if reading.poor else []
+    degrees = "degrees", "deg", np.pi / 180
+    tried = [(revolute, *degrees)] if reading.poor else []
     if far.any() or many:
-        tried = [
-            (x, "degrees", "deg", np.pi / 180)
-            for x in ([revolute, far] if 0 < far.sum() < revolute.sum() else [revolute])
-        ]
+        tried = [(x, *degrees) for x in (revolute, far) if x.any()]
     elif not out.any() and (_speeds(reading) < _fastest(model)).all():
         tried.append((revolute, "turns", "rev", 2 * np.pi))
     # Limits that are exceeded by far are evidence as well.
     known, least = (2 * number.DECISIVE, -np.inf) if far.any() else (0.0, None)
     least, found = clear_of_all(reading) if least is None else least, []
     for joints, unit, short, factor in tried:
-        change = Change(factor=np.where(joints, factor, 1.0))
+        change = Change(positions=times(reading.nv, factor, np.flatnonzero(joints)))
         # Of a joint without limits any angle may be right.
-        if (_beyond(model, q * change.factor) * joints > 0).any():
+        if (_beyond(model, q @ change.positions) * joints > 0).any():
             continue
         one = judged(reading, change, least, kind=f"position_{unit}")
         if one is None:
@@ -306,38 +250,69 @@ def units(reading):
 
 def _with_ratios(reading, best):
     """Return positions in a unit as those of motors if joints have other factors."""
-    joints, change = list(best.joints), best.change
-    after = reading.changed(change)
+    joints, after = list(best.joints), reading.changed(best.change)
     if after.tell_nothing():
         return best
     scale = float(torque_factors(after.robot, alike=True)[0][0])
     if 0 < scale < 1 / number.SCALE or scale > number.SCALE:
         # The unit of the torques is another one, too.
-        after = after.changed(Change(scale=1 / scale))
-
-    def made(logs):
-        return Change(factor=np.exp(logs))
-
-    among, starts = np.isin(reading.every, joints), number.RATIOS
-    place = min((x * among for x in starts), key=lambda x: after.rough(made(x)).sum())
-    place = _searched(after, made, place, 2 * [[j] for j in joints], starts)
-    near = after.changed(made(place))
-    if near.tell_nothing():
-        return best
-    steps, errors = _stepped(near, made, np.zeros(reading.nv), joints)
-    logs, errors = (place + steps)[joints], number.INTERVAL * errors
+        after = after.changed(Change(torques=times(reading.nv, 1 / scale)))
+    more, errors = _ratios(after, joints, together=True)
     known = errors < number.KNOWN_RATIO
-    away = np.abs(logs) - errors > number.OF_UNIT
+    away = np.abs(np.log(np.diagonal(more.positions)[joints])) - errors > number.OF_UNIT
     if not (known & away).any():
         return best
-    each = [
-        f"{reading.names[j]} {1 / (change.factor[j] * np.exp(x)):.3g}"
-        f" ± {e / (change.factor[j] * np.exp(x)):.1g}"
-        for j, x, e, seen in zip(joints, logs, errors, known)
-        if seen
-    ]
-    facts = dict(best.facts) | {"each": ", ".join(each)}
+    whole = best.change.then(more)
+    facts = dict(best.facts) | {"each": _each(reading, whole, joints, errors, known)}
     return replace(best, kind="position_unit", change=None, facts=facts)
+
+
+def gear(reading):
+    """Return a joint whose positions have another factor, and by power its torques."""
+    change, errors = _ratios(reading, reading.robot.joints.tolist())
+    joints = list(change.joints)
+    if not joints:
+        return None
+    logs = np.abs(np.log(np.diagonal(change.positions)[joints]))
+    if (logs < np.maximum(number.OF_GEAR, 3 * errors)).any():
+        return None
+    each = _each(reading, change, joints, errors, np.full(len(joints), True))
+    power = "" if change.torques is None else ", and multiply the torque by it"
+    variants = (2 * reading.nv * number.RATIOS.size) ** len(joints)
+    facts = {"each": each, "power": power}
+    return judged(reading, change, variants=variants, facts=facts)
+
+
+def _each(reading, change, joints, errors, known):
+    """List how much of each joint's position is a radian or metre of the joint."""
+    ratios = 1 / np.diagonal(change.positions)[joints]
+    each = zip(joints, ratios, errors * ratios, known)
+    return ", ".join(
+        f"{reading.names[j]} {x:.3g} ± {e:.1g}" for j, x, e, seen in each if seen
+    )
+
+
+def _ratios(reading, joints, together=False):
+    """Return the change by factors of positions, and their 90 % errors [log]."""
+    # together: as of positions whose unit is another one, so that all joints count.
+    nv = reading.nv
+
+    def made(x, j, power):
+        scale = times(nv, np.exp(-x), j) if power else None
+        return Change(positions=times(nv, np.exp(x), j), torques=scale)
+
+    # A wrong gear keeps the power; or the positions alone are wrong.
+    kinds = list(product(number.RATIOS, joints, (False, True)))
+    starts = [made(x, joints, False) for x in number.RATIOS if together]
+    step = number.SETTLED if together else number.CLEAR_OF_JOINT
+    change = climbed(reading, [made(*kind) for kind in kinds], starts, step)[0]
+    if together:
+        change = made(0.0, joints, False).then(change)
+    scale = np.ones(nv) if change.torques is None else np.diagonal(change.torques)
+    free = joints if together else change.joints
+    steps = [functools.partial(made, j=j, power=scale[j] != 1) for j in free]
+    change, errors = stepped(reading, change, steps)
+    return change, number.INTERVAL * errors
 
 
 def counts(reading):
@@ -384,26 +359,22 @@ def _speeds(reading):
 
 
 def implausible_speed(reading):
-    """Find a sample period at which no robot moves as recorded, or barely any."""
+    """Find a sample period at which no robot moves as recorded."""
     speed, limit = _speeds(reading), _fastest(reading.model)
-    j, dt = int(np.argmax(speed / limit)), reading.dt
-    slow = number.TOO_FAST * speed[j] < number.TOO_SLOW * limit[j]
-    if speed[j] > limit[j]:
-        kind, severity = "wrong_dt:fast", "error"  # accelerations by the square
-    elif slow and dt >= number.LONG_PERIOD:
-        kind, severity = "wrong_dt:slow", "warning"  # such a motion may be on purpose
-    else:
+    j = int(np.argmax(speed / limit))
+    if speed[j] <= limit[j]:
         return []
-    facts = {"dt": dt, "name": reading.names[j], "other": _other_units(dt)}
+    facts = {"dt": reading.dt, "name": reading.names[j]}
     facts |= {"speed": speed[j], "limit": limit[j]}
     facts |= {"unit": "m/s" if reading.slides[j] else "rad/s"}
-    return [finding(kind, reading.names, reading.every, severity, **facts)]
+    return [finding("wrong_dt:fast", reading.names, reading.every, "error", **facts)]
 
 
 def periods(reading):
     """Return the best other sample period."""
     dt, robot, least = reading.dt, reading.robot, clear_of_all(reading)
-    special = (1e-3, 1 / dt**2) if dt >= number.LONG_PERIOD else ()
+    # A rate in Hz is the inverse of a period.
+    special = (1 / dt**2,) if dt >= number.LONG_PERIOD else ()
     fast = number.TOO_FAST * (_speeds(reading) / _fastest(reading.model)).max()
     changes = [
         Change(period=x)
@@ -423,12 +394,4 @@ def periods(reading):
         return None
     period = dt * found.change.period
     remedy = {"dt": float(f"{period:.6g}")}
-    facts = {"dt": dt, "period": period, "other": _other_units(dt)}
-    return replace(found, remedy=remedy, facts=facts)
-
-
-def _other_units(dt):
-    if dt < number.LONG_PERIOD:
-        return ""
-    unit = "milliseconds or " if dt < 100 else ""
-    return f"; it looks like {unit}a rate in Hz: give {dt / 1e3:.6g} or {1 / dt:.6g}"
+    return replace(found, remedy=remedy, facts={"dt": dt, "period": period})

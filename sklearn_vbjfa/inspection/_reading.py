@@ -18,19 +18,17 @@ from sklearn_vbjfa.inspection._likelihood import (
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import COMMANDS, contiguous_groups
 
+# -- changes ---------------------------------------------------------------------------
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Change:
-    """A reading of a log that differs from the unchanged log."""
+    """Another reading of a log: linear maps of its channels, a clock, or a gravity."""
 
-    # (nv, nv): positions, and torques, of the joints from channels; None: its own each.
+    # (nv, nv): joint positions, and torques, from the channels; None: as logged.
     positions: np.ndarray | None = None
     torques: np.ndarray | None = None
-    # Float or (nv,): positions are multiplied by a factor, then an offset is added
-    # [rad or m]; torques are multiplied by a scale.
-    factor: object = 1.0
-    offset: object = 0.0
-    scale: object = 1.0
+    offset: object = 0.0  # float or (nv,): added to the positions [rad or m]
     period: float = 1.0  # factor of the sample period
     gravity: np.ndarray | None = None  # (3,) [m/s^2]; None for that of the description
     lag: int = 0  # samples by which torques are late
@@ -38,28 +36,26 @@ class Change:
     @property
     def moves(self):
         """Whether it changes the motion."""
-        changes = (self.factor, 1.0), (self.offset, 0.0), (self.period, 1.0)
-        return self.positions is not None or any(np.any(x != y) for x, y in changes)
+        other = self.positions is not None or self.period != 1.0
+        return other or bool(np.any(self.offset))
 
     @property
     def joints(self):
-        """Joints whose channels it changes one by one, a tuple of int."""
-        moved = np.zeros(1, dtype=bool)
+        """Joints whose channels it changes, a tuple of int."""
+        changed = np.atleast_1d(self.offset) != 0
         for mixed in (self.positions, self.torques):
             if mixed is not None:
-                moved = moved | (mixed != np.eye(len(mixed))).any(axis=1)
-        for value, usual in (self.factor, 1.0), (self.offset, 0.0), (self.scale, 1.0):
-            moved = moved | np.not_equal(value, usual)
-        return tuple(np.flatnonzero(moved).tolist())
+                changed = changed | (mixed != np.eye(len(mixed))).any(axis=1)
+        return tuple(np.flatnonzero(changed).tolist())
 
-    def position(self, values):
-        """Read channels (..., nv) of positions."""
-        return values if self.positions is None else values @ self.positions.T
-
-    def torque(self, values):
-        """Read channels (n, nv) of torques."""
-        values = values if self.torques is None else values @ self.torques.T
-        return values * self.scale
+    def then(self, other):
+        """Return this change of channels, followed by another one."""
+        return Change(
+            positions=_product(other.positions, self.positions),
+            torques=_product(other.torques, self.torques),
+            offset=_mapped(self.offset, other.positions) + other.offset,
+            period=self.period * other.period,
+        )
 
     def known(self, values):
         """Read which samples (n, nv) of positions are known, bool or 0 and 1."""
@@ -69,15 +65,16 @@ class Change:
 
     def signals(self, signals):
         """Return filtered signals that are read in this way."""
-        tau, slope = self.torque(signals.tau), self.torque(signals.slope)
+        tau, slope = (_mapped(x, self.torques) for x in (signals.tau, signals.slope))
         signals = replace(signals, tau=tau, slope=slope)
         if not self.moves:
             return signals
-        states = self.position(signals.states.reshape(len(tau), 3, -1)) * self.factor
+        states = _mapped(signals.states.reshape(len(tau), 3, -1), self.positions)
         states = states / self.period ** np.arange(3)[:, None]
         states[:, 0] += self.offset
-        sign = self.position(signals.sign) * np.sign(self.factor)
+        sign = signals.sign
         if self.positions is not None:
+            sign = sign @ np.sign(self.positions).T
             # Of a sum of positions, that of the filtered speed has to do.
             mixed = (self.positions != 0).sum(axis=1) > 1
             sign[:, mixed] = np.sign(states[:, 1][:, mixed])
@@ -87,6 +84,25 @@ class Change:
             sign=sign,
             weight=self.known(signals.weight),
         )
+
+
+def _mapped(values, matrix):
+    """Map channels (..., nv)."""
+    return values if matrix is None else values * np.ones(len(matrix)) @ matrix.T
+
+
+def _product(second, first):
+    return first if second is None else second if first is None else second @ first
+
+
+def times(nv, value, joints=None):
+    """Return the map (nv, nv) that multiplies some joints' channels, or all."""
+    factors = np.ones(nv)
+    factors[slice(None) if joints is None else np.array(joints, dtype=int)] = value
+    return np.diag(factors)
+
+
+# -- signals ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,15 +190,17 @@ def _cutoffs(q, dt, parts):
         [moving[part] for part in parts], dt
     )
     top, noise = _smoothing.choose_cutoff(frequency, power, gain, dt)
-    known = zip(power.T, noise, top)
-    widths = [
+    bandwidth = max(
         _smoothing.velocity_bandwidth(frequency, x, gain, variance, most, 0.9)
-        for x, variance, most in known
-    ]
-    bandwidth, least = max(widths), number.CUTOFF_PERIODS / (longest * dt)
+        for x, variance, most in zip(power.T, noise, top)
+    )
+    least = number.CUTOFF_PERIODS / (longest * dt)
     cutoff = max(number.CUTOFF_PER_BANDWIDTH * bandwidth, least)
     top = np.clip(top.max(), number.SMOOTH * bandwidth, 2 * cutoff)
     return float(cutoff), float(max(top, least))
+
+
+# -- readings --------------------------------------------------------------------------
 
 
 @dataclass(eq=False)
@@ -257,14 +275,12 @@ class Reading:
             return True
         return self.bodies.massless or not self.robot.joints.size
 
-    def rough(self, change=None):
-        """Log of what described torques leave of each joint's torque, (n_joints,)."""
-        # A cheap score for the choice of changes: the bodies are as described, but for
-        # the size of their motion's and their weight's torque.
-        if change is None:
-            return np.diagonal(self.rough_crossed)
+    def rough(self, change):
+        """Log of what described torques leave of all torques, a cheap score."""
+        # The bodies are as described, but for the size of their motion's and their
+        # weight's torque.
         signals = change.signals(self._roughly)
-        return _left(self.bodies, signals, self.robot.joints, signals.tau)
+        return _left(self.bodies, signals, self.robot.joints, signals.tau).sum()
 
     @functools.cached_property
     def _roughly(self):
@@ -273,7 +289,7 @@ class Reading:
 
     @functools.cached_property
     def rough_crossed(self):
-        """Of each joint's motion and each torque, (n_joints, n_joints)."""
+        """Scores of each joint's motion and each torque, (n_joints, n_joints)."""
         signals, joints = self._roughly, self.robot.joints
         every = [_left(self.bodies, signals, joints, x[:, None]) for x in signals.tau.T]
         return np.column_stack([every[j] for j in joints])
@@ -291,8 +307,8 @@ class Reading:
 
     def changed(self, change):
         """Return the log after a change, filtered again."""
-        q = change.position(self.q) * change.factor + change.offset
-        tau, usable = change.torque(self.tau), change.known(self.usable)
+        q = _mapped(self.q, change.positions) + change.offset
+        tau, usable = _mapped(self.tau, change.torques), change.known(self.usable)
         dt, model = self.dt * change.period, self.model
         if change.gravity is not None:
             model = under_gravity(model, change.gravity)
@@ -335,6 +351,9 @@ def _late(tau, samples, parts, usable):
     return tau, usable
 
 
+# -- the search for a change -----------------------------------------------------------
+
+
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
     """A change that a hypothesis proposes, with the facts of its sentence.
@@ -355,44 +374,81 @@ class Candidate:
     facts: Mapping = field(default_factory=dict)
 
 
-def judged(reading, change, least=-np.inf, *, variants=1, joints=None, **others):
+def judged(reading, change, least=None, *, variants=1, **others):
     """Return the `Candidate` of a change, clear if squared errors fall by `least`."""
     # variants: changes of which one is right.
     fit, now = reading.tried(change), reading.robot.now
-    if fit is None:
+    if fit is None or not (change.joints or change.moves):
         return None
+    least = clear(change) if least is None else least
     return Candidate(
-        change=change,
-        joints=change.joints if joints is None else joints,
+        **{"joints": change.joints, "change": change} | others,
         log_odds=fit.evidence - now.evidence - np.log(max(variants, 1)),
         fall=fit.fall(now),
         clear=fit.fall(now) >= least,
-        **others,
     )
 
 
-def best_of(reading, changes, least=None):
-    """Return the most probable of several changes that a rough score prefers."""
-    # least: fall of squared errors that a change must bring, or that of its joints.
-    rough = reading.rough().sum()
-    falls = np.array([rough - reading.rough(change).sum() for change in changes])
-    likely = np.argsort(-falls)[: number.MOST_LIKELY]
-    return most_probable(
-        judged(
-            reading,
-            changes[k],
-            clear(changes[k]) if least is None else least,
-            variants=len(changes),
-        )
-        for k in likely
-        if falls[k] > 0
-    )
+def climbed(reading, moves, starts=(), step=number.CLEAR):
+    """Return the change at the end of a climb, and likely ones of its first step."""
+    # From the log as it is to a start or a move, and by more moves; step: fall of the
+    # rough score that each must bring.
+    end, score = Change(), reading.rough(Change())
+    tried, likely = [*starts, *moves], None
+    while tried:
+        scores = np.array([reading.rough(change) for change in tried])
+        order = np.argsort(scores)
+        if likely is None:
+            likely = [
+                tried[k] for k in order[: number.MOST_LIKELY] if scores[k] < score
+            ]
+        if scores[order[0]] > score - step:
+            break
+        end, score = tried[order[0]], scores[order[0]]
+        tried = [end.then(move) for move in moves]
+    return [end, *(likely or [])]
+
+
+def best_of(reading, moves, starts=()):
+    """Return the most probable of the changes that a climb finds."""
+    moves, starts = list(moves), list(starts)
+    found = dict.fromkeys(climbed(reading, moves, starts))
+    variants = len(moves) + len(starts)
+    return most_probable(judged(reading, x, variants=variants) for x in found)
 
 
 def most_probable(candidates):
     """Return the candidate of the greatest odds; None if there is none."""
     found = [one for one in candidates if one is not None]
     return max(found, key=lambda one: one.log_odds, default=None)
+
+
+def stepped(reading, change, steps):
+    """Improve a change by Gauss-Newton along steps; also their standard errors."""
+    # steps: functions of a number, each to a change that follows.
+    best, errors = reading.tried(change), np.full(len(steps), np.inf)
+    for _ in range(number.PASSES if best is not None and steps else 0):
+        robot = reading.robot_at(change)
+        ends = [
+            [_missing(reading, change.then(make(x))) for make in steps]
+            for x in (number.SLOPE, -number.SLOPE)
+        ]
+        columns = -np.subtract(*ends).transpose(1, 2, 0) / (2 * number.SLOPE)
+        fit = robot.fit(columns=columns, deviation=number.STEP_OF_ZERO)
+        errors, after = fit.errors, change
+        for make, x in zip(steps, fit.factors):
+            after = after.then(make(x))
+        fit = reading.tried(after)
+        if fit is None or fit.evidence < best.evidence + 0.1:
+            break
+        best, change = fit, after
+    return change, errors
+
+
+def _missing(reading, change):
+    """Torques (n, nv) that the described bodies leave."""
+    signals, bodies = change.signals(reading.signals), reading.bodies
+    return signals.tau - sum(bodies.described(signals.states))
 
 
 def clear(change):

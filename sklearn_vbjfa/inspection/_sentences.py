@@ -80,6 +80,9 @@ SENTENCES = {
     "position_unit": "The positions of {who} are not in radians or {unit}: {name} runs "
     "from {low:.4g} to {high:.4g}. By the torques, a radian of the joint is in the "
     "log: {each}. Divide columns of motors by these gear ratios.",
+    "position_unit:gear": "The position of {who} has another factor: by the torques, a "
+    "radian or metre of the joint is in the log: {each} ({evidence}). Divide the "
+    "position by this gear factor{power}.",
     "position_counts": "The positions of {who} are not in {units}: {name} has "
     "{numbers} from {low:.6g} to {high:.6g}; they look like {guess} or positions of "
     "the motors. Convert them to {unit}, from the joint's zero.",
@@ -103,14 +106,11 @@ SENTENCES = {
     "coupled_position:torques": _COUPLED + ", and the torque of {other} by that of "
     "{other} {plus} that of {name}.",
     "wrong_dt": "dt={dt:.6g} s is inconsistent with the motion: a period of "
-    "{period:.2g} s agrees better ({evidence}){other}. dt is the sample period in "
+    "{period:.2g} s agrees better ({evidence}). dt is the sample period in "
     "seconds.",
     "wrong_dt:fast": "Implausible speed: with dt={dt:.6g} s {name} moves at "
     "{speed:.3g} {unit}, and {limit:.3g} would be five times what it can. Give dt in "
     "seconds, and positions in rad or m.",
-    "wrong_dt:slow": "dt={dt:.6g} s is inconsistent with the motion: the fastest "
-    "joint, {name}, moves at {speed:.2g} {unit}, far less than it can{other}. dt is "
-    "the sample period in seconds.",
     # -- torques
     "torque_sign": "The torque of {who} has the wrong sign: with the other one "
     "friction, weight and inertia agree with the description ({evidence}).{also} "

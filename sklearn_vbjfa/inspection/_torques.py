@@ -4,7 +4,12 @@ import numpy as np
 import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._reading import Candidate, Change, judged
+from sklearn_vbjfa.inspection._reading import (
+    Candidate,
+    Change,
+    judged,
+    times,
+)
 from sklearn_vbjfa.inspection._sentences import finding, percent
 from sklearn_vbjfa.model import TreeRegressor, nominal_parameters
 from sklearn_vbjfa.recording import UNSIGNED, listed_joints
@@ -37,7 +42,7 @@ def signs(reading):
     sets = [(), turned, *(turned | {j} for j in unclear), turned | unclear]
     scores = {}
     for wrong in dict.fromkeys(map(frozenset, sets)):
-        fit = robot.fit(tau=tau * _negative(wrong, nv).scale, joints=judge)
+        fit = robot.fit(tau=tau @ times(nv, -1.0, list(wrong)), joints=judge)
         against = {j for j, power in zip(judge, fit.power) if power < -number.SURE}
         # A sign that friction contradicts is not a wrong one.
         if not against & wrong:
@@ -57,13 +62,13 @@ def signs(reading):
     hidden = [j for j in joints if j not in turned] if joints == reading.every else []
     hidden = listed_joints(reading.names, hidden) if nv > 1 else ""
     also = f" As all that show are wrong, so is the sign of {hidden}." if hidden else ""
-    change = _negative(joints, nv)
+    signs = times(nv, -1.0, list(joints))
     return Candidate(
-        change=change,
+        change=Change(torques=signs),
         joints=joints,
         log_odds=scores[best].evidence - now.evidence - np.log(nv) * (len(best) == 1),
         fall=scores[best].fall(now),
-        remedy={"gains": tuple(change.scale.tolist())},
+        remedy={"gains": tuple(np.diagonal(signs).tolist())},
         facts={"also": also},
     )
 
@@ -72,10 +77,6 @@ def _of_other_sign(robot, j):
     """Return what the other sign of one torque gains, with separate bodies."""
     tau = robot.signals.tau
     return robot.fit(tau=-tau, joints=[j]).evidence - robot.fit(joints=[j]).evidence
-
-
-def _negative(joints, nv):
-    return Change(scale=np.where(np.isin(np.arange(nv), list(joints)), -1.0, 1.0))
 
 
 # -- size ------------------------------------------------------------------------------
@@ -120,7 +121,7 @@ def scaled(reading):
     unknown = ', or gains="unknown"' if reading.nv > 1 else ""
     robot = reading.robot
     return Candidate(
-        change=Change(scale=1 / factor),
+        change=Change(torques=times(reading.nv, 1 / factor)),
         joints=reading.every,
         log_odds=robot.fit(scale=factor).evidence - robot.now.evidence,
         kind="gear_factor:commanded" if reading.commanded else "",
@@ -154,21 +155,24 @@ def scaled_each(reading):
         # No error: a description with invented inertias looks the same.
         j = int(shown[np.argmax(np.abs(logs) * away)])
         ratio = 1 / factors[j]
-        change = Change(scale=np.where(np.arange(nv) == j, ratio, 1.0))
+        change = Change(torques=times(nv, ratio, j))
         told = f"{ratio:.3g}" if ratio > 1 else f"1/{1 / ratio:.3g}"
         units = _units_inside(*factors[j] * np.exp(error[j] * np.array([-1, 1])))
         units = units or "torque of the motor, a current, or another unit"
         facts = {"factor": factors[j], "ratio": told, "units": units}
-        return judged(reading, change, variants=nv, kind="gear_factor", facts=facts)
+        return judged(
+            reading, change, -np.inf, variants=nv, kind="gear_factor", facts=facts
+        )
     logs = np.sort(np.log(factors[known]))
     # The factors of many hold two that are off by chance.
     most = logs[1:-1] if logs.size > 3 else logs
     if known.sum() < 2 or np.ptp(most) < np.log(number.SCALE):
         return None
-    change = Change(scale=1 / np.where(known, factors, np.exp(logs.mean())))
+    factors = np.where(known, factors, np.exp(logs.mean()))
+    change = Change(torques=np.diag(1 / factors))
     each = [f"{reading.names[j]} {factors[j]:.2g}" for j in np.flatnonzero(known)]
     facts = {"each": ", ".join(each)}
-    return judged(reading, change, joints=reading.every, facts=facts)
+    return judged(reading, change, -np.inf, joints=reading.every, facts=facts)
 
 
 def beyond_limits(reading):

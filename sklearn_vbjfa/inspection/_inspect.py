@@ -98,12 +98,12 @@ TABLE = (
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),
     Hypothesis("torque_unit", "warning", torques.scaled, masses=True),
-    Hypothesis("torque_factors", "warning", torques.scaled_each, "measured"),
+    Hypothesis("torque_factors", "warning", torques.scaled_each, "measured",
+               masses=True),
     Hypothesis("computed_torque", "warning", torques.computed, "measured"),
     Hypothesis("silent_torque", "error", torques.silent, "measured"),
     # -- scene
     Hypothesis("no_gravity", "error", scene.weightless, "weighs"),
-    Hypothesis("no_gravity", "error", scene.weightless_joints, "weighs"),
     Hypothesis("gravity_only", "error", scene.weight_alone, "weighs"),
     Hypothesis("base_orientation", "error", scene.turned, "weighs"),
     Hypothesis("external_force", "warning", scene.contact, "unexplained", "last",

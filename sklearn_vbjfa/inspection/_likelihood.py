@@ -35,6 +35,8 @@ class Bodies:
         # Joints of one branch share parameters.
         shared = scipy.sparse.csr_array(support.astype(float) @ support.T)
         self.branch = scipy.sparse.csgraph.connected_components(shared)[1]
+        # Bodies that may carry a load.
+        self.last = ~np.isin(np.arange(1, self.nv + 1), list(model.parents))
         # Whether a body has no mass, so that its torques carry no information.
         self.massless = bool(nominal[:, 0].min() <= 0)
 
@@ -162,9 +164,11 @@ class DescribedRobot:
 
     @functools.cached_property
     def invented(self):
-        """Log odds of bodies that were invented, against the described ones."""
-        fit = self.fit(spread=number.INVENTED)
-        return max(0.0, fit.evidence - self.now.evidence)
+        """Log odds of other bodies, or of a load, against the described ones."""
+        spread = self.bodies.spread.reshape(-1, 10)
+        load = np.where(self.bodies.last[:, None], spread.max(axis=0), spread) / spread
+        fits = [self.fit(spread=x) for x in (number.INVENTED, load.ravel())]
+        return max(0.0, *(fit.evidence - self.now.evidence for fit in fits))
 
     @property
     def sizes(self):

@@ -76,7 +76,7 @@ LARGEST_TURN, FAR_BEYOND, FEWEST_COUNTS = 25.0, 5.0, 25.0
 # known below this error, and is another one than that of the unit from here on, or
 # that of a wrong gear.
 RATIOS, KNOWN_RATIO, OF_UNIT, OF_GEAR = (
-    np.linspace(-2.1, 2.1, 24),
+    np.linspace(-2.1, 2.1, 14),
     0.1,
     np.log(1.03),
     0.1,

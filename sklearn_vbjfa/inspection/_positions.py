@@ -268,18 +268,26 @@ def _with_ratios(reading, best):
 
 
 def gear(reading):
-    """Return a joint whose positions have another factor, and by power its torques."""
+    """Return joints whose positions have another factor, and by power their torques."""
+    nv = reading.nv
     change, errors = _ratios(reading, reading.robot.joints.tolist())
-    joints = list(change.joints)
-    if not joints:
+    moved = np.array(change.joints, dtype=int)
+    factors = np.ones(nv) if not moved.size else np.diagonal(change.positions)
+    # Less is an effect, or a link that differs, or not shown.
+    away = np.abs(np.log(factors[moved])) > np.maximum(number.OF_GEAR, 3 * errors)
+    joints = moved[away]
+    # Of most joints, the unit is another one.
+    if not 0 < joints.size <= max(1, nv // 2):
         return None
-    logs = np.abs(np.log(np.diagonal(change.positions)[joints]))
-    if (logs < np.maximum(number.OF_GEAR, 3 * errors)).any():
-        return None
-    each = _each(reading, change, joints, errors, np.full(len(joints), True))
-    power = "" if change.torques is None else ", and multiply the torque by it"
-    variants = (2 * reading.nv * number.RATIOS.size) ** len(joints)
-    facts = {"each": each, "power": power}
+    others = np.setdiff1d(np.arange(nv), joints)
+    change = change.then(Change(positions=times(nv, 1 / factors[others], others)))
+    scale = change.torques is not None
+    if scale:
+        unscaled = 1 / np.diagonal(change.torques)[others]
+        change = change.then(Change(torques=times(nv, unscaled, others)))
+    each = _each(reading, change, joints, errors[away], np.full(joints.size, True))
+    variants = (2 * nv * number.RATIOS.size) ** joints.size
+    facts = {"each": each, "power": ", and multiply the torque by it" * scale}
     return judged(reading, change, variants=variants, facts=facts)
 
 
@@ -302,7 +310,7 @@ def _ratios(reading, joints, together=False):
         return Change(positions=times(nv, np.exp(x), j), torques=scale)
 
     # A wrong gear keeps the power; or the positions alone are wrong.
-    kinds = list(product(number.RATIOS, joints, (False, True)))
+    kinds = product(number.RATIOS, joints, (False,) if together else (False, True))
     starts = [made(x, joints, False) for x in number.RATIOS if together]
     step = number.SETTLED if together else number.CLEAR_OF_JOINT
     change = climbed(reading, [made(*kind) for kind in kinds], starts, step)[0]

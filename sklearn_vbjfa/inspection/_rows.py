@@ -289,9 +289,9 @@ def _report_lost(log, kind, runs, severity):
     """Report whole rows that were lost, and put a straight line in their place."""
     log.report(kind, range(len(log.names)), severity, runs)
     lost, rows = _marked(log.q, runs), np.arange(len(log.q))
-    log.usable[_marked(log.q, [x for x in runs if x[1] - x[0] >= number.BESIDE])] = (
-        False
-    )
+    # Only short gaps are bridged well.
+    gaps = [(max(a - 1, 0), b + 1) for a, b in runs if b - a >= number.BESIDE]
+    log.usable[_marked(log.q, gaps)] = False
     log.q, log.tau = log.q.copy(), log.tau.copy()
     for part in log.parts:
         good, bad = rows[part][~lost[part]], rows[part][lost[part]]

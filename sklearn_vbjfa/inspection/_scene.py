@@ -11,54 +11,41 @@ from sklearn_vbjfa.inspection._sentences import percent
 
 
 def weightless(reading):
-    """Return torques without the weight of the links."""
-    robot, moving, weight = reading.robot, reading.robot.moving, reading.robot.weight
-    nothing = robot.pulled(0 * reading.bodies.pull)
-    columns = np.stack([moving, weight], axis=-1)
-    fit = robot.fit(nothing, mean=np.zeros_like(moving), columns=columns)
-    part, error = float(fit.factors[0]), number.INTERVAL * fit.errors
-    # What may be N m is, and slow motion does not show the scale.
-    shown = part > 2 * error[0]
-    scale = part if shown and not 1 / number.SCALE < part < number.SCALE else 1.0
-    share, error = float(fit.factors[1]) / scale, error[1] / scale
-    # Slow motion may ask for another inertia, though the weight is there in N m.
-    there = fit.factors[1] > max(scale * error, 1 / number.SCALE)
-    if there or abs(share) + error > number.NO_WEIGHT:
-        return None
-    # Without any weight, or with that of the description taken off.
-    added = robot.fit(mean=scale * moving, scale=scale).evidence
-    best = max(added, robot.fit(nothing, scale=scale).evidence)
-    # As little weight have torques in another unit, if inertia does not show that.
-    small = robot.fit(scale=share).evidence if share > 0 and not shown else -np.inf
-    if max(_as_springs(robot), small) > best - number.RIVAL:
-        return None
-    joints, heavy = _loaded(robot, weight)
-    facts = {"share": share, "error": error, "heavy": heavy, "other": ""}
-    severity = ""
-    if len(joints) < 2:
-        # What balances a single joint is likelier a spring.
-        severity, facts["other"] = "warning", " Or a spring balances it."
-    now = max(robot.now.evidence, robot.fit(scale=scale).evidence)
-    known = {"log_odds": best - now, "severity": severity, "facts": facts}
-    return Candidate(joints=tuple(joints), **known)
-
-
-def weightless_joints(reading):
-    """Return some joints whose torques do not contain the weight of the links."""
+    """Return joints whose torques do not contain the weight of the links."""
     robot, lost, odds = reading.robot, [], 0.0
-    nothing = robot.pulled(0 * reading.bodies.pull)
-    for j in _loaded(robot, robot.weight)[0]:
+    nothing, moving = robot.pulled(np.zeros(3)), robot.moving
+    loaded, heavy = _loaded(robot, robot.weight)
+    for j in loaded:
         now = robot.fit(joints=[j]).evidence
-        made = robot.fit(nothing, joints=[j]), robot.fit(mean=robot.moving, joints=[j])
+        # Without any weight, or with that of the description taken off.
+        made = robot.fit(nothing, joints=[j]), robot.fit(mean=moving, joints=[j])
         most = max(one.evidence for one in made)
         if most - max(now, _as_springs(robot, [j])) > number.DECISIVE:
             lost, odds = [*lost, j], odds + most - now
     # What balances a single joint is likelier a spring.
-    if len(lost) < 2:
+    if not lost or len(lost) == 1 < len(loaded):
         return None
-    heavy = np.abs(robot.weight[:, lost]).max()
-    args = {"kind": "no_gravity:joints", "severity": "warning"}
-    return Candidate(joints=tuple(lost), log_odds=odds, facts={"heavy": heavy}, **args)
+    columns = np.stack([moving, robot.weight], axis=-1)
+    mean = np.zeros_like(moving)
+    fit = robot.fit(nothing, mean=mean, columns=columns, joints=lost)
+    (part, weight), error = fit.factors, number.INTERVAL * fit.errors
+    # Torques may be in another unit, if the motion shows that; but not if their weight
+    # is that of the description.
+    other = part > 2 * error[0] and not 1 / number.SCALE < part < number.SCALE
+    scale = part if other and weight < 1 / number.SCALE else 1.0
+    share, error = weight / scale, error[1] / scale
+    if abs(share) + error > number.NO_WEIGHT:
+        return None
+    facts = {"share": share, "error": error, "heavy": heavy, "other": ""}
+    if len(loaded) == 1:
+        facts["other"] = " Or a spring balances it."
+    return Candidate(
+        joints=tuple(lost),
+        log_odds=odds,
+        kind="no_gravity:joints" if len(lost) < len(loaded) else "",
+        severity="warning" if len(lost) < max(2, len(loaded)) else "",
+        facts=facts,
+    )
 
 
 def weight_alone(reading):
@@ -101,7 +88,7 @@ def turned(reading):
     # A spring that more than balances a single joint looks the same.
     heavy = 1 / number.AS_HEAVY < np.linalg.norm(whole) / usual < number.AS_HEAVY
     loaded = len(_loaded(robot, robot.by_gravity @ pull)[0])
-    springs = _as_springs(robot) > found.evidence - number.DECISIVE
+    springs = _as_springs(robot, robot.joints) > found.evidence - number.DECISIVE
     if not heavy or loaded < 2 or springs:
         return None
     fall = found.fall(robot.now)
@@ -126,7 +113,7 @@ def _loaded(robot, weight):
     return [int(j) for j in robot.joints if heavy[j] > 0.1 * heavy.max()], heavy.max()
 
 
-def _as_springs(robot, joints=None):
+def _as_springs(robot, joints):
     """Return the evidence for springs between all joints, the weight as described."""
     # In a small motion the lack of weight, or its turn, is linear in the positions.
     nv, tau = robot.bodies.nv, robot.signals.tau

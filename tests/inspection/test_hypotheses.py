@@ -335,6 +335,22 @@ def test_gear_ratios_near_the_factor_of_degrees(log):
         assert abs(float(ratio) - ratios[int(j) - 1]) < 3 * float(error) + 1
 
 
+@pytest.mark.parametrize("power", [0, -1])
+def test_a_wrong_gear_of_one_joint(log, power):
+    ratio = np.array([1, 1, 1.5, 1, 1, 1])
+    kinds, found = grave(log, q=ratio * log[0].q, tau=ratio**power * log[0].tau)
+    assert kinds == ["position_unit"]
+    assert found[0].joints == (2,)
+    assert "joint_3 1.5 ± " in found[0].message
+    assert ("multiply the torque" in found[0].message) == bool(power)
+
+
+def test_a_robot_that_is_mirrored(log):
+    kinds, found = grave(log, q=-log[0].q, tau=-log[0].tau)
+    assert kinds == ["flipped_joint"]
+    assert len(found[0].joints) > 1
+
+
 def test_outliers_of_a_torque_and_rows_before_the_log_begins(log):
     q, tau = log[0].q.copy(), log[0].tau.copy()
     tau[::50, 2] += 20 * tau[:, 2].std()

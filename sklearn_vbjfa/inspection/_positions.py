@@ -10,11 +10,11 @@ import scipy
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._reading import (
     Change,
-    best_of,
     clear,
     clear_of_all,
     climbed,
     judged,
+    likely,
     most_probable,
     stepped,
     times,
@@ -62,7 +62,7 @@ def _best_order(reading, what, starts=()):
         if what != "positions" or slides[pair[0]] == slides[pair[1]]:
             moves.append(reordered(order, what))
     starts = [reordered(order, what) for order in starts]
-    change = climbed(reading, moves, starts)[0]
+    change = climbed(reading, moves, starts)
     if not change.joints:
         return None
     rows = change.torques if change.positions is None else change.positions
@@ -102,7 +102,8 @@ def mirrored(reading, *, torques=False):
         sign = times(reading.nv, -1.0, joints)
         return Change(positions=sign, torques=sign if torques else None)
 
-    return best_of(reading, map(negative, reading.robot.joints), [negative(None)])
+    changes = [negative(j) for j in reading.robot.joints]
+    return likely(reading, [*changes, climbed(reading, changes, [negative(None)])])
 
 
 def flipped(reading):
@@ -125,8 +126,7 @@ def coupled(reading):
             for torques in (None, np.linalg.inv(positions).T):
                 change = Change(positions=positions, torques=torques)
                 changes[change] = j, i, "-+" if sign > 0 else "+-"
-    tried = [x for x in climbed(reading, list(changes)) if x in changes]
-    best = most_probable(judged(reading, x, variants=len(changes)) for x in set(tried))
+    best = likely(reading, changes)
     if best is None:
         return None
     j, i, (minus, plus) = changes[best.change]
@@ -170,7 +170,7 @@ def zeros(reading, *, few=False):
 
     moves = [moved_by(x, j) for j, x in product(free, number.ANGLES)]
     step = number.CLEAR_OF_JOINT if few else number.SETTLED
-    place, errors = refined(climbed(reading, moves, step=step)[0], free)
+    place, errors = refined(climbed(reading, moves, step=step), free)
     if few:
         # Less is an effect, or a link that differs, or not shown.
         shown = free[np.abs(place[free]) > np.maximum(number.FAR_ZERO, 3 * errors)]
@@ -257,70 +257,60 @@ def _with_ratios(reading, best):
     if 0 < scale < 1 / number.SCALE or scale > number.SCALE:
         # The unit of the torques is another one, too.
         after = after.changed(Change(torques=times(reading.nv, 1 / scale)))
-    more, errors = _ratios(after, joints, together=True)
+    nv, starts = reading.nv, [_factor(x, joints, reading.nv) for x in number.RATIOS]
+    moves = [_factor(x, j, nv) for x, j in product(number.RATIOS, joints)]
+    more = climbed(after, moves, starts, number.SETTLED)
+    steps = [functools.partial(_factor, j=j, nv=nv) for j in joints]
+    more, errors = stepped(after, _factor(0.0, joints, nv).then(more), steps)
+    logs = np.abs(np.log(np.diagonal(more.positions)[joints]))
     known = errors < number.KNOWN_RATIO
-    away = np.abs(np.log(np.diagonal(more.positions)[joints])) - errors > number.OF_UNIT
-    if not (known & away).any():
+    if not (known & (logs - number.INTERVAL * errors > number.OF_UNIT)).any():
         return best
-    whole = best.change.then(more)
-    facts = dict(best.facts) | {"each": _each(reading, whole, joints, errors, known)}
+    each = [j for j, seen in zip(joints, known) if seen]
+    each = _each(reading, best.change.then(more), each, errors[known])
+    facts = dict(best.facts) | {"each": each}
     return replace(best, kind="position_unit", change=None, facts=facts)
 
 
 def gear(reading):
-    """Return joints whose positions have another factor, and by power their torques."""
-    nv = reading.nv
-    change, errors = _ratios(reading, reading.robot.joints.tolist())
-    moved = np.array(change.joints, dtype=int)
-    factors = np.ones(nv) if not moved.size else np.diagonal(change.positions)
-    # Less is an effect, or a link that differs, or not shown.
-    away = np.abs(np.log(factors[moved])) > np.maximum(number.OF_GEAR, 3 * errors)
-    joints = moved[away]
-    # Of most joints, the unit is another one.
-    if not 0 < joints.size <= max(1, nv // 2):
+    """Return the joint whose position has another factor, and by power its torque."""
+    changes = {}
+    for x, j in product(number.RATIOS, reading.robot.joints.tolist()):
+        # A wrong gear keeps the power; or the position alone is wrong.
+        for make in (_factor, _geared):
+            changes[make(x, j, reading.nv)] = functools.partial(
+                make, j=j, nv=reading.nv
+            )
+    best = likely(reading, changes)
+    if best is None:
         return None
-    others = np.setdiff1d(np.arange(nv), joints)
-    change = change.then(Change(positions=times(nv, 1 / factors[others], others)))
-    scale = change.torques is not None
-    if scale:
-        unscaled = 1 / np.diagonal(change.torques)[others]
-        change = change.then(Change(torques=times(nv, unscaled, others)))
-    each = _each(reading, change, joints, errors[away], np.full(joints.size, True))
-    variants = (2 * nv * number.RATIOS.size) ** joints.size
-    facts = {"each": each, "power": ", and multiply the torque by it" * scale}
-    return judged(reading, change, variants=variants, facts=facts)
+    change, (error,) = stepped(reading, best.change, [changes[best.change]])
+    (j,) = best.joints
+    # Less is an effect, or a link that differs, or not shown.
+    if abs(np.log(change.positions[j, j])) < max(number.OF_GEAR, 3 * error):
+        return None
+    power = ", and multiply the torque by it" * (change.torques is not None)
+    facts = {"each": _each(reading, change, [j], [error]), "power": power}
+    return judged(reading, change, variants=len(changes), facts=facts)
 
 
-def _each(reading, change, joints, errors, known):
+def _factor(x, j, nv):
+    """Return the change by a factor of the positions of joints, exp(x)."""
+    return Change(positions=times(nv, np.exp(x), j))
+
+
+def _geared(x, j, nv):
+    """Return the change by another gear ratio of a joint."""
+    return replace(_factor(x, j, nv), torques=times(nv, np.exp(-x), j))
+
+
+def _each(reading, change, joints, errors):
     """List how much of each joint's position is a radian or metre of the joint."""
     ratios = 1 / np.diagonal(change.positions)[joints]
-    each = zip(joints, ratios, errors * ratios, known)
     return ", ".join(
-        f"{reading.names[j]} {x:.3g} ± {e:.1g}" for j, x, e, seen in each if seen
+        f"{reading.names[j]} {x:.3g} ± {number.INTERVAL * error * x:.1g}"
+        for j, x, error in zip(joints, ratios, errors)
     )
-
-
-def _ratios(reading, joints, together=False):
-    """Return the change by factors of positions, and their 90 % errors [log]."""
-    # together: as of positions whose unit is another one, so that all joints count.
-    nv = reading.nv
-
-    def made(x, j, power):
-        scale = times(nv, np.exp(-x), j) if power else None
-        return Change(positions=times(nv, np.exp(x), j), torques=scale)
-
-    # A wrong gear keeps the power; or the positions alone are wrong.
-    kinds = product(number.RATIOS, joints, (False,) if together else (False, True))
-    starts = [made(x, joints, False) for x in number.RATIOS if together]
-    step = number.SETTLED if together else number.CLEAR_OF_JOINT
-    change = climbed(reading, [made(*kind) for kind in kinds], starts, step)[0]
-    if together:
-        change = made(0.0, joints, False).then(change)
-    scale = np.ones(nv) if change.torques is None else np.diagonal(change.torques)
-    free = joints if together else change.joints
-    steps = [functools.partial(made, j=j, power=scale[j] != 1) for j in free]
-    change, errors = stepped(reading, change, steps)
-    return change, number.INTERVAL * errors
 
 
 def counts(reading):

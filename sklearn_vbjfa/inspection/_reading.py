@@ -389,32 +389,26 @@ def judged(reading, change, least=None, *, variants=1, **others):
     )
 
 
+def likely(reading, changes):
+    """Return the most probable of some changes that a rough score prefers."""
+    changes = list(changes)
+    gain = reading.rough(Change()) - np.array([reading.rough(x) for x in changes])
+    best = [changes[k] for k in np.argsort(-gain)[: number.MOST_LIKELY] if gain[k] > 0]
+    return most_probable(judged(reading, x, variants=len(changes)) for x in best)
+
+
 def climbed(reading, moves, starts=(), step=number.CLEAR):
-    """Return the change at the end of a climb, and likely ones of its first step."""
-    # From the log as it is to a start or a move, and by more moves; step: fall of the
-    # rough score that each must bring.
-    end, score = Change(), reading.rough(Change())
-    tried, likely = [*starts, *moves], None
+    """Return the change at the end of a climb from a start or a move by more moves."""
+    # step: fall of the rough score that each must bring.
+    end, score, tried = Change(), reading.rough(Change()), [*starts, *moves]
     while tried:
-        scores = np.array([reading.rough(change) for change in tried])
-        order = np.argsort(scores)
-        if likely is None:
-            likely = [
-                tried[k] for k in order[: number.MOST_LIKELY] if scores[k] < score
-            ]
-        if scores[order[0]] > score - step:
+        scores = [reading.rough(change) for change in tried]
+        best = int(np.argmin(scores))
+        if scores[best] > score - step:
             break
-        end, score = tried[order[0]], scores[order[0]]
+        end, score = tried[best], scores[best]
         tried = [end.then(move) for move in moves]
-    return [end, *(likely or [])]
-
-
-def best_of(reading, moves, starts=()):
-    """Return the most probable of the changes that a climb finds."""
-    moves, starts = list(moves), list(starts)
-    found = dict.fromkeys(climbed(reading, moves, starts))
-    variants = len(moves) + len(starts)
-    return most_probable(judged(reading, x, variants=variants) for x in found)
+    return end
 
 
 def most_probable(candidates):

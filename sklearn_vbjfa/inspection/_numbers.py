@@ -72,9 +72,8 @@ CONTACT, SHORTEST_CONTACT, CONTACT_ENDS = 3.0, 20, 80
 # degrees run beyond limits by more than this [rad], and encoder counts are whole
 # numbers that span at least this range.
 LARGEST_TURN, FAR_BEYOND, FEWEST_COUNTS = 25.0, 5.0, 25.0
-# Factors [log] of positions against a unit that are tried joint by joint; a factor is
-# known below this error, and is another one than that of the unit from here on, or
-# that of a wrong gear.
+# Factors [log] of positions that are tried joint by joint; a factor is known below this
+# error, and that of a wrong gear from here on.
 RATIOS, KNOWN_RATIO, OF_UNIT, OF_GEAR = (
     np.linspace(-2.1, 2.1, 14),
     0.1,

@@ -262,9 +262,8 @@ def _with_ratios(reading, best):
     more = climbed(after, moves, starts, number.SETTLED)
     steps = [functools.partial(_factor, j=j, nv=nv) for j in joints]
     more, errors = stepped(after, _factor(0.0, joints, nv).then(more), steps)
-    logs = np.abs(np.log(np.diagonal(more.positions)[joints]))
-    known = errors < number.KNOWN_RATIO
-    if not (known & (logs - number.INTERVAL * errors > number.OF_UNIT)).any():
+    one, known = judged(after, more, clear_of_all(after)), errors < number.KNOWN_RATIO
+    if one is None or not one.clear or one.log_odds + number.PRIOR < number.DECISIVE:
         return best
     each = [j for j, seen in zip(joints, known) if seen]
     each = _each(reading, best.change.then(more), each, errors[known])

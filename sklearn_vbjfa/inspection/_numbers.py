@@ -74,12 +74,7 @@ CONTACT, SHORTEST_CONTACT, CONTACT_ENDS = 3.0, 20, 80
 LARGEST_TURN, FAR_BEYOND, FEWEST_COUNTS = 25.0, 5.0, 25.0
 # Factors [log] of positions that are tried joint by joint; a factor is known below this
 # error, and that of a wrong gear from here on.
-RATIOS, KNOWN_RATIO, OF_UNIT, OF_GEAR = (
-    np.linspace(-2.1, 2.1, 14),
-    0.1,
-    np.log(1.03),
-    0.1,
-)
+RATIOS, KNOWN_RATIO, OF_GEAR = np.linspace(-2.1, 2.1, 14), 0.1, 0.1
 # Signs must lower the squared error of a torque of one sign by this factor, and both
 # must be had by this share of the rows. Rows with which signs are looked for, most
 # rounds, and dry friction to begin with, in root mean squares of the rigid torque.

@@ -155,18 +155,6 @@ def test_motor_torques_are_told_by_their_size(arm):
     assert 60 < factor < 160
 
 
-@pytest.mark.parametrize("late", [3, pytest.param(-3, marks=pytest.mark.slow)])
-def test_torques_out_of_step(arm, late):
-    recording, model = arm
-    q, tau = recording.q, recording.tau
-    q, tau = (q[late:], tau[:-late]) if late > 0 else (q[:late], tau[-late:])
-    findings = inspect_channels(model, q, tau, recording.dt)
-    message = only(findings, "delay", tuple(range(6)), "note")
-    assert f"{'late' if late > 0 else 'early'} against" in message
-    milliseconds = float(message.split(" are ")[1].split()[0])
-    assert milliseconds == pytest.approx(15, abs=2)
-
-
 def test_clipped_torque(arm):
     tau = arm[0].tau.copy()
     limit = 0.6 * np.abs(tau[:, 1]).max()
@@ -204,24 +192,6 @@ def test_torques_that_stay_at_a_value_are_no_friction(arm):
     q[2300:, 3] += q[1500, 3] - q[2300, 3]
     found = inspect(arm, q=q, tau=tau)
     assert "torque_dropouts" not in {one.kind for one in found}
-
-
-def test_coarse_torques_are_that_and_nothing_else(arm):
-    step = 1.5 * arm[0].tau.std(axis=0)
-    findings = inspect(arm, tau=np.round(arm[0].tau / step) * step)
-    assert {one.kind for one in findings} == {"coarse_torque"}
-    assert {j for one in findings for j in one.joints} == set(range(6))
-
-
-@pytest.mark.parametrize(
-    "constant", one_in(3, [5.0, 9.0, 20.0, (12.0, 12.0, 9.0, 6.0, 6.0, 5.0)])
-)
-def test_currents_do_not_pass_for_torques(arm, constant):
-    (finding,) = inspect(arm, tau=arm[0].tau / constant)
-    assert (finding.kind, finding.severity) == ("torque_unit", "warning")
-    assert 'gains="unknown"' in finding.message
-    factor = float(finding.message.split("are ")[1].split()[0])
-    assert factor == pytest.approx(1 / np.median(constant), rel=0.5)
 
 
 def test_frozen_positions(arm):
@@ -414,10 +384,3 @@ def test_the_zero_of_a_vertical_axis_is_no_ones_business(arm):
     q = arm[0].q.copy()
     q[:, 0] += np.pi / 2
     assert inspect(arm, q=q) == ()
-
-
-@pytest.mark.parametrize("dt", [5.0, 200.0, 5e-6, 0.05])
-def test_sample_periods_in_other_units(arm, dt):
-    recording, model = arm
-    findings = inspect_channels(model, recording.q, recording.tau, dt)
-    assert grave(findings, "wrong_dt") == [(tuple(range(6)), "error")]

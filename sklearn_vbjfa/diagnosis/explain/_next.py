@@ -44,42 +44,41 @@ class Expectation:
 
     def __init__(self, left, floor, scatter, left_out, motion):
         self._left, self._motion = left, motion
-        self._noise = np.fmin(floor, left) ** 2
-        self._noise[np.isnan(floor)] = 0.0
         self._scatter = np.nan_to_num(scatter)
         self.recordings = len(left_out)
         known = np.where(left_out > 0, left_out, np.nan) ** 2
-        self._out = np.full(left.size, np.nan)
-        some = np.isfinite(known).any(axis=0)
-        self._out[some] = np.nanmean(known[:, some], axis=0)
-        self._weights = special.softmax(self._evidence())
+        out, some = np.full(left.size, np.nan), np.isfinite(known).any(axis=0)
+        out[some] = np.nanmean(known[:, some], axis=0)
+        self._noise = np.where(np.isnan(floor), 0.0, np.fmin(floor, left) ** 2)
+        between, self._lacks = self._split(out)
+        used = np.isfinite(out) & (left > 0) & (self.recordings > 1)
+        self._weights = special.softmax(self._evidence(between, used))
 
-    def _parts(self):
+    def _split(self, out):
         """Split the squared error: variance between recordings, and model errors."""
         # Squares (n_draws, nv). The model is a mean over r recordings: held-out data of
         # these have (r - 1) / r of the variance. One that was left out has r / (r - 1)
         # of it, and larger model errors.
         r, most = self.recordings, self._left**2 - self._noise
         if r < 2:
-            return 0.0, most + np.zeros((_DRAWS, 1))
+            return None, most + np.zeros((_DRAWS, 1))
         more, share = np.exp(2 * _robots(r - 1)[1]), (r - 1) / r
-        between = self._out - self._noise - more * most
+        between = out - self._noise - more * most
         # No variance is visible if model errors grow as much as it does.
         room = 1 / share - more * share
         between = np.where(room > 0, between / np.where(room > 0, room, 1.0), 0.0)
         between = np.clip(np.nan_to_num(between), 0.0, most / share)
         return between, most - share * between
 
-    def _evidence(self):
+    def _evidence(self, between, used):
         """Logarithm of the likelihood of the variance between recordings, (n,)."""
-        used = np.isfinite(self._out) & (self._left > 0)
-        if self.recordings < 2 or not used.any():
+        if not used.any():
             return np.zeros(_DRAWS)
         sizes = self._motion.sizes[:, used] ** 2
         expected = (_robots(1)[0][:, :, None] ** 2 * sizes).sum(axis=1)
         # Usually one kind dominates, and the variance is chi-squared.
         least = (_SLACK * self._left[used]) ** 2
-        ratio = (self._parts()[0][:, used] + least) / (expected + least)
+        ratio = (between[:, used] + least) / (expected + least)
         # Joints differ alike.
         return (0.5 * (self.recordings - 1) * (np.log(ratio) - ratio)).mean(axis=1)
 
@@ -96,10 +95,9 @@ class Expectation:
         Median and ends in nine of ten recordings of the error of each joint, nan for
         one that was not judged, and of the mean of the joints.
         """
-        motion = motion or self._motion
-        count = max(self.recordings, 1)
+        motion, count = motion or self._motion, max(self.recordings, 1)
         differ, again, motions = _robots(count)
-        lacks = self._parts()[1] * self._motion.distance(motion)
+        lacks = self._lacks * self._motion.distance(motion)
         rng, nv = np.random.default_rng(1), lacks.shape[1]
         values = rng.standard_normal((_DRAWS, len(_KINDS), nv))
         values[:, _SHARED] = values[:, _SHARED, :1]
@@ -111,8 +109,8 @@ class Expectation:
         judged = np.isfinite(self._left)
         found = np.full((len(_ENDS), nv + 1), np.nan)
         if judged.any():
-            errors = errors[:, judged]
-            errors = np.column_stack([errors, errors.mean(axis=1)])
+            mean = errors[:, judged].mean(axis=1)
+            errors = np.column_stack([errors[:, judged], mean])
             found[:, np.r_[judged, True]] = self._quantiles(errors)
         return found
 
@@ -161,13 +159,12 @@ class Motions:
 
     def distance(self, other):
         """Leverage of the rows of a motion over that of these, at least 1."""
-        found = [
-            np.trace(np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ rows)
-            / np.linalg.matrix_rank(own, tol=1e-9 * np.trace(own), hermitian=True)
-            if np.trace(own) > 0
-            else 1.0
-            for own, rows in zip(self._moments, other._moments)
-        ]
+        found = np.ones(len(self._moments))
+        for j, (own, rows) in enumerate(zip(self._moments, other._moments)):
+            if (size := np.trace(own)) > 0:
+                rank = np.linalg.matrix_rank(own, tol=1e-9 * size, hermitian=True)
+                inverse = np.linalg.pinv(own, rcond=1e-9, hermitian=True)
+                found[j] = np.trace(inverse @ rows) / rank
         return np.maximum(found, 1.0)
 
 

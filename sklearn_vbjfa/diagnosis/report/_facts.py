@@ -13,8 +13,6 @@ _FINE = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}
 _OTHER_MASS = 0.5
 # Share of the largest value of a body that rounding leaves of a zero.
 _ROUNDING = 1e-9
-# Bars end at this many times the error of the middle joint, or one would flatten all.
-_FAR = 8.0
 # A speed below this share of the fastest is that of a reversal; an end that is this
 # small a share of the other is zero.
 _SLOW, _ZERO = 0.1, 1e-3
@@ -202,7 +200,8 @@ def to_record(outcome, signal_advice, no_period):
         for signal in rest.signals:
             add(signal_advice.get(signal.signal.split(" of ")[0], ""), rest)
     for effect in findings["effects"]:
-        for name in (effect.name, *effect.rivals) if effect.rivals else ():
+        rivals = [one["name"] for one in effect.trials]
+        for name in (effect.name, *rivals) if rivals else ():
             add(words.record_for(outcome, name), effect)
     for one in findings["not_identifiable"]:
         if one.reason == "excitation":
@@ -338,26 +337,14 @@ def short_errors(outcome, verdicts):
     return heads, rows
 
 
-def effects_by_label(outcome, label):
-    """Rows of a terminal, the same effect on several joints in one line."""
-    rows, effects = [], outcome.findings["effects"]
-    for text, same in grouped(effects, lambda e: label(e.name, e.parameters)):
-        places = [words.place_label(outcome, e.name, e.joint) for e in same]
-        gains = (words.whole_percent(e.evidence.gain) for e in same)
-        evidence = f"saves {words.join(gains)}"
-        if len(same) == 1:
-            odds = words.odds_text(same[0].log_odds).removesuffix(" : 1")
-            evidence += f", odds {odds}"
-        evidence += ", rivals" if any(e.rivals for e in same) else ""
-        rows.append([f"- {words.join(places, len(places))}", text, evidence])
-    return rows
-
-
 def bars(outcome):
     """Bars of the errors of the joints; places in per cent of the scale."""
-    # bars: kind, length or None, whether it is cut; reach: where the interval of the
-    # error after begins and how long it is, or empty.
-    longest = _longest(outcome)
+    # bars: kind, and length or None; reach: where the interval of the error after
+    # begins and how long it is, or empty.
+    sizes = [outcome.column(name) for name in ("before", "after", "floor")]
+    ends = [one.intervals.get("after", ()) for one in outcome.errors]
+    sizes = np.concatenate([*sizes, *ends])
+    longest = np.max(sizes, where=np.isfinite(sizes), initial=0.0) or 1.0
 
     def place(value):
         share = 100 * float(np.clip(value / longest, 0.0, 1.0))
@@ -366,26 +353,12 @@ def bars(outcome):
     kinds = ("before", *(["plain"] if outcome.robot["added"] else []), "after")
     found = []
     for one in outcome.errors:
-        values = [(kind, getattr(one, kind)) for kind in kinds]
-        ends = one.intervals.get("after", (np.nan, np.nan))
-        low, high = map(place, ends)
+        low, high = map(place, one.intervals.get("after", (np.nan, np.nan)))
         found.append(
             {
-                "bars": [(kind, place(x), bool(x > longest)) for kind, x in values],
-                "reach": (low, high - low) if np.isfinite(ends).all() else (),
+                "bars": [(kind, place(getattr(one, kind))) for kind in kinds],
+                "reach": () if low is None or high is None else (low, high - low),
                 "floor": place(one.floor),
             }
         )
     return found
-
-
-def _longest(outcome):
-    """Error at the end of the bars: a few joints far above the others are cut off."""
-    sizes = np.fmax.reduce([outcome.column(x) for x in ("before", "after", "floor")])
-    ends = [one.intervals.get("after", ()) for one in outcome.errors]
-    everything = np.concatenate([sizes, *ends])
-    longest = np.max(everything, where=np.isfinite(everything), initial=0.0)
-    sizes = np.sort(sizes[np.isfinite(sizes) & (sizes > 0)])
-    if sizes.size:
-        longest = min(longest, _FAR * sizes[(sizes.size - 1) // 2])
-    return longest or 1.0

@@ -120,8 +120,7 @@ class Voice:
             "joint": partial(words.joint_label, names),
             "joints": partial(words.joint_list, names),
             "say": self,
-            "short_label": partial(self, "short_label"),
-            "rivals_of": self._rivals,
+            "rivals_of": partial(words.rival_labels, outcome),
             "signals_of": self._signals,
             "effect_at": lambda e: words.effect_at(
                 outcome, e.name, e.joint, e.parameters
@@ -143,10 +142,6 @@ class Voice:
     def _bound(self, module, name, *values):
         """Call a function of a module with the outcome."""
         return getattr(module, name)(self._outcome, *values)
-
-    def _rivals(self, effect):
-        own = effect.rivals
-        return [words.other_label(self._outcome, x, effect.name) for x in own]
 
     def _signals(self, rest):
         names = self._outcome.robot["joints"]
@@ -239,30 +234,25 @@ def _wrapped(text, indent="  "):
     return "\n".join(lines).replace("\u00a0", " ")
 
 
-def text_table(heads, rows, *, numbers=False):
-    """Lay out a table for a terminal; its widest words are wrapped until it fits."""
-    # numbers: whether all columns but the first and the last are aligned to the right.
-    cells = [*([heads] if heads else []), *rows]
+def text_table(heads, rows):
+    """Lay out a table for a terminal; its widest texts are wrapped until it fits."""
+    # All columns but the first and the last are numbers.
+    cells = [heads, *rows]
     widths = [max(map(len, column)) for column in zip(*cells)]
     last = len(widths) - 1
-    flexible = [0, last] if numbers else range(last + 1)
     # No word is broken unless it is very long.
-    split = [" ".join(column).split() for column in zip(*cells)]
-    least = [min(max(map(len, column), default=0), _LONG) for column in split]
+    words_of = [" ".join(column).split() for column in zip(*cells)]
+    least = [min(max(map(len, column), default=0), _LONG) for column in words_of]
     while sum(widths) + 2 * last > _TERMINAL:
-        wrapped = [k for k in flexible if widths[k] > least[k]]
+        wrapped = [k for k in (0, last) if widths[k] > least[k]]
         if not wrapped:
             break
         widths[max(wrapped, key=widths.__getitem__)] -= 1
-    sides = [
-        "left" if k in (0, last) or not numbers else "right" for k in range(last + 1)
-    ]
-    most = [width if k in flexible else None for k, width in enumerate(widths)]
     table = tabulate(
         cells,
         tablefmt="plain",
         disable_numparse=True,
-        colalign=sides,
-        maxcolwidths=most,
+        colalign=["left", *["right"] * (last - 1), "left"][: last + 1],
+        maxcolwidths=[widths[k] if k in (0, last) else None for k in range(last + 1)],
     )
     return "\n".join(row.rstrip() for row in table.splitlines())

@@ -112,7 +112,7 @@ class Report:
         findings = self.outcome.findings
         return bool(
             findings["unexplained"]
-            or any(effect.rivals for effect in findings["effects"])
+            or any(effect.trials for effect in findings["effects"])
             or any(one.reason == "excitation" for one in findings["not_identifiable"])
         )
 

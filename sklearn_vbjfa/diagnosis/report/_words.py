@@ -77,33 +77,20 @@ def effect_at(outcome, name, joint, shape=None):
     return label if place == "robot" else f"{label} on {place}"
 
 
-def other_label(outcome, other, name):
-    """Name a rival of an effect, with its joint if that differs."""
-    joint = _joint_of(outcome, other)
-    if joint is not None:
-        return effect_at(outcome, _name_of(outcome, other), joint)
-    if place_label(outcome, name, 0) == "robot":
-        # What belongs to no joint counts as one of the first.
-        return effect_at(outcome, other, 0)
-    return effect_label(outcome, other)
-
-
-def _joint_of(outcome, other):
-    """Joint behind the " on " of a name, from zero; None if there is none."""
-    _, _, joint = other.rpartition(" on ")
-    if other in outcome.robot["library"] or joint not in outcome.robot["joints"]:
-        return None
-    return list(outcome.robot["joints"]).index(joint)
-
-
-def _name_of(outcome, other):
-    """Return the name of an effect, without the joint that may stand behind it."""
-    return other if _joint_of(outcome, other) is None else other.rpartition(" on ")[0]
+def rival_labels(outcome, effect):
+    """Name the rivals of an effect, with the joints of those that are on others."""
+    found = []
+    for one in effect.trials:
+        same = one["joint"] == effect.joint and not of_robot(outcome, effect.name)
+        label = effect_label(outcome, one["name"], one["shape"])
+        place = place_label(outcome, one["name"], one["joint"])
+        found.append(label if same or place == "robot" else f"{label} on {place}")
+    return list(dict.fromkeys(found))
 
 
 def record_for(outcome, name):
     """Return what to record to see an effect; empty if its class does not say."""
-    found = outcome.robot["library"].get(_name_of(outcome, name))
+    found = outcome.robot["library"].get(name)
     return "" if found is None else found.record
 
 

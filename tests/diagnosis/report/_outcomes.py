@@ -37,6 +37,10 @@ def finding(message, severity="note"):
     return ChannelFinding("some_fault", (0,), severity, message)
 
 
+def make_trials(joint, names):
+    return tuple({"name": name, "joint": joint, "shape": {}} for name in names)
+
+
 def make_effect(i, joint, names):
     name, parameters, units, rivals = KINDS[i % len(KINDS)]
     spread = {
@@ -53,6 +57,7 @@ def make_effect(i, joint, names):
         },
         evidence=EVIDENCE,
         rivals=rivals,
+        trials=make_trials(joint, rivals),
     )
 
 
@@ -61,7 +66,7 @@ def make_possible(i, joint, names, warning=UNDECIDED, evidence=POSSIBLE):
     effect = make_effect(i, joint, names)
     wide = {k: (low - high, 2 * high) for k, (low, high) in effect.intervals.items()}
     return dataclasses.replace(
-        effect, intervals=wide, evidence=evidence, warning=warning, rivals=()
+        effect, intervals=wide, evidence=evidence, warning=warning, trials=()
     )
 
 

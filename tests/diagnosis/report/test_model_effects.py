@@ -11,14 +11,14 @@ from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.robot import (
     Correction,
 )
-from tests.diagnosis.report._outcomes import EVIDENCE, make_outcome
+from tests.diagnosis.report._outcomes import EVIDENCE, make_outcome, make_trials
 from tests.diagnosis.report._pages import section_of, text_of
 
 NAMES = tuple(f"joint_{j + 1}" for j in range(6))
 MISSING = "Effects that were missing"
 
 
-def found(effect, values, half, rivals=()):
+def found(effect, values, half, trials=()):
     """Make a finding with values in SI units, each known to `half`."""
     units = effect.parameter_units()
     return DiscoveredEffect(
@@ -30,7 +30,7 @@ def found(effect, values, half, rivals=()):
         units={key: units[key] for key in values},
         intervals={key: (x - half, x + half) for key, x in values.items()},
         evidence=EVIDENCE,
-        rivals=rivals,
+        trials=trials,
         effect=effect,
     )
 
@@ -43,13 +43,13 @@ TILT = found(
     BaseTilt(),
     dict(zip(("roll", "pitch"), degrees(4.0, 2.0))),
     np.deg2rad(0.02),
-    ("joint_axis",),
+    make_trials(0, ("joint_axis",)),
 )
 ZERO = found(
     JointZero(2),
     {"zero": np.deg2rad(4.04)},
     np.deg2rad(0.06),
-    ("joint_axis on joint_5",),
+    make_trials(4, ("joint_axis",)),
 )
 AXIS = found(
     JointAxis(3),
@@ -162,8 +162,6 @@ def test_rivals_of_other_joints_are_named_with_them():
     assert "turned joint axis on joint 5" in text
     for effect in (JointZero, JointAxis):
         assert f"{effect.record} (joint 3)" in text
-    whole = report_of(replace(ZERO, rivals=("friction on wet days",)))
-    assert "friction on wet days" in text_of(whole)
 
 
 def test_values_below_and_of_sliders():

@@ -798,7 +798,11 @@ def _following(fit, settings, rounds, share):
     for _ in range(rounds):
         spectrum = _spectrum(fit, settings)
         weights = spectrum.weights(problem.cosines, share)
-        fit = Fit(Base(problem, weights, spectrum, share), fit.members)
+        new = Fit(Base(problem, weights, spectrum, share), fit.members)
+        # A band that the fit follows ever closer would weigh ever more.
+        if fit.base.share == share and new.log_evidence() < fit.log_evidence():
+            break
+        fit = new
     return fit
 
 

@@ -1,7 +1,15 @@
 """Torque of joints at rest, where friction with memory alone knows it."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
+
+from bench_friction_memory import DT as STEP
+from bench_friction_memory import record
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from tests.diagnosis._recordings import DT, named
@@ -58,3 +66,14 @@ def test_torque_at_rest_shows_friction_with_memory(memory):
         assert (loop.error_after_ < 0.1 * loop.error_before_).all()
     else:
         assert not loop.possible_
+
+
+def test_friction_of_a_short_motion_is_no_noise(tmp_path):
+    # Slow residuals that a model takes away must not leave its spectrum without bound.
+    made, rng, joint, q, tau, _ = record("lugre", 99)
+    path, n = tmp_path / "arm.urdf", len(q) // 2
+    path.write_text(made.urdf(made.described(rng)))
+    loop = EffectDiscovery(
+        RobotIdentifier(path, dt=STEP), effects=["maxwell_slip"], random_state=0
+    )
+    assert named(loop.fit(q[:n], tau[:n])) == [("maxwell_slip", joint)]

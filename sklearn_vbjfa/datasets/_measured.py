@@ -271,8 +271,8 @@ def fetch_emps(files):
 
 # Ratio 101 times 0.125 (large) or 0.0922 (small drives) N m/A; not verified.
 _UR5_GAINS = (12.63, 12.63, 12.63, 9.31, 9.31, 9.31)
-_UR5_SIGNALS = ("i_actual", "m_target", "i_target", "q_target", "qd_target")
-_UR5_SIGNALS += ("qdd_target",)
+_UR5_SIGNALS = ("i_actual", "m_target", "i_target")
+_UR5_REFERENCE = ("q_target", "qd_target", "qdd_target")
 
 
 @_loader
@@ -283,7 +283,7 @@ def fetch_ur5(files):
         parts = movements.setdefault(movement.split("_")[1], {})
         parts[Path(path).stem.removeprefix("log_")] = local
     for name, parts in movements.items():
-        wanted = ("q_actual", "qd_actual", *_UR5_SIGNALS)
+        wanted = ("q_actual", "qd_actual", *_UR5_SIGNALS, *_UR5_REFERENCE)
         raw = {key: _whole_lines(parts[key]) for key in wanted}
         n = min(map(len, raw.values()))
         t, raw = raw["q_actual"][:n, 0], {key: x[:n, 1:] for key, x in raw.items()}

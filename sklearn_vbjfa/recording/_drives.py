@@ -71,6 +71,12 @@ class Drive(BaseEstimator):
             )
         return values
 
+    def _setting(self, name, joints, recording):
+        """Return a setting (nv,), else the channel (n, nv) of its name, else None."""
+        if getattr(self, name) is not None:
+            return self._number(name, joints)
+        return None if recording is None else self._channel(recording, name)
+
     def _number(self, name, joints, least=0.0):
         """Return a setting as one number for each joint, (nv,)."""
         given, what, nv = (
@@ -117,8 +123,7 @@ class PDDrive(Drive):
                   + \tau_{ff}(t - d),
 
     whose gains are known and whose delay d is found: `RobotIdentifier` has it as a
-    parameter ``drive:delay`` of the robot. With measured torques, as `controller`, it
-    closes the simulated loop.
+    parameter ``drive:delay`` of the robot.
 
     Parameters
     ----------
@@ -135,12 +140,11 @@ class PDDrive(Drive):
     period : float, default=None
         Time [s] for which the drive holds a torque, at most the sample period: a loop
         at 1 kHz has 1e-3. What it makes of positions acts half of it late, which is
-        some per cent of armature and damping. None takes that for nothing; as
-        `controller`, for the sample period.
+        some per cent of armature and damping. None takes that for nothing.
 
     See Also
     --------
-    RobotIdentifier : Takes it as `drive`, or as `controller`.
+    RobotIdentifier : Takes it as `drive`.
     sklearn_vbjfa.effects.CommandDelay : The delay.
 
     Notes
@@ -163,12 +167,9 @@ class PDDrive(Drive):
 
     Examples
     --------
-    >>> import numpy as np
     >>> from sklearn_vbjfa.robot import PDDrive
-    >>> drive = PDDrive(kp=100.0, kd=5.0)
-    >>> drive.torque(np.array([0.2]), np.array([0.0]), np.array([0.1]),
-    ...              np.array([1.0]))
-    array([5.])
+    >>> PDDrive({"hip": 20.0, "knee": 40.0}, 1.0).law(["left_hip", "left_knee"])
+    (array([20., 40.]), array([1., 1.]))
     """
 
     told = "q_desired"
@@ -283,14 +284,11 @@ class PDDrive(Drive):
         return self._number("saturation", names)
 
     def law(self, names, recording=None):
-        """Gains of position and velocity of joints."""
+        """Gains of position and velocity, (nv,) or, if recorded, (n, nv)."""
         return tuple(self._gain(one, names, recording) for one in ("kp", "kd"))
 
     def _gain(self, name, joints, recording):
-        """Gain, (nv,) or (n, nv), from the drive or the recording."""
-        if getattr(self, name) is not None:
-            return self._number(name, joints)
-        values = None if recording is None else self._channel(recording, name)
+        values = self._setting(name, joints, recording)
         if values is None:
             raise ValueError(
                 f"PDDrive: {name} is missing: give {name}=, a number for each joint "
@@ -300,15 +298,6 @@ class PDDrive(Drive):
         if (values < 0).any():
             raise ValueError(f"PDDrive: {name} of the recording must not be negative.")
         return values
-
-    def torque(self, q_desired, v_desired, q, v, names=None):
-        """Torques of the law at no delay."""
-        nv = np.shape(q)[-1]
-        names = [str(j) for j in range(nv)] if names is None else names
-        kp, kd = self.law(names)
-        tau = kp * (q_desired - q) + kd * (v_desired - v)
-        most = self.most(names)
-        return np.clip(tau, -most, most)
 
 
 class CurrentDrive(Drive):
@@ -431,9 +420,7 @@ class VoltageDrive(Drive):
         """
         volts = self._channel(recording, "voltage")
         volts = recording.tau if volts is None else volts
-        supply = self._channel(recording, "supply")
-        if self.supply is not None:
-            supply = self._number("supply", recording.joint_names)
+        supply = self._setting("supply", recording.joint_names, recording)
         volts = volts if supply is None else volts * supply
         return replace(recording, tau=volts, command=volts)
 

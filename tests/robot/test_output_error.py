@@ -22,7 +22,7 @@ from sklearn_vbjfa.fit import (
     run_windows,
     slopes,
 )
-from sklearn_vbjfa.robot import FitOptions, PDDrive
+from sklearn_vbjfa.robot import FitOptions
 from sklearn_vbjfa.simulation import (
     simulate,
     simulate_controlled,
@@ -322,11 +322,10 @@ def test_a_controlled_mass_follows_the_solution_of_its_equation():
     quiet = robot.robot_.torque_model()
     quiet = replace(quiet, friction=0.0 * quiet.friction)
     K, D = 4.0 * m, 2.0 * m  # poles at -1 +- i sqrt(3)
-    loop = PDDrive(K, D)
     t = 1e-3 * np.arange(3000)
 
     def control(i, q, v):
-        return loop.torque(np.ones(1), np.zeros(1), q, v)
+        return K * (1.0 - q) - D * v
 
     made = simulate_controlled(quiet, control, np.zeros(1), np.zeros(1), t)
     w = np.sqrt(3.0)

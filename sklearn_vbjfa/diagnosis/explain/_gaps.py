@@ -217,20 +217,22 @@ def _is_hidden(effect, found, missing):
     """Whether no shape of an effect is visible beyond those that it contains."""
     # missing: effects by name that the joint has not.
     fit, motion = found.model.fit, found.model.motion
-    family = fit.problem.family(effect)
-    if family is None:
+    shapes = fit.problem.first_shapes(effect)
+    if not shapes:
         return False
+    columns = fit.problem.shaped(shapes)
     if effect.in_model:
         # At its largest plausible value it would not be reported.
         away = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
-        worth = 0.5 * np.diagonal(fit.groups(family).H[0]) * away**2
+        worth = 0.5 * np.diagonal(fit.groups(columns).H[0]) * away**2
         needed = found.needed + np.log(max(found.n_candidates, 1))
         return bool(not (worth > needed + _OCCAM).any())
     for name in missing.keys() & set(effect.contains):
-        simpler = fit.problem.family(missing[name])
-        if simpler is not None and not missing[name].applies(motion):
-            fit = fit.beside(simpler.member(0, _LOOSE))
-    groups = fit.groups(family)
+        simpler = fit.problem.first_shapes(missing[name])
+        if simpler and not missing[name].applies(motion):
+            simplest = fit.problem.shaped(simpler[:1])
+            fit = fit.beside(simplest.member(scale=_LOOSE))
+    groups = fit.groups(columns)
     left = np.diagonal(groups.H, axis1=1, axis2=2)
     share = left / np.where(groups.own > 0, groups.own, np.inf)
     return not share.max() > _UNSEEN

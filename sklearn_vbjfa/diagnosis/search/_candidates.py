@@ -1,5 +1,7 @@
 """Candidate effects of each joint given a model, with their probabilities."""
 
+import functools
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,9 +10,9 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._progress import counted
-from sklearn_vbjfa.diagnosis.search._problem import Family, stacked
-from sklearn_vbjfa.diagnosis.search._shapes import jump
-from sklearn_vbjfa.effects import closure
+from sklearn_vbjfa.diagnosis.search._problem import Columns
+from sklearn_vbjfa.diagnosis.search._refine import jump
+from sklearn_vbjfa.effects import Shaped, closure
 
 # Share of the error that its mirror image saves of what an effect with a direction
 # saves: more is nothing with a direction.
@@ -20,6 +22,81 @@ _NO_CHANCE = -20.0
 # Half square sum [nats] by which a joint's weighted residual has to change for the
 # joint to be looked at again, when nothing else is left and before.
 _CHANGED, _MUCH = 0.5, 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """A use of an effect on a joint, with its shapes."""
+
+    columns: Columns  # of all effects of the joint with as many columns
+    at: slice  # its shapes among these
+
+    @functools.cached_property
+    def effects(self):
+        """Effect with each of the shapes, tuple of Effect."""
+        return self.columns.effects[self.at]
+
+    @functools.cached_property
+    def keys(self):
+        """Keys of the effects."""
+        return tuple(effect.key() for effect in self.effects)
+
+    @functools.cached_property
+    def opposite_keys(self):
+        """Keys of their opposites, empty where they have none."""
+        if self.effects[0].opposite() is None:
+            return ()
+        return tuple(effect.opposite().key() for effect in self.effects)
+
+    def groups(self, fit):
+        """Second moments beside a model, `Groups`."""
+        return fit.groups(self.columns).part(self.at)
+
+    def evidence(self, fit, scale):
+        """Log evidence (c,) beside a model; of a bank, at the most."""
+        return fit.evidence(self.columns, scale)[self.at]
+
+    def excess(self, fit, c, coef, noise):
+        """Overdispersion of the score of a shape, see `Fit.excess`."""
+        return fit.excess(self.columns, self.at.start + c, coef, noise)
+
+    def member(self, c, scale):
+        """Return the effect with one of the shapes as a `Member`."""
+        return self.columns.member(self.at.start + c, scale)
+
+
+def families_of(found):
+    """Return the uses of effects, each with its `Columns`, list of Family."""
+    # Side by side, so that moments beside a model are made at once.
+    kinds, families = {}, []
+    for columns in found:
+        kind = columns.joints, columns.shape[1], columns.effects[0].bank
+        for shapes in _uses(columns.effects):
+            kinds.setdefault(kind, []).append((len(families), columns, shapes))
+            families.append(None)
+    for (joints, *_), parts in kinds.items():
+        numbers, own, shapes = zip(*parts)
+        beside = Columns(
+            [one.effects[c] for one, some in zip(own, shapes) for c in some],
+            joints,
+            np.concatenate([x.values[:, :, c] for x, c in zip(own, shapes)], axis=2),
+            np.concatenate([x.unit[c] for x, c in zip(own, shapes)]),
+            own[0].edges,
+        )
+        ends = np.cumsum([0, *map(len, shapes)]).tolist()
+        for i, (a, b) in zip(numbers, itertools.pairwise(ends)):
+            families[i] = Family(beside, slice(a, b))
+    return families
+
+
+def _uses(effects):
+    """Numbers of the shapes of each separate use, see `Shaped.split_by`, lists."""
+    names = effects[0].split_by if isinstance(effects[0], Shaped) else ()
+    uses = {}
+    for c, effect in enumerate(effects):
+        use = tuple(getattr(effect, name) for name in names)
+        uses.setdefault(use, []).append(c)
+    return list(uses.values())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,11 +140,10 @@ class Candidates:
             one = clone(effect).set_params(joint=j)
             if one.name in problem.view.declared or one.applies(problem.motion):
                 continue
-            family = problem.family(one)
-            if family is not None:
-                found[j] += family.split()
-        self.families = {j: stacked(own) for j, own in found.items()}
-        self.count = sum(map(len, found.values()))
+            if shapes := problem.first_shapes(one):
+                found[j].append(problem.shaped(shapes))
+        self.families = {j: families_of(own) for j, own in found.items()}
+        self.count = sum(map(len, self.families.values()))
         self.log_prior = np.log(settings.expected / max(self.count, 1))
         # Log odds above which an effect is in the model.
         self.least = float(logit(settings.min_probability))
@@ -79,10 +155,10 @@ class Candidates:
         """Return the best shape of a family given a fit as a `Candidate`, or None."""
         scale, least = self.settings.scale, self._no_chance(family)
         if excess is None:
-            evidence = fit.evidence(family, scale)
+            evidence = family.evidence(fit, scale)
             if not evidence.max() > least:
                 return None
-        groups, taken = fit.groups(family), self.rejected | fit.excluded
+        groups, taken = family.groups(fit), self.rejected | fit.excluded
         if excess is not None:
             groups = groups.discounted(excess)
             evidence = groups.evidence(scale)
@@ -118,10 +194,11 @@ class Candidates:
         if getattr(candidate.effect, "jumping", ()):
             # Beside its instant a jump leaves a residual of its own size.
             scale = self.settings.scale
-            found = jump(fit, candidate.effect, family, scale, near=True)
-            family, best = fit.problem.shaped([found]), 0
-            coef = fit.groups(family).coefficients()[0]
-        excess = fit.excess(family, best, coef, self.noise)
+            near = fit.problem.shaped([jump(fit, candidate.effect, scale, near=True)])
+            coef = fit.groups(near).coefficients()[0]
+            excess = fit.excess(near, 0, coef, self.noise)
+        else:
+            excess = family.excess(fit, best, coef, self.noise)
         usual = self.candidate(fit, candidate.family, excess.as_usual())
         if usual is None or not np.isfinite(excess.freedom):
             return usual and replace(usual, tempered=True)
@@ -259,7 +336,7 @@ class Candidates:
         """Effects of the geometry that explain as much as a member does."""
         candidates = [self.tempered(base, o) for o in candidates if o.effect.in_model]
         gains = {
-            o: 0.5 * base.groups(o.family).gain()[o.best]
+            o: 0.5 * o.family.groups(base).gain()[o.best]
             for o in candidates
             if o is not None
         }

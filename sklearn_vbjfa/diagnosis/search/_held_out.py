@@ -86,10 +86,10 @@ class HeldOut:
 
     def columns(self, member):
         """Columns (nj, m, k) of a member, row by row."""
-        if member.moments not in self._known:
+        if member.columns not in self._known:
             columns = self.view.columns([member.effect], self.motion)
-            self._known[member.moments] = columns[:, self.order, 0]
-        return self._known[member.moments]
+            self._known[member.columns] = columns[:, self.order, 0]
+        return self._known[member.columns]
 
     def fitted(self, fit):
         """Leave out each fold of a `Fit`; returns a `HeldOutFit`."""

@@ -15,8 +15,12 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     spectrum_of,
     weighed,
 )
-from sklearn_vbjfa.diagnosis.search._refine import searched_on, stepped
-from sklearn_vbjfa.diagnosis.search._shapes import best_shape, searched
+from sklearn_vbjfa.diagnosis.search._refine import (
+    best_shape,
+    searched,
+    searched_on,
+    stepped,
+)
 from sklearn_vbjfa.effects import closure
 
 # Times that load, spectrum and geometry are made anew.
@@ -196,13 +200,13 @@ class Path:
     def _member(self, fit, candidate):
         """Return a candidate as a member."""
         scale = self.settings.scale
-        found = best_shape(fit, candidate.effect, candidate.family, scale)
+        found = best_shape(fit, candidate.effect, scale)
         if found is candidate.effect:
-            family, best = candidate.family, candidate.best
+            member = candidate.family.member(candidate.best, scale)
         else:
-            family, best = fit.problem.shaped([found]), 0
-        own = fit.groups(family).best_scale(scale)[best]
-        return family.member(best, float(own))
+            member = fit.problem.shaped([found]).member()
+        own = fit.groups(member.columns).best_scale(scale)[0]
+        return replace(member, scale=float(own))
 
     def _stand(self, fit, first):
         """Which of the last members remain probable after a refit, a list."""
@@ -293,7 +297,7 @@ class Path:
             if member.effect.bank and used.any() and not used.all():
                 kept = fit.problem.shaped([member.effect.only(used)])
                 members = list(fit.members)
-                members[i] = kept.member(0, member.scale)
+                members[i] = kept.member(scale=member.scale)
                 return self.scaled(Fit(fit.base, members))
         return fit
 
@@ -378,9 +382,9 @@ class Path:
                 continue
             if first.name in within:
                 continue
-            free = fit.groups(family).shown() & [k not in taken for k in family.keys]
+            free = family.groups(fit).shown() & [k not in taken for k in family.keys]
             if free.any():
-                evidence = np.where(free, fit.evidence(family, scale), -np.inf)
+                evidence = np.where(free, family.evidence(fit, scale), -np.inf)
                 members.append(family.member(int(np.argmax(evidence)), scale))
         others = [m for m in fit.members if m.joints != (joint,)]
         new = Fit(fit.base, [*others, *members, *own])
@@ -457,7 +461,7 @@ class Path:
         """Return the most probable model with given effects, on the load they give."""
         fit, scale = self.begin(), self.settings.scale
         for _ in range(_TURNS):
-            members = [fit.problem.shaped([e]).member(0, scale) for e in effects]
+            members = [fit.problem.shaped([e]).member(scale=scale) for e in effects]
             fit = anew(self.scaled(weighed(Fit(fit.base, members))))
             effects = [m.effect for m in fit.members]
         return self.scaled(weighed(fit))
@@ -478,7 +482,7 @@ def anew(fit):
         own = member.effect
         if own.natural(coef):
             own = own.linearised_at(coef)
-        members.append(replace(member, effect=own))
+        members.append(member.turned_into(own))
     problem, base, theta = fit.problem, fit.base, fit.theta
     view = problem.view.corrected(tuple(m.effect for m in members))
     moved = view is not problem.view
@@ -496,7 +500,7 @@ def anew(fit):
     problem = problem.with_motion(motion)
     # Columns that neither the load nor the robot has changed stay.
     again = [
-        problem.shaped([m.effect]).member(0, m.scale)
+        problem.shaped([m.effect]).member(scale=m.scale)
         if moved or "load" in m.effect.needs
         else m
         for m in members

@@ -12,8 +12,8 @@ from scipy.linalg import lapack
 
 from sklearn_vbjfa._core._groups import Groups, Overdispersion
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
-from sklearn_vbjfa.diagnosis.search._view import root_mean_square, variants
-from sklearn_vbjfa.effects import Effect, Shaped
+from sklearn_vbjfa.diagnosis.search._view import variants
+from sklearn_vbjfa.effects import Shaped
 
 
 def products(edges, one, other):
@@ -22,19 +22,138 @@ def products(edges, one, other):
     return np.array([one[a:b].T @ other[a:b] for a, b in itertools.pairwise(edges)])
 
 
-class _Torques:
-    """What products with some torques are known by."""
+# One in so many cosines of the scores is slow; and the slowest of them.
+_SLOW, _SLOWEST = 4, 4
+_TINY = np.finfo(float).tiny
+# Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
+_RIDGE = 1e-9
 
 
-class Declared:
-    """Declared columns and torques of all joints, in bands or blocks."""
+class Columns:
+    """Columns of an effect with c shapes in frequency, up to k for each of them."""
 
-    # Z (nv, n, r) and y (nv, n) are sorted by band; edges (n_bands + 1,): where each
-    # begins, and the last one ends.
+    # effects (c,): one for each shape; joints: those that they act on; values (nj, n,
+    # c, k): cosines, sorted by band and not weighted; unit (c, k): see `Groups`, zero
+    # for columns of zeros; edges: see `Problem`.
 
-    def __init__(self, Z, y, edges):
-        self.Z, self.y, self.edges = Z, y, edges
-        self.columns_known, self.torques_known = _Torques(), _Torques()
+    def __init__(self, effects, joints, values, unit, edges):
+        self.effects, self.joints = tuple(effects), tuple(joints)
+        self.values, self.unit, self.edges = values, unit, edges
+        # with which columns and torques products were made last, and these
+        self._declared = self._right = None, None
+
+    @property
+    def shape(self):
+        """Number of shapes, and of columns of each, (c, k)."""
+        return self.unit.shape
+
+    @functools.cached_property
+    def gram(self):
+        """Products with themselves by band, shape by shape, (nj, n_bands, c, k, k)."""
+        k = self.shape[1]
+        found = np.empty((len(self.joints), self.edges.size - 1, *self.shape, k))
+        for a, b in itertools.product(range(k), repeat=2):
+            square = self.values[..., a] * self.values[..., b]
+            found[..., a, b] = np.add.reduceat(square, self.edges[:-1], axis=1)
+        return found
+
+    def declared(self, Z):
+        """Products with columns Z (nv, n, r) by band, (nj, n_bands, r, c * k)."""
+        if self._declared[0] is not Z:
+            self._declared = Z, self._products(Z)
+        return self._declared[1]
+
+    def right(self, y):
+        """Products with torques y (nv, n) by band, (nj, n_bands, c * k)."""
+        if self._right[0] is not y:
+            self._right = y, self._products(y)[:, :, 0]
+        return self._right[1]
+
+    def _products(self, of):
+        pairs = zip(self.joints, self.values)
+        return np.array([products(self.edges, of[j], own) for j, own in pairs])
+
+    def member(self, c=0, scale=1.0):
+        """Return one of the shapes as a `Member`."""
+        k, columns = len(self.effects[c].coefficients), self
+        if self.shape != (1, k):
+            own = np.ascontiguousarray(self.values[:, :, c : c + 1, :k])
+            unit = self.unit[c : c + 1, :k]
+            columns = Columns(
+                self.effects[c : c + 1], self.joints, own, unit, self.edges
+            )
+        return Member(columns=columns, scale=scale)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Member:
+    """An effect in the model, with one shape."""
+
+    columns: Columns
+    scale: float = 1.0  # prior deviation of its coefficients, in units
+
+    @property
+    def effect(self):
+        """Effect with its shape."""
+        return self.columns.effects[0]
+
+    @property
+    def joints(self):
+        """Joints that it acts on, tuple of int."""
+        return self.columns.joints
+
+    @property
+    def unit(self):
+        """Coefficients with which each column has the torque of its joint, (k,)."""
+        return self.columns.unit[0]
+
+    @property
+    def width(self):
+        """Number of columns."""
+        return self.unit.size
+
+    @functools.cached_property
+    def done(self):
+        """What of its coefficients the equations have already, (k,)."""
+        if not self.effect.in_model:
+            return np.zeros(self.width)
+        return self.effect.values - np.asarray(self.effect.nominal)
+
+    def turned_into(self, effect):
+        """Return the same columns as those of another effect."""
+        if effect is self.effect:
+            return self
+        own = self.columns
+        columns = Columns([effect], own.joints, own.values, own.unit, own.edges)
+        return replace(self, columns=columns)
+
+
+class Problem:
+    """Equations of all joints in frequency: declared columns and torques."""
+
+    # cosines: of the rows of `view`, where they are there already; Z, y, (nv, n, r) and
+    # (nv, n): those of the declared columns and of the torques, sorted by band; edges
+    # (n_bands + 1,): where each band begins, and the last one ends; torque (nv,): root
+    # mean square of the varying torque in weighted rows; motion: signals from which
+    # columns are made, with the load; None before a fit.
+
+    motion = None
+
+    def __init__(self, view, cosines=None):
+        self.view = view
+        self.cosines = Cosines(view) if cosines is None else cosines
+        joints = range(view.nv)
+        self.Z, self.y = self.cosines(view.Z, joints), self.cosines(view.target, joints)
+        rows = np.maximum(view.rows, _TINY)
+        mean = (view.target * view.root.T).sum(axis=1) / rows
+        rest = view.target - mean[:, None] * view.root.T
+        self.torque = np.sqrt((rest**2).sum(axis=1) / view.target.shape[1])
+        self.used_joints = view.precision > 0
+
+    @property
+    def edges(self):
+        """Where each band of cosines begins, and the last one ends."""
+        return self.cosines.edges
 
     @functools.cached_property
     def gram(self):
@@ -55,136 +174,11 @@ class Declared:
     def with_torques(self, y):
         """Return the same columns with other torques."""
         made = copy.copy(self)
-        made.y, made.torques_known = y, _Torques()
+        made.y = y
         # What is made of the columns alone stays.
         for name in ("right", "power"):
             made.__dict__.pop(name, None)
         return made
-
-
-class Moments:
-    """Products of c groups of k columns with others, made when they are asked for."""
-
-    # columns (nj, n, c, k), sorted by band, act on `joints`; edges: see `Declared`.
-
-    def __init__(self, joints, columns, edges):
-        self.joints, self.columns, self.edges = joints, columns, edges
-        self._declared, self._right = WeakKeyDictionary(), WeakKeyDictionary()
-        self._groups = {}
-
-    def of(self, columns):
-        """Return those of other columns of the same joints."""
-        return Moments(self.joints, columns, self.edges)
-
-    def group(self, c, k):
-        """Return those of the first k columns of one group."""
-        if (c, k) not in self._groups:
-            own = np.ascontiguousarray(self.columns[:, :, c : c + 1, :k])
-            self._groups[c, k] = self.of(own)
-        return self._groups[c, k]
-
-    @functools.cached_property
-    def gram(self):
-        """With themselves, group by group, (nj, n_bands, c, k, k)."""
-        k = self.columns.shape[3]
-        found = np.empty((len(self.joints), self.edges.size - 1, *self.shape, k))
-        for a, b in itertools.product(range(k), repeat=2):
-            square = self.columns[..., a] * self.columns[..., b]
-            found[..., a, b] = np.add.reduceat(square, self.edges[:-1], axis=1)
-        return found
-
-    @property
-    def shape(self):
-        """Number of groups, and of columns in each, (c, k)."""
-        return self.columns.shape[2:]
-
-    def declared(self, of):
-        """With the `Declared` columns of their joints, (nj, n_bands, r, c * k)."""
-        if of.columns_known not in self._declared:
-            pairs = zip(self.joints, self.columns)
-            self._declared[of.columns_known] = np.array(
-                [products(self.edges, of.Z[j], own) for j, own in pairs]
-            )
-        return self._declared[of.columns_known]
-
-    def right(self, of):
-        """With the torques of their joints, (nj, n_bands, c * k)."""
-        if of.torques_known not in self._right:
-            pairs = zip(self.joints, self.columns)
-            self._right[of.torques_known] = np.array(
-                [products(self.edges, of.y[j], own)[:, 0] for j, own in pairs]
-            )
-        return self._right[of.torques_known]
-
-
-# One in so many cosines of the scores is slow; and the slowest of them.
-_SLOW, _SLOWEST = 4, 4
-_TINY = np.finfo(float).tiny
-# Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
-_RIDGE = 1e-9
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Columns:
-    """Columns of an effect in frequency."""
-
-    moments: Moments  # (nj, n, c, k): of them, not weighted
-    # see `Groups`, of one shape (k,) or of each (c, k); zero for columns of zeros
-    unit: np.ndarray
-
-    @property
-    def joints(self):
-        """Joints that they act on, tuple of int."""
-        return self.moments.joints
-
-    @property
-    def columns(self):
-        """Their cosines (nj, n, c, k)."""
-        return self.moments.columns
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SelectedEffect(Columns):
-    """An effect in the model, with one shape."""
-
-    effect: Effect  # with its shape
-    scale: float = 1.0  # prior deviation of its coefficients, in units
-
-    @property
-    def width(self):
-        """Number of columns."""
-        return self.unit.size
-
-    @functools.cached_property
-    def done(self):
-        """What of its coefficients the equations have already, (k,)."""
-        if not self.effect.in_model:
-            return np.zeros(self.width)
-        return self.effect.values - np.asarray(self.effect.nominal)
-
-
-class Problem(Declared):
-    """Weighted equations of all joints in frequency."""
-
-    # cosines: of the rows of `view`, where they are there already; Z, y, (nv, n, r) and
-    # (nv, n): those of the declared columns and of the torques; torque (nv,): root mean
-    # square of the varying torque in weighted rows.
-
-    # motion: signals from which columns are made, with the load; None before a fit.
-
-    motion = None
-
-    def __init__(self, view, cosines=None):
-        self.view = view
-        self.cosines = Cosines(view) if cosines is None else cosines
-        joints = range(view.nv)
-        Z, y = self.cosines(view.Z, joints), self.cosines(view.target, joints)
-        super().__init__(Z, y, self.cosines.edges)
-        rows = np.maximum(view.rows, np.finfo(float).tiny)
-        mean = (view.target * view.root.T).sum(axis=1) / rows
-        rest = view.target - mean[:, None] * view.root.T
-        self.torque = np.sqrt((rest**2).sum(axis=1) / view.target.shape[1])
-        self.used_joints = view.precision > 0
 
     def with_motion(self, motion):
         """Return the same equations with other signals."""
@@ -192,116 +186,28 @@ class Problem(Declared):
         made.motion = motion
         return made
 
-    def family(self, effect):
-        """Return an effect with the shapes to begin with; None if there are none."""
-        effects, cosines, size = self.view.family(effect, self.motion, self.cosines)
-        if not effects:
-            return None
-        joints = tuple(self.view.joints_of(effect))
-        moments = Moments(joints, cosines, self.edges)
-        return Family.in_frequency(self, effects, moments, size)
-
-    def variants(self, effect, first=False):
-        """Return an effect with each shape of its grid, or the first ones, list."""
-        shapes = effect.first_shapes if first else effect.shapes
-        return variants(effect, shapes(self.motion))
-
     def shaped(self, effects):
-        """Return some shapes of an effect as a `Family`."""
-        joints = tuple(self.view.joints_of(effects[0]))
-
-        def made(columns):
-            cosines = self.cosines(columns, joints)
-            return Moments(joints, cosines, self.edges), root_mean_square(columns)
-
-        found = self.view.shaped(effects, self.motion, made)
-        return Family.in_frequency(self, effects, *found)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Family(Columns):
-    """An effect with the shapes of its grid, in frequency."""
-
-    effects: tuple  # one for each shape
-    # beside other families of the same joints, at these places of their shapes
-    stack: "Family | None" = None
-    at: slice | None = None
-
-    @functools.cached_property
-    def keys(self):
-        """Keys of the effects."""
-        return tuple(effect.key() for effect in self.effects)
-
-    @functools.cached_property
-    def opposite_keys(self):
-        """Keys of their opposites, empty where they have none."""
-        if self.effects[0].opposite() is None:
-            return ()
-        return tuple(effect.opposite().key() for effect in self.effects)
-
-    @classmethod
-    def in_frequency(cls, problem, effects, moments, size):
-        """Take moments of the cosines of columns, and the size (nj, c, k) of these."""
-        torque = problem.torque[list(moments.joints)][:, None, None]
+        """Return `Columns` of an effect with some shapes, list of Effect."""
+        values, size = self.view.shaped(effects, self.motion, self.cosines)
+        joints = self.view.joints_of(effects[0])
         # An effect of all joints has the torque of that which it moves the most.
-        share = np.where(torque > 0, size / np.where(torque > 0, torque, 1.0), 0.0)
-        largest = share.max(axis=0)
-        unit = np.where(largest > 0, 1.0 / np.where(largest > 0, largest, 1.0), 0.0)
-        return cls(effects=tuple(effects), moments=moments, unit=unit)
+        largest = (size * self._per_torque[joints][:, None, None]).max(axis=0)
+        unit = np.divide(1.0, largest, out=np.zeros(largest.shape), where=largest > 0)
+        return Columns(effects, joints, values, unit, self.edges)
 
-    def split(self):
-        """Return a family for each separate use, see `Shaped.split_by`."""
-        first = self.effects[0]
-        names = first.split_by if isinstance(first, Shaped) else ()
-        uses = {}
-        for c, effect in enumerate(self.effects):
-            use = tuple(getattr(effect, name) for name in names)
-            uses.setdefault(use, []).append(c)
-        if len(uses) < 2:
-            return [self]
-        return [
-            Family(
-                effects=tuple(self.effects[c] for c in own),
-                moments=self.moments.of(np.ascontiguousarray(self.columns[:, :, own])),
-                unit=self.unit[own],
-            )
-            for own in uses.values()
-        ]
+    @functools.cached_property
+    def _per_torque(self):
+        """One over the torque of each joint, zero for a joint without, (nv,)."""
+        used = self.torque > 0
+        return np.divide(1.0, self.torque, out=np.zeros(used.shape), where=used)
 
-    def member(self, c, scale=1.0):
-        """Return one of the shapes as a `SelectedEffect`."""
-        k = len(self.effects[c].coefficients)
-        return SelectedEffect(
-            effect=self.effects[c],
-            moments=self.moments.group(c, k),
-            unit=self.unit[c, :k],
-            scale=scale,
-        )
+    def first_shapes(self, effect):
+        """Return an effect with the shapes to begin with, list of Effect."""
+        return variants(effect, effect.first_shapes(self.motion))
 
-
-def stacked(families):
-    """Return the same families with the columns of all side by side."""
-    # Moments beside a model are then made at once.
-    kinds = {}
-    for i, family in enumerate(families):
-        kind = family.joints, family.unit.shape[1], family.effects[0].bank
-        kinds.setdefault(kind, []).append(i)
-    found = list(families)
-    for (joints, *_), places in kinds.items():
-        own = [families[i] for i in places]
-        columns = np.concatenate([family.columns for family in own], axis=2)
-        stack = Family(
-            effects=tuple(itertools.chain(*(family.effects for family in own))),
-            moments=Moments(joints, columns, own[0].moments.edges),
-            unit=np.concatenate([family.unit for family in own]),
-        )
-        ends = np.cumsum([len(family.effects) for family in own]).tolist()
-        for i, end in zip(places, ends):
-            at = slice(end - len(families[i].effects), end)
-            moments = stack.moments.of(columns[:, :, at])
-            known = {"moments": moments, "stack": stack, "at": at}
-            found[i] = replace(families[i], **known)
-    return found
+    def shapes(self, effect):
+        """Return an effect with all shapes of its grid, list of Effect."""
+        return variants(effect, effect.shapes(self.motion))
 
 
 def _lower(L, right, turned=False):
@@ -369,11 +275,11 @@ class Base:
         if not done.any():
             return self
         y, other = self.problem.y.copy(), copy.copy(self)
-        for i, j in enumerate(member.joints):
-            y[j] += member.columns[i, :, 0] @ done
+        for j, own in zip(member.joints, member.columns.values):
+            y[j] += own[:, 0] @ done
         other.problem = self.problem.with_torques(y)
         other._known = WeakKeyDictionary()
-        other.t = self.t + self.beside(member.moments).T @ done
+        other.t = self.t + self.beside(member.columns).T @ done
         return other
 
     def over(self, joints, products):
@@ -382,21 +288,16 @@ class Base:
         found = density @ products.reshape(density.size, -1)
         return found.reshape(products.shape[2:])
 
-    def beside(self, moments):
-        """Moments of groups of columns and the declared ones, `Beside`."""
-        if moments not in self._known:
-            own, problem = moments.joints, self.problem
-            c, k = moments.shape
-            T = self.solved(self.over(own, moments.declared(problem)))
-            right = self.over(own, moments.right(problem))
-            gram = self.over(own, moments.gram)
-            self._known[moments] = Beside(
-                T=T,
-                gram=gram,
-                H=gram - _blocks(T, c, k),
-                q=(right - self.t @ T).reshape(c, k),
-            )
-        return self._known[moments]
+    def beside(self, columns):
+        """Moments of `Columns` and the declared ones, `Beside`."""
+        if columns not in self._known:
+            own, (c, k) = columns.joints, columns.shape
+            T = self.solved(self.over(own, columns.declared(self.problem.Z)))
+            right = self.over(own, columns.right(self.problem.y))
+            gram = self.over(own, columns.gram)
+            H, q = gram - _blocks(T, c, k), (right - self.t @ T).reshape(c, k)
+            self._known[columns] = Beside(T=T, gram=gram, H=H, q=q)
+        return self._known[columns]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -428,42 +329,46 @@ class Fit:
     # base: declared columns under these weights; theta (r,): posterior mean of those,
     # in reduced coordinates; places: coefficients of each member; prior (p,): precision
     # of these.
+    # B (r, p), H (p, p), q (p,): products of the members' columns with the declared
+    # ones, and with each other and the torques as far as those leave them; `reduced`
+    # where another fit under the same weights has made them.
 
-    def __init__(self, base, members=()):
+    def __init__(self, base, members=(), reduced=None):
         self.base, self.members = base, tuple(members)
         edges = np.cumsum([0, *(m.width for m in self.members)])
         self.places = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
-        p, r = int(edges[-1]), base.L.shape[0]
-        self._B, right, self.prior = np.zeros((r, p)), np.zeros(p), np.zeros(p)
-        for place, member in zip(self.places, self.members):
-            own = base.beside(member.moments)
-            self._B[:, place] = own.T
-            used = member.unit > 0
-            deviation = np.where(used, member.scale * member.unit, 1.0)
-            self.prior[place] = 1.0 / deviation**2
-            right[place] = own.q[0] - self.prior[place] * member.done
-        S = np.diag(self.prior) - self._B.T @ self._B
-        for j, (at, X) in self._acting.items():
-            S[np.ix_(at, at)] += (X * base.weights[j][:, None]).T @ X
-        self._factor = linalg.cholesky(S, lower=True) if p else S
+        deviation = [np.where(m.unit > 0, m.scale * m.unit, 1.0) for m in self.members]
+        self.prior = np.concatenate([np.zeros(0), *deviation]) ** -2.0
+        self._B, self._H, self._q = self._moments() if reduced is None else reduced
+        right = self._q - self.prior * self.done
+        S = self._H + np.diag(self.prior)
+        self._factor = linalg.cholesky(S, lower=True) if right.size else S
         self._t = self._reduced(right)
-        self._coef = _lower(self._factor, self._t, turned=True) if p else right
+        self._coef = _lower(self._factor, self._t, turned=True)
         self.theta = _lower(base.L, base.t - self._B @ self._coef, turned=True)
         self._beside, self._evidence = WeakKeyDictionary(), WeakKeyDictionary()
 
+    def _moments(self):
+        """Products of the members' columns: B, H, and q."""
+        own = [self.base.beside(m.columns) for m in self.members]
+        B = np.hstack([np.zeros((self.base.L.shape[0], 0)), *(x.T for x in own)])
+        H = -B.T @ B
+        for at, X, weighted in self._acting.values():
+            H[np.ix_(at, at)] += weighted.T @ X
+        return B, H, np.concatenate([np.zeros(0), *(x.q[0] for x in own)])
+
     @functools.cached_property
     def _acting(self):
-        """Coefficients that act on each joint, and their columns (n, p_j), a dict."""
+        """Coefficients that act on each joint, their columns, and weighted, a dict."""
         found = {}
         for place, member in zip(self.places, self.members):
-            for j, own in zip(member.joints, member.columns[:, :, 0]):
-                found.setdefault(j, []).append(
-                    (np.arange(place.start, place.stop), own)
-                )
-        return {
-            j: (np.concatenate([x[0] for x in own]), np.hstack([x[1] for x in own]))
-            for j, own in found.items()
-        }
+            for j, own in zip(member.joints, member.columns.values):
+                found.setdefault(j, []).append((np.r_[place], own[:, 0]))
+        weights = self.base.weights
+        for j, own in found.items():
+            at, X = (np.concatenate(x, axis=-1) for x in zip(*own))
+            found[j] = at, X, X * weights[j][:, None]
+        return found
 
     @property
     def problem(self):
@@ -487,7 +392,7 @@ class Fit:
 
     def _reduced(self, right):
         """Solve the members' factor for a right-hand side (p, ...)."""
-        return _lower(self._factor, right) if self.members else right
+        return _lower(self._factor, right)
 
     @functools.cached_property
     def residual(self):
@@ -497,17 +402,9 @@ class Fit:
     def _sum(self, theta, coef):
         """Sum of the columns with coefficients (r, ...) and (p, ...), (nv, n, ...)."""
         out = self.problem.Z @ theta
-        for j, (at, X) in self._acting.items():
+        for j, (at, X, _) in self._acting.items():
             out[j] += X @ coef[at]
         return out
-
-    def rows_of(self, j):
-        """Columns of the members in a joint's equations, (n, p)."""
-        found = np.zeros((self.problem.y.shape[1], self._coef.size))
-        if j in self._acting:
-            at, X = self._acting[j]
-            found[:, at] = X
-        return found
 
     @property
     def done(self):
@@ -521,15 +418,11 @@ class Fit:
         edges, fill = cosines.edges, cosines.fill[:, None]
         power = np.add.reduceat(self.residual**2, edges[:-1], axis=1)
         # What the fit takes: products by band with the covariance of all coefficients.
-        covariance, cross = self.covariance, np.zeros((base.L.shape[0], 0))
-        if self.members:
-            E = _lower(base.L, self._B, turned=True)
-            cross = E @ covariance
-            whole = base.inverse + cross @ E.T
-        else:
-            whole = base.inverse
+        E = _lower(base.L, self._B, turned=True)
+        covariance, cross = self.covariance, E @ self.covariance
+        whole = base.inverse + cross @ E.T
         taken = np.tensordot(problem.gram, whole, 2)
-        for j, (at, X) in self._acting.items():
+        for j, (at, X, _) in self._acting.items():
             rows = X @ covariance[np.ix_(at, at)] - 2.0 * (problem.Z[j] @ cross[:, at])
             taken[j] += np.add.reduceat((rows * X).sum(axis=1), edges[:-1])
         taken *= base.density
@@ -537,39 +430,34 @@ class Fit:
         fill = fill / problem.view.repeats
         return fill * power, np.maximum(fill * np.diff(edges) - taken, 0.0)
 
-    def groups(self, family):
-        """Second moments of a family's shapes beside this model, `Groups`."""
-        if family.stack is not None:
-            return self.groups(family.stack).part(family.at)
-        if family.moments not in self._beside:
-            own, (c, k) = self.base.beside(family.moments), family.moments.shape
-            H, q, D = own.H, own.q, np.zeros((0, c * k))
-            if self.members:
-                D = self._reduced(self._products(family.moments) - self._B.T @ own.T)
-                H = H - _blocks(D, c, k)
-                q = q - (self._t @ D).reshape(c, k)
-            diagonal = np.diagonal(own.gram, axis1=1, axis2=2)
-            positive = family.effects[0].bank
-            groups = Groups(H=H, q=q, own=diagonal, unit=family.unit, positive=positive)
-            self._beside[family.moments] = groups, D
-        return self._beside[family.moments][0]
+    def groups(self, columns):
+        """Second moments of the shapes of `Columns` beside this model, `Groups`."""
+        if columns not in self._beside:
+            own, (c, k) = self.base.beside(columns), columns.shape
+            D = self._reduced(self._cross(columns) - self._B.T @ own.T)
+            groups = Groups(
+                H=own.H - _blocks(D, c, k),
+                q=own.q - (self._t @ D).reshape(c, k),
+                own=np.diagonal(own.gram, axis1=1, axis2=2),
+                unit=columns.unit,
+                positive=columns.effects[0].bank,
+            )
+            self._beside[columns] = groups, D
+        return self._beside[columns][0]
 
-    def evidence(self, family, scale):
-        """Log evidence (c,) of a family's shapes beside this model; of a bank, most."""
-        if family.stack is not None:
-            return self.evidence(family.stack, scale)[family.at]
-        if family.moments not in self._evidence:
-            self._evidence[family.moments] = self.groups(family).most_evidence(scale)
-        return self._evidence[family.moments]
+    def evidence(self, columns, scale):
+        """Log evidence (c,) of shapes beside this model; of a bank, at the most."""
+        if columns not in self._evidence:
+            self._evidence[columns] = self.groups(columns).most_evidence(scale)
+        return self._evidence[columns]
 
-    def _products(self, moments):
+    def _cross(self, columns):
         """Weighted products of the members' columns with others, (p, c * k)."""
-        found = np.zeros((self._coef.size, np.prod(moments.shape)))
-        for j, columns in zip(moments.joints, moments.columns):
+        found = np.zeros((self._coef.size, np.prod(columns.shape)))
+        for j, own in zip(columns.joints, columns.values):
             if j in self._acting:
-                at, X = self._acting[j]
-                weighted = X * self.base.weights[j][:, None]
-                found[at] += weighted.T @ columns.reshape(len(columns), -1)
+                at, _, weighted = self._acting[j]
+                found[at] += weighted.T @ own.reshape(len(own), -1)
         return found
 
     @functools.cached_property
@@ -589,24 +477,22 @@ class Fit:
         used = (self.problem.view.root.T > 0) & self.problem.used_joints[:, None]
         return np.where(used.reshape(*used.shape, *(1,) * (found.ndim - 2)), found, 0.0)
 
-    def excess(self, family, c, coef, noise):
+    def excess(self, columns, c, coef, noise):
         """Overdispersion of one shape's score beside this model.
 
         `coef` (k,) is the direction of its coefficients that counts, `noise` the fit
         under the same weights that leaves the noise.
         """
-        if family.stack is not None:
-            return self.excess(family.stack, family.at.start + c, coef, noise)
-        self.groups(family)
-        k = family.moments.shape[1]
-        columns = slice(c * k, (c + 1) * k)
-        T = self.base.beside(family.moments).T[:, columns] @ coef
-        D = self._beside[family.moments][1][:, columns] @ coef
-        members = _lower(self._factor, D, turned=True) if self.members else D
+        self.groups(columns)
+        k = columns.shape[1]
+        place = slice(c * k, (c + 1) * k)
+        T = self.base.beside(columns).T[:, place] @ coef
+        D = self._beside[columns][1][:, place] @ coef
+        members = _lower(self._factor, D, turned=True)
         declared = _lower(self.base.L, T - self._B @ members, turned=True)
         left = -self._sum(declared, members)
-        left[list(family.joints)] += family.columns[:, :, c] @ coef
-        return self._scattered(left[:, :, None], [family.effects[c]], noise)[0]
+        left[list(columns.joints)] += columns.values[:, :, c] @ coef
+        return self._scattered(left[:, :, None], [columns.effects[c]], noise)[0]
 
     def excesses(self, noise):
         """Overdispersion of each member's score given the others, a list."""
@@ -677,7 +563,8 @@ class Fit:
     @functools.cached_property
     def covariance(self):
         """Posterior covariance of the members' coefficients."""
-        return linalg.cho_solve((self._factor, True), np.eye(self._coef.size))
+        half = _lower(self._factor, np.eye(self._coef.size))
+        return half.T @ half
 
     @functools.cached_property
     def _by_width(self):
@@ -691,18 +578,14 @@ class Fit:
             inverse = np.linalg.inv([self.covariance[p, p] for p in places])
             values = np.array([self._coef[p] for p in places])
             values += [m.done for m in members]
-            gram = [self.base.beside(m.moments).gram[0] for m in members]
-            found.append(
-                (
-                    numbers,
-                    Groups(
-                        H=inverse - [np.diag(self.prior[p]) for p in places],
-                        q=(inverse @ values[:, :, None])[:, :, 0],
-                        own=np.diagonal(gram, axis1=1, axis2=2),
-                        unit=np.array([m.unit for m in members]),
-                    ),
-                )
+            gram = [self.base.beside(m.columns).gram[0] for m in members]
+            groups = Groups(
+                H=inverse - [np.diag(self.prior[p]) for p in places],
+                q=(inverse @ values[:, :, None])[:, :, 0],
+                own=np.diagonal(gram, axis1=1, axis2=2),
+                unit=np.array([m.unit for m in members]),
             )
+            found.append((numbers, groups))
         return found
 
     def own_groups(self):
@@ -719,7 +602,7 @@ class Fit:
         for numbers, groups in self._by_width:
             for i, own in zip(numbers, groups.best_scale(scale)):
                 members[i] = replace(members[i], scale=float(own))
-        return Fit(self.base, members)
+        return Fit(self.base, members, (self._B, self._H, self._q))
 
     def log_evidence(self):
         """Logarithm of the evidence, but for a constant of the recording."""
@@ -732,9 +615,8 @@ class Fit:
         power -= self.base.t @ self.base.t + self._t @ self._t
         power += self.prior @ self.done**2
         volume = np.log(np.diagonal(self.base.L)).sum()
-        if self.members:
-            volume += np.log(np.diagonal(self._factor)).sum()
-            volume -= 0.5 * np.log(self.prior).sum()
+        volume += np.log(np.diagonal(self._factor)).sum()
+        volume -= 0.5 * np.log(self.prior).sum()
         rest = 0.5 * power + volume - self.base.log_prior
         return float(volume_of_noise - rest)
 
@@ -748,8 +630,13 @@ class Fit:
 
     def without(self, i):
         """Fit without a member, to a robot that it has not corrected."""
+        rest = *self.members[:i], *self.members[i + 1 :]
         base = self.base.undone(self.members[i])
-        return Fit(base, (*self.members[:i], *self.members[i + 1 :]))
+        if base is not self.base:
+            return Fit(base, rest)
+        kept = np.delete(np.arange(self.n_coefficients), self.places[i])
+        reduced = self._B[:, kept], self._H[np.ix_(kept, kept)], self._q[kept]
+        return Fit(base, rest, reduced)
 
 
 def declared_alone(view):

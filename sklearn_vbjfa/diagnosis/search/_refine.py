@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._problem import Fit
+from sklearn_vbjfa.diagnosis.search._problem import Columns, Fit
 from sklearn_vbjfa.effects import Effect
 
 # A search ends where a step promises less [nats], or after this many steps; a shape
@@ -19,6 +19,8 @@ _DERIVATIVE, _COARSE = 0.01, 0.1
 # Instants at which a jump is tried, twice, in this share of the way to the grid's next
 # ones on both sides.
 _INSTANTS, _AROUND = 9, 0.1
+# Instants of a jump that are looked at more closely.
+_JUMPS = 3
 # Rows left out: so many times as long as between two rows.
 _GAP = 1.5
 # Prior deviation of a step, over the way between the grid's points: none.
@@ -127,20 +129,18 @@ class Place:
         values = np.clip(self.values + step, low, high)
         return replace(self, effect=self.at(values), values=values)
 
-    def with_derivatives(self, member, family, coef):
+    def with_derivatives(self, member, around, coef):
         """Return a member whose columns (k,) the derivatives (d,) by its shape follow.
 
-        `family` has the shapes of `around`.
+        `around` are the `Columns` of the shapes of that name.
         """
-        change = family.columns[:, :, 1:] - family.columns[:, :, :1]
+        change = around.values[:, :, 1:] - around.values[:, :, :1]
         slopes = change @ coef / self.steps
-        columns = np.concatenate([family.columns[:, :, 0], slopes], axis=2)
+        values = np.concatenate([around.values[:, :, 0], slopes], axis=2)
         free = np.full(self.values.size, _FREE / member.scale) * self.width
-        return replace(
-            member,
-            moments=family.moments.of(columns[:, :, None]),
-            unit=np.concatenate([member.unit, free]),
-        )
+        unit = np.concatenate([member.unit, free])[None]
+        known = [member.effect], member.joints, values[:, :, None], unit, around.edges
+        return replace(member, columns=Columns(*known))
 
 
 def stepped(fit, numbers, most=MOST_STEPS):
@@ -198,7 +198,95 @@ def _promised(linear, i, width):
     return way, 0.5 * way @ np.linalg.solve(linear.covariance[rows, rows], way)
 
 
+# -- shapes of an effect that comes into a model, and of the members again
+
+
+def best_shape(fit, effect, scale):
+    """Return an effect, its shape searched between those of its grid."""
+    # Smooth parameters are left to the steps with all that comes beside it.
+    if effect.bank:
+        return bank(fit, effect, fit.problem.shapes(effect), scale)
+    if getattr(effect, "jumping", ()):
+        return jump(fit, effect, scale)
+    return effect
+
+
+def searched(fit, numbers, scale):
+    """Search the shapes of members again, all at once or one by one."""
+    fit = stepped(fit, numbers)
+    for i in numbers:
+        effect, rest = fit.members[i].effect, fit.without(i)
+        if effect.bank:
+            found = bank(rest, effect, fit.problem.first_shapes(effect), scale)
+        elif getattr(effect, "jumping", ()):
+            found = jump(rest, effect, scale)
+        else:
+            continue
+        members = list(fit.members)
+        members[i] = fit.problem.shaped([found]).member(scale=members[i].scale)
+        fit = Fit(fit.base, members)
+    return fit
+
+
+def bank(fit, effect, shapes, scale):
+    """Return the best of banks with the elements of positive size given a fit."""
+    columns = fit.problem.shaped(shapes)
+    groups = fit.groups(columns)
+    best = int(np.argmax(groups.evidence(scale)))
+    found, coef = columns.effects[best], groups.coefficients()[best]
+    used = coef[: len(found.coefficients)] > 0
+    if not used.any():
+        return effect
+    found = found.only(used).finer()
+    coef = fit.groups(fit.problem.shaped([found])).coefficients()[0]
+    return found.only(coef > 0)
+
+
 # -- instants of jumps
+
+
+def jump(fit, effect, scale, near=False):
+    """Return an effect that jumps with its most probable instant, or one near it."""
+
+    def evidence(effects):
+        return fit.groups(fit.problem.shaped(effects)).evidence(scale)
+
+    tried = [effect, *_instants(fit, effect, scale)]
+    if near:
+        return tried[int(np.argmax(evidence(tried)))]
+    return instant(tried, evidence, fit.problem.motion)
+
+
+def _instants(fit, effect, scale):
+    """Return an effect that jumps with the most probable instants of all rows."""
+    # What its columns have in common with the residual is a sum over the rows after
+    # the jump; their Gram matrix hardly changes between two instants of the grid.
+    (name,) = effect.jumping
+    view, motion = fit.problem.view, fit.problem.motion
+    shapes = [e for e in fit.problem.shapes(effect) if e.key() == effect.key()]
+    shapes.sort(key=lambda e: getattr(e, name))
+    grid = np.array([getattr(e, name) for e in shapes])
+    beside = fit.groups(fit.problem.shaped(shapes))
+    always = clone(effect).set_params(**{name: -np.inf})
+    columns = view.columns([always], motion)[:, :, 0]
+    rest = fit.weighted_rows[list(view.joints_of(effect))]
+    products = np.einsum("jmk,jm->mk", columns, rest)
+    after = np.cumsum(products[::-1], axis=0)[::-1]
+    t = motion.t[view.index]
+    at = np.interp(t, grid, np.arange(grid.size))
+    low = np.minimum(at.astype(int), max(grid.size - 2, 0))
+    share = (at - low)[:, None, None]
+    H = (1 - share) * beside.H[low]
+    H += share * beside.H[np.minimum(low + 1, grid.size - 1)]
+    near = np.round(at).astype(int)
+    own = {"own": beside.own[near], "unit": beside.unit[near]}
+    evidence = replace(beside, H=H, q=after, **own).evidence(scale)
+    found, apart = [], np.diff(grid).max(initial=0.0) / 4
+    for _ in range(_JUMPS):
+        best = int(np.argmax(evidence))
+        found.append(clone(effect).set_params(**{name: float(t[best])}))
+        evidence = np.where(np.abs(t - t[best]) < apart, -np.inf, evidence)
+    return found
 
 
 def instant(effects, evidence, motion):

@@ -110,7 +110,7 @@ _AT_ONCE = 1 << 20
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
 # Numbers of the columns of single shapes that are kept, those that were asked for last.
-_KEPT_NUMBERS = 1 << 23
+_KEPT_NUMBERS = 1 << 25
 # Rests of a joint from which on its torque at rest is looked at.
 _RESTS = 10
 
@@ -157,7 +157,7 @@ class RecordingView:
         self._lowpass = robot.plan.lowpass
         self.step = (robot.dt or 1.0) * self._lowpass.step
         self._begins, self.repetition = begins, repetition
-        self._families, self._shapes = {}, {}
+        self._shapes = _Shapes()
         weight = recording.weight.astype(float)
         weight[:, list(leave_out)] = 0.0
         self._given = replace(recording, weight=weight, t=clock), states
@@ -218,7 +218,7 @@ class RecordingView:
         plan = replace(other.robot.plan, resting=joints)
         other.robot = replace(other.robot, plan=plan)
         other._root, other._corrected = other, {}
-        other._families, other._shapes = {}, {}
+        other._shapes = _Shapes()
         other._set_equations()
         other._set_coordinates()
         return other
@@ -379,19 +379,40 @@ class RecordingView:
                 np.multiply(filtered[:, i], scale[:, None, None], out=own)
         return out
 
-    def shaped(self, effects, motion, make):
-        """Return what is made of an effect's columns, kept until their load changes."""
-        key = tuple((type(e), e.joint, *sorted(e.shape().items())) for e in effects)
-        load = motion if any("load" in e.needs for e in effects) else None
-        # The last one is that which was asked for last.
-        made_from, gains, found, size = self._shapes.pop(key, (None, None, None, 0))
-        if found is None or made_from is not load or (self.gains != gains).any():
-            columns = self.columns(effects, motion)
-            found, gains, size = make(columns), self.gains, columns.size
-        self._shapes[key] = load, gains, found, size
-        while sum(one[-1] for one in self._shapes.values()) > _KEPT_NUMBERS:
-            self._shapes.pop(next(iter(self._shapes)))
-        return found
+    def shaped(self, effects, motion, cosines):
+        """Cosines and sizes of an effect's columns, kept until their load changes.
+
+        The former (nj, n, c, k) by `cosines`, with zeros behind those of a shape that
+        has fewer, and root mean squares (nj, c, k) of rows.
+        """
+        joints = self.joints_of(effects[0])
+        use = type(effects[0]), effects[0].joint, *self.gains[joints]
+        keys = [(use, *sorted(effect.shape().items())) for effect in effects]
+        loads = [motion if "load" in effect.needs else None for effect in effects]
+        known = [self._shapes.take(key) for key in keys]
+        missing = [
+            i
+            for i, (load, values, _) in enumerate(known)
+            if values is None or load is not loads[i]
+        ]
+        if missing:
+            rows = self.columns([effects[i] for i in missing], motion)
+            made = cosines(rows, joints), np.sqrt((rows**2).mean(axis=1))
+            for at, i in enumerate(missing):
+                k = len(effects[i].coefficients)
+                own = made[0][:, :, at, :k].copy(), made[1][:, at, :k].copy()
+                known[i] = loads[i], *own
+        for key, own in zip(keys, known):
+            self._shapes.put(key, own)
+        if len(missing) == len(effects):
+            return made
+        shape = len(effects), _width(effects)
+        values = np.zeros((len(joints), *known[0][1].shape[1:2], *shape))
+        size = np.zeros((len(joints), *shape))
+        for c, (_, own, own_size) in enumerate(known):
+            values[:, :, c, : own.shape[2]] = own
+            size[:, c, : own.shape[2]] = own_size
+        return values, size
 
     def _made(self, effect, motion):
         """Columns of an effect at the samples, checked for custom effects."""
@@ -425,33 +446,27 @@ class RecordingView:
         out[:, effect.joint] = columns * self.gains[effect.joint]
         return out
 
-    def family(self, effect, motion, cosines):
-        """Return an effect with the shapes of its grid, kept until its load changes.
 
-        That is the effects, cosines (nj, n, c, k) of their columns (with zeros behind
-        those of a shape that has fewer), and root mean squares (nj, c, k) of rows.
-        """
-        key = (effect.name, effect.joint)
-        made_from, gains, found = self._families.get(key, (None, None, None))
-        if found is None or ("load" in effect.needs and made_from is not motion):
-            gains = self.gains
-            effects = variants(effect, effect.first_shapes(motion))
-            found = effects, None, None
-            if effects:
-                rows = self.columns(effects, motion)
-                own = cosines(rows, self.joints_of(effect))
-                found = effects, own, root_mean_square(rows)
-            self._families[key] = motion, gains, found
-        if not found[0] or (self.gains == gains).all():
-            return found
-        # Columns are multiplied with what channels read.
-        ratio = (self.gains / gains)[self.joints_of(effect)][:, None, None]
-        return found[0], found[1] * ratio[..., None], found[2] * np.abs(ratio)
+class _Shapes:
+    """Cosines and sizes of single shapes with their load, as many as are kept."""
 
+    def __init__(self):
+        # Those that were asked for last are the last.
+        self._known, self._numbers = {}, 0
 
-def root_mean_square(rows):
-    """Size (nj, c, k) of columns (nj, m, c, k) of rows."""
-    return np.sqrt((rows**2).mean(axis=1))
+    def take(self, key):
+        """Return what is known of a shape, which is forgotten until it is put back."""
+        found = self._known.pop(key, (None, None, None))
+        self._numbers -= np.size(found[1])
+        return found
+
+    def put(self, key, found):
+        """Keep what is known of a shape; forget others where there are too many."""
+        self.take(key)
+        self._known[key] = found
+        self._numbers += np.size(found[1])
+        while self._numbers > _KEPT_NUMBERS:
+            self.take(next(iter(self._known)))
 
 
 def _width(effects):

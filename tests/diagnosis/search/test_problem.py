@@ -11,14 +11,14 @@ from scipy.signal import lfilter
 
 from sklearn_vbjfa.diagnosis import SearchSettings
 from sklearn_vbjfa.diagnosis.search import (
-    Family,
+    Columns,
     Fit,
+    Member,
     Problem,
-    SelectedEffect,
     Spectrum,
     spectrum_of,
 )
-from sklearn_vbjfa.diagnosis.search._problem import Base, Declared, Moments, _by_chance
+from sklearn_vbjfa.diagnosis.search._problem import Base, _by_chance
 from sklearn_vbjfa.effects import (
     Coulomb,
     Drift,
@@ -40,8 +40,7 @@ class Made(Problem):
 
     def __init__(self, Z, y, heard):
         bands = np.arange(N + 1)
-        Declared.__init__(self, Z, y, bands)
-        self.used_joints = heard
+        self.Z, self.y, self.used_joints = Z, y, heard
         self.cosines = SimpleNamespace(
             fill=np.ones(NV), band=bands[:-1], edges=bands, octave=bands[:-1]
         )
@@ -64,14 +63,9 @@ def problem(seed=0, loud=1.0):
 def member(effect, joints, k, seed, scale=0.5):
     """Make an effect with columns of its own, on some joints."""
     rng = np.random.default_rng(seed)
-    return SelectedEffect(
-        effect=effect,
-        moments=Moments(
-            joints, rng.normal(size=(len(joints), N, 1, k)), np.arange(N + 1)
-        ),
-        unit=np.linspace(0.5, 2.0, k),
-        scale=scale,
-    )
+    values = rng.normal(size=(len(joints), N, 1, k))
+    unit, edges = np.linspace(0.5, 2.0, k)[None], np.arange(N + 1)
+    return Columns([effect], joints, values, unit, edges).member(scale=scale)
 
 
 MEMBERS = (
@@ -92,7 +86,7 @@ def dense(fit):
     precision, mean = [np.zeros(fit.problem.Z.shape[2])], [np.zeros(R)]
     for own in fit.members:
         X = np.zeros((NV, N, own.width))
-        X[list(own.joints)] = own.columns[:, :, 0]
+        X[list(own.joints)] = own.columns.values[:, :, 0]
         blocks.append(X)
         precision.append(1.0 / (own.scale * own.unit) ** 2)
         mean.append(-own.done)
@@ -177,19 +171,11 @@ def test_columns_of_a_thousand_times_the_weight_make_the_ridge_no_prior():
     assert_allclose(fit.theta, exact, rtol=1e-5)
 
 
-def family(own):
-    return Family(
-        effects=(own.effect,),
-        moments=own.moments,
-        unit=own.unit[None],
-    )
-
-
 @pytest.mark.parametrize("i", range(3))
 def test_a_member_beside_the_others_is_a_group_beside_a_fit_without_it(i):
     """The third is in the equations already, which its absence must undo."""
     fit = of(MEMBERS)
-    own, refit = fit.own_groups()[i], fit.without(i).groups(family(MEMBERS[i]))
+    own, refit = fit.own_groups()[i], fit.without(i).groups(MEMBERS[i].columns)
     assert_allclose(own.H, refit.H, rtol=1e-6)
     assert_allclose(own.q, refit.q, rtol=1e-6)
     assert_allclose(own.evidence(0.1), refit.evidence(0.1), rtol=1e-6)
@@ -218,7 +204,7 @@ def test_a_fit_without_a_member_is_that_of_the_others():
 def test_without_what_corrects_the_robot_its_corrections_are_undone():
     fit = of(MEMBERS)
     made, weights = problem()
-    columns = MEMBERS[2].columns[:, :, 0, 0]
+    columns = MEMBERS[2].columns.values[:, :, 0, 0]
     made = Made(made.Z, made.y + 0.3 * columns, made.used_joints)
     expected = Fit(Base(made, weights, SPECTRUM), MEMBERS[:2])
     rest = fit.without(2)
@@ -226,12 +212,9 @@ def test_without_what_corrects_the_robot_its_corrections_are_undone():
     assert_allclose(rest.residual, expected.residual, atol=1e-8)
     found = fit.log_evidence() - rest.log_evidence()
     # The same as of an effect with all of its value still to be found.
-    whole = SelectedEffect(
-        effect=Offset(1),
-        moments=MEMBERS[2].moments,
-        unit=MEMBERS[2].unit,
-        scale=MEMBERS[2].scale,
-    )
+    own = MEMBERS[2].columns
+    whole = Columns([Offset(1)], own.joints, own.values, own.unit, own.edges)
+    whole = whole.member(scale=MEMBERS[2].scale)
     more = expected.beside(whole)
     assert more.log_evidence() - expected.log_evidence() == pytest.approx(
         found, abs=1e-6
@@ -249,16 +232,12 @@ def test_integrating_the_scale_is_the_sum_of_fits_with_one():
     ratio = scales / 0.1
     prior = ratio / (1 + ratio**2)
     logs = [
-        rest.beside(
-            SelectedEffect(
-                effect=own.effect, moments=own.moments, unit=own.unit, scale=scale
-            )
-        ).log_evidence()
+        rest.beside(Member(columns=own.columns, scale=scale)).log_evidence()
         for scale in scales
     ]
     logs = np.array(logs) - rest.log_evidence()
     expected = np.log((prior * np.exp(logs)).sum() / prior.sum())
-    assert_allclose(rest.groups(family(own)).evidence(0.1), [expected], atol=0.02)
+    assert_allclose(rest.groups(own.columns).evidence(0.1), [expected], atol=0.02)
 
 
 # -- on a recording
@@ -283,7 +262,7 @@ def test_powers_by_band_leave_the_freedom_that_the_fit_has_not_taken(
     made, cosines = fitted.problem, fitted.problem.cosines
     n = cosines.band.size
     root = np.sqrt(fitted.base.weights)
-    A = [np.column_stack([made.Z[j], fitted.rows_of(j)]) for j in range(2)]
+    A = [np.column_stack([made.Z[j], rows_of(fitted, j)]) for j in range(2)]
     A = np.concatenate([own * r[:, None] for own, r in zip(A, root)])
     penalty = np.r_[np.zeros(made.Z.shape[2]), fitted.prior]
     hat = np.einsum("ij,jk,ik->i", A, np.linalg.inv(A.T @ A + np.diag(penalty)), A)
@@ -294,6 +273,15 @@ def test_powers_by_band_leave_the_freedom_that_the_fit_has_not_taken(
         assert_allclose(freedom[j], np.maximum(left, 0.0), atol=1e-4)
         squares = np.bincount(cosines.band, fitted.residual[j] ** 2)
         assert_allclose(power[j], fill * squares, rtol=1e-9)
+
+
+def rows_of(fit, j):
+    """Columns of the members in a joint's equations, (n, p)."""
+    found = np.zeros((fit.problem.y.shape[1], fit.n_coefficients))
+    for place, own in zip(fit.places, fit.members):
+        if j in own.joints:
+            found[:, place] = own.columns.values[own.joints.index(j), :, 0]
+    return found
 
 
 def leaving(scores):
@@ -307,8 +295,8 @@ def literal_scores(fit, own, coef, noise=None):
     nv, n = made.y.shape
     root = np.sqrt(fit.base.weights)
     x = np.zeros((nv, n))
-    x[list(own.joints)] = own.columns[:, :, 0] @ coef
-    A = [np.column_stack([made.Z[j], fit.rows_of(j)]) for j in range(nv)]
+    x[list(own.joints)] = own.columns.values[:, :, 0] @ coef
+    A = [np.column_stack([made.Z[j], rows_of(fit, j)]) for j in range(nv)]
     A = np.array([block * r[:, None] for block, r in zip(A, root)])
     flat = A.reshape(nv * n, -1)
     penalty = np.diag(np.r_[np.zeros(made.Z.shape[2]), fit.prior])
@@ -330,7 +318,7 @@ def test_the_scatter_of_a_score_is_that_of_its_blocks(fitted):
     """The sandwich over the Hessian, where blocks scatter more than moments say."""
     own = fitted.problem.shaped([Spring(1)])
     coef = np.array([1.0, 0.2])
-    scores, promised = literal_scores(fitted, own.member(0), coef)
+    scores, promised = literal_scores(fitted, own.member(), coef)
     plain = scores.var(ddof=1) * scores.size / promised
     found = fitted.excess(own, 0, coef, fitted)
     assert found.ratio >= max(1.0, plain) * (1 - 1e-6)
@@ -352,7 +340,7 @@ def test_an_effect_that_comes_and_goes_is_worth_less(fitted):
     own, coef = fitted.problem.shaped([Spring(1)]), np.array([1.0, 0.2])
     rows = fitted.scores
     sign = np.sign(np.sin(2 * np.pi * np.arange(rows.shape[1]) / rows.shape[1]))
-    direction = own.columns[0, :, 0] @ coef * np.sqrt(fitted.base.weights[1])
+    direction = own.values[0, :, 0] @ coef * np.sqrt(fitted.base.weights[1])
     slow = np.zeros_like(rows)
     shape = np.zeros((2, direction.size))
     shape[1] = direction
@@ -369,14 +357,14 @@ def test_functions_of_time_are_told_by_the_slowest_changes(fitted, effect, taken
     """Their mean power, but for those that the effect has taken itself."""
     own = fitted.problem.shaped([effect])
     coef = np.ones(len(effect.coefficients))
-    shape = np.zeros((2, own.columns.shape[1]))
-    shape[list(own.joints)] = own.columns[:, :, 0] @ coef
+    shape = np.zeros((2, own.values.shape[1]))
+    shape[list(own.joints)] = own.values[:, :, 0] @ coef
     rows = fitted.problem.cosines.rows(shape * np.sqrt(fitted.base.weights))
     # A score that changes its sign a few times.
     turns = np.cos(1.5 * np.pi * np.arange(rows.shape[1]) / rows.shape[1])
     noise = fitted.scores + 9.0 * rows * turns * fitted.scores.std() / rows.std()
     found = fitted.excess(own, 0, coef, leaving(noise))
-    scores, promised = literal_scores(fitted, own.member(0), coef, noise)
+    scores, promised = literal_scores(fitted, own.member(), coef, noise)
     order = fitted.problem.view.span_order
     power = dct(scores[order], norm="ortho")[1:] ** 2 * scores.size / promised
     slow = max(power.size // 4, 1)

@@ -87,8 +87,8 @@ def test_a_search_names_what_is_there(truth):
 @pytest.mark.parametrize("effect", [JointZero(0), JointZero(2)])
 def test_what_the_bodies_do_as_well_is_never_offered(level, effect):
     """The zero of a vertical joint, and of the last one, whose body may be turned."""
-    family = level.model.fit.problem.family(effect)
-    groups = level.model.fit.groups(family)
+    problem = level.model.fit.problem
+    groups = level.model.fit.groups(problem.shaped(problem.first_shapes(effect)))
     evidence = groups.evidence(level.settings.scale)
     assert not evidence.max() > np.log(level.n_candidates) + level.needed
 

@@ -110,7 +110,7 @@ class Report:
     def has_open_questions(self):
         """Whether another motion could decide what this recording leaves open."""
         findings = self.outcome.findings
-        return bool(
+        return self.status != "faulty" and bool(
             findings["unexplained"]
             or any(effect.trials for effect in findings["effects"])
             or any(one.reason == "excitation" for one in findings["not_identifiable"])

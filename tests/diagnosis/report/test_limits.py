@@ -11,7 +11,7 @@ from sklearn_vbjfa.diagnosis.explain import Contradiction, Fact, NotIdentifiable
 from sklearn_vbjfa.fit import AlikeValue, Departure
 from sklearn_vbjfa.inspection import JointMotion
 from sklearn_vbjfa.robot import ChannelGains, CommonGain
-from tests.diagnosis.report._outcomes import changed, make_outcome
+from tests.diagnosis.report._outcomes import changed, finding, make_outcome
 from tests.diagnosis.report._pages import make_mass, section_of, text_of
 
 
@@ -116,6 +116,7 @@ def test_the_motion_of_each_joint_and_what_it_does_not_show():
         ({}, "o further recording is needed"),
         ({"settings": {"effects": ()}}, "dentify without --no-search"),
         ({"enough": [True, False]}, "ecord more motion of joint 2."),
+        ({"channels": [finding("Wrong.", "warning")]}, "orrect the recording, then"),
     ],
 )
 def test_next_steps_have_an_action_or_say_that_none_is_needed(given, said):

@@ -239,10 +239,11 @@ class Index(_OfEffect):
 
 def thumbnail(figure):
     """Draw the first chart of a figure without axes, as SVG."""
-    shapes = [
-        one for one in figure.charts[0].shapes if one.kind in ("zero", "spread", "law")
-    ]
-    paths = "".join(f'<path class="{one.kind}" d="{one.path}"/>' for one in shapes)
+    paths = "".join(
+        f'<path class="{kind}" d="{path}"/>'
+        for kind, path in figure.charts[0].shapes
+        if kind in ("zero", "spread", "law")
+    )
     return (
         f'<div class="vbjfa"><svg viewBox="0 0 {WIDTH} {HEIGHT}" '
         f'preserveAspectRatio="none" aria-hidden="true">{paths}</svg></div>'

@@ -61,11 +61,9 @@ def plain_texts(effect):
 def statement(outcome, effect):
     """State an effect of the robot model with its values."""
     label = words.effect_label(outcome, effect.name)
+    place = words.place_label(outcome, effect.name, effect.joint)
     stated = ", ".join([label, *value_cells(effect)])
-    if effect.scope == "robot":
-        return stated
-    joint = words.joint_label(outcome.robot["joints"], effect.joint)
-    return f"{joint}: {stated}"
+    return stated if place == "robot" else f"{place}: {stated}"
 
 
 def value_cells(effect):
@@ -91,14 +89,12 @@ def remedies(outcome):
 def _is_insignificant(outcome, name, joint):
     """Whether all intervals of the values of a correction contain no fault."""
     begins = f"{outcome.robot['joints'][joint]}:{name}:", f"{name}:"
-    facts = outcome.facts_of("parameter")
-    known = [one for one in facts if one.name.startswith(begins)]
-    return bool(known) and all(
-        one.interval[0]
-        <= (1.0 if one.name.endswith(":gain") else 0.0)
-        <= one.interval[1]
-        for one in known
-    )
+    inside = []
+    for one in outcome.facts_of("parameter"):
+        if one.name.startswith(begins):
+            low, high = one.interval
+            inside.append(low <= one.name.endswith(":gain") <= high)
+    return bool(inside) and all(inside)
 
 
 # -- ranges ----------------------------------------------------------------------------
@@ -151,9 +147,11 @@ def motion_rows(outcome):
 
 def poorly_shown(outcome):
     """Group joints by what their motion does not show, with the reason."""
-    motion = enumerate(outcome.robot["motion"])
-    pairs = [(x, j) for j, one in motion for x in one.hides]
-    return [(x, [j for _, j in own]) for x, own in grouped(pairs, lambda p: p[0])]
+    joints = {}
+    for j, one in enumerate(outcome.robot["motion"]):
+        for what in one.hides:
+            joints.setdefault(what, []).append(j)
+    return list(joints.items())
 
 
 # -- findings --------------------------------------------------------------------------
@@ -318,16 +316,12 @@ def short_errors(outcome, verdicts):
     left_out = ["reduction", *(["size"] if outcome.robot["added"] else [])]
     if not np.isfinite(outcome.floor).any():
         left_out.append("noise")
-    # The headline says what is unknown of all joints.
-    silent = all(v.status == "unknown" for v in verdicts)
     heads, rows = [], []
     for row in error_rows(outcome):
         cells = {k: x for k, x in row["named"].items() if k not in left_out}
         verdict = verdicts[row["joint"]]
-        heads = ["error, %", *cells, *([] if silent else [""])]
-        rows.append(
-            [verdict.label, *cells.values(), *([] if silent else [verdict.text])]
-        )
+        heads = ["error, %", *cells, ""]
+        rows.append([verdict.label, *cells.values(), verdict.text])
     units = "/".join(dict.fromkeys(one.unit for one in outcome.errors))
     heads = [units if head == "size" else head for head in heads]
     if len(rows) > _ROWS:

@@ -15,14 +15,6 @@ _MOST, _REACH = (0.01, 0.99), 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shape:
-    """Something drawn: its class in the style sheet, and path data."""
-
-    kind: str
-    path: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class Chart:
     """A frame with axes."""
 
@@ -33,7 +25,8 @@ class Chart:
     # place in per cent from the left or the top, and text
     x_ticks: tuple
     y_ticks: tuple
-    shapes: tuple  # from the back to the front
+    # pairs of a class in the style sheet and path data, from the back to the front
+    shapes: tuple
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +58,7 @@ class Plot:
     def add(self, kind, path):
         """Add a shape, unless there is nothing to draw."""
         if path:
-            self.shapes.append(Shape(kind=kind, path=path))
+            self.shapes.append((kind, path))
 
     def zero(self):
         """Add a horizontal line at zero."""

@@ -53,7 +53,7 @@ class Report:
         self.outcome = outcome
         label = functools.partial(words.joint_label, outcome.robot["joints"])
         found = judge(outcome, label)
-        self._errors, self._voice = found.errors, Voice(outcome, found)
+        self._voice = Voice(outcome, found)
         say = self._voice
         self.status = found.status
         self.joints = tuple(
@@ -86,8 +86,8 @@ class Report:
     def _warnings(self, gains):
         """List what forbids a use, faults of the recording first."""
         findings, names = self.outcome.findings, self.outcome.robot["joints"]
-        own = [c.joints for c in findings["channels"] if c.kind in NO_INFORMATION]
-        known = {joint for joints in own for joint in joints}
+        own = (c.joints for c in findings["channels"] if c.kind in NO_INFORMATION)
+        known = set().union(*own)
         silent = [
             one
             for one in self.joints
@@ -122,11 +122,7 @@ class Report:
 
     def __repr__(self):
         count = words.plural(len(self.outcome.findings["effects"]), "effect")
-        return (
-            f"<Report: {self.status}, {count}, mean error "
-            f"{words.percent(self._errors.before)} before, "
-            f"{words.percent(self._errors.after)} after>"
-        )
+        return f"<Report: {self.status}, {count}>"
 
     def __str__(self):
         return self._voice.text()

@@ -132,7 +132,6 @@ class MaxwellSlip(Shaped, Stateful):
         r" \quad z_k(q; g) = \mathrm{clip}(z_k + \Delta q / d_k, -g, g)"
     )
     shape_units = (*((name, POSITION) for name in _BANKS), ("vs", SPEED))
-    contains = ("coulomb",)
     positive = (*_BANKS, "vs")
     tuned = (*positive, "element")
     bank = True
@@ -176,6 +175,12 @@ class MaxwellSlip(Shaped, Stateful):
         return tuple(f"{x}{k + 1}" for (x, _), bank in pairs for k in range(len(bank)))
 
     nonnegative = coefficients
+
+    @property
+    def contains(self):
+        """Names of what elements of no displacement are."""
+        more = {"load_friction": self.loaded, "stribeck": self.falling}
+        return ("coulomb", *(name for name, bank in more.items() if bank))
 
     @property
     def units(self):

@@ -296,6 +296,20 @@ def test_a_virgin_curve_is_the_torque_of_a_motion_from_rest():
     assert_allclose(np.interp(found["half"], x, curve), 1.5)
 
 
+def test_elements_of_no_displacement_are_what_a_bank_contains():
+    small = dict.fromkeys(("displacements", "loaded", "falling"), (1e-9,))
+    bank = effects.MaxwellSlip(0, vs=0.3, **small)
+    assert bank.contains == ("coulomb", "load_friction", "stribeck")
+    plain = effects.Coulomb(0), effects.LoadFriction(0)
+    plain += (effects.Stribeck(0, vs=0.3, k=2),)
+    # The first row is relaxed.
+    given, moves = signals(), (np.abs(V[:, 0]) > 0.1) & (T > 0)
+    coulomb, load, stribeck = (e.columns(given)[moves] for e in plain)
+    expected = np.hstack([coulomb, load, coulomb + stribeck])
+    assert_allclose(bank.columns(given)[moves], expected, atol=1e-3)
+    assert effects.MaxwellSlip(0).contains == ("coulomb",)
+
+
 def test_elements_that_are_left_keep_their_columns():
     bank = effects.MaxwellSlip(
         displacements=(0.01, 0.04), loaded=(0.1,), falling=(0.02, 0.03), vs=0.3

@@ -238,7 +238,8 @@ def _lost_rows(log):
     empty = (log.tau == 0).all(axis=1)
     found = _breaks(log, empty, 1)
     if len(found) >= number.DROPOUT_RUNS or any(b > a for a, b in found):
-        _report_lost(log, "empty_rows", found, "warning")
+        # What some of them show is true of all.
+        _report_lost(log, "empty_rows", log.runs(empty), "warning")
     same = (log.steps(np.hstack([log.q, log.tau])) == 0).all(axis=1) & ~log.first
     found = _breaks(log, same, number.FROZEN_ROWS - 1)
     count = sum(b - a + 1 for a, b in found)

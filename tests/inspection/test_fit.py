@@ -72,6 +72,13 @@ def test_a_fit_warns_of_torques_of_the_other_sign(recording):
     assert "The torque of all joints has the wrong sign" in message
 
 
+def test_a_fit_warns_of_rows_without_torques(recording):
+    tau = recording.tau.copy()
+    tau[::3] = 0.0
+    (message,) = told(recording, recording.q, tau)
+    assert "All torques are zero in 1334 rows" in message
+
+
 def test_a_fit_warns_of_a_stuck_encoder(recording):
     q = recording.q.copy()
     q[len(q) // 2 :, 1] = q[len(q) // 2, 1]

@@ -121,13 +121,6 @@ def test_the_motion_as_torques(log, order):
     assert grave(log, tau=tau)[0] == ["motion_as_torque"]
 
 
-@pytest.mark.slow
-def test_positions_that_are_held_are_compared_at_their_rate(log):
-    rows = 5 * (np.arange(len(log[0].q)) // 5)
-    kinds, _ = grave(log, q=log[0].q[rows], tau=log[0].tau[rows])
-    assert kinds == ["held_position", "held_torque"]
-
-
 def test_a_torque_that_is_noise(log):
     tau = log[0].tau.copy()
     tau[:, 4] = np.random.default_rng(0).normal(0, 0.05, len(tau))
@@ -192,15 +185,6 @@ def test_a_mirrored_position(log):
     q = log[0].q.copy()
     q[:, 3] *= -1
     assert grave(log, q=q)[0] == ["position_sign"]
-
-
-@pytest.mark.parametrize("seed", one_in(3, range(3)))
-def test_descriptions_that_are_off_by_half_raise_no_doubt(seed):
-    recording = make_robot_recording(perturbation=0.5, random_state=seed)
-    found = inspect_channels(
-        recording.robot_model(), recording.q, recording.tau, recording.dt
-    )
-    assert found == ()
 
 
 def test_torques_as_shares_of_what_each_motor_has(log):

@@ -146,15 +146,6 @@ def test_a_sign_that_does_not_show_is_that_of_all_the_others(arm):
     assert not {1, 5} & {j for f in inspect(arm, q=q, tau=tau) for j in f.joints}
 
 
-def test_motor_torques_are_told_by_their_size(arm):
-    tau = arm[0].tau.copy()
-    tau[:, 1] /= 100.0
-    findings = inspect(arm, tau=tau)
-    message = only(findings, "gear_factor", (1,), "warning")
-    factor = float(message.split("about ")[1].split()[0])
-    assert 60 < factor < 160
-
-
 def test_clipped_torque(arm):
     tau = arm[0].tau.copy()
     limit = 0.6 * np.abs(tau[:, 1]).max()
@@ -292,25 +283,6 @@ def test_torques_of_few_values_are_coarse(arm):
 def grave(findings, kind):
     """Joints and severities of the findings of one kind."""
     return [(f.joints, f.severity) for f in findings if f.kind == kind]
-
-
-def test_wrapped_angles_are_named_with_the_row_and_the_remedy(arm):
-    q = arm[0].q.copy()
-    at = np.median(q[:, 3])
-    q[q[:, 3] > at, 3] -= 2 * np.pi
-    message = only(inspect(arm, q=q), "wrapped_position", (3,), "error")
-    first = np.flatnonzero(np.abs(np.diff(q[:, 3])) > 3)[0] + 1
-    assert f"first to row {first}." in message
-    assert "numpy.unwrap" in message
-
-
-def test_a_frozen_logger(arm):
-    q, tau = arm[0].q.copy(), arm[0].tau.copy()
-    q[1000:1060], tau[1000:1060] = q[1000], tau[1000]
-    findings = inspect(arm, q=q, tau=tau)
-    ((joints, severity),) = grave(findings, "repeated_rows")
-    assert (joints, severity) == (tuple(range(6)), "warning")
-    assert "up to 59 in a row, the first in row 1001" in findings[0].message
 
 
 def with_a_pause(x):

@@ -83,7 +83,8 @@ class Hypothesis:
 TABLE = (
     # -- positions and time
     Hypothesis("position_unit", "error", positions.units, "turns"),
-    Hypothesis("position_unit:gear", "error", positions.gear, when="poor", masses=True),
+    Hypothesis("position_unit:gear", "warning", positions.gear, "turns", "poor",
+               masses=True),
     Hypothesis("position_zeros", "error", positions.zeros, "zeroed"),
     Hypothesis("swapped_torques", "error", positions.torque_orders, "several", "poor"),
     Hypothesis("swapped_positions", "error", positions.position_orders, "several",

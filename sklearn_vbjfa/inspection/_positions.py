@@ -273,14 +273,16 @@ def _with_ratios(reading, best):
 
 def gear(reading):
     """Return the joint whose position has another factor, and by power its torque."""
+    # Where positions do not matter, such as of slides, the masses look the same.
+    turning = [int(j) for j in reading.robot.joints if not reading.slides[j]]
     changes = {}
-    for x, j in product(number.RATIOS, reading.robot.joints.tolist()):
+    for x, j in product(number.RATIOS, turning):
         # A wrong gear keeps the power; or the position alone is wrong.
         for make in (_factor, _geared):
             changes[make(x, j, reading.nv)] = functools.partial(
                 make, j=j, nv=reading.nv
             )
-    best = likely(reading, changes)
+    best = likely(reading, changes) if changes else None
     if best is None:
         return None
     change, (error,) = stepped(reading, best.change, [changes[best.change]])

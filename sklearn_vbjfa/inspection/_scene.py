@@ -14,7 +14,8 @@ def weightless(reading):
     """Return joints whose torques do not contain the weight of the links."""
     robot, lost, odds = reading.robot, [], 0.0
     nothing, moving = robot.pulled(np.zeros(3)), robot.moving
-    loaded, heavy = _loaded(robot, robot.weight)
+    # A weight that does not vary is like an offset.
+    loaded = _loaded(robot, robot.weight - robot.weight.mean(axis=0))
     for j in loaded:
         now = robot.fit(joints=[j]).evidence
         # Without any weight, or with that of the description taken off.
@@ -36,6 +37,7 @@ def weightless(reading):
     share, error = weight / scale, error[1] / scale
     if abs(share) + error > number.NO_WEIGHT:
         return None
+    heavy = np.abs(robot.weight[:, lost]).max()
     facts = {"share": share, "error": error, "heavy": heavy, "other": ""}
     if len(loaded) == 1:
         facts["other"] = " Or a spring balances it."
@@ -87,7 +89,7 @@ def turned(reading):
         tried = [whole]
     # A spring that more than balances a single joint looks the same.
     heavy = 1 / number.AS_HEAVY < np.linalg.norm(whole) / usual < number.AS_HEAVY
-    loaded = len(_loaded(robot, robot.by_gravity @ pull)[0])
+    loaded = len(_loaded(robot, robot.by_gravity @ pull))
     springs = _as_springs(robot, robot.joints) > found.evidence - number.DECISIVE
     if not heavy or loaded < 2 or springs:
         return None
@@ -108,9 +110,9 @@ def _written(vector):
 
 
 def _loaded(robot, weight):
-    """Joints that weights (n, nv) load, and the largest weight."""
+    """List the joints that weights (n, nv) load."""
     heavy = np.abs(weight).max(axis=0)
-    return [int(j) for j in robot.joints if heavy[j] > 0.1 * heavy.max()], heavy.max()
+    return [int(j) for j in robot.joints if heavy[j] > 0.1 * heavy.max()]
 
 
 def _as_springs(robot, joints):

@@ -1,6 +1,6 @@
 """Motion that repeats, with a disturbance that repeats with it: false names and power.
 
-Run ``python tests/benchmarks/bench_repetition.py --results FILE [--trials N] [--seed S]
+Run ``python tests/benchmarks/bench_repetition.py --out FILE [--trials N] [--seed S]
 [--write]``.
 
 Data: nothing of the package. Robots as in ``bench_false_alarms.py`` (a pendulum, arms

@@ -17,7 +17,7 @@ _COLOURS = {"measured": "0.25", "before": "0.72", "after": "tab:blue"}
 
 @dataclass(kw_only=True, eq=False)
 class TorqueDisplay:
-    """Measured and predicted torques over time, or residuals, one panel a joint.
+    """Measured and predicted torques over time, one panel a joint.
 
     Parameters
     ----------
@@ -85,39 +85,34 @@ class TorqueDisplay:
             units=tuple("N" if slides[j] else "N m" for j in chosen),
         )
 
-    def plot(self, ax=None, *, kind="torque"):
+    def plot(self, ax=None):
         """Draw into axes, one for each joint.
 
         Parameters
         ----------
         ax : array-like of Axes, default=None
             Axes to draw into; None makes a figure.
-        kind : {"torque", "residual"}, default="torque"
-            Torques over time, or residuals (measured minus predicted) over the
-            predicted torque.
 
         Returns
         -------
         self : object
             With `figure_`, `axes_` and `lines_`.
         """
-        if kind not in ("torque", "residual"):
-            raise ValueError(f'kind must be "torque" or "residual"; got {kind!r}.')
+        time = np.broadcast_to(self.time[:, None], self.measured.shape)
+        curves = {"measured": self.measured, **self._predicted()}
+        curves = {label: (time, torque) for label, torque in curves.items()}
+        return self._drawn(ax, curves, "-", "time [s]")
+
+    def _predicted(self):
+        """Return the predicted torques by model."""
+        models = {"before": self.before, "after": self.after}
+        return {label: x for label, x in models.items() if x is not None}
+
+    def _drawn(self, ax, curves, marker, x_label):
+        """Draw curves, pairs (m, nv) by label."""
         self.axes_ = self._axes(ax)
         self.figure_, self.lines_ = self.axes_[0].figure, []
         every = slice(None, None, max(1, len(self.time) // _POINTS))
-        models = {"before": self.before, "after": self.after}
-        curves = {
-            label: (x, self.measured - x)
-            for label, x in models.items()
-            if x is not None
-        }
-        marker, x_label = ".", "predicted torque"
-        if kind == "torque":
-            time = np.broadcast_to(self.time[:, None], self.measured.shape)
-            curves = {label: (time, x) for label, (x, _) in curves.items()}
-            curves = {"measured": (time, self.measured), **curves}
-            marker, x_label = "-", "time [s]"
         for j, axis in enumerate(self.axes_):
             axis.set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
             for label, (x, y) in curves.items():
@@ -136,8 +131,7 @@ class TorqueDisplay:
                 pyplot = importlib.import_module("matplotlib.pyplot")
             except ImportError as error:
                 raise ImportError(
-                    "TorqueDisplay.plot needs matplotlib; install it with pip install "
-                    "matplotlib."
+                    "A display needs matplotlib; install it with pip install matplotlib."
                 ) from error
             size = 8.0, 1.6 * count + 0.7
             _, ax = pyplot.subplots(count, layout="constrained", figsize=size)
@@ -147,3 +141,16 @@ class TorqueDisplay:
                 f"ax must hold {count} axes, one a joint; got {axes.size}."
             )
         return axes
+
+
+class ResidualDisplay(TorqueDisplay):
+    """Residuals, measured minus predicted, over predicted torques, one panel a joint.
+
+    Parameters and attributes are those of `TorqueDisplay`.
+    """
+
+    def plot(self, ax=None):
+        """Draw into axes, as `TorqueDisplay.plot` does."""
+        predicted = self._predicted()
+        curves = {label: (x, self.measured - x) for label, x in predicted.items()}
+        return self._drawn(ax, curves, ".", "predicted torque")

@@ -131,7 +131,7 @@ class TorqueDisplay:
                 pyplot = importlib.import_module("matplotlib.pyplot")
             except ImportError as error:
                 raise ImportError(
-                    "A display needs matplotlib; install it with pip install matplotlib."
+                    "A display needs matplotlib: pip install matplotlib."
                 ) from error
             size = 8.0, 1.6 * count + 0.7
             _, ax = pyplot.subplots(count, layout="constrained", figsize=size)

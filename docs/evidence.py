@@ -329,6 +329,26 @@ def single_effects():
     return "How small an effect is found?", verdict, data, table, limitation
 
 
+def friction_memory():
+    """Show friction with memory."""
+    data = Tables("friction_memory")
+    middle, largest = data.column("error over the noise, median"), data.column("worst")
+    names, wrong = data.column("names"), data.column("wrong names")
+    four = "the four with memory"
+    verdict = (
+        "On four laws of friction with memory the torque error of the next 40 s is "
+        f"{middle[four]:.2f} times that of the noise in the median and "
+        f"{largest[four]:.1f} times at worst; {wrong['all']:.0f} of "
+        f"{names['all']:.0f} names on all laws are wrong."
+    )
+    limitation = (
+        "The arms have two joints and 40 s of data, and often move further afterwards "
+        "than in the fit. A law that the library lacks may be named as the closest one."
+    )
+    question = "Is friction that depends on the past motion modelled?"
+    return question, verdict, data, data.table(), limitation
+
+
 def geometry():
     """Show faults of the geometry and of the channels."""
     data = Tables("geometry_confirmation")
@@ -697,6 +717,7 @@ SECTIONS = (
     false_alarms,
     whole_robots,
     single_effects,
+    friction_memory,
     geometry,
     coverage,
     next_recording,

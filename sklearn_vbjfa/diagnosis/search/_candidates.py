@@ -76,11 +76,12 @@ def families_of(found):
             families.append(None)
     for (joints, *_), parts in kinds.items():
         numbers, own, shapes = zip(*parts)
+        values = [x.values.take(some, axis=2) for x, some in zip(own, shapes)]
         beside = Columns(
-            [one.effects[c] for one, some in zip(own, shapes) for c in some],
+            [x.effects[c] for x, some in zip(own, shapes) for c in some],
             joints,
-            np.concatenate([x.values[:, :, c] for x, c in zip(own, shapes)], axis=2),
-            np.concatenate([x.unit[c] for x, c in zip(own, shapes)]),
+            np.concatenate(values, axis=2),
+            np.concatenate([x.unit[some] for x, some in zip(own, shapes)]),
             own[0].edges,
         )
         ends = np.cumsum([0, *map(len, shapes)]).tolist()

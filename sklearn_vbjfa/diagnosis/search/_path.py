@@ -1,6 +1,5 @@
 """The way to the most probable model: add, refine, drop, exchange by one posterior."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -25,8 +24,9 @@ from sklearn_vbjfa.effects import closure
 
 # Times that load, spectrum and geometry are made anew.
 _TURNS = 2
-# Times that a model is tuned on another recording, until its evidence [nats] stays.
-_CLOSER, _STAYS = 20, 0.5
+# A model is tuned on another recording until its evidence [nats] stays, or for so many
+# times without a better one: load and shapes may go to and fro.
+_STAYS, _TURNING = 0.5, 4
 # Share of a motion's power below the frequency up to which it is said to reach.
 _MOTION = 0.9
 # Share of the log odds of the most probable candidate from which others come with it.
@@ -129,8 +129,6 @@ class Path:
                 continue
             if new is None:
                 new = self._exchanged(fit, been)
-            if new is None and (self.turn or not fit.members):
-                new = self._together(fit, been)
             if new is None:
                 return fit
             fit = new
@@ -331,86 +329,6 @@ class Path:
                 return new
         return None
 
-    def _together(self, fit, been):
-        """Begin with everything on a joint and drop what is not needed, or None."""
-        # What hides another, or shows beside it alone, does not come one by one.
-        before, left_out, whole = keys_of(fit), self.held_out(fit), self._posterior(fit)
-        for joint in self.candidates.families:
-            own = [m.effect.key() for m in fit.members if joint in m.joints]
-            among = joint, frozenset(own)
-            if among in self._compared:
-                continue
-            self._compared.add(among)
-            self._say(fit, joint)
-            new = self._needed(fit, joint)
-            # One that comes alone, or in place of another, was asked before.
-            if keys_of(new) in been or len(keys_of(new) - before) < 2:
-                continue
-            been.add(keys_of(new))
-            more = self._posterior(new) - whole
-            if self._at_odds(new, before) or more < self.settings.rivals:
-                continue
-            new = self._pruned(self.refined(new, {joint}))
-            if len(keys_of(new) - before) < 2 or self._at_odds(new, before):
-                continue
-            if self.max_effects is not None and len(new.members) > self.max_effects:
-                continue
-            both = zip(self.candidates.log_odds(new), new.members)
-            surest = min(own for own, m in both if m.effect.key() not in before)
-            if surest < self.candidates.least + self.settings.rivals:
-                continue
-            now = self.held_out(new)
-            if now.error() > left_out.error():
-                continue
-            if all(now.gain_of(i).helps for i in range(len(new.members))):
-                return new
-        return None
-
-    def _posterior(self, fit):
-        """Logarithm of the posterior density of a fit, but for a constant."""
-        return fit.log_evidence() + len(fit.members) * self.candidates.log_prior
-
-    def _needed(self, fit, joint):
-        """Return a fit with what is probable of a joint beside all the rest."""
-        candidates, scale, members = self.candidates, self.settings.scale, []
-        taken = candidates.rejected | fit.excluded
-        own = [m for m in fit.members if m.joints == (joint,)]
-        within = set().union(*(closure(m.effect, self.library) for m in own))
-        for family in candidates.families[joint]:
-            first = family.effects[0]
-            if first.in_model or first.whole_robot or first.bank:
-                continue
-            if first.name in within:
-                continue
-            free = family.groups(fit).shown() & [k not in taken for k in family.keys]
-            if free.any():
-                evidence = np.where(free, family.evidence(fit, scale), -np.inf)
-                members.append(family.member(int(np.argmax(evidence)), scale))
-        others = [m for m in fit.members if m.joints != (joint,)]
-        new = Fit(fit.base, [*others, *members, *own])
-        while len(new.members) > len(others):
-            new, groups = new.rescaled(scale), new.own_groups()[len(others) :]
-            odds = [
-                one.evidence(scale)[0] - np.log(candidates.shapes(member))
-                for one, member in zip(groups, new.members[len(others) :])
-            ]
-            worst = int(np.argmin(odds))
-            if odds[worst] + candidates.log_prior > candidates.least:
-                break
-            i = len(others) + worst
-            new = Fit(fit.base, [*new.members[:i], *new.members[i + 1 :]])
-        return self.scaled(new)
-
-    def _at_odds(self, fit, before):
-        """Whether a member excludes another, or a new one contains another new one."""
-        for one, other in itertools.permutations([m.effect for m in fit.members], 2):
-            if one.key() in other.excludes():
-                return True
-            new = one.joint == other.joint and not {one.key(), other.key()} & before
-            if new and one.name in closure(other, self.library):
-                return True
-        return False
-
     # -- what is asked of a model ---------------------------------------------------
 
     def own_odds(self, fit, known):
@@ -515,14 +433,18 @@ def tuned_on(view, effects, settings):
     path = Path(view.with_rest(remembering(effects)), (), settings)
     # In the weights in which the model is fitted to it.
     fit, before = path.placed(effects), -np.inf
-    for _ in range(_CLOSER):
+    best, most, since = fit, -np.inf, 0
+    while since < _TURNING:
         fit = weighed(anew(path.refined(fit)))
-        now = fit.log_evidence()
+        now, since = fit.log_evidence(), since + 1
+        if now > most + _STAYS:
+            best, most, since = fit, now, 0
         if abs(now - before) < _STAYS:
+            best = fit
             break
         before = now
-    motion = fit.problem.motion
-    return tuple(member.effect.completed(motion) for member in fit.members)
+    motion = best.problem.motion
+    return tuple(member.effect.completed(motion) for member in best.members)
 
 
 def remembering(effects):

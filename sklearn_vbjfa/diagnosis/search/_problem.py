@@ -52,9 +52,10 @@ class Columns:
         """Products with themselves by band, shape by shape, (nj, n_bands, c, k, k)."""
         k = self.shape[1]
         found = np.empty((len(self.joints), self.edges.size - 1, *self.shape, k))
-        for a, b in itertools.product(range(k), repeat=2):
+        for a, b in itertools.combinations_with_replacement(range(k), 2):
             square = self.values[..., a] * self.values[..., b]
             found[..., a, b] = np.add.reduceat(square, self.edges[:-1], axis=1)
+            found[..., b, a] = found[..., a, b]
         return found
 
     def declared(self, Z):

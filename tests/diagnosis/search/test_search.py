@@ -174,9 +174,8 @@ def test_a_smoothed_torque_is_a_filter(smoothed, kind, name, value):
 
 # -- effects that stand for each other
 
-# A slow signal that nothing has, and one that hides it.
+# Slow signals that nothing has.
 SIGNAL = np.sin(2 * np.pi * 0.31 * CLEAN.t)
-COVER = 5.0 * np.sin(2 * np.pi * 0.47 * CLEAN.t + 1.0)
 OTHER = np.sin(2 * np.pi * 0.23 * CLEAN.t + 0.5)
 
 
@@ -194,39 +193,8 @@ def given(kind, signal):
     return Given
 
 
-COVERED = [given("covered", SIGNAL + COVER), given("cover", COVER)]
-
-
 def torque_of(signal):
     return CLEAN.torque(joint_1=lambda r: signal[: r.t.size])
-
-
-def test_two_effects_that_are_worth_nothing_alone():
-    """The difference of two that hide each other."""
-    now = search(torque_of(0.12 * SIGNAL), COVERED).run()
-    assert sorted(found(now)) == [("cover", 0), ("covered", 0)]
-
-
-def test_a_pair_is_taken_only_by_a_margin_of_odds():
-    torque = torque_of(0.12 * SIGNAL)
-    odds = [one.evidence.log_odds for one in search(torque, COVERED).run().findings]
-    wider = SearchSettings(rivals=2.0 * min(odds))
-    assert search(torque, COVERED, settings=wider).run().effects == ()
-
-
-def test_no_pair_in_what_has_no_effect():
-    assert search(torque_of(0.12 * OTHER), COVERED).run().effects == ()
-
-
-def test_two_in_place_of_one_that_was_taken_for_them():
-    """What comes first is a mixture in a wrong proportion."""
-    library = [
-        given("mixture", SIGNAL + 0.5 * OTHER),
-        given("first", SIGNAL + COVER),
-        given("second", COVER),
-    ]
-    now = search(torque_of(SIGNAL), library).run()
-    assert sorted(found(now)) == [("first", 0), ("second", 0)]
 
 
 def test_one_in_place_of_two():

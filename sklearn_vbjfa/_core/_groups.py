@@ -51,28 +51,28 @@ def log_orthant(mean, covariance):
     # Elston, Biometrics 30, 1974, doi 10.2307/2529616). It is good to half a nat while
     # the probability is not below e^-10 or so, and too high beyond.
     # Of the covariance only the diagonal and one column a step are made.
-    mean, done = np.array(mean), np.zeros(covariance.shape)
-    variance = np.diagonal(covariance, axis1=-2, axis2=-1).copy()
-    left = np.ones(mean.shape, dtype=bool)
-    total = np.zeros(mean.shape[:-1])
-    for i in range(mean.shape[-1]):
+    mean = np.array(mean)
+    shape, k = mean.shape[:-1], mean.shape[-1]
+    mean, covariance = mean.reshape(-1, k), covariance.reshape(-1, k, k)
+    rows, done = np.arange(len(mean)), np.zeros(covariance.shape)
+    variance = np.diagonal(covariance, axis1=1, axis2=2).copy()
+    left, total = np.ones(mean.shape, dtype=bool), np.zeros(len(mean))
+    for i in range(k):
         deviation = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
         ratio = np.where(left, mean / deviation, np.inf)
-        at = np.argmin(ratio, axis=-1)[..., None]
-        z = np.take_along_axis(ratio, at, -1)
-        column = np.take_along_axis(covariance, at[..., None], -2)[..., 0, :]
-        past = np.take_along_axis(done[..., :i, :], at[..., None], -1)
-        column = column - (past.swapaxes(-1, -2) @ done[..., :i, :])[..., 0, :]
-        column /= np.take_along_axis(deviation, at, -1)
+        at = np.argmin(ratio, axis=1)
+        z, past = ratio[rows, at], done[rows, :i, at]
+        column = covariance[rows, at] - (past[:, None] @ done[:, :i])[:, 0]
+        column /= deviation[rows, at][:, None]
         log_share = log_ndtr(z)
         moved = np.exp(-0.5 * z**2 - 0.5 * np.log(2 * np.pi) - log_share)
-        total += log_share[..., 0]
-        mean += moved * column
-        column *= np.sqrt(np.maximum(moved * (moved + z), 0.0))
-        done[..., i, :] = column
+        total += log_share
+        mean += moved[:, None] * column
+        column *= np.sqrt(np.maximum(moved * (moved + z), 0.0))[:, None]
+        done[:, i] = column
         variance -= column**2
-        np.put_along_axis(left, at, False, -1)
-    return total
+        left[rows, at] = False
+    return total.reshape(shape)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

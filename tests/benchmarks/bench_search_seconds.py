@@ -195,6 +195,8 @@ def processor():
 
 def run_here(case, data_home):
     """Figures of a case, in this process."""
+    from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: F401
+
     run = MADE[case](data_home)
     started = processor()
     named, possible = run()

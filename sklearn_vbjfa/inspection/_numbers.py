@@ -12,9 +12,8 @@ PRIOR, DECISIVE, RIVAL, INTERVAL = -np.log(100.0), 5.0, np.log(19.0), 1.645
 # those of the joints that it changes by the second, each.
 CLEAR, CLEAR_OF_JOINT = np.log(2.0), np.log(4.0)
 # Order, direction and zero are left alone if all joints have at most this relative
-# error. All orders of up to so many joints are tried if half of them have more than
-# the next one: single swaps help little before most joints are in place.
-GOOD_FIT, NO_FIT, MOST_ORDERS = 0.1, 0.5, 5
+# error.
+GOOD_FIT = 0.1
 # Changes of one kind that the likelihood is computed of.
 MOST_LIKELY = 6
 # Rows of the rough score of changes, at least, and times the joints. In it, described

@@ -2,7 +2,7 @@
 
 import functools
 from dataclasses import replace
-from itertools import combinations, permutations, product
+from itertools import combinations, product
 
 import numpy as np
 import scipy
@@ -42,14 +42,9 @@ def position_orders(reading):
 
 def joint_orders(reading):
     """Return the best order of positions and torques."""
-    nv, same = reading.nv, np.arange(reading.nv)
-    lost = np.median(reading.robot.now.left) > 2 * np.log(number.NO_FIT)
-    if lost and nv <= number.MOST_ORDERS:
-        starts = list(map(np.array, permutations(range(nv))))
-    else:
-        shifts = {k % nv for k in range(-number.ROLLED, number.ROLLED + 1)}
-        starts = [np.roll(same, k) for k in sorted(shifts)]
-        starts += [same[::-1], *usual_orders(reading)]
+    same, most = np.arange(reading.nv), number.ROLLED
+    starts = [np.roll(same, k) for k in range(-most, most + 1)]
+    starts += [same[::-1], *usual_orders(reading)]
     return _best_order(reading, "positions and torques", starts)
 
 

@@ -98,8 +98,8 @@ SENTENCES = {
     "swapped_torques": _ORDER,
     "swapped_positions": _ORDER,
     "swapped_joints": _ORDER,
-    "flipped_joint": "{who} turns the other way round in the log than in the model "
-    "({evidence}). Multiply its position and its torque by -1, or turn its axis.",
+    "flipped_joint": "The direction of {who} in the log is opposite to that in the "
+    "model ({evidence}). Multiply position and torque by -1, or turn the axis.",
     "position_sign": "The position of {who} has the wrong sign ({evidence}). Multiply "
     "it by -1.",
     "coupled_position": _COUPLED + ".",

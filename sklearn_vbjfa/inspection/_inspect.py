@@ -47,7 +47,8 @@ class Hypothesis:
     # or another hypothesis is probable, after all others, or if nothing was found.
     when: str = "always"
     prior: float = number.PRIOR  # log odds against the log as it is
-    masses: bool = False  # whether wrong masses of the description explain as much
+    # Other masses that may explain as much, a property of the described robot.
+    masses: str = ""
 
     def candidate(self, reading):
         """Return the best candidate and its log odds if it is probable, or None."""
@@ -56,7 +57,7 @@ class Hypothesis:
         odds = found.log_odds + self.prior if found else -np.inf
         if odds <= number.DECISIVE:
             return None
-        if self.masses and found.log_odds < reading.robot.invented:
+        if self.masses and found.log_odds < getattr(reading.robot, self.masses):
             return None
         return found, odds
 
@@ -84,7 +85,7 @@ TABLE = (
     # -- positions and time
     Hypothesis("position_unit", "error", positions.units, "turns"),
     Hypothesis("position_unit:gear", "warning", positions.gear, "turns", "poor",
-               masses=True),
+               masses="invented"),
     Hypothesis("position_zeros", "error", positions.zeros, "zeroed"),
     Hypothesis("swapped_torques", "error", positions.torque_orders, "several", "poor"),
     Hypothesis("swapped_positions", "error", positions.position_orders, "several",
@@ -94,13 +95,14 @@ TABLE = (
     Hypothesis("position_sign", "error", positions.mirrored, when="poor"),
     Hypothesis("coupled_position", "error", positions.coupled, "several", "poor"),
     # A warning: another mounting or tool looks the same, with a wrong geometry only.
-    Hypothesis("position_zero", "warning", positions.zero, when="poor", masses=True),
+    Hypothesis("position_zero", "warning", positions.zero, when="poor",
+               masses="invented"),
     Hypothesis("wrong_dt", "error", positions.periods),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),
-    Hypothesis("torque_unit", "warning", torques.scaled, masses=True),
+    Hypothesis("torque_unit", "warning", torques.scaled, masses="loaded"),
     Hypothesis("torque_factors", "warning", torques.scaled_each, "measured",
-               masses=True),
+               masses="loaded"),
     Hypothesis("computed_torque", "warning", torques.computed, "measured"),
     Hypothesis("silent_torque", "error", torques.silent, "measured"),
     # -- scene
@@ -108,7 +110,7 @@ TABLE = (
     Hypothesis("gravity_only", "error", scene.weight_alone, "weighs"),
     Hypothesis("base_orientation", "error", scene.turned, "weighs"),
     Hypothesis("external_force", "warning", scene.contact, "unexplained", "last",
-               masses=True),
+               masses="invented"),
     Hypothesis("delay", "note", scene.late, "measured", "last"),
     Hypothesis("torque_unit", "warning", torques.beyond_limits, "measured", "last"),
     Hypothesis("other_robot", "warning", torques.of_another, "unexplained",

@@ -164,11 +164,19 @@ class DescribedRobot:
 
     @functools.cached_property
     def invented(self):
-        """Log odds of other bodies, or of a load, against the described ones."""
+        """Log odds of bodies that were invented, against the described ones."""
+        return self._otherwise(number.INVENTED)
+
+    @functools.cached_property
+    def loaded(self):
+        """Log odds of invented bodies, or of a load, against the described ones."""
         spread = self.bodies.spread.reshape(-1, 10)
         load = np.where(self.bodies.last[:, None], spread.max(axis=0), spread) / spread
-        fits = [self.fit(spread=x) for x in (number.INVENTED, load.ravel())]
-        return max(0.0, *(fit.evidence - self.now.evidence for fit in fits))
+        return max(self.invented, self._otherwise(load.ravel()))
+
+    def _otherwise(self, spread):
+        """Log odds of bodies with a wider prior."""
+        return max(0.0, self.fit(spread=spread).evidence - self.now.evidence)
 
     @property
     def sizes(self):

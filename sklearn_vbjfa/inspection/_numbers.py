@@ -57,8 +57,9 @@ PERIODS, PLAUSIBLE = (1e3, 1e2, 10.0, 2.0, 0.5, 0.1, 1e-2, 1e-3), 2.0
 # joint faster than its limit by this factor. Speeds are taken over so many samples,
 # lest encoder noise pass for motion.
 FASTEST_TURN, FASTEST_SLIDE, TOO_FAST, SPEED_SAMPLES = 60.0, 10.0, 5.0, 5
-# Motions are seldom sampled at that period [s]; 5 kHz read as ms are 0.2.
-LONG_PERIOD = 0.15
+# A robot this much slower than its limits does not really move, and motions are seldom
+# sampled at that period [s]; 5 kHz read as ms are 0.2.
+TOO_SLOW, LONG_PERIOD = 0.01, 0.15
 # A lag is told from none if it is this many times its deviation, and raises the squared
 # error of no joint by more than this [log], or this share of the fall of all. It is
 # found in so many steps, the last one below this [samples]. Time constants of a

@@ -353,15 +353,19 @@ def _speeds(reading):
 
 
 def implausible_speed(reading):
-    """Find a sample period at which no robot moves as recorded."""
-    speed, limit = _speeds(reading), _fastest(reading.model)
+    """Find a sample period at which no robot moves as recorded, or barely any."""
+    speed, limit, dt = _speeds(reading), _fastest(reading.model), reading.dt
     j = int(np.argmax(speed / limit))
-    if speed[j] <= limit[j]:
+    slow = number.TOO_FAST * speed[j] < number.TOO_SLOW * limit[j]
+    if speed[j] > limit[j]:
+        kind, severity = "wrong_dt:fast", "error"  # accelerations by the square
+    elif slow and dt >= number.LONG_PERIOD:
+        kind, severity = "wrong_dt:slow", "warning"  # such a motion may be on purpose
+    else:
         return []
-    facts = {"dt": reading.dt, "name": reading.names[j]}
-    facts |= {"speed": speed[j], "limit": limit[j]}
+    facts = {"dt": dt, "name": reading.names[j], "speed": speed[j], "limit": limit[j]}
     facts |= {"unit": "m/s" if reading.slides[j] else "rad/s"}
-    return [finding("wrong_dt:fast", reading.names, reading.every, "error", **facts)]
+    return [finding(kind, reading.names, reading.every, severity, **facts)]
 
 
 def periods(reading):

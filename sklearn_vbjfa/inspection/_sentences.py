@@ -111,6 +111,9 @@ SENTENCES = {
     "wrong_dt:fast": "Implausible speed: with dt={dt:.6g} s {name} moves at "
     "{speed:.3g} {unit}, and {limit:.3g} would be five times what it can. Give dt in "
     "seconds, and positions in rad or m.",
+    "wrong_dt:slow": "dt={dt:.6g} s is inconsistent with the motion: the fastest "
+    "joint, {name}, moves at {speed:.2g} {unit}, far less than it can. Give dt in "
+    "seconds (not milliseconds, nor a rate in Hz).",
     # -- torques
     "torque_sign": "The torque of {who} has the wrong sign: with the other one "
     "friction, weight and inertia agree with the description ({evidence}).{also} "

@@ -175,14 +175,8 @@ def half_an_hour(data_home, joints=7, rows=1_800_000):
     return lambda: identified(robot((joints,)), given, **declared)
 
 
-MADE = dict(
-    zip(
-        CASES,
-        (demo, go2, kr300, command_line, seven_joints, commanded, sixty_joints)
-        + (half_an_hour,),
-        strict=True,
-    )
-)
+RUNS = (demo, go2, kr300, command_line, seven_joints, commanded, sixty_joints)
+MADE = dict(zip(CASES, (*RUNS, half_an_hour), strict=True))
 MADE["2 joints"] = lambda data_home: half_an_hour(data_home, 2, 20_000)
 
 

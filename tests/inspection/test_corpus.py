@@ -98,7 +98,8 @@ DESCRIBED = {
         q[:, ::-1].copy(), tau[:, ::-1].copy(), dt)),
     "cyclic order": (ORDER, rolled),
     "torques in cyclic order": (ORDER, lambda *args: rolled(*args, positions=False)),
-    "quarter turn": ("position_zero", lambda q, tau, dt, j, rng: (
+    # The zero of a first joint is a turn of the base as well.
+    "quarter turn": ("position_zero base_orientation", lambda q, tau, dt, j, rng: (
         of(q, j, q[:, j] + rng.choice([-1, 1]) * np.pi / 2), tau, dt)),
     "dt off by ten": ("wrong_dt", lambda q, tau, dt, j, rng: (
         q, tau, dt * float(rng.choice([0.1, 10.0])))),

@@ -105,7 +105,8 @@ def test_published_sizes_are_those_of_the_table(name):
 def test_the_picture_is_of_the_effect(name):
     figure = simulated_effects.figure_of(USES[name])
     chart = figure.charts[0]
-    assert {"cloud", "law", "spread", "mean-before"} <= {kind for kind, _ in chart.shapes}
+    kinds = {kind for kind, _ in chart.shapes}
+    assert {"cloud", "law", "spread", "mean-before"} <= kinds
     assert re.search(r"\[[^\]]+\]$", chart.x_label)
     assert re.search(r"\[N m\]$", chart.y_label)
     torque = simulated_effects.torque_of(USES[name], simulated_effects.scene().motion)

@@ -1,8 +1,7 @@
 """Wrong changes of the package, and whether the tests notice them.
 
-Each ``*.diff`` beside this file changes one line of the package for the worse. Its
-first line names the test that must fail then, ``# tests/...py::test_...``; a text of
-what is wrong may follow. This script makes each change in a copy of the package and
+Each entry of ``mutants.toml`` changes one line of a file for the worse, and names the
+test that must fail then. This script makes each change in a copy of the package and
 runs that test there::
 
     python tests/mutants/run.py                  # all, two at a time
@@ -21,12 +20,13 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parents[1]
+TABLE = Path(__file__).resolve().with_name("mutants.toml")
+ROOT = TABLE.parents[2]
 # What the tests need of a checkout, and what no copy needs.
 _PARTS = ("sklearn_vbjfa", "tests", "pyproject.toml")
 _LEFT_OUT = shutil.ignore_patterns("__pycache__")
@@ -41,33 +41,8 @@ class Mutant:
     name: str
     test: str  # that must fail
     file: str  # that it changes, from the root of the repository
-    before: str  # lines with their surroundings
+    before: str  # once in the file
     after: str
-
-    @classmethod
-    def read(cls, path):
-        """Read a unified diff of one hunk below its comment."""
-        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-        first = lines[0].split()
-        if len(first) != 2 or first[0] != "#" or "::" not in first[1]:
-            raise ValueError(
-                f"{path.name} must begin with '# tests/...py::test_...', the test "
-                f"that must fail; got {lines[0].strip()!r}."
-            )
-        hunks = [k for k, line in enumerate(lines) if line.startswith("@@")]
-        if len(hunks) != 1 or not lines[hunks[0] - 1].startswith("+++ b/"):
-            raise ValueError(
-                f"{path.name} must hold one hunk below '--- a/' and '+++ b/'; got "
-                f"{len(hunks)}."
-            )
-        hunk = lines[hunks[0] + 1 :]
-        return cls(
-            name=path.stem,
-            test=first[1],
-            file=lines[hunks[0] - 1].removeprefix("+++ b/").strip(),
-            before="".join(line[1:] for line in hunk if line[0] in " -"),
-            after="".join(line[1:] for line in hunk if line[0] in " +"),
-        )
 
     def applied(self, text):
         """Return the text of its file with the change made; refuse what is not it."""
@@ -81,9 +56,10 @@ class Mutant:
         return text.replace(self.before, self.after)
 
 
-def mutants(folder=HERE):
-    """Read all of a folder, in the order of their names."""
-    return [Mutant.read(path) for path in sorted(folder.glob("*.diff"))]
+def mutants(table=TABLE):
+    """Read all of a table."""
+    entries = tomllib.loads(table.read_text(encoding="utf-8"))
+    return [Mutant(name=name, **entry) for name, entry in entries.items()]
 
 
 def copied(source, place):
@@ -184,15 +160,15 @@ def main(arguments=None):
     )
     parser.add_argument("names", nargs="*", help="parts of names; all without any")
     parser.add_argument("--jobs", type=int, default=2, help="at a time (default: 2)")
-    parser.add_argument("--folder", type=Path, default=HERE, help="of the diffs")
+    parser.add_argument("--table", type=Path, default=TABLE, help="of the changes")
     asked = parser.parse_args(arguments)
     chosen = [
         mutant
-        for mutant in mutants(asked.folder)
+        for mutant in mutants(asked.table)
         if not asked.names or any(name in mutant.name for name in asked.names)
     ]
     if not chosen:
-        parser.error(f"no diff in {asked.folder} has such a name")
+        parser.error(f"nothing in {asked.table} has such a name")
     width, left = max(len(mutant.name) for mutant in chosen), 0
     try:
         for mutant, wrong, seconds in judge_all(chosen, asked.jobs):

@@ -3,15 +3,12 @@
 import ast
 import difflib
 import functools
-import inspect
 import tomllib
 
 import pytest
 
 from tests.mutants import run
-from tests.mutants.run import HERE, ROOT, Mutant, mutants
-
-NAMES = [path.stem for path in sorted(HERE.glob("*.diff"))]
+from tests.mutants.run import ROOT, mutants
 
 
 @functools.cache
@@ -27,9 +24,8 @@ def function_of(test):
     return functions_of(file).get(name)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_mutant_applies_and_its_test_is_of_the_quick_run(name):
-    mutant = Mutant.read(HERE / f"{name}.diff")
+@pytest.mark.parametrize("mutant", mutants(), ids=lambda one: one.name)
+def test_a_mutant_applies_and_its_test_is_of_the_quick_run(mutant):
     text = (ROOT / mutant.file).read_text(encoding="utf-8")
     changed = mutant.applied(text)
     if mutant.file.endswith(".py"):
@@ -52,43 +48,27 @@ def test_there_are_many_and_no_two_are_alike():
     assert len({(one.file, one.before, one.after) for one in every}) == len(every)
 
 
-BROKEN = """\
-# tests/mutants/test_mutants.py::test_which_lines_a_mutant_has
---- a/{file}
-+++ b/{file}
-@@ -1,2 +1,2 @@
- first
--second
-+other
-"""
-
-
-def test_diffs_that_are_none(tmp_path):
-    path = tmp_path / "one.diff"
-    for text, said in (
-        (BROKEN.partition("\n")[2], "one.diff must begin with '# tests/"),
-        (BROKEN.replace("@@", "--"), "must hold one hunk .* got 0"),
-        (BROKEN + "@@ -9 +9 @@\n-a\n+b\n", "must hold one hunk .* got 2"),
-    ):
-        path.write_text(text, encoding="utf-8")
-        with pytest.raises(ValueError, match=said):
-            Mutant.read(path)
-
-
 @pytest.mark.slow
 def test_one_that_nobody_notices_is_told(tmp_path, capsys):
     # Changes of a file that the named test looks at, and of one that it does not.
-    line = '        if len(hunks) != 1 or not lines[hunks[0] - 1].startswith("+++ b/"):'
-    assert line in inspect.getsource(run).splitlines()
-    test = "tests/mutants/test_mutants.py::test_diffs_that_are_none"
-    for name, file, old, new in (
-        ("killed", "tests/mutants/run.py", line, line.replace("!= 1", "< 1")),
+    test = "tests/mutants/test_mutants.py::test_there_are_many_and_no_two_are_alike"
+    entries = (
+        (
+            "killed",
+            "tests/mutants/run.py",
+            "in entries.items()]",
+            "in 2 * [*entries.items()]]",
+        ),
         ("alive", "sklearn_vbjfa/__main__.py", "import sys", "import os, sys"),
         ("gone", "sklearn_vbjfa/__main__.py", "import nothing", "import sys"),
-    ):
-        diff = f"# {test}\n--- a/{file}\n+++ b/{file}\n@@ -1 +1 @@\n-{old}\n+{new}\n"
-        (tmp_path / f"{name}.diff").write_text(diff, encoding="utf-8")
-    given = ["--folder", str(tmp_path), "--jobs", "1"]
+    )
+    table = "".join(
+        f"[{name}]\ntest = '{test}'\nfile = '{file}'\n"
+        f"before = '{old}'\nafter = '{new}'\n"
+        for name, file, old, new in entries
+    )
+    (tmp_path / "three.toml").write_text(table, encoding="utf-8")
+    given = ["--table", str(tmp_path / "three.toml"), "--jobs", "1"]
     assert run.main(given) == 1
     told = {row.split()[0]: row for row in capsys.readouterr().out.splitlines()}
     assert "killed by" in told["killed"]

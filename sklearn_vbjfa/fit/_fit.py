@@ -440,7 +440,7 @@ def _corrected(recipe, fit, source, relative):
     """Correct a robot step by step; the last fit and its `ModelValues`."""
     # The equations with the derivatives by the values are, without these, those of the
     # next fit: its load is that of the fit before.
-    corrected, factor, before = fit.robot, 1.0, 0.0
+    corrected, factor, before, stayed = fit.robot, 1.0, 0.0, False
     loaded = needs_load(corrected.effects_)
     for number in range(MOST_CORRECTIONS):
         robot = replace(corrected, load_parameters=fit.robot.parameters_of_load())
@@ -461,8 +461,10 @@ def _corrected(recipe, fit, source, relative):
             joint_weights=recipe.joint_weights,
             bodies=bodies,
         )
-        if values.stay():
+        # The load follows the values one fit later.
+        if values.stay() and (stayed or not (loaded and number)):
             break
+        stayed = values.stay()
         factor, before = values.longer(factor, before), values.step
         corrected = _at(robot, values.corrected(factor))
     else:

@@ -167,6 +167,20 @@ def test_load_friction_is_a_fixed_point(monkeypatch):
     assert coefficients(robot)[0] == pytest.approx(coefficients(settled)[0], rel=0.01)
 
 
+def test_the_load_follows_a_gain_that_is_found():
+    mu, gain = 0.15, 1.1
+    added = on_joint(1, mu * np.abs(LOAD[:, 1]) * np.sign(V[:, 1]))
+    noise = 0.1 * NOISE
+    tau = (DECLARED + added) * [1.0, gain, 1.0] + noise
+    used = effects.LoadFriction(1), effects.TorqueGain(1)
+    robot = RobotIdentifier(MODEL, effects=used, **EXACT).fit(STATES, tau)
+    found = coefficients(robot)
+    assert found[1] == pytest.approx(gain, rel=0.01)
+    assert found[0] == pytest.approx(mu, rel=0.02)
+    left = robot.predict(STATES) - tau
+    assert (np.std(left, axis=0) < 1.05 * np.std(noise, axis=0)).all()
+
+
 def test_a_fit_after_another_has_its_load():
     mu = 0.15
     added = on_joint(1, mu * np.abs(LOAD[:, 1]) * np.sign(V[:, 1]))

@@ -19,6 +19,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     judge,
     make_outcome,
     split_in_time,
+    that_help,
     unnamed_torques,
 )
 from sklearn_vbjfa.diagnosis.report._report import Report
@@ -404,7 +405,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         judged = judge(models, found, split, near, whole)
         say("final model")
         final = self._hand_over(found, named, whole, split.moving, silent, known)
-        self.identifier_ = final.identifier.beside(unnamed)
+        self.identifier_ = final.identifier.beside(that_help(final, unnamed))
         asked, channels = self.get_params(deep=False), (*channels, *unusable)
         say("explaining")
         return make_outcome(found, models, final, judged, channels, asked, whole, names)

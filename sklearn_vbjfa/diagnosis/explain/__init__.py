@@ -16,7 +16,7 @@ _MODULES = {
     "_outcome": "Fact JointErrors Outcome make_outcome parameter_values",
     "_recordings": "Contradiction Parts contradictions",
     "_split": "split_in_time",
-    "_unnamed": "unnamed_torques",
+    "_unnamed": "that_help unnamed_torques",
 }
 __all__ = []
 __getattr__, __dir__ = _lazily(

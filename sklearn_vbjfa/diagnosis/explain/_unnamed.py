@@ -13,12 +13,28 @@ _SWEEPS = 2
 
 def unnamed_torques(fit, settings):
     """Find what the residual of a `FinalFit` holds, tuple of `UnnamedTorque`."""
-    view, robot = fit.view, fit.identifier.robot_
-    motion = view.motion_of(robot.linear_part(robot.theta_))
-    found, residual = [], (view.equations.tau - fit.predicted()) * view.root
+    view, (motion, residual), found = fit.view, _rest(fit), []
     for joint in np.flatnonzero(view.precision > 0).tolist():
         found += _of_joint(view, motion, joint, residual[:, joint], settings)
     return tuple(found)
+
+
+def that_help(fit, unnamed):
+    """Return the `UnnamedTorque` of joints whose residual in another fit they reduce."""
+    view, (motion, residual) = fit.view, _rest(fit)
+    left = residual.copy()
+    for one in unnamed:
+        torque = view.filtered(one.terms_of(motion)) @ np.array(one.weights)
+        left[:, one.joint] -= torque * view.gains[one.joint] * view.root[:, one.joint]
+    helps = (left**2).sum(axis=0) < (residual**2).sum(axis=0)
+    return tuple(one for one in unnamed if helps[one.joint])
+
+
+def _rest(fit):
+    """Return the motion of a fit, and its residuals (m, nv) in units of their noise."""
+    view, robot = fit.view, fit.identifier.robot_
+    motion = view.motion_of(robot.linear_part(robot.theta_))
+    return motion, (view.equations.tau - fit.predicted()) * view.root
 
 
 def _of_joint(view, motion, joint, residual, settings):

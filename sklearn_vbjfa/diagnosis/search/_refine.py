@@ -217,7 +217,7 @@ def searched(fit, numbers, scale):
     for i in numbers:
         effect, rest = fit.members[i].effect, fit.without(i)
         if effect.bank:
-            found = bank(rest, effect, fit.problem.first_shapes(effect), scale)
+            found = bank(rest, effect, fit.problem.shapes(effect), scale)
         elif getattr(effect, "jumping", ()):
             found = jump(rest, effect, scale)
         else:

@@ -20,7 +20,7 @@ def unnamed_torques(fit, settings):
 
 
 def that_help(fit, unnamed):
-    """Return the `UnnamedTorque` of joints whose residual in another fit they reduce."""
+    """Return the `UnnamedTorque` of joints whose residual in a fit they reduce."""
     view, (motion, residual) = fit.view, _rest(fit)
     left = residual.copy()
     for one in unnamed:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         make_noisy_regression,
         make_robot_recording,
     )
-    from sklearn_vbjfa.inspection import inspect_recording
+    from sklearn_vbjfa.inspection._inspect import inspect_recording
     from sklearn_vbjfa.recording import Recording, read_recording
 
 # A name is imported when it is asked for: the demonstration needs no loader of others.

@@ -27,7 +27,8 @@ def correct(arguments, folder):
     with _input.blaming(loaded.source, loaded.gains):
         found = correct_gravity(loaded.recording, str(loaded.urdf))
     words = ["design", "--urdf", arguments.urdf, "--report", str(out)]
-    words += ["--for", "gravity", "--poses", str(found.poses_enough or _MORE)]
+    more = _MORE if found.poses_enough is None else max(found.poses_enough, 1)
+    words += ["--for", "gravity", "--poses", str(more)]
     friction = np.where(found.friction_known, "known", "assumed (one direction)")
     joints = pd.DataFrame(
         {

@@ -297,7 +297,7 @@ def whole_robots():
     limitation = (
         "The simulator shares no code with the package, but the effects are those "
         "of the "
-        f"library; one joint has an error of {data.cell(row, 'largest')} (target: 3 %)."
+        f"library; the largest error is {data.cell(row, 'largest')} (target: 3 %)."
     )
     table = data.table(columns=columns, names=names)
     return "Are the reported effects correct?", verdict, data, table, limitation

@@ -178,9 +178,8 @@ class MaxwellSlip(Shaped, Stateful):
 
     @property
     def contains(self):
-        """Names of what elements of no displacement are."""
-        more = {"load_friction": self.loaded, "stribeck": self.falling}
-        return ("coulomb", *(name for name, bank in more.items() if bank))
+        """Names of what elements of constant level and no displacement are."""
+        return ("coulomb", "load_friction") if self.loaded else ("coulomb",)
 
     @property
     def units(self):

@@ -299,7 +299,7 @@ def test_a_virgin_curve_is_the_torque_of_a_motion_from_rest():
 def test_elements_of_no_displacement_are_what_a_bank_contains():
     small = dict.fromkeys(("displacements", "loaded", "falling"), (1e-9,))
     bank = effects.MaxwellSlip(0, vs=0.3, **small)
-    assert bank.contains == ("coulomb", "load_friction", "stribeck")
+    assert bank.contains == ("coulomb", "load_friction")
     plain = effects.Coulomb(0), effects.LoadFriction(0)
     plain += (effects.Stribeck(0, vs=0.3, k=2),)
     # The first row is relaxed.

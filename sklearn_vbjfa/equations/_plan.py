@@ -48,7 +48,10 @@ _TOP_ROWS = 1 << 15
 # Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of the
 # motion, high enough for friction at reversals, low enough to reject vibration.
 CUTOFF_PER_BANDWIDTH = 5.0
-# ... but its length must remain a small fraction of the longest recording.
+# ... and at least this [Hz]: below it nothing vibrates, and the friction of a slow
+# motion that reverses is lost,
+LOWEST_CUTOFF = 2.0
+# ... and its length must remain a small fraction of the longest recording.
 SHORTEST_CUTOFF_PERIODS = 36.0
 # Share of the states' cut-off up to which their smoother, whose gain falls with the
 # sixth power, loses less than 5 %.
@@ -395,6 +398,7 @@ def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
         return np.inf
     length = longest * dt
     frequency = CUTOFF_PER_BANDWIDTH * state_estimator.bandwidth_.max()
+    frequency = max(frequency, LOWEST_CUTOFF)
     if drive is not None and drive.of_positions:
         frequency = min(frequency, _FAITHFUL * state_estimator.cutoff_.min())
     frequency = max(frequency, SHORTEST_CUTOFF_PERIODS / length)

@@ -144,6 +144,8 @@ def literal_least_squares(model, truth, tau, states):
     inverse = np.linalg.pinv(J / size, rcond=1e-8) / size[:, None]
     freedom = tau.size - np.linalg.matrix_rank(J / size, tol=1e-7)
     std = np.sqrt(2 * found.cost / freedom * (inverse**2).sum(axis=1))
+    # Columns of rounding alone are none.
+    J[:, np.isinf(size)] = 0.0
     return found.x, std[-start.size :], J.reshape(*tau.shape, -1)
 
 

@@ -213,7 +213,9 @@ class FinalFit:
         q = C.T @ y[:, j] - seen.T @ (root.T @ (flat.T @ y[:, joints].ravel()))
         # Evidence is discounted by the scatter between blocks over that of white noise.
         own = np.atleast_2d(covariance)
-        known = own[0, 0] - own[0, 1] ** 2 / own[1, 1] if len(own) > 1 else own[0, 0]
+        known = own[0, 0]
+        if len(own) > 1 and own[1, 1] > 0:
+            known -= own[0, 1] ** 2 / own[1, 1]
         gain = 0.5 * q**2 / H / max(1.0, known * H[0])
         found, weights = [], [0.0]
         for at in range(1, len(gain), len(_WAYS)):

@@ -46,26 +46,21 @@ class Cosines:
 
     def __call__(self, rows, joints):
         """Cosines (nj, n, ...) of rows (nj, m, ...) of some joints."""
-        out = np.empty((rows.shape[0], self.band.size, *rows.shape[2:]))
-        whole = np.empty(rows.shape[1:])
+        whole = rows.copy()
         for i, j in enumerate(joints):
-            x = rows[i]
             if self._bridges[j] is not None:
-                x = self._bridges[j](x)
-            for a, b in self._parts:
-                whole[a:b] = fft.dct(x[a:b], axis=0, norm="ortho")
-            out[i] = whole[self._kept]
-        return out
+                whole[i] = self._bridges[j](rows[i])
+        for a, b in self._parts:
+            whole[:, a:b] = fft.dct(whole[:, a:b], axis=1, norm="ortho")
+        return whole[:, self._kept]
 
     def rows(self, cosines):
         """Rows (nj, m, ...) of cosines (nj, n, ...)."""
-        out = np.empty((cosines.shape[0], self._n_rows, *cosines.shape[2:]))
-        whole = np.zeros(out.shape[1:])
-        for i, own in enumerate(cosines):
-            whole[self._kept] = own
-            for a, b in self._parts:
-                out[i, a:b] = fft.idct(whole[a:b], axis=0, norm="ortho")
-        return out
+        whole = np.zeros((cosines.shape[0], self._n_rows, *cosines.shape[2:]))
+        whole[:, self._kept] = cosines
+        for a, b in self._parts:
+            whole[:, a:b] = fft.idct(whole[:, a:b], axis=1, norm="ortho")
+        return whole
 
 
 def _bands(frequency, lowest):

@@ -64,8 +64,10 @@ def design(arguments, folder):
         options = found.get("provenance", {}).get("options", {})
         drive = options.get("drive")
         torque = f"the channels of --drive {drive}" if drive else "tau"
-        run = f"Run {out} and record q and {torque} while it runs, in columns named as "
-        steps = [*_summary.before(motion), f"{run}its own."]
+        run = (
+            f"Run {out} and record q and {torque}; name joints as in the file (q_NAME)."
+        )
+        steps = [*_summary.before(motion), run]
         # The first step is 0 where something is to be done before the robot moves.
         lines = [
             line

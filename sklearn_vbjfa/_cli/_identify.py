@@ -23,6 +23,7 @@ def identify(arguments, folder):
     if arguments.purpose == "gravity":
         return _gravity.correct(arguments, folder)
     from sklearn_vbjfa.diagnosis import Report
+    from sklearn_vbjfa.diagnosis.report import SECONDS
 
     if arguments.no_search and arguments.effects:
         raise Refused("--no-search and --effects exclude each other", effects=None)
@@ -54,7 +55,7 @@ def identify(arguments, folder):
     )
     if loop.report_.has_open_questions:
         words = ["python", "-m", "sklearn_vbjfa", "design", "--report", str(out)]
-        provenance["command"] = shlex.join(words)
+        provenance["command"] = shlex.join([*words, "--duration", str(SECONDS)])
     channels = [
         replace(one, message=in_options(one.message))
         for one in outcome.findings["channels"]
@@ -77,7 +78,10 @@ def identify(arguments, folder):
         if command:
             lines.append(f"Next motion: {command}")
         if lacking:
-            lines.append("only identified.json holds the whole model (page)")
+            names = " and ".join(line.partition(" ")[0] for line in lacking)
+            verb, whose = ("lack", "their") if lacking[1:] else ("lacks", "its")
+            listed = f"(listed in {whose} first lines); identified.json has all"
+            lines.append(f"{names} {verb} some effects {listed}")
         if ranges:
             ranges.parent.mkdir(parents=True, exist_ok=True)
             loop.identifier_.ranges().save(ranges)

@@ -28,7 +28,7 @@ def list_datasets(arguments, folder):
     rows = [
         [
             f"fetch_{name}",
-            one["text"].split("\n")[1].removeprefix("Load ").rstrip("."),
+            one["text"].split("\n")[0].removeprefix("Load ").rstrip("."),
             len(one["joint_names"]),
             one["licence"],
         ]
@@ -61,7 +61,7 @@ def inspect(arguments, folder):
         "inspection.txt.j2",
         recording=recording,
         duration=f"{sum(lengths):.4g} s at {1 / recording.dt:.6g} Hz",
-        parts=[f"{name} {seconds:.4g} s" for name, seconds in zip(names, lengths)],
+        parts=[f"{x} {s:.4g} s" for x, s in zip(names, lengths)] * (len(names) > 1),
         others=loaded.other_joints(),
         motion=_columns(motions, recording.torque_units),
         too_short=_TOO_SHORT,

@@ -196,7 +196,8 @@ def _add_options(parser, command, raw):
                 kind |= {"default": None} if raw else {}
             flags = [x for x in (_SHORT.get(name), f"--{name}") if x]
             dest = _DEST.get(name, name.replace("-", "_"))
-            group.add_argument(*flags, dest=dest, help=option["help"], **kind)
+            text = command.get("texts", {}).get(name, option["help"])
+            group.add_argument(*flags, dest=dest, help=text, **kind)
 
 
 def parse(words):

@@ -29,8 +29,8 @@ def write_robot(robot, folder):
     }
     lines = []
     for name, effects in lacking.items():
-        named = [f"{one.name} on {one.joint_name}" for one in effects[:_NAMED]]
-        named += [f"{len(effects) - _NAMED} more"] if len(effects) > _NAMED else []
+        named = [*dict.fromkeys(f"{one.name} on {one.joint_name}" for one in effects)]
+        named[_NAMED:] = [f"{len(named) - _NAMED} more"] if named[_NAMED:] else []
         if named:
             lines.append(
                 f"{name} has no place for {', '.join(named)}; its first lines list "

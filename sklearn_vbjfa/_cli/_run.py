@@ -3,6 +3,7 @@
 import contextlib
 import importlib
 import json
+import os
 import re
 import shutil
 import sys
@@ -58,15 +59,13 @@ def run(arguments):
         warnings.simplefilter("always")
         done = command(arguments, Path(folder))
         if not as_json:
-            print(in_options(done.text))
+            _print(in_options(done.text))
         lines = _write(done, arguments, _notes(caught)) if done.write else []
     if as_json:
         lines = [json.dumps(done.data, indent=1)]
         if isinstance(done.data, str):
             lines = [(done.folder / done.data).read_text(encoding="utf-8")]
-    for line in lines:
-        print(line)
-    sys.stdout.flush()
+    _print(*lines)
     doubts = [w.message for w in caught if issubclass(w.category, DoubtWarning)]
     doubts = [" ".join(str(one).split()) for one in (*done.doubts, *doubts)]
     doubts = list(dict.fromkeys(doubts))
@@ -112,8 +111,8 @@ def _write(done, arguments, notes):
             (part / name).replace(folder / name)
     paths = [str(folder / name) for name in done.files]
     if done.page:
-        count = f", with notes: {len(notes)}" if notes else ""
-        paths = [f"{paths[0]} (all details{count})", f"{len(paths) - 1} more files"]
+        count = f", notes: {len(notes)}" if notes else ""
+        paths = [f"{paths[0]} (all details{count})", *done.files[1:]]
     return [*lines, f"written: {', '.join(paths)}"]
 
 
@@ -171,6 +170,14 @@ def _named(doubts, page):
     if len(doubts) > len(named):
         named.append(f"and {len(doubts) - len(named)} more")
     return "; ".join(named)
+
+
+def _print(*lines):
+    """Print to stdout, which a reader such as ``head`` may have closed."""
+    try:
+        print(*lines, sep="\n", end="\n" if lines else "", flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def say(text):

@@ -26,7 +26,8 @@ def simulate(arguments, folder):
     if arguments.model is None:
         raise ValueError("give --model FILE, the identified.json of identify.")
     out = _input.output_folder(arguments, "simulation")
-    robot = load_identified(_input.expanded(arguments.model))
+    path = _input.expanded(arguments.model)
+    robot = load_identified(path / "identified.json" if path.is_dir() else path)
     recording = _recording(arguments, robot, folder)
     with _input.blaming(_input.named(arguments)):
         windows = _windows(arguments, robot, recording)

@@ -26,29 +26,29 @@ def summary(motion, robot, measured, found=None):
     # that the motion was designed for, as a dict.
     decided, open_pairs = _pairs(motion)
     if decided:
-        texts = ["It tells apart causes that exceed these torques", *decided]
+        texts = ["Effects that it distinguishes if they exceed these torques", *decided]
     else:
         texts = _shown(motion)
     texts += [f"{words.capital(one)}." for one in open_pairs]
     texts += _never(motion, found or {})
     if not measured.all():
         texts.append(
-            "Noise was not measured: 1 % of the torque limits is assumed, and what "
-            "depends on it is as uncertain."
+            "The noise was not measured: torques of effects assume 1 % of the torque "
+            "limits."
         )
     apart = _unchecked(motion)
     if not apart:
         nearest = words.number(1e3 * motion.margins["clearance"])
         apart = (
             f"Bodies stay {nearest} mm apart (at least {1e3 * ROOM:g} mm are kept); "
-            "the surroundings of the robot are not known."
+            "the surroundings of the robot are unknown."
         )
     return [
         f"Motion of {robot}: {words.plural(len(motion.joint_names), 'joint')}, "
         f"{motion.duration:g} s at {1 / motion.dt:.4g} Hz",
-        f"condition number {words.number(motion.condition_number)}, at first "
-        f"{words.number(motion.start_condition_number)} (columns over their sizes at "
-        "random states)",
+        f"condition number {words.number(motion.condition_number)}, before the "
+        f"optimisation {words.number(motion.start_condition_number)} (columns of unit "
+        "size at random states)",
         "",
         *_shares(motion),
         *wrapped(apart, ""),
@@ -125,7 +125,7 @@ def _shares(motion):
         rows.append([words.joint_label(motion.joint_names, j), *shares])
     table = tabulate(
         rows,
-        headers=["of the limits", *_QUANTITIES.values()],
+        headers=["share of limits", *_QUANTITIES.values()],
         tablefmt="plain",
         disable_numparse=True,
         colalign=("left", *4 * ["right"]),
@@ -153,8 +153,8 @@ def _pairs(motion):
             decided.append(f"- {joint}, from {torque}: {causes}")
         else:
             left.append(
-                f"not distinguishable on {joint}, except by {torque}, more than it "
-                f"has: {causes}"
+                f"not distinguishable on {joint}: {causes} (needs {torque}, above the "
+                "torque limit)"
             )
     return decided, left
 
@@ -162,17 +162,19 @@ def _pairs(motion):
 def _shown(motion):
     """List the torques from which on effects show, joint by joint."""
     if not motion.shows:
-        return ["It determines the model; name effects that it shall show by --effects"]
+        return [
+            "It determines the model; --effects names effects that it should excite"
+        ]
     by_joint = {}
     for one in motion.shows:
         by_joint.setdefault(one.joint, []).append(one.least)
     lines = [
         f"- {words.joint_label(motion.joint_names, j)}: "
-        f"{words.plural(len(torques), 'effect')}, half of them from "
+        f"{words.plural(len(torques), 'effect')}, median "
         f"{_newtons(motion, float(np.median(torques)), j)}"
         for j, torques in by_joint.items()
     ]
-    return ["It shows effects that exceed these torques", *lines]
+    return ["Smallest torques of the effects that it excites", *lines]
 
 
 def _never(motion, found):

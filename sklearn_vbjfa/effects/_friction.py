@@ -214,7 +214,7 @@ class GearLoss(LoadFriction):
     units = (RATIO, RATIO)
     contains = ("load_friction", "coulomb", "viscous")
     not_simulated = "its direction of power depends on the accelerations"
-    record = "reversals at two loads, of either sign"
+    record = "reversals at loads of both signs"
 
     def law(self, maths):
         j, sign = self.joint, maths.sign(self.joint)

@@ -322,7 +322,7 @@ class TorqueGain(InModel):
     units = (("1", "1"),)
     needs = ("load",)
     nominal = (1.0,)
-    record = "a known mass picked up, or moves of the joints before and behind"
+    record = "a known mass picked up, or moves of the joints before and after it"
 
     def __init__(self, joint=0, gain=1.0, limit=2.5):
         super().__init__(joint)

@@ -135,7 +135,7 @@ class MaxwellSlip(Shaped, Stateful):
     positive = (*_BANKS, "vs")
     tuned = (*positive, "element")
     bank = True
-    record = "many reversals, after short and after long ways"
+    record = "many reversals, after short and long moves"
     files = InFiles(
         parameter="coulomb",
         urdf="friction in URDF turns round at once: stiffness before sliding, and "

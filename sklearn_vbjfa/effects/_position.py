@@ -280,7 +280,7 @@ class FrictionByPosition(Ripple):
     formula = r"A \cos(2 \pi q / \mathrm{period} - \mathrm{phase})\,\mathrm{sign}(v)"
     contains = ("coulomb",)
     depends = ("position", "direction")
-    record = "motion to and fro over the whole range"
+    record = "motion back and forth over the whole range"
     terms = (("dry_ripple", "c", "s", "period"),)
 
     def key(self):

@@ -70,7 +70,7 @@ def one_speed(speed):
 def _visible(speeds, reversals, reach, slides):
     """Return what the motion of a joint shows and hides, two tuples of str."""
     if not speeds.size:
-        return (), ("everything: it does not move",)
+        return (), ("everything (it does not move)",)
     few, narrow = number.FEW_REVERSALS, reach < number.WIDE_RANGE
     even = one_speed(np.abs(speeds)) is not None
     # Effects, and why they are hidden if they are.
@@ -78,7 +78,7 @@ def _visible(speeds, reversals, reach, slides):
         "Coulomb friction, separate from offset": "it never reverses" * (not reversals),
         "viscous friction, separate from Coulomb friction": "one speed only" * even,
         "friction with memory, backlash": (
-            f"it reverses {reversals} time(s), {few} are needed" * (reversals < few)
+            f"too few reversals: {reversals}, at least {few} needed" * (reversals < few)
         ),
         "position-dependent effects": (
             f"range of {np.degrees(reach):.3g} degrees, at least 60 needed"
@@ -88,5 +88,5 @@ def _visible(speeds, reversals, reach, slides):
     if slides:
         del reasons["position-dependent effects"]
     shows = tuple(what for what, reason in reasons.items() if not reason)
-    hides = tuple(f"{what}: {reason}" for what, reason in reasons.items() if reason)
+    hides = tuple(f"{what} ({reason})" for what, reason in reasons.items() if reason)
     return shows, hides

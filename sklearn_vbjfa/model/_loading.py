@@ -261,10 +261,9 @@ def _left_out(mimics, model):
     wrong = [name for name, good in zip(names, possible) if not good]
     if wrong:
         found.append(
-            f"what {', '.join(wrong)} move(s) has no mass, or an inertia that no solid "
-            "body can have; it is taken as a ball, with the mass and centre that are "
-            "described, where the recording cannot tell (correct the inertial element "
-            "of its link)"
+            f"the body of {', '.join(wrong)} has no mass, or an inertia that no solid "
+            "body can have; where the recording does not determine it, a ball of the "
+            "described mass is used (correct the inertial element of its link)"
         )
     return found
 

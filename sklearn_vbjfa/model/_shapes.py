@@ -32,7 +32,7 @@ def import_coal():
     except ImportError as error:
         raise NoShapes(
             f"Pinocchio {import_pinocchio().__version__} comes without the collision "
-            "library coal, distances between links are not known: pip install "
+            "library coal, so distances between links are unknown: pip install "
             "--upgrade pin brings both."
         ) from error
     return coal
@@ -86,7 +86,7 @@ def _links_with_shapes(tree, path):
     if not found:
         raise NoShapes(
             f"The robot description {path.name!r} has no collision geometry (no "
-            "<collision> in any link), distances between links are not known."
+            "<collision> in any link), so distances between links are unknown."
         )
     return found
 

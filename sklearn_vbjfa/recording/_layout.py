@@ -279,7 +279,7 @@ def laid_out(table: Table, options, robot) -> Layout:
         ends = [f"{k}-{k + n - 1}" if n > 1 else str(k) for k in (2, 2 + n)]
         raise RecordingRefused(
             f"{table.path}: has no names of columns; give the places of its "
-            f"{len(table.names)} columns (command line: --columns), such as "
+            f"{len(table.names)} columns, such as "
             f'columns="t=1,q={ends[0]},tau={ends[1]}".'
         )
     if table.joints:

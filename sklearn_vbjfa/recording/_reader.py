@@ -67,7 +67,7 @@ def joined(tables, joints, path) -> Table:
             f"{path}: the files have no time in common; expected one clock in one unit."
         )
     names = sorted(x.name + (f" ({x.kind})" if x.kind else "") for x in parts)
-    what = f"{len(parts)} files of one recording, at the rows of {base.name}"
+    what = f"{len(parts)} files joined to one recording, at the times of {base.name}"
     notes, lost = [f"{what}: {listed(names)}."], base.table.n_rows - keep.size
     if lost:
         notes.append(f"{lost} row(s) of {base.name} are not in all files: left out.")
@@ -340,7 +340,7 @@ def read_recording(
         except RecordingRefused as error:
             if len(paths) < 2:
                 raise
-            reason = f"{error.reason}; files of one recording need join=True (--join)"
+            reason = f"{error.reason}; files of one recording need join=True"
             raise RecordingRefused(reason, error.options) from None
     several = len(files) > 1 or not (join or isinstance(path, (str, PathLike)))
     recording = _recording(files, several, options.urdf, notes)

@@ -16,6 +16,8 @@ _COPY = 0.95
 # follow the motion, with a lag and an error. (A slow signal has half of a
 # slow position by chance, in a short recording.)
 _FOLLOWS = 0.8
+# Columns that a message names.
+_NAMED = 3
 # A clock is linear in time but for this share of its variance: jitter and rounding.
 _CLOCK = 1e-6
 # Differences of equal values by rounding, as a share of the value.
@@ -222,10 +224,9 @@ def survey(given, offered, recording, effects):
     if not reasons:
         return found, ()
     told = [f"{name!r} {reason}" for name, reason in reasons.items()]
-    message = (
-        f"Column(s) {', '.join(map(repr, reasons))} are not used as signals: "
-        f"{'; '.join(told)}."
-    )
+    names = ", ".join(map(repr, [*reasons][:_NAMED]))
+    more = f" and {len(told) - _NAMED} more" * (len(told) > _NAMED)
+    message = f"Column(s) {names}{more} are not used as signals: {'; '.join(told)}."
     return found, (ChannelFinding("unusable_signal", (), "note", message),)
 
 

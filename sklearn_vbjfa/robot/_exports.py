@@ -83,15 +83,15 @@ def to_urdf(path, text, robot, min_eigenvalues, notes=(), turned_joints=None):
 
 def _note(lines, left):
     if left:
-        listed = "".join(f"\n- {one}" for one in left)
+        listed = "".join(f"\n- {one}" for one in dict.fromkeys(map(str, left)))
         lines = [*lines, f"This file does not have:{listed}"]
     return "\n".join(lines)
 
 
 def _notes_of_mjcf(robot, dynamics, servo):
     lines = [
-        "Controls of the motors, in the order of the recording, are what the torque "
-        "channels read [N m or N]; positions are what the encoders read [rad or m].",
+        "The control of a motor is the reading of its torque channel [N m or N], and "
+        "qpos that of the encoder [rad or m]; their order is that of the recording.",
     ]
     if servo is not None:
         lines = _notes_of_servo(servo)
@@ -394,8 +394,8 @@ def warn_of_motion(robot, joints, file_name):
         warnings.warn(
             f"{file_name} moves differently from the identified robot "
             f"({', '.join(sizes)}). "
-            "Changes are those of positions within a second, over their standard "
-            "deviation. MuJoCo lacks such friction: simulate the saved robot "
+            "Percentages: difference of the positions within a second over their "
+            "standard deviation. MuJoCo lacks such friction: simulate the saved robot "
             "(identified.json).",
             DoubtWarning,
             stacklevel=3,

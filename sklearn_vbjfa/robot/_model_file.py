@@ -90,7 +90,9 @@ def read(path, effects=()):
     except FileNotFoundError:
         raise FileNotFoundError(f"There is no file {name!r}.") from None
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{name!r} is not JSON: {error}.") from error
+        raise ValueError(
+            f"{name!r} is not JSON: {error}; expected a saved robot (identified.json)."
+        ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ValueError(
             f"{name!r} is not an identified robot: its key 'format' is not "

@@ -86,8 +86,8 @@ def note_of_masses(robot):
     found, lines = body_masses(robot), []
     if names := [body.name for body in found if body.known != "yes"]:
         lines.append(
-            f"The recording does not determine the masses of {', '.join(names)}: their "
-            "inertias agree with the torques, but are not measured one by one."
+            f"Masses that are not individually identifiable: {', '.join(names)}; the "
+            "values of all bodies together reproduce the torques."
         )
     known = np.reshape(
         robot.robot_.known_[: robot.features_.n_parameters_], (len(found), -1)

@@ -83,7 +83,8 @@ def test_wrong_arguments_end_with_two(capsys, argv):
 
 def test_effects_are_listed(capsys):
     assert main(["datasets"]) == 0
-    assert "fetch_kuka_kr300" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert re.search(r"fetch_kuka_kr300 +two trajectories of a KUKA", out)
     assert main(["effects"]) == 0
     captured = capsys.readouterr()
     lines = captured.out.splitlines()

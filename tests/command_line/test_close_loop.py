@@ -136,7 +136,7 @@ def test_files_are_written(urdf, recording, tmp_path, monkeypatch, capsys):
     spring = values["shoulder:spring:k"]
     assert spring["lower"] < effect["parameters"]["k"] < spring["upper"]
     # MuJoCo has springs, offsets and the inertia of rotors, URDF has none of them.
-    assert "only identified.json holds the whole model (page)" in told
+    assert "identified.json has all" in told
     (left,) = report["provenance"]["warnings"]
     assert re.match(r"identified.urdf has no place for .*spring on", left)
     assert "identified.xml" not in left
@@ -181,7 +181,7 @@ def test_parameters_are_a_table(good, urdf, capsys):
         body = bool(row["description"])
         assert not (body and row["parameter"].endswith(OWN)), row
     text = Path("here/there/identified.urdf").read_text()
-    assert "does not determine the masses of" in text
+    assert "Masses that are not individually identifiable: " in text
     assert all(row["std"] for row in rows if row["identifiable"] == "yes")
 
 

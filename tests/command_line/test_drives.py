@@ -75,7 +75,7 @@ def test_the_loop_is_closed_on_commands(run, tmp_path):
     assert half < 1.0
     # The terminal counts the notes, which the page has.
     assert err == ""
-    assert "report.html (all details, with notes: 1), 5 more files" in out
+    assert "report.html (all details, notes: 1), report.json, " in out
     page = (tmp_path / "arm-report/report.html").read_text()
     assert "No torque was measured: torques are computed from the commands" in page
     assert page.count("no desired velocities (v_desired): taken as zero") == 1

@@ -248,4 +248,8 @@ def test_help_tells_them(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([*filter(None, [command]), "--help"])
     assert stop.value.code == 0
-    assert EXIT_CODES in " ".join(capsys.readouterr().out.split())
+    text = " ".join(capsys.readouterr().out.split())
+    assert EXIT_CODES in text
+    # The default of --out is that of the command.
+    assert ("motion.csv" in text) == (command == "design")
+    assert ("plus -simulation" in text) == (command == "simulate")

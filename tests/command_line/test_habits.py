@@ -77,6 +77,17 @@ def test_options_in_a_command(options, command, refused, capsys):
 # -- being stopped ---------------------------------------------------------------------
 
 
+def test_a_reader_may_close_the_output():
+    script = "import sys; sys.stdin.read(); from sklearn_vbjfa._cli import main; "
+    words = [sys.executable, "-c", f"{script}sys.exit(main(['effects']))"]
+    pipes = {name: subprocess.PIPE for name in ("stdin", "stdout", "stderr")}
+    with subprocess.Popen(words, text=True, **pipes) as process:
+        process.stdout.close()
+        process.stdin.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 0
+
+
 def test_the_package_is_there_before_its_libraries():
     """Whoever stops a program early meets the command line, not an import."""
     code = "import sys, sklearn_vbjfa._cli; print(*sys.modules)"

@@ -160,7 +160,9 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
         ("arm.csv", "give --model FILE"),
         ("arm.csv --urdf U", "unrecognized arguments: --urdf"),
         ("arm.csv --model none.json", "none.json"),
-        ("arm.csv --model arm.csv", "arm.csv"),
+        ("arm.csv --model arm.csv", "expected a saved robot (identified.json)"),
+        # A folder stands for the robot in it.
+        ("arm.csv --model .", "identified.json"),
         ("none.csv --model M", "none.csv: no such file"),
         ("--model M", "required: LOG"),
         ("arm.csv --model M --window 0", "window must be a time in seconds"),

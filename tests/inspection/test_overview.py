@@ -52,7 +52,7 @@ def test_reversals_ranges_and_speeds_of_a_sine(urdf):
     assert first.resting < 0.1
     assert "position-dependent effects" in first.shows
     (hidden,) = [x for x in second.hides if "position" in x]
-    assert hidden.endswith("range of 22.9 degrees, at least 60 needed")
+    assert hidden.endswith("(range of 22.9 degrees, at least 60 needed)")
 
 
 def test_one_way_one_speed_and_rest(urdf):
@@ -60,9 +60,9 @@ def test_one_way_one_speed_and_rest(urdf):
     turning, still = motion_of(recording(urdf, q))
     assert turning.reversals == 0
     hidden = " ".join(turning.hides)
-    assert "Coulomb friction, separate from offset: it never reverses" in hidden
-    assert "viscous friction, separate from Coulomb friction: one speed only" in hidden
-    assert still.hides == ("everything: it does not move",)
+    assert "Coulomb friction, separate from offset (it never reverses)" in hidden
+    assert "viscous friction, separate from Coulomb friction (one speed only)" in hidden
+    assert still.hides == ("everything (it does not move)",)
     assert still.shows == ()
     assert still.resting == 1.0
 

@@ -57,7 +57,7 @@ def test_columns_without_names_are_taken_by_their_places_alone(made, tmp_path):
     error = refused(path, made)
     assert not error.options
     assert "has no names of columns" in error.reason
-    assert "--columns" in error.reason
+    assert 'columns="t=1,q=2-7' in error.reason
     recording, _ = read(path, made, columns="t=1,q=2-7,v=8-13,tau=20-25")
     assert_same(recording, made)
     # What nobody has named is not a condition of the robot.

@@ -60,7 +60,10 @@ def test_a_folder_of_files_of_one_recording_is_joined_with_a_word(two, made):
     assert_same(recording, made)
     assert recording.name == "log"
     (note,) = notes
-    assert "2 files of one recording, at the rows of positions.csv: efforts.csv" in note
+    assert (
+        "2 files joined to one recording, at the times of positions.csv: efforts.csv"
+        in note
+    )
 
 
 def test_files_are_joined_where_that_is_asked_for(two, made):

@@ -6,6 +6,7 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 # For the command line, the design of motions, the pages of effects and the tests, like
 # `words`; users get `sklearn_vbjfa.diagnosis.Report`.
 _MODULES = {
+    "_facts": ("SECONDS",),
     "_pictures": ("HEIGHT", "WIDTH", "ticks"),
     "_render": ("environment", "figure", "style"),
     "_words": ("documentation_of",),

@@ -18,7 +18,7 @@ _ROUNDING = 1e-9
 _SLOW, _ZERO = 0.1, 1e-3
 _UNITS = {"position": ("rad", "m"), "speed": ("rad/s", "m/s"), "load": ("N m", "N")}
 # Time that decides most questions [s], and the slowest of its speeds over the fastest.
-_SECONDS, _SLOWEST = 60, 0.1
+SECONDS, _SLOWEST = 60, 0.1
 # Joints that a terminal has room for; of more, so many of the worst and of the best.
 _ROWS, _FIRST, _LAST = 8, 3, 2
 
@@ -125,7 +125,7 @@ def motion_plan(outcome, joints):
                 words.joint_label(outcome.robot["joints"], j),
                 range_text(outcome, j, "position", ends),
                 range_text(outcome, j, "speed", (_SLOWEST * fastest, fastest)),
-                f"{_SECONDS} s",
+                f"{SECONDS} s",
             )
         )
     return rows
@@ -195,8 +195,8 @@ def to_record(outcome, signal_advice, no_period):
     if findings["repeated"]:
         wanted[no_period] = []
     for rest in findings["unexplained"]:
-        for signal in rest.signals:
-            add(signal_advice.get(signal.signal.split(" of ")[0], ""), rest)
+        for name in [one.signal.split(" of ")[0] for one in rest.signals] or [""]:
+            add(signal_advice.get(name, ""), rest)
     for effect in findings["effects"]:
         rivals = [one["name"] for one in effect.trials]
         for name in (effect.name, *rivals) if rivals else ():

@@ -112,6 +112,7 @@ class Report:
         findings = self.outcome.findings
         return self.status != "faulty" and bool(
             findings["unexplained"]
+            or findings["repeated"]
             or any(effect.trials for effect in findings["effects"])
             or any(one.reason == "excitation" for one in findings["not_identifiable"])
         )

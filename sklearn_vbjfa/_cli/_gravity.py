@@ -59,11 +59,22 @@ def correct(arguments, folder):
         folder.joinpath("report.json").write_text(text, encoding="utf-8")
         return []
 
+    too_large = (found.gravity > 0) & (found.error_after >= found.gravity)
+    failed = np.array(found.identifier.joint_names_)[too_large].tolist()
     improves = np.nansum(found.error_after**2) < np.nansum(found.error_before**2)
     doubts = ["the correction does not improve held-out samples: use the description"]
+    doubts = [] if improves else doubts
+    if failed:
+        doubts.append(f"error above the gravity torque: {', '.join(failed)}")
     return Done(
-        text=rendered("gravity.txt.j2", recording=loaded.recording, rows=table, **data),
-        doubts=[] if improves else doubts,
+        text=rendered(
+            "gravity.txt.j2",
+            recording=loaded.recording,
+            rows=table,
+            doubts=doubts,
+            **data,
+        ),
+        doubts=doubts,
         data=data,
         folder=out,
         files=("report.json", *ROBOT_FILES),

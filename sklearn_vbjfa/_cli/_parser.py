@@ -213,6 +213,9 @@ def parse(words):
     argparse.Namespace
         Values by name; ``typed`` has the texts of the options that were given.
     """
+    # argparse takes a list that begins with a minus, -1,1, for an option.
+    text = re.sub("\0(--[a-z-]+)\0(?=-[.\\d])", "\0\\1=", "\0".join(["", *words]))
+    words = text.split("\0")[1:]
     arguments, more = _parser().parse_known_args(words)
     unknown = [word for word in more if word.startswith("-") and word != "-"]
     if hasattr(arguments, "recording") and not unknown:

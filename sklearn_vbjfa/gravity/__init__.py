@@ -336,7 +336,10 @@ def _fitted(samples, model, rows=slice(None)):
     states, tau, weight = samples.states[rows], samples.tau[rows], samples.weight[rows]
     speed, count = np.abs(np.split(states, 3, axis=1)[1]), weight.sum(axis=0)
     moves = (weight * (speed > _DIRECTION)).any(axis=0) | (count == 0)
-    friction = (("viscous",) if moves.all() else ()) + ("coulomb", "offset")
+    friction = (("viscous", "rotor_inertia") if moves.all() else ()) + (
+        "coulomb",
+        "offset",
+    )
     fits, variance = [], np.ones(count.size)
     # Few samples are fitted exactly: the noise is that which the described bodies, and
     # then the corrected ones, leave.

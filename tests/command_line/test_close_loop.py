@@ -245,7 +245,7 @@ def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, caps
     ("options", "message"),
     [
         (["--gain", "8,unknown"], "--gain has an invalid value: '8,unknown'"),
-        (["--gain", "8,0"], "a factor for each joint, finite and not 0, or 'unknown'"),
+        (["--gain", "-8,0"], "a factor for each joint, finite and not 0, or 'unknown'"),
         (
             ["--gain", "8,8,5"],
             "3 gain(s) for 2 joint(s) (shoulder, elbow); expected one",

@@ -137,13 +137,19 @@ def test_one_joint_with_a_counterbalance_is_not_refused(world):
     assert found.error_after[2] < 0.5 * found.error_before[2]
 
 
-def test_slow_motion_with_viscous_friction(world, tmp_path):
+def test_slow_motion_with_viscous_friction_and_rotors(world, tmp_path):
     t = np.arange(0.0, 60.0, 0.01)[:, None]
     q = 1.5 * np.sin([0.5, 0.37, 0.61] * t + [0.0, 1.0, 2.0])
     recording = record(world.true, q, FRICTION, np.random.default_rng(7))
-    viscous = np.array([2.0, 5.0, 3.0]) * np.gradient(q, 0.01, axis=0)
-    recording = replace(recording, tau=recording.tau + viscous)
+    v = np.gradient(q, 0.01, axis=0)
+    motors = np.array([2.0, 5.0, 3.0]) * v + [2.0, 1.0, 0.5] * np.gradient(
+        v, 0.01, axis=0
+    )
+    recording = replace(recording, tau=recording.tau + motors)
     found = correct_gravity(recording, world.described)
+    # The rotor of a joint with a vertical axis is no mass of its link.
+    named = [x for one in found.identifier.mass_deviations_ for x in one.bodies]
+    assert "joint1" not in named
     found.identifier.to_urdf(tmp_path / "out.urdf")
     after = errors(pin.buildModelFromUrdf(str(tmp_path / "out.urdf")), world)
     before = errors(world.before, world)

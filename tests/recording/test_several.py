@@ -1,4 +1,4 @@
-"""Several files of one robot as one recording: what must agree, copies, names."""
+"""Several files of one robot as one recording: what must agree, names."""
 
 import re
 import warnings
@@ -185,6 +185,3 @@ def test_files_that_were_not_recorded_alike(kind, here):
     line = refused(paths, message, **options)
     assert line.startswith(message)
     assert "correct one of them" in line
-
-
-# -- copies ----------------------------------------------------------------------------

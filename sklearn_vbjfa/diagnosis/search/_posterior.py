@@ -223,10 +223,12 @@ def _friction_at_rest(view, library, settings):
     path = Path(view.with_rest(resting), banks, settings)
     fit = path.grown()
     left_out = path.held_out(fit)
+    # The whole error counts: in blocks without a rest there is nothing to save.
+    gains = [left_out.gain_of(i) for i in range(len(fit.members))]
     known = {
         member.effect.joint
-        for i, member in enumerate(fit.members)
-        if left_out.gain_of(i).errors > settings.significance
+        for i, (member, own) in enumerate(zip(fit.members, gains))
+        if own.gain > settings.significance * own.gain_std
         and left_out.share_of(i) > _AT_REST
     }
     return known & resting, resting - remembering(m.effect for m in fit.members)

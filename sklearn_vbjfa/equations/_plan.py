@@ -27,18 +27,14 @@ from sklearn_vbjfa.equations._states import (
 from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording import check_cutoff, check_dt
 
-# Tasks dispatched at a time: their results are in memory together.
-_BATCH = 32
-
 
 def in_parallel(function, tasks, n_jobs):
     # Uses threads unless a `joblib.parallel_config` says otherwise: nearly all time is
     # spent in compiled code, and nothing has to be copied. Each has one BLAS thread:
     # matrices are small, and sums must not depend on the number of threads.
-    tasks = iter(tasks)
-    with one_blas_thread(), Parallel(n_jobs=n_jobs, prefer="threads") as parallel:
-        while batch := list(itertools.islice(tasks, _BATCH)):
-            yield from parallel(delayed(function)(*task) for task in batch)
+    settings = {"prefer": "threads", "return_as": "generator"}
+    with one_blas_thread():
+        yield from Parallel(n_jobs, **settings)(delayed(function)(*x) for x in tasks)
 
 
 # Quantile that defines a joint's top speed: the fastest, without outliers.

@@ -23,8 +23,8 @@ USABLE, REFUSED, DOUBTFUL = 0, 2, 3
 _LONGEST = 900
 # Warnings that the last line names.
 _NAMED = 3
-# The first clause of a message, with asides; a first word is the name of a file.
-_CLAUSE = re.compile(r"\S+(?: (?:\([^)]*\)|.)*?)?(?=[;:.] |$)")
+# The first clause of a message, with asides; a file's name may stand before it.
+_CLAUSE = re.compile(r"(?:[^;:]*\.\w+: )?\S+(?: (?:\([^)]*\)|.)*?)?(?=[;:.] |$)")
 # Age at which unfinished files are those of a killed run [s].
 _ABANDONED = 3600.0
 

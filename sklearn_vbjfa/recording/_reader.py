@@ -162,10 +162,12 @@ def _rows(part, base):
     n, n_base = part.table.n_rows, base.table.n_rows
     if part.time is None or base.time is None:
         if n != n_base:
+            todo = "cut both to the same rows, or give each a column t"
+            if n % n_base == 0:
+                todo = f"save the matrix in one column as {n // n_base} columns"
             raise ValueError(
                 f"{part.table.path}: has {n} rows and {base.name} has {n_base}; files "
-                "without time stamps are joined row by row: cut "
-                "both to the same rows, or give each a column t."
+                f"without time stamps are joined row by row: {todo}."
             )
         return np.arange(float(n))
     same_column = (x.table.values(x.time.column) for x in (part, base))

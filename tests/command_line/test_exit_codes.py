@@ -183,6 +183,14 @@ def test_recordings(kind, command, here, capsys):
     assert re.search(message, shown), err
 
 
+def test_the_last_line_names_the_fault_of_a_file_with_a_blank(here, capsys):
+    source = write(without(columns(), slice(700, 800)), "my log.csv")
+    argv = "identify", source, "--urdf", "arm.urdf", "--no-search"
+    code, _, err = run(capsys, *argv)
+    assert code == 3
+    assert re.search(r"my log.csv: \d gap\(s\) of 5 periods", err[-1])
+
+
 def test_close_loop_is_another_name_of_identify(here, capsys):
     source = write(columns())
     argv = ("close-loop", source, "--urdf", "arm.urdf", "--no-search", "-o", "found")

@@ -199,6 +199,9 @@ def _uses(outcome, status, joints):
     whole = "faulty" if status == "faulty" else ""
     whole = whole or ("contradiction" if outcome.findings["contradictions"] else "")
     rose = [one.joint for one in joints if _is_doubtful(outcome, one.joint)]
+    effects = (*outcome.findings["effects"], *outcome.findings["possible"])
+    known = ((outcome.robot["library"].get(one.name), one.joint) for one in effects)
+    hidden = sorted({j for effect, j in known if effect and effect.not_simulated})
     found = []
     for name, forbidden in (
         ("feedforward", _UNTRUSTED),
@@ -212,6 +215,8 @@ def _uses(outcome, status, joints):
         allowed = not causes
         if allowed and rose:
             causes["rose"] = rose
+        if allowed and name == "simulation" and hidden:
+            causes["left out"] = hidden
         if allowed and name == "simulation" and outcome.provenance.get("export"):
             causes["approximate"] = []
         found.append(Use(name=name, allowed=allowed, causes=tuple(causes.items())))

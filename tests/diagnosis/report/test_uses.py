@@ -33,6 +33,14 @@ def test_a_mujoco_file_that_moves_differently_qualifies_the_simulation():
     assert report.to_dict()["warnings"] == [said]
 
 
+def test_an_effect_that_simulations_leave_out_qualifies_them():
+    outcome = make_outcome(channels=(), n_effects=1)
+    (effect,) = outcome.findings["effects"]
+    found = outcome.findings | {"effects": (replace(effect, name="elastic"),)}
+    printed = " ".join(str(Report(replace(outcome, findings=found))).split())
+    assert "simulation (joint 2: simulations leave an effect out)" in printed
+
+
 def test_a_residual_above_the_noise_forbids_collision_detection_alone():
     report = Report(make_outcome(unexplained=(2,), channels=()))
     assert of(report) == {

@@ -71,7 +71,7 @@ def correct(arguments, folder):
             "gravity.txt.j2",
             recording=loaded.recording,
             rows=table,
-            doubts=doubts,
+            reasons=doubts,
             **data,
         ),
         doubts=doubts,

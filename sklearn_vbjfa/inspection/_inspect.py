@@ -64,8 +64,8 @@ class Hypothesis:
     def finding(self, reading, candidate, odds, rivals=()):
         """Return the finding; rivals: names of hypotheses that are as probable."""
         evidence = f"log odds {odds:.0f}"
-        if candidate.fall > 0:
-            fall = np.exp(candidate.fall / reading.robot.joints.size)
+        fall = np.exp(candidate.fall / reading.robot.joints.size)
+        if fall > 1.01:
             evidence = f"squared errors fall by the factor {fall:.3g}, {evidence}"
         return finding(
             candidate.kind or self.name,

@@ -143,10 +143,10 @@ SENTENCES = {
     "drive=CurrentDrive(signed=False), which finds the signs.",
     "no_gravity": "The torques contain no weight of the links: the factor of gravity "
     "is {share:.2f} ± {error:.2f} (described weight: up to {heavy:.3g} N m on "
-    "{who}).{other} Log the torques before the controller takes the weight off.",
+    "{who}).{other} Log the torques before the controller subtracts gravity.",
     "no_gravity:joints": "The torques of {who} contain no weight of the links "
     "({evidence}; described weight: up to {heavy:.3g} N m), those of other joints do. "
-    "Log them before the controller takes the weight off.",
+    "Log them before the controller subtracts gravity.",
     "gravity_only": "The torques contain the weight of the links alone: the factor of "
     "their inertia is {part:.2f} ± {error:.2f}. Log the torques of the motors, not a "
     "model of gravity.",

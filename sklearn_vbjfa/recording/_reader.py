@@ -67,7 +67,7 @@ def joined(tables, joints, path) -> Table:
             f"{path}: the files have no time in common; expected one clock in one unit."
         )
     names = sorted(x.name + (f" ({x.kind})" if x.kind else "") for x in parts)
-    what = f"{len(parts)} files joined to one recording, at the times of {base.name}"
+    what = f"{len(parts)} files joined to one recording, by the rows of {base.name}"
     notes, lost = [f"{what}: {listed(names)}."], base.table.n_rows - keep.size
     if lost:
         notes.append(f"{lost} row(s) of {base.name} are not in all files: left out.")

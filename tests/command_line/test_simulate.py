@@ -98,7 +98,7 @@ def test_a_saved_robot_is_simulated_over_all_rows(good, saved, recording, capsys
         robots = [found, *found.rivals.values()]
         expected = [rms_degrees(one.errors)[j] for one in robots]
         np.testing.assert_allclose(positions[name], expected, rtol=2e-2)
-    assert f"all {found.n_windows} windows" in text
+    assert f"All {found.n_windows} windows" in text
     assert found.verdict() in " ".join(lines)
     # Files.
     folder = good.parent / "here" / "there"

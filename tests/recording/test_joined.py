@@ -61,7 +61,7 @@ def test_a_folder_of_files_of_one_recording_is_joined_with_a_word(two, made):
     assert recording.name == "log"
     (note,) = notes
     assert (
-        "2 files joined to one recording, at the times of positions.csv: efforts.csv"
+        "2 files joined to one recording, by the rows of positions.csv: efforts.csv"
         in note
     )
 

@@ -421,8 +421,9 @@ def _joined(tables, options):
     if len(tables) == 1:
         return rows_of(tables[0], options)
     first, *others = [table.path for table in tables]
-    more = f"+{others[0].name}" if len(others) == 1 else f" and {len(others)} more"
-    path = first.parent / f"{first.name}{more}"
+    path = first.parent
+    if len(others) == 1:
+        path /= f"{first.name}+{others[0].name}"
     rows = rows_of(joined(tables, options.joints, path), options)
     name = common_folder([one.path for one in tables])
     return replace(rows, name=name) if name else rows

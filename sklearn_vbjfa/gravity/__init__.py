@@ -105,15 +105,15 @@ def correct_gravity(recording, model):
     -----
     Sample k is a pose, or a window of 0.2 s in which parabolas give q, v, a and tau:
 
-    tau_kj = Phi_j(q, v, a) pi + d_j v_kj + f_j s_kj + o_j + e_kj.
+    tau_kj = Phi_j(q, v, a) pi + r_j a_kj + d_j v_kj + f_j s_kj + o_j + e_kj.
 
     Masses and first moments in pi have the prior of ``bodies="prior"``, see
-    `RobotIdentifier`; inertias about the centres of mass stay as described. Viscous
-    friction d_j is fitted if all joints move. The state s_kj of dry friction, -1 or 1,
-    is the direction of the last motion, at rest too: that of a stop operator of 0.3 %
-    of the range. If it never changes, s is 0 and friction is part of the offset o_j. A
-    sample counts for joints whose state of friction is known and whose torque of motion
-    is at most a fifth of that of gravity.
+    `RobotIdentifier`; inertias about the centres of mass stay as described. Rotor
+    inertia r_j and viscous friction d_j are fitted if all joints move. The state s_kj
+    of dry friction, -1 or 1, is the direction of the last motion, at rest too: that of
+    a stop operator of 0.3 % of the range. If it never changes, s is 0 and friction is
+    part of the offset o_j. A sample counts for joints whose state of friction is known
+    and whose torque of motion is at most a fifth of that of gravity.
     """
     features, bodies = _described(model)
     samples = static_samples(recording, features)

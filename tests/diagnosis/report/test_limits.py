@@ -187,6 +187,14 @@ def test_the_worst_joint_is_named_and_gets_a_motion():
     assert_said(text, "slow and fast motion over the whole range (joints 1 and 3)")
 
 
+def test_one_effect_on_two_joints_is_named_once():
+    outcome = make_outcome(nv=3, n_effects=1)
+    (one,) = outcome.findings["effects"]
+    both = one, replace(one, joint=2, joint_name=outcome.robot["joints"][2])
+    report = Report(replace(outcome, findings=outcome.findings | {"effects": both}))
+    assert " on joints 2 and 3 was missing" in report.headline
+
+
 # -- unknown gains
 
 

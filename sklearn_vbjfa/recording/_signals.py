@@ -17,7 +17,7 @@ _COPY = 0.95
 # slow position by chance, in a short recording.)
 _FOLLOWS = 0.8
 # Columns that a message names.
-_NAMED = 3
+_NAMED = 5
 # A clock is linear in time but for this share of its variance: jitter and rounding.
 _CLOCK = 1e-6
 # Differences of equal values by rounding, as a share of the value.
@@ -223,10 +223,13 @@ def survey(given, offered, recording, effects):
         found = {name: found[name] for name in found if name in wanted}
     if not reasons:
         return found, ()
-    told = [f"{name!r} {reason}" for name, reason in reasons.items()]
-    names = ", ".join(map(repr, [*reasons][:_NAMED]))
-    more = f" and {len(told) - _NAMED} more" * (len(told) > _NAMED)
-    message = f"Column(s) {names}{more} are not used as signals: {'; '.join(told)}."
+    # Constants and copies of the motion come last.
+    usual = ("is constant", "is the ")
+    names = sorted(reasons, key=lambda name: reasons[name].startswith(usual))[:_NAMED]
+    told = "; ".join(f"{name!r} {reasons[name]}" for name in names)
+    more = f" and {len(reasons) - _NAMED} more" * (len(reasons) > _NAMED)
+    names = ", ".join(map(repr, names))
+    message = f"Column(s) {names}{more} are not used as signals: {told}."
     return found, (ChannelFinding("unusable_signal", (), "note", message),)
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib
+import io
 import json
 import os
 import re
@@ -173,7 +174,9 @@ def _named(doubts, page):
 
 
 def _print(*lines):
-    """Print to stdout, which a reader such as ``head`` may have closed."""
+    """Print to stdout, which may be closed, as by ``head``, or lack characters."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         print(*lines, sep="\n", end="\n" if lines else "", flush=True)
     except BrokenPipeError:

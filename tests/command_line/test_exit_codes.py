@@ -1,7 +1,9 @@
 """Exit codes: 0 can be used, 2 nothing done, 3 done with a doubt that is stated."""
 
+import io
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -189,6 +191,13 @@ def test_the_last_line_names_the_fault_of_a_file_with_a_blank(here, capsys):
     code, _, err = run(capsys, *argv)
     assert code == 3
     assert re.search(r"my log.csv: \d gap\(s\) of 5 periods", err[-1])
+
+
+def test_a_terminal_may_lack_characters(here, monkeypatch):
+    source, terminal = write(columns(), "lög.csv"), io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(terminal, encoding="ascii"))
+    assert main(["inspect", source, "--urdf", "arm.urdf"]) == 0
+    assert b"'l\\xf6g'" in terminal.getvalue()
 
 
 def test_close_loop_is_another_name_of_identify(here, capsys):

@@ -79,9 +79,9 @@ def identify(arguments, folder):
             lines.append(f"Next motion: {command}")
         if lacking:
             names = " and ".join(line.partition(" ")[0] for line in lacking)
-            verb, whose = ("lack", "their") if lacking[1:] else ("lacks", "its")
-            listed = f"(listed in {whose} first lines); identified.json has all"
-            lines.append(f"{names} {verb} some effects {listed}")
+            lines.append(
+                f"incomplete (see the first lines): {names}; identified.json has all"
+            )
         if ranges:
             ranges.parent.mkdir(parents=True, exist_ok=True)
             loop.identifier_.ranges().save(ranges)

@@ -12,9 +12,6 @@ from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done, rendered
 from sklearn_vbjfa.model import joint_names, load_model
 
-# Poses that the next command asks for if it is not known how many are enough.
-_MORE = 20
-
 
 def correct(arguments, folder):
     """Correct the masses of a description by poses, and write the files."""
@@ -27,8 +24,9 @@ def correct(arguments, folder):
     with _input.blaming(loaded.source, loaded.gains):
         found = correct_gravity(loaded.recording, str(loaded.urdf))
     words = ["design", "--urdf", arguments.urdf, "--report", str(out)]
-    more = _MORE if found.poses_enough is None else max(found.poses_enough, 1)
-    words += ["--for", "gravity", "--poses", str(more)]
+    words += ["--for", "gravity"]
+    if found.poses_enough is not None:
+        words += ["--poses", str(max(found.poses_enough, 1))]
     friction = np.where(found.friction_known, "known", "assumed (one direction)")
     joints = pd.DataFrame(
         {

@@ -1,9 +1,16 @@
-"""Gravity compensation: correct a description from poses and slow motion."""
+"""Gravity compensation: correct a description from poses and slow motion.
+
+`static_samples` reduces a log to poses and windows of slow motion, each with the side
+that friction acts from. `_fitted` fits friction, with bodies as described and then near
+their description; `_held_out` compares both. `correct_gravity` states the equation.
+"""
 
 import warnings
-from dataclasses import dataclass, replace
+from collections import namedtuple
+from dataclasses import dataclass
 
 import numpy as np
+from sklearn.model_selection import KFold
 
 from sklearn_vbjfa.design import Clearance
 from sklearn_vbjfa.effects import elements
@@ -35,6 +42,8 @@ _FOLDS, _FEW, _ONE_POSE, _NO_WEIGHT, _SURE, _AS_WELL = 4, 5, 0.2, 0.3, 3.0, 1.1
 # and noise of a torque over gravity where nobody has measured it.
 _CANDIDATES, _MOST, _APPROACH, _NOISE = 300, 100, 0.05, 0.02
 _PROPOSED = "`sklearn-vbjfa design --urdf ROBOT.urdf --for gravity` proposes poses"
+# Rows that are fitted; `weight` (n, nv) is zero where a joint does not count.
+_Samples = namedtuple("_Samples", "q tau states weight")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +146,7 @@ def correct_gravity(recording, model):
     enough = np.flatnonzero((HALF_WIDTH * stds <= noise).all(axis=1))
     return GravityCorrection(
         identifier=found,
-        n_samples=samples.n_samples,
+        n_samples=len(samples.q),
         error_before=before,
         error_after=after,
         gravity_before=described * loaded,
@@ -185,9 +194,8 @@ def gravity_poses(model, n_poses=20, *, fitted=None, random_state=0):
     rows = _gravity_rows(features, q)
     if fitted is None:
         covariance = np.zeros(2 * rows.shape[2:])
-        for places, root in zip(bodies.places, bodies.root):
-            inverse = DESCRIBED * np.linalg.inv(root)
-            covariance[np.ix_(places, places)] = inverse @ inverse.T
+        inverse, at = DESCRIBED * np.linalg.inv(bodies.root), bodies.places
+        covariance[at[:, :, None], at[:, None]] = inverse @ inverse.transpose(0, 2, 1)
         torque = np.sqrt(((rows @ bodies.vector(len(covariance))) ** 2).mean(axis=0))
         noise = _NOISE * np.maximum(torque, 0.01 * torque.max())
     else:
@@ -259,8 +267,7 @@ def _best_poses(rows, covariance, noise, n):
         if len(chosen) == n:
             return chosen, np.array(stds)
         # A pose is recorded from both sides.
-        gains = across @ rows.transpose(0, 2, 1) + np.diag(noise**2 / 2.0)
-        gains = np.linalg.inv(gains)
+        gains = np.linalg.inv(across @ rows.transpose(0, 2, 1) + np.diag(noise**2 / 2))
         # What each pose would take away of the widest variance, summed over all poses.
         shared = across[:, stds[-1].argmax()] @ rows.transpose(0, 2, 1)
         best = int(np.einsum("kmj,kji,kmi->k", shared, gains, shared).argmax())
@@ -272,7 +279,7 @@ def static_samples(recording, features):
     """Return one row for each pose, and for each window of slow motion.
 
     The speed of a joint at rest is that of its last direction; it is zero if friction
-    is a part of the offset. `weight` is zero where a joint does not count.
+    is a part of the offset.
     """
     dt, parts, side = check_dt(recording.dt), recording.segments, 0.0 * recording.q
     for j, way in enumerate(_WAY * np.ptp(recording.q, axis=0) + 1e-300):
@@ -316,40 +323,25 @@ def static_samples(recording, features):
     v = side * np.where(still > 0, _DIRECTION, np.maximum(np.abs(v), 2 * _DIRECTION))
     # Centrifugal torques of speeds that are replaced.
     tau += features.torques(q, v, a, inertial) - torque
-    return replace(
-        recording,
-        q=q[slow],
-        tau=tau[slow],
-        states=np.hstack([q, v, a])[slow],
-        weight=weight[slow].astype(float),
-        groups=np.zeros(slow.sum(), dtype=int),
-        group_names=("poses",),
-        t=None,
-        v=None,
-        dt=None,
-        signals={},
-    )
+    rows = q, tau, np.hstack([q, v, a]), weight.astype(float)
+    return _Samples(*(x[slow] for x in rows))
 
 
-def _fitted(samples, model, rows=slice(None)):
+def _fitted(samples, model):
     """Fit friction with the described bodies, and with corrected ones."""
-    states, tau, weight = samples.states[rows], samples.tau[rows], samples.weight[rows]
+    _, tau, states, weight = samples
     speed, count = np.abs(np.split(states, 3, axis=1)[1]), weight.sum(axis=0)
     moves = (weight * (speed > _DIRECTION)).any(axis=0) | (count == 0)
-    friction = (("viscous", "rotor_inertia") if moves.all() else ()) + (
-        "coulomb",
-        "offset",
-    )
+    motion = ("viscous", "rotor_inertia") if moves.all() else ()
+    friction = (*motion, "coulomb", "offset")
     fits, variance = [], np.ones(count.size)
     # Few samples are fitted exactly: the noise is that which the described bodies, and
     # then the corrected ones, leave.
     for bodies in ("fixed", "prior", "prior"):
         options = FitOptions(standstill=None, joint_weights=1.0 / variance)
-        found = RobotIdentifier(
-            model, friction=friction, bodies=bodies, options=options
-        ).fit(states, tau, sample_weight=weight)
-        fits.append(found)
-        squares = (weight * (tau - found.predict(states)) ** 2).sum(axis=0)
+        fit = RobotIdentifier(model, friction=friction, bodies=bodies, options=options)
+        fits.append(fit.fit(states, tau, sample_weight=weight))
+        squares = (weight * (tau - fit.predict(states)) ** 2).sum(axis=0)
         variance = squares / np.maximum(count, 1.0)
         variance = np.where(count < _FEW, variance.max(), variance)
         variance = np.maximum(variance, 1e-9 * variance.max())
@@ -358,12 +350,12 @@ def _fitted(samples, model, rows=slice(None)):
 
 def _held_out(samples, model):
     """Errors (nv,) of both fits on contiguous folds, each predicted by the rest."""
-    n, weight = samples.n_samples, samples.weight
-    squares = np.full((2, *samples.tau.shape), np.nan)
-    for fold in np.array_split(np.arange(n), min(_FOLDS, n)):
-        rows = np.setdiff1d(np.arange(n), fold)
-        for one, found in zip(squares, _fitted(samples, model, rows)):
-            one[fold] = (samples.tau[fold] - found.predict(samples.states[fold])) ** 2
+    _, tau, states, weight = samples
+    squares = np.full((2, *tau.shape), np.nan)
+    for rows, fold in KFold(_FOLDS).split(tau):
+        fits = _fitted(_Samples(*(x[rows] for x in samples)), model)
+        for one, found in zip(squares, fits):
+            one[fold] = (tau[fold] - found.predict(states[fold])) ** 2
     with np.errstate(invalid="ignore"):
         return np.sqrt((weight * squares).sum(axis=1) / weight.sum(axis=0))
 
@@ -410,8 +402,7 @@ def _payload(found, samples, features, bodies):
     # The description with another body at the last link.
     n, nv = samples.tau.shape
     rows = features.transform(samples.states).reshape(n, nv, -1)
-    friction = np.zeros((n, nv, nv, 3))
-    friction[:, np.arange(nv), np.arange(nv)] = _friction(samples)
+    friction = _friction(samples)[:, :, None] * np.eye(nv)[:, :, None]
     columns = np.concatenate([rows[:, :, -10:], friction.reshape(n, nv, -1)], axis=2)
     weight = (np.sqrt(samples.weight) / found.output_noise_).ravel()
     left = samples.tau - rows @ bodies.vector(rows.shape[2])

@@ -236,7 +236,7 @@ def _covariance(identifier):
 
 
 def _random_poses(robot, random_state=0):
-    """Draw positions (n, nv) inside the joint limits in which no links touch."""
+    """Draw positions (n, nv) inside the limits; links touch neither there nor near."""
     model = load_model(robot)
     low, high = position_range(model)
     random = np.random.default_rng(random_state)
@@ -244,7 +244,8 @@ def _random_poses(robot, random_state=0):
     q = random.uniform(low + _APPROACH, high - _APPROACH, shape)
     clearance, _ = Clearance.of(robot, model=model)
     if clearance is not None:
-        free = np.array([clearance.nearest(one[None])[0] > 0 for one in q])
+        way = _APPROACH * np.array([[-1.0], [0.0], [1.0]])
+        free = np.array([clearance.nearest(one + way)[0] > 0 for one in q])
         q = q[free] if free.any() else q
     return q[:_CANDIDATES]
 

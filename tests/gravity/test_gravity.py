@@ -13,11 +13,10 @@ sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 from _posed_arms import NOISE, STEP, Arm, gravity, pin, record, visit
 
 from sklearn_vbjfa import RigidBodyFeatures
-from sklearn_vbjfa.gravity import (
-    correct_gravity,
-    gravity_poses,
-    static_samples,
-)
+from sklearn_vbjfa.design import Clearance
+from sklearn_vbjfa.gravity import correct_gravity, gravity_poses, static_samples
+from sklearn_vbjfa.model import load_model
+from tests.model._shaped import arm
 
 FRICTION = np.array([0.3, 1.2, 0.8])
 ARM = Arm(
@@ -197,6 +196,13 @@ def test_designed_poses_are_reached_from_both_sides(world):
     assert (q[2::4] > q[1::4]).all()
     assert (np.abs(q) <= 2.5).all()
     assert np.array_equal(hold > 0, np.tile([False, True], 12))
+
+
+def test_links_do_not_touch_on_the_way_to_designed_poses(tmp_path):
+    path = arm(tmp_path)
+    q, _ = gravity_poses(path, 40)
+    clearance, _ = Clearance.of(path, model=load_model(path))
+    assert clearance.nearest(q)[0] > 0
 
 
 def test_a_description_without_masses_is_refused(world, tmp_path):

@@ -122,24 +122,29 @@ def shuffled_rows(names, q, parts):
 def _wraps(log):
     """Find angles that jump by a full turn, and unwrap them."""
     # An error: differentiating across a jump gives speeds of hundreds of rad/s.
-    turns = {int(j): _turns(log, log.q[:, j]) for j in np.flatnonzero(log.revolute)}
-    turns = {j: rows for j, rows in turns.items() if rows.size}
-    if not turns:
-        return
-    log.q = log.q.copy()
-    for j in turns:
-        for part in log.parts:
-            x = np.unwrap(log.q[part, j])
-            # Each recording may begin in another turn.
-            log.q[part, j] = x - 2 * np.pi * np.round(x.mean() / (2 * np.pi))
-    rows = np.concatenate(list(turns.values()))
-    facts = {"count": rows.size, "row": log.rows[rows.min()]}
-    log.report("wrapped_position", list(turns), "error", **facts)
+    revolute = np.flatnonzero(log.revolute).tolist()
+    widest = max((np.ptp(log.q[:, j]) for j in revolute), default=0.0)
+    # Degrees, or counts of an encoder, are wrapped as well.
+    counts = 2.0 ** np.ceil(np.log2(max(widest, 1.0)))
+    for turn, text in ((2 * np.pi, "2 pi"), (360.0, "360"), (counts, f"{counts:.0f}")):
+        turns = {j: _turns(log, log.q[:, j], turn) for j in revolute}
+        turns = {j: rows for j, rows in turns.items() if rows.size}
+        if not turns:
+            continue
+        log.q = log.q.copy()
+        for j in turns:
+            for part in log.parts:
+                x = np.unwrap(log.q[part, j], period=turn)
+                # Each recording may begin in another turn.
+                log.q[part, j] = x - turn * np.round(x.mean() / turn)
+        rows = np.concatenate(list(turns.values()))
+        facts = {"count": rows.size, "row": log.rows[rows.min()], "turn": text}
+        log.report("wrapped_position", list(turns), "error", **facts)
 
 
-def _turns(log, x):
+def _turns(log, x, turn):
     """Return the rows after jumps by a full turn."""
-    step, turn = log.steps(x), 2 * np.pi
+    step = log.steps(x)
     over = np.flatnonzero(np.abs(step) > (1 - number.TURN_LEFT) * turn)
     # Steps as large as a turn everywhere are another fault.
     widest = max(np.ptp(x[part]) for part in log.parts)

@@ -39,7 +39,7 @@ SENTENCES = {
     # -- rows
     "shuffled_rows": "The rows are not in the order of time: positions change by "
     "{change:.2g} times their spread in a row. Sort them by time (no shuffle).",
-    "wrapped_position": "The position of {who} is wrapped: it jumps by 2 pi {count} "
+    "wrapped_position": "The position of {who} is wrapped: it jumps by {turn} {count} "
     "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
     "{mean:.4g}, which is its noise. Lock it in the model, or record a motion of it.",

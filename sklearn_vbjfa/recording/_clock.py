@@ -15,6 +15,7 @@ from sklearn_vbjfa.recording._table import (
     is_of_a_robot,
     listed,
     pandas_of,
+    quoted,
     unit_of_steps,
     usual_step,
 )
@@ -230,6 +231,12 @@ _LACKING = 0.1
 # Rows of a second source are more than this share of all, come in this many places, and
 # in runs no longer than this in the median.
 _LEAST_SHARE, _PLACES, _RUN = 0.02, 10, 3
+# A value but zero that comes so often, and is this many ranges of the others away from
+# them, stands for a missing one; a channel has more values than the last number.
+_OFTEN, _AWAY, _LEVELS = 3, 3.0, 16
+# Sources alternate if positions change from row to row by more than this share of their
+# spread, and by less than this share of it from one row of a source to its next.
+_TO_AND_FRO = 0.1
 
 
 def without_odd_rows(table, layout, options, notes):
@@ -240,6 +247,11 @@ def without_odd_rows(table, layout, options, notes):
     """
     q, tau = layout.of("q"), layout.of("tau") if options.drive is None else ()
     values = _matrix(table, [*q, *tau])
+    fillers = [
+        f"{x:g} in column {role.column!r}"
+        for role, column in zip([*q, *tau], values.T)
+        for x in _without_fillers(column)
+    ]
     empty = np.isnan(values).all(axis=1)
     if empty.all():
         # Also a table without these columns.
@@ -259,7 +271,16 @@ def without_odd_rows(table, layout, options, notes):
             f"column {column!r}: left out."
         )
         empty |= lacking
+    if fillers:
+        found = f"{listed(fillers)} is far from all other values, as where nothing was "
+        if (lacking & ~empty).any():
+            raise ValueError(
+                f"{table.path}: {found}measured ({lacking.sum()} rows); remove these "
+                "rows, or write nan."
+            )
+        notes.append(f"{found}measured: taken as missing.")
     rows = np.flatnonzero(~empty)
+    _refuse_alternating(table, values[rows, : len(q)], rows)
     second = _second_source(values[rows, : len(q)], values[rows, len(q) :])
     if second.any():
         notes.append(
@@ -281,6 +302,45 @@ def _matrix(table, roles):
     if not values or any(x.dtype.kind not in "iuf" for x in values):
         return np.zeros((table.n_rows, 0))
     return np.column_stack(values).astype(float)
+
+
+def _without_fillers(x):
+    """Yield the values of a column that stand for a missing one, replaced by nan."""
+    others = x[(x > np.nanmin(x)) & (x < np.nanmax(x))]
+    if np.unique(others).size <= _LEVELS:
+        return
+    low, high = others.min(), others.max()
+    for level in {np.nanmin(x), np.nanmax(x)}:
+        away = max(low - level, level - high)
+        if level and (x == level).sum() >= _OFTEN and away > _AWAY * (high - low):
+            x[x == level] = np.nan
+            yield level
+
+
+def _refuse_alternating(table, q, rows):
+    """Refuse rows of several sources in turn, such as of two robots."""
+    q = q[:, np.ptp(q, axis=0) > 0] if len(q) > _LEVELS else q[:1, :0]
+    step, spread = _usual_steps(q), q.std(axis=0)
+    if not q.size or (step <= _TO_AND_FRO * spread).any():
+        return
+    sources = {"of two sources in turn": np.arange(len(q)) % 2}
+    for name in table.names:
+        values = table.values(name)[rows].astype(str)
+        labels = np.unique(values, return_inverse=True)[1]
+        if 0 < labels.max() <= _LEVELS:
+            sources[f"of several sources, by column {name!r}"] = labels
+    for what, labels in sources.items():
+        order = np.argsort(labels, kind="stable")
+        if (_usual_steps(q[order]) < _TO_AND_FRO * step).all():
+            raise ValueError(
+                f"{table.path}: positions jump to and fro from row to row: rows are "
+                f"{what}; keep those of one."
+            )
+
+
+def _usual_steps(q):
+    """Return the median of the steps of columns (n, k), (k,)."""
+    return np.median(np.abs(np.diff(q, axis=0, prepend=q[:1])), axis=0)
 
 
 def _second_source(q, tau):
@@ -331,10 +391,16 @@ def _stamps(table, role, time_unit):
     """Return the stamps of a column [s], and its role."""
     if role.nanoseconds:
         seconds, rest = (table.numbers(x) for x in role.columns)
-        return seconds - seconds[0] + 1e-9 * (rest - rest[0]), role
+        return seconds - seconds[0] + role.part * (rest - rest[0]), role
     dates = _seconds_of_dates(table, role.column)
     if dates is not None:
         return dates, replace(role, unit="s")
+    if table.values(role.column).dtype.kind == "O":
+        raise ValueError(
+            f"{table.path}: column {role.column!r} holds "
+            f"{quoted(str(table.values(role.column)[0]))}; expected seconds, dates "
+            "(2024-03-30T23:59:50.125) or times of day (23:59:50.125)."
+        )
     seconds, unit = table.numbers(role.column), channel_unit(table, role)
     factor = 1.0 if unit is None else unit.factor
     if time_unit is not None:

@@ -312,34 +312,46 @@ def _values(table: Table, role):
     return values, None if unit is None else unit.base
 
 
-# Integers whose sign was lost: half of what a register holds, or the bit that is the
-# sign, and whether it is two's complement. Values of either sign fill no more than the
-# share of their range.
-_CODES = [(2.0**bits, True) for bits in (7, 15, 31)]
-_CODES += [(2.0**bit, False) for bit in (10, 11, 15)]
-_FILLED = 0.45
+# Integers whose sign was lost: of two's complement, or with a bit for the sign. Values
+# of either sign fill no more than the share of their range, and begin near its ends;
+# registers have so many bits, in a unit that all values are multiples of.
+_FILLED, _NEAR_END, _BITS = 0.45, 0.1, range(8, 33)
+# Sizes with a bit for the sign.
+_SIGNED = (11, 12, 16)
 
 
 def _refuse_codes(table: Table, column, values):
-    if not values.size or values.min() < 0 or (values != np.round(values)).any():
+    if not values.size or values.min() < 0:
         return
-    for half, is_register in _CODES:
-        high, low = values[values >= half], values[values < half]
-        if not (high.size and low.size and high.max() < 2 * half):
-            continue
-        largest, jumps = max(low.max(), high.max() - half), 0 < low.max()
+    levels = np.unique(values)
+    if levels.size < 2:
+        return
+    unit = 1.0 if (levels == np.round(levels)).all() else np.diff(levels).min()
+    if levels[-1] >= unit * 2.0**_BITS.stop:
+        return
+    codes = np.round(values / unit)
+    bits = int(codes.max()).bit_length()
+    if np.abs(values / unit - codes).max() > _NEAR_END or bits not in _BITS:
+        return
+    half = 2.0 ** (bits - 1)
+    high, low = codes[codes >= half], codes[codes < half]
+    if not low.size:
+        return
+    # Values step from near zero to near the end of the register.
+    ends = max(low.min(), 2 * half - high.max()) < _NEAR_END * half
+    jumps = ends and (np.abs(np.diff(codes)) > half).any()
+    remedy = f"subtract {2 * half * unit:.9g} from those from {half * unit:.9g} on"
+    if not jumps or max(low.max(), 2 * half - high.min()) >= 2 * _FILLED * half:
+        jumps = 0 < low.max() < _FILLED * half and high.max() < (1 + _FILLED) * half
+        jumps = jumps and bits in _SIGNED and unit == 1
         remedy = f"replace those from {half:.0f} on by {half:.0f} - x"
-        if is_register:
-            # Values step from near zero to near the end of the register.
-            largest = max(low.max(), 2 * half - high.min()) / 2
-            jumps = (np.abs(np.diff(values)) > half).any()
-            remedy = f"subtract {2 * half:.0f} from those above {half - 1:.0f}"
-        if jumps and largest < _FILLED * half:
-            raise ValueError(
-                f"{table.path}: the values of column {column!r} lie from 0 to "
-                f"{low.max():.0f} and from {high.min():.0f} to {high.max():.0f}: "
-                f"integers whose sign was lost; {remedy}."
-            )
+    if jumps:
+        low, high = low * unit, high * unit
+        raise ValueError(
+            f"{table.path}: the values of column {column!r} lie from 0 to "
+            f"{low.max():.9g} and from {high.min():.9g} to {high.max():.9g}: integers "
+            f"whose sign was lost; {remedy}."
+        )
 
 
 # -- joints ----------------------------------------------------------------------------
@@ -358,6 +370,8 @@ def _check_joints(table: Table, found, robot):
     if not names:
         return tuple(f"joint_{k + 1}" for k in range(nv))
     if len(names) != nv:
+        for role in found["q"]:
+            table.numbers(role.column)
         fewer = nv < len(names) and not robot.chosen
         raise RecordingRefused(
             f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "

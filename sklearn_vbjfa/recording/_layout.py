@@ -212,7 +212,10 @@ _TIMES = {"t", "time", "timestamp", "stamp", "__time", "%time"}
 # Names without a joint, by kind.
 _ALONE = {**dict.fromkeys(_TIMES, "t"), "segment": "segment"}
 # How the parts of a ROS stamp are called.
-_CLOCK_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
+_CLOCK_PARTS = (
+    *(("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec")),
+    *(("secs", "usecs"), ("sec", "usec"), ("sec", "microsec")),
+)
 # What stands for others in patterns, as regular expressions escape it.
 _MARKS = (
     (r"\{i\}", "i", r"\d{1,6}"),
@@ -232,12 +235,18 @@ class Role:
     key: int | str = 1  # number or name of the joint
     column: str  # its name
     unit: str = ""  # empty if nothing tells
-    nanoseconds: str = ""  # column of those within the seconds of this one
+    # column of nanoseconds, or microseconds, within the seconds of this one
+    nanoseconds: str = ""
 
     @property
     def columns(self):
         """Names of all its columns, tuple of str."""
         return (self.column, self.nanoseconds) if self.nanoseconds else (self.column,)
+
+    @property
+    def part(self):
+        """Size of what `nanoseconds` counts [s]."""
+        return 1e-6 if re.search("(us|micros)ecs?$", self.nanoseconds.lower()) else 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)

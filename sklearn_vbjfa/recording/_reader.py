@@ -1,5 +1,6 @@
 """Recordings out of files and folders, one by one or joined."""
 
+import re
 import time
 import warnings
 from collections.abc import Sequence
@@ -126,15 +127,18 @@ def _part(table: Table, joints):
     if table.nameless:
         # Time may stand before the columns of the joints.
         n = len(table.names)
-        first = kind == "t" or n == len(joints) + 1
+        own = _names(["1"], kind, joints, table.path.stem) if n < len(joints) else {}
+        first = kind == "t" or n == (1 if own else len(joints)) + 1
         time = Role(kind="t", column="t") if first else None
         names = {str(k + 1): f"{kind}{k + 1 - first}" for k in range(n)}
+        names |= {str(n): x for x in own.values()}
         names |= {"1": "t"} if first else {}
     elif kind in ("", "t") or plain.kinds - {"t", "segment"}:
         return _Part(table=table, kind="", time=time)
     else:
         stamps = () if time is None else time.columns
-        names = _names([x for x in table.names if x not in stamps], kind, joints)
+        channels = [x for x in table.names if x not in stamps]
+        names = _names(channels, kind, joints, table.path.stem)
     for old, new in names.items():
         unit = split_unit(old)[1] or ("A" if is_current(table.path.stem) else "")
         names[old] = f"{new} [{unit}]" if unit and new != "t" else new
@@ -143,12 +147,17 @@ def _part(table: Table, joints):
     return _Part(table=table, kind=kind if names else "", time=time)
 
 
-def _names(columns, kind, joints):
+def _names(columns, kind, joints, stem):
     """Return names of columns that are called after joints, or are as many; or {}."""
+    # A single one may have its joint, or a number, in the name of the file.
+    texts = [stem] if len(columns) == 1 < len(joints) else columns
+    number = re.search(r"\d+$", stem)
     # The longest name in a column is that of its joint.
-    found = [max((j for j in joints if j in x), key=len, default="") for x in columns]
+    found = [max((j for j in joints if j in x), key=len, default="") for x in texts]
     if all(found) and len(set(found)) == len(found):
         return {x: f"{kind}_{joint}" for x, joint in zip(columns, found)}
+    if texts != columns and number:
+        return {columns[0]: f"{kind}{int(number[0])}"}
     if len(columns) == (len(joints) or len(columns)):
         return {x: f"{kind}{k}" for k, x in enumerate(columns, start=1)}
     return {}
@@ -209,7 +218,7 @@ def _seconds(part):
     unit = channel_unit(part.table, part.time)
     seconds = stamps.astype(float) * (1.0 if unit is None else unit.factor)
     if part.time.nanoseconds:
-        seconds += 1e-9 * part.table.values(part.time.nanoseconds)
+        seconds += part.time.part * part.table.values(part.time.nanoseconds)
     return seconds
 
 

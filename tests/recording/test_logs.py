@@ -310,7 +310,7 @@ def test_iso_time_stamps(tmp_path, mark, zone):
     assert recording.dt == pytest.approx(0.01)
     text[7] = "later"
     path = write(tmp_path / "arm.csv", {**columns, "t": text})
-    with pytest.raises(ValueError, match=r"column 't' holds .* and not numbers"):
+    with pytest.raises(ValueError, match=r"column 't' holds .* expected seconds"):
         read_recording(path)
 
 
@@ -378,3 +378,49 @@ def test_a_column_that_is_named_like_a_current_is_one(name, tmp_path):
     # What is said of it counts.
     told = read_recording(path, columns=f"{mapping} [Nm]")
     assert told.torque_units == ("N m", "N m")
+
+
+# -- values and rows that are no samples -----------------------------------------------
+
+
+def test_values_that_stand_for_missing_ones(tmp_path):
+    columns = table(n=400)
+    columns["tau1"] = columns["tau1"].copy()
+    columns["tau1"][[7, 90, 91, 300]] = -999.0
+    recording, said = read(write(tmp_path / "arm.csv", columns))
+    assert np.abs(recording.tau).max() < 100
+    assert any("-999 in column 'tau1'" in line for line in said)
+
+
+def _of_12_bits(columns):
+    counts = np.round(columns["tau1"] / np.abs(columns["tau1"]).max() * 400)
+    return columns | {"tau1": counts % 4096}
+
+
+def _scaled_by_a_tenth(columns):
+    return columns | {"tau1": _of_12_bits(columns)["tau1"] / 10}
+
+
+def _of_two_robots(columns):
+    other = {name: x if name == "t" else 5.0 - x for name, x in columns.items()}
+    return {k: np.column_stack([x, other[k]]).ravel() for k, x in columns.items()}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_of_12_bits, "subtract 4096 from those from 2048 on"),
+        (_scaled_by_a_tenth, r"subtract 409\.6 from those from 204\.8 on"),
+        (_of_two_robots, "two sources in turn"),
+    ],
+)
+def test_codes_and_rows_of_other_robots_are_refused(tmp_path, change, message):
+    with pytest.raises(ValueError, match=message):
+        read_recording(write(tmp_path / "arm.csv", change(table(n=400))), dt=0.01)
+
+
+def test_seconds_with_microseconds(tmp_path):
+    columns = table(n=100)
+    seconds, rest = np.divmod(columns.pop("t"), 1.0)
+    columns |= {"sec": seconds, "usec": np.round(rest * 1e6)}
+    assert read_recording(write(tmp_path / "arm.csv", columns)).dt == 0.01

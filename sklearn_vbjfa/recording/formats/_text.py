@@ -31,7 +31,7 @@ _LONGEST_PREAMBLE = 100
 _NOTHING = ("", "-", "nan", "-nan", "+nan", "na", "n/a", "null", "none")
 # NumPy writes lists of its numbers as [np.float64(0.1), ...].
 _OF_NUMPY = re.compile(r"np\.\w+\(([^()]*)\)")
-_LIST = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
+_LIST = re.compile(r"(?:array\()?[(\[]\s*([^()\[\]]*?)\s*[)\]](?:, dtype=\w+)?\)?")
 # float() takes more (1_000, digits of other scripts), which no logger writes.
 _NUMBER = re.compile(
     r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
@@ -398,6 +398,8 @@ def _spread(table, name, values):
     if len({len(x) for x in cells}) > 1 or not all(
         _is_number(x) for row in cells for x in row
     ):
+        if not _LIST.fullmatch(values[0]):
+            return {}
         raise ValueError(
             f"{table.path}: the cells of column {quoted(name)} are not lists of as "
             "many numbers; correct or remove those rows."
@@ -409,7 +411,8 @@ def _spread(table, name, values):
 def _entries(cell):
     """Return the texts in a list; of what is none, one that is no number."""
     match = _LIST.fullmatch(_OF_NUMPY.sub(r"\1", cell))
-    return re.split(r"[\s,;]+", match[1].strip()) if match else ["none"]
+    entries = re.split(r"[\s,;]+", match[1] if match else cell.strip())
+    return entries if match or len(entries) > 1 else ["none"]
 
 
 # -- spreadsheets ----------------------------------------------------------------------

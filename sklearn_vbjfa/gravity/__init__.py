@@ -246,7 +246,12 @@ def _random_poses(robot, random_state=0):
     if clearance is not None:
         way = _APPROACH * np.array([[-1.0], [0.0], [1.0]])
         free = np.array([clearance.nearest(one + way)[0] > 0 for one in q])
-        q = q[free] if free.any() else q
+        q = q[free]
+        if not len(q):
+            raise ValueError(
+                f"Links touch in all {len(free)} poses that were drawn; correct the "
+                "collision shapes or the joint limits of the description."
+            )
     return q[:_CANDIDATES]
 
 

@@ -144,7 +144,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     Robots with more than seven joints are searched branch by branch, without couplings
     between branches, unless `max_effects`, custom effects or declared effects are used.
     With a `PDDrive`, delays, filters, jerk and elasticity are excluded. Recordings of
-    more than 15,000 rows are searched on a subset of the samples.
+    more than 20,000 rows are searched on a subset of the samples.
 
     References
     ----------

@@ -18,7 +18,7 @@ from sklearn_vbjfa.equations._equations import make_motion, plain_coefficients
 from sklearn_vbjfa.recording import check_clock
 
 # Most samples that are looked at.
-_SAMPLES = 15_000
+_SAMPLES = 20_000
 # A stretch is so many times longer than the low-pass, which takes its ends.
 _LENGTHS = 30
 

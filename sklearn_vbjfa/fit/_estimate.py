@@ -429,8 +429,10 @@ def project(found, projector, features, effects=()):
     if positive:
         theta, metric = _without_negative(theta, metric, np.array(positive))
     fitted = _fit_projector(projector, features, theta, metric)
+    # At their bound sizes stay zero, without the rounding of the solver.
+    bound = theta[positive] == 0
     theta = fitted.transform(theta[None])[0]
-    theta[positive] = np.maximum(theta[positive], 0.0)
+    theta[positive] = np.where(bound, 0.0, np.maximum(theta[positive], 0.0))
     kept = np.where(found.prior_std == 0, found.theta_unconstrained, theta)
     own = kept[: features.n_parameters_].reshape(features.n_joints_, -1)
     if (min_eigenvalues(own) > 0).all():

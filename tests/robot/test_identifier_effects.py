@@ -124,6 +124,15 @@ def test_known_torques_are_reproduced_and_coefficients_recovered(case):
     assert np.sqrt(np.mean(missing**2)) > 0.01
 
 
+def test_elements_that_are_not_there_have_no_size():
+    # Rounding would count as an element that nothing is known of.
+    bank = effects.MaxwellSlip(1, displacements=tuple(np.geomspace(1e-3, 0.5, 10)))
+    friction = 2 * stops_sample_by_sample(Q[:, 1], 0.05)
+    found = coefficients(fit(on_joint(1, friction), bank, projector="default"))
+    assert (found == 0).any()
+    assert found[found > 0].min() > 1e-6
+
+
 @pytest.mark.parametrize("kind", ["lag", "smooth"])
 def test_filters_act_on_all_of_the_torque(kind):
     """On the friction that is an effect as well; sample by sample in another code."""

@@ -167,7 +167,7 @@ def test_what_is_left_out_is_said_once(write):
         "'robot.xml'",
         "(simulated by MuJoCo only): damping, actuators (friction",
         "joints without a name are called e_joint",
-        "what a1, a2, a3 move(s) has no mass",
+        "the body of a1, a2, a3 has no mass",
     ):
         assert words in text
     # The rotor inertias are in the model.

@@ -194,4 +194,4 @@ def test_the_file_says_what_to_change(robot, tmp_path):
     assert f"channel of joint_2 reads by {channel['gain']:.5g}" in comment
     assert f"roll {level['roll']:.4g} and pitch" in comment
     assert "axis of joint_4 was turned" in comment
-    assert "does not determine the masses" in comment
+    assert "Masses that are not individually identifiable" in comment

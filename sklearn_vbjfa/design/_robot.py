@@ -15,11 +15,7 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.effects import Motion, Rest, RotorInertia, Stateful, resolve
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
-from sklearn_vbjfa.equations._plan import (
-    CUTOFF_PER_BANDWIDTH,
-    LOWEST_CUTOFF,
-    STANDSTILL_SHARE,
-)
+from sklearn_vbjfa.equations._plan import STANDSTILL_SHARE, cutoff_of
 from sklearn_vbjfa.model import is_prismatic, joint_names, nominal_parameters
 
 # Friction of a robot of which only the description is known.
@@ -117,7 +113,7 @@ class KnownRobot:
 
     def band(self, highest, dt):
         """Band of a fit to a motion up to a frequency [Hz]; see `resolve_cutoff`."""
-        return min(max(CUTOFF_PER_BANDWIDTH * highest, LOWEST_CUTOFF), 0.4 / dt)
+        return min(cutoff_of(highest), 0.4 / dt)
 
     def still(self, limits):
         """Speeds below which joints count as standing (nv,)."""

@@ -46,7 +46,7 @@ _TOP_ROWS = 1 << 15
 CUTOFF_PER_BANDWIDTH = 5.0
 # ... and at least this [Hz]: below it nothing vibrates, and the friction of a slow
 # motion that reverses is lost,
-LOWEST_CUTOFF = 2.0
+_LOWEST_CUTOFF = 2.0
 # ... and its length must remain a small fraction of the longest recording.
 SHORTEST_CUTOFF_PERIODS = 36.0
 # Share of the states' cut-off up to which their smoother, whose gain falls with the
@@ -378,6 +378,11 @@ def _top_quantile(largest, n):
     return np.quantile(top[:2], position - below, axis=0)
 
 
+def cutoff_of(bandwidth):
+    """Return the cut-off of the low-pass [Hz] for motion up to a frequency [Hz]."""
+    return max(CUTOFF_PER_BANDWIDTH * bandwidth, _LOWEST_CUTOFF)
+
+
 def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
     """Return the cut-off of the low-pass [Hz], infinity for none."""
     # Torques that a drive makes of positions have these in all their band, and the
@@ -393,8 +398,7 @@ def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
     if state_estimator is None:
         return np.inf
     length = longest * dt
-    frequency = CUTOFF_PER_BANDWIDTH * state_estimator.bandwidth_.max()
-    frequency = max(frequency, LOWEST_CUTOFF)
+    frequency = cutoff_of(state_estimator.bandwidth_.max())
     if drive is not None and drive.of_positions:
         frequency = min(frequency, _FAITHFUL * state_estimator.cutoff_.min())
     frequency = max(frequency, SHORTEST_CUTOFF_PERIODS / length)

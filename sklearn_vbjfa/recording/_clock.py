@@ -306,13 +306,20 @@ def _matrix(table, roles):
 
 def _without_fillers(x):
     """Yield the values of a column that stand for a missing one, replaced by nan."""
-    others = x[(x > np.nanmin(x)) & (x < np.nanmax(x))]
-    if np.unique(others).size <= _LEVELS:
+    known = x[~np.isnan(x)]
+    if known.size <= _LEVELS:
+        return
+    ends = known.min(), known.max()
+    others = known[(known > ends[0]) & (known < ends[1])]
+    if others.size <= _LEVELS:
         return
     low, high = others.min(), others.max()
-    for level in {np.nanmin(x), np.nanmax(x)}:
+    for level in ends:
         away = max(low - level, level - high)
-        if level and (x == level).sum() >= _OFTEN and away > _AWAY * (high - low):
+        if not level or away <= _AWAY * (high - low) or (x == level).sum() < _OFTEN:
+            continue
+        # Sorting a long channel takes time: only where it matters.
+        if np.unique(others).size > _LEVELS:
             x[x == level] = np.nan
             yield level
 
@@ -389,7 +396,7 @@ def time_of(table: Table, layout, options):
 
 def _stamps(table, role, time_unit):
     """Return the stamps of a column [s], and its role."""
-    if role.nanoseconds:
+    if role.fraction:
         seconds, rest = (table.numbers(x) for x in role.columns)
         return seconds - seconds[0] + role.part * (rest - rest[0]), role
     dates = _seconds_of_dates(table, role.column)

@@ -370,6 +370,7 @@ def _check_joints(table: Table, found, robot):
     if not names:
         return tuple(f"joint_{k + 1}" for k in range(nv))
     if len(names) != nv:
+        # A surplus column may be no position at all: its text is refused first.
         for role in found["q"]:
             table.numbers(role.column)
         fewer = nv < len(names) and not robot.chosen

@@ -211,10 +211,10 @@ def split_key(key):
 _TIMES = {"t", "time", "timestamp", "stamp", "__time", "%time"}
 # Names without a joint, by kind.
 _ALONE = {**dict.fromkeys(_TIMES, "t"), "segment": "segment"}
-# How the parts of a ROS stamp are called.
+# How the parts of a stamp in two columns are called, and the size of the second [s].
 _CLOCK_PARTS = (
-    *(("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec")),
-    *(("secs", "usecs"), ("sec", "usec"), ("sec", "microsec")),
+    *(("secs", "nsecs", 1e-9), ("sec", "nsec", 1e-9), ("sec", "nanosec", 1e-9)),
+    *(("secs", "usecs", 1e-6), ("sec", "usec", 1e-6), ("sec", "microsec", 1e-6)),
 )
 # What stands for others in patterns, as regular expressions escape it.
 _MARKS = (
@@ -235,18 +235,13 @@ class Role:
     key: int | str = 1  # number or name of the joint
     column: str  # its name
     unit: str = ""  # empty if nothing tells
-    # column of nanoseconds, or microseconds, within the seconds of this one
-    nanoseconds: str = ""
+    fraction: str = ""  # column of what is left of the seconds of this one
+    part: float = 1e-9  # size of what that column counts [s]
 
     @property
     def columns(self):
         """Names of all its columns, tuple of str."""
-        return (self.column, self.nanoseconds) if self.nanoseconds else (self.column,)
-
-    @property
-    def part(self):
-        """Size of what `nanoseconds` counts [s]."""
-        return 1e-6 if re.search("(us|micros)ecs?$", self.nanoseconds.lower()) else 1e-9
+        return (self.column, self.fraction) if self.fraction else (self.column,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -366,13 +361,13 @@ def _key_of(text, begin, joints):
 
 
 def _clocks_of_two(table):
-    """Return the clocks that have a column of seconds and one of nanoseconds."""
+    """Return the clocks that have a column of seconds and one of their parts."""
     return [
-        Role(kind="t", column=name, unit="s", nanoseconds=other)
+        Role(kind="t", column=name, unit="s", fraction=other, part=part)
         for name in table.names
-        for seconds, nanoseconds in _CLOCK_PARTS
+        for seconds, rest, part in _CLOCK_PARTS
         if name.lower().endswith(seconds)
-        and (other := name[: -len(seconds)] + nanoseconds) in table.frame
+        and (other := name[: -len(seconds)] + rest) in table.frame
     ]
 
 
@@ -557,7 +552,7 @@ def _times(table, log):
         roles = matches(seconds, table, "t")
         if len(roles) == 1 and (not rest or rest in table.frame):
             unit = roles[0].unit or "s"
-            found.append(replace(roles[0], unit=unit, nanoseconds=rest))
+            found.append(replace(roles[0], unit=unit, fraction=rest))
     return tuple(found)
 
 

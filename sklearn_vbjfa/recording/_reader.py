@@ -180,7 +180,7 @@ def _rows(part, base):
             )
         return np.arange(float(n))
     same_column = (x.table.values(x.time.column) for x in (part, base))
-    if np.array_equal(*same_column) and not part.time.nanoseconds:
+    if np.array_equal(*same_column) and not part.time.fraction:
         return np.arange(float(n))
     t, at = _seconds(part), _seconds(base)
     step = np.diff(t)
@@ -217,8 +217,8 @@ def _seconds(part):
         )
     unit = channel_unit(part.table, part.time)
     seconds = stamps.astype(float) * (1.0 if unit is None else unit.factor)
-    if part.time.nanoseconds:
-        seconds += part.time.part * part.table.values(part.time.nanoseconds)
+    if part.time.fraction:
+        seconds += part.time.part * part.table.values(part.time.fraction)
     return seconds
 
 

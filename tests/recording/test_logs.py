@@ -1,6 +1,7 @@
 """Logs of other tools: names, presets, mappings, units, and what is missing of them."""
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -424,3 +425,11 @@ def test_seconds_with_microseconds(tmp_path):
     seconds, rest = np.divmod(columns.pop("t"), 1.0)
     columns |= {"sec": seconds, "usec": np.round(rest * 1e6)}
     assert read_recording(write(tmp_path / "arm.csv", columns)).dt == 0.01
+
+
+def test_an_empty_column_is_refused_without_a_warning(tmp_path):
+    empty = table(n=100) | {"tau2": ["" for _ in range(100)]}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ValueError, match="column 'tau2'"):
+            read_recording(write(tmp_path / "arm.csv", empty))

@@ -165,9 +165,11 @@ def draw_motion(unit, top_frequency, t, rng, *, reversals=10):
 
 
 def inverse_dynamics(model, q, v, a):
-    """Torques of the rigid bodies, shape (n, nv)."""
+    """Torques of the rigid bodies, without rotors, shape (n, nv)."""
     import pinocchio as pin
 
+    model = model.copy()
+    model.armature[:] = 0.0
     data = model.createData()
     return np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
 

@@ -3,7 +3,8 @@
 Run ``python tests/benchmarks/bench_interval_coverage.py [--trials N] [--seed S]
 [--study NAME] [--write]``. Small simulated arms (tests/effects/_arms.py, which shares
 no code with the package), a new motion and new noise in every trial; trial k of every
-cell has the seed S + k. Seeds from 100 on have not been worked with. Three studies:
+cell has the seed S + k. Bodies are described with errors that are drawn in every trial.
+Seeds from 100 on have not been worked with. Three studies:
 
 ``parameters``: `RobotIdentifier`, its estimate and standard deviations, all parameters
 that the data determine on their own; torque noise white or AR(1).
@@ -30,6 +31,7 @@ DT = 0.02
 VISCOUS = (0.8, 0.5, 0.3)
 TORQUE_NOISE = 0.05
 ENCODER_NOISE = 2e-5
+OFF = 0.2  # relative errors of the description
 NEXT = 50.0  # s
 MARGIN = 2.0  # s, more than the low-pass takes away at both ends
 NINETY = stats.norm.ppf(0.95)
@@ -83,13 +85,26 @@ def coloured(rng, shape, rho):
 class Arm:
     """One simulated recording."""
 
-    model: object
+    model: object  # as described
+    true: object
     q: np.ndarray
     tau: np.ndarray
 
 
+def described(true, rng):
+    """Draw the description of an arm: each body off by a fifth or so."""
+    model = true.copy()
+    for body in list(model.inertias)[1:]:
+        shift = OFF / 2 * np.abs(body.lever).max() * rng.normal(size=3)
+        mass, inertia = np.exp(OFF * rng.normal(size=2))
+        body.lever = body.lever + shift
+        body.inertia = mass * inertia * body.inertia
+        body.mass = mass * body.mass
+    return model
+
+
 def simulate(axes, duration, rho, seed, effect=None, friction=()):
-    """Simulate the declared arm with an effect (q, v, load) -> torque of one joint."""
+    """Simulate an arm with an effect (q, v, load) -> torque of one joint."""
     model = arm(axes)
     nv = model.nv
     _, states = motion(nv, duration=duration, dt=DT, seed=seed)
@@ -103,7 +118,8 @@ def simulate(axes, duration, rho, seed, effect=None, friction=()):
         joint, torque = effect
         tau[:, joint] += torque(q[:, joint], v[:, joint], load[:, joint])
     tau += TORQUE_NOISE * coloured(rng, tau.shape, rho)
-    return Arm(model, q + ENCODER_NOISE * rng.normal(size=q.shape), tau)
+    q = q + ENCODER_NOISE * rng.normal(size=q.shape)
+    return Arm(described(model, rng), model, q, tau)
 
 
 # -- parameters
@@ -133,7 +149,7 @@ def _one_fit(cell, axes, duration, rho, seed):
     nv = made.model.nv
     truth = np.array(
         [
-            [*made.model.inertias[j + 1].toDynamicParameters(), VISCOUS[j], COULOMB[j]]
+            [*made.true.inertias[j + 1].toDynamicParameters(), VISCOUS[j], COULOMB[j]]
             for j in range(nv)
         ]
     ).ravel()

@@ -207,6 +207,14 @@ def test_close_loop_is_another_name_of_identify(here, capsys):
     assert (here / "found" / "parameters.csv").exists()
 
 
+def test_what_no_search_looked_for_needs_a_search(here, capsys):
+    log = columns()
+    source = write(log | {"tau1": log["tau1"] + 8.0 * log["q1"] ** 3})
+    out = run(capsys, "identify", source, "--urdf", "arm.urdf", "--no-search")[1]
+    assert "unexplained" in out
+    assert "Next: identify without --no-search" in out
+
+
 def test_joints_that_are_held_by_choice_are_no_doubt(here, capsys):
     source = write(columns())
     argv = (source, "--urdf", "hand.urdf", "--joints", "shoulder,elbow")

@@ -5,8 +5,9 @@ import pytest
 from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa.inspection import ChannelFinding
 from tests._quick import one_in
-from tests.diagnosis._recordings import TWO_MOTIONS, named
+from tests.diagnosis._recordings import TWO_MOTIONS, named, record
 from tests.diagnosis.report._pages import text_of
 from tests.effects._arms import arm, inverse_dynamics
 
@@ -14,6 +15,7 @@ DT = 0.02
 MODEL = arm("ZY")
 VISCOUS, COULOMB = np.array([0.8, 0.5]), np.array([0.6, 0.4])
 PLAIN = ["spring", "offset", "payload", "load_friction"]
+ONE = record("ZY")
 
 
 def motion(t, pace):
@@ -163,3 +165,12 @@ def test_columns_are_found_by_the_names_of_joints(two_motions):
     assert named_ones.score(X, y, groups=groups) > 0.99
     with pytest.raises(ValueError, match="q_elbow"):
         loop.fit(X.rename(columns={"q_joint_2": "q_elbow"}), y, groups=groups)
+
+
+@pytest.mark.parametrize("library", [(), ["spring", "offset"]])
+def test_another_robot_is_not_one_whose_torques_are_explained(library, monkeypatch):
+    said = ChannelFinding("other_robot", (0, 1), "warning", "Torques of another robot.")
+    monkeypatch.setattr(RobotIdentifier, "findings", lambda *_: (said,))
+    torque = ONE.torque(joint_1=lambda r: 9.0 * r.q[:, 0])
+    channels = ONE.discover(torque, library).report_.outcome.findings["channels"]
+    assert channels == (() if library else (said,))

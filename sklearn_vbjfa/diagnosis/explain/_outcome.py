@@ -13,7 +13,11 @@ from sklearn.base import BaseEstimator
 
 from sklearn_vbjfa.diagnosis.explain._effects import discovered_effects
 from sklearn_vbjfa.diagnosis.explain._errors import NEXT_SECONDS
-from sklearn_vbjfa.diagnosis.explain._gaps import not_identifiable, unexplained
+from sklearn_vbjfa.diagnosis.explain._gaps import (
+    ABOVE_FLOOR,
+    not_identifiable,
+    unexplained,
+)
 from sklearn_vbjfa.diagnosis.explain._next import Expectation, fitted_motion
 from sklearn_vbjfa.diagnosis.explain._recordings import Parts, contradictions
 from sklearn_vbjfa.effects import UnnamedTorque, declarable, resolve
@@ -164,6 +168,9 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
     left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
     motion = fitted_motion(final, spread)
     expectation = Expectation(after, columns["floor"], scatter, left_out, motion)
+    # A robot whose torques are explained to their noise is the described one.
+    if (low <= ABOVE_FLOOR[0] * columns["floor"])[columns["enough"]].all():
+        channels = tuple(one for one in channels if one.kind != "other_robot")
     names, known = identifier.joint_names_, np.where(columns["enough"], after, np.nan)
     effects = tuple(discovered_effects(search, final, names, prismatic))
     judged_effects = models.judged.effects_

@@ -185,6 +185,8 @@ def hidden_groups(outcome):
 def to_record(outcome, signal_advice, no_period):
     """Return what to record next, the most important first, advice -> joints."""
     findings, wanted = outcome.findings, {}
+    if not len(outcome.provenance["settings"].get("effects", "all")):
+        return {}  # what no search looked for needs no other motion
 
     def add(advice, one):
         joints = wanted.setdefault(advice, []) if advice else []

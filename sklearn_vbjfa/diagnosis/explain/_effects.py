@@ -65,7 +65,7 @@ def discovered_effects(search, final, names, prismatic):
             least = {k: search.settings.known * x for k, x in deviations.items()}
             away = (abs(values[k] - nominal.get(k, 0.0)) > least[k] for k in least)
             warning = "" if any(away) else _UNSURE
-        elif not warning and not _is_known(effect, estimate.coef, intervals):
+        elif not warning and not _is_known(effect, estimate.of_shape(), half):
             warning = _UNKNOWN
         units = effect.parameter_units(prismatic[effect.joint])
         rivals = (_named(one, effect, names) for one in finding.rivals)
@@ -98,12 +98,14 @@ def _named(rival, effect, names):
     return f"{name} on {names[rival.joint]}"
 
 
-def _is_known(effect, coef, intervals):
-    """Whether a coefficient of an effect is known from zero."""
+def _is_known(effect, estimate, half):
+    """Whether a parameter of an effect is known from zero, half deviations or more."""
     # A shape alone is no sign that the effect is there.
-    own = [key for key in intervals if key not in effect.shape()] or list(intervals)
-    away = any(intervals[key][0] > 0.0 or intervals[key][1] < 0.0 for key in own)
-    return any(coef) and (away or not own)
+    values, deviations = named_values(effect, estimate)
+    seen = [key for key, std in deviations.items() if std > 0]
+    own = [key for key in seen if key not in effect.shape()] or seen
+    away = any(abs(values[key]) > half * deviations[key] for key in own)
+    return any(estimate.coef) and (away or not own)
 
 
 def named_values(effect, estimate):

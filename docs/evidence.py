@@ -520,7 +520,7 @@ def quadruped():
 
 def commands():
     """Show robots without torque sensors."""
-    data = Tables("commands_confirmation_5021")
+    data = Tables("commands_confirmation_5129")
     columns = [
         "way",
         "robots",

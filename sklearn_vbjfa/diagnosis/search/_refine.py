@@ -341,7 +341,9 @@ def _between(motion):
         int(row): (0.5 * (times[row - 1] + times[row]), step[row - 1] / usual)
         for row in np.flatnonzero(step > _GAP * usual) + 1
     }
-    # As probably as at all instants within a recording.
-    rows = np.searchsorted(times, motion.later)
-    found |= {int(r): (float(s), times.size) for r, s in zip(rows, motion.later)}
+    # As probably as at all instants within a recording; of the last, all rows may be
+    # left out.
+    later = motion.later[motion.later <= times[-1]]
+    rows = np.searchsorted(times, later)
+    found |= {int(r): (float(s), times.size) for r, s in zip(rows, later)}
     return [(row, *found[row]) for row in sorted(found)]

@@ -74,6 +74,14 @@ def test_an_instant_between_two_recordings_is_the_start_of_the_second():
     assert best(start, shared, motion).instant == begin
 
 
+def test_no_instant_is_in_a_recording_of_which_all_rows_are_left_out():
+    motion = two_recordings()
+    last = motion.t[-1]
+    motion = replace(motion, begins=(*motion.begins, last + 1.0))
+    start = effects.Payload(1, instant=last - 0.5)
+    assert best(start, lambda effect: effect.instant, motion).instant <= last
+
+
 @pytest.mark.parametrize(("worth", "left"), [(4.0, False), (20.0, True)])
 def test_rows_within_a_recording_say_more_than_how_many_there_are(worth, left):
     motion = two_recordings()

@@ -15,32 +15,10 @@ from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model import load_model
+from tests.hostile._case import LINK, URDF
 
 FILES = ["identified.json", "identified.urdf", "identified.xml"]
 FILES += ["parameters.csv", "report.html", "report.json"]
-LINK = """
-<link name="{name}"><inertial><origin xyz="{centre} 0 0"/><mass value="{mass}"/>
-  <inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/>
-</inertial></link>
-<joint name="{joint}" type="revolute"><parent link="{parent}"/><child link="{name}"/>
-  <origin xyz="{origin} 0 0"/><axis xyz="0 1 0"/>
-  <limit lower="-3" upper="3" effort="100" velocity="10"/>
-</joint>"""
-UPPER = {"name": "upper", "joint": "shoulder", "parent": "base", "origin": 0}
-LOWER = {"name": "lower", "joint": "elbow", "parent": "upper", "origin": 0.4}
-URDF = (
-    '<robot name="arm"><link name="base"/>'
-    + LINK.format(**UPPER, centre=0.2, mass=3)
-    + LINK.format(**LOWER, centre=0.15, mass=2)
-    + "</robot>"
-)
-
-
-@pytest.fixture(scope="module")
-def urdf(tmp_path_factory):
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(URDF)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +165,10 @@ def test_parameters_are_a_table(good, urdf, capsys):
 
 def test_alike_joints_are_rows_of_the_parameters(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    sides, both = ("left", "right"), {**UPPER, "centre": 0.2, "mass": 3}
+    sides, both = (
+        ("left", "right"),
+        {"parent": "base", "origin": 0, "centre": 0.2, "mass": 3},
+    )
     arms = [LINK.format(**both | {"name": x, "joint": f"{x}_arm"}) for x in sides]
     text = '<robot name="arms"><link name="base"/>' + "".join(arms) + "</robot>"
     Path("arms.urdf").write_text(text)

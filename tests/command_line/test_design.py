@@ -15,7 +15,7 @@ import pytest
 from sklearn_vbjfa import RobotIdentifier, load_identified
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
-from tests.command_line.test_close_loop import URDF
+from tests.hostile._case import URDF
 
 # The robots of these tests have no collision geometry, which is a doubt.
 UNCHECKED = 3

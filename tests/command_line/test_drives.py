@@ -11,18 +11,10 @@ from scipy.interpolate import CubicSpline
 
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
-from tests.command_line.test_close_loop import URDF
 
 KP, KD, DELAY = np.array([60.0, 30.0]), np.array([2.0, 1.0]), 0.008
 LAW = "pd kp=shoulder:60,elbow:30 kd=2,1"
 FEW = ("--effects", "none", "--quiet")
-
-
-@pytest.fixture(scope="module")
-def urdf(tmp_path_factory):
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(URDF)
-    return path
 
 
 @pytest.fixture(scope="module")

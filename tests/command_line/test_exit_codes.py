@@ -14,8 +14,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa._cli._parser import EXIT_CODES
-from tests.command_line.test_close_loop import LINK
-from tests.hostile._case import DT, URDF, N, cells, columns
+from tests.hostile._case import DT, LINK, URDF, N, cells, columns
 
 COMMANDS = ("identify", "inspect")
 WRIST = {"name": "tip", "joint": "wrist", "parent": "lower", "origin": 0.3}

@@ -10,7 +10,8 @@ import pytest
 
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
-from tests.command_line.test_close_loop import FILES, URDF, write_csv
+from tests.command_line.test_close_loop import FILES, write_csv
+from tests.hostile._case import URDF
 
 RUNS = ("runs/a.csv", "runs/b.csv", "runs/c.csv")
 # Options that keep the runs short.

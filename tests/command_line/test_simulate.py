@@ -11,14 +11,7 @@ from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.simulation import SimulationError
-from tests.command_line.test_close_loop import URDF, write_csv
-
-
-@pytest.fixture(scope="module")
-def urdf(tmp_path_factory):
-    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    path.write_text(URDF)
-    return path
+from tests.command_line.test_close_loop import write_csv
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ SEED = 20261124
 DT = 0.005
 N = 1600  # rows without fault
 
-_LINK = """
+LINK = """
 <link name="{name}"><inertial><origin xyz="{centre} 0 0"/><mass value="{mass}"/>
   <inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/>
 </inertial></link>
@@ -25,10 +25,10 @@ _LINK = """
 </joint>"""
 URDF = (
     '<robot name="arm"><link name="base"/>'
-    + _LINK.format(
+    + LINK.format(
         name="upper", joint="shoulder", parent="base", origin=0, centre=0.2, mass=3
     )
-    + _LINK.format(
+    + LINK.format(
         name="lower", joint="elbow", parent="upper", origin=0.4, centre=0.15, mass=2
     )
     + "</robot>"

@@ -368,7 +368,9 @@ def geometry():
         "with another wrong name": "with a wrong report",
     }
     found = data.column("all named", rows=["tilt", "zero", "axis", "gain"])
-    in_interval = data.column("in their interval", 2)
+    faults = {"tilt": "tilt", "zero": "encoder zero", "axis": "axis", "gain": "gain"}
+    in_interval = data.column("in their interval", 2, rows=list(faults))
+    worst = min(in_interval, key=in_interval.get)
     least = min(found.values())
     share = "all" if least == 100 else f"at least {least:.0f} % of the"
     verdict = (
@@ -377,9 +379,8 @@ def geometry():
         f"found in {share} cases."
     )
     limitation = (
-        "Ten cases per fault are few, and 90 % intervals of the tilt contain the "
-        "true value "
-        f"in {in_interval['tilt']:.0f} % of the cases."
+        f"Ten cases per fault are few, and 90 % intervals of the {faults[worst]} "
+        f"contain the true value in {in_interval[worst]:.0f} % of the cases."
     )
     question = "Are wrong geometry and wrong channels found?"
     return question, verdict, data, data.table(columns=columns, names=names), limitation

@@ -461,14 +461,12 @@ def repetition():
         "any perhaps [%]": "with a possible effect [%]",
         "effect named [%]": "true effect reported [%]",
     }
-    false = [
-        number_of(row[2])
-        for row in data.tables[0].rows
-        if not row[0].startswith("power")
-    ]
+    sound = [row for row in data.tables[0].rows if not row[0].startswith("power")]
+    count = sum(int(row[1]) for row in sound)
+    false = sum(round(int(row[1]) * number_of(row[2]) / 100) for row in sound)
     verdict = (
         "If motion and disturbance repeat together, an effect is reported in "
-        f"{span(false)} % of the recordings that lack nothing."
+        f"{false} of {count} recordings that lack nothing."
     )
     limitation = "The disturbances are sums of harmonics of the motion's period."
     question = "Are repeated disturbances reported as effects?"

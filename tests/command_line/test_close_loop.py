@@ -165,10 +165,8 @@ def test_parameters_are_a_table(good, urdf, capsys):
 
 def test_alike_joints_are_rows_of_the_parameters(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    sides, both = (
-        ("left", "right"),
-        {"parent": "base", "origin": 0, "centre": 0.2, "mass": 3},
-    )
+    sides = "left", "right"
+    both = {"parent": "base", "origin": 0, "centre": 0.2, "mass": 3}
     arms = [LINK.format(**both | {"name": x, "joint": f"{x}_arm"}) for x in sides]
     text = '<robot name="arms"><link name="base"/>' + "".join(arms) + "</robot>"
     Path("arms.urdf").write_text(text)

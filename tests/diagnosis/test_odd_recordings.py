@@ -174,3 +174,12 @@ def test_another_robot_is_not_one_whose_torques_are_explained(library, monkeypat
     torque = ONE.torque(joint_1=lambda r: 9.0 * r.q[:, 0])
     channels = ONE.discover(torque, library).report_.outcome.findings["channels"]
     assert channels == (() if library else (said,))
+
+
+def test_another_robot_is_told_of_where_nothing_shows_the_errors(monkeypatch):
+    said = ChannelFinding("other_robot", (0, 1), "warning", "Torques of another robot.")
+    monkeypatch.setattr(RobotIdentifier, "findings", lambda *_: (said,))
+    t = DT * np.arange(1500)
+    loop = close(*measure(t, pauses(t, [(0, 0.6)], [(0, 0.6)])), effects=())
+    assert not loop.report_.outcome.column("enough").any()
+    assert loop.report_.outcome.findings["channels"] == (said,)

@@ -91,6 +91,11 @@ class Outcome:
     provenance: dict  # recordings, settings and versions; files and date if known
 
     @property
+    def searched(self):
+        """Whether effects were looked for."""
+        return len(self.provenance["settings"].get("effects", "all")) > 0
+
+    @property
     def floor(self):
         """Noise floor of each joint over the deviation of its torque, (nv,)."""
         return self.column("floor")
@@ -169,7 +174,8 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
     motion = fitted_motion(final, spread)
     expectation = Expectation(after, columns["floor"], scatter, left_out, motion)
     # A robot whose torques are explained to their noise is the described one.
-    if (low <= ABOVE_FLOOR[0] * columns["floor"])[columns["enough"]].all():
+    explained = (low <= ABOVE_FLOOR[0] * columns["floor"])[columns["enough"]]
+    if explained.size and explained.all():
         channels = tuple(one for one in channels if one.kind != "other_robot")
     names, known = identifier.joint_names_, np.where(columns["enough"], after, np.nan)
     effects = tuple(discovered_effects(search, final, names, prismatic))

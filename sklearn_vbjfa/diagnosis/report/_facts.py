@@ -185,7 +185,7 @@ def hidden_groups(outcome):
 def to_record(outcome, signal_advice, no_period):
     """Return what to record next, the most important first, advice -> joints."""
     findings, wanted = outcome.findings, {}
-    if not len(outcome.provenance["settings"].get("effects", "all")):
+    if not outcome.searched:
         return {}  # what no search looked for needs no other motion
 
     def add(advice, one):

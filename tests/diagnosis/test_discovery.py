@@ -432,7 +432,7 @@ def test_unexplained_names_the_signal_that_it_varies_with():
 
 def test_friction_that_depends_on_another_joint_is_no_delay():
     torque = ARM.torque(
-        joint_1=lambda r: 0.8 * np.tanh(2 * r.q[:, 1]) * np.sign(r.v[:, 0])
+        joint_1=lambda r: (1.0 + 0.8 * np.tanh(2 * r.q[:, 1])) * np.sign(r.v[:, 0])
     )
     loop = ARM.discover(torque, ["coulomb", "delay", "load_friction"])
     assert "delay" not in {e.name for e in loop.effects_}

@@ -7,6 +7,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy import linalg
 
+from sklearn_vbjfa.diagnosis.search._problem import holding
+
 # Folds of a single recording, stretches one after the other.
 _FOLDS = 8
 # Recordings from which on each is left out as a whole: another motion.
@@ -114,11 +116,15 @@ class HeldOutFit:
         total = by_fold.sum(axis=0)
         ridge = _RIDGE * max(np.trace(total[:r, :r]) / max(r, 1), 1.0)
         prior = np.r_[np.full(r, ridge), fit.prior]
+        precision, zero = np.diag(prior), fit.problem.held
+        if zero.any():
+            L = linalg.cholesky(total[:r, :r] + np.diag(prior[:r]), lower=True)
+            precision[:r, :r] += holding(L, held.view.one_sided[zero])
         self._done = np.r_[np.zeros(r), fit.done]
         self._factors, self._thetas, self._without = [], [], {}
         for own in by_fold:
             left = total - own
-            self._factors.append(linalg.cho_factor(left[:-1, :-1] + np.diag(prior)))
+            self._factors.append(linalg.cho_factor(left[:-1, :-1] + precision))
             right = left[:-1, -1] - prior * self._done
             self._thetas.append(linalg.cho_solve(self._factors[-1], right))
 

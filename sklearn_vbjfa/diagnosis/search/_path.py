@@ -61,7 +61,7 @@ class Path:
         for self.turn in range(_TURNS):
             say(f"round {self.turn + 1}")
             self.candidates = self._candidates(fit)
-            base = self._spectrum(fit)
+            base = self._spectrum(fit.holding(False))
             fit = self._climb(self.scaled(Fit(base, fit.members)))
             names = keys_of(fit)
             if names == seen or not fit.members:
@@ -114,9 +114,10 @@ class Path:
         """Add, drop, refine and exchange until nothing is more probable."""
         been, refined, again = {keys_of(fit)}, frozenset(), True
         # Members and others of their joints beside which nothing is more probable.
-        self._compared = set()
+        self._compared, judged = set(), False
         while True:
-            new = self._grown(fit, been)
+            # What is held judges what is there: much would make up for it.
+            new = None if judged else self._grown(fit, been)
             if new is None and fit.members and keys_of(fit) != refined:
                 # Shapes that were found before the others of their joints were there.
                 joints = {joint for _, joint, _ in keys_of(fit) ^ refined}
@@ -130,7 +131,12 @@ class Path:
             if new is None:
                 new = self._exchanged(fit, been)
             if new is None:
-                return fit
+                new = self._possible(fit)
+                if new is None:
+                    return fit
+                if not judged:
+                    # Models beside other friction.
+                    judged, been, self._compared = True, set(), set()
             fit = new
             been.add(keys_of(fit))
 
@@ -328,6 +334,12 @@ class Path:
                     continue
                 return new
         return None
+
+    def _possible(self, fit):
+        """Hold friction at zero that would drive; None if that is so already."""
+        # The fit of the robot has none either.
+        new = fit.within_signs(self.settings.known)
+        return None if new is fit else self._pruned(self.scaled(new))
 
     # -- what is asked of a model ---------------------------------------------------
 

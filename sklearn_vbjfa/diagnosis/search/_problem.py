@@ -27,6 +27,8 @@ _SLOW, _SLOWEST = 4, 4
 _TINY = np.finfo(float).tiny
 # Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
 _RIDGE = 1e-9
+# How much better than by the data a term is known that is held at zero.
+_HELD = 1e6
 
 
 class Columns:
@@ -136,7 +138,8 @@ class Problem:
     # (nv, n): those of the declared columns and of the torques, sorted by band; edges
     # (n_bands + 1,): where each band begins, and the last one ends; torque (nv,): root
     # mean square of the varying torque in weighted rows; motion: signals from which
-    # columns are made, with the load; None before a fit.
+    # columns are made, with the load; None before a fit; held (nv, n): which of the
+    # view's terms of one sign are zero, as they would have the other.
 
     motion = None
 
@@ -150,6 +153,7 @@ class Problem:
         rest = view.target - mean[:, None] * view.root.T
         self.torque = np.sqrt((rest**2).sum(axis=1) / view.target.shape[1])
         self.used_joints = view.precision > 0
+        self.held = np.zeros(view.one_sided.shape[:2], dtype=bool)
 
     @property
     def edges(self):
@@ -187,6 +191,12 @@ class Problem:
         made.motion = motion
         return made
 
+    def holding(self, held):
+        """Return the same equations with other terms at zero."""
+        made = copy.copy(self)
+        made.held = held
+        return made
+
     def shaped(self, effects):
         """Return `Columns` of an effect with some shapes, list of Effect."""
         values, size = self.view.shaped(effects, self.motion, self.cosines)
@@ -221,6 +231,13 @@ def _lower(L, right, turned=False):
     return found if right.ndim > 1 else found.ravel()
 
 
+def holding(L, rows):
+    """Precision (r, r) with which sums `rows` (h, r) of coefficients are zero."""
+    # L: lower Cholesky factor of their own precision.
+    power = (_lower(L, rows.T) ** 2).sum(axis=0)
+    return (_HELD / power * rows.T) @ rows
+
+
 class Base:
     """The declared columns under given weights, and families given these."""
 
@@ -236,6 +253,9 @@ class Base:
         # Of each column itself: weights make some of them a thousand times the others.
         G += np.diag(_RIDGE * np.maximum(np.diagonal(G), 1.0))
         self.L = linalg.cholesky(G, lower=True)
+        if problem.held.any():
+            G += holding(self.L, problem.view.one_sided[problem.held])
+            self.L = linalg.cholesky(G, lower=True)
         self.t = self.solved(np.tensordot(density, problem.right, 2))
         self._known = WeakKeyDictionary()
 
@@ -560,6 +580,26 @@ class Fit:
         return Overdispersion(
             ratio=float(max(usual, left)), freedom=freedom, usual=usual
         )
+
+    def holding(self, held):
+        """Return the same with other declared friction at zero, see `Problem`."""
+        problem = self.problem
+        made = problem.holding(np.broadcast_to(held, problem.held.shape))
+        return Fit(self.base.on(made), self.members)
+
+    def within_signs(self, errors):
+        """Return the same with declared friction at zero that would drive."""
+        # errors: standard errors by which it is negative before it is held; once held,
+        # what is left of it says which sign it would have.
+        held, rows = self.problem.held, self.problem.view.one_sided
+        ways = self.base.solved(rows.reshape(held.size, -1).T)
+        ties = self._reduced(self._B.T @ ways)
+        variance = (ways**2).sum(axis=0) + (ties**2).sum(axis=0)
+        least = errors * np.sqrt(variance).reshape(held.shape)
+        wrong = rows @ self.theta < np.where(held, 0.0, -least)
+        # The elements of a bank stand for dry friction as well.
+        wrong[[m.effect.joint for m in self.members if m.effect.bank]] = False
+        return self if (wrong == held).all() else self.holding(wrong)
 
     @functools.cached_property
     def covariance(self):

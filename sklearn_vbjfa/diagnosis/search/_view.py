@@ -14,6 +14,7 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
     make_blocks,
     phase_blocks,
 )
+from sklearn_vbjfa.effects import declared
 from sklearn_vbjfa.equations._equations import make_motion, plain_coefficients
 from sklearn_vbjfa.recording import check_clock
 
@@ -105,6 +106,8 @@ def _within(part, weight, most, length):
 
 # Directions of the scaled Gram matrix below this are never used.
 _RANK = 1e-12
+# Share of a parameter that may lie outside of them.
+_DETERMINED = 1e-6
 # Numbers of the columns that are filtered together.
 _AT_ONCE = 1 << 20
 # Views of a corrected robot that are kept: a search goes to and fro between few.
@@ -131,7 +134,8 @@ class RecordingView:
     # (m, nv), their weights without rows at rest; root (m, nv) of the weights and
     # target (nv, m), torques scaled by it; step [s]; starts,
     # first row of each part; origin (m,), number of its recording; Z (nv, m, r) and
-    # back (p, r), see `reduced`.
+    # back (p, r), see `reduced`; one_sided (nv, n, r), rows of it that lead to the
+    # declared friction, which cannot be negative, zero where data do not determine it.
     # blocks: by which folds are left out and evidence is tempered, spans of time or, of
     # a motion that repeats, phases; span_order: all of them, parts in an order that
     # does not depend on how they came; phases: motion of each filtered row and time in
@@ -307,7 +311,13 @@ class RecordingView:
 
     def _set_coordinates(self):
         """Express the regressor in the directions that the data determine."""
-        self.Z, self.back = reduced(self.equations, self.precision)
+        self.Z, self.back, known = reduced(self.equations, self.precision)
+        own = self.nv, 10 + len(self.declared)
+        rows = (self.back * known[:, None])[: own[0] * own[1]].reshape(*own, -1)
+        # Rotors are bodies, which a search leaves free altogether.
+        terms = [declared(name) for name in self.declared]
+        one_sided = [bool(term.nonnegative and term.depends) for term in terms]
+        self.one_sided = rows[:, 10:][:, one_sided]
 
     @property
     def n_rows(self):
@@ -483,7 +493,8 @@ def variants(effect, shapes):
 def reduced(equations, precision):
     """Express a regressor in the directions that the data determine."""
     # Returns it in reduced coordinates (nv, m, r), rows scaled by the root of their
-    # weight, and the matrix (p, r) that leads back to the parameters.
+    # weight, the matrix (p, r) that leads back to the parameters, and which of these
+    # the data determine (p,).
     weight, Phi = equations.weight, equations.Phi
     # Of each joint the columns that it has alone: a tree has branches.
     places = [np.flatnonzero(own) for own in (Phi != 0).any(axis=0)]
@@ -498,4 +509,5 @@ def reduced(equations, precision):
     for own, part, made in zip(places, rows, Z):
         seen = np.flatnonzero(back[own].any(axis=0))
         made[:, seen] = part @ back[np.ix_(own, seen)]
-    return Z, back
+    known = (eigen.known_vectors**2).sum(axis=1) > 1.0 - _DETERMINED
+    return Z, back, known

@@ -44,7 +44,10 @@ def literal(fit, left_out, members, block_fold=None, studentised=False):
         precision.append(1.0 / (own.scale * own.unit) ** 2)
     A = np.concatenate(columns, axis=2)
     root = np.sqrt(left_out.weight)[:, None]
-    penalty = np.sqrt(np.concatenate(precision))
+    penalty = np.diag(np.sqrt(np.concatenate(precision)))
+    zero = 1e5 * view.one_sided[fit.problem.held]
+    zero = np.pad(zero, ((0, 0), (0, len(penalty) - zero.shape[1])))
+    penalty = np.vstack([penalty, zero])
     squares = np.zeros((view.blocks.n_blocks, view.nv))
     if block_fold is None:
         firsts = [
@@ -56,14 +59,14 @@ def literal(fit, left_out, members, block_fold=None, studentised=False):
         rows = (A[:, ~out] * root[:, :, None]).reshape(-1, A.shape[2])
         values = (view.target[:, ~out] * root).ravel()
         theta = np.linalg.lstsq(
-            np.vstack([rows, np.diag(penalty)]),
-            np.r_[values, np.zeros(penalty.size)],
+            np.vstack([rows, penalty]),
+            np.r_[values, np.zeros(len(penalty))],
             rcond=None,
         )[0]
         wrong = np.where(out, view.target - A @ theta, 0.0) ** 2
         if studentised:
             inverse = np.linalg.pinv(
-                rows.T @ rows + np.diag(penalty**2), hermitian=True
+                rows.T @ rows + penalty.T @ penalty, hermitian=True
             )
             expected = 1.0 + np.einsum("jmp,pq,jmq->jm", A, inverse, A) * root**2
             wrong = wrong / expected
@@ -100,6 +103,15 @@ def test_residuals_are_over_the_deviation_of_their_prediction(fitted):
     expected = literal(fit, found, [0, 1, 2], studentised=True)
     assert_allclose(squares, expected, rtol=1e-3)
     assert (squares < found.squares).all()
+
+
+def test_friction_that_is_held_at_zero_is_so_in_each_fold():
+    fit = made()
+    free = HeldOut(fit.problem.view).fitted(fit).squares
+    fit = fit.holding([[True], [False]])
+    found = HeldOut(fit.problem.view).fitted(fit)
+    assert_allclose(found.squares, literal(fit, found, [0, 1, 2]), rtol=1e-3)
+    assert found.squares[:, 0].sum() > 2.0 * free[:, 0].sum()
 
 
 def test_folds_may_be_given():

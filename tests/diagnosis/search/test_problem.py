@@ -41,6 +41,8 @@ class Made(Problem):
     def __init__(self, Z, y, heard):
         bands = np.arange(N + 1)
         self.Z, self.y, self.used_joints = Z, y, heard
+        self.view = SimpleNamespace(one_sided=np.zeros((NV, 1, R)))
+        self.held = np.zeros((NV, 1), dtype=bool)
         self.cosines = SimpleNamespace(
             fill=np.ones(NV), band=bands[:-1], edges=bands, octave=bands[:-1]
         )
@@ -118,6 +120,33 @@ def test_a_fit_is_least_squares_with_the_prior(members):
     A, b, *_ = dense(fit)
     residual = ((b - A @ found) / np.sqrt(fit.base.weights.ravel() + 1e-300))[: 2 * N]
     assert_allclose(fit.residual[:2].ravel(), residual, atol=1e-6)
+
+
+def test_friction_that_would_drive_is_held_at_zero_until_it_would_not():
+    free = of(MEMBERS)
+    row = np.array([0.0, 1.0, -2.0, 0.5])
+    row *= -np.sign(row @ free.theta)
+    free.problem.view.one_sided[1, 0] = row
+    held = free.within_signs(3.0)
+    assert held.within_signs(3.0) is held
+    # Least squares among coefficients for which it is zero.
+    A, b, precision, mean = dense(free)
+    basis = np.eye(A.shape[1])[:, 1:]
+    basis[:R, : R - 1] = np.linalg.svd(row[None])[2][1:].T
+    X = np.vstack([A, np.diag(np.sqrt(precision))]) @ basis
+    found = np.linalg.lstsq(X, np.r_[b, np.sqrt(precision) * mean], rcond=None)[0]
+    assert_allclose(held.theta, (basis @ found)[:R], atol=1e-4)
+    free.problem.view.one_sided[:] *= -1
+    assert_allclose(held.within_signs(3.0).theta, free.theta, rtol=1e-9)
+
+
+def test_friction_is_not_held_for_what_may_be_noise():
+    free = of(MEMBERS)
+    row = np.array([0.0, 1.0, -2.0, 0.5])
+    errors = row @ free.theta / np.sqrt(row @ solution(free)[1][:R, :R] @ row)
+    free.problem.view.one_sided[0, 0] = -np.sign(errors) * row
+    assert free.within_signs(1.01 * abs(errors)) is free
+    assert free.within_signs(0.99 * abs(errors)) is not free
 
 
 def log_density(fit):

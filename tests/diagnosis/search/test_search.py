@@ -48,6 +48,16 @@ def test_what_has_the_wrong_sign_is_something_else():
         assert found(search(torque, ["stribeck"], robot=robot).run()) == expected
 
 
+def test_a_fall_with_speed_is_no_quadratic_friction_beside_one_that_drives():
+    def torque(r):
+        v = r.v[:, 1]
+        return (1.0 + 1.0 / (1.0 + (v / 0.3) ** 2)) * np.sign(v) - 0.45 * v
+
+    robot = CLEAN.robot(friction=("viscous", "coulomb"))
+    now = search(CLEAN.torque(joint_2=torque), ["viscous_quadratic"], robot=robot)
+    assert not found(now.run())
+
+
 def test_the_plain_effect_comes_before_what_contains_it():
     torque = CLEAN.torque(joint_2=coulomb(1.0))
     now = search(torque, ["stribeck", "maxwell_slip", "asymmetric_friction", "coulomb"])

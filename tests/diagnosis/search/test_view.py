@@ -60,13 +60,14 @@ def test_reduced_coordinates_give_the_same_torques():
     weight = rng.uniform(0, 1, size=(m, 2))
     weight[::9] = 0.0
     tau = rng.normal(size=(m, 2))
-    Z, back = reduced(Equations(Phi=Phi, tau=tau, weight=weight), precision)
+    Z, back, known = reduced(Equations(Phi=Phi, tau=tau, weight=weight), precision)
     assert Z.shape == (2, m, 4)
     assert back.shape == (6, 4)
     u = rng.normal(size=4)
     root = np.sqrt(weight)
     assert_allclose((root * (Phi @ (back @ u))).T, Z @ u, atol=1e-9)
     assert_array_equal(back[5], 0.0)
+    assert_array_equal(known, [False, False, True, True, False, False])
     # Columns of mean square one, apart from the direction.
     G = np.einsum("j,jma,jmb->ab", precision, Z, Z)
     assert_allclose(G, np.diag(np.diagonal(G)), atol=1e-6 * np.diagonal(G).max())

@@ -9,8 +9,9 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 
 # A refit moves the errors of all joints; a rise below this factor is no harm.
 _WORSE = 1.05
-# The error of predicting the mean of the held-out torque.
-_MEAN_TORQUE = 1.0
+# The error of predicting the mean of the held-out torque, and one that is stated
+# beside the uses.
+_MEAN_TORQUE, _LARGE = 1.0, 0.5
 # Status of a robot with a joint of a status, the worst first: with effects, without.
 _STATUS = {
     "failed": ("failed", "failed"),
@@ -199,6 +200,7 @@ def _uses(outcome, status, joints):
     whole = "faulty" if status == "faulty" else ""
     whole = whole or ("contradiction" if outcome.findings["contradictions"] else "")
     rose = [one.joint for one in joints if _is_doubtful(outcome, one.joint)]
+    large = [own.joint for own in outcome.errors if own.after > _LARGE]
     effects = (*outcome.findings["effects"], *outcome.findings["possible"])
     known = ((outcome.robot["library"].get(one.name), one.joint) for one in effects)
     hidden = sorted({j for effect, j in known if effect and effect.not_simulated})
@@ -213,8 +215,9 @@ def _uses(outcome, status, joints):
             if one.status in forbidden:
                 causes.setdefault(one.status, []).append(one.joint)
         allowed = not causes
-        if allowed and rose:
-            causes["rose"] = rose
+        if allowed:
+            qualified = {"large": large, "rose": rose}
+            causes |= {why: own for why, own in qualified.items() if own}
         if allowed and name == "simulation" and hidden:
             causes["left out"] = hidden
         if allowed and name == "simulation" and outcome.provenance.get("export"):

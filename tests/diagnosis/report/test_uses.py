@@ -76,6 +76,14 @@ def test_a_rise_within_chance_stands_beside_the_uses():
     assert "within chance; identified.json" in report.uses[1].reason
 
 
+def test_a_large_error_stands_beside_the_uses():
+    for after in (0.4, 0.6):
+        given = make_outcome(unexplained=(2,), channels=(), after=np.full(6, after))
+        use, *_ = Report(given).uses
+        assert use.allowed
+        assert ("error above half of the torque" in use.reason) == (after > 0.5)
+
+
 def test_a_joint_with_an_effect_may_not_rise_at_all_in_silence():
     given = make_outcome(channels=(), n_effects=1)
     (effect,) = given.findings["effects"]

@@ -158,7 +158,10 @@ class FinalFit:
 
     def _scaled_residual(self):
         """Weighted residuals (m, nv), and one over their scale for each joint (nv,)."""
-        theta, view = self.identifier.theta_unconstrained_, self.view
+        # Elements of a bank that are alike cancel in a fit without bounds.
+        bounded = any(effect.bank for effect in self.effects)
+        robot, view = self.identifier, self.view
+        theta = robot.theta_ if bounded else robot.theta_unconstrained_
         residual = (view.equations.tau - self._predicted(theta)) * view.root
         count, squares = view.equations.weight.sum(axis=0), (residual**2).sum(axis=0)
         used = (count > 0) & (squares > 0)

@@ -55,6 +55,8 @@ _FAITHFUL = 0.6
 # Below this fraction of its top speed a joint counts as standing still: its friction
 # may then take any value inside the stiction band.
 STANDSTILL_SHARE = 0.02
+# ... and below this one of the fastest joint's, whose own speed is rounding.
+_ROUNDING = 1e-9
 # Fits until the load in the effects' columns agrees with the parameters: the load is
 # mostly gravity and inertia, which a first fit without those effects gets right.
 _LOAD_PASSES = 3
@@ -416,7 +418,7 @@ def resolve_standstill(standstill, fast):
             raise ValueError(
                 f"standstill must be 'auto', a speed, or None; got {standstill!r}."
             )
-        return STANDSTILL_SHARE * fast
+        return np.maximum(STANDSTILL_SHARE * fast, _ROUNDING * fast.max(initial=0.0))
     value = np.asarray(standstill, dtype=float)
     if value.shape not in {(), (nv,)} or not (value >= 0).all():
         raise ValueError(

@@ -130,8 +130,9 @@ FROZEN_ROWS, HELD_SPEED, BESIDE = 5, 0.1, 3
 # come equally often.
 STEP, FEWEST_STEPS, STEP_SHARE, SAME_RATE = 4.0, 20, 0.3, 0.8
 # A torque is coarse if its quantisation error exceeds this share of its spread, useless
-# if its range has fewer steps than this, and nothing if it is below this [N m or N].
-COARSE, LEVELS, NOTHING = 0.05, 5, 1e-9
+# if its range has fewer steps than this, nothing if it is below this [N m or N], and
+# constant if its range is below this share of it.
+COARSE, LEVELS, NOTHING, ROUNDED = 0.05, 5, 1e-9, 1e-12
 # Clipping: samples within this share of the channel's range of an extreme value, in
 # runs of at least this length, in at least this many places (or one run of the long
 # length, in a channel that does not repeat itself), and denser by this factor than the

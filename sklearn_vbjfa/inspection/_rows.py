@@ -310,8 +310,11 @@ def _report_lost(log, kind, runs, severity):
 
 def _constant(log):
     """Find torques that are constant, or nothing, while their joints move."""
-    nothing = np.abs(log.tau).max(axis=0) < number.NOTHING
-    joints = np.flatnonzero(~log.still & ((np.ptp(log.tau, axis=0) == 0) | nothing))
+    largest, spread = np.abs(log.tau).max(axis=0), np.ptp(log.tau, axis=0)
+    nothing = largest < number.NOTHING
+    joints = np.flatnonzero(
+        ~log.still & ((spread <= number.ROUNDED * largest) | nothing)
+    )
     if joints.size:
         values = (0.0 if nothing[j] else log.tau[0, j] for j in joints)
         values = " or ".join(dict.fromkeys(f"{x:.6g}" for x in values))

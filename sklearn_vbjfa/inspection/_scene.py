@@ -23,8 +23,13 @@ def weightless(reading):
         most = max(one.evidence for one in made)
         if most - max(now, _as_springs(robot, [j])) > number.DECISIVE:
             lost, odds = [*lost, j], odds + most - now
+    # Slides hold a weight in whatever direction gravity pulls.
+    held, weight = (
+        np.linalg.norm(x.mean(axis=0)[reading.slides])
+        for x in (robot.signals.tau, robot.weight)
+    )
     # What balances a single joint is likelier a spring.
-    if not lost or len(lost) == 1 < len(loaded):
+    if not lost or len(lost) == 1 < len(loaded) or held > 0.5 * weight > 0:
         return None
     columns = np.stack([moving, robot.weight], axis=-1)
     mean = np.zeros_like(moving)
@@ -40,7 +45,7 @@ def weightless(reading):
     heavy = np.abs(robot.weight[:, lost]).max()
     facts = {"share": share, "error": error, "heavy": heavy, "other": ""}
     if len(loaded) == 1:
-        facts["other"] = " Or a spring balances it."
+        facts["other"] = " Or a spring balances it, or the base is mounted otherwise."
     return Candidate(
         joints=tuple(lost),
         log_odds=odds,
@@ -89,9 +94,14 @@ def turned(reading):
         tried = [whole]
     # A spring that more than balances a single joint looks the same.
     heavy = 1 / number.AS_HEAVY < np.linalg.norm(whole) / usual < number.AS_HEAVY
-    loaded = len(_loaded(robot, robot.by_gravity @ pull))
+    weight = robot.by_gravity @ pull
+    loaded = _loaded(robot, weight)
     springs = _as_springs(robot, robot.joints) > found.evidence - number.DECISIVE
-    if not heavy or loaded < 2 or springs:
+    # Nor is it a weight that only offsets would hide.
+    even, mean = (x.mean(axis=0)[loaded] for x in (weight, robot.signals.tau))
+    largest = np.abs(weight).max(axis=0)[loaded]
+    apart, none = (np.square(x / largest).sum() for x in (mean - even, mean))
+    if not heavy or len(loaded) < 2 or springs or apart > none:
         return None
     fall = found.fall(robot.now)
     angle = float(np.arccos(np.clip(pull @ start / usual**2, -1, 1)))
@@ -100,7 +110,7 @@ def turned(reading):
         joints=reading.every,
         log_odds=found.evidence - robot.now.evidence,
         fall=fall,
-        clear=angle > number.TURNED and fall >= number.CLEAR * loaded,
+        clear=angle > number.TURNED and fall >= number.CLEAR * len(loaded),
         facts={"angle": np.degrees(angle), "pull": _written(pull / usual)},
     )
 

@@ -72,6 +72,43 @@ def test_a_base_in_another_orientation(log, down):
     assert [float(x) for x in shown.split(", ")] == pytest.approx(down, abs=0.1)
 
 
+def gantry(gravity=(0.0, 0.0, -9.81)):
+    """Three slides and a wrist, a recording of it under gravity [m/s^2], its weight."""
+    model = pin.Model()
+    for j, axis in enumerate(("PX", "PY", "PZ", "RY")):
+        joint = getattr(pin, f"JointModel{axis}")()
+        place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3]))
+        number = model.addJoint(j, joint, place, f"joint_{j + 1}")
+        body = pin.Inertia.FromBox(5.0 - j, 0.1, 0.1, 0.3)
+        centre = pin.SE3(np.eye(3), np.array([0.02, 0.0, 0.15]))
+        model.appendBodyToJoint(number, body, centre)
+    made = make_robot_recording(model, duration=15.0, dt=0.01, random_state=2)
+    data, turned = model.createData(), model.copy()
+    turned.gravity.linear = np.array(gravity)
+    weight, other = (
+        np.array([pin.computeGeneralizedGravity(one, data, q).copy() for q in made.q])
+        for one in (model, turned)
+    )
+    return model, made, weight, made.tau - weight + other
+
+
+def test_slides_show_whether_gravity_is_missing_or_turned():
+    # An offset of a slide explains a constant force as well.
+    model, made, weight, _ = gantry()
+    kinds, _ = grave((made, model, weight), tau=made.tau - weight)
+    assert kinds == ["no_gravity"]
+    *made, tau = gantry((6.0, 5.0, -6.0))
+    kinds, _ = grave((made[1], model, weight), tau=tau)
+    assert kinds == ["base_orientation"]
+
+
+def test_a_force_that_is_constant_but_for_rounding_is_not_coarse():
+    model, made, weight, _ = gantry()
+    found = inspect_channels(model, made.q, weight, made.dt)
+    assert {one.kind for one in found} <= {"constant_torque", "unverified"}
+    assert found[0].joints == (0, 1, 2)
+
+
 def test_positions_in_turns(log):
     assert grave(log, q=log[0].q / (2 * np.pi))[0] == ["position_turns"]
 

@@ -221,11 +221,25 @@ def searched(fit, numbers, scale):
         elif getattr(effect, "jumping", ()):
             found = jump(rest, effect, scale)
         else:
+            fit = max([fit, *_others(fit, i)], key=Fit.log_evidence)
             continue
-        members = list(fit.members)
-        members[i] = fit.problem.shaped([found]).member(scale=members[i].scale)
-        fit = Fit(fit.base, members)
+        fit = _with(fit, i, found)
     return fit
+
+
+def _others(fit, i):
+    """Fits with the other forms of a member, see `Shaped.averaged`, a list."""
+    effect = fit.members[i].effect
+    name, values = effect.averaged or ("", ())
+    forms = [clone(effect).set_params(**{name: value}) for value in values]
+    return [stepped(_with(fit, i, form), [i]) for form in forms]
+
+
+def _with(fit, i, effect):
+    """Return a fit with another shape of a member."""
+    members = list(fit.members)
+    members[i] = fit.problem.shaped([effect]).member(scale=members[i].scale)
+    return Fit(fit.base, members)
 
 
 def bank(fit, effect, shapes, scale):

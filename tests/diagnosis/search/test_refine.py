@@ -7,7 +7,7 @@ import pytest
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.diagnosis.search._refine import Bracket, instant
-from tests.diagnosis.search._searches import CLEAN, search
+from tests.diagnosis.search._searches import CLEAN, search, stribeck
 
 MOTION = search(CLEAN.torque(), ["stribeck"]).view.motion(None)
 GRID = sorted({s["vs"] for s in effects.Stribeck(1).shapes(MOTION)})
@@ -103,3 +103,13 @@ def test_the_instant_of_a_jump_is_found_wherever_it_is():
     fit = path.run()
     (member,) = fit.members
     assert member.effect.instant == pytest.approx(truth, abs=0.05)
+
+
+def test_another_form_is_taken_where_it_is_more_probable():
+    robot = CLEAN.robot(friction=("viscous", "coulomb"))
+    torque = CLEAN.torque(joint_2=stribeck(1.0))
+    path = search(torque, ["stribeck"], robot=robot).path()
+    fit = path.refined(path.placed([effects.Stribeck(1, vs=0.4, k=2)]))
+    (member,) = fit.members
+    assert member.effect.k == 1
+    assert member.effect.vs == pytest.approx(0.3, rel=0.15)

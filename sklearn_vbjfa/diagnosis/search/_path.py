@@ -114,10 +114,10 @@ class Path:
         """Add, drop, refine and exchange until nothing is more probable."""
         been, refined, again = {keys_of(fit)}, frozenset(), True
         # Members and others of their joints beside which nothing is more probable.
-        self._compared, judged = set(), False
+        self._compared, held = set(), set()
         while True:
             # What is held judges what is there: much would make up for it.
-            new = None if judged else self._grown(fit, been)
+            new = None if held else self._grown(fit, been)
             if new is None and fit.members and keys_of(fit) != refined:
                 # Shapes that were found before the others of their joints were there.
                 joints = {joint for _, joint, _ in keys_of(fit) ^ refined}
@@ -132,11 +132,12 @@ class Path:
                 new = self._exchanged(fit, been)
             if new is None:
                 new = self._possible(fit)
-                if new is None:
+                if new is None or (new.problem.held.tobytes(), keys_of(new)) in held:
                     return fit
-                if not judged:
+                if not held:
                     # Models beside other friction.
-                    judged, been, self._compared = True, set(), set()
+                    been, self._compared = set(), set()
+                held.add((new.problem.held.tobytes(), keys_of(new)))
             fit = new
             been.add(keys_of(fit))
 

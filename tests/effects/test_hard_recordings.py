@@ -18,8 +18,8 @@ SLIPS = sum(
 TORQUE = LOAD + 0.5 * V + SLIPS + NOISE
 
 
-def searched(q, tau, *names):
-    robot = RobotIdentifier(MODEL, dt=0.02)
+def searched(q, tau, *names, cutoff="auto"):
+    robot = RobotIdentifier(MODEL, dt=0.02, cutoff=cutoff)
     return EffectDiscovery(robot, effects=names, random_state=0).fit(q, tau)
 
 
@@ -35,6 +35,14 @@ def test_the_size_of_the_friction_is_found(q, tau, tolerance):
     (effect,) = searched(q, tau, "maxwell_slip", "coulomb").effects_
     assert effect.name == "maxwell_slip"
     assert effect.parameters["Fc"] == pytest.approx(3.0, rel=tolerance)
+
+
+def test_equal_elements_that_cancel_do_not_hide_the_friction():
+    coarse = np.round(Q / 0.08) * 0.08
+    found = searched(coarse, TORQUE, "maxwell_slip", "coulomb", cutoff=5.0)
+    (effect,) = found.effects_
+    low, high = effect.intervals["Fc"]
+    assert 2.5 < low < 3.04 < high < 3.5
 
 
 def test_a_joint_that_never_reverses_shows_no_memory():

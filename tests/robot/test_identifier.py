@@ -9,6 +9,7 @@ from sklearn.linear_model import LinearRegression
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.equations import _equations
+from sklearn_vbjfa.equations._plan import resolve_standstill
 from sklearn_vbjfa.model import load_model, nominal_parameters
 from sklearn_vbjfa.robot import FitOptions
 from tests.simulation._machines import wheel
@@ -162,6 +163,11 @@ def test_automatic_standstill_is_two_per_cent_of_the_speed(identified, simulated
     speed = np.abs(simulated.states[:, 6:12])
     fast = np.quantile(speed, 0.995, axis=0)
     np.testing.assert_allclose(identified.standstill_, 0.02 * fast, rtol=0.02)
+
+
+def test_a_joint_whose_speed_is_rounding_stands_still():
+    fast = np.array([3.0, 1e-30])
+    assert (resolve_standstill("auto", fast) > fast).tolist() == [False, True]
 
 
 @pytest.mark.parametrize("cutoff", [None, 10.0])

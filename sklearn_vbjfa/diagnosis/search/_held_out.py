@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa.diagnosis.search._problem import holding
+from sklearn_vbjfa.diagnosis.search._problem import precision_at_zero
 
 # Folds of a single recording, stretches one after the other.
 _FOLDS = 8
@@ -118,8 +118,8 @@ class HeldOutFit:
         prior = np.r_[np.full(r, ridge), fit.prior]
         precision, zero = np.diag(prior), fit.problem.held
         if zero.any():
-            L = linalg.cholesky(total[:r, :r] + np.diag(prior[:r]), lower=True)
-            precision[:r, :r] += holding(L, held.view.one_sided[zero])
+            gram, rows = total[:r, :r] + precision[:r, :r], held.view.one_sided[zero]
+            precision[:r, :r] += precision_at_zero(gram, rows)
         self._done = np.r_[np.zeros(r), fit.done]
         self._factors, self._thetas, self._without = [], [], {}
         for own in by_fold:

@@ -19,6 +19,7 @@ from sklearn_vbjfa.diagnosis.search._refine import (
     searched,
     searched_on,
     stepped,
+    with_shape,
 )
 from sklearn_vbjfa.effects import closure
 
@@ -132,12 +133,15 @@ class Path:
                 new = self._exchanged(fit, been)
             if new is None:
                 new = self._possible(fit)
-                if new is None or (new.problem.held.tobytes(), keys_of(new)) in held:
+                if new is None:
+                    return fit
+                pattern = new.problem.held.tobytes(), keys_of(new)
+                if pattern in held:
                     return fit
                 if not held:
                     # Models beside other friction.
                     been, self._compared = set(), set()
-                held.add((new.problem.held.tobytes(), keys_of(new)))
+                held.add(pattern)
             fit = new
             been.add(keys_of(fit))
 
@@ -300,10 +304,7 @@ class Path:
         for i, member in enumerate(fit.members):
             used = fit.coefficients(i) > 0
             if member.effect.bank and used.any() and not used.all():
-                kept = fit.problem.shaped([member.effect.only(used)])
-                members = list(fit.members)
-                members[i] = kept.member(scale=member.scale)
-                return self.scaled(Fit(fit.base, members))
+                return self.scaled(with_shape(fit, i, member.effect.only(used)))
         return fit
 
     def _exchanged(self, fit, been):

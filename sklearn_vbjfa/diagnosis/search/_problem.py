@@ -231,10 +231,10 @@ def _lower(L, right, turned=False):
     return found if right.ndim > 1 else found.ravel()
 
 
-def holding(L, rows):
+def precision_at_zero(gram, rows):
     """Precision (r, r) with which sums `rows` (h, r) of coefficients are zero."""
-    # L: lower Cholesky factor of their own precision.
-    power = (_lower(L, rows.T) ** 2).sum(axis=0)
+    # gram (r, r): precision of the coefficients by the data.
+    power = (_lower(linalg.cholesky(gram, lower=True), rows.T) ** 2).sum(axis=0)
     return (_HELD / power * rows.T) @ rows
 
 
@@ -252,10 +252,9 @@ class Base:
         G = np.tensordot(density, problem.gram, 2)
         # Of each column itself: weights make some of them a thousand times the others.
         G += np.diag(_RIDGE * np.maximum(np.diagonal(G), 1.0))
-        self.L = linalg.cholesky(G, lower=True)
         if problem.held.any():
-            G += holding(self.L, problem.view.one_sided[problem.held])
-            self.L = linalg.cholesky(G, lower=True)
+            G += precision_at_zero(G, problem.view.one_sided[problem.held])
+        self.L = linalg.cholesky(G, lower=True)
         self.t = self.solved(np.tensordot(density, problem.right, 2))
         self._known = WeakKeyDictionary()
 

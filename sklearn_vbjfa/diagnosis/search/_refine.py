@@ -223,7 +223,7 @@ def searched(fit, numbers, scale):
         else:
             fit = max([fit, *_others(fit, i)], key=Fit.log_evidence)
             continue
-        fit = _with(fit, i, found)
+        fit = with_shape(fit, i, found)
     return fit
 
 
@@ -232,10 +232,10 @@ def _others(fit, i):
     effect = fit.members[i].effect
     name, values = effect.averaged or ("", ())
     forms = [clone(effect).set_params(**{name: value}) for value in values]
-    return [stepped(_with(fit, i, form), [i]) for form in forms]
+    return [stepped(with_shape(fit, i, form), [i]) for form in forms]
 
 
-def _with(fit, i, effect):
+def with_shape(fit, i, effect):
     """Return a fit with another shape of a member."""
     members = list(fit.members)
     members[i] = fit.problem.shaped([effect]).member(scale=members[i].scale)

@@ -232,7 +232,8 @@ def _robot(search, models, identifier, whole):
     """Describe the declared model, and what of the completed one is no finding."""
     robot, drive = models.declared, models.declared.drive
     features, plain = robot.features_, models.plain.features_.friction_
-    model, library = features.model_, (*resolve(declarable()), *search.library)
+    model = features.model_
+    library = (*resolve(declarable()), *robot.effects_, *search.library)
     limits = [model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit]
     limits = np.array(limits).T
     # Descriptions without limits are read as zeros.

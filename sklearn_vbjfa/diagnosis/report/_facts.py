@@ -34,12 +34,6 @@ def grouped(items, key):
 # -- effects of the robot model --------------------------------------------------------
 
 
-def in_model(outcome, effect):
-    """Whether an effect, or a hidden one, is part of the robot model."""
-    known = outcome.robot["library"].get(effect.name)
-    return known is not None and known.in_model
-
-
 def plain_texts(effect):
     """Write the parameters of an effect in the model, symbol -> value, unit."""
     # In degrees, mm, and per cent that a gain is too much or too little.
@@ -170,7 +164,7 @@ def hidden_groups(outcome):
     """Group effects that are not identifiable by whether they are in the model, why."""
     model, others = [], {"excitation": [], "signal": [], "span": []}
     for one in outcome.findings["not_identifiable"]:
-        if in_model(outcome, one) and one.reason != "span":
+        if outcome.robot["library"][one.name].in_model and one.reason != "span":
             model.append(one)
         else:
             others[one.reason].append(one)
@@ -185,27 +179,27 @@ def hidden_groups(outcome):
 def to_record(outcome, signal_advice, no_period):
     """Return what to record next, the most important first, advice -> joints."""
     findings, wanted = outcome.findings, {}
+    library = outcome.robot["library"]
     if not outcome.searched:
         return {}  # what no search looked for needs no other motion
 
-    def add(advice, one):
+    def add(advice, joint, name=None):
         joints = wanted.setdefault(advice, []) if advice else []
-        joints += (
-            [] if words.of_robot(outcome, getattr(one, "name", "")) else [one.joint]
-        )
+        if name is None or library[name].scope == "joint":
+            joints.append(joint)
 
     if findings["repeated"]:
         wanted[no_period] = []
     for rest in findings["unexplained"]:
         for name in [one.signal.split(" of ")[0] for one in rest.signals] or [""]:
-            add(signal_advice.get(name, ""), rest)
+            add(signal_advice.get(name, ""), rest.joint)
     for effect in findings["effects"]:
         rivals = [one["name"] for one in effect.trials]
         for name in (effect.name, *rivals) if rivals else ():
-            add(words.record_for(outcome, name), effect)
+            add(library[name].record, effect.joint, effect.name)
     for one in findings["not_identifiable"]:
         if one.reason == "excitation":
-            add(words.record_for(outcome, one.name) or one.remedy, one)
+            add(library[one.name].record, one.joint, one.name)
     return wanted
 
 

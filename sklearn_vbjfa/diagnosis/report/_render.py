@@ -127,7 +127,7 @@ class Voice:
             ),
             "effect": label,
             "place": partial(words.place_label, outcome),
-            "in_model": partial(_facts.in_model, outcome),
+            "in_model": lambda e: outcome.robot["library"][e.name].in_model,
             "statement": partial(_facts.statement, outcome),
         }
         self._module = self._made("sentences.j2", is_page=False)

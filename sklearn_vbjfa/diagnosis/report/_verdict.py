@@ -202,8 +202,8 @@ def _uses(outcome, status, joints):
     rose = [one.joint for one in joints if _is_doubtful(outcome, one.joint)]
     large = [own.joint for own in outcome.errors if own.after > _LARGE]
     effects = (*outcome.findings["effects"], *outcome.findings["possible"])
-    known = ((outcome.robot["library"].get(one.name), one.joint) for one in effects)
-    hidden = sorted({j for effect, j in known if effect and effect.not_simulated})
+    library = outcome.robot["library"]
+    hidden = sorted({e.joint for e in effects if library[e.name].not_simulated})
     found = []
     for name, forbidden in (
         ("feedforward", _UNTRUSTED),

@@ -50,23 +50,13 @@ def signal_label(signal, names, joint):
 
 def effect_label(outcome, name, shape=None):
     """Plain English for an effect of an outcome, with what matters of its shape."""
-    found = outcome.robot["library"].get(name)
-    if found is None:
-        # What follows a colon is the user's own name, such as that of a column.
-        return name if ": " in name else name.replace("_", " ")
     joint = functools.partial(joint_label, outcome.robot["joints"])
-    return found.describe(shape or {}, joint)
-
-
-def of_robot(outcome, name):
-    """Whether an effect belongs to the robot as a whole."""
-    found = outcome.robot["library"].get(name)
-    return found is not None and found.scope == "robot"
+    return outcome.robot["library"][name].describe(shape or {}, joint)
 
 
 def place_label(outcome, name, joint):
     """Where an effect is: its joint, or the robot for one that belongs to none."""
-    if of_robot(outcome, name):
+    if outcome.robot["library"][name].scope == "robot":
         return "robot"
     return joint_label(outcome.robot["joints"], joint)
 
@@ -79,19 +69,9 @@ def effect_at(outcome, name, joint, shape=None):
 
 def rival_labels(outcome, effect):
     """Name the rivals of an effect, with the joints of those that are on others."""
-    found = []
-    for one in effect.trials:
-        same = one["joint"] == effect.joint and not of_robot(outcome, effect.name)
-        label = effect_label(outcome, one["name"], one["shape"])
-        place = place_label(outcome, one["name"], one["joint"])
-        found.append(label if same or place == "robot" else f"{label} on {place}")
-    return list(dict.fromkeys(found))
-
-
-def record_for(outcome, name):
-    """Return what to record to see an effect; empty if its class does not say."""
-    found = outcome.robot["library"].get(name)
-    return "" if found is None else found.record
+    here = place_label(outcome, effect.name, effect.joint)
+    labels = (effect_at(outcome, **one) for one in effect.trials)
+    return list(dict.fromkeys(x.removesuffix(f" on {here}") for x in labels))
 
 
 def documentation_of(name):

@@ -14,7 +14,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     Unexplained,
 )
 from sklearn_vbjfa.diagnosis.search import UNDECIDED, Evidence
-from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.effects import Effect, resolve
 from sklearn_vbjfa.inspection import ChannelFinding
 
 EVIDENCE = Evidence(log_odds=8.2, gain=0.46, gain_std=0.04, errors=11.0, n_blocks=52)
@@ -31,6 +31,10 @@ KINDS = (
     ("ripple", {"A": 0.8, "phase": 1.2, "period": 0.33}, {"A": "N m"}, ()),
     ("my_own_effect", {"k3": 2e-7}, {"k3": "N m/rad^3"}, ()),
 )
+
+
+class MyOwnEffect(Effect):
+    name = "my_own_effect"
 
 
 def finding(message, severity="note"):
@@ -141,7 +145,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         "gains": None,
         "corrections": (),
         "common_size": 1.0,
-        "library": {effect.name: effect for effect in resolve("all")},
+        "library": {e.name: e for e in (*resolve("all"), MyOwnEffect())},
     }
     provenance = {
         "recordings": ("1",),

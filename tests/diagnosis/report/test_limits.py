@@ -69,10 +69,10 @@ def test_alike_joints_share_values():
             value=0.0105,
         )
 
-    given = (shared("rotor_inertia"), shared("my_own:k", scatter=np.nan))
+    given = (shared("rotor_inertia"), shared("my_own_effect:k", scatter=np.nan))
     text = shown("Joints with the same drive", alike=given)
     assert_said(text, "hip rotor inertia 0.0105 +- 0.0003 kg m² 4 % 3")
-    assert_said(text, "hip my own 0.0105")
+    assert_said(text, "hip my own effect 0.0105")
     assert shown("Joints with the same drive") == ""
 
 

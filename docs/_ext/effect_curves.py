@@ -37,16 +37,21 @@ def effect_figure(x, after, law, *, with_motion, x_label, y_label):
     rows = np.argsort(x, kind="stable")
     rows = rows[np.linspace(0, rows.size - 1, min(rows.size, _CLOUD)).astype(int)]
     way = ", in the direction of motion" if with_motion else ""
-    plot = Plot(ends_of(center), range_of(np.r_[without[rows], means(law)]))
+    seen = range_of(np.r_[without[rows], means(law)])
+    title = f"without the effect{way}"
+    plot = Plot(ends_of(center), seen, x_label, y_label, title)
     mean, half = means(without), np.array([without[own].std() for own in bins])
     plot.zero()
     plot.cloud(x[rows], without[rows])
-    plot.band("spread", center, mean - half, mean + half)
-    plot.line("mean-before", (center, mean))
-    plot.line("law", (center, means(law)))
+    across = [*plot.across(center), *plot.across(center)[::-1]]
+    down = [*plot.down(mean + half), *plot.down(mean - half)[::-1]]
+    outline = "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(across, down))
+    plot.add("spread", f"M{outline}Z")
+    plot.line("mean-before", center, mean)
+    plot.line("law", center, means(law))
     return Figure(
         title="",
-        charts=(plot.chart(x_label, y_label, f"without the effect{way}"),),
+        charts=(plot,),
         keys=(
             ("cloud", "rows of the recording"),
             ("spread", "mean ± one standard deviation"),

@@ -15,36 +15,25 @@ _MOST, _REACH = (0.01, 0.99), 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chart:
-    """A frame with axes."""
-
-    title: str
-    # what the axes show, with units
-    x_label: str
-    y_label: str
-    # place in per cent from the left or the top, and text
-    x_ticks: tuple
-    y_ticks: tuple
-    # pairs of a class in the style sheet and path data, from the back to the front
-    shapes: tuple
-
-
-@dataclass(frozen=True, kw_only=True)
 class Figure:
     """Charts that belong together."""
 
     title: str
-    charts: tuple  # side by side
+    charts: tuple  # each a `Plot`, side by side
     keys: tuple  # class and text of each entry of the legend
     note: str = ""  # what is not in the frame
     stacked: bool = False  # charts below one another, on one axis
 
 
 class Plot:
-    """A chart in the making: ranges of both axes, and shapes from the back on."""
+    """A frame with axes, and shapes in it."""
 
-    def __init__(self, x, y):
+    # x, y: ranges of the axes; labels: what they show, with units; shapes: pairs of a
+    # class in the style sheet and path data, from the back to the front.
+
+    def __init__(self, x, y, x_label, y_label, title=""):
         self.x, self.y, self.shapes = x, y, []
+        self.x_label, self.y_label, self.title = x_label, y_label, title
 
     def across(self, values):
         low, high = self.x
@@ -64,14 +53,12 @@ class Plot:
         """Add a horizontal line at zero."""
         self.add("zero", f"M0 {self.down(0.0):.1f}H{WIDTH}")
 
-    def line(self, kind, *pieces):
-        """Add a line of pieces (x, y); points that are nan interrupt it."""
-        out = []
-        for x, y in pieces:
-            pen = "M"
-            for a, b in zip(self.across(x), self.down(y)):
-                out += [f"{pen}{a:.1f} {b:.1f}"] if np.isfinite(b) else []
-                pen = "L" if np.isfinite(b) else "M"
+    def line(self, kind, x, y):
+        """Add a line; points that are nan interrupt it."""
+        out, pen = [], "M"
+        for a, b in zip(self.across(x), self.down(y)):
+            out += [f"{pen}{a:.1f} {b:.1f}"] if np.isfinite(b) else []
+            pen = "L" if np.isfinite(b) else "M"
         self.add(kind, "".join(out))
 
     def cloud(self, x, y):
@@ -80,16 +67,10 @@ class Plot:
         places = zip(self.across(x[seen]), self.down(y[seen]))
         self.add("cloud", "".join(f"M{a:.1f} {b:.1f}h0" for a, b in places))
 
-    def band(self, kind, x, low, high):
-        """Add the outline of a band; of constant ends over the whole width."""
-        if x is None:
-            up, down = self.down([high, low])
-            self.add(kind, f"M0 {up:.1f}H{WIDTH}V{down:.1f}H0Z")
-            return
-        x = self.across(x)
-        up = [f"{a:.1f} {b:.1f}" for a, b in zip(x, self.down(high))]
-        down = [f"{a:.1f} {b:.1f}" for a, b in zip(x, self.down(low))]
-        self.add(kind, f"M{'L'.join([*up, *down[::-1]])}Z")
+    def band(self, half):
+        """Add a band around zero over the whole width."""
+        up, down = self.down([half, -half])
+        self.add("floor", f"M0 {up:.1f}H{WIDTH}V{down:.1f}H0Z")
 
     def beyond(self, curves):
         """Describe how far values go that are cut off; empty if none is."""
@@ -99,21 +80,17 @@ class Plot:
         far += [words.number(high)] if high > self.y[1] else []
         return f"Cut off: values to {' and '.join(far)}." if far else ""
 
-    def chart(self, x_label, y_label, title=""):
-        """Return the chart."""
-        width, height = self.x[1] - self.x[0], self.y[1] - self.y[0]
-        return Chart(
-            title=title,
-            x_label=x_label,
-            y_label=y_label,
-            x_ticks=tuple(
-                (100 * (x - self.x[0]) / width, t) for x, t in ticks(*self.x)
-            ),
-            y_ticks=tuple(
-                (100 * (self.y[1] - y) / height, t) for y, t in ticks(*self.y)
-            ),
-            shapes=tuple(self.shapes),
-        )
+    @property
+    def x_ticks(self):
+        """Place of each tick in per cent from the left, and its text."""
+        low, high = self.x
+        return [(100 * (x - low) / (high - low), t) for x, t in ticks(low, high)]
+
+    @property
+    def y_ticks(self):
+        """Place of each tick in per cent from the top, and its text."""
+        low, high = self.y
+        return [(100 * (high - y) / (high - low), t) for y, t in ticks(low, high)]
 
 
 # -- the figures of an outcome ---------------------------------------------------------
@@ -141,17 +118,17 @@ def _torque(outcome, curves):
     }
     lower = {"line-before": left[0], "line-after": left[1]}
     what, charts, notes = "torque" if own.unit == "N m" else "force", [], []
-    for label, shown in ((what, upper), ("residual", lower)):
-        values = list(shown.values())
-        plot = Plot(ends_of(seconds), range_of(np.concatenate(values)))
+    time = "held-out time, its stretches joined [s]"
+    for name, shown in ((what, upper), ("residual", lower)):
+        values, label = list(shown.values()), f"{name} [{own.unit}]"
+        plot = Plot(ends_of(seconds), range_of(np.concatenate(values)), time, label)
         if shown is lower and floor > 0:
-            plot.band("floor", None, -floor, floor)
+            plot.band(floor)
         plot.zero()
         for kind, y in shown.items():
-            plot.line(kind, (seconds, y))
+            plot.line(kind, seconds, y)
         notes.append(plot.beyond(values))
-        time = "held-out time, its stretches joined [s]"
-        charts.append(plot.chart(time, f"{label} [{own.unit}]"))
+        charts.append(plot)
     keys = list(zip(upper, ("measured", "completed model", "declared model")))
     if floor > 0:
         keys.append(("floor", "noise floor, one standard deviation"))
@@ -172,19 +149,18 @@ def residuals(outcome):
 def _residual(outcome, curves):
     """Draw a residual over the predicted torque, and its autocorrelation."""
     unit = outcome.errors[curves.joint].unit
-    cloud = Plot(ends_of(curves.predicted), range_of(curves.residual))
+    x, y = curves.predicted, curves.residual
+    cloud = Plot(ends_of(x), range_of(y), f"predicted [{unit}]", f"residual [{unit}]")
     cloud.zero()
-    cloud.cloud(curves.predicted, curves.residual)
-    lags = Plot(ends_of(curves.lags), range_of(curves.correlation))
-    lags.band("floor", None, -curves.chance, curves.chance)
+    cloud.cloud(x, y)
+    x, y = curves.lags, curves.correlation
+    lags = Plot(ends_of(x), range_of(y), "lag [s]", "autocorrelation [1]")
+    lags.band(curves.chance)
     lags.zero()
-    lags.line("mean-after", (curves.lags, curves.correlation))
+    lags.line("mean-after", x, y)
     return Figure(
         title=words.joint_label(outcome.robot["joints"], curves.joint),
-        charts=(
-            cloud.chart(f"predicted [{unit}]", f"residual [{unit}]"),
-            lags.chart("lag [s]", "autocorrelation [1]"),
-        ),
+        charts=(cloud, lags),
         keys=(
             ("cloud", "rows in which the joint moves"),
             ("mean-after", "autocorrelation"),

@@ -289,7 +289,7 @@ def error_rows(outcome):
     percent, rows = words.bare_percent, []
     left_out = [] if outcome.robot["added"] else ["four terms"]
     for one in sorted(outcome.errors, key=lambda x: -np.nan_to_num(x.after, nan=-1)):
-        ends = one.intervals.get("after", (np.nan, np.nan))
+        ends = one.intervals["after"]
         known = np.isfinite(ends).all()
         reach = f" [{percent(ends[0])}, {percent(ends[1])}]" if known else ""
         cells = {
@@ -332,8 +332,7 @@ def bars(outcome):
     # bars: kind, and length or None; reach: where the interval of the error after
     # begins and how long it is, or empty.
     sizes = [outcome.column(name) for name in ("before", "after", "floor")]
-    ends = [one.intervals.get("after", ()) for one in outcome.errors]
-    sizes = np.concatenate([*sizes, *ends])
+    sizes = np.concatenate([*sizes, *outcome.intervals("after")])
     longest = np.max(sizes, where=np.isfinite(sizes), initial=0.0) or 1.0
 
     def place(value):
@@ -343,7 +342,7 @@ def bars(outcome):
     kinds = ("before", *(["plain"] if outcome.robot["added"] else []), "after")
     found = []
     for one in outcome.errors:
-        low, high = map(place, one.intervals.get("after", (np.nan, np.nan)))
+        low, high = map(place, one.intervals["after"])
         found.append(
             {
                 "bars": [(kind, place(getattr(one, kind))) for kind in kinds],

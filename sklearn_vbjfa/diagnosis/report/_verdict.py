@@ -26,7 +26,6 @@ _UNTRUSTED = ("failed", "worse", "few", "no data", "unsearched")
 _ABOVE_NOISE = ("unexplained", "above", "unknown")
 # Verdicts on a joint that forbid a use.
 NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")
-_NO_ENDS = (np.nan, np.nan)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,16 +45,6 @@ class JointVerdict:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeanErrors:
-    """Mean errors of the joints that are judged, over the deviation; nan if unknown."""
-
-    before: float
-    plain: float
-    after: float
-    floor: float  # known only if that of every such joint is
-
-
-@dataclass(frozen=True, kw_only=True)
 class Use:
     """A use of the identified robot."""
 
@@ -72,7 +61,9 @@ class Verdict:
 
     status: str
     joints: tuple[JointVerdict, ...]
-    errors: MeanErrors
+    # means of the joints that are judged: "before", "plain" and "after"; nan if
+    # unknown, and so is "floor" if that of a joint is
+    errors: dict
     uses: tuple[Use, ...]
     faults: tuple = ()  # messages on faulty channels
     fell: bool = True  # whether effects lowered the mean error
@@ -87,15 +78,18 @@ class Verdict:
 def judge(outcome, label):
     """Judge an outcome, as a `Verdict`; label: joint -> its name in a sentence."""
     findings = outcome.findings
-    joints = tuple(_judge_joint(outcome, own, label) for own in outcome.errors)
+    joints = tuple(
+        JointVerdict(joint=j, label=label(j), **_of_joint(outcome, j))
+        for j in range(len(outcome.errors))
+    )
     faults = tuple(
         one.message
         for one in findings["channels"]
         if one.severity == "warning" and one.kind not in NO_INFORMATION
     )
-    status, errors = _status(outcome, joints, faults), mean_errors(outcome)
+    status, errors = _status(outcome, joints, faults), _mean_errors(outcome)
     worse = [outcome.errors[one.joint] for one in joints if one.status == "worse"]
-    fell = errors.after < min(errors.before, errors.plain)
+    fell = errors["after"] < min(errors["before"], errors["plain"])
     return Verdict(
         status=status,
         joints=joints,
@@ -107,51 +101,45 @@ def judge(outcome, label):
     )
 
 
-def _judge_joint(outcome, own, label):
-    """Judge a joint by its errors."""
-    j = own.joint
-    effects = [e for e in outcome.findings["effects"] if _belongs(e, j)]
-    rest = [u for u in outcome.findings["unexplained"] if u.joint == j]
-    status, *detail = _of_joint(own, rest, effects)
-    return JointVerdict(joint=j, label=label(j), status=status, detail="".join(detail))
-
-
 def _belongs(effect, j):
     """Whether an effect is one of a joint."""
     return effect.joint == j and effect.scope == "joint"
 
 
-def _of_joint(own, rest, effects):
+def _of_joint(outcome, j):
     """Status of a joint, and its detail if there is one."""
+    own = outcome.errors[j]
     after, floor = own.after, own.floor
     if not np.isfinite(after):
-        return ("no data",)
+        return {"status": "no data"}
     if not own.enough:
-        return ("few",)
+        return {"status": "few"}
     if after >= _MEAN_TORQUE:
-        return ("failed",)
+        return {"status": "failed"}
     if _is_worse(own, "before", "difference") or _is_worse(own, "plain", "added"):
-        return ("worse",)
+        return {"status": "worse"}
     if not own.searched:
-        return ("unsearched",)
-    if rest:
-        return ("unexplained" if np.isfinite(rest[0].floor) else "unknown",)
+        return {"status": "unsearched"}
     if not np.isfinite(floor):
-        return ("unknown",)
-    least = np.nan_to_num(own.intervals.get("after", _NO_ENDS)[0], nan=np.inf)
+        return {"status": "unknown"}
+    if any(rest.joint == j for rest in outcome.findings["unexplained"]):
+        return {"status": "unexplained"}
+    least = np.nan_to_num(own.intervals["after"][0], nan=np.inf)
     near, far = (factor * floor for factor in ABOVE_FLOOR)
     # The floor does not know the error of the parameters, which held-out data shows.
     if after > far and least > near:
-        return ("above",)
+        return {"status": "above"}
     if after > near and least > floor:
-        return "floor", "near"
-    high = own.intervals.get("added", _NO_ENDS)[1]
-    return "floor", "chance" if effects and 0 <= high < np.inf else ""
+        return {"status": "floor", "detail": "near"}
+    high = own.intervals["added"][1]
+    effects = any(_belongs(one, j) for one in outcome.findings["effects"])
+    chance = effects and 0 <= high < np.inf
+    return {"status": "floor", "detail": "chance" if chance else ""}
 
 
 def _is_worse(own, error, difference):
     """Whether a joint is worse than with another model, beyond chance."""
-    low = own.intervals.get(difference, _NO_ENDS)[0]
+    low = own.intervals[difference][0]
     # Without an interval the errors themselves decide.
     surely = not np.isfinite(low) or low > 0
     return surely and _rose(own, error)
@@ -179,8 +167,8 @@ def _status(outcome, joints, faults):
     return "nothing" if nothing else "complete"
 
 
-def mean_errors(outcome):
-    """Return the mean errors of the joints that move enough, as `MeanErrors`."""
+def _mean_errors(outcome):
+    """Return the mean errors of the joints that move enough, a dict."""
     used = [
         one
         for one in outcome.errors
@@ -189,7 +177,7 @@ def mean_errors(outcome):
     names = ("before", "plain", "after", "floor")
     rows = [[getattr(one, name) for name in names] for one in used]
     means = np.mean(rows, axis=0) if rows else np.full(len(names), np.nan)
-    return MeanErrors(**dict(zip(names, means.tolist())))
+    return dict(zip(names, means.tolist()))
 
 
 # -- uses ------------------------------------------------------------------------------

@@ -74,6 +74,7 @@ def make_possible(i, joint, names, warning=UNDECIDED, evidence=POSSIBLE):
     )
 
 
+NO_ENDS = dict.fromkeys(("after", "difference", "added"), (np.nan, np.nan))
 COLUMNS = ("before", "plain", "after", "floor", "spread", "seconds", "enough")
 COLUMNS += ("searched",)
 FINDINGS = ("unnamed", "contradictions", "repeated", "departures", "alike")
@@ -112,12 +113,13 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         if "difference" in intervals:
             intervals |= {"added": intervals["difference"]}
     units = changes.pop("units", nv * ("N m",))
+    ends = {k: np.transpose(x).tolist() for k, x in intervals.items()}
     errors = tuple(
         JointErrors(
             joint=j,
             name=names[j],
             unit=units[j],
-            intervals={k: tuple(x[:, j].tolist()) for k, x in intervals.items()},
+            intervals=NO_ENDS | {k: tuple(x[j]) for k, x in ends.items()},
             **{k: np.asarray(x)[j].item() for k, x in columns.items()},
         )
         for j in range(nv)
@@ -202,5 +204,5 @@ def changed(outcome, **changes):
         errors = [dataclasses.replace(e, **{name: x}) for e, x in zip(errors, values)]
     if "intervals" in changes:
         ends = changes.pop("intervals")
-        errors = [dataclasses.replace(e, intervals=ends) for e in errors]
+        errors = [dataclasses.replace(e, intervals=NO_ENDS | ends) for e in errors]
     return dataclasses.replace(outcome, errors=tuple(errors), **fields, **changes)

@@ -13,7 +13,6 @@ from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa.diagnosis.explain import (
     NO_INFORMATION,
     FinalFit,
-    Models,
     added_effects,
     given_motion,
     judge,
@@ -397,18 +396,15 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             named = self._with(found.effects, named, part)
         unnamed = self._unnamed(found, named)
         self.validation_model_ = named.beside(unnamed)
-        models = Models(
-            declared=self.declared_, plain=self.baseline_, judged=self.validation_model_
-        )
         # Copies of most rows are not needed any more.
         del part, seen
-        judged = judge(models, found, split, near, whole)
+        judged = judge(self, found, split, near, whole)
         say("final model")
         final = self._hand_over(found, named, whole, split.moving, silent, known)
         self.identifier_ = final.identifier.beside(that_help(final, unnamed))
-        asked, channels = self.get_params(deep=False), (*channels, *unusable)
+        channels = (*channels, *unusable)
         say("explaining")
-        return make_outcome(found, models, final, judged, channels, asked, whole, names)
+        return make_outcome(self, found, final, judged, channels, whole, names)
 
     def _inspected(self, whole):
         """Return the findings on the channels; raise if one of them is wrong."""

@@ -6,7 +6,7 @@ from sklearn_vbjfa import _lazily
 _MODULES = {
     "_curves": "ResidualCurves TorqueCurves torque_curves",
     "_effects": "DiscoveredEffect named_values",
-    "_errors": "Models NEXT_SECONDS error_intervals judge",
+    "_errors": "NEXT_SECONDS error_intervals judge",
     "_final": "EffectEstimate FinalFit added_effects",
     "_gaps": """
         ABOVE_FLOOR Dependence NO_INFORMATION NotIdentifiable Unexplained dependences

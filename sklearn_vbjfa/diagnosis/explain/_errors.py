@@ -1,6 +1,6 @@
 """Errors on the held-out part, which is looked at here and only once."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
@@ -10,7 +10,6 @@ from sklearn_vbjfa.diagnosis.explain._gaps import memory_seconds
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.equations._equations import torque_spread
-from sklearn_vbjfa.fit._identifier import RobotIdentifier
 
 # Time for which errors are predicted [s].
 NEXT_SECONDS = 50.0
@@ -23,45 +22,36 @@ _COSINES = 10
 _WORST = 3
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Models:
-    """The models of a discovery, fitted to the rows of the search."""
-
-    # as declared, with the four plain terms, and with the effects as well
-    declared: RobotIdentifier
-    plain: RobotIdentifier
-    judged: RobotIdentifier
-
-
-def judge(models, found, split, near, whole):
-    """Measure the errors of `Models` on the held-out part; returns plain data."""
+def judge(loop, found, split, near, whole):
+    """Measure the errors of the models of a loop on the held-out part; plain data."""
     # found: result of the search; near: the split with the rows that the search looked
     # at. Arrays (nv,) and (2, nv) are over the deviation of the torque.
-    completed, view, dt = models.judged, found.model.view, models.judged.dt
+    declared, plain = loop.declared_, loop.baseline_
+    completed, view, dt = loop.validation_model_, found.model.view, declared.dt
     kept, guard = _held_out(found, split, whole)
     used, seen = view.root.any(axis=0), len(view.states)
 
     def residuals(part, rows):
         """Residuals of each model on some rows of the whole recording."""
-        every = dict.fromkeys((models.declared, models.plain, completed))
+        every = dict.fromkeys((declared, plain, completed))
         found = {one: one.robot_.residuals_of(part) for one in every}
         return {one: replace(x, index=rows[x.index]) for one, x in found.items()}
 
     held_out = residuals(kept.held_out(whole), kept.held_out_rows)
     searched = residuals(near.searched(whole), near.rows)
-    fitted = searched[models.plain]
+    fitted = searched[plain]
     if near is not split:
-        fitted = models.plain.robot_.residuals_of(split.searched(whole))
+        fitted = plain.robot_.residuals_of(split.searched(whole))
     # A joint whose channel carries no information counts nowhere.
     fitted = replace(fitted, weight=fitted.weight * used)
-    spread = torque_spread(fitted, held_out[models.declared])
+    spread = torque_spread(fitted, held_out[declared])
     # The same rows for all models: at rest the torque of a joint is predicted as well
     # where its friction has a memory.
     weight = held_out[completed].weight
     known = searched[completed].weight * used
     held_out = {one: replace(x, weight=weight) for one, x in held_out.items()}
     searched = {one: replace(x, weight=known) for one, x in searched.items()}
-    before, after = held_out[models.declared], held_out[completed]
+    before, after = held_out[declared], held_out[completed]
 
     def intervals(model):
         pairs = ((x[model], x[completed]) for x in (held_out, searched))
@@ -77,15 +67,14 @@ def judge(models, found, split, near, whole):
     return {
         "columns": {
             "before": before.relative_error(spread),
-            "plain": held_out[models.plain].relative_error(spread),
+            "plain": held_out[plain].relative_error(spread),
             "after": error,
             "spread": spread,
             "seconds": seconds,
             "enough": values >= FEWEST_VALUES,
             "searched": used,
         },
-        "intervals": intervals(models.declared)
-        | {"added": intervals(models.plain)["difference"]},
+        "intervals": intervals(declared) | {"added": intervals(plain)["difference"]},
         # 0 if the search looked at all samples
         "looked_at": seen if seen < split.rows.size else 0,
         "settings": {

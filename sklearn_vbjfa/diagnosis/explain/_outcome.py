@@ -154,17 +154,16 @@ def _json(value):
     return str(value)
 
 
-def make_outcome(search, models, final, judged, channels, asked, whole, recordings):
-    """Collect the results: an `Outcome`, and the `Expectation` of errors."""
-    # `models` were fitted to the rows of the search, `final` to all data; `judged` is
-    # returned by `judge`; `asked` are the parameters of the discovery; `whole` is all
-    # data, `recordings` their names.
+def make_outcome(loop, search, final, judged, channels, whole, recordings):
+    """Collect the results of a loop: an `Outcome`, and the `Expectation` of errors."""
+    # The models of the loop were fitted to the rows of the search, `final` to all data;
+    # `judged` is returned by `judge`; `whole` is all data, `recordings` their names.
     identifier, columns = final.identifier, judged["columns"]
     spread, after = columns["spread"], columns["after"]
     prismatic = is_prismatic(identifier.features_.model_)
     # More data show more of the noise; the declared model's would hold what it lacks.
     floor = identifier.noise_floor_
-    floor = np.where(np.isfinite(floor), floor, models.judged.noise_floor_)
+    floor = np.where(np.isfinite(floor), floor, loop.validation_model_.noise_floor_)
     with np.errstate(divide="ignore", invalid="ignore"):
         columns |= {"floor": floor / spread}
         low, high = judged["intervals"]["after"]
@@ -179,7 +178,7 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         channels = tuple(one for one in channels if one.kind != "other_robot")
     names, known = identifier.joint_names_, np.where(columns["enough"], after, np.nan)
     effects = tuple(discovered_effects(search, final, names, prismatic))
-    judged_effects = models.judged.effects_
+    judged_effects = loop.validation_model_.effects_
     outcome = Outcome(
         errors=_errors(names, prismatic, columns, judged["intervals"]),
         findings={
@@ -189,7 +188,7 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
             "unexplained": unexplained(search.model, names, spread, floor, known),
             "not_identifiable": not_identifiable(search, names),
             "channels": channels,
-            "contradictions": contradictions(parts, spread, float(asked["alpha"])),
+            "contradictions": contradictions(parts, spread, loop.alpha),
             "repeated": final.view.repetition.motions(),
             "departures": identifier.mass_deviations_,
             "alike": identifier.alike_,
@@ -199,7 +198,7 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
             *_masses(body_masses(identifier)),
             *_expected(expectation, names),
         ),
-        robot=_robot(search, models, identifier, whole),
+        robot=_robot(loop, search, identifier, whole),
         curves=judged["curves"],
         provenance={
             "recordings": recordings,
@@ -208,7 +207,7 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
             "rate": float(1.0 / whole.dt),
             "looked_at": judged["looked_at"],
             "left_out": len(left_out),
-            "settings": _settings(search, asked) | judged["settings"],
+            "settings": _settings(loop, search) | judged["settings"],
         },
     )
     return outcome, expectation
@@ -228,10 +227,10 @@ def _errors(names, prismatic, columns, intervals):
     )
 
 
-def _robot(search, models, identifier, whole):
+def _robot(loop, search, identifier, whole):
     """Describe the declared model, and what of the completed one is no finding."""
-    robot, drive = models.declared, models.declared.drive
-    features, plain = robot.features_, models.plain.features_.friction_
+    robot, drive = loop.declared_, loop.declared_.drive
+    features, plain = robot.features_, loop.baseline_.features_.friction_
     model = features.model_
     library = (*resolve(declarable()), *robot.effects_, *search.library)
     limits = [model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit]
@@ -257,13 +256,13 @@ def _robot(search, models, identifier, whole):
     }
 
 
-def _settings(search, asked):
+def _settings(loop, search):
     """Thresholds, signals and versions, a dict."""
     from sklearn_vbjfa import __version__
 
     return {
-        "test_size": float(asked["test_size"]),
-        "alpha": float(asked["alpha"]),
+        "test_size": float(loop.test_size),
+        "alpha": float(loop.alpha),
         "n_candidates": int(search.n_candidates),
         "search": dataclasses.asdict(search.settings),
         "effects": tuple(e.name for e in search.library),

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 
 import numpy as np
-from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.base import BaseEstimator, TransformerMixin, clone
 from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core._smoothing import contiguous_groups
@@ -415,6 +415,11 @@ class Shaped(Effect):
     cyclic: tuple[str, ...] = ()
     jumping: tuple[str, ...] = ()
     split_by: tuple[str, ...] = ()
+
+    def forms(self):
+        """Return the effect with each value of what is `averaged`, a list."""
+        name, values = self.averaged or ("", ())
+        return [clone(self).set_params(**{name: value}) for value in values]
 
     def check(self):
         """Raise ValueError for shape parameters out of range, too."""

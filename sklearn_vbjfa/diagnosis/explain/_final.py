@@ -196,14 +196,14 @@ class FinalFit:
     def _forms(self, i, covariance):
         """Probabilities and parameters of other forms of an effect of one column."""
         effect = self.effects[i]
-        if not (isinstance(effect, Shaped) and effect.averaged):
+        forms = effect.forms() if isinstance(effect, Shaped) else []
+        forms = [form for form in forms if form.shape() != effect.shape()]
+        if not forms:
             return ()
-        form, values = effect.averaged
         (name,), j = effect.continuous, effect.joint
-        values = [value for value in values if value != getattr(effect, form)]
         tried = [
-            clone(effect).set_params(**{form: value, name: way * getattr(effect, name)})
-            for value in values
+            clone(form).set_params(**{name: way * getattr(form, name)})
+            for form in forms
             for way in _WAYS
         ]
         y, factor = self._scaled_residual()

@@ -221,18 +221,12 @@ def searched(fit, numbers, scale):
         elif getattr(effect, "jumping", ()):
             found = jump(rest, effect, scale)
         else:
-            fit = max([fit, *_others(fit, i)], key=Fit.log_evidence)
+            forms = (with_shape(fit, i, form) for form in effect.forms())
+            forms = [stepped(form, [i]) for form in forms]
+            fit = max([fit, *forms], key=Fit.log_evidence)
             continue
         fit = with_shape(fit, i, found)
     return fit
-
-
-def _others(fit, i):
-    """Fits with the other forms of a member, see `Shaped.averaged`, a list."""
-    effect = fit.members[i].effect
-    name, values = effect.averaged or ("", ())
-    forms = [clone(effect).set_params(**{name: value}) for value in values]
-    return [stepped(with_shape(fit, i, form), [i]) for form in forms]
 
 
 def with_shape(fit, i, effect):

@@ -10,7 +10,7 @@ from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import (
     Fit,
     Problem,
-    declared_alone,
+    declared_weights,
     spectrum_of,
     weighed,
 )
@@ -52,8 +52,8 @@ class Path:
 
     def begin(self):
         """Fit the declared columns alone, with the load that they give."""
-        fit = declared_alone(self.view)
-        problem = fit.problem.with_motion(self.view.motion(fit.theta))
+        fit = Fit(declared_weights(Problem(self.view)))
+        problem = fit.problem.changed(motion=self.view.motion(fit.theta))
         return Fit(fit.base.on(problem))
 
     def run(self):
@@ -429,7 +429,7 @@ def anew(fit):
         tuple(effect for effect, _ in plain),
         np.concatenate([np.empty(0), *(coef for _, coef in plain)]),
     )
-    problem = problem.with_motion(motion)
+    problem = problem.changed(motion=motion)
     # Columns that neither the load nor the robot has changed stay.
     again = [
         problem.shaped([m.effect]).member(scale=m.scale)

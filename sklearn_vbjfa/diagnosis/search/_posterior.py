@@ -142,11 +142,6 @@ class Found:
         """Effects of the most probable model, in the order of the findings."""
         return tuple(finding.effect for finding in self.findings)
 
-    @property
-    def named(self):
-        """Findings that have a name."""
-        return tuple(f for f in self.findings if not f.warning)
-
 
 # Why an effect that is probable has no name; what its values say is in `explain`.
 UNDECIDED = "undecided"

@@ -176,25 +176,13 @@ class Problem:
         """Square sums of the torques, (nv, n_bands)."""
         return np.add.reduceat(self.y**2, self.edges[:-1], axis=1)
 
-    def with_torques(self, y):
-        """Return the same columns with other torques."""
+    def changed(self, **values):
+        """Return the same columns with other torques `y`, `motion` or terms `held`."""
         made = copy.copy(self)
-        made.y = y
+        vars(made).update(values)
         # What is made of the columns alone stays.
-        for name in ("right", "power"):
-            made.__dict__.pop(name, None)
-        return made
-
-    def with_motion(self, motion):
-        """Return the same equations with other signals."""
-        made = copy.copy(self)
-        made.motion = motion
-        return made
-
-    def holding(self, held):
-        """Return the same equations with other terms at zero."""
-        made = copy.copy(self)
-        made.held = held
+        for name in ("right", "power") if "y" in values else ():
+            vars(made).pop(name, None)
         return made
 
     def shaped(self, effects):
@@ -297,7 +285,7 @@ class Base:
         y, other = self.problem.y.copy(), copy.copy(self)
         for j, own in zip(member.joints, member.columns.values):
             y[j] += own[:, 0] @ done
-        other.problem = self.problem.with_torques(y)
+        other.problem = self.problem.changed(y=y)
         other._known = WeakKeyDictionary()
         other.t = self.t + self.beside(member.columns).T @ done
         return other
@@ -583,7 +571,7 @@ class Fit:
     def holding(self, held):
         """Return the same with other declared friction at zero, see `Problem`."""
         problem = self.problem
-        made = problem.holding(np.broadcast_to(held, problem.held.shape))
+        made = problem.changed(held=np.broadcast_to(held, problem.held.shape))
         return Fit(self.base.on(made), self.members)
 
     def within_signs(self, errors):
@@ -677,11 +665,6 @@ class Fit:
         kept = np.delete(np.arange(self.n_coefficients), self.places[i])
         reduced = self._B[:, kept], self._H[np.ix_(kept, kept)], self._q[kept]
         return Fit(base, rest, reduced)
-
-
-def declared_alone(view):
-    """Fit the declared columns, joints weighted as in the fit of the robot."""
-    return Fit(declared_weights(Problem(view)))
 
 
 def declared_weights(problem):

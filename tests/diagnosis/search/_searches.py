@@ -76,4 +76,4 @@ def search(torque, library, recording=CLEAN, robot=None, groups=None, **given):
 
 def found(run):
     """Names and joints of what has a name."""
-    return [(f.effect.name, f.effect.joint) for f in run.named]
+    return [(f.effect.name, f.effect.joint) for f in run.findings if not f.warning]

@@ -438,7 +438,7 @@ def test_right_weights_lead_less_far_from_plain_ones_than_these_scatter():
     mean = variance.mean(axis=1, keepdims=True)
     plain = Base(made, np.where(variance > 0, 1.0 / np.maximum(mean, 1e-9), 0.0))
     noise = np.sqrt(variance) * rng.normal(size=(2000, NV, N))
-    made = [made.with_torques(own) for own in noise]
+    made = [made.changed(y=own) for own in noise]
     thetas = np.array([[Fit(b.on(own)).theta for b in (plain, base)] for own in made])
     apart = thetas[:, 0] - thetas[:, 1]
     scatter, away = (

@@ -68,17 +68,6 @@ def infer_latent(S, n, psi, floor=1e-12):
     return Latent(H=H, P=P, Sigma_t=Sigma_t, exact=False)
 
 
-@dataclass(frozen=True, kw_only=True)
-class LatentSums:
-    """Sums of <tt'> (d, d) and <t> y (d,), and the data part of the bound."""
-
-    # y: the output without its share of the noise of the inputs
-
-    S_tt: np.ndarray
-    S_ty: np.ndarray
-    bound: float
-
-
 def _given_beta(latent, G):
     """`Latent` and log det(I + P_0 G), with beta of covariance psi_y G, [C4]."""
     if latent.exact:
@@ -146,17 +135,8 @@ def _prior_bound(state, shape0, rate0, logdet_cov, shared):
 _SAFE_ROUNDING = 1e-8
 
 
-@dataclass(frozen=True, kw_only=True)
-class BetaPosterior:
-    """Mean (d,), covariance (d, d) and its log-determinant."""
-
-    mean: np.ndarray
-    cov: np.ndarray
-    logdet: float
-
-
 def posterior_beta(S_tt, S_ty, s2, alpha, root):
-    """Posterior of beta from the sums over t, [C8], [C9]."""
+    """Mean, covariance and its log-determinant of beta from sums over t, [C8], [C9]."""
     # root(): their `SecondMoments`, called only if needed.
     prior = 1.0 / np.sqrt(alpha)
     largest = (np.diagonal(S_tt) / alpha).max() / s2
@@ -171,7 +151,7 @@ def posterior_beta(S_tt, S_ty, s2, alpha, root):
     cov = scaled @ scaled.T  # [C8]
     mean = scaled @ (scaled.T @ S_ty) / s2  # [C9]
     logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
-    return BetaPosterior(mean=mean, cov=cov, logdet=float(logdet))
+    return mean, cov, float(logdet)
 
 
 def _posterior_of_root(root, s2, prior):
@@ -191,16 +171,18 @@ def _posterior_of_root(root, s2, prior):
         cov += others @ others.T
     cov *= np.outer(prior, prior)  # [C8]
     logdet = np.log(share).sum() + 2 * np.log(prior).sum()
-    return BetaPosterior(mean=mean, cov=cov, logdet=float(logdet))
+    return mean, cov, float(logdet)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CorrelatedPoint:
-    """A state with the sums that the next step needs, and its bound."""
+    """A state with its bound, and the sums that the next step needs."""
 
     state: CorrelatedState
-    sums: LatentSums
     value: float
+    # sums of <tt'> (d, d) and <t> y (d,)
+    S_tt: np.ndarray
+    S_ty: np.ndarray
 
 
 class CorrelatedProblem:
@@ -242,35 +224,32 @@ class CorrelatedProblem:
         s2 = max(s2, self.floor)
         shape = self.ard_shape + 0.5 * self.shared  # [C10]
         m = self.moments
-        observed = LatentSums(S_tt=m.S, S_ty=m.xy, bound=np.nan)
-        beta = self._posterior(observed, s2, alpha)
+        mean, cov, logdet = self._posterior(m.S, m.xy, s2, alpha)
         state = CorrelatedState(
-            beta_mean=beta.mean,
-            beta_cov=beta.cov,
+            beta_mean=mean,
+            beta_cov=cov,
             alpha_shape=shape,
             alpha_rate=shape / alpha,
             psi_y=s2,
         )
-        return self.evaluate(state, beta.logdet, self._spread(beta, alpha))
+        return self.evaluate(state, logdet, self._spread(cov, alpha))
 
-    def _posterior(self, sums, s2, alpha):
+    def _posterior(self, S_tt, S_ty, s2, alpha):
         def root():
-            if self.exact:
-                return self.moments
-            return square_root(self.n, sums.S_tt, sums.S_ty, 0.0)
+            return self.moments if self.exact else square_root(self.n, S_tt, S_ty, 0.0)
 
-        return posterior_beta(sums.S_tt, sums.S_ty, s2, alpha, root)
+        return posterior_beta(S_tt, S_ty, s2, alpha, root)
 
-    def _spread(self, beta, alpha):
+    def _spread(self, cov, alpha):
         """Return tr(cov S_tt) / psi_y of a posterior under precisions (d,)."""
         # Huge variances of directions with little information do not cancel in it.
-        return self.d - alpha @ np.diagonal(beta.cov)
+        return self.d - alpha @ np.diagonal(cov)
 
     def step(self, point):
         """Do the M-steps: beta, the noise with the covariance of beta, alpha."""
         alpha, before = point.state.E_alpha, point.state.psi_y
-        beta = self._posterior(point.sums, before, alpha)
-        G, own = beta.cov / before, beta.mean - self.direct
+        mean, cov, logdet = self._posterior(point.S_tt, point.S_ty, before, alpha)
+        G, own = cov / before, mean - self.direct
         given = latent, _ = _given_beta(self.latent, G)
         s2 = likely_noise(
             self.rest.residual(latent.H.T @ own)[1],
@@ -280,18 +259,18 @@ class CorrelatedProblem:
             alpha @ np.diagonal(G),
             self.floor,
         )
-        square = beta.mean**2 + s2 * np.diagonal(G)
+        square = mean**2 + s2 * np.diagonal(G)
         if self.common:
             square = np.full(self.d, square.sum())
         state = replace(
             point.state,
-            beta_mean=beta.mean,
+            beta_mean=mean,
             beta_cov=s2 * G,
             alpha_rate=self.ard_rate + 0.5 * square,  # [C10]
             psi_y=s2,
         )
-        logdet = beta.logdet + self.d * np.log(s2 / before)
-        return self.evaluate(state, logdet, self._spread(beta, alpha), given)
+        logdet = logdet + self.d * np.log(s2 / before)
+        return self.evaluate(state, logdet, self._spread(cov, alpha), given)
 
     def evaluate(self, state, logdet, spread, given=None):
         """E-step over T, and the bound."""
@@ -301,15 +280,15 @@ class CorrelatedProblem:
             m, s2 = self.moments, state.psi_y
             squares = m.residual(state.beta_mean)[1]
             value = -0.5 * (self.n * (LOG_2PI + np.log(s2)) + squares / s2 + spread)
-            sums = LatentSums(S_tt=m.S, S_ty=m.xy, bound=float(value))  # [C12]
+            S_tt, S_ty, value = m.S, m.xy, float(value)  # [C12]
         else:
             given = given or _given_beta(self.latent, state.beta_cov / state.psi_y)
-            sums = self._expected(state, *given)
-        prior = _prior_bound(state, self.ard_shape, self.ard_rate, logdet, self.shared)
-        return CorrelatedPoint(state=state, sums=sums, value=sums.bound + prior)
+            S_tt, S_ty, value = self._expected(state, *given)
+        value += _prior_bound(state, self.ard_shape, self.ard_rate, logdet, self.shared)
+        return CorrelatedPoint(state=state, value=value, S_tt=S_tt, S_ty=S_ty)
 
     def _expected(self, state, latent, logdet):
-        """E-step over T with noisy inputs: `LatentSums`, [C5] to [C7], [C12], [C18]."""
+        """E-step over T with noisy inputs, [C5] to [C7], [C12], [C18]."""
         n, m, H = self.n, self.rest, latent.H
         beta, s2 = state.beta_mean - self.direct, state.psi_y
         P_beta = latent.P @ beta
@@ -325,11 +304,8 @@ class CorrelatedProblem:
         S_ty = H @ m.xy + k * (m.yy - c @ m.xy)  # [C7]
         cost = np.vdot(state.beta_cov, HS @ self.latent.H.T) / s2
         value = n * (LOG_2PI + np.log(q) + logdet) + S_ee / q + cost
-        return LatentSums(
-            S_tt=S_tt,
-            S_ty=S_ty + S_tt @ self.direct,  # [C18]
-            bound=-0.5 * float(value),  # [C12]
-        )
+        # [C18], [C12]
+        return S_tt, S_ty + S_tt @ self.direct, -0.5 * float(value)
 
     def judge(self, point, new, tol, **slack):
         """Whether a step lowered the bound, and whether its gain was negligible."""
@@ -352,12 +328,11 @@ class CorrelatedProblem:
         """Return what the next step depends on, log alpha and log s2 first."""
         # (d + 1,), or (d + 1 + d (d + 1) / 2 + d,) with noisy inputs: each entry of the
         # upper triangle with the length of both that it stands for.
-        state, sums = point.state, point.sums
-        parts = [np.log(state.E_alpha), [np.log(state.psi_y)]]
+        parts = [np.log(point.state.E_alpha), [np.log(point.state.psi_y)]]
         if not self.exact:
             places, length = self._triangle
-            upper = sums.S_tt.ravel()[places] * (length / self.n)
-            parts += [upper, sums.S_ty / self.n]
+            upper = point.S_tt.ravel()[places] * (length / self.n)
+            parts += [upper, point.S_ty / self.n]
         return np.concatenate(parts)
 
     @functools.cached_property
@@ -375,14 +350,13 @@ class CorrelatedProblem:
             alpha_rate=state.alpha_shape * np.exp(-logs[:d]),
             psi_y=max(float(np.exp(logs[d])), self.floor),
         )
-        sums = point.sums
-        if not self.exact:
-            places, length = self._triangle
-            S_tt = np.zeros((d, d))
-            S_tt.ravel()[places] = vector[d + 1 : -d] * (self.n / length)
-            S_tt += np.triu(S_tt, 1).T
-            sums = replace(sums, S_tt=S_tt, S_ty=self.n * vector[-d:])
-        return replace(point, state=state, sums=sums)
+        if self.exact:
+            return replace(point, state=state)
+        places, length = self._triangle
+        S_tt = np.zeros((d, d))
+        S_tt.ravel()[places] = vector[d + 1 : -d] * (self.n / length)
+        S_tt += np.triu(S_tt, 1).T
+        return replace(point, state=state, S_tt=S_tt, S_ty=self.n * vector[-d:])
 
 
 # Steps kept by Anderson's method (usually 5 to 20; more cost more than they save).

@@ -50,12 +50,6 @@ class Moments:
         """Weighted means, ndarray of shape (n_features + 1,)."""
         return self.origin + self.factor[0, 1:] / self.factor[0, 0]
 
-    @property
-    def scatter(self):
-        """Sum of w (row - mean)(row - mean)', (n_features + 1, n_features + 1)."""
-        R = self.factor_about(centred=True)
-        return R.T @ R
-
     def __add__(self, other):
         """Merge with the moments of other rows, exactly for any split."""
         moved = _counted_from(other, self.origin)

@@ -16,9 +16,10 @@ from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
     HiddenExpectations,
     State,
-    bound,
     coefficients_noisy,
+    data_bound,
     expect_hidden,
+    prior_bound,
     update_loadings,
     update_noise,
     update_precisions,
@@ -140,7 +141,7 @@ class IndependentProblem:
     def evaluate(self, state):
         """Do the E-step and the bound of a state."""
         hidden = expect_hidden(self.moments, state)
-        value = bound(self.moments, state, hidden, self.prior)
+        value = data_bound(self.moments, hidden) + prior_bound(state, self.prior)
         return Point(state=state, value=value, hidden=hidden)
 
     def update(self, point):

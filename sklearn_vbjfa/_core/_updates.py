@@ -255,11 +255,6 @@ def update_noise(moments, old, state, hidden, prior):
 LOG_2PI = float(np.log(2 * np.pi))
 
 
-def bound(moments, state, hidden, prior):
-    """Return the lower bound on the log evidence (JFA: the log-likelihood)."""
-    return data_bound(moments, hidden) + prior_bound(state, prior)
-
-
 def data_bound(moments, hidden):
     """Return the expected log-likelihood plus the entropy of q(Z, T), [B1]."""
     # With q(Z, T) at its optimum these add up to the log-normaliser of one Gaussian,

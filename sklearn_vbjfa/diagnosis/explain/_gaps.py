@@ -6,7 +6,7 @@ import numpy as np
 from scipy import special
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._blocks import fit_memory
+from sklearn_vbjfa.diagnosis.search._blocks import memory_time
 from sklearn_vbjfa.effects import closure
 from sklearn_vbjfa.equations._equations import make_motion
 
@@ -157,7 +157,7 @@ def memory_seconds(model):
     stride = max(1, int(np.ceil(0.5 / (view.robot.cutoff_ * view.step) - 1e-9)))
     known = view.starts, view.step, stride
     return [
-        fit_memory(_residual_of(model, j), view.root[:, j] > 0, *known).time
+        memory_time(_residual_of(model, j), view.root[:, j] > 0, *known)
         for j in range(view.nv)
     ]
 

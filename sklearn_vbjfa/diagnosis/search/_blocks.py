@@ -4,6 +4,7 @@ import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import linalg
 
 # Most lags; about as many as Schwert's rule gives, which grows with n^(1/4).
 _LAGS = 10.0
@@ -11,19 +12,11 @@ _LAGS = 10.0
 _ROWS_PER_LAG = 10
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Memory:
-    """Prediction of a joint's residual from its own past."""
-
-    # (p,): coefficients of the last p rows at the stride, the latest first
-    phi: np.ndarray
-    time: float  # integrated correlation time [s]; infinite for a random walk
-
-
-def fit_memory(residual, used, starts, step, stride=1):
-    """Fit an autoregression to residuals (m,) in rows that count, a `Memory`."""
-    # Rows are a stride apart: those in between are alike because of the low-pass, which
-    # is no memory of the residual, and to predict them would be to undo the low-pass.
+def memory_time(residual, used, starts, step, stride=1):
+    """Integrated correlation time [s] of residuals (m,) in rows that count."""
+    # That of an autoregression; infinite for a random walk. Rows are a stride apart:
+    # those in between are alike because of the low-pass, which is no memory of the
+    # residual, and to predict them would be to undo the low-pass.
     # The order is that of Akaike's criterion. Least squares in the form r_t = rho
     # r_(t-1) + sum psi_k (r_(t-k) - r_(t-k-1)) + e, where rho, the sum of the
     # coefficients, says how slowly the residual forgets. Its estimate is too small in
@@ -33,7 +26,6 @@ def fit_memory(residual, used, starts, step, stride=1):
     # that much is added, up to a random walk.
     n = used.sum() / stride
     most = int(min(_LAGS * (n / 100.0) ** 0.25, n / _ROWS_PER_LAG))
-    none = Memory(phi=np.zeros(0), time=stride * step)
     place = np.arange(residual.size)
     first = np.zeros(residual.size, int)
     first[starts] = starts
@@ -48,7 +40,7 @@ def fit_memory(residual, used, starts, step, stride=1):
         # Short recordings, or many gaps.
         most //= 2
     else:
-        return none
+        return stride * step
     y = residual[rows]
     lags = np.column_stack([residual[rows - k * stride] for k in range(1, most + 1)])
     # rho first, then one psi after the other: nested models, one QR for all.
@@ -58,7 +50,7 @@ def fit_memory(residual, used, starts, step, stride=1):
     left = np.maximum(y @ y - explained, np.finfo(float).tiny)
     order = int(np.argmin(n * np.log(left) + 2.0 * np.arange(most + 1)))
     if order == 0:
-        return none
+        return stride * step
     beta = np.linalg.solve(R[:order, :order], (Q.T @ y)[:order])
     rho, psi = beta[0], beta[1:]
     rest = 1.0 - psi.sum()
@@ -66,7 +58,7 @@ def fit_memory(residual, used, starts, step, stride=1):
         rho = min(rho + rest * (1.0 + 3.0 * min(rho, 1.0)) / n, 1.0)
     phi = np.r_[psi, 0.0] - np.r_[0.0, psi]
     phi[0] += rho
-    return Memory(phi=phi, time=stride * step * _integrated(phi))
+    return stride * step * _integrated(phi)
 
 
 def _integrated(phi):
@@ -75,10 +67,7 @@ def _integrated(phi):
     if rest <= 0:
         return np.inf
     # Spectral density at zero over the variance, from the impulse response.
-    p = phi.size
-    companion = np.zeros((p, p))
-    companion[0] = phi
-    companion[1:, :-1] = np.eye(p - 1)
+    p, companion = phi.size, linalg.companion(np.r_[1.0, -phi])
     if np.abs(np.linalg.eigvals(companion)).max() >= 1.0 - _ROUNDING:
         return np.inf
     noise = np.zeros((p, p))
@@ -173,14 +162,13 @@ class Blocks:
 
 def correlation_time(residual, weight, step, starts):
     """Longest integrated autocorrelation time of residuals (m, nv) [s]."""
-    # That of an autoregression, see `fit_memory`: sums of sample autocorrelations read
-    # slow residuals too short, as their own mean is taken out of them; infinite for a
-    # random walk.
+    # See `memory_time`: sums of sample autocorrelations read slow residuals too short,
+    # as their own mean is taken out of them.
     times = []
     for r, used in zip(residual.T, weight.T > 0):
         r = np.where(used, r, 0.0)
         if r.any():
-            times.append(fit_memory(r, used, np.asarray(starts), step).time)
+            times.append(memory_time(r, used, np.asarray(starts), step))
     return float(max(times, default=0.0))
 
 

@@ -14,9 +14,9 @@ from sklearn_vbjfa.diagnosis.explain import (
     NO_INFORMATION,
     FinalFit,
     added_effects,
-    given_motion,
     judge,
     make_outcome,
+    motions_of,
     split_in_time,
     that_help,
     unnamed_torques,
@@ -529,7 +529,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         predicted = self.predict(X, groups, t, signals)
         robot, spread = self.identifier_, self.torque_std_
         states = robot.robot_.states(positions_in_order(X, self.joint_names_), groups)
-        motion = given_motion(robot, np.asarray(states), predicted, spread)
+        states = np.asarray(states)
+        speeds = np.abs(np.split(states, 3, axis=1)[1])
+        moving = (speeds > np.maximum(robot.standstill_, 0.0)).astype(float)
+        motion = motions_of(robot, states, predicted, moving, spread)
         error, low, high = self._expectation.of(motion)[:, :-1]
         return error, np.stack([low, high])
 

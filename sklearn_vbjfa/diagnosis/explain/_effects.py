@@ -125,20 +125,15 @@ def named_values(effect, estimate):
     for name, slope in zip(estimate.shape, np.eye(len(covariance))[k:]):
         if name not in values:
             values[name], slopes[name] = float(getattr(effect, name)), slope
-    deviations = {key: _deviation(own, covariance) for key, own in slopes.items()}
+    deviations = {}
+    for name, slope in slopes.items():
+        # Of the coefficients that it depends on; nan if one of these is unknown.
+        seen = slope != 0
+        variance = slope[seen] @ covariance[np.ix_(seen, seen)] @ slope[seen]
+        deviations[name] = float(np.sqrt(np.maximum(variance, 0.0)))
     # About the value, of all forms together.
     for weight, other in estimate.forms:
         for key, value in other.items():
             away = np.sqrt(weight) * (value - values[key])
             deviations[key] = float(np.hypot(deviations[key], away))
-    shape = {
-        name: value for name, value in effect.shape().items() if name not in values
-    }
-    return values | shape, deviations
-
-
-def _deviation(slope, covariance):
-    """Deviation of a value with some derivatives; nan if one of these is unknown."""
-    seen = slope != 0
-    own = covariance[np.ix_(seen, seen)]
-    return float(np.sqrt(np.maximum(slope[seen] @ own @ slope[seen], 0.0)))
+    return values | effect.shape() | values, deviations

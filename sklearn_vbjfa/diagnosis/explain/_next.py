@@ -168,22 +168,9 @@ class Motions:
         return np.maximum(found, 1.0)
 
 
-def fitted_motion(final, spread):
-    """Return the `Motions` that a final fit was made from."""
-    view = final.view
-    states, weight = view.states[view.index], view.equations.weight
-    return _motions(final.identifier, states, final.predicted(), weight, spread)
-
-
-def given_motion(identifier, states, predicted, spread):
-    """Return the `Motions` of states (n, 3 nv) with predicted torques (n, nv)."""
-    v = np.split(states, 3, axis=1)[1]
-    moving = np.abs(v) > np.maximum(identifier.standstill_, 0.0)
-    return _motions(identifier, states, predicted, moving.astype(float), spread)
-
-
-def _motions(identifier, states, predicted, weight, spread):
-    """Divide the torques of a motion into friction and load, a `Motions`."""
+def motions_of(identifier, states, predicted, weight, spread):
+    """`Motions` of states (n, 3 nv) with predicted torques and weights (n, nv)."""
+    # Torques are divided into friction and load.
     rows = np.linspace(0, len(states) - 1, min(len(states), _ROWS)).astype(int)
     states, features = states[rows], identifier.features_
     theta = identifier.theta_[: features.n_parameters_]

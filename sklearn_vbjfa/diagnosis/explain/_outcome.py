@@ -18,7 +18,7 @@ from sklearn_vbjfa.diagnosis.explain._gaps import (
     not_identifiable,
     unexplained,
 )
-from sklearn_vbjfa.diagnosis.explain._next import Expectation, fitted_motion
+from sklearn_vbjfa.diagnosis.explain._next import Expectation, motions_of
 from sklearn_vbjfa.diagnosis.explain._recordings import Parts, contradictions
 from sklearn_vbjfa.effects import UnnamedTorque, declarable, resolve
 from sklearn_vbjfa.equations._features import nominal_followers
@@ -170,7 +170,8 @@ def make_outcome(loop, search, final, judged, channels, whole, recordings):
         scatter = np.log(high / low) / (2 * HALF_WIDTH)
     parts = Parts.of(final)
     left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
-    motion = fitted_motion(final, spread)
+    states, weight = final.view.states[final.view.index], final.view.equations.weight
+    motion = motions_of(identifier, states, final.predicted(), weight, spread)
     expectation = Expectation(after, columns["floor"], scatter, left_out, motion)
     # A robot whose torques are explained to their noise is the described one.
     explained = (low <= ABOVE_FLOOR[0] * columns["floor"])[columns["enough"]]

@@ -30,11 +30,7 @@ class Bodies:
         self._parts = [TreeRegressor(under_gravity(model, x)) for x in pulls]
         # Parameters that any motion or any gravity needs, joint by joint.
         support = np.any([x.support for x in self._parts], axis=0)
-        support = support.reshape(self.nv, -1)
-        self.used = [np.flatnonzero(row) for row in support]
-        # Joints of one branch share parameters.
-        shared = scipy.sparse.csr_array(support.astype(float) @ support.T)
-        self.branch = scipy.sparse.csgraph.connected_components(shared)[1]
+        self.used = [np.flatnonzero(row) for row in support.reshape(self.nv, -1)]
         # Bodies that may carry a load.
         self.last = ~np.isin(np.arange(1, self.nv + 1), list(model.parents))
         # Whether a body has no mass, so that its torques carry no information.
@@ -45,7 +41,7 @@ class Bodies:
         """Whether gravity loads no joint of the description."""
         states = np.zeros((8, 3 * self.nv))
         states[:, : self.nv] = np.random.default_rng(0).normal(size=(8, self.nv))
-        load, mass = self.torques(self.whole(states)), self.parameters[::10].sum()
+        load, mass = self.described(states)[1], self.parameters[::10].sum()
         return bool(np.abs(load).max(initial=0.0) <= 1e-9 * mass)
 
     def whole(self, states):
@@ -97,13 +93,8 @@ class Fit:
     evidence: float
     left: np.ndarray  # (n_joints,): log of the share of each torque's variance left
     factors: np.ndarray  # (m,): estimates of the factors asked for
-    covariance: np.ndarray  # (m, m)
+    errors: np.ndarray  # (m,): standard errors of these
     power: np.ndarray  # (n_joints,): that friction takes, in standard errors
-
-    @property
-    def errors(self):
-        """Standard errors of the factors, ndarray (m,)."""
-        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
     def fall(self, other):
         """Sum over joints by which the log squared errors are below another's."""
@@ -221,16 +212,22 @@ class DescribedRobot:
             whole = np.column_stack([plain, design * prior[used], y - mean[rows, j]])
             moments = whole.T @ whole / self.times[j]
             made.append((used, moments, rows.size / self.times[j], np.var(y) + 1e-300))
-        # Factors are common to all branches.
-        branch = np.zeros(len(joints)) if m else bodies.branch[joints]
-        return _solve(made, branch, prior, m)
+        return _solve(made, prior, m)
 
     def residual(self, columns=None, without=None):
         """Return what bodies that are free for each joint leave of torques, (n, nv)."""
         # Zero where a joint stands. without (n,): rows that are not fitted.
-        left = np.zeros(self.signals.tau.shape)
+        signals, others = self.signals, [] if columns is None else [columns]
+        left = np.zeros(signals.tau.shape)
         for j in self.joints:
-            left[self.rows[j], j] = self._left(j, columns, without)
+            rows, rigid = self.rows[j], self.entries[:, j][:, self.bodies.used[j]]
+            X = np.column_stack([rigid, self._plain(j), *others])[rows]
+            X = X[:, X.any(axis=0)]
+            X /= np.sqrt((X**2).mean(axis=0))
+            fitted = X if without is None else X * ~without[rows, None]
+            gram = fitted.T @ fitted + 1e-6 * rows.size * np.eye(X.shape[1])
+            y = signals.tau[rows, j]
+            left[rows, j] = y - X @ np.linalg.solve(gram, fitted.T @ y)
         return left
 
     def errors(self):
@@ -242,20 +239,6 @@ class DescribedRobot:
             free = max(1 - (self.bodies.used[j].size + 4) / rows.size, 0.1)
             errors.append(left[rows, j].var() / free / (now[rows].var() + 1e-300))
         return np.sqrt(errors)
-
-    def _left(self, j, columns, without):
-        """Return what free bodies leave of one torque, in the joint's rows."""
-        rows, rigid = self.rows[j], self.entries[:, j][:, self.bodies.used[j]]
-        others = [] if columns is None else [columns]
-        X = np.column_stack([rigid, self._plain(j), *others])[rows]
-        X = X[:, X.any(axis=0)]
-        X /= np.sqrt((X**2).mean(axis=0))
-        y, fitted = self.signals.tau[rows, j], X
-        if without is not None:
-            fitted = X * ~without[rows, None]
-        gram = fitted.T @ fitted
-        gram[np.diag_indices_from(gram)] += 1e-6 * rows.size
-        return y - X @ np.linalg.solve(gram, fitted.T @ y)
 
     def _plain(self, j):
         """Columns (n, 4) of viscous and Coulomb friction, rotor and offset."""
@@ -286,41 +269,14 @@ def correlation_time(x):
     return max(1.0, 1.0 + 2.0 * float(correlation[1:stop].sum()))
 
 
-def _solve(joints, branch, prior, m):
+def _solve(joints, prior, m):
     """`Fit` of joints, each with its own plain terms and noise; m common factors."""
-    # joints: parameters that each depends on, moments of [4 plain terms | these |
-    # torque], number of independent rows and variance; branch (n_joints,): joints that
-    # share bodies.
-    left, power, evidence = np.zeros(len(joints)), np.zeros(len(joints)), 0.0
-    first = prior.size - m
-    factors, covariance = np.zeros(m), np.diag(prior[first:] ** 2)
-    for one in np.unique(branch):
-        inside = np.flatnonzero(branch == one)
-        some = [joints[k] for k in inside]
-        places = np.unique(np.concatenate([used for used, *_ in some]))
-        more, rest, friction, theta, shared = _solve_together(some, places)
-        evidence, left[inside], power[inside] = evidence + more, rest, friction
-        of_factors = np.flatnonzero(places >= first)
-        if of_factors.size:
-            at, size = places[of_factors] - first, prior[places[of_factors]]
-            factors[at] = theta[of_factors] * size
-            shared = shared[np.ix_(of_factors, of_factors)] * size * size[:, None]
-            covariance[np.ix_(at, at)] = shared
-    return Fit(
-        evidence=float(evidence),
-        left=left,
-        factors=factors,
-        covariance=covariance,
-        power=power,
-    )
-
-
-def _solve_together(joints, places):
-    """Solve for joints that share parameters of which the prior is standard normal."""
-    # Returns evidence, left, power, parameters and their covariance. Noise variances
-    # are found by fixed points of the evidence (MacKay, Bayesian interpolation, Neural
-    # Computation 4, 1992).
+    # joints: parameters that each depends on, moments of [4 plain terms | these, of
+    # which the prior is standard normal | torque], number of independent rows and
+    # variance. Noise variances are found by fixed points of the evidence (MacKay,
+    # Bayesian interpolation, Neural Computation 4, 1992).
     used, moments, rows, size = zip(*joints)
+    places = np.unique(np.concatenate(used))
     rows, size, p = np.array(rows), np.array(size), places.size + 4 * len(joints)
     plain = [np.arange(k, k + 4) for k in range(places.size, p, 4)]
     at = [np.r_[x, np.searchsorted(places, y)] for x, y in zip(plain, used)]
@@ -347,9 +303,18 @@ def _solve_together(joints, places):
         error = speed @ covariance[np.ix_(friction, friction)] @ speed
         power.append(speed @ theta[friction] / np.sqrt(max(error, 1e-300)))
     friction = np.maximum(scipy.special.log_ndtr(power), -number.FRICTION).sum()
-    evidence, rest = friction - 0.5 * missed, np.log(noise / size)
-    bodies = slice(places.size)
-    return evidence, rest, np.array(power), theta[bodies], covariance[bodies, bodies]
+    at = np.flatnonzero(places >= prior.size - m)
+    which = places[at] - prior.size
+    factors, errors = np.zeros(m), prior[prior.size - m :].copy()
+    factors[which] = theta[at] * prior[which]
+    errors[which] *= np.sqrt(np.maximum(np.diagonal(covariance)[at], 0.0))
+    return Fit(
+        evidence=float(friction - 0.5 * missed),
+        left=np.log(noise / size),
+        factors=factors,
+        errors=errors,
+        power=np.array(power),
+    )
 
 
 def _solved(A, b):

@@ -65,7 +65,7 @@ def _first(features, source, bodies):
     """Torques (n, nv) with likely signs, and joints (nv,) that these explain badly."""
     sizes = source.recording.tau
     own = np.vstack([states[slice(None)] for states in source.states.own])
-    made = signed_columns(features, own, bodies)
+    made = signed_columns(own, features.torques(*np.split(own, 3, axis=1), bodies))
     found = [most_explaining(x, sizes[:, j]) for j, x in enumerate(made)]
     predicted = np.column_stack([x @ coef for x, coef in zip(made, found)])
     left = ((sizes - np.abs(predicted)) ** 2).sum(axis=0)

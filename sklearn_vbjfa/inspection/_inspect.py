@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -10,16 +11,10 @@ from sklearn_vbjfa.inspection import _positions as positions
 from sklearn_vbjfa.inspection import _scene as scene
 from sklearn_vbjfa.inspection import _torques as torques
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
-from sklearn_vbjfa.inspection._positions import (
-    counts,
-    implausible_speed,
-    reordered,
-    usual_orders,
-)
+from sklearn_vbjfa.inspection._positions import implausible_speed
 from sklearn_vbjfa.inspection._reading import Reading, long_parts, thinned
 from sklearn_vbjfa.inspection._rows import inspect_rows, shuffled_rows
 from sklearn_vbjfa.inspection._sentences import finding
-from sklearn_vbjfa.inspection._torques import unsigned_torques
 from sklearn_vbjfa.model import (
     is_prismatic,
     joint_names,
@@ -42,9 +37,10 @@ class Hypothesis:
     name: str
     severity: str
     propose: Callable  # returns the best `Candidate` for a reading, or None
-    needs: str = ""  # property of a reading that can show it
-    # When it is looked for: always, only if torques agree badly with the description
-    # or another hypothesis is probable, after all others, or if nothing was found.
+    needs: str = ""  # properties of a reading that can show it
+    # When it is looked for: before all others, which it precludes; always; only if
+    # torques agree badly with the description or another hypothesis is probable; after
+    # all others; or if nothing was found.
     when: str = "always"
     prior: float = number.PRIOR  # log odds against the log as it is
     # Other masses that may explain as much, a property of the described robot.
@@ -52,7 +48,7 @@ class Hypothesis:
 
     def candidate(self, reading):
         """Return the best candidate and its log odds if it is probable, or None."""
-        applies = not self.needs or getattr(reading, self.needs)
+        applies = all(getattr(reading, name) for name in self.needs.split())
         found = self.propose(reading) if applies else None
         odds = found.log_odds + self.prior if found else -np.inf
         if odds <= number.DECISIVE:
@@ -64,8 +60,8 @@ class Hypothesis:
     def finding(self, reading, candidate, odds, rivals=()):
         """Return the finding; rivals: names of hypotheses that are as probable."""
         evidence = f"log odds {odds:.0f}"
-        fall = np.exp(candidate.fall / reading.robot.joints.size)
-        if fall > 1.01:
+        if candidate.fall > 0.01 * reading.nv:
+            fall = np.exp(candidate.fall / reading.robot.joints.size)
             evidence = f"squared errors fall by the factor {fall:.3g}, {evidence}"
         return finding(
             candidate.kind or self.name,
@@ -82,21 +78,29 @@ class Hypothesis:
 
 # fmt: off
 TABLE = (
+    Hypothesis("position_counts", "error", positions.counts, when="first"),
+    Hypothesis("unsigned_torque", "error", torques.unsigned, when="first"),
     # -- positions and time
     Hypothesis("position_unit", "error", positions.units, "turns"),
     Hypothesis("position_unit:gear", "warning", positions.gear, "turns", "poor",
                masses="invented"),
-    Hypothesis("position_zeros", "error", positions.zeros, "zeroed"),
-    Hypothesis("swapped_torques", "error", positions.torque_orders, "several", "poor"),
-    Hypothesis("swapped_positions", "error", positions.position_orders, "several",
+    Hypothesis("position_zeros", "error", partial(positions.zeros, few=False),
+               "zeroed"),
+    Hypothesis("swapped_torques", "error", partial(positions.orders, what="torques"),
+               "several", "poor"),
+    Hypothesis("swapped_positions", "error",
+               partial(positions.orders, what="positions"), "several", "poor"),
+    Hypothesis("swapped_joints", "error",
+               partial(positions.orders, what="positions and torques"), "several",
                "poor"),
-    Hypothesis("swapped_joints", "error", positions.joint_orders, "several", "poor"),
-    Hypothesis("flipped_joint", "error", positions.flipped, when="poor"),
-    Hypothesis("position_sign", "error", positions.mirrored, when="poor"),
+    Hypothesis("flipped_joint", "error", partial(positions.mirrored, torques=True),
+               when="poor"),
+    Hypothesis("position_sign", "error", partial(positions.mirrored, torques=False),
+               when="poor"),
     Hypothesis("coupled_position", "error", positions.coupled, "several", "poor"),
     # A warning: another mounting or tool looks the same, with a wrong geometry only.
-    Hypothesis("position_zero", "warning", positions.zero, when="poor",
-               masses="invented"),
+    Hypothesis("position_zero", "warning", partial(positions.zeros, few=True),
+               when="poor", masses="invented"),
     Hypothesis("wrong_dt", "error", positions.periods),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),
@@ -109,11 +113,11 @@ TABLE = (
     Hypothesis("no_gravity", "error", scene.weightless, "weighs"),
     Hypothesis("gravity_only", "error", scene.weight_alone, "weighs"),
     Hypothesis("base_orientation", "error", scene.turned, "weighs"),
-    Hypothesis("external_force", "warning", scene.contact, "unexplained", "last",
+    Hypothesis("external_force", "warning", scene.contact, "measured poor", "last",
                masses="invented"),
     Hypothesis("delay", "note", scene.late, "measured", "last"),
     Hypothesis("torque_unit", "warning", torques.beyond_limits, "measured", "last"),
-    Hypothesis("other_robot", "warning", torques.of_another, "unexplained",
+    Hypothesis("other_robot", "warning", torques.of_another, "measured poor",
                "nothing else"),
 )
 # fmt: on
@@ -172,10 +176,15 @@ def inspect_recording(recording, model=None):
         # With the joints that follow others.
         model = urdf
     robot = recording.robot_model() if model is None else model
-    channels = recording.q, recording.tau, recording.dt, recording.groups
-    gains = None if _are_torques(recording.torque_units) else "unknown"
-    named = recording.joints_named
-    return inspect_channels(robot, *channels, gains=gains, named=named)
+    return inspect_channels(
+        robot,
+        recording.q,
+        recording.tau,
+        recording.dt,
+        recording.groups,
+        gains=None if _are_torques(recording.torque_units) else "unknown",
+        named=recording.joints_named,
+    )
 
 
 def _are_torques(units):
@@ -220,49 +229,43 @@ def inspect_channels(
     bodies="prior",
     named=False,
 ):
-    """Look for channels that cannot be what their names say; see `inspect_recording`.
-
-    Parameters
-    ----------
-    model : str, os.PathLike or pinocchio.Model
-        Robot; its inertias may be wrong by half, and its friction is not used.
-    q, tau : array-like of shape (n_samples, nv)
-        Joint positions [rad or m] and torques [N m] or forces [N], or a motor quantity
-        for the checks of sign, order and timing; rows equidistant in time.
-    dt : float
-        Sample period [s].
-    groups : array-like of shape (n_samples,), default=None
-        Labels of separate recordings.
-    drive : Drive, default=None
-        What made the torques: of commands only the order of magnitude is judged, and no
-        delay is looked for; of sizes of currents the signs are not missing.
-    gains, bodies : default=None, "prior"
-        As of `RobotIdentifier`: with gains to identify no size of torques is a fault,
-        and with free bodies no factor of all of them.
-    named : bool, default=False
-        Whether the channels carry the names of the joints, so that no order is assumed.
-    """
+    """Inspect channels that are given as arrays; see `inspect_recording`."""
+    # q, tau (n_samples, nv): as of a `Recording`, or a motor quantity for torques.
+    # drive, gains, bodies: as of `RobotIdentifier`. Of commands only the order of
+    # magnitude is judged, and no delay is looked for. With gains to identify no size of
+    # torques is a fault, and with free bodies no factor of all of them. named: whether
+    # the channels carry the names of the joints, so that no order is assumed.
     model, dt = load_folded(model).still, check_dt(dt)
-    q, tau = _check_arrays(model, q, tau)
-    names = joint_names(model)
+    names, (q, tau) = joint_names(model), (np.asarray(x, dtype=float) for x in (q, tau))
+    if q.shape != tau.shape or q.shape[1:] != (model.nv,):
+        raise ValueError(
+            f"q and tau must both have shape (n_samples, {model.nv}), one column for "
+            f"each of {', '.join(names)}; got {q.shape} and {tau.shape}."
+        )
     shuffled = shuffled_rows(names, q, contiguous_groups(groups, len(q)))
     rows, parts = long_parts(len(q), groups)
     if shuffled or not parts:
         return in_order(shuffled)
-    q, tau = q[rows], tau[rows]
+    if len(rows) < len(q):
+        q, tau = q[rows], tau[rows]
     log = inspect_rows(names, q, tau, dt, parts, rows, ~is_prismatic(model))
     if _names(log.findings, "motion_as_torque", "copied_position"):
         return in_order(log.findings)
-    unknown = _OF_SIZE if gains is not None else ("torque_unit",) * (bodies == "free")
-    # Positions that were held are compared at the rate that they have.
-    rows, parts = thinned(parts, log.every)
-    q, tau, usable = (x[rows] for x in (log.q, tau, log.usable))
+    q, usable = log.q, log.usable
+    if log.every > 1:
+        # Positions that were held are compared at the rate that they have.
+        rows, parts = thinned(parts, log.every)
+        q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
-    reading = Reading(model, names, q, tau, dt, parts, usable, drive, named)
-    found = _compared(reading)
+    found = _compared(Reading(model, names, q, tau, dt, parts, usable, drive, named))
+    unknown = set(_OF_SIZE) if gains is not None else set()
+    if bodies == "free":
+        unknown.add("torque_unit")
+    if drive is not None and drive.unsigned:
+        unknown.add("unsigned_torque")
     if any(one.severity != "note" for one in log.findings):
         # Which robot it is cannot be said of rows that are wrong.
-        found = [one for one in found if one.kind != "other_robot"]
+        unknown.add("other_robot")
     found = [one for one in found if one.kind not in unknown]
     return in_order(log.findings + found)
 
@@ -270,12 +273,8 @@ def inspect_channels(
 def _compared(reading):
     """Return what the description of the robot shows of a log."""
     # Such positions allow no further question, nor do torques without signs.
-    found = counts(reading)
-    if found:
-        return found
-    without = unsigned_torques(reading)
-    if without:
-        return [] if reading.drive is not None and reading.drive.unsigned else without
+    for hypothesis, found in _proposed(reading, "first"):
+        return [hypothesis.finding(reading, *found)]
     if reading.tell_nothing():
         return implausible_speed(reading) + _unverified(reading)
     findings, reading = _examined(reading)
@@ -323,6 +322,7 @@ def _proposed(reading, when):
     """Return hypotheses that are probable, each with its candidate and log odds."""
     # At impossible speeds only what changes them is asked.
     fast = any(one.severity == "error" for one in implausible_speed(reading))
+    fast = fast and when != "first"
     rows = [x for x in TABLE if x.when == when and (not fast or x.name in _OF_SPEED)]
     found = [(one, one.candidate(reading)) for one in rows]
     return [pair for pair in found if pair[1] is not None]
@@ -365,8 +365,8 @@ def _size_assumed(robot):
 def _order_assumed(reading):
     """Whether another usual order of joints fits as well as that of the description."""
     now = reading.robot.now
-    for order in usual_orders(reading):
-        fit = reading.tried(reordered(order))
+    for order in positions.usual_orders(reading):
+        fit = reading.tried(positions.reordered(order))
         as_well = fit is not None and fit.fall(now) > -number.CLEAR
         if as_well or (fit is not None and fit.evidence > now.evidence - number.RIVAL):
             return True
@@ -375,20 +375,3 @@ def _order_assumed(reading):
 
 def _names(findings, *kinds):
     return any(finding.kind in kinds for finding in findings)
-
-
-def _check_arrays(model, q, tau):
-    """Return positions and torques as finite arrays (n_samples, nv)."""
-    names, (q, tau) = joint_names(model), (np.asarray(x, dtype=float) for x in (q, tau))
-    if q.shape != tau.shape or q.shape[1:] != (model.nv,):
-        raise ValueError(
-            f"q and tau must both have shape (n_samples, {model.nv}), one column for "
-            f"each of {', '.join(names)}; got {q.shape} and {tau.shape}."
-        )
-    for name, array in (("q", q), ("tau", tau)):
-        for row, column in np.argwhere(~np.isfinite(array))[:1]:
-            raise ValueError(
-                f"{name} must be finite, got {array[row, column]} in row {row} for "
-                f"{names[column]}; interpolate or drop that row."
-            )
-    return q, tau

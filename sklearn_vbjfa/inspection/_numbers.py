@@ -45,8 +45,9 @@ SILENT, UNRELATED, COMPUTED = 0.1, 0.85, 0.007
 # Torques are those of another robot if its description leaves this share of them and
 # they are small, or this one of some joints.
 OF_ANOTHER, UNFOLLOWED = 0.3, 0.65
-# A factor of gravity, or of inertia, that is below this with its error is none.
-NO_WEIGHT = 0.5
+# A factor of gravity, or of inertia, that is below this with its error is none, unless
+# slides hold more than this share of their weight.
+NO_WEIGHT, HELD = 0.5, 0.5
 # A base is mounted otherwise if it is turned by more than this [rad] (less is a tilt,
 # which the search finds among its rivals), and pulls as gravity does to this factor.
 TURNED, AS_HEAVY = np.radians(30.0), 1.5

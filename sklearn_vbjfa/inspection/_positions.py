@@ -9,6 +9,7 @@ import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._reading import (
+    Candidate,
     Change,
     clear,
     clear_of_all,
@@ -26,47 +27,33 @@ from sklearn_vbjfa.model import is_prismatic
 # -- order, direction and coupling -----------------------------------------------------
 
 
-def torque_orders(reading):
-    """Return the best order of the torques."""
-    joints, left = reading.robot.joints, reading.rough_crossed
-    rows, columns = scipy.optimize.linear_sum_assignment(left - np.diagonal(left))
-    order = np.arange(reading.nv)
-    order[joints[rows]] = joints[columns]
-    return _best_order(reading, "torques", [order])
-
-
-def position_orders(reading):
-    """Return the best order of the positions of joints of one kind."""
-    return _best_order(reading, "positions")
-
-
-def joint_orders(reading):
-    """Return the best order of positions and torques."""
-    same, most = np.arange(reading.nv), number.ROLLED
-    starts = [np.roll(same, k) for k in range(-most, most + 1)]
-    starts += [same[::-1], *usual_orders(reading)]
-    return _best_order(reading, "positions and torques", starts)
-
-
-def _best_order(reading, what, starts=()):
+def orders(reading, what):
     """Return the best order of some channels, by exchanges from the best of starts."""
-    moves, names, slides = [], reading.names, reading.slides
-    for pair in combinations(reading.robot.joints.tolist(), 2):
-        order = np.arange(reading.nv)
-        order[list(pair)] = pair[::-1]
-        if what != "positions" or slides[pair[0]] == slides[pair[1]]:
+    same, joints, names = np.arange(reading.nv), reading.robot.joints, reading.names
+    starts, moves = [], []
+    if what == "torques":
+        left = reading.rough_crossed
+        rows, columns = scipy.optimize.linear_sum_assignment(left - np.diagonal(left))
+        starts = [same.copy()]
+        starts[0][joints[rows]] = joints[columns]
+    elif what == "positions and torques":
+        rolled = range(-number.ROLLED, number.ROLLED + 1)
+        starts = [*(np.roll(same, k) for k in rolled), same[::-1]]
+        starts += usual_orders(reading)
+    for i, j in combinations(joints.tolist(), 2):
+        # Positions alone are those of joints of one kind.
+        if what != "positions" or reading.slides[i] == reading.slides[j]:
+            order = same.copy()
+            order[[i, j]] = j, i
             moves.append(reordered(order, what))
-    starts = [reordered(order, what) for order in starts]
-    change = climbed(reading, moves, starts)
+    change = climbed(reading, moves, [reordered(order, what) for order in starts])
     if not change.joints:
         return None
+    moved, comma = list(change.joints), " and " if len(change.joints) == 2 else ", "
     rows = change.torques if change.positions is None else change.positions
-    places = [names[k] for k in rows.argmax(axis=0)]
-    kind = f"swapped_{what.replace('positions and torques', 'joints')}"
-    facts = {"what": what, "order": ", ".join(places)}
-    facts |= {"pair": " and ".join(names[j] for j in change.joints)}
-    kind += ":pair" * (len(change.joints) == 2)
-    return judged(reading, change, variants=len(moves), kind=kind, facts=facts)
+    facts = {"what": what, "who": comma.join(names[j] for j in moved)}
+    facts["held"] = comma.join(names[k] for k in rows.argmax(axis=0)[moved])
+    return judged(reading, change, variants=len(moves), facts=facts)
 
 
 def reordered(order, what="positions and torques"):
@@ -90,8 +77,8 @@ def usual_orders(reading):
     return [x for x in orders if (np.diff(x) < 0).any()]
 
 
-def mirrored(reading, *, torques=False):
-    """Return joints whose positions, or also torques, have the other sign."""
+def mirrored(reading, torques):
+    """Return joints whose positions, and perhaps torques, have the other sign."""
 
     def negative(joints):
         sign = times(reading.nv, -1.0, joints)
@@ -99,11 +86,6 @@ def mirrored(reading, *, torques=False):
 
     changes = [negative(j) for j in reading.robot.joints]
     return likely(reading, [*changes, climbed(reading, changes, [negative(None)])])
-
-
-def flipped(reading):
-    """Return joints whose positions and torques have the other sign."""
-    return mirrored(reading, torques=True)
 
 
 def coupled(reading):
@@ -129,10 +111,12 @@ def coupled(reading):
     shared = _friction_of(reading, best.change, j, i)
     if best.fall - shared.fall(reading.robot.now) < clear(best.change):
         return None
-    facts = {"name": reading.names[j], "other": reading.names[i]}
-    facts |= {"minus": minus, "plus": plus}
-    kind = "" if best.change.torques is None else "coupled_position:torques"
-    return replace(best, joints=(j,), kind=kind, facts=facts)
+    facts = {"name": reading.names[j], "other": reading.names[i], "minus": minus}
+    torque = ", and the torque of {other} by that of {other} {plus} that of {name}"
+    facts["also"] = torque.format(plus=plus, **facts) * (
+        best.change.torques is not None
+    )
+    return replace(best, joints=(j,), facts=facts)
 
 
 def _friction_of(reading, change, j, i):
@@ -150,7 +134,7 @@ def _friction_of(reading, change, j, i):
 # -- zeros -----------------------------------------------------------------------------
 
 
-def zeros(reading, *, few=False):
+def zeros(reading, few):
     """Return the zeros of all joints that fit best, or of few of them."""
     # Of joints whose zero does not matter, such as vertical ones, it stays.
     free, nv = np.flatnonzero(~reading.slides), reading.nv
@@ -183,11 +167,6 @@ def zeros(reading, *, few=False):
     variants = len(moves) ** (few * len(moved))
     args = {"joints": moved, "variants": variants, "facts": facts}
     return judged(reading, Change(offset=place), least, **args)
-
-
-def zero(reading):
-    """Return other zeros of one joint or of some."""
-    return zeros(reading, few=True)
 
 
 # -- units -----------------------------------------------------------------------------
@@ -310,7 +289,7 @@ def _each(reading, change, joints, errors):
 
 
 def counts(reading):
-    """Find positions neither in radians nor in degrees: one error or none."""
+    """Return positions neither in radians nor in degrees."""
     model, names, q, revolute = reading.model, reading.names, reading.q, ~reading.slides
     degrees = np.where(revolute, np.pi / 180, 1.0)
     far, as_degrees = _beyond(model, q) > number.FAR_BEYOND, _beyond(model, q * degrees)
@@ -323,7 +302,7 @@ def counts(reading):
     fast &= travel * degrees > number.LARGEST_TURN
     joints = np.flatnonzero((far & (as_degrees > 0)) | whole | fast)
     if not joints.size:
-        return []
+        return None
     j = max(joints, key=lambda k: travel[k])
     facts = {"name": names[j], "low": q[:, j].min(), "high": q[:, j].max()}
     facts |= {"numbers": "whole numbers" if whole[j] else "values"}
@@ -331,7 +310,7 @@ def counts(reading):
     turns = "radians or degrees", "encoder counts", "rad"
     other = turns if revolute[j] else ("metres", "millimetres or encoder counts", "m")
     facts |= dict(zip(("units", "guess", "unit"), other))
-    return [finding("position_counts", names, joints, "error", **facts)]
+    return Candidate(joints=tuple(joints), log_odds=np.inf, facts=facts)
 
 
 # -- sample period ---------------------------------------------------------------------

@@ -130,15 +130,15 @@ class Signals:
 def long_parts(n, groups):
     """Rows of the recordings that are long enough, and where each is among them."""
     parts = contiguous_groups(groups, n)
-    parts = [part for part in parts if part.stop - part.start >= number.MIN_SAMPLES]
-    return thinned(parts, 1) if parts else (np.zeros(0, dtype=int), [])
+    return thinned([x for x in parts if x.stop - x.start >= number.MIN_SAMPLES], 1)
 
 
 def thinned(parts, k):
     """Every k-th row of recordings, and where each is among these."""
     rows = [np.arange(part.start, part.stop, k) for part in parts]
     stops = np.cumsum([0, *map(len, rows)]).tolist()
-    return np.concatenate(rows), [slice(a, b) for a, b in pairwise(stops)]
+    parts = [slice(a, b) for a, b in pairwise(stops)]
+    return np.concatenate([np.arange(0), *rows]), parts
 
 
 def filtered(q, tau, dt, parts, usable):
@@ -175,9 +175,11 @@ def filtered(q, tau, dt, parts, usable):
 
 def _states(q, dt, smooth):
     """Positions, velocities and accelerations (n, 3, nv) inside the filter's ends."""
-    x = scipy.signal.oaconvolve(q, smooth.taps[:, None], mode="valid", axes=0)
-    v = np.gradient(x, dt, axis=0)
-    return np.stack([x, v, np.gradient(v, dt, axis=0)], axis=1)
+    made = np.empty((len(q) - 2 * smooth.half, 3, q.shape[1]))
+    made[:, 0] = scipy.signal.oaconvolve(q, smooth.taps[:, None], "valid", axes=0)
+    for k in (1, 2):
+        made[:, k] = np.gradient(made[:, k - 1], dt, axis=0)
+    return made
 
 
 def _cutoffs(q, dt, parts):
@@ -246,11 +248,6 @@ class Reading:
     def poor(self):
         """Whether some torque agrees badly enough to look for another reading."""
         return bool((self.robot.now.left > 2 * np.log(number.GOOD_FIT)).any())
-
-    @property
-    def unexplained(self):
-        """Whether measured torques agree badly with the description."""
-        return self.measured and self.poor
 
     @property
     def weighs(self):

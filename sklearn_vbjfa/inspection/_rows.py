@@ -191,8 +191,7 @@ def _rest(log):
         return
     for j in np.flatnonzero(log.still):
         x = log.q[:, j]
-        facts = {"range": np.ptp(x), "mean": x.mean()}
-        log.report("still_joint", j, "warning", **facts)
+        log.report("still_joint", j, "warning", range=np.ptp(x), mean=x.mean())
 
 
 def _held(log):
@@ -245,7 +244,8 @@ def _lost_rows(log):
     if len(found) >= number.DROPOUT_RUNS or any(b > a for a, b in found):
         # What some of them show is true of all.
         _report_lost(log, "empty_rows", log.runs(empty), "warning")
-    same = (log.steps(np.hstack([log.q, log.tau])) == 0).all(axis=1) & ~log.first
+    same = (log.steps(log.q) == 0).all(axis=1) & ~log.first
+    same &= (log.steps(log.tau) == 0).all(axis=1)
     found = _breaks(log, same, number.FROZEN_ROWS - 1)
     count = sum(b - a + 1 for a, b in found)
     long = max((b - a + 2 for a, b in found), default=0) >= number.FROZEN_ROWS

@@ -29,7 +29,7 @@ def weightless(reading):
         for x in (robot.signals.tau, robot.weight)
     )
     # What balances a single joint is likelier a spring.
-    if not lost or len(lost) == 1 < len(loaded) or held > 0.5 * weight > 0:
+    if not lost or len(lost) == 1 < len(loaded) or held > number.HELD * weight > 0:
         return None
     columns = np.stack([moving, robot.weight], axis=-1)
     mean = np.zeros_like(moving)

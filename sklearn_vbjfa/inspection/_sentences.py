@@ -16,15 +16,8 @@ _COPIED = (
     "the other channel, or leave the joint out (joint_names)."
 )
 _SWAPPED = (
-    "The {what} of {pair} appear to be swapped ({evidence}). Exchange the columns."
-)
-_ORDER = (
-    "The columns of {what} are in another order: they agree as {order} ({evidence}). "
-    "Put them into the order of the model, {names}."
-)
-_COUPLED = (
-    "The position of {name} contains that of {other}, as of coupled axes ({evidence}). "
-    "Replace it by that of {name} {minus} that of {other}"
+    "The {what} of {who} appear to be swapped ({evidence}): their columns hold those "
+    "of {held}. Exchange the columns."
 )
 _UNIT = (
     "The positions of {who} look like {unit}: {name} runs from {low:.4g} to "
@@ -92,19 +85,16 @@ SENTENCES = {
     "position_zeros": "All positions begin at zero, and the torques require other "
     "zeros ({evidence}): the encoders were set to zero at power-up. Add to the "
     "positions, about [rad]: {values}.",
-    "swapped_torques:pair": _SWAPPED,
-    "swapped_positions:pair": _SWAPPED,
-    "swapped_joints:pair": _SWAPPED,
-    "swapped_torques": _ORDER,
-    "swapped_positions": _ORDER,
-    "swapped_joints": _ORDER,
+    "swapped_torques": _SWAPPED,
+    "swapped_positions": _SWAPPED,
+    "swapped_joints": _SWAPPED,
     "flipped_joint": "The direction of {who} in the log is opposite to that in the "
     "model ({evidence}). Multiply position and torque by -1, or turn the axis.",
     "position_sign": "The position of {who} has the wrong sign ({evidence}). Multiply "
     "it by -1.",
-    "coupled_position": _COUPLED + ".",
-    "coupled_position:torques": _COUPLED + ", and the torque of {other} by that of "
-    "{other} {plus} that of {name}.",
+    "coupled_position": "The position of {name} contains that of {other}, as of "
+    "coupled axes ({evidence}). Replace it by that of {name} {minus} that of {other}"
+    "{also}.",
     "wrong_dt": "dt={dt:.6g} s is inconsistent with the motion: a period of "
     "{period:.2g} s agrees better ({evidence}). dt is the sample period in "
     "seconds.",
@@ -119,9 +109,9 @@ SENTENCES = {
     "friction, weight and inertia agree with the description ({evidence}).{also} "
     "Multiply it by -1.",
     "torque_unit": "All torques together are {factor:.3g} ({low:.2g} to {high:.2g}) "
-    "times what the described masses require: they are {what} than N m{inside}, or the "
-    "described masses are wrong. Give the factor to N m (gains={gain:.3g}){unknown}; "
-    'if they are N m, use bodies="free".',
+    "times what the described masses require: they are motor currents or in another "
+    "unit than N m{inside}, or the described masses are wrong. Give the factor to N m "
+    '(gains={gain:.3g}){unknown}; if they are N m, use bodies="free".',
     "torque_unit:limits": "The torques of {who} reach {most:.3g} times the limits of "
     "the description, in the median: they are in another unit than N m or N, or the "
     "limits are wrong. Give the factors to N m (gains), or correct the limits.",

@@ -10,8 +10,7 @@ from sklearn_vbjfa.inspection._reading import (
     judged,
     times,
 )
-from sklearn_vbjfa.inspection._sentences import finding, percent
-from sklearn_vbjfa.model import TreeRegressor, nominal_parameters
+from sklearn_vbjfa.inspection._sentences import percent
 from sklearn_vbjfa.recording import UNSIGNED, listed_joints
 
 # Torque in N m is this many times a number in the unit.
@@ -117,7 +116,6 @@ def scaled(reading):
         return None
     low, high = factor * np.exp([-error, error])
     units = _units_inside(low, high)
-    what = "motor currents, or in another unit" if factor < 1 else "in another unit"
     unknown = ', or gains="unknown"' if reading.nv > 1 else ""
     robot = reading.robot
     return Candidate(
@@ -128,7 +126,7 @@ def scaled(reading):
         value=factor,
         facts={"factor": factor, "low": low, "high": high, "gain": 1 / factor}
         | {"inside": f" ({units} would be inside)" if units else ""}
-        | {"what": what, "unknown": unknown}
+        | {"unknown": unknown}
         | {"numbers": reading.drive.numbers if reading.commanded else ""},
     )
 
@@ -240,23 +238,20 @@ def computed(reading):
 # -- torques without signs -------------------------------------------------------------
 
 
-def unsigned_torques(reading):
-    """Find torques of which only sizes were logged."""
+def unsigned(reading):
+    """Return torques of which only sizes were logged."""
     tau, signals = reading.tau, reading.signals
     # Where they are, all of one sign are: what loads a joint little shows nothing.
     one_way = (tau >= 0).all(axis=0) | (tau <= 0).all(axis=0)
     one_way = np.flatnonzero(one_way & reading.usable.any(axis=0)).tolist()
     if not one_way or signals is None:
-        return []
-    regressor, bodies = TreeRegressor(reading.model), nominal_parameters(reading.model)
-    explanations = signed_columns(regressor, signals.states, bodies)
-    still = signals.states.copy()
-    still[:, reading.nv :] = 0.0
-    weights = signed_columns(regressor, still, bodies)
+        return None
+    moving, weight = reading.bodies.described(signals.states)
+    explanations = signed_columns(signals.states, moving + weight)
     found = False
     for j in one_way:
         columns, sizes = explanations[j], np.abs(signals.tau[:, j])
-        more = np.column_stack([columns, weights[j][:, 0]])
+        more = np.column_stack([columns, weight[:, j]])
         plain = more @ np.linalg.lstsq(more, sizes)[0]
         left = ((sizes - plain) ** 2).sum()
         if left < number.GOOD_FIT**2 * sizes.var() * sizes.size:
@@ -265,20 +260,17 @@ def unsigned_torques(reading):
         least = min((made < 0).mean(), (made > 0).mean())
         signed = ((sizes - np.abs(made)) ** 2).sum()
         found |= number.SIGN_GAIN * signed < left and least > number.RARE
-    if not found:
-        return []
-    args = "unsigned_torque", reading.names, one_way, "error"
-    return [finding(*args, remedy={"drive": UNSIGNED})]
+    remedy = {"drive": UNSIGNED}
+    made = Candidate(joints=tuple(one_way), log_odds=np.inf, remedy=remedy)
+    return made if found else None
 
 
-def signed_columns(regressor, states, bodies):
+def signed_columns(states, rigid):
     """Make the columns that torques may consist of, nv arrays (n, 5)."""
-    # regressor: with a method `torques` of bodies (nv, 10). Rigid bodies, dry and
-    # viscous friction, inertia, and an offset.
-    q, v, a = map(np.ascontiguousarray, np.split(states, 3, axis=1))
-    rigid = regressor.torques(q, v, a, np.ascontiguousarray(bodies))
+    # Torques (n, nv) of rigid bodies, dry and viscous friction, inertia, and an offset.
+    v, a = np.split(states, 3, axis=1)[1:]
     columns = rigid, np.sign(v), v, a, np.ones_like(v)
-    return [np.column_stack([x[:, j] for x in columns]) for j in range(v.shape[1])]
+    return np.stack(columns, axis=-1).swapaxes(0, 1)
 
 
 def most_explaining(columns, sizes):

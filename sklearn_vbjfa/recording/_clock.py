@@ -12,9 +12,9 @@ from sklearn_vbjfa.recording._table import (
     TIME_UNITS,
     RecordingRefused,
     Table,
+    imported,
     is_of_a_robot,
     listed,
-    pandas_of,
     quoted,
     unit_of_steps,
     usual_step,
@@ -438,7 +438,7 @@ def _check_unit(table: Table, role, step, factor, time_unit):
 
 def _seconds_of_dates(table: Table, column: str):
     """Return dates, or times of day, as seconds from the first, None for others."""
-    pandas, values = pandas_of(table.path), table.frame[column]
+    pandas, values = imported(table.path, "pandas"), table.frame[column]
     if values.dtype.kind != "M":
         if values.dtype.kind in "biuf" or not isinstance(values.iloc[0], str):
             return None

@@ -23,10 +23,10 @@ from sklearn_vbjfa.recording._table import (
     NotATable,
     RecordingRefused,
     Table,
+    imported,
     is_current,
     kinds_in,
     listed,
-    pandas_of,
     split_unit,
 )
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
@@ -82,7 +82,7 @@ def joined(tables, joints, path) -> Table:
         columns |= _columns_beside(path, columns, part, at[keep], joints)
     return Table(
         path=path,
-        frame=pandas_of(path).DataFrame(columns, index=frame.index),
+        frame=imported(path, "pandas").DataFrame(columns, index=frame.index),
         place=f"{base.table.place} of {base.name}",
         scalars={key: x for one in used for key, x in one.scalars.items()},
         joints=next((x.joints for x in used if x.joints), ()),

@@ -2,6 +2,7 @@
 
 import contextlib
 import difflib
+import importlib
 import re
 import tomllib
 from collections import Counter
@@ -135,18 +136,18 @@ def parsing(path, what, remedy):
         ) from error
 
 
-def check_size(path, size, remedy="save a shorter recording", what="unpacked"):
+def check_size(path, size):
     """Refuse what is packed small and fills the memory."""
     if size > LARGEST:
         raise RecordingRefused(
-            f"{path}: has {size / (1 << 30):.1f} GiB {what}, too large to be read at "
-            f"once; {remedy}."
+            f"{path}: is too large to be read at once, {size / (1 << 30):.1f} GiB of "
+            f"at most {LARGEST / (1 << 30):.0f}; save a shorter recording."
         )
 
 
 def no_rows(path):
     """Return the refusal of a file without data."""
-    return ValueError(f"{path}: no rows of data; expected one row per sample.")
+    return ValueError(f"{path}: is empty, no rows of data; expected one per sample.")
 
 
 def check_names(path, names, what):
@@ -159,20 +160,25 @@ def check_names(path, names, what):
         )
 
 
-def pandas_of(path):
-    """Return the module pandas, or say how to install it."""
+# Packages that read files, and the extras that install them.
+_EXTRAS = {
+    "pandas": "robot",
+    "pyarrow": "parquet",
+    "python-calamine": "excel",
+    "rosbags": "bags",
+}
+
+
+def imported(path, module):
+    """Import a module that a file needs, or say how to install it."""
     try:
-        import pandas
+        return importlib.import_module(module)
     except ImportError as error:
-        raise missing(path, "pandas", "reading files needs", "robot") from error
-    return pandas
-
-
-def missing(path, package, needs, extra):
-    """Return the error of a package that is not installed."""
-    return ImportError(
-        f'{path}: {needs} {package}: pip install "sklearn-vbjfa[{extra}]"'
-    )
+        package = module.partition(".")[0].replace("_", "-")
+        raise ImportError(
+            f"{path}: reading it needs {package}: pip install "
+            f'"sklearn-vbjfa[{_EXTRAS[package]}]"'
+        ) from error
 
 
 # -- what a file holds, quoted ---------------------------------------------------------

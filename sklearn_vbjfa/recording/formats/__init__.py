@@ -9,13 +9,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from sklearn_vbjfa.recording._table import (
-    Table,
-    check_size,
-    listed,
-    no_rows,
-    parsing,
-)
+from sklearn_vbjfa.recording._table import Table, check_size, listed, no_rows, parsing
 from sklearn_vbjfa.recording.formats import _arrays
 from sklearn_vbjfa.recording.formats._arrays import BAGS, bag_files, read_bag
 from sklearn_vbjfa.recording.formats._text import read_sheet, read_text
@@ -46,7 +40,8 @@ _PACKED = {b"\x1f\x8b": gzip, b"BZh": bz2, b"\xfd7zXZ\x00": lzma}
 _PACKED_ENDINGS = (".gz", ".bz2", ".xz")
 _CHUNK = 1 << 20
 # Files that only the folder of one bag or data set has.
-_MARKS = ("metadata.yaml", "meta/info.json")
+_INFO = "meta/info.json"
+_MARKS = ("metadata.yaml", _INFO)
 
 
 def read_table(path, topic=None, joints=lambda: ()) -> Table:
@@ -54,53 +49,49 @@ def read_table(path, topic=None, joints=lambda: ()) -> Table:
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input;
     # topic: topic of a bag; joints: function that returns the robot's joints.
     path = expanded(path)
+    # A name with .gz alone is one of packed text.
+    ending = _ending(path) or (".csv" if path.suffix else "")
+    files = bag_files(path) if path.is_dir() else [path] * (ending in BAGS)
     if str(path) == "-":
         stream = getattr(sys.stdin, "buffer", sys.stdin)
         table = _read_stream(Path("standard input"), ".csv", stream)
-    elif path.is_dir():
-        files = bag_files(path)
-        table = read_bag(files, path, topic, joints()) if files else _read_folder(path)
-    elif path.exists():
-        table = _read_file(path, topic, joints)
-    else:
+    elif not path.exists():
         raise FileNotFoundError(
             f"{path}: no such file; expected a recording: {_KNOWN}."
+        )
+    elif files:
+        table = read_bag(files, path, topic, joints())
+    elif (path / _INFO).is_file():
+        table = _arrays.read_parquet(path)
+    elif path.is_dir():
+        names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
+        raise ValueError(
+            f"{path}: is a folder without a recording: {_KNOWN}, or a LeRobot data set "
+            f"({_INFO}). It holds {listed(names) or 'nothing'}."
+        )
+    elif ending in _OF_BYTES or not path.is_file():
+        # What is no file is a pipe of text.
+        with path.open("rb") as stream:
+            table = _read_stream(path, ending if path.is_file() else ".csv", stream)
+    elif ending in _OF_FILES:
+        table = _OF_FILES[ending](path)
+    else:
+        remedy = "or in Python by numpy.savez(FILE, t=t, q=q, tau=tau)"
+        if ending == ".zip":
+            remedy = f"or unpack it first: unzip {shlex.quote(str(path))}"
+        raise ValueError(
+            f"{path}: unknown ending {ending!r}; save the recording as {_KNOWN}, "
+            f"{remedy}"
         )
     if table.frame.empty:
         raise no_rows(path)
     return table
 
 
-def _read_folder(path):
-    """Read the folder of a LeRobot data set."""
-    if (path / "meta" / "info.json").is_file():
-        return _arrays.read_lerobot(path)
-    names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
-    raise ValueError(
-        f"{path}: is a folder; give a file, or the folder of a bag (.db3, .mcap) or of "
-        f"a LeRobot data set (meta/info.json). It holds {listed(names) or 'nothing'}."
-    )
-
-
-def _read_file(path, topic, joints):
-    """Read a file, or a pipe of text, by its ending."""
-    endings = [ending.lower() for ending in path.suffixes[-2:]] or [""]
-    if endings[-1] in _PACKED_ENDINGS:
-        endings = endings[:-1] or [".csv"]
-    ending = endings[-1] if path.is_file() else ".csv"
-    if ending in _OF_BYTES:
-        with path.open("rb") as stream:
-            return _read_stream(path, ending, stream)
-    if ending in BAGS:
-        return read_bag([path], path, topic, joints())
-    if ending in _OF_FILES:
-        return _OF_FILES[ending](path)
-    remedy = "or in Python by numpy.savez(FILE, t=t, q=q, tau=tau)"
-    if ending == ".zip":
-        remedy = f"or unpack it first: unzip {shlex.quote(str(path))}"
-    raise ValueError(
-        f"{path}: unknown ending {ending!r}; save the recording as {_KNOWN}, {remedy}"
-    )
+def _ending(path):
+    """Return the ending of a file in small letters, that of packed text without .gz."""
+    endings = ["", *(x.lower() for x in path.suffixes[-2:])]
+    return endings[-2 if endings[-1] in _PACKED_ENDINGS else -1]
 
 
 def _read_stream(path, ending, stream):
@@ -113,8 +104,8 @@ def _read_stream(path, ending, stream):
             module.open(io.BytesIO(content), "rb") as unpacked,
         ):
             content = _content(path, unpacked)
-    if not content:
-        raise ValueError(f"{path}: is empty, no rows of data; expected one per sample.")
+    if not content.strip():
+        raise no_rows(path)
     return _OF_BYTES[ending](path, content)
 
 
@@ -123,7 +114,7 @@ def _content(path, stream):
     content = io.BytesIO()
     while chunk := stream.read(_CHUNK):
         content.write(chunk)
-        check_size(path, content.tell(), "give a shorter recording", "or more")
+        check_size(path, content.tell())
     return content.getvalue()
 
 
@@ -160,12 +151,6 @@ def _is_one(path):
 
 
 def _tables(path):
-    found = []
-    for file in sorted(path.iterdir()):
-        endings = [x.lower() for x in file.suffixes[-2:]]
-        if endings and endings[-1] in _PACKED_ENDINGS:
-            endings.pop()
-        known = endings and endings[-1] in {*_OF_BYTES, *_OF_FILES, *BAGS}
-        if known and file.is_file() and not file.name.startswith("."):
-            found.append(file)
-    return found
+    known = {*_OF_BYTES, *_OF_FILES, *BAGS}
+    files = [x for x in sorted(path.iterdir()) if not x.name.startswith(".")]
+    return [x for x in files if _ending(x) in known and x.is_file()]

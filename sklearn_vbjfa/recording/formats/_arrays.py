@@ -11,17 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_vbjfa.recording._table import (
-    LARGEST,
     Loss,
     NotATable,
     RecordingRefused,
     Table,
     check_names,
     check_size,
+    imported,
     listed,
-    missing,
-    no_rows,
-    pandas_of,
     parsing,
     quoted,
 )
@@ -38,7 +35,7 @@ _CHANNEL = re.compile(r"t|segment|(q|tau|v|a)([_.\[(]?\d+[\])]?)?", re.IGNORECAS
 
 def table_of(path, columns, **known) -> Table:
     """Make a table of columns by name, or of a matrix whose columns have no names."""
-    frame = pandas_of(path).DataFrame(columns)
+    frame = imported(path, "pandas").DataFrame(columns)
     if isinstance(columns, np.ndarray):
         frame.columns = [str(k + 1) for k in frame]
         known["nameless"] = True
@@ -226,11 +223,9 @@ _SPREAD = 4
 
 def read_json(path, content) -> Table:
     """Read a list of records or rows, one a line or not, or arrays by their names."""
-    check_size(path, _SPREAD * len(content), what="as objects")
+    check_size(path, _SPREAD * len(content))
     with parsing(path, "JSON file", "write it again."):
         found, notes = _parsed(content.decode("utf-8-sig"))
-    if found is None:
-        raise no_rows(path)
     rows = found if isinstance(found, list) and found else [found]
     if isinstance(found, dict):
         table = _table_of_object(path, found)
@@ -250,8 +245,6 @@ def read_json(path, content) -> Table:
 
 def _parsed(text):
     """Return the content of a text, all of it or a list of its lines, and notes."""
-    if not text.strip():
-        return None, ()
     try:
         return json.loads(text), ()
     except json.JSONDecodeError as error:
@@ -304,37 +297,27 @@ def _end_to_end(path, name, records):
     return {**found, "segment": segment}
 
 
+# -- Parquet and Feather ---------------------------------------------------------------
+
 PARQUET = (".parquet", ".pq", ".feather", ".arrow")
 _INFO = Path("meta") / "info.json"
 
 
 def read_parquet(path) -> Table:
-    """Read a parquet or feather file; lists become columns with numbers."""
-    return _table_of_columns(path, [path])
+    """Read a parquet or feather file, or the episodes of a LeRobot data set.
 
-
-def read_lerobot(folder: Path) -> Table:
-    """Read all episodes of a LeRobot data set."""
-    files = sorted((folder / "data").rglob("*.parquet"))
+    Lists become a column for each entry.
+    """
+    files = [path] if path.is_file() else sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise ValueError(
-            f"{folder}: is a LeRobot data set without parquet files in its folder data;"
-            " expected data/chunk-000/*.parquet (is it downloaded completely?)."
+            f"{path}: is a LeRobot data set without parquet files in its folder data; "
+            "expected data/chunk-000/*.parquet (is it downloaded completely?)."
         )
-    return _table_of_columns(folder, files)
-
-
-def _table_of_columns(path, files):
-    """Return the columns of files one after the other, lists as columns each."""
-    try:
-        from pyarrow import dataset
-    except ImportError as error:
-        raise missing(path, "pyarrow", "parquet files need", "parquet") from error
+    dataset = imported(path, "pyarrow.dataset").dataset
     is_parquet = files[0].suffix.lower() in PARQUET[:2]
     with parsing(path, "parquet file of plain columns", "write it again."):
-        data = dataset.dataset(
-            [str(file) for file in files], format="parquet" if is_parquet else "feather"
-        )
+        data = dataset(list(map(str, files)), format=("feather", "parquet")[is_parquet])
         names = data.schema.names
         check_size(path, 8 * len(names) * data.count_rows())
         check_names(path, names or [""], "has")
@@ -375,6 +358,8 @@ def _motors(info, name):
     return [str(motor).removesuffix(".pos") for motor in names]
 
 
+# -- bags ------------------------------------------------------------------------------
+
 BAGS = (".bag", ".db3", ".mcap")
 _TYPE = "sensor_msgs/msg/JointState"
 
@@ -388,13 +373,10 @@ def bag_files(folder):
 
 def read_bag(files, shown, topic, joints) -> Table:
     """Read positions and efforts of the joints in a bag."""
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise missing(shown, "rosbags", "bags need", "bags") from error
+    typesys = imported(shown, "rosbags.typesys")
+    AnyReader = imported(shown, "rosbags.highlevel").AnyReader
     remedy = "if it was cut, rosbag reindex, ros2 bag reindex or mcap recover may help."
-    store = get_typestore(Stores.ROS2_HUMBLE)
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     with (
         parsing(shown, "bag", remedy),
         AnyReader(files, default_typestore=store) as bag,
@@ -404,18 +386,10 @@ def read_bag(files, shown, topic, joints) -> Table:
     return _joint_states(shown, connections[0].topic, names, values, times, joints)
 
 
-# -- messages as rows ------------------------------------------------------------------
-
-
 def _messages(bag, shown, connections):
     """Return joints, q, v and tau (3, n_messages, n_joints), and times (2, n) [ns]."""
     # What a message lacks is nan; times are those of the header and of the recorder.
-    count = sum(x.msgcount for x in connections)
-    if 200 * count > LARGEST:
-        raise RecordingRefused(
-            f"{shown}: has {count} messages, too many to be read at once; cut the bag "
-            "into shorter ones."
-        )
+    check_size(shown, 200 * sum(x.msgcount for x in connections))
     rows, times = [], []
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
@@ -489,14 +463,11 @@ def _joint_states(shown, topic, names, values, times, wanted):
             columns |= dict(zip(heads, of_kind.T))
     return Table(
         path=shown,
-        frame=pandas_of(shown).DataFrame(columns, index=1 + np.flatnonzero(rows)),
+        frame=imported(shown, "pandas").DataFrame(columns, 1 + np.flatnonzero(rows)),
         place="message {}",
         joints=() if numbered else tuple(joints),
         notes=tuple(notes),
     )
-
-
-# -- which topic -----------------------------------------------------------------------
 
 
 def _connections(bag, shown, topic):

@@ -4,8 +4,7 @@ import csv
 import io
 import itertools
 import re
-from dataclasses import dataclass, replace
-from importlib.util import find_spec
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,9 +13,8 @@ from sklearn_vbjfa.recording._table import (
     NotATable,
     Table,
     check_names,
-    missing,
+    imported,
     no_rows,
-    pandas_of,
     parsing,
     quoted,
     split_unit,
@@ -25,8 +23,8 @@ from sklearn_vbjfa.recording._table import (
 
 # Note of a file that ends within a line.
 CUT = "the last line is cut, or has no end: it is left out."
-# Lines that an instrument may write before the names of its columns.
-_LONGEST_PREAMBLE = 100
+# Lines among which the names of the columns are looked for.
+_PREAMBLE = 200
 # What loggers write where nothing was measured.
 _NOTHING = ("", "-", "nan", "-nan", "+nan", "na", "n/a", "null", "none")
 # NumPy writes lists of its numbers as [np.float64(0.1), ...].
@@ -36,8 +34,6 @@ _LIST = re.compile(r"(?:array\()?[(\[]\s*([^()\[\]]*?)\s*[)\]](?:, dtype=\w+)?\)
 _NUMBER = re.compile(
     r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
 )
-# A longer line is not a row of a table.
-_LONGEST_LINE = 1 << 25
 # Of fewer rows the last is not said to be cut.
 _FEWEST = 10
 _NO_BRACKETS = bytes.maketrans(b"()[]", b"    ")
@@ -53,15 +49,13 @@ _WINDOWS = bytes({*b"\t\n\r\f", *range(32, 256)} - {*b"\x7f\x81\x8d\x8f\x90\x9d"
 def read_text(path, content) -> Table:
     """Read text with a header line; blank lines and comments (#) are skipped."""
     content, notes = _decoded(path, content)
-    lines = _first_lines(content)
-    filled = [line for line in map(_without_comment, lines) if line]
+    filled = [line for line in map(_without_comment, _first_lines(content)) if line]
     if not filled:
         raise no_rows(path)
     if _BRACKETED.fullmatch(filled[0]):
         content = content.translate(_NO_BRACKETS)
-        lines = _first_lines(content)
     try:
-        return _read_lines(path, content, lines, notes)
+        return _read_lines(path, content, notes)
     except csv.Error as error:
         raise ValueError(
             f"{path}: is not a table of numbers ({error}); save it as CSV in UTF-8."
@@ -100,7 +94,7 @@ def _decoded(path, content):
 
 def _first_lines(content):
     """Return the lines that may come before the data, without their ends."""
-    lines = itertools.islice(io.BytesIO(content), 2 * _LONGEST_PREAMBLE)
+    lines = itertools.islice(io.BytesIO(content), _PREAMBLE)
     return [line.decode().rstrip("\r\n") for line in lines]
 
 
@@ -110,25 +104,26 @@ def _without_comment(line):
     return "" if not line.strip() or _EXCEL_SEPARATOR.fullmatch(line) else line
 
 
-def _read_lines(path, content, lines, notes=()):
-    """Return the table of a text in UTF-8, of which these are the first lines."""
-    pandas, head = pandas_of(path), _head(path, lines)
-    numbers, is_cut = _checked_rows(path, content, head)
-    if not numbers.size:
+def _read_lines(path, content, notes=()):
+    """Return the table of a text in UTF-8."""
+    lines = _first_lines(content)
+    names, start, separator, more = _head(path, lines)
+    numbers, is_cut = _checked_rows(path, content, names, start, separator)
+    if not numbers:
         raise ValueError(f"{path}: only a header and no rows of data.")
     with parsing(path, "table of numbers", "save it as CSV in UTF-8."):
-        frame = pandas.read_csv(
+        frame = imported(path, "pandas").read_csv(
             io.BytesIO(content),
-            sep=head.separator or r"\s+",
+            sep=separator or r"\s+",
             header=None,
-            names=head.columns,
+            names=names,
             index_col=False,
-            skiprows=head.start,
+            skiprows=start,
             nrows=len(numbers),
             comment="#",
             keep_default_na=False,
             na_values=[y for x in _NOTHING for y in (x, x.upper(), x.capitalize())],
-            decimal="," if head.separator != "," and "," in lines[head.start] else ".",
+            decimal="," if separator != "," and "," in lines[start] else ".",
         )
     if len(frame) != len(numbers):
         raise ValueError(
@@ -136,57 +131,61 @@ def _read_lines(path, content, lines, notes=()):
             "in one line."
         )
     frame.index = numbers
-    notes = (*head.notes, *[CUT] * is_cut, *notes)
-    return _table_of_cells(path, frame, head, notes)
+    table = Table(
+        path=path,
+        frame=frame,
+        place="line {}",
+        # Names are not all numbers.
+        nameless=all(map(_is_number, names)),
+        notes=(*more, *[CUT] * is_cut, *notes),
+    )
+    return _with_cells_read(table, comma=separator != ",")
 
 
 # -- names -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Head:
-    """How the rows of a text are to be read."""
-
-    columns: list  # names, or places from "1" on
-    start: int  # lines before the first row
-    separator: str | None  # None is white space
-    nameless: bool = False
-    notes: tuple = ()
-
-
 def _head(path, lines):
-    """Return what the first lines say."""
+    """Return names of columns, lines before the first row, the separator, and notes."""
+    # Names are places, from "1" on, if there are none. The separator None is white
+    # space.
     content = [(k, x) for k, x in enumerate(map(_without_comment, lines)) if x]
     first, line = content[0]
     echo = _echo_names(line)
     if echo:
-        return _Head(columns=echo, start=first, separator=",")
-    at, names, start = _names_and_start([_cells(x) for _, x in content])
-    # Of a file with a header alone the data begin after it.
-    start = content[start][0] if start < len(content) else len(lines)
-    if at is not None:
-        header, found = content[at]
-    else:
-        # Numbers at once: the header may be the last comment before them.
-        header = max((k for k in range(first) if lines[k].strip()), default=None)
-        found = "" if header is None else lines[header].strip().lstrip("#")
-        found = found.split("#")[0].strip()
-        names = _without_blank_ends(_cells(found))
-        separator = _separator_of(line)
-        width = len(_without_blank_ends(_cells(line, separator)))
-        if len(names) != width or any(map(_is_number, names)):
-            places = [str(k + 1) for k in range(width)]
-            return _Head(
-                columns=places, start=start, separator=separator, nameless=True
-            )
+        return echo, first, ",", ()
+    rows = [_without_blank_ends(_cells(x)) for _, x in content]
+    # Without a row of numbers, as with one column of text, the names come first.
+    data = next((k for k, row in enumerate(rows) if _is_data(row)), 1)
+    if data == 0:
+        return _head_of_numbers(path, lines, first, line)
+    at, names = data - 1, rows[data - 1]
+    if at and len(rows[at - 1]) == len(names) and _are_units(names):
+        at, names = at - 1, list(map(_with_unit, rows[at - 1], names))
+    header, found = content[at]
     _check_header(path, names, header + 1)
     notes = (f"the names of the columns are in line {header + 1}.",) if at else ()
-    return _Head(
-        columns=list(names),
-        start=start,
-        separator=_separator_of(found),
-        notes=notes,
-    )
+    # Of a file with a header alone the data begin after it.
+    start = content[data][0] if data < len(content) else len(lines)
+    return names, start, _separator_of(found), notes
+
+
+def _head_of_numbers(path, lines, first, line):
+    """Return the head of a text whose first row, without comments, has numbers."""
+    separator = _separator_of(line)
+    cells = _without_blank_ends(_cells(line, separator))
+    places = [str(k + 1) for k in range(len(cells))]
+    if cells == [str(k) for k in range(len(cells))] and len(cells) > 2:
+        # Data frames without names have a header that counts them.
+        return places, first + 1, separator, ()
+    # The header may be the last comment before the numbers.
+    header = max((k for k in range(first) if lines[k].strip()), default=0)
+    found = lines[header].strip().lstrip("#").split("#")[0].strip() if first else ""
+    names = _without_blank_ends(_cells(found))
+    if len(names) != len(places) or any(map(_is_number, names)):
+        return places, first, separator, ()
+    _check_header(path, names, header + 1)
+    return names, first, _separator_of(found), ()
 
 
 def _echo_names(line):
@@ -234,26 +233,6 @@ def _is_data(cells):
     return 2 * sum(numbers) > len(cells)
 
 
-def _names_and_start(lines):
-    """Find the names above the first row of numbers; lines are lists of cells.
-
-    Returns their position, None without any, the names, and the position of the first
-    row of data.
-    """
-    rows = [_without_blank_ends(cells) for cells in lines[:_LONGEST_PREAMBLE]]
-    data = next((k for k, row in enumerate(rows) if _is_data(row)), None)
-    if data == 0:
-        # Data frames without names have a header that counts them.
-        width = len(rows[0])
-        counts = rows[0] == [str(k) for k in range(width)] and width > 2
-        return None, (), int(counts)
-    # Without a row of numbers, as with one column of text, the names come first.
-    at = 0 if data is None else data - 1
-    if at and len(rows[at - 1]) == len(rows[at]) and _are_units(rows[at]):
-        return at - 1, list(map(_with_unit, rows[at - 1], rows[at])), at + 1
-    return at, rows[at], at + 1
-
-
 def _are_units(cells):
     """Return whether most cells are units."""
     units = [any(unit_of(x, cell.strip("[]()")) for x in EXPECTED) for cell in cells]
@@ -285,35 +264,30 @@ def _check_header(path, names, line):
 # -- cells of each row -----------------------------------------------------------------
 
 
-def _checked_rows(path, content, head):
+def _checked_rows(path, content, names, start, separator):
     """Return the numbers of the lines with rows, and whether a cut one was left out."""
     # Refuses a row that has not as many cells as there are names.
-    width, numbers = len(head.columns), []
-    mark = None if head.separator is None else head.separator.encode()
+    width, numbers = len(names), []
+    mark = None if separator is None else separator.encode()
     comments, quotes = b"#" in content, b'"' in content or width == 1
-    ended, rows = content.endswith(b"\n"), io.BytesIO(content)
+    ended = content.endswith(b"\n")
     last = content.count(b"\n") + (not ended)
-    for number, line in enumerate(rows, start=1):
-        if number <= head.start:
+    for number, line in enumerate(io.BytesIO(content), start=1):
+        if number <= start:
             continue
         if comments:
             line = line.partition(b"#")[0]
         if not line or line.isspace():
             continue
-        if len(line) > _LONGEST_LINE:
-            raise ValueError(
-                f"{path}: has a line of more than {_LONGEST_LINE} characters; "
-                "expected one row per sample."
-            )
         cells, wrong = line.count(mark) + 1 if mark else len(line.split()), ""
         if cells != width or quotes:
-            wrong = _wrong(line.decode(), head.columns, head.separator)
+            wrong = _wrong(line.decode(), names, separator)
         if number == last and len(numbers) >= _FEWEST and (wrong or not ended):
-            return np.array(numbers), True
+            return numbers, True
         if wrong:
             raise ValueError(f"{path}: line {number} {wrong}.")
         numbers.append(number)
-    return np.array(numbers, dtype=int), False
+    return numbers, False
 
 
 def _wrong(line, names, separator):
@@ -334,23 +308,17 @@ def _wrong(line, names, separator):
 # -- columns ---------------------------------------------------------------------------
 
 
-def _table_of_cells(path, frame, head, notes):
+def _with_cells_read(table, comma):
     """Return a table of columns whose cells are numbers, dates, text or lists."""
-    table = Table(
-        path=path,
-        frame=frame,
-        place="line {}",
-        nameless=head.nameless,
-        notes=notes,
-    )
+    path, frame, notes = table.path, table.frame, table.notes
     if "" not in frame and all(kind.kind in "iuf" for kind in frame.dtypes):
         return table
-    columns = {}
+    columns = []
     for name in frame:
-        values = _column(table, name, comma=head.separator != ",")
-        spread = _spread(table, name, values) or {name: values}
-        check_names(path, [*columns, *spread], "as an entry of a list has")
-        columns |= spread
+        values = _column(table, name, comma)
+        columns += _spread(table, name, values) or [(name, values)]
+    check_names(path, [name for name, _ in columns], "as an entry of a list has")
+    columns = dict(columns)
     if "" in columns:
         index = columns.pop("")
         counts = index.dtype.kind in "if" and (np.diff(index) == 1).all()
@@ -358,7 +326,7 @@ def _table_of_cells(path, frame, head, notes):
             _check_header(path, [""], frame.index[0] - 1)
         note = "the first column has no name and counts the rows: it is left out."
         notes = (*notes, note)
-    frame = pandas_of(path).DataFrame(columns, index=frame.index)
+    frame = imported(path, "pandas").DataFrame(columns, index=frame.index)
     return replace(table, frame=frame, notes=notes)
 
 
@@ -391,21 +359,20 @@ def _column(table, name, comma):
 
 
 def _spread(table, name, values):
-    """Return a column for each entry of cells that are lists of numbers, else {}."""
+    """Return names and columns of the entries of cells that are lists of numbers."""
+    # Empty for other cells.
     if values.dtype.kind != "O" or not all(map(_is_number, _entries(values[0]))):
-        return {}
-    cells = [_entries(cell) for cell in values]
-    if len({len(x) for x in cells}) > 1 or not all(
-        _is_number(x) for row in cells for x in row
-    ):
+        return []
+    try:
+        matrix = np.array([_entries(cell) for cell in values], dtype=float)
+    except ValueError as error:
         if not _LIST.fullmatch(values[0]):
-            return {}
+            return []
         raise ValueError(
             f"{table.path}: the cells of column {quoted(name)} are not lists of as "
             "many numbers; correct or remove those rows."
-        )
-    matrix = np.array(cells, dtype=float)
-    return {f"{name}_{k}": x for k, x in enumerate(matrix.T)}
+        ) from error
+    return [(f"{name}_{k}", x) for k, x in enumerate(matrix.T)]
 
 
 def _entries(cell):
@@ -420,9 +387,8 @@ def _entries(cell):
 
 def read_sheet(path) -> Table:
     """Read the first sheet with a table of numbers, as text with tabs."""
-    pandas = pandas_of(path)
-    if find_spec("python_calamine") is None:
-        raise missing(path, "python-calamine", "spreadsheets need", "excel")
+    pandas = imported(path, "pandas")
+    imported(path, "python_calamine")
     with parsing(path, "spreadsheet", "save it as CSV."):
         sheets = pandas.read_excel(
             path,
@@ -439,8 +405,7 @@ def read_sheet(path) -> Table:
     # The first with numbers.
     texts.sort(key=lambda x: not any(_is_data(line.split("\t")) for line in x[1]))
     name, lines = texts[0]
-    content = "\n".join([*lines, ""]).encode()
-    table = _read_lines(path, content, lines[: 2 * _LONGEST_PREAMBLE])
+    table = _read_lines(path, "\n".join([*lines, ""]).encode())
     place = "line {} of sheet " + repr(name).replace("{", "{{").replace("}", "}}")
     return replace(table, place=place)
 

@@ -12,8 +12,6 @@ from sklearn_vbjfa.recording._grid import FileRows
 from sklearn_vbjfa.recording._layout import (
     ReadOptions,
     channel_unit,
-    channels_of,
-    in_order,
     laid_out,
     refuse_two,
 )
@@ -21,6 +19,7 @@ from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import (
     MEASURED,
+    Loss,
     RecordingRefused,
     Table,
     is_current,
@@ -38,7 +37,7 @@ _KIND = {"torque": "tau", "current": "tau"}
 _WHAT = {"q": "positions", "tau": "torques", "q_desired": "desired positions"}
 
 
-def refusal(table, layout, options, robot, missing):
+def _refusal(table, layout, options, robot, missing):
     """Return the refusal that lists everything that is missing."""
     near = {kind: _nearest(table, kind, robot.names) for kind in missing}
     parts = []
@@ -76,28 +75,28 @@ def _offered(table, options, near):
     found = []
     for patterns in itertools.islice(itertools.product(*near.values()), _MOST_TRIED):
         mapping = options.mapping | dict(zip(near, patterns))
-        columns = ",".join(f"{key}={x}" for key, x in mapping.items())
-        changed = replace(options, mapping=mapping, preset=None)
-        found.append(_tried(table, changed, {"columns": columns}))
+        if not any("," in x or "=" in x for x in mapping.values()):
+            changed = replace(options, mapping=mapping, preset=None)
+            found.append(_tried(table, changed, {}))
     found = [offered for offered in found if offered]
     return found[0] if len(found) == 1 else {}
 
 
 def _tried(table, options, offered):
-    """Return options, maybe with more, with which a file is read, else {}."""
-    if any("," in x or "=" in x for x in options.mapping.values()):
-        return {}
+    """Return a mapping, with the options offered and more, that reads a file, or {}."""
     try:
         rows = rows_of(table, options)
     except RecordingRefused as error:
-        more = {x: error.options[x] for x in ("time_unit",) if x in error.options}
-        if not more or more.items() <= offered.items():
+        unit = error.options.get("time_unit", options.time_unit)
+        if unit == options.time_unit:
             return {}
-        return _tried(table, replace(options, **more), offered | more)
+        return _tried(table, replace(options, time_unit=unit), {"time_unit": unit})
     except ValueError:
         return {}
+    columns = ",".join(f"{key}={x}" for key, x in options.mapping.items())
+    offered = {"columns": columns} | offered
     if options.gains is options.drive is None and {*rows.torque_units} - {"N m", "N"}:
-        offered = offered | {"gains": "unknown"}
+        offered["gains"] = "unknown"
     return offered
 
 
@@ -168,7 +167,7 @@ def is_recording(table: Table, options: ReadOptions):
         robot = options.robot(table)
         # Without time it is one, too, and refused for that.
         options = replace(options, dt=1.0)
-        _roles(table, laid_out(table, options, robot), options, robot, [])
+        _in_order(table, laid_out(table, options, robot), options, robot, [])
     except RecordingRefused as error:
         return bool(error.options)
     except ValueError:
@@ -176,12 +175,49 @@ def is_recording(table: Table, options: ReadOptions):
     return True
 
 
-def _roles(table, layout, options, robot, notes):
-    """Return the columns of each kind in the order of the joints, and these."""
-    missing = channels_of(layout, options, robot)[1]
+def _in_order(table, layout, options, robot, notes):
+    """Return the roles of each kind in the order of the joints, and the robot."""
+    # Certain names of joints that the robot lacks are no channels of it.
+    names = robot.names or layout.joints
+    roles = [
+        role
+        for role in layout.of(*options.kinds)
+        if isinstance(role.key, int) or role.key in names
+    ]
+    kinds = [kind for kind in options.kinds if kind in {role.kind for role in roles}]
+    missing = [kind for kind in options.kinds[:2] if kind not in kinds]
+    missing += [] if options.dt or layout.of("t") else ["t"]
     if missing:
-        raise refusal(table, layout, options, robot, missing)
-    return in_order(table, layout, options, robot, notes)
+        raise _refusal(table, layout, options, robot, missing)
+    by_key = {kind: {} for kind in kinds}
+    for role in roles:
+        other = by_key[role.kind].setdefault(role.key, role)
+        refuse_two(table, other.column, role.column)
+    having = {role.key for role in roles}
+    if any(isinstance(key, str) for key in having):
+        others = [x for x in layout.joints if x not in names]
+        if others:
+            notes.append(
+                f"joint(s) {listed(others)} are not joints of the robot and are left "
+                "out."
+            )
+        held = [x for x in names if x not in having]
+        if held and not robot.chosen:
+            notes.append(Loss(f"no columns of joint(s) {listed(held)}: held at zero."))
+            names = tuple(x for x in names if x in having)
+    found = {}
+    for kind, own in by_key.items():
+        named, first = any(isinstance(key, str) for key in own), 0 if 0 in own else 1
+        keys = names if named else range(first, first + len(own))
+        for key in keys:
+            if key not in own:
+                raise ValueError(
+                    f"{table.path}: column '{kind}{'_' * named}{key}' is missing "
+                    f"beside {listed([role.column for role in own.values()])}; every "
+                    "joint needs one, in order."
+                )
+        found[kind] = [own[key] for key in keys]
+    return found, replace(robot, names=names)
 
 
 def rows_of(table: Table, options: ReadOptions) -> FileRows:
@@ -199,7 +235,7 @@ def rows_of(table: Table, options: ReadOptions) -> FileRows:
         options = replace(options, dt=options.dt or dt)
     layout = laid_out(table, options, robot)
     table, rows = without_odd_rows(table, layout, options, notes)
-    found, robot = _roles(table, layout, options, robot, notes)
+    found, robot = _in_order(table, layout, options, robot, notes)
     names = _check_joints(table, found, robot)
     channels, units = _in_units(table, found, options, notes)
     slides = _check_units(table, found, units, names, robot)
@@ -226,9 +262,9 @@ def rows_of(table: Table, options: ReadOptions) -> FileRows:
             f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
             "or identify them (gains='unknown'; command line: --gain unknown)."
         )
-    if t is None and rows is not None:
+    if t is None:
         # Without stamps the places of the rows that are left are their times.
-        t = options.dt * rows
+        t = options.dt * (np.arange(table.n_rows) if rows is None else rows)
     taken = _columns_taken(table, layout, options, found, time)
     # What was read is held no longer than needed.
     table = replace(table, frame=table.frame.iloc[:, :0])
@@ -242,7 +278,6 @@ def rows_of(table: Table, options: ReadOptions) -> FileRows:
         dt=options.dt,
         labels=labels,
         channels=channels | signals,
-        signals=(*(set(channels) - {"q", "tau", "v"}), *signals),
         joint_names=tuple(names),
         position_units=tuple("m" if slide else "rad" for slide in slides),
         torque_units=tuple(torque_units),
@@ -259,7 +294,7 @@ def _in_units(table, found, options, notes):
     """Return channels in the package's units, and the bases of the units they had."""
     for kind, measured in MEASURED.items():
         roles, of = found.get(kind, []), found.get(measured, [])
-        if kind in options.recorded and len(roles) == len(of):
+        if roles and kind in options.recorded and len(roles) == len(of):
             # Commands without a unit have that of what they command.
             found[kind] = [
                 role if role.unit else replace(role, unit=other.unit)
@@ -270,9 +305,8 @@ def _in_units(table, found, options, notes):
         found["supply"] = found["supply"] * len(found["q"])
     channels, units = {}, {}
     for kind, roles in found.items():
-        if roles:
-            columns, units[kind] = zip(*(_values(table, role) for role in roles))
-            channels[kind] = np.column_stack(columns)
+        columns, units[kind] = zip(*(_values(table, role) for role in roles))
+        channels[kind] = np.column_stack(columns)
     for kind in options.recorded if options.drive is not None else ():
         once = table.scalars.get(kind)
         if kind not in channels and once is not None and once.dtype.kind in "iuf":
@@ -361,7 +395,7 @@ def _check_joints(table: Table, found, robot):
     """Check the number of joints by the columns of each kind, return their names."""
     names, nv = robot.names, len(found["q"])
     for kind, roles in found.items():
-        if len(roles) not in (0, nv, nv if kind != "supply" else 1):
+        if len(roles) != nv and (kind, len(roles)) != ("supply", 1):
             q, other = ([x.column for x in own] for own in (found["q"], roles))
             raise ValueError(
                 f"{table.path}: {nv} column(s) q ({listed(q)}) and {len(roles)} "

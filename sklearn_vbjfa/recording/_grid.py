@@ -155,11 +155,10 @@ class FileRows:
     path: Path  # as messages name it
     name: str  # without endings
     where: Callable[[int], str]  # a row in words
-    t: np.ndarray | None  # stamps (n,) [s]
+    t: np.ndarray  # stamps (n,) [s]
     dt: float | None  # sample period as given [s]
     labels: np.ndarray | None  # of recordings
     channels: dict[str, np.ndarray]  # "q", "tau", and maybe "v" and others
-    signals: tuple[str, ...]  # channels that are columns of other names
     joint_names: tuple[str, ...]
     position_units: tuple[str, ...]
     torque_units: tuple[str, ...]
@@ -209,13 +208,10 @@ def _runs(file, name):
 
 def _first_of_stamps(file, parts):
     """Return which rows have another stamp than the one before, or all if few have."""
-    keep = np.ones(len(file.channels["q"]), dtype=bool)
-    if file.t is None:
-        return keep
     again = np.r_[False, np.diff(file.t) == 0]
     again[[part.start for part in parts]] = False
     if not 0 < again.sum() <= _REPEATED * again.size:
-        return keep
+        return np.ones_like(again)
     file.notes.append(
         f"{again.sum()} row(s) have the stamp of the one before: left out."
     )
@@ -224,15 +220,6 @@ def _first_of_stamps(file, parts):
 
 def _inspected(file, rows):
     """Return what the stamps of a segment show."""
-    if file.t is None:
-        return TimeStamps(
-            dt=file.dt,
-            sampled=False,
-            late=False,
-            slots=np.arange(rows.size),
-            steps=np.full(1, file.dt),
-            gaps=np.empty(0, dtype=int),
-        )
     positions = file.channels["q"][rows]
     try:
         return inspect_time_stamps(

@@ -17,7 +17,6 @@ from sklearn_vbjfa.recording._table import (
     MEASURED,
     PRESETS,
     TIME_UNITS,
-    Loss,
     RecordingRefused,
     Table,
     Unit,
@@ -180,23 +179,22 @@ def parse_mapping(text) -> dict[str, str]:
     else:
         parts = [part.partition("=") for part in str(text).split(",")]
         pairs = [(key.strip(), value.strip()) for key, _, value in parts]
-    found: dict[str, str] = {}
-    for key, value in pairs:
-        if not value or key in found or _KEY.fullmatch(key) is None:
-            wrong = f"{key}={value}"
-            break
-        found[key] = value
-    else:
-        wrong = "" if found else "nothing"
-    if wrong:
+    keys = [key for key, _ in pairs]
+    wrong = [
+        f"{key}={value}"
+        for key, value in pairs
+        if not value or keys.count(key) > 1 or _KEY.fullmatch(key) is None
+    ]
+    if wrong or not pairs:
         raise ValueError(
-            f"columns has {wrong!r}; expected CHANNEL=NAME, each channel once, with "
-            'commas between them, such as "q=position_{i},tau=effort_{i},t=time". '
-            "Channels are q, tau, v, a, t, segment (of one joint: q1, tau_elbow), with "
-            f"a drive also {', '.join(COMMAND_NAMES)}; {{i}} stands for the joint's "
-            "number and {joint} for its name."
+            f"columns has {wrong[-1] if wrong else 'nothing'!r}; expected "
+            "CHANNEL=NAME, each channel once, with commas between them, such as "
+            '"q=position_{i},tau=effort_{i},t=time". Channels are q, tau, v, a, t, '
+            "segment (of one joint: q1, tau_elbow), with a drive also "
+            f"{', '.join(COMMAND_NAMES)}; {{i}} stands for the joint's number and "
+            "{joint} for its name."
         )
-    return found
+    return dict(pairs)
 
 
 def split_key(key):
@@ -333,7 +331,8 @@ def is_exact(role):
 def _named(column, begins, joints):
     """Return the role that the name of a column says, None for none."""
     # begins: kinds by the beginning of a name.
-    name = _in_letters(column)
+    # Subscripts are digits, and Greek letters are spelled.
+    name = unicodedata.normalize("NFKC", column).replace("τ", "tau")
     bare, unit = split_unit(name)
     # The whole name may end with a joint that is called like a unit.
     for text, in_text in ((name, ""), (bare, unit), split_last_part(bare)):
@@ -369,11 +368,6 @@ def _clocks_of_two(table):
         if name.lower().endswith(seconds)
         and (other := name[: -len(seconds)] + rest) in table.frame
     ]
-
-
-def _in_letters(name):
-    """Return a name with plain digits for subscripts, and tau for the Greek letter."""
-    return unicodedata.normalize("NFKC", name).replace("τ", "tau")
 
 
 def channel_unit(table: Table, role: Role) -> Unit | None:
@@ -444,39 +438,11 @@ def _expression(pattern):
 
 def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     """Lay out the columns by a mapping, and the other kinds as in another layout."""
-    found = {key: matches(x, table, split_key(key)[0]) for key, x in mapping.items()}
-    missing = [mapping[key] for key, roles in found.items() if not roles]
-    if missing:
-        raise RecordingRefused(
-            f"{table.path}: has no column {', '.join(missing)}, which columns asks "
-            f"for; found {listed(table.names)}"
-        )
-    owner = _owners(table, found)
-    roles = [
-        replace(role, key=split_key(key)[1] or role.key)
-        for key, matched in found.items()
-        for role in matched
-    ]
-    kinds = {role.kind for role in roles}
-    taken = {role.kind for role in plain.roles if role.column in owner}
-    # Of a channel some of whose columns are another's nothing is left, of times some.
-    roles += [
-        role
-        for role in plain.roles
-        if role.kind not in kinds
-        and not table.nameless
-        and (role.kind not in taken or role.kind == "t")
-        and role.column not in owner
-    ]
-    # What nobody has named is no signal.
-    no_signals = frozenset(table.names) if table.nameless else plain.no_signals
-    return replace(plain, roles=tuple(roles), no_signals=no_signals, certain=True)
-
-
-def _owners(table, found):
-    """Return the key of a mapping for each column that fits one."""
-    owner: dict[str, str] = {}
-    for key, matched in found.items():
+    roles, missing, owner = [], [], {}
+    for key, pattern in mapping.items():
+        kind, joint = split_key(key)
+        matched = matches(pattern, table, kind)
+        missing += [] if matched else [pattern]
         for role in matched:
             other = owner.setdefault(role.column, key)
             if other != key:
@@ -484,7 +450,28 @@ def _owners(table, found):
                     f"{table.path}: columns names {role.column!r} twice, for {other} "
                     f"and {key}; each column is one channel"
                 )
-    return owner
+            roles.append(replace(role, key=joint or role.key))
+    if missing:
+        raise RecordingRefused(
+            f"{table.path}: has no column {', '.join(missing)}, which columns asks "
+            f"for; found {listed(table.names)}"
+        )
+    if table.nameless:
+        # What nobody has named is no signal.
+        return Layout(
+            roles=tuple(roles), no_signals=frozenset(table.names), certain=True
+        )
+    kinds = {role.kind for role in roles}
+    taken = {role.kind for role in plain.roles if role.column in owner}
+    # Of a channel some of whose columns are another's nothing is left, of times some.
+    roles += [
+        role
+        for role in plain.roles
+        if role.kind not in kinds
+        and (role.kind not in taken or role.kind == "t")
+        and role.column not in owner
+    ]
+    return replace(plain, roles=tuple(roles), certain=True)
 
 
 # -- by a preset -----------------------------------------------------------------------
@@ -575,63 +562,6 @@ def _joint_names(table, log, robot):
     # A list in one cell is as Python writes it.
     is_list = not columns[0][1]
     return re.findall(r"[^\s\[\](),'\"]+", first[0]) if is_list else first
-
-
-# -- in the order of the joints --------------------------------------------------------
-
-
-def channels_of(layout, options, robot):
-    """Return the roles of the robot's joints by kind, and kinds that are missing."""
-    # Certain names of joints that the robot lacks are no channels of it.
-    names = robot.names or layout.joints
-    channels: dict[str, list] = {}
-    for role in layout.of(*options.kinds):
-        if isinstance(role.key, int) or role.key in names:
-            channels.setdefault(role.kind, []).append(role)
-    missing = [kind for kind in options.kinds[:2] if kind not in channels]
-    return channels, missing + ["t"] * (not (options.dt or layout.of("t")))
-
-
-def in_order(table: Table, layout, options, robot, notes):
-    """Return the roles of each kind in the order of the joints, and the robot."""
-    robot = replace(robot, names=robot.names or layout.joints)
-    channels, _ = channels_of(layout, options, robot)
-    by_key = {k: _by_key(table, x) for k, x in channels.items()}
-    having = {key for roles in by_key.values() for key in roles}
-    if any(isinstance(key, str) for key in having):
-        others = [x for x in layout.joints if x not in robot.names]
-        if others:
-            notes.append(
-                f"joint(s) {listed(others)} are not joints of the robot and are left "
-                "out."
-            )
-        held = [x for x in robot.names if x not in having]
-        if held and not robot.chosen:
-            notes.append(Loss(f"no columns of joint(s) {listed(held)}: held at zero."))
-            names = tuple(x for x in robot.names if x in having)
-            robot = replace(robot, names=names)
-    found = {kind: [] for kind in options.kinds}
-    for kind, roles in by_key.items():
-        named = any(isinstance(key, str) for key in roles)
-        first = 0 if 0 in roles else 1
-        for key in robot.names if named else range(first, first + len(roles)):
-            if key not in roles:
-                others = listed([role.column for role in roles.values()])
-                raise ValueError(
-                    f"{table.path}: column '{kind}{'_' * named}{key}' is missing "
-                    f"beside {others}; every joint needs one, in order."
-                )
-            found[kind].append(roles[key])
-    return found, robot
-
-
-def _by_key(table, roles):
-    """Return the roles of a channel by number or joint; refuse two for one."""
-    found: dict = {}
-    for role in roles:
-        other = found.setdefault(role.key, role)
-        refuse_two(table, other.column, role.column)
-    return found
 
 
 def refuse_two(table, one, other):

@@ -497,10 +497,10 @@ def _recording(files, several, urdf, notes):
     first = files[0]
     for file in files:
         _check_agreement(first, file)
-    everywhere = set.intersection(*(set(x.signals) for x in files))
-    some = [x for file in files for x in file.signals if x not in everywhere]
+    everywhere = set.intersection(*(set(x.channels) for x in files))
+    some = [x for file in files for x in file.channels if x not in everywhere]
     for file in files:
-        for name in set(file.signals) - everywhere:
+        for name in set(file.channels) - everywhere:
             del file.channels[name]
     fields = on_grid(files, _group_names(files) if several else [""])
     if some:

@@ -142,6 +142,7 @@ class Effect(TransformerMixin, BaseEstimator):
     files = InFiles()
     # Kinds.
     partners: tuple[str, ...] = ()  # parameters that are numbers of other joints
+    choices: tuple = ()  # parameters with few values, and these
     alike = False
     whole_robot = False
     scope = "joint"
@@ -293,19 +294,17 @@ class Effect(TransformerMixin, BaseEstimator):
         return shape
 
     def check(self):
-        """Raise ValueError for a joint that is not an integer."""
+        """Raise ValueError for a joint that is not an integer, or a bad choice."""
         if isinstance(self.joint, bool) or not isinstance(self.joint, Integral):
             raise ValueError(
                 f"joint must be an integer, counted from zero; got {self.joint!r}."
             )
-
-    def _check_choice(self, name, known):
-        """Raise ValueError for a parameter that is not one of those known."""
-        if getattr(self, name) not in known:
-            raise ValueError(
-                f"{name} of {self.name} must be one of {list(known)}; got "
-                f"{getattr(self, name)!r}."
-            )
+        for name, known in self.choices:
+            if getattr(self, name) not in known:
+                raise ValueError(
+                    f"{name} of {self.name} must be one of {list(known)}; got "
+                    f"{getattr(self, name)!r}."
+                )
 
     def key(self):
         """Tell two uses of the effect apart: all but what is `tuned`."""

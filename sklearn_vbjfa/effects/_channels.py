@@ -181,6 +181,7 @@ class TorqueFilter(OfChannel):
     named_units = (("time_constant", TIME), ("cutoff", ("Hz", "Hz")))
     shape_units = (("time_constant", TIME),)
     contains = ("delay",)
+    choices = (("kind", ("lag", "smooth")), ("of", ("torque", "position")))
     continuous = positive = ("time_constant",)
     record = "fast changes of the torque, both channels unfiltered"
     files = InFiles.nowhere("a channel's filter; it is not a property of the robot")
@@ -194,11 +195,6 @@ class TorqueFilter(OfChannel):
     @property
     def corner(self):
         return _FILTERS[self.kind][1] / self.time_constant
-
-    def check(self):
-        super().check()
-        self._check_choice("kind", _FILTERS)
-        self._check_choice("of", ("torque", "position"))
 
     def natural(self, coef):
         # No frequency leaves a filter larger than it came.

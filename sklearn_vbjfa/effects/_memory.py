@@ -134,6 +134,7 @@ class MaxwellSlip(Shaped, Stateful):
     shape_units = (*((name, POSITION) for name in _BANKS), ("vs", SPEED))
     positive = (*_BANKS, "vs")
     tuned = (*positive, "element")
+    choices = (("element", ("stop", "bristle")),)
     bank = True
     record = "many reversals, after short and long moves"
     files = InFiles(
@@ -212,7 +213,6 @@ class MaxwellSlip(Shaped, Stateful):
     def check(self):
         """Raise ValueError for an effect without elements, too."""
         super().check()
-        self._check_choice("element", ("stop", "bristle"))
         if not self.coefficients:
             raise ValueError(
                 f"{self.name} must have at least one element; got no displacements."

@@ -106,6 +106,7 @@ class Counterbalance(Shaped):
     )
     shape_units = (("ratio", RATIO), ("angle", ANGLE))
     contains = ("offset", "spring")
+    choices = (("form", ("harmonics", "linkage")),)
     cyclic = ("angle",)
     depends = ("position",)
     bounded = True
@@ -137,7 +138,6 @@ class Counterbalance(Shaped):
 
     def check(self):
         super().check()
-        self._check_choice("form", _FORMS)
         if not 0 < self.ratio < 1:
             raise ValueError(
                 f"ratio of {self.name} must lie between 0 and 1; got {self.ratio!r}."
@@ -147,7 +147,8 @@ class Counterbalance(Shaped):
         return {"form": self.form} | {n: getattr(self, n) for n in self.continuous}
 
     def excludes(self):
-        return {clone(self).set_params(form=form).key() for form in _FORMS}
+        ((_, forms),) = self.choices
+        return {clone(self).set_params(form=form).key() for form in forms}
 
     def applies(self, motion):
         if motion.prismatic[self.joint]:
@@ -178,9 +179,6 @@ class Counterbalance(Shaped):
             for angle in np.radians(_ANGLES)
         ]
         return [{"form": "harmonics"}, *linkages]
-
-
-_FORMS = ("harmonics", "linkage")
 
 
 class Ripple(Shaped):

@@ -41,6 +41,7 @@ class UnnamedTorque(Stateful):
     coefficients = nonnegative = ("share",)
     units = (RATIO,)
     kinds = ("speed", "load", "memory", "position")
+    choices = (("of", kinds),)
 
     def __init__(self, joint=0, of="speed", weights=(), reach=1.0, fast=1.0):
         super().__init__(joint)
@@ -48,11 +49,6 @@ class UnnamedTorque(Stateful):
         self.weights = weights
         self.reach = reach
         self.fast = fast
-
-    def check(self):
-        """Raise ValueError for an unknown quantity, too."""
-        super().check()
-        self._check_choice("of", self.kinds)
 
     needs = property(lambda self: self.parts[0].needs)
     depends = property(lambda self: self.parts[0].depends)

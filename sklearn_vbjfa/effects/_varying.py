@@ -19,14 +19,11 @@ class _Varied(Shaped):
     """Friction or offset times a function of time or of a signal."""
 
     contains = ("offset", "coulomb", "viscous")
+    choices = (("of", tuple(_VARIED)),)
 
     @property
     def with_motion(self):
         return self.of != "offset"
-
-    def check(self):
-        super().check()
-        self._check_choice("of", _VARIED)
 
     def _factor(self, maths):
         """Return what it is multiplied with, a function of a `State`."""

@@ -211,20 +211,6 @@ def agrees(mass, nominal):
     return min(mass, nominal) >= _OTHER_MASS * max(mass, nominal)
 
 
-def masses(outcome):
-    """Sort the bodies by how they are known."""
-    bodies = outcome.facts_of("mass")
-    groups = dict(grouped(bodies, lambda b: b.source))
-    return {
-        "unknown": [
-            ([b.name for b in groups[known]], known)
-            for known in ("no", "in combination", "from the description")
-            if known in groups
-        ],
-        "count": len(bodies),
-    }
-
-
 def forest(outcome):
     """Place identified masses on a scale from zero to twice the described ones."""
     gains, rows = outcome.robot["gains"], []

@@ -5,6 +5,8 @@ import importlib.metadata
 import math
 import re
 
+import numpy as np
+
 from sklearn_vbjfa.effects import available
 
 _TINY = 1e-12
@@ -93,15 +95,11 @@ def number(value, digits=3):
         return "?"
     if value == 0:
         return "0"
-    text = f"{value:.{digits}g}"
-    if "e" in text:
-        mantissa, exponent = text.split("e")
-        if -5 <= int(exponent) < 0:
-            return f"{value:.{digits - 1 - int(exponent)}f}".rstrip("0")
-        if 0 < int(exponent) < 5:
-            return f"{float(text):.0f}"
-        return f"{mantissa}e{int(exponent)}"
-    return text
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    if -5 <= int(exponent) < 5:
+        rounded = float(f"{mantissa}e{exponent}")
+        return np.format_float_positional(rounded, trim="-")
+    return f"{float(mantissa):g}e{int(exponent)}"
 
 
 def percent(value):

@@ -456,7 +456,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if not isinstance(self.effects, str) or self.identifier.drive is not None:
             return ()
         added = added_effects(named, len(found.effects))
-        fit = FinalFit(self.baseline_, named, found.model.view, added)
+        fit = FinalFit(self.baseline_, named, found.view, added)
         return unnamed_torques(fit, found.settings)
 
     def _hand_over(self, found, begin, whole, moving, silent, known):

@@ -27,7 +27,7 @@ def judge(loop, found, split, near, whole):
     # found: result of the search; near: the split with the rows that the search looked
     # at. Arrays (nv,) and (2, nv) are over the deviation of the torque.
     declared, plain = loop.declared_, loop.baseline_
-    completed, view, dt = loop.validation_model_, found.model.view, declared.dt
+    completed, view, dt = loop.validation_model_, found.view, declared.dt
     kept, guard = _held_out(found, split, whole)
     used, seen = view.root.any(axis=0), len(view.states)
 
@@ -91,7 +91,7 @@ def judge(loop, found, split, near, whole):
 
 def _held_out(found, split, whole):
     """Return the split with what is judged of the stretches, and the guard in rows."""
-    memory = max(memory_seconds(found.model), default=0.0)
+    memory = max(memory_seconds(found), default=0.0)
     # No guard is long enough for a memory without end.
     guard = int(min(memory / whole.dt, whole.n_samples))
     instants = [

@@ -97,11 +97,7 @@ class FinalFit:
         theta = theta[self.declared.theta_.size :]
         return np.split(theta, np.cumsum(widths)[:-1]) if widths else []
 
-    def predicted(self):
-        """Torques of the completed model, (m, nv)."""
-        return self._predicted(self.identifier.theta_)
-
-    def _predicted(self, theta):
+    def predicted(self, theta):
         """Torques of the completed model with some parameters, (m, nv)."""
         Phi, theta = self.view.equations.Phi, self.identifier.robot_.linear_part(theta)
         predicted = Phi @ theta[: Phi.shape[2]]
@@ -162,7 +158,7 @@ class FinalFit:
         bounded = any(effect.bank for effect in self.effects)
         robot, view = self.identifier, self.view
         theta = robot.theta_ if bounded else robot.theta_unconstrained_
-        residual = (view.equations.tau - self._predicted(theta)) * view.root
+        residual = (view.equations.tau - self.predicted(theta)) * view.root
         count, squares = view.equations.weight.sum(axis=0), (residual**2).sum(axis=0)
         used = (count > 0) & (squares > 0)
         factor = np.sqrt(np.where(used, count / np.where(used, squares, 1.0), 0.0))

@@ -111,16 +111,16 @@ class Unexplained:
     signals: tuple[Dependence, ...] = ()  # that it varies with, the strongest first
 
 
-def unexplained(model, names, spread, floors, errors):
-    """Joints of a `FoundModel` above their floor, with signals they vary with."""
+def unexplained(found, names, spread, floors, errors):
+    """Joints above their floor in what a search found, with signals they vary with."""
     # spread, floors (nv,): [N m or N]; errors (nv,): on the held-out part, over the
     # spread. They are nan where unknown.
-    view, found = model.view, []
-    signals = motion_signals(model.motion, names)
+    view, listed = found.view, []
+    signals = motion_signals(found.motion, names)
     seen = {key: view.filtered(value[:, None])[:, 0] for key, value in signals.items()}
     for j in np.flatnonzero(view.equations.weight.any(axis=0)).tolist():
         weight, floor = view.equations.weight[:, j], float(floors[j])
-        residual = _residual_of(model, j)
+        residual = _residual_of(found, j)
         rms = float(np.sqrt((weight * residual**2).sum() / weight.sum()))
         known = not np.isnan(floor)
         if known and rms <= ABOVE_FLOOR[0] * floor:
@@ -130,7 +130,7 @@ def unexplained(model, names, spread, floors, errors):
             continue
         low, searched = np.nan_to_num(floor / spread[j]), rms / spread[j]
         error = float(errors[j]) if errors[j] > low else searched
-        found.append(
+        listed.append(
             Unexplained(
                 joint=j,
                 joint_name=names[j],
@@ -140,24 +140,24 @@ def unexplained(model, names, spread, floors, errors):
                 signals=signs,
             )
         )
-    return tuple(found)
+    return tuple(listed)
 
 
-def _residual_of(model, j):
+def _residual_of(found, j):
     """Residual of a joint (m,) [N m or N], zero in rows that do not count."""
-    root = model.view.root[:, j]
-    return model.residual[j] / np.where(root > 0, root, np.inf)
+    root = found.view.root[:, j]
+    return found.residual[j] / np.where(root > 0, root, np.inf)
 
 
-def memory_seconds(model):
-    """How long the residual of each joint of a model stays correlated, list [s]."""
-    view = model.view
+def memory_seconds(found):
+    """How long the residual of each joint stays correlated, list [s]."""
+    view = found.view
     # The low-pass does not correlate rows further apart than half a period of its
     # cut-off.
     stride = max(1, int(np.ceil(0.5 / (view.robot.cutoff_ * view.step) - 1e-9)))
     known = view.starts, view.step, stride
     return [
-        memory_time(_residual_of(model, j), view.root[:, j] > 0, *known)
+        memory_time(_residual_of(found, j), view.root[:, j] > 0, *known)
         for j in range(view.nv)
     ]
 
@@ -190,11 +190,11 @@ def not_identifiable(found, names):
 
 def _of_model(found, names):
     """List what a robot or a branch that was searched as a whole cannot show."""
-    view, motion, listed = found.model.view, found.model.motion, []
-    probe, known = _probe(found.model), {e.key() for e in view.robot.effects_}
+    view, motion, listed = found.view, found.motion, []
+    probe, known = _probe(found), {e.key() for e in view.robot.effects_}
     for joint in np.flatnonzero(view.precision > 0).tolist():
         library = [clone(e).set_params(joint=joint) for e in found.library]
-        held = [e for e in found.model.effects if e.joint == joint]
+        held = [e for e in found.effects if e.joint == joint]
         contained = (closure(e, found.library) | {e.name} for e in held)
         present = set(view.declared).union(*contained)
         missing = {e.name: e for e in library if e.name not in present}
@@ -216,7 +216,7 @@ def _of_model(found, names):
 def _is_hidden(effect, found, missing):
     """Whether no shape of an effect is visible beyond those that it contains."""
     # missing: effects by name that the joint has not.
-    fit, motion = found.model.fit, found.model.motion
+    fit, motion = found.fit, found.motion
     shapes = fit.problem.first_shapes(effect)
     if not shapes:
         return False
@@ -238,24 +238,24 @@ def _is_hidden(effect, found, missing):
     return not share.max() > _UNSEEN
 
 
-def _probe(model):
+def _probe(found):
     """Regressor and signals of random states, which excite everything."""
-    view = model.view
+    view = found.view
     features, nv = view.robot.features_, view.nv
     n = 20 * features.n_parameters_ // nv + 200
     # Whole turns, whatever the recording did: what a small motion hides is no property
     # of the robot.
     scale = np.repeat([np.pi, 2.0, 10.0], nv)
     states = np.random.default_rng(0).uniform(-1, 1, size=(n, 3 * nv)) * scale
-    inertial = (view.back @ model.fit.theta)[: features.n_parameters_]
+    inertial = (view.back @ found.fit.theta)[: features.n_parameters_]
     motion = make_motion(features, states, None, [slice(0, n)], inertial)
     # Corrections of the robot are fitted together with its parameters.
-    found = [
+    corrections = [
         _in_all_joints(effect, motion)
-        for effect in (*view.robot.effects_, *model.effects)
+        for effect in (*view.robot.effects_, *found.effects)
         if effect.in_model and effect.of_bodies
     ]
-    return np.concatenate([features.matrices(states), *found], axis=2), motion
+    return np.concatenate([features.matrices(states), *corrections], axis=2), motion
 
 
 def _in_all_joints(effect, motion):

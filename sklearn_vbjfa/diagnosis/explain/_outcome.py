@@ -171,7 +171,8 @@ def make_outcome(loop, search, final, judged, channels, whole, recordings):
     parts = Parts.of(final)
     left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
     states, weight = final.view.states[final.view.index], final.view.equations.weight
-    motion = motions_of(identifier, states, final.predicted(), weight, spread)
+    predicted = final.predicted(identifier.theta_)
+    motion = motions_of(identifier, states, predicted, weight, spread)
     expectation = Expectation(after, columns["floor"], scatter, left_out, motion)
     # A robot whose torques are explained to their noise is the described one.
     explained = (low <= ABOVE_FLOOR[0] * columns["floor"])[columns["enough"]]
@@ -186,7 +187,7 @@ def make_outcome(loop, search, final, judged, channels, whole, recordings):
             "effects": tuple(e for e in effects if not e.warning),
             "possible": tuple(e for e in effects if e.warning),
             "unnamed": tuple(e for e in judged_effects if isinstance(e, UnnamedTorque)),
-            "unexplained": unexplained(search.model, names, spread, floor, known),
+            "unexplained": unexplained(search, names, spread, floor, known),
             "not_identifiable": not_identifiable(search, names),
             "channels": channels,
             "contradictions": contradictions(parts, spread, loop.alpha),
@@ -267,7 +268,7 @@ def _settings(loop, search):
         "n_candidates": int(search.n_candidates),
         "search": dataclasses.asdict(search.settings),
         "effects": tuple(e.name for e in search.library),
-        "signals": tuple(search.model.view.signals),
+        "signals": tuple(search.view.signals),
         "error_seconds": NEXT_SECONDS,
         "versions": {
             "sklearn_vbjfa": __version__,

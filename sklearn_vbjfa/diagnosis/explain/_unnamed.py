@@ -34,7 +34,7 @@ def _rest(fit):
     """Return the motion of a fit, and its residuals (m, nv) in units of their noise."""
     view, robot = fit.view, fit.identifier.robot_
     motion = view.motion_of(robot.linear_part(robot.theta_))
-    return motion, (view.equations.tau - fit.predicted()) * view.root
+    return motion, (view.equations.tau - fit.predicted(robot.theta_)) * view.root
 
 
 def _of_joint(view, motion, joint, residual, settings):

@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
-from sklearn_vbjfa.diagnosis.search._posterior import Found, FoundModel, in_order
+from sklearn_vbjfa.diagnosis.search._posterior import Found, in_order
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
@@ -143,7 +143,7 @@ def put_together(view, motion, branches, found):
     findings = []
     residual = np.zeros_like(view.target)
     for branch, own in zip(branches, found):
-        residual[branch.joints] = own.model.residual
+        residual[branch.joints] = own.residual
         known = {one.effect.key() for one in findings}
         # What belongs to the whole robot several branches may have found.
         findings += [
@@ -151,16 +151,12 @@ def put_together(view, motion, branches, found):
             for one in (_on_robot(finding, branch) for finding in own.findings)
             if one.effect.key() not in known
         ]
-    findings = in_order(findings)
     first = found[0]
     return Found(
-        model=FoundModel(
-            view=view,
-            effects=tuple(finding.effect for finding in findings),
-            motion=motion,
-            residual=residual,
-        ),
-        findings=findings,
+        findings=in_order(findings),
+        view=view,
+        motion=motion,
+        residual=residual,
         n_candidates=sum(own.n_candidates for own in found),
         needed=first.needed,
         settings=first.settings,

@@ -90,7 +90,7 @@ class Path:
         for _ in range(self.settings.most):
             added, candidates.noise = [], fit
             for joint, families in candidates.families.items():
-                self._say(fit, joint)
+                say(f"round {self.turn + 1}, joint {joint + 1} of {self.view.nv}")
                 # One is expected of each joint here.
                 least = np.log(max(len(families), 1) / self.settings.expected)
                 least += candidates.log_prior
@@ -397,14 +397,6 @@ class Path:
             fit = anew(self.scaled(weighed(Fit(fit.base, members))))
             effects = [m.effect for m in fit.members]
         return self.scaled(weighed(fit))
-
-    def _say(self, fit, joint):
-        """Tell which joint is looked at, beside how many effects."""
-        count = len(fit.members)
-        say(
-            f"round {self.turn + 1}, joint {joint + 1} of {self.view.target.shape[0]}, "
-            f"{count} effect{'' if count == 1 else 's'}"
-        )
 
 
 def anew(fit):

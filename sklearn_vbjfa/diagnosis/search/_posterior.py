@@ -112,28 +112,20 @@ class Finding:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FoundModel:
-    """The most probable model on the rows of the search."""
+class Found:
+    """The most probable model on the rows of a search."""
 
+    findings: tuple  # its effects, those that have a name first
     view: RecordingView  # recording, with the robot as its effects correct it
-    effects: tuple  # those beside the four plain terms
     motion: Motion  # signals, with the load of the model
     # (nv, m): residuals of rows that were not fitted, scaled by the root of the weights
     residual: np.ndarray
-    fit: Fit | None = None  # None for a robot that was searched branch by branch
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
-    """What a search found."""
-
-    model: FoundModel  # the most probable
-    findings: tuple  # its effects, those that have a name first
     # candidates (a joint and an effect) among which prior odds are shared out
     n_candidates: int
     needed: float  # log odds from which on an effect has a name
     settings: SearchSettings
     library: tuple  # effects that were tried on every joint
+    fit: Fit | None = None  # None for a robot that was searched branch by branch
     # what was found on each, of a robot that was searched branch by branch
     branches: tuple = ()
 
@@ -186,17 +178,13 @@ def search(view, library, settings, alpha, max_effects=None):
                 warning=warning,
             )
         )
-    model = FoundModel(
+    return Found(
+        findings=in_order(findings),
         view=problem.view,
-        effects=tuple(m.effect.completed(motion) for m in fit.members),
         motion=motion,
         # As the held-out part is: stretches between others.
         residual=HeldOut(problem.view, problem.view.blocks.fold).fitted(fit).residual,
         fit=fit,
-    )
-    return Found(
-        model=model,
-        findings=in_order(findings),
         n_candidates=path.candidates.count,
         needed=needed,
         settings=settings,

@@ -91,7 +91,7 @@ def test_shapes_are_refined_between_the_points_of_the_grid(period):
     assert found(now) == [("ripple", 1)]
     (ripple,) = now.effects
     assert ripple.period == pytest.approx(period, rel=0.01)
-    assert ripple.period not in [s["period"] for s in ripple.shapes(now.model.motion)]
+    assert ripple.period not in [s["period"] for s in ripple.shapes(now.motion)]
 
 
 def test_the_best_of_many_shapes_is_not_named_in_noise():
@@ -141,7 +141,7 @@ def lagged(torque, time_constant):
 def test_a_delay_has_a_direction(late):
     now = search(shifted(FAST.torque(), late), ["delay"], FAST).run()
     assert found(now) == [("delay", 1)]
-    value = now.effects[0].parameters(now.model.fit.coefficients(0))["delay"]
+    value = now.effects[0].parameters(now.fit.coefficients(0))["delay"]
     assert value == pytest.approx(late, rel=0.1)
     assert now.findings[0].evidence.gain > 0.5
 

@@ -77,18 +77,18 @@ def test_zeros_of_parallel_joints_are_rivals_or_told_apart():
 def test_a_search_names_what_is_there(truth):
     now = searched(truth, VERTICAL).run()
     assert sorted(found(now)) == sorted((e.name, e.joint) for e in truth)
-    members = {m.effect.key(): i for i, m in enumerate(now.model.fit.members)}
+    members = {m.effect.key(): i for i, m in enumerate(now.fit.members)}
     for effect in truth:
         i = members[effect.key()]
-        own, step = now.model.fit.members[i].effect, now.model.fit.coefficients(i)
+        own, step = now.fit.members[i].effect, now.fit.coefficients(i)
         np.testing.assert_allclose(own.values + step, effect.values, atol=0.02)
 
 
 @pytest.mark.parametrize("effect", [JointZero(0), JointZero(2)])
 def test_what_the_bodies_do_as_well_is_never_offered(level, effect):
     """The zero of a vertical joint, and of the last one, whose body may be turned."""
-    problem = level.model.fit.problem
-    groups = level.model.fit.groups(problem.shaped(problem.first_shapes(effect)))
+    problem = level.fit.problem
+    groups = level.fit.groups(problem.shaped(problem.first_shapes(effect)))
     evidence = groups.evidence(level.settings.scale)
     assert not evidence.max() > np.log(level.n_candidates) + level.needed
 

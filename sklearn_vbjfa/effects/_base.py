@@ -130,6 +130,11 @@ class Effect(TransformerMixin, BaseEstimator):
     contains: tuple[str, ...] = ()
     nonnegative: tuple[str, ...] = ()
     bank = False
+    # Shape parameters, see `Shaped`.
+    continuous: tuple[str, ...] = ()
+    averaged: tuple = ()
+    jumping: tuple[str, ...] = ()
+    split_by: tuple[str, ...] = ()
     # What its columns are made from, and where predictions follow them.
     needs: tuple[str, ...] = ()
     recorded: tuple[str, ...] = ()  # names of the recorded signals that it uses
@@ -199,6 +204,11 @@ class Effect(TransformerMixin, BaseEstimator):
     def shapes(self, motion):
         """Shape parameters to search, a list of dicts for `set_params`."""
         return [{}]
+
+    def forms(self):
+        """Return the effect with each value of what is `averaged`, a list."""
+        name, values = self.averaged or ("", ())
+        return [clone(self).set_params(**{name: value}) for value in values]
 
     def first_shapes(self, motion):
         """Those of `shapes` that a search compares with other effects."""
@@ -407,18 +417,9 @@ class Shaped(Effect):
     """
 
     shape_units: tuple = ()
-    continuous: tuple[str, ...] = ()
     positive: tuple[str, ...] = ()
-    averaged: tuple = ()
     coarse: tuple[str, ...] = ()
     cyclic: tuple[str, ...] = ()
-    jumping: tuple[str, ...] = ()
-    split_by: tuple[str, ...] = ()
-
-    def forms(self):
-        """Return the effect with each value of what is `averaged`, a list."""
-        name, values = self.averaged or ("", ())
-        return [clone(self).set_params(**{name: value}) for value in values]
 
     def check(self):
         """Raise ValueError for shape parameters out of range, too."""

@@ -6,7 +6,6 @@ import numpy as np
 from scipy import special
 
 from sklearn_vbjfa.diagnosis.search._posterior import Evidence
-from sklearn_vbjfa.effects import Shaped
 
 # Why the values of an effect do not let it be reported.
 _UNKNOWN = "no parameter of it is known from zero"
@@ -90,9 +89,9 @@ def discovered_effects(search, final, names, prismatic):
 
 def _named(rival, effect, names):
     """Name a rival of an effect, with its joint if that differs."""
-    name, split_by = rival.name, rival.split_by if isinstance(rival, Shaped) else ()
-    if split_by:
-        name += f": {getattr(rival, split_by[0])}"
+    name = rival.name
+    for kind in rival.split_by[:1]:
+        name += f": {getattr(rival, kind)}"
     if rival.joint == effect.joint or rival.scope == "robot":
         return name
     return f"{name} on {names[rival.joint]}"

@@ -8,7 +8,6 @@ from scipy import special
 from sklearn_vbjfa.diagnosis.explain._curves import residual_curves, torque_curves
 from sklearn_vbjfa.diagnosis.explain._gaps import memory_seconds
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
-from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.equations._equations import torque_spread
 
 # Time for which errors are predicted [s].
@@ -94,12 +93,7 @@ def _held_out(found, split, whole):
     memory = max(memory_seconds(found), default=0.0)
     # No guard is long enough for a memory without end.
     guard = int(min(memory / whole.dt, whole.n_samples))
-    instants = [
-        getattr(effect, name)
-        for effect in found.effects
-        if isinstance(effect, Shaped)
-        for name in effect.jumping
-    ]
+    instants = [getattr(one, name) for one in found.effects for name in one.jumping]
     return split.decided(whole.t, instants).guarded(guard), guard
 
 

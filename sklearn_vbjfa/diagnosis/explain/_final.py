@@ -13,7 +13,6 @@ from sklearn_vbjfa._core._linear_systems import (
     scaled_eigen,
     variance_of_parts,
 )
-from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.equations._equations import held_columns, make_motion
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 
@@ -116,7 +115,10 @@ class FinalFit:
         if not self.effects:
             return []
         coefs = self._split(self.identifier.theta_)
-        shapes = [_tuned(effect) for effect in self.effects]
+        shapes = [
+            tuple(n for n in e.continuous if n not in e.jumping and getattr(e, n))
+            for e in self.effects
+        ]
         extra = []
         for effect, own, coef, shape in zip(self.effects, self._columns, coefs, shapes):
             # Elements at the bound of their sizes, zero, do not exist.
@@ -192,8 +194,7 @@ class FinalFit:
     def _forms(self, i, covariance):
         """Probabilities and parameters of other forms of an effect of one column."""
         effect = self.effects[i]
-        forms = effect.forms() if isinstance(effect, Shaped) else []
-        forms = [form for form in forms if form.shape() != effect.shape()]
+        forms = [form for form in effect.forms() if form.shape() != effect.shape()]
         if not forms:
             return ()
         (name,), j = effect.continuous, effect.joint
@@ -233,14 +234,6 @@ class FinalFit:
             found.append(one.parameters([q[best] / H[best]]) | shape)
             weights.append(gain[best] - gain[0])
         return tuple(zip(special.softmax(weights)[1:].tolist(), found))
-
-
-def _tuned(effect):
-    """Names of the shape parameters of an effect that were tuned."""
-    if not isinstance(effect, Shaped):
-        return ()
-    names = (name for name in effect.continuous if name not in effect.jumping)
-    return tuple(name for name in names if getattr(effect, name))
 
 
 def _blocks(view):

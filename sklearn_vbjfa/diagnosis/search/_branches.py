@@ -8,7 +8,6 @@ from sklearn.base import clone
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import Found, in_order
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
-from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
 from sklearn_vbjfa.equations._states import of_joints
 from sklearn_vbjfa.model import import_pinocchio
@@ -81,8 +80,8 @@ class Branch:
         if effect.scope == "robot":
             return effect
         shape = effect.get_params(deep=False)
-        partners = effect.partners if isinstance(effect, Shaped) else ()
-        moved = {name: self.joints[shape[name]] for name in ("joint", *partners)}
+        names = ("joint", *effect.partners)
+        moved = {name: self.joints[shape[name]] for name in names}
         return clone(effect).set_params(**moved)
 
 

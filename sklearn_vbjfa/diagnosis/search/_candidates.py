@@ -12,7 +12,7 @@ from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.diagnosis.search._problem import Columns
 from sklearn_vbjfa.diagnosis.search._refine import jump
-from sklearn_vbjfa.effects import Shaped, closure
+from sklearn_vbjfa.effects import closure
 
 # Share of the error that its mirror image saves of what an effect with a direction
 # saves: more is nothing with a direction.
@@ -92,10 +92,9 @@ def families_of(found):
 
 def _uses(effects):
     """Numbers of the shapes of each separate use, see `Shaped.split_by`, lists."""
-    names = effects[0].split_by if isinstance(effects[0], Shaped) else ()
     uses = {}
     for c, effect in enumerate(effects):
-        use = tuple(getattr(effect, name) for name in names)
+        use = tuple(getattr(effect, name) for name in effect.split_by)
         uses.setdefault(use, []).append(c)
     return list(uses.values())
 
@@ -192,7 +191,7 @@ class Candidates:
         if candidate.tempered:
             return candidate
         family, best, coef = candidate.family, candidate.best, candidate.coef
-        if getattr(candidate.effect, "jumping", ()):
+        if candidate.effect.jumping:
             # Beside its instant a jump leaves a residual of its own size.
             scale = self.settings.scale
             near = fit.problem.shaped([jump(fit, candidate.effect, scale, near=True)])

@@ -17,7 +17,6 @@ from sklearn_vbjfa.diagnosis.search._problem import (
 from sklearn_vbjfa.diagnosis.search._refine import (
     best_shape,
     searched,
-    searched_on,
     stepped,
     with_shape,
 )
@@ -100,8 +99,8 @@ class Path:
                     near = candidates.surest(fit, near)
                 best = candidates.most_probable(fit, near)
                 if best is not None and best.log_odds > least:
-                    jumps = getattr(best.effect, "jumping", ())
                     one = best.family.member(best.best, self.settings.scale)
+                    jumps = best.effect.jumping
                     added.append(self._member(fit, best) if jumps else one)
             if not added:
                 break
@@ -292,7 +291,7 @@ class Path:
         shaped = [
             i
             for i, member in enumerate(fit.members)
-            if (member.effect.bank or searched_on(member.effect))
+            if (member.effect.bank or member.effect.continuous)
             and (joints is None or member.effect.joint in joints)
         ]
         return self.scaled(searched(fit, shaped, self.settings.scale))

@@ -13,7 +13,6 @@ from scipy.linalg import lapack
 from sklearn_vbjfa._core._groups import Groups, Overdispersion
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 from sklearn_vbjfa.diagnosis.search._view import variants
-from sklearn_vbjfa.effects import Shaped
 
 
 def products(edges, one, other):
@@ -560,8 +559,7 @@ class Fit:
             return Overdispersion(ratio=usual, freedom=freedom, usual=usual)
         # What changes with time is told by slow changes alone, and there are few.
         # Of these the effect has taken one, and one more if its course was searched.
-        shaped = isinstance(effect, Shaped)
-        taken = 1 + (shaped and bool({*effect.continuous} - {*effect.jumping}))
+        taken = 1 + bool({*effect.continuous} - {*effect.jumping})
         left = power[:_SLOWEST].sum() / max(_SLOWEST - taken, 1)
         freedom = float(max(slow.size - taken, 1))
         return Overdispersion(

@@ -88,8 +88,9 @@ class Place:
 
     @classmethod
     def of(cls, effect, motion):
-        """Return that of an effect; None where its grid has no neighbours."""
-        brackets = {n: Bracket.of(effect, n, motion) for n in effect.continuous}
+        """Return that of an effect; None if its shapes have no neighbours or slopes."""
+        smooth = () if effect.jumping or effect.bank else effect.continuous
+        brackets = {n: Bracket.of(effect, n, motion) for n in smooth}
         brackets = {n: one for n, one in brackets.items() if one is not None}
         if not brackets:
             return None
@@ -147,11 +148,7 @@ def stepped(fit, numbers, most=MOST_STEPS):
     """Search the shapes of members, which trade against each other, at once."""
     # By Gauss and Newton: the derivatives of the columns are further columns.
     problem, motion = fit.problem, fit.problem.motion
-    places = {
-        i: Place.of(fit.members[i].effect, motion)
-        for i in numbers
-        if _is_smooth(fit.members[i].effect)
-    }
+    places = {i: Place.of(fit.members[i].effect, motion) for i in numbers}
     places = {i: place for i, place in places.items() if place is not None}
     families = {i: problem.shaped(p.around()) for i, p in places.items()}
     for _ in range(most):
@@ -180,16 +177,6 @@ def stepped(fit, numbers, most=MOST_STEPS):
     return fit
 
 
-def _is_smooth(effect):
-    """Whether the columns of an effect have derivatives by its shape."""
-    return searched_on(effect) and not (effect.jumping or effect.bank)
-
-
-def searched_on(effect):
-    """Whether an effect has shapes between those of its grid."""
-    return bool(getattr(effect, "continuous", ()))
-
-
 def _promised(linear, i, width):
     """Step (d,) of a member's shape, and what that takes off the error [nats]."""
     place = linear.places[i]
@@ -206,7 +193,7 @@ def best_shape(fit, effect, scale):
     # Smooth parameters are left to the steps with all that comes beside it.
     if effect.bank:
         return bank(fit, effect, fit.problem.shapes(effect), scale)
-    if getattr(effect, "jumping", ()):
+    if effect.jumping:
         return jump(fit, effect, scale)
     return effect
 
@@ -218,7 +205,7 @@ def searched(fit, numbers, scale):
         effect, rest = fit.members[i].effect, fit.without(i)
         if effect.bank:
             found = bank(rest, effect, fit.problem.shapes(effect), scale)
-        elif getattr(effect, "jumping", ()):
+        elif effect.jumping:
             found = jump(rest, effect, scale)
         else:
             forms = (with_shape(fit, i, form) for form in effect.forms())

@@ -94,7 +94,8 @@ def test_the_reference_stays_and_gains_are_not_searched(recording):
         for robot in (loop.declared_, loop.validation_model_, loop.identifier_)
     }
     assert len(references) == 1
-    assert "torque_gain" not in loop.report_.outcome.robot["library"]
+    searched = loop.report_.outcome.provenance["settings"]["effects"]
+    assert "torque_gain" not in searched
     (first,) = references.pop()
     assert_allclose(loop.identifier_.gains_.gain, GAINS / GAINS[first], rtol=0.03)
     (found,) = loop.effects_

@@ -1,7 +1,6 @@
 """The report of a search for effects: data, a page and a terminal of one outcome."""
 
 import dataclasses
-import functools
 
 from sklearn_vbjfa.diagnosis.explain import NO_INFORMATION
 from sklearn_vbjfa.diagnosis.report import _facts
@@ -51,8 +50,7 @@ class Report:
 
     def __init__(self, outcome):
         self.outcome = outcome
-        label = functools.partial(words.joint_label, outcome.robot["joints"])
-        found = judge(outcome, label)
+        found = judge(outcome)
         self._voice = Voice(outcome, found)
         say = self._voice
         self.status = found.status
@@ -66,26 +64,14 @@ class Report:
         )
         self.headline = say("headline")
         self.verdict = f"{self.headline} {say('errors')}".rstrip()
-        gains = self._gains()
-        self.warnings = self._warnings(gains)
+        self.warnings = self._warnings()
         self._voice.add(
-            verdict=self.verdict,
-            joint_verdicts=self.joints,
-            uses=self.uses,
-            gain_warnings=gains,
+            verdict=self.verdict, joint_verdicts=self.joints, uses=self.uses
         )
 
-    def _gains(self):
-        """List gains that are unknown, and masses that do not help."""
-        say, gains = self._voice, self.outcome.robot["gains"]
-        if gains is None:
-            return []
-        kinds = ("gains_unknown", "gains_hidden", "masses_unused")
-        return [line for line in map(say, kinds) if line]
-
-    def _warnings(self, gains):
+    def _warnings(self):
         """List what forbids a use, faults of the recording first."""
-        findings, names = self.outcome.findings, self.outcome.robot["joints"]
+        say, findings, robot = self._voice, self.outcome.findings, self.outcome.robot
         own = (c.joints for c in findings["channels"] if c.kind in NO_INFORMATION)
         known = set().union(*own)
         silent = [
@@ -94,15 +80,18 @@ class Report:
             if one.status in NO_ANSWER
             or (one.status == "unsearched" and one.joint not in known)
         ]
+        grouped, names = _facts.grouped(silent, lambda one: one.text), robot["joints"]
         joints = [
             f"{text} ({words.joint_list(names, [one.joint for one in own], 0)})"
-            for text, own in _facts.grouped(silent, lambda one: one.text)
+            for text, own in grouped
         ]
         channels = {True: [], False: []}
         for one in findings["channels"]:
             if one.severity != "note":
                 channels[one.kind not in NO_INFORMATION].append(one.message)
-        apart = [self._voice("contradiction")] if findings["contradictions"] else []
+        apart = [say("contradiction")] if findings["contradictions"] else []
+        kinds = ("gains_unknown", "gains_hidden", "masses_unused")
+        gains = filter(None, map(say, kinds if robot["gains"] else ()))
         export = self.outcome.provenance.get("export", ())
         return (*apart, *channels[True], *joints, *gains, *channels[False], *export)
 

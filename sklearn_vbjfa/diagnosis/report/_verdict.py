@@ -75,11 +75,13 @@ class Verdict:
         return [one.joint for one in self.joints if one.status in status]
 
 
-def judge(outcome, label):
-    """Judge an outcome, as a `Verdict`; label: joint -> its name in a sentence."""
-    findings = outcome.findings
+def judge(outcome):
+    """Judge an outcome, as a `Verdict`."""
+    findings, names = outcome.findings, outcome.robot["joints"]
     joints = tuple(
-        JointVerdict(joint=j, label=label(j), **_of_joint(outcome, j))
+        JointVerdict(
+            joint=j, label=words.joint_label(names, j), **_of_joint(outcome, j)
+        )
         for j in range(len(outcome.errors))
     )
     faults = tuple(

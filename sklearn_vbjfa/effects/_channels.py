@@ -3,7 +3,7 @@
 from numbers import Real
 
 import numpy as np
-from scipy import ndimage, signal
+import scipy
 from sklearn.base import clone
 
 from sklearn_vbjfa.effects._base import TIME, InFiles, Shaped, Stateful
@@ -35,7 +35,9 @@ def low_pass(x, dt, time_constant):
     # T dy/dt = x - y, solved exactly, from the state that the first sample would keep.
     left = np.exp(-dt / time_constant)
     mean = time_constant / dt * (1 - left)
-    return signal.lfilter([1 - mean, mean - left], [1, -left], x, zi=mean * x[:1])[0]
+    return scipy.signal.lfilter(
+        [1 - mean, mean - left], [1, -left], x, zi=mean * x[:1]
+    )[0]
 
 
 def smooth(x, dt, time_constant):
@@ -43,7 +45,7 @@ def smooth(x, dt, time_constant):
     # Beyond its ends the signal keeps its first and last value.
     sigma = time_constant / dt
     reach = int(np.ceil(_TAIL * sigma))
-    return ndimage.gaussian_filter1d(x, sigma, mode="nearest", radius=reach)
+    return scipy.ndimage.gaussian_filter1d(x, sigma, mode="nearest", radius=reach)
 
 
 class OfChannel(Shaped, Stateful):

@@ -7,7 +7,6 @@ Balls around the shapes give lower bounds.
 """
 
 import os
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,17 +30,6 @@ _FLUSH = 0.01
 _GAP = 1e-10
 
 
-@dataclass(frozen=True)
-class Distances:
-    """Signed distances of pairs of shapes in the rows of a motion."""
-
-    # (n, n_pairs): minus the depth of penetration [m]; a lower bound if far apart
-    distance: np.ndarray
-    # (n, n_pairs, nv): by the positions [m/rad, m/m]; zero for pairs far apart
-    gradient: np.ndarray
-    exact: np.ndarray  # (n, n_pairs): false where pairs are far apart
-
-
 class Clearance:
     """Distances between the links of a robot that may meet."""
 
@@ -54,12 +42,8 @@ class Clearance:
     # ahead a motion has to turn aside.
 
     def __init__(self, model, geometry, margin=0.0):
-        self._pin, self._model, self._data = (
-            import_pinocchio(),
-            model,
-            model.createData(),
-        )
-        self._geometry, self._coal = geometry, import_coal()
+        self._pin, self._coal = import_pinocchio(), import_coal()
+        self._model, self._data, self._geometry = model, model.createData(), geometry
         self._placed = geometry.createData()
         shapes = geometry.geometryObjects
         boxes = [shape.geometry.aabb_local for shape in shapes]
@@ -91,26 +75,24 @@ class Clearance:
 
     def __call__(self, q, within=None):
         """Return the signed distances of all pairs at q (n, nv), with gradients."""
-        # Exact up to `within` [m]; further away a lower bound, which is larger than
-        # this.
-        q = self._positions(q)
+        # (n, n_pairs) [m], minus the depth of penetration, and (n, n_pairs, nv) by the
+        # positions. Exact up to `within` [m]; further away a lower bound, which is
+        # larger than this, and no gradient.
         within = self.near if within is None else within
         distance = np.empty((len(q), len(self.pairs)))
-        gradient = np.zeros((*distance.shape, q.shape[1]))
-        exact = np.zeros(distance.shape, dtype=bool)
+        gradient = np.zeros((*distance.shape, self._model.nv))
         for row, x in enumerate(q):
             distance[row] = self._place(x)
-            exact[row] = distance[row] <= within
-            for k in np.flatnonzero(exact[row]):
+            for k in np.flatnonzero(distance[row] <= within):
                 found = self._measure(k)
                 distance[row, k] = found.min_distance
                 gradient[row, k] = self._gradient(k, found)
-        return Distances(distance, gradient, exact)
+        return distance, gradient
 
     def nearest(self, q):
         """Smallest signed distance [m] at q (n, nv), and its links; inf for none."""
         best, links = np.inf, ()
-        for x in self._positions(q):
+        for x in q:
             bounds = self._place(x)
             for k in np.argsort(bounds):
                 if bounds[k] >= best:
@@ -142,16 +124,7 @@ class Clearance:
         random = np.random.default_rng(0).random((_SAMPLES, self._model.nv))
         neutral = np.clip(0.0, lower, upper)
         q = np.vstack([neutral, lower + (upper - lower) * random])
-        return (self(q, margin).distance < margin).mean(axis=0)
-
-    def _positions(self, q):
-        """Check positions (n, nv)."""
-        q, nv = np.asarray(q, dtype=float), self._model.nv
-        if q.ndim != 2 or q.shape[1] != nv:
-            raise ValueError(f"q must have the shape (n, {nv}), got {q.shape}.")
-        if not np.isfinite(q).all():
-            raise ValueError("q has entries that are not finite.")
-        return q
+        return (self(q, margin)[0] < margin).mean(axis=0)
 
     def _place(self, q):
         """Place the shapes; return bounds of the distances (n_pairs,), of balls."""

@@ -179,35 +179,16 @@ def design_motion(
     ((60, 2), True)
     """
     rng = check_random_state(random_state)
-    task = pose(
-        model,
-        duration=duration,
-        dt=dt,
-        limits=limits,
-        effects=effects,
-        report=report,
-        rng=rng,
-    )
-    problem, times = task.problem, task.problem.times()
+    problem = pose(model, duration, dt, limits, effects, report, rng)
+    times = problem.times()
     fine = np.arange(_FINER * times.size) * (times[1] / _FINER)
     found, first = optimise(problem, best_drawn(problem, rng))
     z = shrunk(problem, found, fine, 1.0 - MARGIN)
-    return _finished(task, z, first, fine)
+    return _finished(problem, z, first, fine)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DesignTask:
-    """A motion that is asked for."""
-
-    problem: Problem
-    robot: KnownRobot
-    noise: np.ndarray  # (nv,): deviation in the band of the fit
-    dt: float
-    no_clearance: str  # why nothing is known of the distance between bodies
-
-
-def pose(model, *, duration, dt, limits, effects, report, rng):
-    """Return the `DesignTask` of arguments as those of `design_motion`."""
+def pose(model, duration, dt, limits, effects, report, rng):
+    """Return the `Problem` of arguments as those of `design_motion`."""
     robot = KnownRobot.of(model)
     dt, names = check_dt(dt), robot.joint_names
     duration = float(duration)
@@ -248,18 +229,20 @@ def pose(model, *, duration, dt, limits, effects, report, rng):
     problem = Problem(
         curve=curve,
         model=equations,
+        robot=robot,
+        dt=dt,
         questions=_questions(equations, rows, candidates, noise),
         limits=limits,
         coefficients=_coefficients(robot, equations, rows, members),
-        precision=2 * band / noise**2,
+        noise=noise,
+        band=band,
         still=still,
         clearance=clearance,
+        no_clearance=why,
         room=ROOM,
     )
     _check_held(problem, names, rng)
-    return DesignTask(
-        problem=problem, robot=robot, noise=noise, dt=dt, no_clearance=why
-    )
+    return problem
 
 
 def _harmonics(robot, limits, duration, dt):
@@ -412,8 +395,7 @@ def _strain(problem, poses):
     held = (strain < _HELD).all(axis=1)
     if problem.clearance is not None:
         room = problem.room / INSIDE
-        distances = problem.clearance(poses, within=room).distance
-        held &= (distances >= room).all(axis=1)
+        held &= (problem.clearance(poses, within=room)[0] >= room).all(axis=1)
     return held, strain
 
 
@@ -444,23 +426,22 @@ def _check_held(problem, names, rng):
 # -- the motion ------------------------------------------------------------------------
 
 
-def _finished(task, z, first, fine):
+def _finished(problem, z, first, fine):
     """Collect the motion and what it promises."""
-    problem, robot, dt = task.problem, task.robot, task.dt
-    curve, samples = problem.curve, problem.times()
+    curve, samples, dt = problem.curve, problem.times(), problem.dt
     t = np.arange(round(curve.period / dt)) * dt
     states = curve.states(z, curve.basis(t))
     q, v, a = np.split(states, 3, axis=1)
     margins, within = _margins(problem, curve.states(z, curve.basis(fine)), fine)
     design, start = (curve.states(x, curve.basis(samples)) for x in (z, first))
-    shows, invisible = _shown(problem, robot, design, samples[1], task.noise)
+    shows, invisible = _shown(problem, design, samples[1])
     return DesignedMotion(
         t=t,
         q=q,
         v=v,
         a=a,
         tau=problem.torques(problem.model(states, t)),
-        joint_names=robot.joint_names,
+        joint_names=problem.robot.joint_names,
         slides=tuple(map(bool, problem.model.prismatic)),
         dt=dt,
         duration=curve.period,
@@ -469,9 +450,9 @@ def _finished(task, z, first, fine):
         start_condition_number=_condition_number(problem, start),
         within_limits=within,
         margins=margins,
-        no_clearance=task.no_clearance,
-        noise=task.noise,
-        band=robot.band(curve.highest, dt),
+        no_clearance=problem.no_clearance,
+        noise=problem.noise,
+        band=problem.band,
         shows=shows,
         invisible=invisible,
         curve=curve,
@@ -505,19 +486,17 @@ def _condition_number(problem, states):
     return float(np.sqrt(values[-1] / values[0]))
 
 
-def _shown(problem, robot, states, step, noise):
+def _shown(problem, states, step):
     """Effects that a motion shows, and those that no motion does."""
-    questions = problem.questions
+    questions, noise = problem.questions, problem.noise
     if not questions.effects:
         return (), ()
     judged = worth(problem.information(states, step), questions)
     effects = [one.effect for one in problem.model.effects[problem.model.n_members :]]
     shows, invisible = [], []
     for k, effect in enumerate(effects):
-        joint = effect.joint
-        one = ShownEffect(
-            name=effect.name, joint=joint, joint_name=robot.joint_names[joint]
-        )
+        joint, names = effect.joint, problem.robot.joint_names
+        one = ShownEffect(name=effect.name, joint=joint, joint_name=names[joint])
         if not questions.alone[k] > 0:
             invisible.append(replace(one, reason=SAME_COLUMNS))
             continue

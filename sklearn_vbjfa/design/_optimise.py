@@ -184,15 +184,18 @@ class Problem:
 
     curve: object
     model: object
+    robot: object
+    dt: float  # of the motion that is recorded [s]
     questions: object
     limits: object
     # (n_columns,): for the torques; zero of effects not known to be there
     coefficients: np.ndarray
-    # (nv,): independent samples per second over the variance of a joint's noise
-    precision: np.ndarray
+    noise: np.ndarray  # (nv,): deviation in the band of the fit
+    band: float  # that band [Hz]
     still: np.ndarray  # (nv,): speeds below which a joint may be standing
-    clearance: object = None
-    room: float = 0.0  # smallest distance that is allowed [m]
+    clearance: object
+    no_clearance: str  # why nothing is known of the distance between bodies
+    room: float  # smallest distance that is allowed [m]
 
     def times(self, per_period=16):
         """Return samples [s], so many in the shortest period."""
@@ -206,7 +209,8 @@ class Problem:
         v = np.split(states, 3, axis=1)[1]
         slow = self.still**2
         moving = v**2 / (v**2 + slow)
-        scale = self.precision * step
+        # Independent samples over the variance of a joint's noise.
+        scale = 2 * self.band / self.noise**2 * step
         return scale * moving, scale * 2 * v * slow / (v**2 + slow) ** 2
 
     def information(self, states, step):
@@ -296,11 +300,11 @@ class Lagrangian:
         clearance = self.problem.clearance
         rows = slice(None, None, _SKIPPED)
         room = self.problem.room / INSIDE
-        found = clearance(q[rows], within=room + clearance.near)
-        g = np.maximum(room - found.distance, 0.0) / clearance.near
+        distance, gradient = clearance(q[rows], within=room + clearance.near)
+        g = np.maximum(room - distance, 0.0) / clearance.near
         weight = _SKIPPED * self.penalty
         by = np.zeros_like(q)
-        by[rows] = -weight / clearance.near * np.einsum("np,npj->nj", g, found.gradient)
+        by[rows] = -weight / clearance.near * np.einsum("np,npj->nj", g, gradient)
         return 0.5 * weight * (g**2).sum(), by
 
     def tighten(self, x):

@@ -43,7 +43,7 @@ def chain(folder, kinds, *, seed=0, effort=40.0, velocity=2.0, reach=1.5, name="
 
 
 def posed(model, *, random_state=0, **kwargs):
-    """Return the task of a design."""
+    """Return the problem of a design."""
     asked = {"duration": 4.0, "dt": 0.02, "limits": None, "effects": ()}
     asked |= {"report": None} | kwargs
     rng = check_random_state(random_state)
@@ -53,5 +53,5 @@ def posed(model, *, random_state=0, **kwargs):
 def problem_of(model, **kwargs):
     """Return the problem of a design, and the best motion that it sets out from."""
     rng = check_random_state(kwargs.pop("random_state", 0))
-    problem = posed(model, random_state=rng, **kwargs).problem
+    problem = posed(model, random_state=rng, **kwargs)
     return problem, best_drawn(problem, rng)[0]

@@ -38,15 +38,15 @@ def test_balls_have_the_distance_of_their_centres(tmp_path):
     clearance = clearance_of(two_bars(tmp_path))
     assert clearance.pairs == (("base", "lower"),)
     q = positions(200, 2)
-    found = clearance(q, within=np.inf)
+    distance, gradient = clearance(q, within=np.inf)
     apart = np.sqrt(0.5**2 + 0.4**2 + 2 * 0.5 * 0.4 * np.cos(q[:, 1]))
-    np.testing.assert_allclose(found.distance[:, 0], apart - 0.4, atol=1e-12)
+    np.testing.assert_allclose(distance[:, 0], apart - 0.4, atol=1e-12)
     slope = -0.5 * 0.4 * np.sin(q[:, 1]) / apart
-    np.testing.assert_allclose(found.gradient[:, 0, 1], slope, atol=1e-12)
-    np.testing.assert_allclose(found.gradient[:, 0, 0], 0, atol=1e-12)
+    np.testing.assert_allclose(gradient[:, 0, 1], slope, atol=1e-12)
+    np.testing.assert_allclose(gradient[:, 0, 0], 0, atol=1e-12)
     # In penetration as well as apart.
-    assert (found.distance < 0).sum() > 20
-    assert (found.distance > 0).sum() > 20
+    assert (distance < 0).sum() > 20
+    assert (distance > 0).sum() > 20
 
 
 def test_distances_are_those_of_pinocchio(tmp_path):
@@ -56,7 +56,7 @@ def test_distances_are_those_of_pinocchio(tmp_path):
     geometry.addAllCollisionPairs()
     links = [model.frames[x.parentFrame].name for x in geometry.geometryObjects]
     q = positions(30, 6)
-    found = clearance(q, within=np.inf).distance
+    found, _ = clearance(q, within=np.inf)
     data, placed = model.createData(), geometry.createData()
     for row in range(len(q)):
         pin.computeDistances(model, data, geometry, placed, q[row])
@@ -72,19 +72,19 @@ def test_distances_are_those_of_pinocchio(tmp_path):
 def test_gradients_are_those_of_finite_differences(tmp_path):
     clearance = clearance_of(arm_with_mesh(tmp_path))
     q, step = positions(100, 6), 1e-5
-    found = clearance(q, within=np.inf)
-    change = np.empty_like(found.gradient)
-    bend = np.zeros_like(found.distance)
+    distance, gradient = clearance(q, within=np.inf)
+    change = np.empty_like(gradient)
+    bend = np.zeros_like(distance)
     for k in range(6):
-        more = clearance(q + step * np.eye(6)[k], within=np.inf).distance
-        less = clearance(q - step * np.eye(6)[k], within=np.inf).distance
+        more = clearance(q + step * np.eye(6)[k], within=np.inf)[0]
+        less = clearance(q - step * np.eye(6)[k], within=np.inf)[0]
         change[..., k] = (more - less) / (2 * step)
-        bend = np.maximum(bend, np.abs(more - 2 * found.distance + less) / step)
-    error = np.abs(change - found.gradient).max(axis=2)
+        bend = np.maximum(bend, np.abs(more - 2 * distance + less) / step)
+    error = np.abs(change - gradient).max(axis=2)
     # Where the nearest points jump, the distance has a kink.
     smooth = bend < 1e-2
     assert smooth.mean() > 0.9
-    apart, inside = smooth & (found.distance > 0), smooth & (found.distance < 0)
+    apart, inside = smooth & (distance > 0), smooth & (distance < 0)
     assert apart.sum() > 300
     assert inside.sum() > 15
     assert error[apart].max() < 1e-3
@@ -92,8 +92,8 @@ def test_gradients_are_those_of_finite_differences(tmp_path):
     assert np.quantile(error[inside], 0.9) < 2e-3
     assert error[inside].max() < 0.1
     # The sign: coming out means a growing distance.
-    size = np.abs(found.gradient[inside]).max(axis=1)
-    agree = np.einsum("ij,ij->i", change[inside], found.gradient[inside])
+    size = np.abs(gradient[inside]).max(axis=1)
+    agree = np.einsum("ij,ij->i", change[inside], gradient[inside])
     assert (agree[size > 0.05] > 0).all()
 
 

@@ -259,7 +259,7 @@ def test_noise_of_the_equations_is_that_of_torques_and_encoders(tmp_path):
             path, dt=dt, options=FitOptions(torque_noise=torque)
         ).fit(q, tau)
         task = posed(robot, limits=limits_of(1), duration=3.0, dt=dt)
-        highest = task.problem.curve.highest
+        highest = task.curve.highest
         band = 3.0 * highest
         accelerations = 2 * dt * encoder**2 * (2 * np.pi) ** 4 * band**5 / 5
         # What passed the band of that fit, in the band of the next.

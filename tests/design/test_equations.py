@@ -53,7 +53,7 @@ def test_information_is_the_sum_over_samples_and_joints(designed):
         rows = literal_rows(model, problem, q, v, a)
         for j in range(model.nv):
             moving = v[j] ** 2 / (v[j] ** 2 + problem.still[j] ** 2)
-            weight = problem.precision[j] * 0.01 * moving
+            weight = (2 * problem.band / problem.noise**2)[j] * 0.01 * moving
             expected += weight * np.outer(rows[j], rows[j])
     found = problem.information(states, 0.01)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * expected.max())

@@ -50,8 +50,7 @@ def moving_states():
     return states
 
 
-def asked_of(task):
-    problem = task.problem
+def asked_of(problem):
     effects = problem.model.effects[problem.model.n_members :]
     return {
         (one.effect.name, one.effect.joint): weight
@@ -72,7 +71,7 @@ def test_all_kinds_of_reports_ask_the_same(loop, tmp_path):
 
 
 def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
-    problem = posed(loop.identifier_).problem
+    problem = posed(loop.identifier_)
     states = moving_states()
     expected = loop.identifier_.predict(states)
     found = problem.torques(problem.model(states))
@@ -85,8 +84,8 @@ def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
         friction=("viscous",),
     )
     loud.fit(*recording_of(path))
-    precision = posed(loud).problem.precision
-    assert precision[0] / precision[1] == pytest.approx(16.0, rel=0.2)
+    noise = posed(loud).noise
+    assert (noise[1] / noise[0]) ** 2 == pytest.approx(16.0, rel=0.2)
 
 
 def recording_of(path):

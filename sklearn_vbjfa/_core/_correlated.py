@@ -197,7 +197,7 @@ class CorrelatedProblem:
         self.moments, self.n, self.rest = moments, moments.n, moments
         self.direct = np.zeros(moments.xy.size) if direct is None else direct
         if self.direct.any():
-            self.rest = moments.less(self.direct)
+            self.rest = replace(moments, z=moments.z - moments.R @ self.direct)
         self.latent = infer_latent(moments.S, moments.n, psi)
         self.exact = self.latent.exact
         self.ard_shape, self.ard_rate, self.common = ard_shape, ard_rate, common

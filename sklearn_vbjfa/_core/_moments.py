@@ -178,17 +178,9 @@ class SecondMoments:
         left = self.z - self.R @ c
         return self.R.T @ left, float(left @ left) + self.rest
 
-    def less(self, c):
-        """Moments with y - c'x in place of y."""
-        return replace(self, z=self.z - self.R @ c)
-
     def columns(self, chosen):
         """Moments of some inputs, and of y."""
         return replace(self, R=self.R[:, chosen])
-
-    def is_exact(self, share):
-        """Whether some linear function leaves at most this share of y's variance."""
-        return self.rest <= share * self.yy
 
     def without_last_digits(self):
         """Return the moments with the digits that matter."""

@@ -513,9 +513,9 @@ def solve(moments, state, prior, *, max_iter, tol):
         )
         state = replace(state, psi_x=prior.psi_x_fixed)
     problem = IndependentProblem(moments, prior)
-    # Without a prior an exact fit has no highest likelihood, and nothing to
-    # extrapolate to but rounding.
-    if not prior.ard and moments.is_exact(VARIANCE_FLOOR):
+    # Without a prior an exact fit (no function of the inputs leaves more than rounding
+    # of y) has no highest likelihood, and nothing to extrapolate to but rounding.
+    if not prior.ard and moments.rest <= VARIANCE_FLOOR * moments.yy:
         found = climb(PlainSteps(problem, tol), problem.evaluate(state), max_iter)
         if found.status != "bound_decreased":
             # The expectations at the end are good for one more update.

@@ -158,10 +158,6 @@ class Motion:
         """Range of a joint's positions [rad or m]."""
         return float(np.ptp(self.q[:, joint]))
 
-    def known_time(self):
-        """Time of each row (n,) [s], at the earliest the first one of the fit."""
-        return self.t if self.since is None else np.maximum(self.t, self.since)
-
     def duration(self):
         """Return the time from the first to the last sample [s]."""
         return float(np.ptp(self.t))
@@ -239,13 +235,15 @@ class State:
 
 def rows_of(motion):
     """Return the signals of a `Motion` as those of a `State`."""
-    load, torque = motion.load, motion.torque
+    load, torque, known_t = motion.load, motion.torque, motion.t
+    if known_t is not None and motion.since is not None:
+        known_t = np.maximum(known_t, motion.since)
     return State(
         q=motion.q.T,
         v=motion.v.T,
         a=motion.a.T,
         t=motion.t,
-        known_t=None if motion.t is None else motion.known_time(),
+        known_t=known_t,
         load=None if load is None else load.T,
         torque=None if torque is None else torque.T,
         signals=motion.signals,

@@ -36,13 +36,10 @@ class FailingMoments:
     def __init__(self, moments, n_right):
         self.moments, self.left = moments, n_right
         self.n, self.xx = moments.n, moments.xx
-        self.xy, self.yy = moments.xy, moments.yy
+        self.xy, self.yy, self.rest = moments.xy, moments.yy, moments.yy
 
     def without_last_digits(self):
         return self
-
-    def is_exact(self, share):
-        return False
 
     def residual(self, c):
         """Return S_xe and S_ee, or those for three times S_xx."""

@@ -51,7 +51,7 @@ class Split:
     @property
     def held_out_rows(self):
         """Rows of all held-out stretches, ndarray."""
-        return _rows_of(self.stretches)
+        return np.r_[self.stretches]
 
     def held_out(self, recording):
         """Return the held-out rows of a recording, as a recording."""
@@ -103,11 +103,6 @@ class Split:
             if (self.counted(kept) >= least).all():
                 break
         return replace(self, stretches=tuple(kept))
-
-
-def _rows_of(slices):
-    """Rows of some slices, one after the other."""
-    return np.concatenate([np.arange(s.start, s.stop) for s in slices])
 
 
 def split_in_time(identifier, recording, test_size):
@@ -232,7 +227,7 @@ def _with_stretches(bare, parts, stretches):
     starts, stops = {s.start for s in stretches}, {s.stop for s in stretches}
     edges = sorted(ends | starts | stops)
     pieces = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
-    rows = np.setdiff1d(np.arange(len(pieces)), _rows_of(stretches))
+    rows = np.setdiff1d(np.arange(len(pieces)), np.r_[tuple(stretches)])
     return replace(
         bare,
         stretches=tuple(stretches),

@@ -8,6 +8,7 @@ from sklearn_vbjfa._core._progress import say
 from sklearn_vbjfa.diagnosis.search._candidates import Candidates
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import (
+    Columns,
     Fit,
     Problem,
     declared_weights,
@@ -131,9 +132,11 @@ class Path:
             if new is None:
                 new = self._exchanged(fit, been)
             if new is None:
-                new = self._possible(fit)
-                if new is None:
+                # The fit of the robot has no friction that would drive either.
+                new = fit.within_signs(self.settings.known)
+                if new is fit:
                     return fit
+                new = self._pruned(self.scaled(new))
                 pattern = new.problem.held.tobytes(), keys_of(new)
                 if pattern in held:
                     return fit
@@ -336,12 +339,6 @@ class Path:
                 return new
         return None
 
-    def _possible(self, fit):
-        """Hold friction at zero that would drive; None if that is so already."""
-        # The fit of the robot has none either.
-        new = fit.within_signs(self.settings.known)
-        return None if new is fit else self._pruned(self.scaled(new))
-
     # -- what is asked of a model ---------------------------------------------------
 
     def own_odds(self, fit, known):
@@ -402,10 +399,11 @@ def anew(fit):
     """Linearise effects where they are found, correct the robot, take its load."""
     members, coefs = [], [fit.coefficients(i) for i in range(len(fit.members))]
     for member, coef in zip(fit.members, coefs):
-        own = member.effect
-        if own.natural(coef):
-            own = own.linearised_at(coef)
-        members.append(member.turned_into(own))
+        own, columns = member.effect, member.columns
+        if own.natural(coef) and (new := own.linearised_at(coef)) is not own:
+            known = columns.joints, columns.values, columns.unit, columns.edges
+            member = replace(member, columns=Columns([new], *known))
+        members.append(member)
     problem, base, theta = fit.problem, fit.base, fit.theta
     view = problem.view.corrected(tuple(m.effect for m in members))
     moved = view is not problem.view

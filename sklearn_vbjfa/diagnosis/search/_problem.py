@@ -11,6 +11,7 @@ from scipy import fft, linalg
 from scipy.linalg import lapack
 
 from sklearn_vbjfa._core._groups import Groups, Overdispersion
+from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 from sklearn_vbjfa.diagnosis.search._view import variants
 
@@ -121,14 +122,6 @@ class Member:
             return np.zeros(self.width)
         return self.effect.values - np.asarray(self.effect.nominal)
 
-    def turned_into(self, effect):
-        """Return the same columns as those of another effect."""
-        if effect is self.effect:
-            return self
-        own = self.columns
-        columns = Columns([effect], own.joints, own.values, own.unit, own.edges)
-        return replace(self, columns=columns)
-
 
 class Problem:
     """Equations of all joints in frequency: declared columns and torques."""
@@ -151,6 +144,7 @@ class Problem:
         mean = (view.target * view.root.T).sum(axis=1) / rows
         rest = view.target - mean[:, None] * view.root.T
         self.torque = np.sqrt((rest**2).sum(axis=1) / view.target.shape[1])
+        self._per_torque = (self.torque > 0) / or_one(self.torque)
         self.used_joints = view.precision > 0
         self.held = np.zeros(view.one_sided.shape[:2], dtype=bool)
 
@@ -190,14 +184,8 @@ class Problem:
         joints = self.view.joints_of(effects[0])
         # An effect of all joints has the torque of that which it moves the most.
         largest = (size * self._per_torque[joints][:, None, None]).max(axis=0)
-        unit = np.divide(1.0, largest, out=np.zeros(largest.shape), where=largest > 0)
+        unit = (largest > 0) / or_one(largest)
         return Columns(effects, joints, values, unit, self.edges)
-
-    @functools.cached_property
-    def _per_torque(self):
-        """One over the torque of each joint, zero for a joint without, (nv,)."""
-        used = self.torque > 0
-        return np.divide(1.0, self.torque, out=np.zeros(used.shape), where=used)
 
     def first_shapes(self, effect):
         """Return an effect with the shapes to begin with, list of Effect."""

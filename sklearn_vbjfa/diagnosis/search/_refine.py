@@ -25,57 +25,35 @@ _JUMPS = 3
 _GAP = 1.5
 # Prior deviation of a step, over the way between the grid's points: none.
 _FREE = 1e3
+# Period of an angle.
+_TURN = 2 * np.pi
 
 
-@dataclass(frozen=True)
-class Bracket:
-    """A shape parameter between the grid's next points on both sides."""
+def _bracket(effect, name, motion):
+    """Place of a shape parameter, its bounds and those of its grid.
 
-    # bounds; of the logarithm where that is searched
-    low: float
-    high: float
-    # ends of the whole grid; infinite for an angle
-    lowest: float = -np.inf
-    highest: float = np.inf
-    logarithmic: bool = False  # whether the logarithm is searched
-    turn: float = 0.0  # period of an angle; zero for what is none
-
-    @classmethod
-    def of(cls, effect, name, motion):
-        """Return the bounds of a parameter; None where the grid has no neighbours."""
-        value = getattr(effect, name)
-        values = np.unique([s.get(name, value) for s in _same_use(effect, motion)])
-        if name in effect.cyclic and values.size > 1:
-            turn = 2 * np.pi
-            around = np.concatenate([values - turn, values, values + turn])
-            at = int(np.argmin(np.abs(around - value)))
-            return cls(around[at - 1], around[at + 1], turn=turn)
-        values = values[np.sign(values) == np.sign(value)]
-        if value == 0 or values.size < 2:
-            return None
-        at = int(np.argmin(np.abs(values - value)))
-        positive = bool((values > 0).all())
-        scaled = np.log(values) if positive else values
-        low, high = scaled[max(at - 1, 0)], scaled[min(at + 1, values.size - 1)]
-        return cls(low, high, scaled[0], scaled[-1], positive)
-
-    def value(self, u):
-        """Return the parameter at a place between the bounds."""
-        if self.turn:
-            return float(u % self.turn)
-        return float(np.exp(u) if self.logarithmic else u)
-
-    def place(self, value):
-        """Return the place of a parameter."""
-        return np.log(value) if self.logarithmic else value
-
-
-def _same_use(effect, motion):
-    """Shapes of the grid of an effect that differ in what is searched alone."""
-    for shape in effect.shapes(motion):
-        fixed = shape.keys() - set(effect.continuous)
-        if all(shape[name] == getattr(effect, name) for name in fixed):
-            yield shape
+    Last comes whether these are logarithms. None where the grid has no neighbours.
+    """
+    value, searched_on = getattr(effect, name), {*effect.continuous}
+    grid = np.unique(
+        [
+            shape.get(name, value)
+            for shape in effect.shapes(motion)
+            if all(shape[k] == getattr(effect, k) for k in shape.keys() - searched_on)
+        ]
+    )
+    if name in effect.cyclic and grid.size > 1:
+        grid = np.concatenate([grid - _TURN, grid, grid + _TURN])
+        at = int(np.argmin(np.abs(grid - value)))
+        return value, grid[at - 1], grid[at + 1], -np.inf, np.inf, False
+    grid = grid[np.sign(grid) == np.sign(value)]
+    if value == 0 or grid.size < 2:
+        return None
+    at, positive = int(np.argmin(np.abs(grid - value))), bool(value > 0)
+    if positive:
+        value, grid = np.log(value), np.log(grid)
+    low, high = grid[max(at - 1, 0)], grid[min(at + 1, grid.size - 1)]
+    return value, low, high, grid[0], grid[-1], positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,37 +61,47 @@ class Place:
     """An effect among its shapes, and how far a step may lead."""
 
     effect: Effect
-    brackets: dict  # by the names of what is searched
-    values: np.ndarray  # (d,): places in these
+    names: tuple  # of the d shape parameters that are searched
+    # (d,) each: places of these, the grid's next points on both sides, and the ends of
+    # the grid, infinite for an angle; of the logarithm where that is searched
+    values: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    lowest: np.ndarray
+    highest: np.ndarray
+    logarithmic: np.ndarray  # (d,), bool
 
     @classmethod
     def of(cls, effect, motion):
         """Return that of an effect; None if its shapes have no neighbours or slopes."""
         smooth = () if effect.jumping or effect.bank else effect.continuous
-        brackets = {n: Bracket.of(effect, n, motion) for n in smooth}
-        brackets = {n: one for n, one in brackets.items() if one is not None}
-        if not brackets:
+        found = {name: _bracket(effect, name, motion) for name in smooth}
+        found = {name: one for name, one in found.items() if one is not None}
+        if not found:
             return None
-        values = [b.place(getattr(effect, n)) for n, b in brackets.items()]
-        return cls(effect=effect, brackets=brackets, values=np.array(values))
+        kinds = ("values", "low", "high", "lowest", "highest", "logarithmic")
+        columns = dict(zip(kinds, map(np.array, zip(*found.values()))))
+        return cls(effect=effect, names=tuple(found), **columns)
 
     @property
     def width(self):
         """Way between the grid's next points, (d,)."""
-        return np.array([b.high - b.low for b in self.brackets.values()])
+        return self.high - self.low
 
     @property
     def steps(self):
         """Steps of the derivatives, (d,)."""
-        highest = np.array([b.highest for b in self.brackets.values()])
-        coarse = [name in self.effect.coarse for name in self.brackets]
+        coarse = [name in self.effect.coarse for name in self.names]
         step = np.where(coarse, _COARSE, _DERIVATIVE) * self.width
-        return np.where(self.values + step > highest, -step, step)
+        return np.where(self.values + step > self.highest, -step, step)
 
     def at(self, values):
         """Return the effect elsewhere."""
-        both = zip(self.brackets.items(), values)
-        return clone(self.effect).set_params(**{n: b.value(u) for (n, b), u in both})
+        shape = {}
+        for name, u, is_log in zip(self.names, values.tolist(), self.logarithmic):
+            value = float(np.exp(u)) if is_log else u
+            shape[name] = value % _TURN if name in self.effect.cyclic else value
+        return clone(self.effect).set_params(**shape)
 
     def around(self):
         """Return the effect, and with each parameter changed a little."""
@@ -123,11 +111,10 @@ class Place:
         """Return the place after a step (d,), as far as that may lead."""
         # A single parameter stays between its neighbours; one of several, which may
         # trade against each other, may leave them behind.
-        alone, own = len(self.brackets) == 1, self.brackets.values()
-        low = [b.low if alone else b.lowest for b in own]
-        high = [b.high if alone else b.highest for b in own]
+        alone = len(self.names) == 1
+        ends = (self.low, self.high) if alone else (self.lowest, self.highest)
         step = np.clip(step, -self.width / 2, self.width / 2)
-        values = np.clip(self.values + step, low, high)
+        values = np.clip(self.values + step, *ends)
         return replace(self, effect=self.at(values), values=values)
 
     def with_derivatives(self, member, around, coef):
@@ -144,14 +131,14 @@ class Place:
         return replace(member, columns=Columns(*known))
 
 
-def stepped(fit, numbers, most=MOST_STEPS):
+def stepped(fit, numbers):
     """Search the shapes of members, which trade against each other, at once."""
     # By Gauss and Newton: the derivatives of the columns are further columns.
     problem, motion = fit.problem, fit.problem.motion
     places = {i: Place.of(fit.members[i].effect, motion) for i in numbers}
     places = {i: place for i, place in places.items() if place is not None}
     families = {i: problem.shaped(p.around()) for i, p in places.items()}
-    for _ in range(most):
+    for _ in range(MOST_STEPS):
         members = list(fit.members)
         for i, place in places.items():
             known = members[i], families[i], fit.coefficients(i)

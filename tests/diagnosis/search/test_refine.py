@@ -6,20 +6,19 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.diagnosis.search._refine import Bracket, instant
+from sklearn_vbjfa.diagnosis.search._refine import Place, instant
 from tests.diagnosis.search._searches import CLEAN, search, stribeck
 
 MOTION = search(CLEAN.torque(), ["stribeck"]).view.motion(None)
 GRID = sorted({s["vs"] for s in effects.Stribeck(1).shapes(MOTION)})
 
 
-def test_brackets_reach_to_the_next_points_of_the_grid():
-    inner = Bracket.of(effects.Stribeck(1, vs=GRID[2]), "vs", MOTION)
-    assert inner.logarithmic
-    assert inner.value(inner.low) == pytest.approx(GRID[1])
-    assert inner.value(inner.high) == pytest.approx(GRID[3])
-    last = Bracket.of(effects.Stribeck(1, vs=GRID[-1]), "vs", MOTION)
-    assert last.value(last.high) == pytest.approx(GRID[-1])
+def test_bounds_are_the_next_points_of_the_grid():
+    inner = Place.of(effects.Stribeck(1, vs=GRID[2]), MOTION)
+    assert inner.at(inner.low).vs == pytest.approx(GRID[1])
+    assert inner.at(inner.high).vs == pytest.approx(GRID[3])
+    last = Place.of(effects.Stribeck(1, vs=GRID[-1]), MOTION)
+    assert last.at(last.high).vs == pytest.approx(GRID[-1])
 
 
 def best(start, evidence, motion):

@@ -140,7 +140,7 @@ def scaled_lstsq(matrix, target):
 
 
 def mixed_tls(columns, target, exact):
-    """Mixed least squares - total least squares; coefficients (d,) and rank."""
+    """Mixed least squares - total least squares; coefficients (d,)."""
     # All columns (n, d) but the `exact` ones (d,) have noise of the same variance as
     # the target (n,). Golub, Hoffman & Stewart (1987): the exact columns are eliminated
     # by orthogonal projection, the rest is a classical problem, and back-substitution
@@ -151,14 +151,14 @@ def mixed_tls(columns, target, exact):
     # What elimination leaves of a column in the span of the exact ones is rounding
     # of the column itself, not of its remainder.
     floor = rank_tolerance(columns) * np.linalg.norm(noisy)
-    coef[~exact], rank = _classical_tls(
+    coef[~exact] = _classical_tls(
         noisy - basis @ (basis.T @ noisy),
         target - basis @ (basis.T @ target),
         floor,
     )
     rest = target - noisy @ coef[~exact]
     coef[exact] = scaled_lstsq(columns[:, exact], rest).coef
-    return coef, rank + basis.shape[1]
+    return coef
 
 
 def _classical_tls(columns, target, floor):
@@ -180,10 +180,10 @@ def _classical_tls(columns, target, floor):
         if 1 - (sigma[-1] / s[rank - 1]) ** 2 > NONGENERIC:
             # The normal of the fitted hyperplane, with y's element scaled to -1.
             normal = Wt[-1]
-            return Vt[:rank].T @ (-normal[:rank] / normal[rank]), rank
+            return Vt[:rank].T @ (-normal[:rank] / normal[rank])
         rank -= 1
         rest = np.hypot(rest, along[rank])
-    return np.zeros(columns.shape[1]), 0
+    return np.zeros(columns.shape[1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

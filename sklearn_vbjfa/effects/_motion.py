@@ -44,13 +44,13 @@ class Rest:
 
     def pick(self, *joints):
         """Return the part of a joint, or of the sum of the speeds of several."""
-        own = list(joints)
+        own, shape = list(joints), self.speed.shape
         return Rest(
             speed=self.speed[own].sum(keepdims=True),
             time=self.time[own].max(keepdims=True),
             noise=np.sqrt((self.noise[own] ** 2).sum(keepdims=True)),
-            corner=_of(self.corner, own).sum(keepdims=True),
-            rounding=_of(self.rounding, own).max(keepdims=True),
+            corner=np.broadcast_to(self.corner, shape)[own].sum(keepdims=True),
+            rounding=np.broadcast_to(self.rounding, shape)[own].max(keepdims=True),
             span=self.span,
         )
 
@@ -64,13 +64,6 @@ class Rest:
         width = width + 0.5 * self.span * np.abs(a)
         columns = [_mean_sign(*column) for column in zip(v.T, width.T, self.noise)]
         return np.column_stack(columns)
-
-
-def _of(values, joints):
-    """Values of some joints, which may be one for all."""
-    return (
-        np.asarray(values)[joints] if np.ndim(values) else np.full(len(joints), values)
-    )
 
 
 def _mean_sign(v, width, noise):
@@ -157,10 +150,6 @@ class Motion:
     def range(self, joint):
         """Range of a joint's positions [rad or m]."""
         return float(np.ptp(self.q[:, joint]))
-
-    def duration(self):
-        """Return the time from the first to the last sample [s]."""
-        return float(np.ptp(self.t))
 
     def derivative(self, signal):
         """Differentiate columns (n, ...) in time, recording by recording."""
@@ -320,8 +309,7 @@ class EffectRange:
 def own_motions(effects, ranges, motion):
     """Return the `Motion` that each effect's columns are made from, in its range."""
     held = ranges or [None] * len(effects)
-    pairs = zip(effects, held, strict=True)
-    return [motion if one is None else one.within(motion) for _, one in pairs]
+    return [motion if one is None else one.within(motion) for one in held]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -92,7 +92,7 @@ class Drift(_Varied, OfTime):
 
     def shapes(self, motion):
         """Time constants from a tenth to three times the recording."""
-        length = motion.duration()
+        length = float(np.ptp(motion.t))
         return [
             {"of": of, "time_constant": s * length}
             for of in _VARIED

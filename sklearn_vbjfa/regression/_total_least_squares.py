@@ -142,7 +142,7 @@ class TotalLeastSquares(LinearRegressor):
         # Column scales commute with the orthogonal factor; with them taken out the
         # reduction is as accurate for small columns as for large ones.
         factor = np.linalg.qr(columns.values, mode="r") * columns.scale
-        coef, _ = mixed_tls(factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact)
+        coef = mixed_tls(factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact)
         self._set_coefficients(output_std * (whiten @ coef), columns.mean)
         return self
 

@@ -288,7 +288,7 @@ def error_rows(outcome):
             "noise": percent(one.floor),
         }
         cells = {key: text for key, text in cells.items() if key not in left_out}
-        rows.append({"joint": one.joint, "cells": list(cells.values()), "named": cells})
+        rows.append({"joint": one.joint, "cells": cells})
     return rows
 
 
@@ -300,7 +300,7 @@ def short_errors(outcome, verdicts):
         left_out.append("noise")
     heads, rows = [], []
     for row in error_rows(outcome):
-        cells = {k: x for k, x in row["named"].items() if k not in left_out}
+        cells = {k: x for k, x in row["cells"].items() if k not in left_out}
         verdict = verdicts[row["joint"]]
         heads = ["error, %", *cells, ""]
         rows.append([verdict.label, *cells.values(), verdict.text])

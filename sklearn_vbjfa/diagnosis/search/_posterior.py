@@ -70,21 +70,18 @@ class SearchSettings:
     most: int = 6
 
     def __post_init__(self):
-        for field in fields(self):
-            value = getattr(self, field.name)
-            kind = Integral if field.name == "most" else Real
-            if isinstance(value, bool) or not (
-                isinstance(value, kind) and 0 < value < np.inf
-            ):
-                expected = "a positive integer" if kind is Integral else "positive"
+        asked = dict.fromkeys(
+            (x.name for x in fields(self)), (Real, np.inf, "positive")
+        )
+        share = Real, 1, "positive and below 1"
+        asked |= {"min_probability": share, "min_gain": share}
+        asked |= {"most": (Integral, np.inf, "a positive integer")}
+        for name, (kind, limit, expected) in asked.items():
+            value = getattr(self, name)
+            valid = isinstance(value, kind) and not isinstance(value, bool)
+            if not (valid and 0 < value < limit):
                 raise ValueError(
-                    f"{field.name} of SearchSettings must be {expected}; got {value!r}."
-                )
-        for name in ("min_probability", "min_gain"):
-            if getattr(self, name) >= 1:
-                raise ValueError(
-                    f"{name} of SearchSettings must be below 1; got "
-                    f"{getattr(self, name)!r}."
+                    f"{name} of SearchSettings must be {expected}; got {value!r}."
                 )
 
 

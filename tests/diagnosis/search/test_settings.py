@@ -32,7 +32,7 @@ def test_values_that_are_none_are_refused(name, value):
 
 @pytest.mark.parametrize("name", ["min_probability", "min_gain"])
 def test_shares_are_below_one(name):
-    with pytest.raises(ValueError, match=f"{name} of SearchSettings must be below 1"):
+    with pytest.raises(ValueError, match=f"{name} of .* positive and below 1; got 1.0"):
         SearchSettings(**{name: 1.0})
 
 

@@ -3,88 +3,42 @@
 Names that are not in ``__all__`` are for other rooms of the package and for tests.
 """
 
-from sklearn_vbjfa.effects._base import (
-    POSITION,
-    SPEED,
-    TORQUE,
-    Effect,
-    InFiles,
-    OfTime,
-    Shaped,
-    Stateful,
-)
-from sklearn_vbjfa.effects._channels import (
-    Delay,
-    Jerk,
-    OfChannel,
-    TorqueFilter,
-    low_pass,
-    smooth,
-)
-from sklearn_vbjfa.effects._drive import (
-    Coupling,
-    CouplingSpring,
-    Elastic,
-    RotorInertia,
-)
-from sklearn_vbjfa.effects._friction import (
-    AsymmetricFriction,
-    Coulomb,
-    GearLoss,
-    LoadFriction,
-    Stribeck,
-    Viscous,
-    ViscousQuadratic,
-)
-from sklearn_vbjfa.effects._in_model import (
-    BaseTilt,
-    CommandDelay,
-    InModel,
-    JointAxis,
-    JointZero,
-    TorqueGain,
-    TorqueLag,
-    cross_axes,
-    rotation,
-    turned_by,
-    without_rounding,
-)
-from sklearn_vbjfa.effects._library import (
-    available,
-    check_declared,
-    closure,
-    declarable,
-    declared,
-    declared_columns,
-    resolve,
-)
-from sklearn_vbjfa.effects._memory import Backlash, MaxwellSlip, elements, play
-from sklearn_vbjfa.effects._motion import (
-    FAST,
-    HELD,
-    MARGIN,
-    OUTLIERS,
-    ROUNDING,
-    EffectRange,
-    Floats,
-    Motion,
-    OutsideRange,
-    Rest,
-    State,
-    mean_sign,
-    outside,
-    own_motions,
-)
-from sklearn_vbjfa.effects._position import (
-    Counterbalance,
-    FrictionByPosition,
-    Offset,
-    Ripple,
-    Spring,
-)
-from sklearn_vbjfa.effects._unnamed import UnnamedTorque
-from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
+from typing import TYPE_CHECKING
 
+from sklearn_vbjfa import _lazily
+
+if TYPE_CHECKING:
+    from sklearn_vbjfa.effects._base import Effect, Shaped, Stateful
+    from sklearn_vbjfa.effects._friction import Coulomb, LoadFriction, Stribeck, Viscous
+    from sklearn_vbjfa.effects._in_model import BaseTilt, TorqueGain
+    from sklearn_vbjfa.effects._library import available
+    from sklearn_vbjfa.effects._memory import MaxwellSlip
+    from sklearn_vbjfa.effects._position import Spring
+
+_MODULES = {
+    "_base": "POSITION SPEED TORQUE Effect InFiles OfTime Shaped Stateful",
+    "_channels": "Delay Jerk OfChannel TorqueFilter low_pass smooth",
+    "_drive": "Coupling CouplingSpring Elastic RotorInertia",
+    "_friction": """
+        AsymmetricFriction Coulomb GearLoss LoadFriction Stribeck Viscous
+        ViscousQuadratic
+    """,
+    "_in_model": """
+        BaseTilt CommandDelay InModel JointAxis JointZero TorqueGain TorqueLag
+        cross_axes rotation turned_by without_rounding
+    """,
+    "_library": """
+        available check_declared closure declarable declared declared_columns resolve
+    """,
+    "_memory": "Backlash MaxwellSlip elements play",
+    "_motion": """
+        FAST HELD MARGIN OUTLIERS ROUNDING EffectRange Floats Motion OutsideRange Rest
+        State mean_sign outside own_motions
+    """,
+    "_position": "Counterbalance FrictionByPosition Offset Ripple Spring",
+    "_unnamed": "UnnamedTorque",
+    "_varying": "Drift Payload Signal",
+}
 __all__ = [
     "BaseTilt",
     "Coulomb",
@@ -99,3 +53,6 @@ __all__ = [
     "Viscous",
     "available",
 ]
+__getattr__, __dir__ = _lazily(
+    __name__, {name: tuple(names.split()) for name, names in _MODULES.items()}
+)

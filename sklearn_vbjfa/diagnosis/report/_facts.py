@@ -34,38 +34,23 @@ def grouped(items, key):
 # -- effects of the robot model --------------------------------------------------------
 
 
-def plain_texts(effect):
-    """Write the parameters of an effect in the model, symbol -> value, unit."""
+def value_cells(effect):
+    """Write each parameter of an effect in the model in its plain unit, a list."""
     # In degrees, mm, and per cent that a gain is too much or too little.
-    found = {}
+    found = []
     for name, value in effect.parameters.items():
         ends = effect.intervals.get(name)
         if name == "gain":
             sign = 1.0 if value >= 1.0 else -1.0
             excess = [100 * sign * (float(x) - 1.0) for x in (value, *(ends or ()))]
             size = words.with_error(excess[0], tuple(sorted(excess[1:])) or None, "%")
-            found[name] = f"{size} too {'much' if sign > 0 else 'little'}", "%"
+            found.append(f"{size} too {'much' if sign > 0 else 'little'}")
         elif effect.units.get(name) in _FINE:
             scale, unit = _FINE[effect.units[name]]
             ends = ends and tuple(scale * float(end) for end in ends)
-            found[name] = words.with_error(scale * float(value), ends), unit
+            text = words.with_error(scale * float(value), ends, unit)
+            found.append(f"{name.replace('_', ' ')} {text}")
     return found
-
-
-def statement(outcome, effect):
-    """State an effect of the robot model with its values."""
-    label = words.effect_label(outcome, effect.name)
-    place = words.place_label(outcome, effect.name, effect.joint)
-    stated = ", ".join([label, *value_cells(effect)])
-    return stated if place == "robot" else f"{place}: {stated}"
-
-
-def value_cells(effect):
-    """Write each parameter of an effect in the model in its plain unit, a tuple."""
-    return tuple(
-        value if name == "gain" else f"{name.replace('_', ' ')} {value} {unit}"
-        for name, (value, unit) in plain_texts(effect).items()
-    )
 
 
 def remedies(outcome):

@@ -128,7 +128,6 @@ class Voice:
             "effect": label,
             "place": partial(words.place_label, outcome),
             "in_model": lambda e: outcome.robot["library"][e.name].in_model,
-            "statement": partial(_facts.statement, outcome),
         }
         self._module = self._made("sentences.j2", is_page=False)
 

@@ -13,7 +13,6 @@ from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa.diagnosis.explain import (
     NO_INFORMATION,
     FinalFit,
-    added_effects,
     judge,
     make_outcome,
     motions_of,
@@ -439,7 +438,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         motion = view.motion_of(self.baseline_.robot_.linear_part(theta))
         return put_together(view, motion, heard, found)
 
-    def _with(self, effects, begin, recording, compare=False, **settings):
+    def _with(self, effects, begin, recording, **settings):
         """Fit the model with the plain terms and effects; begin: where values start."""
         plain = self.baseline_
         settings["effects"] = (*plain.effects_, *effects)
@@ -449,14 +448,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             settings["gains"] = tuple(names[j] for j in plain.gains_.references)
         again = clone(plain).set_params(**settings)
         again.begin_with(begin)
-        return again.fit_inspected(recording, compare=compare)
+        return again.fit_inspected(recording, compare=False)
 
     def _unnamed(self, found, named):
         """Find the joint torque beyond the effects; none where few were looked for."""
         if not isinstance(self.effects, str) or self.identifier.drive is not None:
             return ()
-        added = added_effects(named, len(found.effects))
-        fit = FinalFit(self.baseline_, named, found.view, added)
+        fit = FinalFit(self.baseline_, named, found.view)
         return unnamed_torques(fit, found.settings)
 
     def _hand_over(self, found, begin, whole, moving, silent, known):
@@ -483,9 +481,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         else:
             effects = tuned_on(view, found.effects, found.settings)
         named = self._with(effects, begin, whole, **band)
-        effects = added_effects(named, len(effects))
         share = seen.n_samples / whole.n_samples
-        return FinalFit(self.baseline_, named, view, effects, share)
+        return FinalFit(self.baseline_, named, view, share)
 
     # -- predictions -------------------------------------------------------------------
 

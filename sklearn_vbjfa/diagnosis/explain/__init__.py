@@ -7,7 +7,7 @@ _MODULES = {
     "_curves": "ResidualCurves TorqueCurves torque_curves",
     "_effects": "DiscoveredEffect named_values",
     "_errors": "NEXT_SECONDS error_intervals judge",
-    "_final": "EffectEstimate FinalFit added_effects",
+    "_final": "EffectEstimate FinalFit",
     "_gaps": """
         ABOVE_FLOOR Dependence NO_INFORMATION NotIdentifiable Unexplained dependences
         motion_signals p_value

@@ -23,11 +23,6 @@ _STEP = 1e-3
 _WAYS, _RANK = tuple(np.geomspace(1 / 3, 3.0, 21).tolist()), 1e-10
 
 
-def added_effects(identifier, count):
-    """Return the last effects of a fitted identifier, with the values it found."""
-    return identifier.effects_[len(identifier.effects_) - count :]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EffectEstimate:
     """Coefficients of an effect, with the covariance of these and of its shape."""
@@ -57,14 +52,14 @@ class FinalFit:
     # the order of the model's last parameters; share: of the fitted rows, those that
     # the view holds.
 
-    def __init__(self, declared, identifier, view, effects, share=1.0):
-        self.declared, self.identifier = declared, identifier
-        self.effects, self.share = list(effects), share
-        # Other effects change the values of the declared ones.
-        values = (*identifier.effects_[: len(declared.effects_)], *self.effects)
+    def __init__(self, declared, identifier, view, share=1.0):
+        self.declared, self.identifier, self.share = declared, identifier, share
+        self.effects = list(identifier.effects_[len(declared.effects_) :])
         held = held_columns(identifier.features_, identifier.effects_)
         at = declared.theta_.size
-        self.view = view.corrected(values).without([i for i in held if i < at])
+        # Other effects change the values of the declared ones.
+        view = view.corrected(identifier.effects_)
+        self.view = view.without([i for i in held if i < at])
         self.motion = make_motion(
             identifier.features_,
             view.states,
@@ -73,7 +68,7 @@ class FinalFit:
             identifier.robot_.load_parameters,
             view.robot.cutoff_,
             rest=view.robot.plan.turning,
-            effects=effects,
+            effects=self.effects,
             signals=view.signals,
             before=view.before,
         )

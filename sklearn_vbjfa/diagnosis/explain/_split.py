@@ -76,18 +76,15 @@ class Split:
         # All that the search knows of such an instant [s] is that it lies between two
         # of its rows on the clock (n,). What changes at the end of a recording changes
         # between recordings, and no split is left without a stretch.
+        pairs = list(zip(self.stretches, self.borders))
         kept = [
-            k
-            for k, (s, border) in enumerate(zip(self.stretches, self.borders))
+            (s, border)
+            for s, border in pairs
             if not all(border)
             or not any(clock[s.start - 1] < x <= clock[s.stop] for x in instants)
         ]
-        kept = kept or range(len(self.stretches))
-        return replace(
-            self,
-            stretches=tuple(self.stretches[k] for k in kept),
-            borders=tuple(self.borders[k] for k in kept),
-        )
+        stretches, borders = zip(*kept or pairs)
+        return replace(self, stretches=stretches, borders=borders)
 
     def guarded(self, rows):
         """Return the split without the held-out rows next to rows of the search."""

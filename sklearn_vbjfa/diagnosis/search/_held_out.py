@@ -52,11 +52,6 @@ class CrossValidatedGain:
             n_blocks=count,
         )
 
-    @property
-    def helps(self):
-        """Whether it saves anything, in the sum and in the mean of the blocks."""
-        return self.gain > 0 and self.errors > 0
-
 
 class HeldOut:
     """Regressions of all joints that leave out one fold of time after the other."""
@@ -223,7 +218,8 @@ class HeldOutFit:
 
     def helps(self, i, least=0.0):
         """Whether a member saves more than a share, in the mean of the blocks too."""
-        return self.gain_of(i).helps and self.share_of(i) > least
+        own = self.gain_of(i)
+        return own.gain > 0 and own.errors > 0 and self.share_of(i) > least
 
     def gain_of(self, i, absent=()):
         """Return what a member saves, others being absent."""

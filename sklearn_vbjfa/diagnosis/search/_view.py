@@ -44,17 +44,12 @@ def coarser_rows(parts, lowpass, every):
     return np.concatenate(rows), tuple(made)
 
 
-def share_of(n, lowpass):
-    """Share of n samples that the search looks at, every so many left aside."""
-    return min(1.0, _SAMPLES * stride(lowpass) / n)
-
-
 def stretches(parts, moving, lowpass):
     """Return the rows that a search looks at, and the number of the stretch of each."""
     # Of recordings, or pieces of them, `parts`, in which some joints move, `moving`
     # (n, nv): all rows of few.
     n = len(moving)
-    share = share_of(n, lowpass)
+    share = min(1.0, _SAMPLES * stride(lowpass) / n)
     length = min(_LENGTHS * (2 * lowpass.half + 1), int(share * n) // 2)
     if share == 1.0:
         kept = list(parts)

@@ -25,7 +25,7 @@ def compared(recordings, spoil=lambda k, torque, r: torque, bodies="free"):
     measured = take_arrays(
         X, y, groups, np.ones_like(y), dt=robot.dt, joint_names=robot.joint_names_
     )
-    fit = FinalFit(robot, robot, RecordingView(robot, measured), [])
+    fit = FinalFit(robot, robot, RecordingView(robot, measured))
     return fit, contradictions(Parts.of(fit), SPREAD, 0.05)
 
 

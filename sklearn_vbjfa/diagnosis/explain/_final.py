@@ -13,7 +13,7 @@ from sklearn_vbjfa._core._linear_systems import (
     scaled_eigen,
     variance_of_parts,
 )
-from sklearn_vbjfa.equations._equations import held_columns, make_motion
+from sklearn_vbjfa.equations._equations import held_columns
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 
 # Relative step of the derivative by a shape parameter.
@@ -60,18 +60,8 @@ class FinalFit:
         # Other effects change the values of the declared ones.
         view = view.corrected(identifier.effects_)
         self.view = view.without([i for i in held if i < at])
-        self.motion = make_motion(
-            identifier.features_,
-            view.states,
-            view.clock,
-            view.parts,
-            identifier.robot_.load_parameters,
-            view.robot.cutoff_,
-            rest=view.robot.plan.turning,
-            effects=self.effects,
-            signals=view.signals,
-            before=view.before,
-        )
+        load = identifier.robot_.load_parameters
+        self.motion = view.motion_of(load, self.effects)
         self._columns = [self.in_equations(e) for e in self.effects]
         for own in self._columns:
             own[:, :, [i - at for i in held if 0 <= i - at < own.shape[2]]] = 0.0

@@ -183,28 +183,23 @@ class BaseTilt(InModel):
         return reason
 
     def correct(self, robot):
-        roll, pitch = self._turns(robot.nominal_gravity)
+        _, _, roll, pitch = self._turns(robot.nominal_gravity)
         robot.tilt(pitch @ roll)
 
     def _turns(self, gravity):
-        """Return the turns by roll and by pitch, two matrices (3, 3)."""
-        first, second = cross_axes(_nearest(gravity))
-        return rotation(self.roll * first), rotation(self.pitch * second)
+        """Axes of roll and pitch, and the turns by them, two matrices (3, 3)."""
+        first, second = np.delete(np.eye(3), np.argmax(np.abs(gravity)), axis=0)
+        roll, pitch = rotation(self.roll * first), rotation(self.pitch * second)
+        return first, second, roll, pitch
 
     def columns(self, motion):
         gravity = motion.derivatives.nominal_gravity
-        first, second = cross_axes(_nearest(gravity))
-        roll, pitch = self._turns(gravity)
+        first, second, roll, pitch = self._turns(gravity)
         changes = [
             pitch @ np.cross(first, roll @ gravity),
             np.cross(second, pitch @ roll @ gravity),
         ]
         return without_rounding(motion.derivatives.by_gravity() @ np.transpose(changes))
-
-
-def _nearest(direction):
-    """Coordinate axis (3,) nearest to a direction."""
-    return np.eye(3)[np.argmax(np.abs(direction))]
 
 
 class JointZero(InModel):

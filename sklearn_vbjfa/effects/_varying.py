@@ -16,7 +16,7 @@ _FARTHEST = 1.0
 
 
 class _Varied(Shaped):
-    """Friction or offset times a function of time or of a signal."""
+    """Friction or offset times a `_factor`, a function of a `State`."""
 
     contains = ("offset", "coulomb", "viscous")
     choices = (("of", tuple(_VARIED)),)
@@ -24,10 +24,6 @@ class _Varied(Shaped):
     @property
     def with_motion(self):
         return self.of != "offset"
-
-    def _factor(self, maths):
-        """Return what it is multiplied with, a function of a `State`."""
-        raise NotImplementedError
 
     def law(self, maths):
         j, factor, sign = self.joint, self._factor(maths), maths.sign(self.joint)

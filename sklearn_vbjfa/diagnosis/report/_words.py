@@ -178,8 +178,6 @@ def parameter_text(effect):
         # A share has no unit that anyone would write.
         unit = effect.units.get(key, "")
         unit = "" if unit == "1" else unit
-        if value is None:
-            continue
         found.append(f"{key} = {with_error(value, interval, unit)}")
     return found
 

@@ -4,7 +4,7 @@ from sklearn_vbjfa import _lazily
 
 # For the report, the command line and tests; users get them from `EffectDiscovery`.
 _MODULES = {
-    "_curves": "ResidualCurves TorqueCurves torque_curves",
+    "_curves": "torque_curves",
     "_effects": "DiscoveredEffect named_values",
     "_errors": "NEXT_SECONDS error_intervals judge",
     "_final": "EffectEstimate FinalFit",

@@ -1,6 +1,6 @@
 """Curves for the pictures of a finished search, thinned."""
 
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -13,35 +13,11 @@ _FEWEST = 8
 _GAP = 2.5
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ResidualCurves:
-    """Residual of a joint on the held-out part, over its torque and its own past."""
-
-    joint: int  # from zero
-    # (k,): torque predicted by the completed model, and the residual [N m or N]
-    predicted: np.ndarray
-    residual: np.ndarray
-    lags: np.ndarray  # (l,): [s]
-    correlation: np.ndarray  # (l,): autocorrelation
-    chance: float  # that of white noise, with a probability of 90 %
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TorqueCurves:
-    """Measured and predicted torque of a joint on the held-out part, over time."""
-
-    joint: int  # from zero
-    seconds: np.ndarray  # (k,): held-out time, the stretches joined
-    # (k,): filtered; predicted by the declared and by the completed model, both fitted
-    # to the search part [N m or N]; nan where rows are missing
-    measured: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    counts: np.ndarray  # (k,): whether the joint moves, so that errors count there
-
-
 def residual_curves(after, dt, joints):
-    """Residuals over predictions and over lags, a tuple of `ResidualCurves`."""
+    """Held-out residuals over predictions and over lags, a tuple of namespaces."""
+    # joint, from zero; predicted by the completed model and residual, (k,) [N m or N];
+    # lags (l,) [s] and autocorrelation there; chance: that of white noise, with a
+    # probability of 90 %.
     index = after.index - after.index[0]
     step = int(np.median(np.diff(index))) if index.size > 1 else 1
     found = []
@@ -56,7 +32,7 @@ def residual_curves(after, dt, joints):
         power = np.fft.irfft(np.abs(np.fft.rfft(line)) ** 2)
         lags = np.arange(min(_LAGS, rows.size))
         found.append(
-            ResidualCurves(
+            SimpleNamespace(
                 joint=j,
                 predicted=after.predicted[shown, j],
                 residual=residual[shown],
@@ -69,7 +45,10 @@ def residual_curves(after, dt, joints):
 
 
 def torque_curves(before, after, clock, joints):
-    """Torques over time of two models, from residuals; a tuple of `TorqueCurves`."""
+    """Held-out torques over time, from residuals of two models; namespaces, a tuple."""
+    # joint, from zero; seconds (k,); measured, filtered, and predicted by the declared
+    # model before and the completed one after, (k,) [N m or N], nan where rows are
+    # missing; counts (k,): whether the joint moves, so that errors count there.
     # Held-out stretches follow one another, with a gap between them.
     steps = np.diff(clock[before.index])
     step = float(np.median(steps)) if steps.size else 1.0
@@ -84,7 +63,7 @@ def torque_curves(before, after, clock, joints):
         left = np.where(weight > 0, measured - second, 0.0)
         rows = np.union1d(_extremes(measured), _extremes(left))
         found.append(
-            TorqueCurves(
+            SimpleNamespace(
                 joint=j,
                 seconds=seconds[rows],
                 measured=measured[rows],

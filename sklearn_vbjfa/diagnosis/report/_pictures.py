@@ -96,12 +96,7 @@ class Plot:
 # -- the figures of an outcome ---------------------------------------------------------
 
 
-def torques(outcome):
-    """Draw the torque of the worst joints over time, and both residuals below."""
-    return [_torque(outcome, one) for one in outcome.curves.get("torques", ())]
-
-
-def _torque(outcome, curves):
+def torques(outcome, curves):
     """Draw measured and predicted torque over time, and both residuals below."""
     own, seconds = outcome.errors[curves.joint], curves.seconds
     floor = own.floor * own.spread
@@ -141,12 +136,7 @@ def _torque(outcome, curves):
     )
 
 
-def residuals(outcome):
-    """Draw residuals over the predicted torque, and their autocorrelation."""
-    return [_residual(outcome, one) for one in outcome.curves.get("residuals", ())]
-
-
-def _residual(outcome, curves):
+def residuals(outcome, curves):
     """Draw a residual over the predicted torque, and its autocorrelation."""
     unit = outcome.errors[curves.joint].unit
     x, y = curves.predicted, curves.residual

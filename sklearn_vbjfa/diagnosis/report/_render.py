@@ -115,8 +115,8 @@ class Voice:
             "settings": outcome.provenance.get("settings", {}),
             "v": verdict,
             "rest": sorted(rest, key=lambda u: -u.of_torque),
-            "facts": partial(self._bound, _facts),
-            "figures": partial(self._bound, _pictures),
+            "facts": lambda name, *given: getattr(_facts, name)(outcome, *given),
+            "figures": self._figures,
             "joint": partial(words.joint_label, names),
             "joints": partial(words.joint_list, names),
             "say": self,
@@ -138,9 +138,10 @@ class Voice:
     def _made(self, name, *, is_page):
         return environment(is_page).get_template(name).make_module(self._values)
 
-    def _bound(self, module, name, *values):
-        """Call a function of a module with the outcome."""
-        return getattr(module, name)(self._outcome, *values)
+    def _figures(self, name):
+        """Draw the curves of a kind."""
+        curves = self._outcome.curves.get(name, ())
+        return [getattr(_pictures, name)(self._outcome, one) for one in curves]
 
     def _signals(self, rest):
         names = self._outcome.robot["joints"]

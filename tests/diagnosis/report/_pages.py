@@ -4,14 +4,11 @@ import re
 from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain import (
-    Fact,
-    ResidualCurves,
-    TorqueCurves,
-)
+from sklearn_vbjfa.diagnosis.explain import Fact
 from sklearn_vbjfa.effects import Ripple
 from tests.diagnosis.report._outcomes import changed, make_outcome
 
@@ -25,7 +22,7 @@ def made(nv=3, names=None, n_effects=2, **changes):
     rng = np.random.default_rng(0)
     seconds = np.linspace(0.0, 20.0, 500)
     torques = tuple(
-        TorqueCurves(
+        SimpleNamespace(
             joint=j,
             seconds=seconds,
             measured=np.sin(seconds),
@@ -36,7 +33,7 @@ def made(nv=3, names=None, n_effects=2, **changes):
         for j in range(nv)
     )
     residuals = tuple(
-        ResidualCurves(
+        SimpleNamespace(
             joint=j,
             predicted=rng.standard_normal(200),
             residual=0.1 * rng.standard_normal(200),

@@ -185,10 +185,8 @@ def test_axes_have_units_and_rising_numbers(html):
 def test_outliers_are_cut_off_and_noted():
     given = made(nv=1, n_effects=0)
     (one,) = given.curves["torques"]
-    spikes = one.measured.copy()
-    spikes[300:310] = 500.0
-    curves = given.curves | {"torques": (replace(one, measured=spikes),)}
-    page = Report(replace(given, curves=curves)).to_html()
+    one.measured[300:310] = 500.0
+    page = Report(given).to_html()
     (spiked, *_) = figures(page)
     axis = re.search('class="y-axis">(.*?)</div>', spiked, re.DOTALL)[1]
     assert max(float(x) for x in re.findall(r">([^<>]+)</span>", axis)) <= 4

@@ -65,7 +65,7 @@ def parameters_of(use):
                 how = "derived from the others"
             if isinstance(effect, Shaped) and name in effect.continuous:
                 how = "searched" if name not in fitted else "fitted and searched"
-            if effect.in_model and name in effect.model_parameters:
+            if effect.in_model and name in effect.coefficients:
                 how = "fitted iteratively"
             kinds.setdefault(name, (units.replace("^3", "³"), how))
     return kinds

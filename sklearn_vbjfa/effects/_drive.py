@@ -39,8 +39,7 @@ class RotorInertia(Effect):
     alike = True
     label = "rotor inertia"
     formula = r"I_r\,a"
-    coefficients = ("Ir",)
-    nonnegative = ("Ir",)
+    coefficients = nonnegative = ("Ir",)
     units = (INERTIA,)
     record = "fast acceleration in several poses"
     files = InFiles(parameter="rotor_inertia", urdf="", mjcf="")
@@ -222,8 +221,7 @@ class Elastic(Stateful):
         r" + \frac{\partial \tau}{\partial v_j} \dot\tau_j"
         r" + \frac{\partial \tau}{\partial a_j} \ddot\tau_j\right)"
     )
-    coefficients = ("compliance",)
-    nonnegative = ("compliance",)
+    coefficients = nonnegative = ("compliance",)
     units = (("rad/(N m)", "m/N"),)
     named_units = (("k", STIFFNESS),)
     needs = ("bodies", "load", "time")

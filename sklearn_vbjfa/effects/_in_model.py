@@ -59,15 +59,13 @@ def without_rounding(columns):
 class InModel(Effect):
     """An effect whose values are part of the robot model.
 
-    The values are parameters of ``__init__``. The columns are the derivatives of the
-    torque by them, at the present values; a fitted coefficient is a correction.
+    The `coefficients` are parameters of ``__init__``: the present values. The columns
+    are the derivatives of the torque by them; a fitted coefficient is a correction.
     `RobotIdentifier` iterates these corrections, so that in ``theta_`` the parameters
     of the effect are the values themselves.
 
     Attributes
     ----------
-    model_parameters : tuple of str
-        Names of the values.
     nominal : tuple of float
         Values that correct nothing.
     limit : float
@@ -81,7 +79,6 @@ class InModel(Effect):
 
     in_model = True
     needs: tuple[str, ...] = ("geometry", "load")
-    model_parameters: tuple[str, ...] = ()
     nominal: tuple[float, ...] = ()
     limit = 0.0
     of_bodies = True
@@ -90,7 +87,7 @@ class InModel(Effect):
     @property
     def values(self):
         """Present values, ndarray (k,)."""
-        return np.array([getattr(self, n) for n in self.model_parameters], dtype=float)
+        return np.array([getattr(self, n) for n in self.coefficients], dtype=float)
 
     @property
     def corrects(self):
@@ -100,7 +97,7 @@ class InModel(Effect):
     def check(self):
         """Raise ValueError for values that are not finite numbers, too."""
         super().check()
-        for name in self.model_parameters:
+        for name in self.coefficients:
             value = getattr(self, name)
             if not (isinstance(value, Real) and np.isfinite(value)):
                 raise ValueError(
@@ -117,7 +114,7 @@ class InModel(Effect):
 
     @property
     def tuned(self):
-        return self.model_parameters
+        return self.coefficients
 
     def natural(self, coef):
         """Whether the corrected values are within `bounds`."""
@@ -132,11 +129,8 @@ class InModel(Effect):
     def with_values(self, values):
         """Return the effect with other values (k,)."""
         return clone(self).set_params(
-            **dict(zip(self.model_parameters, map(float, values)))
+            **dict(zip(self.coefficients, map(float, values)))
         )
-
-    def parameters(self, coef):
-        return dict(zip(self.model_parameters, map(float, coef)))
 
 
 class BaseTilt(InModel):
@@ -161,7 +155,7 @@ class BaseTilt(InModel):
         r"\frac{\partial\tau}{\partial g}"
         r"\left(R_y(\mathrm{pitch})\,R_x(\mathrm{roll}) - 1\right) g_0"
     )
-    coefficients = model_parameters = ("roll", "pitch")
+    coefficients = ("roll", "pitch")
     units = (ANGLE, ANGLE)
     nominal = (0.0, 0.0)
     limit = np.deg2rad(15.0)
@@ -222,7 +216,7 @@ class JointZero(InModel):
     )
     label = "shifted encoder zero"
     formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
-    coefficients = model_parameters = ("zero",)
+    coefficients = ("zero",)
     units = (POSITION,)
     nominal = (0.0,)
     limit = np.deg2rad(15.0)  # [rad], or as many metres
@@ -265,7 +259,7 @@ class JointAxis(InModel):
         r"\frac{\partial\tau}{\partial w_j}\left(\mathrm{about\_x}\,e_1"
         r" + \mathrm{about\_y}\,e_2\right)"
     )
-    coefficients = model_parameters = ("about_x", "about_y")
+    coefficients = ("about_x", "about_y")
     units = (ANGLE, ANGLE)
     nominal = (0.0, 0.0)
     limit = np.deg2rad(10.0)
@@ -313,7 +307,7 @@ class TorqueGain(InModel):
     files = InFiles(urdf="torques of the file are the true ones", mjcf="")
     label = "wrong gain of the torque channel"
     formula = r"(\mathrm{gain} - 1)\,\tau"
-    coefficients = model_parameters = ("gain",)
+    coefficients = ("gain",)
     units = (("1", "1"),)
     needs = ("load",)
     nominal = (1.0,)
@@ -395,7 +389,7 @@ class CommandDelay(_OfTheClock):
     label = "delayed command"
     files = InFiles.nowhere("torques of the file act at once")
     formula = r"c(t - \mathrm{delay}) - c(t)"
-    coefficients = model_parameters = ("delay",)
+    coefficients = ("delay",)
     record = "faster commands, and some that the robot does not follow closely"
 
     def __init__(self, joint=0, delay=0.0):
@@ -421,7 +415,7 @@ class TorqueLag(_OfTheClock):
     label = "lag of all torques"
     files = InFiles.nowhere("a property of the log")
     formula = r"\tau(t + \mathrm{lag})"
-    coefficients = model_parameters = ("lag",)
+    coefficients = ("lag",)
     record = "faster motion"
     way = -1.0
 

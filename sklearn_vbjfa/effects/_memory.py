@@ -378,8 +378,7 @@ class Backlash(Shaped, Stateful):
     units = (STIFFNESS, TORQUE)
     shape_units = (("width", POSITION),)
     contains = ("spring", "coulomb")
-    continuous = ("width",)
-    positive = ("width",)
+    continuous = positive = ("width",)
     depends = ("position",)
     record = "many reversals, at several positions"
     terms = (("backlash", "k", "width"), ("constant", "c"))

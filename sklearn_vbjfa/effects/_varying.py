@@ -206,8 +206,7 @@ class Payload(Shaped, OfTime):
     coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
     shape_units = (("instant", TIME),)
-    continuous = ("instant",)
-    jumping = ("instant",)
+    continuous = jumping = ("instant",)
     needs = ("last_body", "time")
     record = "motion against gravity with and without payload"
     files = InFiles.nowhere("a change at an instant; the file has the robot before it")

@@ -48,14 +48,14 @@ def test_the_fault_is_named_with_its_value(one_fault):
     truth, loop = one_fault
     assert named(loop) == [(truth.name, truth.joint)]
     (found,) = loop.effects_
-    for name, value in zip(truth.model_parameters, truth.values):
+    for name, value in zip(truth.coefficients, truth.values):
         low, high = found.intervals[name]
         # Of 90 % in a single recording: a little more is allowed for.
         slack = 0.75 * (high - low)
         assert low - slack < value < high + slack
         assert high - low < 0.02
         assert low < found.parameters[name] < high
-    assert set(found.parameters) == set(truth.model_parameters)
+    assert set(found.parameters) == set(truth.coefficients)
     assert set(found.units.values()) <= {"rad", "1"}
     assert found.scope == truth.scope
     assert_allclose(found.effect.values, list(found.parameters.values()))

@@ -99,7 +99,7 @@ def test_columns_are_the_derivatives_at_the_present_values(case):
     _, states = motion(3, duration=0.5, dt=0.02, seed=4)
     for i, effect in enumerate(used):
         found = columns(model, states, used, effect)
-        for k, name in enumerate(effect.model_parameters):
+        for k, name in enumerate(effect.coefficients):
             made = []
             for step in (STEP, -STEP):
                 moved = [*used]
@@ -154,7 +154,7 @@ def test_values_are_parameters_that_coefficients_correct(effect):
     assert further is not effect
     assert_allclose(effect.linearised_at(np.zeros(k)).values, effect.values)
     assert_allclose(effect.with_values(step).values, step)
-    names = effect.model_parameters
+    names = effect.coefficients
     assert all(isinstance(getattr(further, name), float) for name in names)
     # What is called a parameter is the value and not the correction.
     assert effect.parameters(effect.values) == dict(zip(names, effect.values))

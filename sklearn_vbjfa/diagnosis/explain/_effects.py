@@ -60,7 +60,7 @@ def discovered_effects(search, final, names, prismatic):
         }
         warning = finding.warning
         if not warning and effect.in_model:
-            nominal = dict(zip(effect.model_parameters, effect.nominal))
+            nominal = dict(zip(effect.coefficients, effect.nominal))
             least = {k: search.settings.known * x for k, x in deviations.items()}
             away = (abs(values[k] - nominal.get(k, 0.0)) > least[k] for k in least)
             warning = "" if any(away) else _UNSURE

@@ -44,7 +44,7 @@ def _is_known(effect):
     if effect.effect is not None:
         shape = set(effect.effect.shape())
         if effect.effect.in_model:
-            idle = dict(zip(effect.effect.model_parameters, effect.effect.nominal))
+            idle = dict(zip(effect.effect.coefficients, effect.effect.nominal))
     ends = {k: v for k, v in effect.intervals.items() if k not in shape}
     ends = ends or effect.intervals
     # What has no interval at all says nothing of its value.

@@ -22,6 +22,7 @@ from sklearn_vbjfa.recording._table import (
     Loss,
     RecordingRefused,
     Table,
+    channels_in,
     is_current,
     kinds_in,
     listed,
@@ -32,8 +33,6 @@ from sklearn_vbjfa.recording._table import (
 )
 
 _MOST_TRIED = 20
-# Channels by the kinds of words.
-_KIND = {"torque": "tau", "current": "tau"}
 _WHAT = {"q": "positions", "tau": "torques", "q_desired": "desired positions"}
 
 
@@ -111,7 +110,7 @@ def _nearest(table, kind, joints):
     near = {
         pattern: len(columns) == (len(joints) or len(columns))
         for pattern, columns in _families(table, joints).items()
-        if {_KIND.get(x, x) for x in kinds_in(pattern)} == wanted
+        if channels_in(pattern) == wanted
     }
     return [x for x, whole in near.items() if whole] or list(near)
 

@@ -1,12 +1,12 @@
 """Recordings out of files and folders, one by one or joined."""
 
 import re
-import time
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from os import PathLike, fspath
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,22 +23,21 @@ from sklearn_vbjfa.recording._table import (
     NotATable,
     RecordingRefused,
     Table,
+    channels_in,
     imported,
     is_current,
-    kinds_in,
     listed,
     split_unit,
 )
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Part:
+class _Part(NamedTuple):
     """A file that is joined with others."""
 
     table: Table
     kind: str  # of its columns, by the name of the file; "" for none
-    time: Role | None = None  # of its stamps
+    time: Role | None  # of its stamps
 
     @property
     def name(self):
@@ -53,27 +52,30 @@ def joined(tables, joints, path) -> Table:
     if any(x.time is not None and x.kind != "t" for x in parts):
         # The others have stamps.
         parts = [x for x in parts if x.kind != "t"]
+    files = [x.path.name for x in tables]
     if len(parts) < 2:
         raise ValueError(
-            f"{path}: fewer than two of {listed([x.path.name for x in tables])} "
-            "can be joined; name them after what they hold: positions, velocities, "
-            "torques, currents or time."
+            f"{path}: fewer than two of {listed(files)} can be joined; name them after "
+            "what they hold: positions, velocities, torques, currents or time."
         )
     parts.sort(key=lambda x: (x.time is None, "q" not in by_names(x.table).kinds))
     base, *others = parts
+    used = [x.table for x in parts]
     rows = np.array([_rows(part, base) for part in others])
     keep = np.flatnonzero(np.isfinite(rows).all(axis=0))
     if not keep.size:
         raise ValueError(
             f"{path}: the files have no time in common; expected one clock in one unit."
         )
-    names = sorted(x.name + (f" ({x.kind})" if x.kind else "") for x in parts)
-    what = f"{len(parts)} files joined to one recording, by the rows of {base.name}"
-    notes, lost = [f"{what}: {listed(names)}."], base.table.n_rows - keep.size
+    names = [x.name + f" ({x.kind})" * bool(x.kind) for x in parts]
+    notes, lost = [], base.table.n_rows - keep.size
+    notes.append(
+        f"{len(parts)} files joined to one recording, by the rows of {base.name}: "
+        f"{listed(sorted(names))}."
+    )
     if lost:
         notes.append(f"{lost} row(s) of {base.name} are not in all files: left out.")
-    used = [x.table for x in parts]
-    left_out = [x.path.name for x in tables if x.path not in [y.path for y in used]]
+    left_out = [x for x in files if x not in [y.path.name for y in used]]
     if left_out:
         notes.append(f"{listed(left_out)}: not needed, left out.")
     frame = base.table.frame.iloc[keep]
@@ -117,8 +119,7 @@ def _columns_beside(path, columns, part, at, joints):
 
 def _part(table: Table, joints):
     """Return a file, its columns called after the file if they have no other names."""
-    of_torques = {"torque": "tau", "current": "tau"}
-    kinds = {of_torques.get(x, x) for x in kinds_in(table.path.stem)}
+    kinds = channels_in(table.path.stem)
     kind = kinds.pop() if len(kinds) == 1 else ""
     if kind in ("command", "other") or (table.nameless and not kind):
         return None
@@ -222,8 +223,6 @@ def _seconds(part):
     return seconds
 
 
-# Time in which a file that is being written changes [s].
-_MOMENT = 0.05
 # Files that a note names; more are counted.
 _NAMED = 3
 
@@ -303,10 +302,9 @@ def read_recording(
     OSError
         If the file cannot be read.
     ValueError
-        If the file is damaged or written to while it is read, channels are missing or
-        ambiguous, a value is not finite, time is missing or contradicts `dt`, or
-        several files do not agree. Where other options would read the file, the
-        attribute ``options`` has them.
+        If the file is damaged, channels are missing or ambiguous, a value is not
+        finite, time is missing or contradicts `dt`, or several files do not agree.
+        Where other options would read the file, the attribute ``options`` has them.
 
     Warns
     -----
@@ -344,7 +342,7 @@ def read_recording(
     notes: list[str] = []
     if join:
         tables = [one for path in paths for one in tables_in(path) or [Path(path)]]
-        files = [_joined([_table(one, options) for one in tables], options)]
+        files = [_joined([read_table(one, options) for one in tables], options)]
     else:
         try:
             files = _read(paths, options, notes)
@@ -391,7 +389,7 @@ def _read(paths, options, notes):
             files += _of_folder(expanded(path), inside, options, notes)
         else:
             (path,) = inside or [path]
-            files.append(rows_of(_table(path, options), options))
+            files.append(rows_of(read_table(path, options), options))
     return files
 
 
@@ -402,7 +400,7 @@ def _of_folder(folder, paths, options, notes):
     files, parts, whole = [], [], 0
     for path in paths:
         try:
-            table = _table(path, options)
+            table = read_table(path, options)
             if not any(kind.kind in "iuf" for kind in table.frame.dtypes):
                 raise NotATable(f"{path}: has no column of numbers.")
         except NotATable as error:
@@ -436,34 +434,6 @@ def _joined(tables, options):
     rows = rows_of(joined(tables, options.joints, path), options)
     name = common_folder([one.path for one in tables])
     return replace(rows, name=name) if name else rows
-
-
-def _table(path, options):
-    """Read the table of a file that nobody writes to meanwhile."""
-    before, broken, table = _version(path), None, None
-    try:
-        table = read_table(path, options.topic, lambda: options.joints)
-    except ValueError as error:
-        broken = error
-        # What is being written shows it within a moment.
-        time.sleep(_MOMENT)
-    if _version(path) != before:
-        raise ValueError(
-            f"{path} was written to while it was read; wait until the recording has "
-            "ended, then read it again."
-        ) from broken
-    if broken is not None:
-        raise broken
-    return table
-
-
-def _version(path):
-    """Return size and time of a file, or of all in a folder; None for what is none."""
-    path = expanded(path)
-    found = [path] if path.is_file() else path.rglob("*") if path.is_dir() else []
-    stats = [file.stat() for file in found if file.is_file()]
-    size = sum(one.st_size for one in stats)
-    return len(stats), size, max((one.st_mtime_ns for one in stats), default=0)
 
 
 # -- several files of one robot --------------------------------------------------------
@@ -502,7 +472,10 @@ def _recording(files, several, urdf, notes):
     for file in files:
         for name in set(file.channels) - everywhere:
             del file.channels[name]
-    fields = on_grid(files, _group_names(files) if several else [""])
+    # Recordings are called after their files, those of equal names after their paths.
+    names = [file.name for file in files]
+    names = [x if names.count(x) == 1 else str(y.path) for x, y in zip(names, files)]
+    fields = on_grid(files, names if several else [""])
     if some:
         notes.append(
             f"column(s) {listed(dict.fromkeys(some))} are not in all files and are "
@@ -537,12 +510,3 @@ def _traits(file):
     yield f"positions in {listed(file.position_units)}"
     yield f"torques in {listed(file.torque_units)}"
     yield "velocities" if "v" in file.channels else "no velocities"
-
-
-def _group_names(files):
-    """Call recordings after their files, those of equal names after their paths."""
-    names = [file.name for file in files]
-    return [
-        name if names.count(name) == 1 else str(file.path)
-        for name, file in zip(names, files)
-    ]

@@ -315,6 +315,11 @@ def kinds_in(name):
     return {_KIND_OF[word] for (word,) in filter(None, near)}
 
 
+def channels_in(name):
+    """Return the kinds that a name means; torques and currents are both "tau"."""
+    return {"tau" if x in ("torque", "current") else x for x in kinds_in(name)}
+
+
 def is_current(name):
     """Return whether a name says that it is a motor's current, and no torque."""
     kinds = kinds_in(name)

@@ -44,10 +44,9 @@ _INFO = "meta/info.json"
 _MARKS = ("metadata.yaml", _INFO)
 
 
-def read_table(path, topic=None, joints=lambda: ()) -> Table:
+def read_table(path, options) -> Table:
     """Read a file's columns, at least one and one row."""
-    # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input;
-    # topic: topic of a bag; joints: function that returns the robot's joints.
+    # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input.
     path = expanded(path)
     # A name with .gz alone is one of packed text.
     ending = _ending(path) or (".csv" if path.suffix else "")
@@ -60,7 +59,7 @@ def read_table(path, topic=None, joints=lambda: ()) -> Table:
             f"{path}: no such file; expected a recording: {_KNOWN}."
         )
     elif files:
-        table = read_bag(files, path, topic, joints())
+        table = read_bag(files, path, options.topic, options.joints)
     elif (path / _INFO).is_file():
         table = _arrays.read_parquet(path)
     elif path.is_dir():

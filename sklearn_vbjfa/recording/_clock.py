@@ -293,7 +293,7 @@ def without_odd_rows(table, layout, options, notes):
         return table, None
     # Rows of other topics, and of a second source, are no samples that are missing.
     lost = not second.any() and rows.size >= (1 - _LACKING) * table.n_rows
-    return table.take(rows), rows if lost else None
+    return replace(table, frame=table.frame.iloc[rows]), rows if lost else None
 
 
 def _matrix(table, roles):

@@ -130,17 +130,16 @@ def _families(table, joints):
         if len(joints) == 1:
             # Of one joint nothing needs a number.
             groups.setdefault(name, {})[joints[0]] = column
+    # Numbers count from 0 or 1 without a hole; one alone is that of the only joint.
     return {
         pattern: found
         for pattern, found in groups.items()
-        if "{i}" not in pattern or _counts(found, joints)
+        if "{i}" not in pattern
+        or (
+            (len(found) > 1 or len(joints) == 1)
+            and (min(found) in (0, 1) and np.ptp([*found]) == len(found) - 1)
+        )
     }
-
-
-def _counts(numbers, joints):
-    """Return whether numbers count from 0 or 1 without a hole."""
-    alone = len(numbers) > 1 or len(joints) == 1
-    return alone and min(numbers) in (0, 1) and np.ptp([*numbers]) == len(numbers) - 1
 
 
 def _clocks(table):
@@ -309,22 +308,19 @@ def _in_units(table, found, options, notes):
     for kind in options.recorded if options.drive is not None else ():
         once = table.scalars.get(kind)
         if kind not in channels and once is not None and once.dtype.kind in "iuf":
-            channels[kind] = _in_every_row(table, kind, once, channels["q"].shape)
+            shape = channels["q"].shape
+            if once.shape not in {(), (1,), shape[1:]}:
+                raise ValueError(
+                    f"{table.path}: {kind} has the shape {once.shape}; expected one "
+                    f"number for each of {shape[1]} joints, or one in every row."
+                )
+            channels[kind] = np.broadcast_to(once.astype(float), shape).copy()
     if "v_desired" in options.recorded and "v_desired" not in channels:
         notes.append(
             "no desired velocities (v_desired): taken as zero, so that kd damps all "
             "motion."
         )
     return channels, units
-
-
-def _in_every_row(table, kind, values, shape):
-    if values.shape not in {(), (1,), shape[1:]}:
-        raise ValueError(
-            f"{table.path}: {kind} has the shape {values.shape}; expected one "
-            f"number for each of {shape[1]} joints, or one in every row."
-        )
-    return np.broadcast_to(values.astype(float), shape).copy()
 
 
 def _values(table: Table, role):
@@ -455,13 +451,12 @@ def _gains(table: Table, gains, names):
 def _segments(table: Table, layout):
     """Return segment labels or None, and the name of their column."""
     columns = [role.column for role in layout.of("segment")]
-    if not columns:
-        return None, ""
     for other in columns:
         refuse_two(table, columns[0], other)
+    if not columns:
+        return None, ""
     labels = table.values(columns[0])
-    is_float = labels.dtype.kind == "f"
-    return table.numbers(columns[0]) if is_float else labels, columns[0]
+    return table.numbers(columns[0]) if labels.dtype.kind == "f" else labels, columns[0]
 
 
 def _signals(table: Table, layout, time, segment, notes):

@@ -71,6 +71,11 @@ class Drive(BaseEstimator):
             )
         return values
 
+    def _recorded(self, recording):
+        """Return the channel of the drive, else the torques as such."""
+        values = self._channel(recording, self.told)
+        return recording.tau if values is None else values
+
     def _setting(self, name, joints, recording):
         """Return a setting (nv,), else the channel (n, nv) of its name, else None."""
         if getattr(self, name) is not None:
@@ -79,25 +84,21 @@ class Drive(BaseEstimator):
 
     def _number(self, name, joints, least=0.0):
         """Return a setting as one number for each joint, (nv,)."""
-        given, what, nv = (
-            getattr(self, name),
-            f"{type(self).__name__}: {name}",
-            len(joints),
-        )
+        given, what = getattr(self, name), f"{type(self).__name__}: {name}"
         if isinstance(given, Mapping):
             given = _by_name(what, given, joints)
         try:
             values = np.asarray(given, dtype=float)
         except (TypeError, ValueError):
             values = np.full(1, np.nan)
-        if values.shape not in {(), (nv,)} or np.isnan(values).any():
+        if values.shape not in {(), (len(joints),)} or np.isnan(values).any():
             raise ValueError(
-                f"{what} must be one number or {nv}, one for each joint in the "
-                f"order {', '.join(joints)}; got {given!r}."
+                f"{what} must be one number, or one for each joint in the order "
+                f"{', '.join(joints)}; got {given!r}."
             )
         if (values < least).any():
             raise ValueError(f"{what} must not be negative; got {given!r}.")
-        return np.broadcast_to(values, (nv,)).copy()
+        return np.broadcast_to(values, len(joints)).copy()
 
 
 def _by_name(what, given, joints):
@@ -285,19 +286,19 @@ class PDDrive(Drive):
 
     def law(self, names, recording=None):
         """Gains of position and velocity, (nv,) or, if recorded, (n, nv)."""
-        return tuple(self._gain(one, names, recording) for one in ("kp", "kd"))
-
-    def _gain(self, name, joints, recording):
-        values = self._setting(name, joints, recording)
-        if values is None:
-            raise ValueError(
-                f"PDDrive: {name} is missing: give {name}=, a number for each joint "
-                f"({', '.join(joints)}), or record columns {name}_<joint> (command "
-                'line: --drive "pd kp=20,20,40 kd=...").'
-            )
-        if (values < 0).any():
-            raise ValueError(f"PDDrive: {name} of the recording must not be negative.")
-        return values
+        found = {x: self._setting(x, names, recording) for x in ("kp", "kd")}
+        for name, values in found.items():
+            if values is None:
+                raise ValueError(
+                    f"PDDrive: {name} is missing: give {name}=, a number for each of "
+                    f"{', '.join(names)}, or record columns {name}_<joint> (command "
+                    'line: --drive "pd kp=20,20,40 kd=...").'
+                )
+            if (values < 0).any():
+                raise ValueError(
+                    f"PDDrive: {name} of the recording must not be negative."
+                )
+        return tuple(found.values())
 
 
 class CurrentDrive(Drive):
@@ -357,8 +358,7 @@ class CurrentDrive(Drive):
         Without channels ``current`` its torques are taken for currents. `command` is
         None until the signs are known.
         """
-        current = self._channel(recording, "current")
-        current = recording.tau if current is None else current
+        current = self._recorded(recording)
         if self.gains is None:
             names = recording.joint_names
             current = current * self._number("torque_constant", names, -np.inf)
@@ -418,8 +418,7 @@ class VoltageDrive(Drive):
 
         Without channels ``voltage`` its torques are taken for voltages.
         """
-        volts = self._channel(recording, "voltage")
-        volts = recording.tau if volts is None else volts
+        volts = self._recorded(recording)
         supply = self._setting("supply", recording.joint_names, recording)
         volts = volts if supply is None else volts * supply
         return replace(recording, tau=volts, command=volts)

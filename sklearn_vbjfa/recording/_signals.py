@@ -101,11 +101,6 @@ class OfferedSignals:
             raise ValueError(f"The column {name!r} {reason}.")
         return values
 
-    def numbers(self, n_samples):
-        """Return the columns that are numbers, a dict of arrays (n_samples,)."""
-        read = {name: as_numbers(x, n_samples)[0] for name, x in self.columns.items()}
-        return {name: values for name, values in read.items() if values is not None}
-
     @property
     def names(self):
         """Names of all columns, tuple of str."""
@@ -188,7 +183,8 @@ def signals_for(effects, given, offered, n_samples):
     if wanted or not _users(effects):
         return found if wanted else {}
     # An effect of one's own, of which nobody knows what it uses, takes all.
-    return found | offered.numbers(n_samples)
+    read = {name: as_numbers(x, n_samples)[0] for name, x in offered.columns.items()}
+    return found | {name: x for name, x in read.items() if x is not None}
 
 
 def check_useful(given, recording):
@@ -295,10 +291,8 @@ def _integral(values, parts, order):
 def _without_trend(x, degree):
     """Take a polynomial of time, as constants of integration add, off a column."""
     time = np.linspace(-1.0, 1.0, x.size)
-    degree = min(degree, x.size - 1)
-    return x - np.polynomial.legendre.legval(
-        time, np.polynomial.legendre.legfit(time, x, degree)
-    )
+    trend = np.polynomial.Legendre.fit(time, x, min(degree, x.size - 1))
+    return x - trend(time)
 
 
 def _shared(x, y):
@@ -325,7 +319,10 @@ def positions_in_order(X, names):
     # ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``, ``a1``. What
     # has no names comes back as it is; other columns are `columns_beside` them.
     found = _by_kind(_columns_of(X), names, "q")
-    return X[_states(found)] if "q" in found else _foreign(X, names, "X", "qva")
+    if "q" not in found:
+        return _foreign(X, names, "X", "qva")
+    kinds = "qva" if {"v", "a"} <= found.keys() else "q"
+    return X[[column for kind in kinds for column in found[kind]]]
 
 
 def carries_names(X, names):
@@ -378,12 +375,6 @@ def _by_kind(columns, names, bare):
         complete = [x for x in spelled if set(x) <= set(columns)]
         found |= {kind: complete[0]} if complete else {}
     return found
-
-
-def _states(found):
-    """Return the columns of states if all are there, else those of positions."""
-    kinds = ("q", "v", "a") if {"v", "a"} <= found.keys() else ("q",)
-    return [column for kind in kinds for column in found[kind]]
 
 
 def _foreign(frame, names, what, kinds):

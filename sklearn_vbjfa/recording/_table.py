@@ -7,10 +7,11 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -106,10 +107,6 @@ class Table:
     def where(self, row) -> str:
         """Name a row in words."""
         return self.place.format(self.frame.index[row])
-
-    def take(self, rows) -> "Table":
-        """Return the table of some rows."""
-        return replace(self, frame=self.frame.iloc[rows])
 
 
 # -- files that are damaged, too large or empty, packages that are missing -------------
@@ -215,8 +212,7 @@ _NAMES = tomllib.loads(
 )
 
 
-@dataclass(frozen=True)
-class Unit:
+class Unit(NamedTuple):
     """A unit: its base and its size in it."""
 
     base: str
@@ -326,24 +322,12 @@ def is_current(name):
     return "current" in kinds and "torque" not in kinds
 
 
-@dataclass(frozen=True, kw_only=True)
-class KnownLog:
-    """Names of the channels in one kind of log; see ``names.toml``."""
-
-    what: str
-    source: str
-    q: str
-    tau: str
-    times: list[str]
-    v: str = ""
-    commands: Mapping[str, str] = field(default_factory=dict)
-    motor_unit: str = ""
-    joints: str = ""
-    motors: list[str] = field(default_factory=list)
-    segment: str = ""
-    no_signals: list[str] = field(default_factory=list)
-
-
+# What a known log may lack; see ``names.toml``.
+_LACKING = {
+    **{"v": "", "commands": {}, "motor_unit": "", "joints": "", "motors": []},
+    **{"segment": "", "no_signals": []},
+}
 PRESETS = {
-    name: [KnownLog(**log) for log in logs] for name, logs in _NAMES["presets"].items()
+    name: [SimpleNamespace(**_LACKING | log) for log in logs]
+    for name, logs in _NAMES["presets"].items()
 }

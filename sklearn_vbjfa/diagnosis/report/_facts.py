@@ -11,8 +11,6 @@ from sklearn_vbjfa.robot._channels import HALF_WIDTH
 _FINE = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}
 # Masses of which one is less than this share of the other do not agree.
 _OTHER_MASS = 0.5
-# Share of the largest value of a body that rounding leaves of a zero.
-_ROUNDING = 1e-9
 # A speed below this share of the fastest is that of a reversal; an end that is this
 # small a share of the other is zero.
 _SLOW, _ZERO = 0.1, 1e-3
@@ -221,35 +219,6 @@ def with_half(value, std, unit=""):
     """Write a value with half its 90 % interval."""
     half = HALF_WIDTH * std
     return words.with_error(value, (value - half, value + half), unit)
-
-
-def parameter_groups(outcome):
-    """Group the parameters by joint, a list of dict."""
-    names, groups = outcome.robot["joints"], []
-    for joint, own in grouped(outcome.facts_of("parameter"), lambda one: one.joint):
-        largest = {}
-        for one in own:
-            largest[one.unit] = max(largest.get(one.unit, 0.0), abs(one.value))
-        rows = []
-        for one in own:
-            begin = "" if joint is None else f"{names[joint]}:"
-            zero = abs(one.value) < _ROUNDING * largest[one.unit]
-            known = one.source in ("yes", "from the description")
-            rows.append(
-                {
-                    "name": one.name.removeprefix(begin),
-                    "value": words.with_error(
-                        0.0 if zero else one.value, one.interval if known else None
-                    ),
-                    "nominal": words.number(one.described)
-                    if np.isfinite(one.described)
-                    else "",
-                    "unit": one.unit,
-                    "known": one.source,
-                }
-            )
-        groups.append({"joint": joint, "rows": rows})
-    return groups
 
 
 # -- errors ----------------------------------------------------------------------------

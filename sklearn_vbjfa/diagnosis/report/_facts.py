@@ -108,29 +108,6 @@ def motion_plan(outcome, joints):
     return rows
 
 
-def motion_rows(outcome):
-    """Rows of the motion of each joint."""
-    return [
-        (
-            words.joint_label(outcome.robot["joints"], j),
-            range_text(outcome, j, "position", (one.lowest, one.highest)),
-            f"{words.number(one.fastest)} {_UNITS['speed'][int(one.slides)]}",
-            str(one.reversals),
-            words.whole_percent(one.resting),
-        )
-        for j, one in enumerate(outcome.robot["motion"])
-    ]
-
-
-def poorly_shown(outcome):
-    """Group joints by what their motion does not show, with the reason."""
-    joints = {}
-    for j, one in enumerate(outcome.robot["motion"]):
-        for what in one.hides:
-            joints.setdefault(what, []).append(j)
-    return list(joints.items())
-
-
 # -- findings --------------------------------------------------------------------------
 
 
@@ -192,27 +169,6 @@ def to_record(outcome, signal_advice, no_period):
 def agrees(mass, nominal):
     """Whether a mass may pass for that of the robot description."""
     return min(mass, nominal) >= _OTHER_MASS * max(mass, nominal)
-
-
-def forest(outcome):
-    """Place identified masses on a scale from zero to twice the described ones."""
-    gains, rows = outcome.robot["gains"], []
-    if gains is not None and not gains.absolute:
-        return []
-    for body in (one for one in outcome.facts_of("mass") if one.described > 0):
-        scale = 50.0 / body.described
-        known = body.source != "in combination" and np.isfinite(body.interval).all()
-        low, high = np.clip(scale * np.array(body.interval), 0.0, 100.0)
-        rows.append(
-            {
-                "name": body.name,
-                "value": words.with_error(body.value, body.interval if known else None),
-                "nominal": body.described,
-                "place": float(np.clip(scale * body.value, 0.0, 100.0)),
-                "reach": (low, high - low) if known else (),
-            }
-        )
-    return rows
 
 
 def with_half(value, std, unit=""):

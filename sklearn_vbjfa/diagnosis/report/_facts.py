@@ -223,27 +223,8 @@ def short_errors(outcome, verdicts):
     return heads, rows
 
 
-def bars(outcome):
-    """Bars of the errors of the joints; places in per cent of the scale."""
-    # bars: kind, and length or None; reach: where the interval of the error after
-    # begins and how long it is, or empty.
+def longest_error(outcome):
+    """Return the scale of the bars of the errors, one if there is none."""
     sizes = [outcome.column(name) for name in ("before", "after", "floor")]
     sizes = np.concatenate([*sizes, *outcome.intervals("after")])
-    longest = np.max(sizes, where=np.isfinite(sizes), initial=0.0) or 1.0
-
-    def place(value):
-        share = 100 * float(np.clip(value / longest, 0.0, 1.0))
-        return share if np.isfinite(share) else None
-
-    kinds = ("before", *(["plain"] if outcome.robot["added"] else []), "after")
-    found = []
-    for one in outcome.errors:
-        low, high = map(place, one.intervals["after"])
-        found.append(
-            {
-                "bars": [(kind, place(getattr(one, kind))) for kind in kinds],
-                "reach": () if low is None or high is None else (low, high - low),
-                "floor": place(one.floor),
-            }
-        )
-    return found
+    return float(np.max(sizes, where=np.isfinite(sizes), initial=0.0)) or 1.0

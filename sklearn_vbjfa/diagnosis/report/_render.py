@@ -89,8 +89,8 @@ _FUNCTIONS = {
     "half_width": HALF_WIDTH,
     "height": _pictures.HEIGHT,
     "inf": float("inf"),
-    # Place in per cent on a scale from zero to twice the described value.
-    "on_scale": lambda x, described: min(max(50.0 / described * x, 0.0), 100.0),
+    # Place in per cent on a scale from zero.
+    "on_scale": lambda x, longest: 100 * min(max(x / longest, 0.0), 1.0),
     # To a thousandth of a degree, without the sign of a zero.
     "rpy": lambda angles: f'"{" ".join(f"{round(x, 5) + 0.0:.5f}" for x in angles)}"',
     "scaled": lambda ends, factor: ends and tuple(factor * x for x in ends),

@@ -45,7 +45,9 @@ def smooth(x, dt, time_constant):
     # Beyond its ends the signal keeps its first and last value.
     sigma = time_constant / dt
     reach = int(np.ceil(_TAIL * sigma))
-    return scipy.ndimage.gaussian_filter1d(x, sigma, mode="nearest", radius=reach)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    padded = np.pad(x, reach, mode="edge")
+    return scipy.signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
 
 
 class OfChannel(Shaped, Stateful):

@@ -239,9 +239,17 @@ def rows_of(table: Table, options: ReadOptions) -> FileRows:
     slides = _check_units(table, found, units, names, robot)
     of_joints = ["N" if slide else "N m" for slide in slides]
     torque_units = [x or y for x, y in zip(units.get("tau", of_joints), of_joints)]
-    if isinstance(options.gains, tuple):
+    gains, n = options.gains, len(names)
+    if isinstance(gains, tuple):
+        if len(gains) != n:
+            raise RecordingRefused(
+                f"{table.path}: {len(gains)} gain(s) for {n} joint(s) "
+                f"({listed(names)}); expected one for each, in this order, or unknown, "
+                "to have them identified.",
+                {"gains": gains * n if len(gains) == 1 else "unknown"},
+            )
         torque_units = of_joints
-        channels["tau"] = channels["tau"] * _gains(table, options.gains, names)
+        channels["tau"] = channels["tau"] * np.array(gains)
     # Of a drive the torques are made when all files are read.
     channels.setdefault("tau", np.zeros(channels["q"].shape))
     if robot.in_model:
@@ -432,17 +440,6 @@ def _check_units(table: Table, found, units, names, robot):
                     f"{bases[slide]}. Correct the unit, or the order of the joints."
                 )
     return slides
-
-
-def _gains(table: Table, gains, names):
-    if len(gains) != len(names):
-        raise RecordingRefused(
-            f"{table.path}: {len(gains)} gain(s) for {len(names)} joint(s) "
-            f"({listed(names)}); expected one for each, in this order, or unknown, to "
-            "have them identified.",
-            {"gains": gains * len(names) if len(gains) == 1 else "unknown"},
-        )
-    return np.array(gains)
 
 
 # -- other columns ---------------------------------------------------------------------

@@ -67,13 +67,6 @@ def interpolate(t, channels, dt: float):
     return grid, resampled
 
 
-def _white_noise(t, tau):
-    """Return the standard deviation (nv,) of white noise of torques, or None."""
-    # The lower quartile passes over jumps, such as those of friction.
-    errors = np.abs(prediction_errors(t, tau))
-    return np.quantile(errors, 0.25, axis=0) / _QUARTILE if errors.size else None
-
-
 # -- recordings without gaps -----------------------------------------------------------
 
 
@@ -91,7 +84,10 @@ def _pieces(log, dt, ends=()):
         rows = {key: x[first:stop] for key, x in log.channels.items()}
         grid, noise = dt * np.arange(t.size), None
         if np.abs(t - grid).max() >= SAME_DT * dt:
-            noise = _white_noise(t, rows["tau"])
+            errors = np.abs(prediction_errors(t, rows["tau"]))
+            if errors.size:
+                # The lower quartile passes over jumps, such as those of friction.
+                noise = np.quantile(errors, 0.25, axis=0) / _QUARTILE
             grid, rows = interpolate(t, rows, dt)
         name = f"{log.name} [{k}]" if len(bounds) > 1 else log.name
         made.append(Log(name, grid, rows, noise))

@@ -356,18 +356,18 @@ def test_a_list_of_recordings_of_different_lengths(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("seconds", "nanoseconds"),
-    [("header.stamp.secs", "header.stamp.nsecs"), ("sec", "nanosec")],
+    ("seconds", "rest", "count"),
+    [
+        ("header.stamp.secs", "header.stamp.nsecs", 10**9),
+        ("sec", "nanosec", 10**9),
+        ("sec", "usec", 10**6),
+    ],
 )
-def test_seconds_and_nanoseconds_are_one_clock(seconds, nanoseconds, tmp_path):
+def test_two_columns_are_one_clock(seconds, rest, count, tmp_path):
     columns = table()
-    stamps = np.round((1_700_000_000.25 + columns.pop("t")) * 1e9).astype(int)
-    clock = {seconds: stamps // 10**9, nanoseconds: stamps % 10**9}
-    path = tmp_path / "arm.csv"
-    lines = [",".join([*clock, *columns])]
-    for row in zip(*clock.values(), *columns.values()):
-        lines.append(",".join(f"{x:.12g}" for x in row))
-    path.write_text("\n".join(lines) + "\n")
+    stamps = np.round((1_700_000_000.25 + columns.pop("t")) * count).astype(int)
+    clock = {seconds: stamps // count, rest: stamps % count}
+    path = write(tmp_path / "arm.csv", clock | columns)
     with pytest.warns(UserWarning, match=f"t = {seconds}"):
         found = read_recording(path)
     assert found.dt == pytest.approx(DT)

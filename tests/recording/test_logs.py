@@ -420,13 +420,6 @@ def test_codes_and_rows_of_other_robots_are_refused(tmp_path, change, message):
         read_recording(write(tmp_path / "arm.csv", change(table(n=400))), dt=0.01)
 
 
-def test_seconds_with_microseconds(tmp_path):
-    columns = table(n=100)
-    seconds, rest = np.divmod(columns.pop("t"), 1.0)
-    columns |= {"sec": seconds, "usec": np.round(rest * 1e6)}
-    assert read_recording(write(tmp_path / "arm.csv", columns)).dt == 0.01
-
-
 def test_an_empty_column_is_refused_without_a_warning(tmp_path):
     empty = table(n=100) | {"tau2": ["" for _ in range(100)]}
     with warnings.catch_warnings():

@@ -202,17 +202,14 @@ def read_mat(path) -> Table:
         found = loadmat(path, simplify_cells=True)
     # Tables and time series have no name here, functions no numbers.
     found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
-    arrays = _without_common_part(_flattened(found, _is_usable))
+    usable = _flattened(found, lambda x: np.asarray(x).dtype.kind in "biufU")
+    arrays = _without_common_part(usable)
     if not arrays:
         raise ValueError(
             f"{path}: holds no arrays of numbers; in MATLAB write those of tables and "
             f"time series: t = T.Time; q = T{{:, 2:7}}; ... {_SAVE}."
         )
     return _table_of_arrays(path, {name: np.asarray(x) for name, x in arrays.items()})
-
-
-def _is_usable(value):
-    return np.asarray(value).dtype.kind in "biufU"
 
 
 # -- JSON ------------------------------------------------------------------------------

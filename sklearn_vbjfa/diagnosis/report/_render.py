@@ -123,7 +123,7 @@ class Voice:
             "joints": partial(words.joint_list, names),
             "say": self,
             "rivals_of": partial(words.rival_labels, outcome),
-            "signals_of": self._signals,
+            "signal": lambda s, j: words.signal_label(s.signal, names, j),
             "effect_at": lambda e: words.effect_at(
                 outcome, e.name, e.joint, e.parameters
             ),
@@ -131,27 +131,17 @@ class Voice:
             "place": partial(words.place_label, outcome),
             "in_model": lambda e: outcome.robot["library"][e.name].in_model,
         }
-        self._module = self._made("sentences.j2", is_page=False)
+        sentences = environment(False).get_template("sentences.j2")
+        self._module = sentences.make_module(self._values)
 
     def add(self, **values):
         """Add values that the templates of the page and of a terminal show."""
         self._values |= values
 
-    def _made(self, name, *, is_page):
-        return environment(is_page).get_template(name).make_module(self._values)
-
     def _figures(self, name):
         """Draw the curves of a kind."""
         curves = self._outcome.curves.get(name, ())
         return [getattr(_pictures, name)(self._outcome, one) for one in curves]
-
-    def _signals(self, rest):
-        names = self._outcome.robot["joints"]
-        return [
-            f"{words.signal_label(s.signal, names, rest.joint)} "
-            f"({words.whole_percent(s.share)})"
-            for s in rest.signals
-        ]
 
     def __call__(self, name, *values):
         """Return a sentence as one line, empty where there is nothing to say."""

@@ -106,9 +106,7 @@ class Voice:
 
     def __init__(self, outcome, verdict):
         self._outcome = outcome
-        above = verdict.having("unexplained")
-        rest = [u for u in outcome.findings["unexplained"] if u.joint in above]
-        names, label = outcome.robot["joints"], partial(words.effect_label, outcome)
+        names = outcome.robot["joints"]
         self._values = {
             "o": outcome,
             "findings": outcome.findings,
@@ -116,7 +114,6 @@ class Voice:
             "source": outcome.provenance,
             "settings": outcome.provenance.get("settings", {}),
             "v": verdict,
-            "rest": sorted(rest, key=lambda u: -u.of_torque),
             "facts": lambda name, *given: getattr(_facts, name)(outcome, *given),
             "figures": self._figures,
             "joint": partial(words.joint_label, names),
@@ -127,7 +124,7 @@ class Voice:
             "effect_at": lambda e: words.effect_at(
                 outcome, e.name, e.joint, e.parameters
             ),
-            "effect": label,
+            "effect": partial(words.effect_label, outcome),
             "place": partial(words.place_label, outcome),
             "in_model": lambda e: outcome.robot["library"][e.name].in_model,
         }

@@ -120,22 +120,6 @@ def unexplained_groups(outcome):
     return [own for _, own in groups]
 
 
-def hidden_groups(outcome):
-    """Group effects that are not identifiable by whether they are in the model, why."""
-    model, others = [], {"excitation": [], "signal": [], "span": []}
-    for one in outcome.findings["not_identifiable"]:
-        if outcome.robot["library"][one.name].in_model and one.reason != "span":
-            model.append(one)
-        else:
-            others[one.reason].append(one)
-
-    def cause(one):
-        return one.name, one.reason, one.remedy
-
-    found = {k: grouped(own, lambda one: one.name) for k, own in others.items()}
-    return found | {"model": [(*key, own) for key, own in grouped(model, cause)]}
-
-
 def to_record(outcome, signal_advice, no_period):
     """Return what to record next, the most important first, advice -> joints."""
     findings, wanted = outcome.findings, {}

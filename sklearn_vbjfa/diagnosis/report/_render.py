@@ -4,6 +4,7 @@ import html
 import re
 import textwrap
 from functools import lru_cache, partial
+from operator import attrgetter
 
 import numpy as np
 from tabulate import tabulate
@@ -47,7 +48,7 @@ def environment(is_page, package=__package__):
         "capital": words.capital,
         "clause": lambda text: text.partition(": ")[0],
         "wrap": _wrapped,
-        "groups": lambda items, key: _facts.grouped(items, lambda x: getattr(x, key)),
+        "groups": lambda items, *names: _facts.grouped(items, attrgetter(*names)),
         "subject": lambda text: re.split("[:;] |(?<!'), ", text)[0].rstrip("."),
         "without_asides": lambda text: re.sub(r" \([^()]*\)", "", text),
     }

@@ -4,12 +4,7 @@ import warnings
 
 import numpy as np
 
-from sklearn_vbjfa.inspection import (
-    at_rest,
-    nothing_moves,
-    position_jumps,
-    shuffled_rows,
-)
+from sklearn_vbjfa.inspection import at_rest, disorder
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import Drive
 
@@ -96,17 +91,15 @@ def check_channels(names, positions, torques):
 
 def check_motion(names, positions, parts):
     """Reject positions (n, nv) that are nothing but noise, in slices `parts`."""
-    if at_rest(positions, parts):
-        raise ValueError(nothing_moves(names, positions).message)
+    found = at_rest(names, positions, parts)
+    if found is not None:
+        raise ValueError(found.message)
 
 
 def warn_of_disorder(names, positions, parts):
     """Warn of rows out of time order, and of unlabelled borders of recordings."""
     # positions (n, nv); parts: slices of the recordings.
-    found = shuffled_rows(names, positions, parts)
-    if not found:
-        found = position_jumps(names, positions, parts)
-    for finding in found:
+    for finding in disorder(names, positions, parts):
         warnings.warn(finding.message, DoubtWarning, stacklevel=5)
 
 

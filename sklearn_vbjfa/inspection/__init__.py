@@ -14,9 +14,7 @@ _MODULES = {
     "_motion": ("JointMotion", "motion_of", "one_speed"),
     "_rows": (
         "at_rest",
-        "nothing_moves",
-        "position_jumps",
-        "shuffled_rows",
+        "disorder",
     ),
     "_reading": ("Reading",),
     "_torques": ("most_explaining", "signed_columns", "size_message"),

@@ -249,7 +249,7 @@ def inspect_channels(
     if len(rows) < len(q):
         q, tau = q[rows], tau[rows]
     log = inspect_rows(names, q, tau, dt, parts, rows, ~is_prismatic(model))
-    if _names(log.findings, "motion_as_torque", "copied_position"):
+    if {one.kind for one in log.findings} & {"motion_as_torque", "copied_position"}:
         return in_order(log.findings)
     q, usable = log.q, log.usable
     if log.every > 1:
@@ -281,11 +281,11 @@ def _compared(reading):
     if reading is None:
         return findings
     findings = findings or implausible_speed(reading)
+    others = []
     if not any(one.severity == "error" for one in findings):
-        findings += [x.finding(reading, *y) for x, y in _proposed(reading, "last")]
-    if not findings:
-        other = _proposed(reading, "nothing else")
-        findings = [x.finding(reading, *y) for x, y in other]
+        others = _proposed(reading, "last")
+    others = others or ([] if findings else _proposed(reading, "nothing else"))
+    findings += [x.finding(reading, *y) for x, y in others]
     return findings + _unverified(reading)
 
 
@@ -341,9 +341,7 @@ def _unverified(reading):
     reason = ""
     if reading.bodies.massless:
         reason = "massless"
-    elif reading.tell_nothing():
-        return []
-    elif len(reading.signals.row) < number.ENOUGH_ROWS:
+    elif reading.tell_nothing() or len(reading.signals.row) < number.ENOUGH_ROWS:
         return []
     elif reading.bodies.weightless:
         reason = "weightless"
@@ -364,14 +362,10 @@ def _size_assumed(robot):
 
 def _order_assumed(reading):
     """Whether another usual order of joints fits as well as that of the description."""
-    now = reading.robot.now
-    for order in positions.usual_orders(reading):
-        fit = reading.tried(positions.reordered(order))
-        as_well = fit is not None and fit.fall(now) > -number.CLEAR
-        if as_well or (fit is not None and fit.evidence > now.evidence - number.RIVAL):
-            return True
-    return False
-
-
-def _names(findings, *kinds):
-    return any(finding.kind in kinds for finding in findings)
+    now, orders = reading.robot.now, positions.usual_orders(reading)
+    fits = [reading.tried(positions.reordered(order)) for order in orders]
+    return any(
+        fit.fall(now) > -number.CLEAR or fit.evidence > now.evidence - number.RIVAL
+        for fit in fits
+        if fit is not None
+    )

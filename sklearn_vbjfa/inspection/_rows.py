@@ -169,25 +169,25 @@ def still_joints(q, parts):
     return travel <= number.STILL_TRAVEL * noise
 
 
-def at_rest(q, parts):
-    """Whether nothing moves, in rows whose order nobody has examined."""
+def at_rest(names, q, parts):
+    """Return the finding that nothing moves, in rows in any order; None if not."""
     # Rows out of order look like noise as well, but like more of it.
     still = still_joints(q, parts).all()
-    return bool(still and q.std(axis=0).max() <= number.LEAST_MOTION)
+    at_rest = still and q.std(axis=0).max() <= number.LEAST_MOTION
+    return _nothing_moves(names, q) if at_rest else None
 
 
-def nothing_moves(names, q):
+def _nothing_moves(names, q):
     """Return the finding that every joint is at rest."""
-    most = int(np.argmax(np.ptp(q, axis=0)))
-    facts = {"name": names[most], "range": np.ptp(q[:, most])}
-    facts |= {"mean": q[:, most].mean()}
+    x = q[:, np.argmax(np.ptp(q, axis=0))]
+    facts = {"range": np.ptp(x), "mean": x.mean()}
     return finding("still_joint:all", names, range(len(names)), "error", **facts)
 
 
 def _rest(log):
     """Name joints that never move."""
     if log.still.all():
-        log.findings.append(nothing_moves(log.names, log.q))
+        log.findings.append(_nothing_moves(log.names, log.q))
         return
     for j in np.flatnonzero(log.still):
         x = log.q[:, j]
@@ -490,14 +490,14 @@ def _stuck(log, j, stands):
     return _marked(x, [(a, min(b + 1, len(x) - 1)) for a, b in found])
 
 
-def position_jumps(names, q, parts):
-    """Find jumps of positions (n, nv), as between concatenated recordings."""
-    found, rows = [], np.concatenate([np.arange(p.start, p.stop) for p in parts])
-    rows = np.searchsorted(rows, np.arange(len(q)))
-    for j in range(q.shape[1]):
-        jumps = _jumps(q[:, j], parts)
-        found += _jumping(names, j, q[:, j], jumps, rows)
-    return [one for one in found if one.severity == "warning"]
+def disorder(names, q, parts):
+    """Find rows of positions (n, nv) out of order, or else borders of recordings."""
+    rows = np.concatenate([np.arange(p.start, p.stop) for p in parts])
+    rows, found = np.searchsorted(rows, np.arange(len(q))), []
+    for j, x in enumerate(q.T):
+        found += _jumping(names, j, x, _jumps(x, parts), rows)
+    borders = [one for one in found if one.severity == "warning"]
+    return shuffled_rows(names, q, parts) or borders
 
 
 def _jumps(x, parts):
@@ -539,22 +539,18 @@ def _jumping(names, j, x, jumps, rows):
 def _copies(log):
     """Find positions that equal each other, and torques but for a factor."""
     # Joints may well be moved alike.
-    for kind, values, share in (
-        ("position", log.q, 0),
-        ("torque", log.tau, number.COPY),
-    ):
+    for what, values in (("position", log.q), ("torque", log.tau)):
+        share = 0 if what == "position" else number.COPY
         centred = values - values.mean(axis=0)
-        square = (centred**2).sum(axis=0)
+        square, copies = (centred**2).sum(axis=0), set()
         varies = np.flatnonzero((np.ptp(values, axis=0) > 0) & (square > 0))
-        copies = set()
         for k, j in combinations(varies, 2):
             factor = centred[:, k] @ centred[:, j] / square[k] if share else 1.0
             left = centred[:, j] - factor * centred[:, k]
             if left @ left <= share**2 * square[j] and j not in copies:
                 copies.add(j)
-                facts = {"first": log.names[k], "second": log.names[j]}
-                facts |= {"what": kind, "factor": factor}
-                log.report(f"copied_{kind}", [k, j], "error", **facts)
+                facts = {"first": log.names[k], "second": log.names[j], "what": what}
+                log.report(f"copied_{what}", [k, j], "error", factor=factor, **facts)
 
 
 def _motion_as_torque(log):
@@ -568,9 +564,8 @@ def _motion_as_torque(log):
         size = np.maximum((x**2).mean(axis=0), 1e-300)
         left = np.sqrt(((y - x) ** 2).mean(axis=0) / size)
         if moves.any() and (left[moves] <= number.SAME).all():
-            facts = {"what": what, "share": percent(left[moves].max())}
-            every = range(len(log.names))
-            log.report("motion_as_torque", every, "error", **facts)
+            every, share = range(len(log.names)), percent(left[moves].max())
+            log.report("motion_as_torque", every, "error", what=what, share=share)
             return
         whole = [np.gradient(piece, log.dt, axis=0) for piece in whole]
 

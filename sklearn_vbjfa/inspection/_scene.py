@@ -111,12 +111,11 @@ def turned(reading):
         log_odds=found.evidence - robot.now.evidence,
         fall=fall,
         clear=angle > number.TURNED and fall >= number.CLEAR * len(loaded),
-        facts={"angle": np.degrees(angle), "pull": _written(pull / usual)},
+        facts={
+            "angle": np.degrees(angle),
+            "pull": ", ".join(f"{x:.2f}" for x in pull / usual),
+        },
     )
-
-
-def _written(vector):
-    return ", ".join(f"{x:.2f}" for x in vector)
 
 
 def _loaded(robot, weight):

@@ -36,8 +36,8 @@ SENTENCES = {
     "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
     "{mean:.4g}, which is its noise. Lock it in the model, or record a motion of it.",
-    "still_joint:all": "No joint moves: each position stays within its noise, that of "
-    "{name} within {range:.3g} of {mean:.4g}. Check the position columns.",
+    "still_joint:all": "No joint moves: each position stays within its noise, at most "
+    "{range:.3g} about {mean:.4g}. Check the position columns.",
     "repeated_rows": "{count} rows ({share}) equal the row before them in every "
     "channel, up to {longest} in a row, the first in row {row}. Leave them out, and "
     "split the recording there (groups).",
@@ -120,7 +120,7 @@ SENTENCES = {
     'Give the factors to N m (gains), or gains="unknown".',
     "gear_factor": "The torque of {who} is {factor:.3g} times what the described "
     "masses require: {units}. Multiply it by the factor to N m or the gear ratio "
-    "(about {ratio} would fit).",
+    "(about {ratio:.3g} would fit).",
     "gear_factor:commanded": "The commanded torques are {factor:.2g} times those of "
     "the described robot: check {numbers}.",
     "other_robot": "The torques are {size:.2g} times the described ones (median) and "

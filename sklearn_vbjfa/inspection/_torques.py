@@ -115,19 +115,18 @@ def scaled(reading):
     if factor <= 0 or 1 / least < factor < least:
         return None
     low, high = factor * np.exp([-error, error])
-    units = _units_inside(low, high)
-    unknown = ', or gains="unknown"' if reading.nv > 1 else ""
-    robot = reading.robot
+    units, robot = _units_inside(low, high), reading.robot
+    facts = {"factor": factor, "low": low, "high": high, "gain": 1 / factor}
+    facts["inside"] = f" ({units} would be inside)" if units else ""
+    facts["unknown"] = ', or gains="unknown"' if reading.nv > 1 else ""
+    facts["numbers"] = reading.drive.numbers if reading.commanded else ""
     return Candidate(
         change=Change(torques=times(reading.nv, 1 / factor)),
         joints=reading.every,
         log_odds=robot.fit(scale=factor).evidence - robot.now.evidence,
         kind="gear_factor:commanded" if reading.commanded else "",
         value=factor,
-        facts={"factor": factor, "low": low, "high": high, "gain": 1 / factor}
-        | {"inside": f" ({units} would be inside)" if units else ""}
-        | {"unknown": unknown}
-        | {"numbers": reading.drive.numbers if reading.commanded else ""},
+        facts=facts,
     )
 
 
@@ -153,14 +152,11 @@ def scaled_each(reading):
         # No error: a description with invented inertias looks the same.
         j = int(shown[np.argmax(np.abs(logs) * away)])
         ratio = 1 / factors[j]
-        change = Change(torques=times(nv, ratio, j))
-        told = f"{ratio:.3g}" if ratio > 1 else f"1/{1 / ratio:.3g}"
         units = _units_inside(*factors[j] * np.exp(error[j] * np.array([-1, 1])))
         units = units or "torque of the motor, a current, or another unit"
-        facts = {"factor": factors[j], "ratio": told, "units": units}
-        return judged(
-            reading, change, -np.inf, variants=nv, kind="gear_factor", facts=facts
-        )
+        facts = {"factor": factors[j], "ratio": ratio, "units": units}
+        more = {"variants": nv, "kind": "gear_factor", "facts": facts}
+        return judged(reading, Change(torques=times(nv, ratio, j)), -np.inf, **more)
     logs = np.sort(np.log(factors[known]))
     # The factors of many hold two that are off by chance.
     most = logs[1:-1] if logs.size > 3 else logs

@@ -511,11 +511,7 @@ def _fitted(table, log, plain, robot, recorded):
     from_zero = any(x.key == 0 for roles in found.values() for x in roles)
     names = dict(enumerate(names, start=0 if from_zero else 1))
     roles = [
-        replace(
-            role,
-            key=names.get(role.key, role.key),
-            unit=role.unit or (log.motor_unit if kind == "tau" else ""),
-        )
+        replace(role, key=names.get(role.key, role.key))
         for kind, matched in found.items()
         if kind in ("q", first) or shared <= {*keys[kind]}
         for role in matched

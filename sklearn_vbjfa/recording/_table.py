@@ -323,10 +323,7 @@ def is_current(name):
 
 
 # What a known log may lack; see ``names.toml``.
-_LACKING = {
-    **{"v": "", "commands": {}, "motor_unit": "", "joints": "", "motors": []},
-    **{"segment": "", "no_signals": []},
-}
+_LACKING = {"v": "", "commands": {}, "joints": "", "motors": [], "segment": ""}
 PRESETS = {
     name: [SimpleNamespace(**_LACKING | log) for log in logs]
     for name, logs in _NAMES["presets"].items()

@@ -44,9 +44,9 @@ _TOP_ROWS = 1 << 15
 # Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of the
 # motion, high enough for friction at reversals, low enough to reject vibration.
 CUTOFF_PER_BANDWIDTH = 5.0
-# ... and at least this [Hz]: below it nothing vibrates, and the friction of a slow
+# ... and at least this [Hz]: below it few robots vibrate, and the friction of a slow
 # motion that reverses is lost,
-_LOWEST_CUTOFF = 2.0
+_LOWEST_CUTOFF = 3.5
 # ... and its length must remain a small fraction of the longest recording.
 SHORTEST_CUTOFF_PERIODS = 36.0
 # Share of the states' cut-off up to which their smoother, whose gain falls with the

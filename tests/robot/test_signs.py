@@ -75,7 +75,7 @@ def test_a_duty_cycle_is_multiplied_by_the_supply():
 
 BAD = {
     "negative": (CurrentDrive(signed=False), ARM.tau, "has negative currents"),
-    "word": (CurrentDrive("known"), ARM.tau, "must be one number or"),
+    "word": (CurrentDrive("known"), ARM.tau, "must be one number, or"),
     "several": (
         CurrentDrive([0.1, 0.2]),
         ARM.tau,

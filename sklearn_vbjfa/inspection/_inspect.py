@@ -251,7 +251,7 @@ def inspect_channels(
     log = inspect_rows(names, q, tau, dt, parts, rows, ~is_prismatic(model))
     if {one.kind for one in log.findings} & {"motion_as_torque", "copied_position"}:
         return in_order(log.findings)
-    q, usable = log.q, log.usable
+    q, tau, usable = log.q, log.tau, log.usable
     if log.every > 1:
         # Positions that were held are compared at the rate that they have.
         rows, parts = thinned(parts, log.every)

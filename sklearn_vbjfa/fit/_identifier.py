@@ -22,7 +22,6 @@ from sklearn_vbjfa.equations._plan import (
     delay_of,
     make_plan,
     observe,
-    parameter_names,
 )
 from sklearn_vbjfa.equations._recording_checks import (
     check_channels,
@@ -496,9 +495,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             refuse_followers(
                 self.effects_, "criterion='simulation'", "use criterion='torque'"
             )
-        self.parameter_names_, self.parameter_units_ = parameter_names(
-            self.features_, self.effects_
-        )
         self._description = described_bodies(self)
         self._shared_drives = alike_joints(self)
 

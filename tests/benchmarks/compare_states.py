@@ -79,9 +79,11 @@ def public_arrays(model):
 def fitted_robot(robot, q, groups=None):
     """Figures of a fitted identifier."""
     found = {x: getattr(robot, x) for x in FITTED}
-    found["theta|parameters"] = robot.theta_
-    found["theta|unconstrained"] = robot.theta_unconstrained_
     found["metric"] = robot.estimate_.metric
+    # the shares of unnamed torques, which are not fitted, are behind
+    fitted = slice(len(found["metric"]))
+    found["theta|parameters"] = robot.theta_[fitted]
+    found["theta|unconstrained"] = robot.theta_unconstrained_[fitted]
     found["torque"] = robot.predict(q, groups=groups)
     found["names"] = robot.parameter_names_
     found["units"] = robot.parameter_units_

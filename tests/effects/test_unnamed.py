@@ -68,3 +68,5 @@ def test_a_search_adds_it_only_where_something_is_left():
         assert ("Residual torque model" in loop.report_.to_html()) == wanted
         if wanted:
             assert loop.error_after_[0] < 0.8 * loop.error_plain_[0]
+            found = loop.identifier_
+            assert len(found.parameter_names_) == len(found.theta_)

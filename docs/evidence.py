@@ -318,6 +318,7 @@ def single_effects():
     }
     named = data.column("named")
     three = data.tables[2].rows[1]
+    each = data.column("cases")["0.5"] / len(data.tables[1].rows)
     verdict = (
         "An effect whose torque is half the noise is found in "
         f"{named['0.5']:.0f} % of the cases, one of twice the noise in "
@@ -325,7 +326,7 @@ def single_effects():
     )
     limitation = (
         f"Three effects at once are all found in {three[2]} of the cases (target: "
-        f"{three[4]}), and each kind of effect has two cases per size only."
+        f"{three[4]}), and each kind of effect has {each:.0f} cases per size only."
     )
     table = data.table(columns=columns, names=names)
     return "How small an effect is found?", verdict, data, table, limitation

@@ -268,7 +268,7 @@ def rows_of(table: Table, options: ReadOptions) -> FileRows:
             f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
             "or identify them (gains='unknown'; command line: --gain unknown)."
         )
-    if t is None:
+    if t is None and options.dt:
         # Without stamps the places of the rows that are left are their times.
         t = options.dt * (np.arange(table.n_rows) if rows is None else rows)
     taken = _columns_taken(table, layout, options, found, time)

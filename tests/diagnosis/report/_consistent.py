@@ -47,10 +47,15 @@ def _is_known(effect):
             idle = dict(zip(effect.effect.coefficients, effect.effect.nominal))
     ends = {k: v for k, v in effect.intervals.items() if k not in shape}
     ends = ends or effect.intervals
-    # What has no interval at all says nothing of its value.
-    return not ends or any(
-        low > idle.get(key, 0.0) or high < idle.get(key, 0.0)
-        for key, (low, high) in ends.items()
+    # What has no interval at all says nothing of its value, and with a shape that was
+    # tuned values may be known as products only.
+    return (
+        not ends
+        or bool(shape & effect.intervals.keys())
+        or any(
+            low > idle.get(key, 0.0) or high < idle.get(key, 0.0)
+            for key, (low, high) in ends.items()
+        )
     )
 
 

@@ -363,7 +363,7 @@ def _size_assumed(robot):
 def _order_assumed(reading):
     """Whether another usual order of joints fits as well as that of the description."""
     now, orders = reading.robot.now, positions.usual_orders(reading)
-    fits = [reading.tried(positions.reordered(order)) for order in orders]
+    fits = (reading.tried(positions.reordered(order)) for order in orders)
     return any(
         fit.fall(now) > -number.CLEAR or fit.evidence > now.evidence - number.RIVAL
         for fit in fits

@@ -173,8 +173,8 @@ def at_rest(names, q, parts):
     """Return the finding that nothing moves, in rows in any order; None if not."""
     # Rows out of order look like noise as well, but like more of it.
     still = still_joints(q, parts).all()
-    at_rest = still and q.std(axis=0).max() <= number.LEAST_MOTION
-    return _nothing_moves(names, q) if at_rest else None
+    still = still and q.std(axis=0).max() <= number.LEAST_MOTION
+    return _nothing_moves(names, q) if still else None
 
 
 def _nothing_moves(names, q):

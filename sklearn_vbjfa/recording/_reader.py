@@ -76,7 +76,7 @@ def joined(tables, joints, path) -> Table:
     )
     if lost:
         notes.append(f"{lost} row(s) of {base.name} are not in all files: left out.")
-    left_out = [x for x in files if x not in [y.path.name for y in used]]
+    left_out = [x.path.name for x in tables if x.path not in {y.path for y in used}]
     if left_out:
         notes.append(f"{listed(left_out)}: not needed, left out.")
     frame = base.table.frame.iloc[keep]

@@ -135,4 +135,6 @@ def named_values(effect, estimate):
         for key, value in other.items():
             away = np.sqrt(weight) * (value - values[key])
             deviations[key] = float(np.hypot(deviations[key], away))
-    return values | effect.shape() | values, deviations
+    for name, value in effect.shape().items():
+        values.setdefault(name, value)
+    return values, deviations

@@ -113,7 +113,7 @@ class KnownRobot:
 
     def band(self, highest, dt):
         """Band of a fit to a motion up to a frequency [Hz]; see `resolve_cutoff`."""
-        return min(cutoff_of(highest), 0.4 / dt)
+        return min(cutoff_of(highest, dt), 0.4 / dt)
 
     def still(self, limits):
         """Speeds below which joints count as standing (nv,)."""

@@ -44,9 +44,9 @@ _TOP_ROWS = 1 << 15
 # Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of the
 # motion, high enough for friction at reversals, low enough to reject vibration.
 CUTOFF_PER_BANDWIDTH = 5.0
-# ... and at least this [Hz]: below it few robots vibrate, and the friction of a slow
-# motion that reverses is lost,
-_LOWEST_CUTOFF = 3.5
+# ... and at least this [Hz], or that share of the sampling rate: below it few robots
+# vibrate, and the friction of a slow motion that reverses is lost,
+_LOWEST_CUTOFF, _LOWEST_SHARE = 5.0, 0.3
 # ... and its length must remain a small fraction of the longest recording.
 SHORTEST_CUTOFF_PERIODS = 36.0
 # Share of the states' cut-off up to which their smoother, whose gain falls with the
@@ -380,9 +380,10 @@ def _top_quantile(largest, n):
     return np.quantile(top[:2], position - below, axis=0)
 
 
-def cutoff_of(bandwidth):
+def cutoff_of(bandwidth, dt):
     """Return the cut-off of the low-pass [Hz] for motion up to a frequency [Hz]."""
-    return max(CUTOFF_PER_BANDWIDTH * bandwidth, _LOWEST_CUTOFF)
+    least = min(_LOWEST_CUTOFF, _LOWEST_SHARE / dt)
+    return max(CUTOFF_PER_BANDWIDTH * bandwidth, least)
 
 
 def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
@@ -400,7 +401,7 @@ def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
     if state_estimator is None:
         return np.inf
     length = longest * dt
-    frequency = cutoff_of(state_estimator.bandwidth_.max())
+    frequency = cutoff_of(state_estimator.bandwidth_.max(), dt)
     if drive is not None and drive.of_positions:
         frequency = min(frequency, _FAITHFUL * state_estimator.cutoff_.min())
     frequency = max(frequency, SHORTEST_CUTOFF_PERIODS / length)

@@ -1,9 +1,9 @@
 """Effects a declared robot model may lack, by their own physics.
 
 Each function draws the shape of one effect on one joint and returns its torque for an
-amplitude of one. Friction jumps are steep hyperbolic tangents, hysteresis is
-integrated in time and the gas spring is made of its attachment points: what looks for
-the effects has other formulas than what makes them.
+amplitude of one. Friction jumps with the sign of the speed, hysteresis is integrated in
+time and the gas spring is made of its attachment points: what looks for the effects has
+other formulas than what makes them.
 """
 
 from dataclasses import dataclass, field
@@ -17,9 +17,6 @@ from _undeclared_hysteresis import (
     play,
 )
 from _undeclared_robots import is_prismatic, own_inertia, regressor
-
-# Speed [rad/s] within which a Coulomb friction changes its sign.
-STEEP = 0.01
 
 
 @dataclass(frozen=True)
@@ -49,12 +46,6 @@ class Draw:
     contains: tuple = ()
 
 
-def sign(world, j, *, v=None):
-    """Sign of the speed of a joint, smooth within a very small speed."""
-    v = world.v[:, j] if v is None else v
-    return np.tanh(v / (STEEP * world.unit[j]))
-
-
 def _unless_declared(world, *names):
     return tuple(name for name in names if name not in world.declared)
 
@@ -70,16 +61,16 @@ def viscous(world, j, rng):
 
 def coulomb(world, j, rng):
     """Draw Fc sign(v)."""
-    return Draw(sign(world, j), {"Fc": 1.0})
+    return Draw(np.sign(world.v[:, j]), {"Fc": 1.0})
 
 
 def asymmetric_friction(world, j, rng):
     """Draw more friction forwards than backwards."""
     v = world.v[:, j]
     share = rng.uniform(0.2, 0.6) if "coulomb" in world.declared else 0.0
-    forwards = 0.5 * (1.0 + sign(world, j))
+    forwards = 0.5 * (1.0 + np.sign(v))
     Fv = (1.0 - share) / _rms(v)
-    torque = forwards * (Fv * v + share * sign(world, j))
+    torque = forwards * (Fv * v + share * np.sign(v))
     contains = ("offset",) if share else ()
     return Draw(torque, {"Fv_difference": Fv, "Fc_difference": share}, {}, contains)
 
@@ -88,7 +79,7 @@ def stribeck(world, j, rng):
     """Draw Fs exp(-|v / vs|^k) sign(v)."""
     vs = rng.uniform(0.08, 0.4) * world.unit[j]
     k = int(rng.integers(1, 3))
-    torque = np.exp(-(np.abs(world.v[:, j] / vs) ** k)) * sign(world, j)
+    torque = np.exp(-(np.abs(world.v[:, j] / vs) ** k)) * np.sign(world.v[:, j])
     contains = _unless_declared(world, "coulomb")
     return Draw(torque, {"Fs": 1.0}, {"vs": vs, "k": k}, contains)
 
@@ -101,7 +92,7 @@ def viscous_quadratic(world, j, rng):
 
 def load_friction(world, j, rng):
     """Draw mu |torque of the rigid bodies| sign(v)."""
-    torque = np.abs(world.rigid[:, j]) * sign(world, j)
+    torque = np.abs(world.rigid[:, j]) * np.sign(world.v[:, j])
     return Draw(torque, {"mu": 1.0}, {}, _unless_declared(world, "coulomb"))
 
 
@@ -197,7 +188,7 @@ def coupling(world, j, rng):
         v = v + world.v[:, j]
     Fv, Ir = rng.uniform(0.2, 0.8, size=2) * rng.integers(2, size=2)
     Fv, Ir = Fv / _rms(v), Ir / _rms(a)
-    torque = sign(world, j, v=v) + Fv * v + Ir * a
+    torque = np.sign(v) + Fv * v + Ir * a
     scaled = {"Fc": 1.0, "Fv": Fv, "Ir": Ir}
     fixed = {"partner": k, "differential": both, "ratio": float(ratio)}
     contains = _unless_declared(world, "coulomb") if both else ()
@@ -207,7 +198,7 @@ def coupling(world, j, rng):
 def drift(world, j, rng):
     """Draw a Coulomb friction that decays as the joint warms up."""
     time_constant = rng.uniform(0.2, 1.0) * float(world.t[-1])
-    torque = np.exp(-world.t / time_constant) * sign(world, j)
+    torque = np.exp(-world.t / time_constant) * np.sign(world.v[:, j])
     fixed = {"time_constant": time_constant}
     return Draw(torque, {"Fc": 1.0}, fixed, _unless_declared(world, "coulomb"))
 

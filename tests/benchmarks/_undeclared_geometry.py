@@ -159,7 +159,7 @@ class _Body:
 
     def friction(self):
         """Return the declared friction, (n, nv)."""
-        shapes = friction_shapes(("viscous", "coulomb"), self.v, np.ones(self.model.nv))
+        shapes = friction_shapes(("viscous", "coulomb"), self.v)
         torque = sum(self.levels[name] * shape for name, shape in shapes.items())
         return torque + self.levels["offset"]
 
@@ -184,7 +184,7 @@ def _robot(rng, name, duration, rate):
     typical = np.sqrt(np.mean(rigid**2, axis=0))
     # no joint of an arm runs without the friction of its gear and its seals
     typical = np.maximum(typical, 0.02 * typical.max())
-    shapes = friction_shapes(("viscous", "coulomb"), v, np.ones(nv))
+    shapes = friction_shapes(("viscous", "coulomb"), v)
     levels = {
         name: rng.uniform(0.05, 0.25, size=nv)
         * typical

@@ -98,7 +98,7 @@ def lay_out(setting, soft=None):
         elastic = rigid - inverse_dynamics(model, q, v, a)
     unit, typical = length_units(model), np.sqrt(np.mean(rigid**2, axis=0))
     friction, torque = {}, rigid.copy()
-    for name, shape in friction_shapes(setting.declared, v, unit).items():
+    for name, shape in friction_shapes(setting.declared, v).items():
         share = setting.levels[name]
         friction[name] = share * typical / np.sqrt(np.mean(shape**2, axis=0))
         torque += friction[name] * shape

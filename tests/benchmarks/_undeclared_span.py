@@ -1,8 +1,7 @@
 """What the declared columns of a robot can explain, with its true states."""
 
 import numpy as np
-from _undeclared_effects import STEEP
-from _undeclared_robots import length_units, regressor
+from _undeclared_robots import regressor
 
 
 class DeclaredSpan:
@@ -14,7 +13,7 @@ class DeclaredSpan:
         self.rows_ = np.arange(0, n, max(1, n // 2500))
         self.torque_noise = torque_noise
         q, v, a = np.split(states[self.rows_], 3, axis=1)
-        shapes = friction_shapes(declared, v, length_units(model), a)
+        shapes = friction_shapes(declared, v, a)
         blocks = [shape[:, :, None] * np.eye(nv) for shape in shapes.values()]
         Phi = np.concatenate([regressor(model, q, v, a), *blocks], axis=2)
         Phi = (Phi / torque_noise[:, None]).reshape(-1, Phi.shape[2])
@@ -48,11 +47,11 @@ class DeclaredSpan:
         return x - basis @ (basis.T @ x)
 
 
-def friction_shapes(declared, v, unit, a=None):
+def friction_shapes(declared, v, a=None):
     """Columns of the declared terms, each (n, nv), as they are in the torque."""
     shapes = {
         "viscous": v,
-        "coulomb": np.tanh(v / (STEEP * unit)),
+        "coulomb": np.sign(v),
         "offset": np.ones_like(v),
         "rotor_inertia": a,
     }

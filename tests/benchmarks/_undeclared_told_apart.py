@@ -69,7 +69,7 @@ class Teller:
         self.q, self.v, self.a = np.split(states[rows], 3, axis=1)
         self.y = (tau[rows] / noise).ravel()
         plain = [name for name in declared if name != "offset"]
-        shapes = list(friction_shapes(plain, self.v, np.ones(nv)).values())
+        shapes = list(friction_shapes(plain, self.v).values())
         if "offset" in declared:
             shapes.append(np.ones_like(self.v))
         blocks = [shape[:, :, None] * np.eye(nv) for shape in shapes]

@@ -2,11 +2,11 @@
 
 A serial robot of six revolute joints, drawn at random, moves three times within the
 same limits of position and speed: two motions are recorded, the third one is to be
-predicted. Every joint has viscous and Coulomb friction, whose sign is smooth within
-`STEEP`. One to three joints also have bristles (LuGre or Maxwell slip, integrated in
-time over each motion) or a Stribeck hump, and three further effects of different kinds
-sit on random joints. Positions are those of an encoder of 17 bits, the torque noise is
-an autoregression in time. Nothing here uses the code that has to find the effects.
+predicted. Every joint has viscous and Coulomb friction. One to three joints also have
+bristles (LuGre or Maxwell slip, integrated in time over each motion) or a Stribeck
+hump, and three further effects of different kinds sit on random joints. Positions are
+those of an encoder of 17 bits, the torque noise is an autoregression in time. Nothing
+here uses the code that has to find the effects.
 """
 
 from dataclasses import dataclass, replace
@@ -151,7 +151,7 @@ def whole_robot(seed, duration=30.0):
         "coulomb": rng.uniform(0.05, 0.25, size=NV),
     }
     torques, owners, friction = [], [], {}
-    for name, shape in friction_shapes(FRICTION, v, world.unit).items():
+    for name, shape in friction_shapes(FRICTION, v).items():
         friction[name] = levels[name] * typical / np.sqrt(np.mean(shape**2, axis=0))
         for j in range(NV):
             torque = np.zeros_like(q)

@@ -87,7 +87,7 @@ def test_what_an_effect_is_worth_is_what_refits_without_it_lose(fitted, i):
     before = literal(fit, found, rest)[:, joint]
     after = literal(fit, found, [0, 1, 2])[:, joint]
     expected, worth = CrossValidatedGain.of(before, after), found.gain_of(i)
-    assert worth.gain == pytest.approx(expected.gain, rel=1e-4, abs=1e-6)
+    assert worth.gain == pytest.approx(expected.gain, rel=3e-4, abs=1e-6)
     assert worth.gain_std == pytest.approx(expected.gain_std, rel=1e-3, abs=1e-6)
     assert worth.n_blocks == expected.n_blocks
     # The first two are there.

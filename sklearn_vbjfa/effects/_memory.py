@@ -1,6 +1,7 @@
 """Dry friction and play that remember the positions a joint came from."""
 
-import itertools
+import functools
+import math
 
 import numpy as np
 
@@ -32,15 +33,12 @@ _BANKS = {
 _CURVE = 200
 
 
-def _turning_points(q):
-    """Find the samples at which a position turns, with both ends."""
-    step = np.diff(q)
-    moving = np.flatnonzero(step)
-    if moving.size == 0:
-        return np.array([0, q.size - 1])
-    way = np.sign(step[moving])
-    turns = moving[1:][way[1:] != way[:-1]]
-    return np.unique(np.r_[0, turns, q.size - 1])
+@functools.cache
+def _compiled():
+    """Compile the recursions over samples; the seconds that Numba needs come once."""
+    from sklearn_vbjfa._core._compiler import compiler
+
+    return tuple(map(compiler(__file__), (_elements, _play)))
 
 
 def elements(q, displacements, level=1.0, falls=False, creeps=False, before=()):
@@ -48,48 +46,43 @@ def elements(q, displacements, level=1.0, falls=False, creeps=False, before=()):
     # level (n,): of the elements that fall, bool (k,); that of the others is 1.
     # before: positions that the joint came through, at the first of which z is zero.
     d = np.asarray(displacements, dtype=float)
-    level = np.broadcast_to(level, q.shape)[:, None]
     z = np.zeros((q.size, d.size))
     if len(before):
         z[0] = elements(np.append(before, q[0]), d, creeps=creeps)[-1]
-    if creeps:
-        # z' = way g + (z - way g) exp(-step / g)
-        step, level = np.diff(q, prepend=q[0])[:, None], np.where(falls, level, 1.0)
-        left = -np.abs(step) / (d * level)
-        drive = -np.sign(step) * level * np.expm1(left)
-        return _recursion(np.exp(left), drive, z[0])
-    # Moving forward, z' = min(z + step, g): the sum of all steps, less its excess.
-    for a, b in itertools.pairwise(_turning_points(q)):
-        rows, way = slice(a + 1, b + 1), 1.0 if q[b] >= q[a] else -1.0
-        moved = np.abs(q[rows] - q[a])[:, None] / d
-        most = np.minimum.accumulate(np.where(falls, level[rows], 1.0) - moved)
-        z[rows] = way * (moved + np.minimum(way * z[a], most))
+    level, falls = np.broadcast_to(level, q.shape), np.broadcast_to(falls, d.shape)
+    arrays = (np.ascontiguousarray(x) for x in (q, d, level, falls))
+    _compiled()[0](*arrays, creeps, z)
     return z
 
 
-def _recursion(left, drive, start):
-    """Solve z_i = left_i z_(i-1) + drive_i for rows (n, k), z from start (k,) on."""
-    # Each pass puts twice as many steps together; rows that are changed are read first.
-    shift = 1
-    while shift < len(left):
-        drive[shift:] += left[shift:] * drive[:-shift]
-        left[shift:] *= left[:-shift].copy()
-        shift *= 2
-    return left * start + drive
+def _elements(q, d, level, falls, creeps, z):
+    """Continue states z (n, k) from the first row on."""
+    way = 1.0
+    for i in range(1, q.size):
+        step = q[i] - q[i - 1]
+        if step != 0:
+            way = 1.0 if step > 0 else -1.0
+        for k in range(d.size):
+            most = level[i] if falls[k] else 1.0
+            own, moved = way * z[i - 1, k], way * step / d[k]
+            if creeps:
+                own = most + (own - most) * math.exp(-moved / most)
+            else:
+                own = min(own + moved, most)
+            z[i, k] = way * own
 
 
 def play(q, width):
     """Play operator: the position follows q within half the width."""
-    out = np.empty_like(q)
-    half = 0.5 * width
-    turns = _turning_points(q)
-    out[0] = q[0]
-    for a, b in itertools.pairwise(turns):
-        if q[b] >= q[a]:
-            out[a : b + 1] = np.maximum(out[a], q[a : b + 1] - half)
-        else:
-            out[a : b + 1] = np.minimum(out[a], q[a : b + 1] + half)
+    out = np.array(q, dtype=float)
+    _compiled()[1](out, 0.5 * width)
     return out
+
+
+def _play(q, half):
+    """Replace positions (n,) by those that follow them."""
+    for i in range(1, q.size):
+        q[i] = min(max(q[i - 1], q[i] - half), q[i] + half)
 
 
 class MaxwellSlip(Shaped, Stateful):

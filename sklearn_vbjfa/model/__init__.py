@@ -10,7 +10,6 @@ _MODULES = {
         "TreeRegressor",
         "rounding_entries",
     ),
-    "_kernel": ("compiler",),
     "_loading": (
         "build_model",
         "description_text",
@@ -26,7 +25,6 @@ _MODULES = {
     "_trees": (
         "body_names",
         "describe",
-        "import_compiled",
         "import_pinocchio",
         "in_order",
         "is_prismatic",

@@ -17,7 +17,6 @@ import numpy as np
 
 from sklearn_vbjfa.model._trees import (
     describe,
-    import_compiled,
     import_pinocchio,
 )
 
@@ -262,7 +261,10 @@ class TreeRegressor:
 
 
 def _kernel():
-    return import_compiled("sklearn_vbjfa.model._kernel")
+    # Numba takes a second to import.
+    from sklearn_vbjfa.model import _kernel
+
+    return _kernel
 
 
 def torques_of(tree, states, inertial):

@@ -6,28 +6,10 @@ parameters are projected on the joint that moves it and on those that carry that
 """
 
 import math
-import zlib
-from pathlib import Path
 
-import numba
 import numpy as np
 
-
-def compiler(*files, **more):
-    """Return a decorator that compiles functions whose source is in some files."""
-    # The machine code is kept on disk: only the first use after an installation takes
-    # the seconds of the compilation. Numba looks for changes in the file of a function
-    # alone; those that it calls are in its name. Fused multiplications and additions
-    # round once instead of twice.
-    stamp = zlib.crc32(b"".join(Path(one).read_bytes() for one in files))
-
-    def compiled(function):
-        function.__qualname__ = f"{function.__qualname__}_{stamp:08x}"
-        options = {"error_model": "numpy", "fastmath": {"contract"}}
-        return numba.njit(nogil=True, cache=True, **options, **more)(function)
-
-    return compiled
-
+from sklearn_vbjfa._core._compiler import compiler
 
 compiled = compiler(__file__)
 inlined = compiler(__file__, inline="always")

@@ -6,7 +6,6 @@ folded if it carries nothing but followers: the robot that is left is a tree of 
 with encoders and motors, which feel the followers' bodies.
 """
 
-import importlib
 import sys
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -43,19 +42,6 @@ def import_pinocchio():
             f"Robot models need Pinocchio, which is not installed: {how}"
         ) from error
     return pinocchio
-
-
-def import_compiled(name):
-    """Import a module of compiled functions, or say in one line how to get Numba."""
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        if error.name != "numba":
-            raise
-        raise ImportError(
-            "Regressors and simulations need Numba, which is not installed: "
-            'pip install "sklearn-vbjfa[robot]".'
-        ) from error
 
 
 # -- what a tree holds -----------------------------------------------------------------

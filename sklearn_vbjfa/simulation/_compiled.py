@@ -8,6 +8,7 @@ the inertia of composite bodies is a sum.
 
 import numpy as np
 
+from sklearn_vbjfa._core._compiler import compiler
 from sklearn_vbjfa.model import _kernel
 from sklearn_vbjfa.model._kernel import (
     ANGULAR,
@@ -16,7 +17,6 @@ from sklearn_vbjfa.model._kernel import (
     advance,
     axpy,
     combine,
-    compiler,
     cross,
     dot,
     get,

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_vbjfa.model import describe, import_compiled, import_pinocchio
+from sklearn_vbjfa.model import describe, import_pinocchio
 from sklearn_vbjfa.simulation._terms import TermTable
 
 
@@ -45,6 +45,9 @@ class ForwardDynamics:
     # functions.
 
     def __init__(self, robot, signals=None):
+        # Numba takes a second to import.
+        from sklearn_vbjfa.simulation import _compiled
+
         self._signals = signals
         self.terms = terms = TermTable(robot)
         self.n_joints = robot.n_joints
@@ -63,7 +66,7 @@ class ForwardDynamics:
         self._load_bodies = robot.bodies if robot.load is None else robot.load.bodies
         self._set_robot(robot.bodies)
         self._loads = terms.of_load
-        self.compiled = import_compiled("sklearn_vbjfa.simulation._compiled")
+        self.compiled = _compiled
         self._set(np.zeros((5, self.n_joints)), None)
         self._remembers = bool(terms.remembers.any())
         self.start(np.zeros(self.n_joints))

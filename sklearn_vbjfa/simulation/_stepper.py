@@ -21,7 +21,6 @@ from sklearn_vbjfa.effects import (
 from sklearn_vbjfa.model import (
     TreeRegressor,
     describe,
-    import_compiled,
     is_prismatic,
     joint_names,
 )
@@ -361,7 +360,9 @@ class _Rigid:
     """Rigid bodies with payloads, without rotors."""
 
     def __init__(self, model, bodies, payloads=(), which=0):
-        self._compute = import_compiled("sklearn_vbjfa.model._kernel").torques
+        from sklearn_vbjfa.model._kernel import torques
+
+        self._compute = torques
         self._tree, nv = describe(model.model), model.n_joints
         self._state, self._out = np.empty((3, nv)), np.empty((1, nv))
         self._instants = sorted({one[0].instant for one in payloads})

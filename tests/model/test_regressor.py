@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sklearn_vbjfa.model import TreeRegressor, compiler
+from sklearn_vbjfa._core._compiler import compiler
+from sklearn_vbjfa.model import TreeRegressor
 from tests.model._trees import (
     ALIGNED,
     OBLIQUE,

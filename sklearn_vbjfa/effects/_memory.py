@@ -38,20 +38,24 @@ def _compiled():
     """Compile the recursions over samples; the seconds that Numba needs come once."""
     from sklearn_vbjfa._core._compiler import compiler
 
-    return tuple(map(compiler(__file__), (_elements, _play)))
+    compiled = compiler(__file__)
+    return tuple(map(compiled, (_elements, _turned, _play)))
 
 
 def elements(q, displacements, level=1.0, falls=False, creeps=False, before=()):
     """States (n, k) of elements that slip at, or creep towards, a level."""
     # level (n,): of the elements that fall, bool (k,); that of the others is 1.
     # before: positions that the joint came through, at the first of which z is zero.
+    states, turned, _ = _compiled()
     d = np.asarray(displacements, dtype=float)
     z = np.zeros((q.size, d.size))
     if len(before):
-        z[0] = elements(np.append(before, q[0]), d, creeps=creeps)[-1]
+        # At a constant level the ends of each way are enough.
+        ends = turned(np.append(before, q[0]))
+        z[0] = elements(ends, d, creeps=creeps)[-1]
     level, falls = np.broadcast_to(level, q.shape), np.broadcast_to(falls, d.shape)
     arrays = (np.ascontiguousarray(x) for x in (q, d, level, falls))
-    _compiled()[0](*arrays, creeps, z)
+    states(*arrays, creeps, z)
     return z
 
 
@@ -72,10 +76,20 @@ def _elements(q, d, level, falls, creeps, z):
             z[i, k] = way * own
 
 
+def _turned(q):
+    """Positions at which a motion (n,) begins, turns, and ends."""
+    found = [q[0]]
+    for i in range(1, q.size - 1):
+        if (q[i] - found[-1]) * (q[i + 1] - q[i]) < 0:
+            found.append(q[i])
+    found.append(q[-1])
+    return np.array(found)
+
+
 def play(q, width):
     """Play operator: the position follows q within half the width."""
     out = np.array(q, dtype=float)
-    _compiled()[1](out, 0.5 * width)
+    _compiled()[2](out, 0.5 * width)
     return out
 
 

@@ -285,6 +285,15 @@ def test_stops_on_any_walk(q, displacement):
     assert_array_equal(elements(-q, (displacement,))[:, 0], -z[:, 0])
 
 
+@settings(deadline=None, max_examples=25)
+@given(q=walks, creeps=st.booleans())
+def test_elements_go_on_from_the_positions_before(q, creeps):
+    half, d = len(q) // 2, (0.03125, 0.25, 1.0)
+    whole = elements(q, d, creeps=creeps)
+    later = elements(q[half:], d, creeps=creeps, before=q[:half])
+    assert_allclose(later, whole[half:], atol=1e-12)
+
+
 def test_a_virgin_curve_is_the_torque_of_a_motion_from_rest():
     effect = effects.MaxwellSlip(displacements=(0.01, 0.04))
     coef, x = [2.0, 1.0], np.linspace(0.0, 0.06, 13)

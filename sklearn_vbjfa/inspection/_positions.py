@@ -219,7 +219,9 @@ def units(reading):
         facts |= {"name": reading.names[j], "low": q[:, j].min(), "high": q[:, j].max()}
         found.append(replace(one, log_odds=one.log_odds + known, facts=facts))
     best = most_probable(found)
-    return None if best is None else _with_ratios(reading, best)
+    if best is None or best.log_odds + number.PRIOR < number.DECISIVE:
+        return best
+    return _with_ratios(reading, best)
 
 
 def _with_ratios(reading, best):

@@ -130,8 +130,8 @@ def _as_springs(robot, joints):
     nv, tau = robot.bodies.nv, robot.signals.tau
     q = robot.signals.states[:, :nv] - robot.signals.states[:, :nv].mean(axis=0)
     q = q / np.where(q.any(axis=0), np.sqrt((q**2).mean(axis=0)), 1.0)
-    columns = np.einsum("ni,jk->njik", q, np.eye(nv) * np.sqrt((tau**2).mean(axis=0)))
-    columns = columns.reshape(len(q), nv, nv * nv)
+    sizes = np.diag(np.sqrt((tau**2).mean(axis=0)))
+    columns = (q[:, None, :, None] * sizes[:, None]).reshape(len(q), nv, nv * nv)
     return robot.fit(columns=columns, deviation=1.0, joints=joints).evidence
 
 

@@ -25,6 +25,8 @@ def products(edges, one, other):
 # One in so many cosines of the scores is slow; and the slowest of them.
 _SLOW, _SLOWEST = 4, 4
 _TINY = np.finfo(float).tiny
+# Columns of a shape above which products of matrices are faster than those of pairs.
+_NARROW = 4
 # Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
 _RIDGE = 1e-9
 # How much better than by the data a term is known that is held at zero.
@@ -53,6 +55,10 @@ class Columns:
     def gram(self):
         """Products with themselves by band, shape by shape, (nj, n_bands, c, k, k)."""
         k = self.shape[1]
+        if k > _NARROW:
+            X = np.ascontiguousarray(self.values.swapaxes(1, 2))
+            bands = [X[:, :, a:b] for a, b in itertools.pairwise(self.edges)]
+            return np.stack([x.swapaxes(-1, -2) @ x for x in bands], axis=1)
         found = np.empty((len(self.joints), self.edges.size - 1, *self.shape, k))
         for a, b in itertools.combinations_with_replacement(range(k), 2):
             square = self.values[..., a] * self.values[..., b]

@@ -11,7 +11,6 @@ from sklearn.linear_model import LinearRegression
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, effects
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.explain import split_in_time
-from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot import FitOptions
@@ -19,6 +18,7 @@ from tests._quick import one_in
 from tests.diagnosis._recordings import SPRINGY, named, record
 from tests.diagnosis.report._pages import text_of
 from tests.effects._arms import play_sample_by_sample
+from tests.effects._faults import Cubic
 from tests.robot import test_drives as drives
 
 ARM = SPRINGY.parts[0]
@@ -301,19 +301,6 @@ def test_no_effects_are_wanted():
     assert loop.effects_ == ()
     assert {u.joint for u in loop.unexplained_} == {0, 1}
     assert_array_equal(loop.error_after_, loop.error_plain_)
-
-
-class Cubic(Effect):
-    """Cubic spring."""
-
-    name = "cubic"
-    label = "stiffening cable"
-    coefficients = ("k3",)
-    units = (("N m/rad^3", "N/m^3"),)
-    contains = ("spring",)
-
-    def columns(self, motion):
-        return motion.q[:, [self.joint]] ** 3
 
 
 def test_an_effect_of_ones_own():

@@ -1,9 +1,22 @@
-"""What robots with faults in geometry and channels measure, without the package."""
+"""Robots with faults, by other code than the package's, and an effect of one's own."""
 
 import numpy as np
 
-from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero
+from sklearn_vbjfa.effects import BaseTilt, Effect, JointAxis, JointZero
 from tests.effects._arms import inverse_dynamics
+
+
+class Cubic(Effect):
+    """Spring that stiffens, and that nobody but its author knows."""
+
+    name = "cubic"
+    label = "stiffening cable"
+    coefficients = ("k3",)
+    units = (("N m/rad^3", "N/m^3"),)
+    contains = ("spring",)
+
+    def columns(self, motion):
+        return motion.q[:, [self.joint]] ** 3
 
 
 def across(model, joint):

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
@@ -12,6 +11,7 @@ from sklearn_vbjfa.effects import Rest, mean_sign
 from sklearn_vbjfa.fit import jump
 from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot import FitOptions, PDDrive
+from tests.robot.test_drives import wheel
 
 DT = 0.005
 KP, KD = 20.0, 1.0
@@ -96,14 +96,6 @@ def driven(seconds=20.0, seed=0):
     whole = take_arrays(q, 0.0 * q, dt=DT, joint_names=("j",))
     drive = PDDrive(KP, KD, delay=0.0)
     return drive, replace(whole, signals={"q_desired": aim})
-
-
-def wheel():
-    """Describe a body of a third of the joint's moment."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "j")
-    model.inertias[joint] = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
-    return model
 
 
 def fitted(drive, recording, **settings):

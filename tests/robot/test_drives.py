@@ -9,16 +9,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 from sklearn.linear_model import LinearRegression
 
-from sklearn_vbjfa import (
-    InstrumentalVariables,
-    RobotIdentifier,
-)
+from sklearn_vbjfa import InstrumentalVariables, RobotIdentifier
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.recording._drives import velocities
 from sklearn_vbjfa.robot import FitOptions, PDDrive
 from tests.effects._arms import arm, inverse_dynamics
 from tests.model._mujoco import followed
+from tests.robot import EXACT as STATES_ALONE
 
 DT = 0.005
 ARM = arm("ZYX")
@@ -26,13 +24,7 @@ NAMES = tuple(ARM.names[1:])
 KP, KD = np.array([40.0, 60.0, 20.0]), np.array([1.0, 2.0, 0.5])
 ARMATURE, VISCOUS = np.array([0.1, 0.2, 0.05]), np.array([0.4, 0.6, 0.2])
 FRICTION = ("viscous", "rotor_inertia")
-# States as they are, all rows, no filter and no projection.
-EXACT = {
-    "projector": None,
-    "cutoff": None,
-    "options": FitOptions(standstill=None),
-    "friction": FRICTION,
-}
+EXACT = {**STATES_ALONE, "friction": FRICTION}
 
 
 def states(t, seed=0):
@@ -176,6 +168,14 @@ def test_the_delay_is_found(delay):
     assert effect.delay == pytest.approx(delay, abs=1e-5)
 
 
+def wheel():
+    """Describe a body of a third of the joint's moment of 0.03 kg m^2."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "j")
+    model.inertias[joint] = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+    return model
+
+
 def stepped(dt, delay, kp=30.0, kd=1.5, moment=0.04, viscous=0.3):
     """Solve exactly how a joint follows commands that are held, and log both."""
     rng, t = np.random.default_rng(3), dt * np.arange(round(40.0 / dt))
@@ -200,11 +200,8 @@ def test_the_delay_of_commands_that_are_held_is_found(dt):
     """Within 2 % of the sample period, at most 0.1 ms below 200 Hz."""
     delay, viscous, rotor = 0.0113, 0.3, 0.03
     drive, recording = stepped(dt, delay)
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "j")
-    model.inertias[joint] = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
     robot = RobotIdentifier(
-        model, dt=dt, drive=drive, bodies="fixed", friction=FRICTION
+        wheel(), dt=dt, drive=drive, bodies="fixed", friction=FRICTION
     ).fit_recording(recording)
     terms = dict(zip(robot.parameter_names_, robot.theta_))
     assert abs(terms["drive:delay"] - delay) < max(1e-4, 0.02 * dt)

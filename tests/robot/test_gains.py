@@ -13,15 +13,10 @@ from sklearn_vbjfa.equations._joint_moments import JointMoments
 from sklearn_vbjfa.fit._gains import _most_likely
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion
+from tests.robot import EXACT
+from tests.robot.test_model_values import literal_regressor
 
 DT = 0.02
-# States as they are, all rows, no filter and no projection.
-EXACT = {
-    "projector": None,
-    "cutoff": None,
-    "options": FitOptions(standstill=None),
-    "dt": DT,
-}
 ARM = arm("ZYYX")
 NV = 4
 VISCOUS = np.array([0.8, 0.5, 0.3, 0.4])
@@ -38,25 +33,9 @@ def torques(noise=0.02, gains=GAINS, seed=0, states=STATES, model=ARM):
     return exact + noise * exact.std(axis=0) * white
 
 
-def regressor(states=STATES, model=ARM):
-    """Regressor matrices (n, nv, 11 nv), written down without the package."""
-    nv = model.nv
-    data = model.createData()
-    Phi = np.zeros((states.shape[0], nv, nv, 11))
-    for row, x in zip(Phi, states):
-        found = pin.computeJointTorqueRegressor(model, data, *x.reshape(3, nv))
-        row[:, :, :10] = found.reshape(nv, nv, 10)
-    joints = np.arange(nv)
-    Phi[:, joints, joints, 10] = states[:, nv : 2 * nv]
-    return Phi.reshape(-1, nv, 11 * nv)
-
-
-PHI = regressor()
-
-
 def fit(tau, states=STATES, model=ARM, **given):
-    given = {"gains": "unknown", "friction": ("viscous",), **EXACT, **given}
-    return RobotIdentifier(model, **given).fit(states, tau)
+    given = {"gains": "unknown", **EXACT, **given}
+    return RobotIdentifier(model, dt=DT, **given).fit(states, tau)
 
 
 def relative(gains, found):
@@ -73,10 +52,11 @@ def test_gains_are_those_of_nonlinear_least_squares():
     ).gains_
     (first,) = found.references
     # Base parameters by a singular value decomposition.
-    flat = PHI.reshape(-1, PHI.shape[2])
+    Phi = literal_regressor(ARM, [], STATES)
+    flat = Phi.reshape(-1, Phi.shape[2])
     base = linalg.svd(flat, full_matrices=False)[2]
     base = base[: np.linalg.matrix_rank(flat, tol=1e-9 * np.abs(flat).max() * 100)]
-    rows = PHI @ base.T
+    rows = Phi @ base.T
     others = np.delete(np.arange(NV), first)
 
     def residual(x):

@@ -9,9 +9,7 @@ from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import RobotIdentifier, effects
-from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.equations import _plan
-from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import (
     arm,
     inverse_dynamics,
@@ -20,6 +18,8 @@ from tests.effects._arms import (
     stops_sample_by_sample,
     with_changed_body,
 )
+from tests.effects._faults import Cubic
+from tests.robot import EXACT as STATES_ALONE
 
 MODEL = arm("ZYX")
 DT = 0.01
@@ -28,14 +28,7 @@ Q, V, A = np.split(STATES, 3, axis=1)
 LOAD = inverse_dynamics(MODEL, STATES)
 VISCOUS = np.array([0.8, 0.5, 0.3])
 DECLARED = LOAD + VISCOUS * V
-EXACT = {
-    "friction": ("viscous",),
-    "regressor": LinearRegression(),
-    "projector": None,
-    "cutoff": None,
-    "options": FitOptions(standstill=None),
-    "dt": DT,
-}
+EXACT = {**STATES_ALONE, "regressor": LinearRegression(), "dt": DT}
 NOISE = 0.05 * np.random.default_rng(0).normal(size=DECLARED.shape)
 
 
@@ -52,17 +45,6 @@ def fit(added, *used, X=STATES, t=None, model=MODEL, **given):
 
 def coefficients(robot):
     return robot.theta_[robot.features_.n_parameters_ :]
-
-
-class Cubic(Effect):
-    """Cubic spring."""
-
-    name = "cubic"
-    coefficients = ("k3",)
-    units = (("N m/rad^3", "N/m^3"),)
-
-    def columns(self, motion):
-        return motion.q[:, [self.joint]] ** 3
 
 
 # -- recovery

@@ -9,14 +9,9 @@ from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import Payload
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion
+from tests.robot import EXACT
 
 DT = 0.02
-EXACT = {
-    "friction": ("viscous",),
-    "projector": None,
-    "cutoff": None,
-    "dt": DT,
-}
 ARM = arm("ZYX")
 GAINS = np.array([8.0, 5.0, 12.0])
 T, STATES = motion(3, duration=20.0, dt=DT, seed=4)
@@ -42,14 +37,9 @@ def recorded(model=ARM, gains=GAINS, payload=MASS, noise=0.01, seed=0, states=ST
 def fit(tau, masses, model=ARM, effects=None, states=STATES, **options):
     if effects is None:
         effects = [Payload(joint=model.nv - 1, instant=PICKED, centre=tuple(CENTRE))]
-    robot = RobotIdentifier(
-        model,
-        effects=effects,
-        gains="unknown",
-        options=FitOptions(standstill=None, known_masses=masses, **options),
-        **EXACT,
-    )
-    return robot.fit(states, tau)
+    options = FitOptions(standstill=None, known_masses=masses, **options)
+    given = {**EXACT, "gains": "unknown", "options": options}
+    return RobotIdentifier(model, dt=DT, effects=effects, **given).fit(states, tau)
 
 
 def place(robot, name):
@@ -91,7 +81,7 @@ def test_a_mass_that_turns_does_not():
     ],
 )
 def test_other_masses_are_refused(gains, masses, message):
-    options = FitOptions(known_masses=masses)
-    robot = RobotIdentifier(ARM, **EXACT, gains=gains, options=options)
+    given = {**EXACT, "options": FitOptions(known_masses=masses)}
+    robot = RobotIdentifier(ARM, dt=DT, gains=gains, **given)
     with pytest.raises(ValueError, match=message):
         robot.fit(STATES, recorded())

@@ -9,29 +9,17 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import optimize
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.effects import (
-    BaseTilt,
-    JointAxis,
-    JointZero,
-    TorqueGain,
-)
+from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.equations import piece_moments, sum_moments
 from sklearn_vbjfa.fit import ModelValues
 from sklearn_vbjfa.robot import FitOptions
 from tests._quick import one_in
 from tests.effects._arms import arm, motion
 from tests.effects._faults import faulty, measured
+from tests.robot import EXACT
 
 DT = 0.02
 VISCOUS = np.array([0.8, 0.5, 0.3, 0.4, 0.6, 0.2])
-# States as they are, all rows, no filter and no projection.
-EXACT = {
-    "friction": ("viscous",),
-    "projector": None,
-    "cutoff": None,
-    "options": FitOptions(standstill=None),
-    "dt": DT,
-}
 ARM, SLIDING = arm("ZYX"), arm("ZyX")
 T, STATES = motion(3, duration=6.0, dt=DT, seed=1)
 _, ELSEWHERE = motion(3, duration=3.0, dt=DT, seed=9)
@@ -49,7 +37,7 @@ def idle(truth):
 
 
 def fit(model, effects, tau, states=STATES, weight=None, groups=None, **given):
-    robot = RobotIdentifier(model, effects=effects, **{**EXACT, **given})
+    robot = RobotIdentifier(model, effects=effects, **{**EXACT, "dt": DT, **given})
     return robot.fit(states, tau, sample_weight=weight, groups=groups)
 
 

@@ -10,21 +10,17 @@ from sklearn.linear_model import LinearRegression
 from sklearn_vbjfa import RobotIdentifier, effects, load_identified
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion
+from tests.robot import EXACT as STATES_ALONE
 
 MODEL = arm("ZYX")
 DT = 0.01
 T, STATES = motion(3, duration=20.0, dt=DT, seed=1)
 Q, V, A = np.split(STATES, 3, axis=1)
 LOAD = inverse_dynamics(MODEL, STATES)
-TORQUE = LOAD + np.array([0.8, 0.5, 0.3]) * V
+VISCOUS = np.array([0.8, 0.5, 0.3])
+TORQUE = LOAD + VISCOUS * V
 TORQUE[:, 1] += 3.0 * Q[:, 1]
-EXACT = {
-    "friction": ("viscous",),
-    "regressor": LinearRegression(),
-    "projector": None,
-    "cutoff": None,
-    "options": FitOptions(standstill=None),
-}
+EXACT = {**STATES_ALONE, "regressor": LinearRegression()}
 SPRING = effects.Spring(joint=1)
 RIPPLE = effects.Ripple(joint=1, period=0.3)
 
@@ -92,46 +88,36 @@ def test_one_warning_names_joint_and_range(fitted):
 # -- torques outside
 
 
-def springy(states):
-    """Torque of `TORQUE` for other states, the spring held beyond the range of `Q`."""
+def held_spring(q):
     low, high = ends(Q[:, 1])
     margin = 0.2 * (high - low) + 1e-9 * max(abs(low), abs(high))
-    held = np.clip(states[:, 1], low - margin, high + margin)
-    own = inverse_dynamics(MODEL, states) + np.array([0.8, 0.5, 0.3]) * states[:, 3:6]
-    own[:, 1] += 3.0 * held
-    return own
+    return 3.0 * np.clip(q, low - margin, high + margin)
+
+
+def ripple(q):
+    return 0.7 * np.sin(2 * np.pi / 0.3 * q)
 
 
 @pytest.mark.filterwarnings("ignore:Prediction outside:UserWarning")
-def test_a_spring_is_held_and_declared_friction_is_not(tmp_path):
+@pytest.mark.parametrize(
+    ("effect", "own", "atol"), [(SPRING, held_spring, 1e-8), (RIPPLE, ripple, 1e-7)]
+)
+def test_springs_are_held_and_ripples_and_friction_are_not(effect, own, atol, tmp_path):
+    def law(states):
+        torque = inverse_dynamics(MODEL, states) + VISCOUS * states[:, 3:6]
+        torque[:, 1] += own(states[:, 1])
+        return torque
+
     far = 2.0 * STATES
-    exact = robot(SPRING, **EXACT).fit(STATES, TORQUE)
-    assert_allclose(exact.predict(STATES), TORQUE, atol=1e-8)
-    assert_allclose(exact.predict(far), springy(far), atol=1e-8)
+    exact = robot(effect, **EXACT).fit(STATES, law(STATES))
+    assert_allclose(exact.predict(STATES), law(STATES), atol=atol)
+    assert_allclose(exact.predict(far), law(far), atol=atol)
     # Equal to rounding in the file as well.
     exact.save(tmp_path / "robot.json")
     read = load_identified(tmp_path / "robot.json")
     assert_array_equal(read.predict(far), exact.predict(far))
     one = [read.step(*row.reshape(3, -1)) for row in far[::50]]
-    assert_allclose(one, springy(far)[::50], atol=1e-8)
-
-
-@pytest.mark.filterwarnings("ignore:Prediction outside:UserWarning")
-def test_a_ripple_is_followed_beyond_its_range(tmp_path):
-    def law(states):
-        torque = inverse_dynamics(MODEL, states)
-        torque += np.array([0.8, 0.5, 0.3]) * states[:, 3:6]
-        torque[:, 1] += 0.7 * np.sin(2 * np.pi / 0.3 * states[:, 1])
-        return torque
-
-    far = 2.0 * STATES
-    exact = robot(RIPPLE, **EXACT).fit(STATES, law(STATES))
-    assert_allclose(exact.predict(far), law(far), atol=1e-7)
-    exact.save(tmp_path / "robot.json")
-    read = load_identified(tmp_path / "robot.json")
-    assert_array_equal(read.predict(far), exact.predict(far))
-    one = [read.step(*row.reshape(3, -1)) for row in far[::50]]
-    assert_allclose(one, law(far)[::50], atol=1e-7)
+    assert_allclose(one, law(far)[::50], atol=atol)
 
 
 def test_a_fit_holds_nothing():

@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import RobotIdentifier, effects
-from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion, with_changed_body
+from tests.robot import EXACT
 
 MODEL = arm("ZYX")
 DT = 0.02
@@ -17,12 +17,6 @@ T, STATES = motion(3, duration=30.0, dt=DT, seed=4)
 Q, V, A = np.split(STATES, 3, axis=1)
 VISCOUS = np.array([0.8, 0.5, 0.3])
 TORQUE = inverse_dynamics(MODEL, STATES) + VISCOUS * V
-EXACT = {
-    "friction": ("viscous",),
-    "projector": None,
-    "cutoff": None,
-    "options": FitOptions(standstill=None),
-}
 D, CONSTANT = 2.0, 12.0
 START = 5.0  # of the clock [s]
 SIGNALS = {"offset": np.ones_like(T), "coulomb": np.sign(V[:, 1]), "viscous": V[:, 1]}

@@ -10,21 +10,11 @@ from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, root_joints
-from sklearn_vbjfa.effects import Coupling, Effect, resolve
+from sklearn_vbjfa.effects import Coupling, resolve
 from sklearn_vbjfa.robot import FitOptions
+from tests.effects._faults import Cubic
 
 AXES = ("RY", "RX", "RZ", "RY")
-
-
-class Cubic(Effect):
-    """Spring that nobody but its author knows."""
-
-    name = "cubic"
-    coefficients = ("k3",)
-    units = (("N m/rad^3", "N/m^3"),)
-
-    def columns(self, motion):
-        return motion.q[:, [self.joint]] ** 3
 
 
 def arms(count, axes=AXES):

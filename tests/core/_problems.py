@@ -1,6 +1,7 @@
 """Data, states and the bridge to the reference, for the tests of the core."""
 
 import numpy as np
+from scipy import signal
 
 from sklearn_vbjfa._core._moments import square_root
 from sklearn_vbjfa._core._solver import IndependentProblem
@@ -19,6 +20,13 @@ def make_data(seed, n_features, n_samples=25, noise=0.4):
     y = t @ coef + 0.3 * rng.normal(size=n_samples)
     X = (t + noise * rng.normal(size=t.shape)) * scale
     return X - X.mean(axis=0), y - y.mean(), coef / scale
+
+
+def coloured(rng, shape, rho):
+    """AR(1) noise of unit variance."""
+    drawn = rng.normal(size=shape)
+    drawn[0] /= np.sqrt(1 - rho**2)
+    return signal.lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], drawn, axis=0)
 
 
 def as_gram(X, y):

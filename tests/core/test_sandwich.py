@@ -2,17 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from sklearn_vbjfa._core._linear_systems import block_variance
+from tests.core._problems import coloured
 
 NORMAL = 1.6449
-
-
-def coloured(rng, shape, rho):
-    drawn = rng.normal(size=shape)
-    drawn[0] /= np.sqrt(1 - rho**2)
-    return signal.lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], drawn, axis=0)
 
 
 def study(rho, *, p=3, n=1200, n_blocks=40, trials=150, recordings=1):

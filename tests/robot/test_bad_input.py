@@ -6,25 +6,19 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.datasets import demo_arm_urdf, make_robot_recording
+from sklearn_vbjfa.datasets import demo_arm_urdf
 from sklearn_vbjfa.robot import FitOptions
-
-
-@pytest.fixture(scope="module")
-def recording():
-    return make_robot_recording(duration=12.0, dt=0.01, frequency=1.0, random_state=3)
-
 
 OPTIONS = {one.name for one in fields(FitOptions)}
 
 
-def identify(recording, q=None, tau=None, groups=None, **settings):
+def identify(new_motion, q=None, tau=None, groups=None, **settings):
     options = {k: settings.pop(k) for k in OPTIONS & set(settings)}
-    settings = {"dt": recording.dt, "options": FitOptions(**options), **settings}
+    settings = {"dt": new_motion.dt, "options": FitOptions(**options), **settings}
     robot = RobotIdentifier(demo_arm_urdf(), **{"friction": ("viscous",), **settings})
     return robot.fit(
-        recording.q if q is None else q,
-        recording.tau if tau is None else tau,
+        new_motion.q if q is None else q,
+        new_motion.tau if tau is None else tau,
         groups=groups,
     )
 
@@ -56,31 +50,31 @@ def changed(values, where, value):
         ("friction", ("sticky",), r"Unknown friction column\(s\).*expected some of"),
     ],
 )
-def test_wrong_settings(recording, setting, value, message):
+def test_wrong_settings(new_motion, setting, value, message):
     with pytest.raises(ValueError, match=message):
-        identify(recording, **{setting: value})
+        identify(new_motion, **{setting: value})
 
 
-def test_wrong_shapes(recording):
-    q, tau = recording.q, recording.tau
+def test_wrong_shapes(new_motion):
+    q, tau = new_motion.q, new_motion.tau
     with pytest.raises(
         ValueError,
         match=r"6 joint\(s\) \(joint_1, .*6 columns of positions or 18 of states "
         r".*got 5\. Leave out channels .*buildReducedModel",
     ):
-        identify(recording, q=q[:, :5])
+        identify(new_motion, q=q[:, :5])
     with pytest.raises(ValueError, match=r"y must have 6 column\(s\).*got 5"):
-        identify(recording, tau=tau[:, :5])
-    with pytest.raises(ValueError, match=r"one label per row, shape \(1200,\); got"):
-        identify(recording, groups=np.zeros(1199))
+        identify(new_motion, tau=tau[:, :5])
+    with pytest.raises(ValueError, match=r"one label per row, shape \(800,\); got"):
+        identify(new_motion, groups=np.zeros(799))
     with pytest.raises(ValueError, match="requires y to be passed"):
         RobotIdentifier(demo_arm_urdf(), dt=0.01, friction=("viscous",)).fit(q, None)
 
 
-def test_a_joint_that_never_moves(recording):
-    q = changed(recording.q, (slice(None), 3), 0.25)
+def test_a_joint_that_never_moves(new_motion):
+    q = changed(new_motion.q, (slice(None), 3), 0.25)
     with pytest.warns(UserWarning, match=r"joint_4 never move\(s\).*are left out"):
-        robot = identify(recording, q=q)
+        robot = identify(new_motion, q=q)
     for name in ("theta_", "theta_unconstrained_", "min_eigenvalues_"):
         assert np.isfinite(getattr(robot, name)).all()
     assert np.all(robot.min_eigenvalues_ > 0)
@@ -89,54 +83,54 @@ def test_a_joint_that_never_moves(recording):
     names = np.array(robot.parameter_names_)
     assert not robot.identifiable_[names == "joint_4:viscous"]
     assert np.abs(robot.theta_unconstrained_).max() < 1e3
-    error = robot.predict(q) - recording.tau
+    error = robot.predict(q) - new_motion.tau
     assert np.isfinite(error).all()
 
 
-def test_a_dead_torque_channel(recording):
-    tau = changed(recording.tau, (slice(None), [1, 4]), 3.0)
+def test_a_dead_torque_channel(new_motion):
+    tau = changed(new_motion.tau, (slice(None), [1, 4]), 3.0)
     with pytest.raises(
         ValueError,
         match=r"torque of joint_2, joint_5 is constant while .*Check the rec",
     ):
-        identify(recording, tau=tau)
+        identify(new_motion, tau=tau)
 
 
-def test_no_motion_at_all(recording):
+def test_no_motion_at_all(new_motion):
     with pytest.raises(ValueError, match=r"No joint moves.*Check the position columns"):
-        identify(recording, q=np.ones_like(recording.q))
+        identify(new_motion, q=np.ones_like(new_motion.q))
 
 
-def test_too_few_equations(recording):
-    states = recording.states[:10]
+def test_too_few_equations(new_motion):
+    states = new_motion.states[:10]
     with pytest.raises(
         ValueError, match=r"60 equations .* fewer than the 66 parameters; record for"
     ):
         identify(
-            recording,
+            new_motion,
             q=states,
-            tau=recording.tau[:10],
+            tau=new_motion.tau[:10],
             standstill=None,
             bodies="free",
         )
 
 
-def test_too_short_to_differentiate(recording):
+def test_too_short_to_differentiate(new_motion):
     with pytest.raises(ValueError, match="at least 16 samples; the longest has 15"):
-        identify(recording, q=recording.q[:15], tau=recording.tau[:15])
+        identify(new_motion, q=new_motion.q[:15], tau=new_motion.tau[:15])
 
 
-def test_too_short_for_the_filter(recording):
+def test_too_short_for_the_filter(new_motion):
     with pytest.raises(ValueError, match=r"The low-pass at 2 Hz is .*higher cutoff"):
-        identify(recording, q=recording.q[:60], tau=recording.tau[:60], cutoff=2.0)
+        identify(new_motion, q=new_motion.q[:60], tau=new_motion.tau[:60], cutoff=2.0)
 
 
-def test_what_is_no_robot(recording):
+def test_what_is_no_robot(new_motion):
     for model, kind, message in (
         ("nowhere.urdf", FileNotFoundError, "No robot description at 'nowhere.urdf'"),
         (7, TypeError, "path of a URDF or MJCF file or a pinocchio.Model, got int"),
     ):
         with pytest.raises(kind, match=message):
             RobotIdentifier(model, dt=0.01, friction=("viscous",)).fit(
-                recording.q, recording.tau
+                new_motion.q, new_motion.tau
             )

@@ -8,12 +8,7 @@ import pytest
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.effects import (
-    BaseTilt,
-    JointAxis,
-    JointZero,
-    TorqueGain,
-)
+from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.model import joint_origin
 from sklearn_vbjfa.robot import corrections_of
 
@@ -39,23 +34,6 @@ FIXED = (
     )
     + f'<link name="three">{BODY.format(-0.1, 1)}</link></robot>'
 )
-
-
-@pytest.fixture(scope="module")
-def moved():
-    """Record an arm of which everything is wrong."""
-    return make_robot_recording(
-        duration=16.0,
-        dt=0.01,
-        frequency=1.0,
-        torque_noise=0.01,
-        friction=FRICTION,
-        base_tilt=np.deg2rad([4.0, 2.0]),
-        joint_zero={2: np.deg2rad(3.0)},
-        joint_axis={3: np.deg2rad([2.0, 0.0, 0.0])},
-        torque_gain={1: 1.15},
-        random_state=3,
-    )
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from sklearn_vbjfa import (
-    RobotIdentifier,
-    effects,
-)
-from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa.effects import (
     AsymmetricFriction,
     BaseTilt,
@@ -98,25 +94,11 @@ def test_all_that_mjcf_can_hold_is_exact(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def recording():
-    return make_robot_recording(
-        duration=20.0,
-        dt=0.01,
-        base_tilt=np.deg2rad([4.0, 2.0]),
-        joint_zero={2: np.deg2rad(3.0)},
-        joint_axis={3: np.deg2rad([2.0, 0.0, 0.0])},
-        torque_gain={1: 1.15},
-        torque_noise=0.01,
-        random_state=3,
-    )
-
-
-@pytest.fixture(scope="module")
-def robot(recording):
+def robot(moved):
     """Identify a robot with effects of the model, and with others."""
     robot = RobotIdentifier(
-        recording.urdf,
-        dt=recording.dt,
+        moved.urdf,
+        dt=moved.dt,
         friction=("viscous", "coulomb", "offset", "rotor_inertia"),
         effects=[
             BaseTilt(),
@@ -127,7 +109,7 @@ def robot(recording):
             Stribeck(0, vs=0.3),
         ],
     )
-    return robot.fit(recording.q, recording.tau)
+    return robot.fit(moved.q, moved.tau)
 
 
 def without(robot, names):
@@ -143,13 +125,13 @@ def without(robot, names):
 
 @pytest.mark.filterwarnings("ignore:.*outside.*:UserWarning")
 @pytest.mark.parametrize("given", ["path", "model"])
-def test_mujoco_computes_what_predict_does(given, robot, recording, tmp_path):
+def test_mujoco_computes_what_predict_does(given, robot, moved, tmp_path):
     """Gains, a leaning base, an encoder's zero and a turned axis are in the file."""
     path = tmp_path / "identified.xml"
     if given == "model":
-        other = RobotIdentifier(recording.robot_model(), friction=("viscous",))
+        other = RobotIdentifier(moved.robot_model(), friction=("viscous",))
         other.__dict__.update(robot.__dict__)
-        other.model = recording.robot_model()
+        other.model = moved.robot_model()
         left = other.to_mjcf(path)
     else:
         left = robot.to_mjcf(path)
@@ -171,15 +153,15 @@ def test_mujoco_computes_what_predict_does(given, robot, recording, tmp_path):
     assert "joint_2 reads 1.1" in text
 
 
-def test_friction_that_was_found_is_in_the_urdf(recording, tmp_path):
+def test_friction_that_was_found_is_in_the_urdf(moved, tmp_path):
     """What a search adds counts as what was declared, and both add up."""
     robot = RobotIdentifier(
-        recording.urdf,
-        dt=recording.dt,
+        moved.urdf,
+        dt=moved.dt,
         friction=("viscous",),
         effects=[Coulomb(2), Viscous(3), Coulomb(4)],
     )
-    robot.fit(recording.q, recording.tau)
+    robot.fit(moved.q, moved.tau)
     path = tmp_path / "identified.urdf"
     left = {(one.name, one.joint) for one in robot.to_urdf(path)}
     values = dict(zip(robot.parameter_names_, robot.theta_))
@@ -196,15 +178,15 @@ def test_friction_that_was_found_is_in_the_urdf(recording, tmp_path):
             assert ((kind, joint) in left) == (total < 0)
 
 
-def test_impossible_bodies_are_not_written(recording, tmp_path):
+def test_impossible_bodies_are_not_written(moved, tmp_path):
     robot = RobotIdentifier(
-        recording.urdf,
-        dt=recording.dt,
+        moved.urdf,
+        dt=moved.dt,
         projector=None,
         friction=("viscous",),
         bodies="free",
     )
-    robot.fit(recording.q, recording.tau)
+    robot.fit(moved.q, moved.tau)
     with pytest.raises(ValueError, match="not physically consistent, and an MJCF file"):
         robot.to_mjcf(tmp_path / "out.xml")
     assert not list(tmp_path.iterdir())

@@ -1,12 +1,12 @@
 """Regressor matrices: the identity Phi theta = inverse dynamics, layout, names."""
 
 import numpy as np
-import pinocchio as pin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sklearn_vbjfa import RigidBodyFeatures
 from sklearn_vbjfa.datasets import demo_arm_urdf
+from tests.effects._arms import inverse_dynamics
 from tests.model._robots import random_tree
 
 ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
@@ -15,12 +15,6 @@ properties = settings(derandomize=True, deadline=None, max_examples=40)
 
 def states_of(rng, model, n=4):
     return rng.normal(size=(n, 3 * model.nv))
-
-
-def inverse_dynamics(model, states):
-    data = model.createData()
-    parts = np.split(states, 3, axis=1)
-    return np.array([pin.rnea(model, data, *row) for row in zip(*parts)])
 
 
 def assert_torques(Phi, theta, expected):

@@ -4,9 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from sklearn_vbjfa import (
-    RobotIdentifier,
-)
+from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.model import joint_names, load_folded
 from sklearn_vbjfa.physical import min_eigenvalue
 

@@ -5,7 +5,6 @@ import pickle
 import warnings
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier, load_identified
@@ -19,16 +18,7 @@ from sklearn_vbjfa.effects import (
     Spring,
     TorqueGain,
 )
-
-
-def rigid(model, bodies, states):
-    """Inverse dynamics state by state, with other bodies in a model."""
-    model = model.copy()
-    for j, body in enumerate(bodies):
-        model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
-    data = model.createData()
-    q, v, a = np.split(states, 3, axis=1)
-    return np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+from tests.model.test_mjcf import rigid
 
 
 def mean_sign(rest, v, a):

@@ -7,12 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.effects import (
-    AsymmetricFriction,
-    Ripple,
-    Spring,
-    Stribeck,
-)
+from sklearn_vbjfa.effects import AsymmetricFriction, Ripple, Spring, Stribeck
 from sklearn_vbjfa.equations import RecordingStates
 from sklearn_vbjfa.fit import (
     Normal,
@@ -23,10 +18,7 @@ from sklearn_vbjfa.fit import (
     slopes,
 )
 from sklearn_vbjfa.robot import FitOptions
-from sklearn_vbjfa.simulation import (
-    simulate,
-    simulate_controlled,
-)
+from sklearn_vbjfa.simulation import simulate, simulate_controlled
 from tests._quick import one_in
 from tests.effects._arms import arm, inverse_dynamics, motion
 
@@ -92,11 +84,10 @@ def sensitivities(robot, states, tau, rows=60):
 @pytest.mark.parametrize("case", one_in(5, ROBOTS))
 def test_sensitivities_are_derivatives_of_the_simulation(case):
     axes, effects = ROBOTS[case]
-    friction = ("viscous",) if case == "smooth friction" else FRICTION
     model = arm(axes)
     # The medians of few windows scatter where a joint sticks.
     seconds = 3.0 if case == "pendulum" else 6.0
-    robot, states, tau = identified(model, effects, duration=seconds, friction=friction)
+    robot, states, tau = identified(model, effects, duration=seconds)
     robot.theta_ = robot.theta_.copy()
     # Effects of some size, which the torques did not have.
     robot.theta_[robot.features_.n_parameters_ :] = 0.4
@@ -337,30 +328,21 @@ def test_a_controlled_mass_follows_the_solution_of_its_equation():
 # -- bad input -------------------------------------------------------------------------
 
 BAD = {
-    "criterion": ({"criterion": "position"}, {}, "criterion must be 'torque' or"),
-    "window": (
-        {"options": FitOptions(window=-1.0)},
-        {},
-        "window must be a positive time",
-    ),
-    "window in words": (
-        {"options": FitOptions(window="long")},
-        {},
-        "window must be a positive time",
-    ),
-    "long window": (
+    "criterion": ({"criterion": "position"}, "criterion must be 'torque' or"),
+    "window": ({"options": FitOptions(window=-1.0)}, "window must be a positive time"),
+    "words": ({"options": FitOptions(window="long")}, "window must be a positive time"),
+    "long": (
         {"options": FitOptions(window=100.0)},
-        {},
         "longer than the longest recording",
     ),
-    "dt": ({"dt": None}, {}, "give dt in seconds"),
+    "dt": ({"dt": None}, "give dt in seconds"),
 }
 
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_named(case):
-    settings, given, message = BAD[case]
+    settings, message = BAD[case]
     _, states, tau = planned(arm("ZY"))
     robot = RobotIdentifier(arm("ZY"), **{**SETTINGS, **settings})
     with pytest.raises(ValueError, match=message):
-        robot.fit(states, tau, **given)
+        robot.fit(states, tau)

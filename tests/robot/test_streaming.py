@@ -7,34 +7,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
+from sklearn_vbjfa import RigidBodyFeatures
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
 from sklearn_vbjfa.equations import _equations
 from sklearn_vbjfa.robot import FitOptions
+from tests.robot.test_identifier import FRICTION, identify
 
-FRICTION = ("viscous", "coulomb")
 MOMENTS = ("n", "n_rows", "yy", "g", "G", "noise")
-
-
-@pytest.fixture(scope="module")
-def recording():
-    return make_robot_recording(
-        duration=12.0, dt=0.01, frequency=1.0, n_recordings=3, random_state=11
-    )
-
-
-def fit(recording, X=None, **settings):
-    settings = {"dt": recording.dt, "friction": FRICTION, **settings}
-    robot = RobotIdentifier(recording.urdf, **settings)
-    X = recording.q if X is None else X
-    return robot.fit(X, recording.tau, groups=recording.groups)
-
-
-@pytest.fixture(scope="module")
-def whole(recording):
-    return fit(recording)
 
 
 def statistics(robot):
@@ -69,7 +49,7 @@ def assert_same(robot, other, rtol=1e-10):
     assert_allclose(values, reference, rtol=1e-6, err_msg="theta_std_")
 
 
-def matrix_statistics(robot, recording):
+def matrix_statistics(robot, simulated):
     """Second moments of one matrix of all equations: nothing in pieces.
 
     The matrices come from Pinocchio by way of `RigidBodyFeatures.transform`, the
@@ -77,24 +57,24 @@ def matrix_statistics(robot, recording):
     """
     nv = 6
     lowpass = robot.robot_.plan.lowpass
-    features = RigidBodyFeatures(recording.urdf, friction=FRICTION)
-    states = robot.state_estimator_.transform(recording.q, groups=recording.groups)
+    features = RigidBodyFeatures(simulated.urdf, friction=FRICTION)
+    states = robot.state_estimator_.transform(simulated.q, groups=simulated.groups)
     halves = robot.state_estimator_.split_transform(
-        recording.q, groups=recording.groups
+        simulated.q, groups=simulated.groups
     )
     even, odd = (features.fit_transform(half).reshape(-1, nv, 72) for half in halves)
     moves = np.abs(states[:, nv : 2 * nv]) > robot.standstill_
     rows = []
-    edge = int(1.0 / (robot.state_estimator_.cutoff_.min() * recording.dt))
-    for label in np.unique(recording.groups):
-        own = recording.groups == label
+    edge = int(1.0 / (robot.state_estimator_.cutoff_.min() * simulated.dt))
+    for label in np.unique(simulated.groups):
+        own = simulated.groups == label
         counts = moves[own].astype(float)
         short = min(edge, len(counts) // 20)
         counts[:short] = counts[len(counts) - short :] = 0.0
         kept = lowpass.average(counts)
         weight = np.where(kept >= 0.5, lowpass.efficiency * kept, 0.0)
         mean, apart = lowpass(0.5 * (even + odd)[own]), lowpass((even - odd)[own])
-        rows.append((mean, apart, lowpass(recording.tau[own]), weight))
+        rows.append((mean, apart, lowpass(simulated.tau[own]), weight))
     Phi, apart, tau, w = (np.concatenate(x) for x in zip(*rows))
     return {
         "n": w.sum(axis=0),
@@ -106,37 +86,37 @@ def matrix_statistics(robot, recording):
     }
 
 
-def test_equal_to_the_whole_matrix(whole, recording):
-    expected = matrix_statistics(whole, recording)
-    for name, values in statistics(whole).items():
+def test_equal_to_the_whole_matrix(identified, simulated):
+    expected = matrix_statistics(identified, simulated)
+    for name, values in statistics(identified).items():
         size = np.abs(expected[name]).max()
         assert_allclose(values, expected[name], rtol=0, atol=1e-10 * size, err_msg=name)
 
 
 @settings(max_examples=2, derandomize=True, deadline=None)
 @given(chunk=st.integers(1 << 18, 1 << 22), block=st.integers(1 << 16, 1 << 20))
-def test_any_pieces_and_blocks(recording, chunk, block):
+def test_any_pieces_and_blocks(simulated, chunk, block):
     with pytest.MonkeyPatch.context() as patch:
         # without a low-pass the memory of a block decides on its length
         settings = {"cutoff": None, "options": FitOptions(state_cutoff=10.0)}
-        expected = fit(recording, **settings)
+        expected = identify(simulated, **settings)
         patch.setattr(_equations, "CHUNK_BYTES", chunk)
         patch.setattr(_lowpass, "_BLOCK_BYTES", block)
-        assert_same(fit(recording, **settings), expected)
+        assert_same(identify(simulated, **settings), expected)
 
 
 @pytest.mark.parametrize("backend", ["threading", "loky"])
-def test_jobs_give_the_same_bits(recording, whole, backend):
+def test_jobs_give_the_same_bits(simulated, identified, backend):
     with joblib.parallel_config(backend=backend, n_jobs=2):
-        parallel = fit(recording)
+        parallel = identify(simulated)
     for name, values in statistics(parallel).items():
-        assert_array_equal(values, statistics(whole)[name], err_msg=name)
-    assert_array_equal(parallel.theta_, whole.theta_)
-    assert_array_equal(parallel.noise_floor_, whole.noise_floor_)
+        assert_array_equal(values, statistics(identified)[name], err_msg=name)
+    assert_array_equal(parallel.theta_, identified.theta_)
+    assert_array_equal(parallel.noise_floor_, identified.noise_floor_)
 
 
-def test_effects_are_streamed_as_well(monkeypatch, recording):
+def test_effects_are_streamed_as_well(monkeypatch, simulated):
     settings = {"effects": (Ripple(joint=1),)}
-    expected = fit(recording, **settings)
+    expected = identify(simulated, **settings)
     monkeypatch.setattr(_equations, "CHUNK_BYTES", 1 << 20)
-    assert_same(fit(recording, n_jobs=2, **settings), expected)
+    assert_same(identify(simulated, n_jobs=2, **settings), expected)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy import signal
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.diagnosis.explain import (
@@ -16,17 +15,11 @@ from sklearn_vbjfa.diagnosis.explain import (
 )
 from sklearn_vbjfa.effects import AsymmetricFriction, Stribeck
 from sklearn_vbjfa.robot import FitOptions, TorqueResiduals
+from tests.core._problems import coloured
 from tests.diagnosis._recordings import named, record
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 NV, DT = 2, 0.1
-
-
-def coloured(rng, shape, rho):
-    """AR(1) noise of unit variance."""
-    drawn = rng.normal(size=shape)
-    drawn[0] /= np.sqrt(1 - rho**2)
-    return signal.lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], drawn, axis=0)
 
 
 # -- errors

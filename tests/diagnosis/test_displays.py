@@ -22,11 +22,6 @@ def fixture_pyplot():
 GIVEN = SPRINGY.position, SPRINGY.torque
 
 
-@pytest.fixture(name="loop")
-def fixture_loop(springy):
-    return springy
-
-
 def make_display(kind=TorqueDisplay, **changes):
     rng = np.random.default_rng(0)
     values = {
@@ -41,13 +36,15 @@ def make_display(kind=TorqueDisplay, **changes):
 
 
 @pytest.mark.parametrize("kind", [ResidualDisplay, TorqueDisplay])
-def test_a_discovery_shows_before_and_after(kind, loop, pyplot):
-    display = kind.from_estimator(loop, *GIVEN, joints=[1, 0]).plot()
-    assert display.joint_names == tuple(loop.declared_.joint_names_[j] for j in (1, 0))
-    found = [m.residuals(*GIVEN) for m in (loop.declared_, loop.identifier_)]
+def test_a_discovery_shows_before_and_after(kind, springy, pyplot):
+    display = kind.from_estimator(springy, *GIVEN, joints=[1, 0]).plot()
+    assert display.joint_names == tuple(
+        springy.declared_.joint_names_[j] for j in (1, 0)
+    )
+    found = [m.residuals(*GIVEN) for m in (springy.declared_, springy.identifier_)]
     expected = [(r.predicted, r.residual) for r in found]
     if kind is TorqueDisplay:
-        time = found[0].index * loop.identifier.dt
+        time = found[0].index * springy.identifier.dt
         torques = (found[0].torque, *(r.predicted for r in found))
         expected = [(time[:, None] + 0.0 * x, x) for x in torques]
     shown = [line.get_data() for line in display.lines_]
@@ -59,8 +56,8 @@ def test_a_discovery_shows_before_and_after(kind, loop, pyplot):
                 np.testing.assert_allclose(drawn, one[::step, joint], atol=1e-12)
 
 
-def test_an_identifier_shows_one_model(loop, pyplot):
-    display = ResidualDisplay.from_estimator(loop.declared_, *GIVEN)
+def test_an_identifier_shows_one_model(springy, pyplot):
+    display = ResidualDisplay.from_estimator(springy.declared_, *GIVEN)
     assert display.after is None
     assert len(display.plot().lines_) == 2
 

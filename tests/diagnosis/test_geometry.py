@@ -13,9 +13,9 @@ from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from tests.diagnosis._faulty import with_faults
 from tests.diagnosis._recordings import named, record
 from tests.diagnosis.report._pages import text_of
-from tests.diagnosis.search.test_branches import arms
 from tests.effects._arms import inverse_dynamics
 from tests.model._legs import legs_mjcf
+from tests.model._robots import arms
 
 LIBRARY = ("base_tilt", "joint_zero", "joint_axis", "torque_gain")
 LIBRARY += ("spring", "viscous_quadratic")

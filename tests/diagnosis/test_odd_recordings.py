@@ -34,17 +34,15 @@ def motion(t, pace):
     return np.hstack([q, v, a])
 
 
-def measure(t, pace, seed=0, extra=None, friction=1.0, model=MODEL):
+def measure(t, pace, seed=0, extra=None, friction=1.0):
     """Positions and torques; at rest friction is anywhere in its band."""
     rng = np.random.default_rng(seed)
     states = motion(t, pace)
     q, v, _ = np.split(states, 3, axis=1)
     stuck = 0.5 * np.sin(0.05 * np.arange(t.size))[:, None] * np.ones(2)
     direction = np.where(np.abs(v) > 1e-4, np.sign(v), stuck)
-    torque = inverse_dynamics(model, states)
-    torque = torque + np.reshape(friction, (-1, 1)) * (
-        VISCOUS * v + COULOMB * direction
-    )
+    torque = inverse_dynamics(MODEL, states)
+    torque += friction * (VISCOUS * v + COULOMB * direction)
     if extra is not None:
         torque = torque + extra(q, v)
     noise = rng.normal(size=(2, *q.shape))
@@ -108,29 +106,14 @@ def test_a_robot_that_comes_to_rest():
     assert np.all(loop.error_after_ < 0.1)
 
 
-def groups_of(t):
-    return (np.arange(2 * t.size) >= t.size).astype(int)
-
-
-def two(make):
-    """Join two recordings of 30 s, made by (number, t)."""
-    t = seconds(30.0)
-    parts = [make(number, t) for number in (0, 1)]
-    q, tau = (np.concatenate(x) for x in zip(*parts))
-    return q, tau, groups_of(t)
-
-
-def pace_of(number, t):
-    pace = pauses(t, [(1, 29)], [(1, 29)])
-    return pace * (1.0 if number == 0 else 0.9)
-
-
 @pytest.mark.slow
 def test_groups_that_differ_in_temperature():
     """A third less friction in the second: never "nothing is missing"."""
-    q, tau, groups = two(
-        lambda k, t: measure(t, pace_of(k, t), seed=k, friction=0.66 if k else 1.0)
-    )
+    t = seconds(30.0)
+    pace = pauses(t, [(1, 29)], [(1, 29)])
+    parts = measure(t, pace), measure(t, 0.9 * pace, seed=1, friction=0.66)
+    q, tau = (np.concatenate(x) for x in zip(*parts))
+    groups = np.repeat([0, 1], t.size)
     loop = close(q, tau, effects=[*PLAIN, "drift"], groups=groups)
     assert loop.report_.status not in ("nothing", "complete") or {
         e.name for e in loop.effects_
@@ -167,19 +150,23 @@ def test_columns_are_found_by_the_names_of_joints(two_motions):
         loop.fit(X.rename(columns={"q_joint_2": "q_elbow"}), y, groups=groups)
 
 
-@pytest.mark.parametrize("library", [(), ["spring", "offset"]])
-def test_another_robot_is_not_one_whose_torques_are_explained(library, monkeypatch):
+@pytest.fixture
+def other(monkeypatch):
+    """Let identifiers say that the torques are those of another robot."""
     said = ChannelFinding("other_robot", (0, 1), "warning", "Torques of another robot.")
     monkeypatch.setattr(RobotIdentifier, "findings", lambda *_: (said,))
+    return said
+
+
+@pytest.mark.parametrize("library", [(), ["spring", "offset"]])
+def test_another_robot_is_not_one_whose_torques_are_explained(library, other):
     torque = ONE.torque(joint_1=lambda r: 9.0 * r.q[:, 0])
     channels = ONE.discover(torque, library).report_.outcome.findings["channels"]
-    assert channels == (() if library else (said,))
+    assert channels == (() if library else (other,))
 
 
-def test_another_robot_is_told_of_where_nothing_shows_the_errors(monkeypatch):
-    said = ChannelFinding("other_robot", (0, 1), "warning", "Torques of another robot.")
-    monkeypatch.setattr(RobotIdentifier, "findings", lambda *_: (said,))
+def test_another_robot_is_told_of_where_nothing_shows_the_errors(other):
     t = DT * np.arange(1500)
     loop = close(*measure(t, pauses(t, [(0, 0.6)], [(0, 0.6)])), effects=())
     assert not loop.report_.outcome.column("enough").any()
-    assert loop.report_.outcome.findings["channels"] == (said,)
+    assert loop.report_.outcome.findings["channels"] == (other,)

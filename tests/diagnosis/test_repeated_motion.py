@@ -1,27 +1,18 @@
 """Where the motion repeats, so does what is not modelled, and it has no name."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from tests._quick import one_in
 from tests.diagnosis.report._pages import text_of
+from tests.effects._arms import arm, inverse_dynamics
 
 PERIOD, DT, TIMES = 10.0, 0.01, 6
 PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
 
 
-def pendulum():
-    model = pin.Model()
-    model.name = "pendulum"
-    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "joint_1")
-    centre = pin.SE3(np.eye(3), np.array([0.12, 0.03, 0.15]))
-    model.inertias[joint] = centre.act(pin.Inertia.FromBox(4.0, 0.1, 0.15, 0.3))
-    return model
-
-
-MODEL = pendulum()
+MODEL = arm("Y")
 
 
 def recorded(seed, undeclared=None, disturbance=0.05):
@@ -33,9 +24,8 @@ def recorded(seed, undeclared=None, disturbance=0.05):
         w, phase = 2 * np.pi * k / PERIOD, rng.uniform(0, 2 * np.pi)
         wave = 0.25 / np.sqrt(k / PERIOD) * np.exp(1j * (w * t + phase))
         q, v, a = (x + ((1j * w) ** n * wave).imag for n, x in enumerate((q, v, a)))
-    data = MODEL.createData()
-    rigid = [pin.rnea(MODEL, data, *np.array(s)[:, None])[0] for s in zip(q, v, a)]
-    tau = np.array(rigid) + 0.4 * v + 0.6 * np.sign(v) + 0.1 + 0.02 * a
+    tau = inverse_dynamics(MODEL, np.column_stack([q, v, a]))[:, 0]
+    tau = tau + 0.4 * v + 0.6 * np.sign(v) + 0.1 + 0.02 * a
     if undeclared is not None:
         tau += undeclared(q, v)
     orders = np.arange(1, 31)

@@ -28,11 +28,9 @@ def heated(temperature):
     return ONE.torque(joint_1=friction)
 
 
-def close(torque, signals, effects=LIBRARY, recording=ONE, X=None, **given):
-    given = {"random_state": 0, **given}
-    loop = EffectDiscovery(recording.robot(), effects=effects, **given)
-    X = recording.position if X is None else X
-    return loop.fit(X, torque, signals=signals)
+def close(torque, signals, effects=LIBRARY, recording=ONE):
+    loop = EffectDiscovery(recording.robot(), effects=effects, random_state=0)
+    return loop.fit(recording.position, torque, signals=signals)
 
 
 def the_signal(loop):
@@ -55,16 +53,15 @@ def fixture_both():
 
 
 def test_friction_that_falls_with_temperature_is_named(warm):
-    loop = warm
-    assert named(loop) == [("signal", 0)]
-    found = the_signal(loop)
+    assert named(warm) == [("signal", 0)]
+    found = the_signal(warm)
     assert found.parameters["signal"] == "temperature"
     assert found.parameters["of"] == "coulomb"
     low, high = found.intervals["k"]
     assert low < -FRICTION * FALL / 20 < high
     assert high - low < 0.2 * FRICTION * FALL / 20
     assert found.units["k"] == "N m per unit of temperature"
-    assert loop.error_after_[0] < 0.2 * loop.error_before_[0]
+    assert warm.error_after_[0] < 0.2 * warm.error_before_[0]
 
 
 def test_the_friction_is_that_of_the_reference(warm):
@@ -176,11 +173,7 @@ def test_an_effect_may_name_the_one_that_it_is_meant_for():
     found = the_signal(close(heated(CYCLES), signals, meant))
     assert found.parameters["signal"] == "kp"
     assert not [rival for rival in found.rivals if "temperature" in rival]
-    with pytest.raises(
-        ValueError, match="signal 'x', which an effect needs, is missing"
-    ):
-        close(heated(CYCLES), signals, [Signal(signal="x")])
-    with pytest.raises(
-        ValueError, match="signal 'x', which an effect needs, is missing"
-    ):
-        close(heated(CYCLES), None, [Signal(signal="x")])
+    message = "signal 'x', which an effect needs, is missing"
+    for known in (signals, None):
+        with pytest.raises(ValueError, match=message):
+            close(heated(CYCLES), known, [Signal(signal="x")])

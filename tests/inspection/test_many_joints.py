@@ -1,30 +1,12 @@
 """Robots of many joints: what is examined of all exchanges, and no fit made twice."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.inspection import inspect_channels
 from tests._quick import checkered
-
-AXES = ("RY", "RX", "RZ", "RY")
-
-
-def arms(count, axes=AXES):
-    """Several arms on one base, on parts of a robot that do not move each other."""
-    rng = np.random.default_rng(7)
-    model = pin.Model()
-    for arm in range(count):
-        last = 0
-        for j, axis in enumerate(axes):
-            place = pin.SE3(np.eye(3), np.r_[0.0, 0.0, 0.3] + 0.1 * rng.normal(size=3))
-            joint = getattr(pin, f"JointModel{axis}")()
-            last = model.addJoint(last, joint, place, f"arm_{arm}_joint_{j}")
-            link = pin.Inertia.FromBox(4.0 / (1 + j), 0.08, 0.1, 0.3)
-            centre = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.15]))
-            model.appendBodyToJoint(last, link, centre)
-    return model
+from tests.model._robots import arms
 
 
 def recorded(model, seed=0):

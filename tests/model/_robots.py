@@ -63,6 +63,25 @@ def swing():
     return model
 
 
+def arms(count, axes=("RY", "RX", "RZ", "RY")):
+    """Make a robot of several arms whose joints take turns in the order."""
+    import pinocchio as pin
+
+    rng = np.random.default_rng(7)
+    model = pin.Model()
+    last = np.zeros(count, dtype=int)
+    for j, axis in enumerate(axes):
+        for arm in range(count):
+            place = pin.SE3(np.eye(3), np.r_[0.0, 0.0, 0.3] + 0.1 * rng.normal(size=3))
+            joint = getattr(pin, f"JointModel{axis}")()
+            name = f"arm_{arm}_joint_{j}"
+            last[arm] = model.addJoint(int(last[arm]), joint, place, name)
+            link = pin.Inertia.FromBox(4.0 / (1 + j), 0.08, 0.1, 0.3)
+            centre = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.15]))
+            model.appendBodyToJoint(int(last[arm]), link, centre)
+    return model
+
+
 def joint_equations(rng, n=300, nv=3, p=5, noise=0.0):
     """Random equations of nv joints and one parameter vector.
 

@@ -29,24 +29,16 @@ def compared(recordings, spoil=lambda k, torque, r: torque, bodies="free"):
     return fit, contradictions(Parts.of(fit), SPREAD, 0.05)
 
 
-def gain(k, torque, recording):
-    return torque * [1.0, 1.2] if k == 1 else torque
+def second(change):
+    """Spoil the second recording alone."""
+    return lambda k, torque, r: change(torque, r) if k == 1 else torque
 
 
-def offset(k, torque, recording):
-    return torque + [0.0, 0.7] if k == 1 else torque
-
-
-def friction(k, torque, recording):
-    return torque + 0.8 * np.sign(recording.v) if k == 1 else torque
-
-
-def flipped(k, torque, recording):
-    return torque * [1.0, -1.0] if k == 1 else torque
-
-
-def joint_friction(k, torque, recording):
-    return torque + [0.0, 0.8] * np.sign(recording.v) if k == 1 else torque
+gain = second(lambda torque, r: torque * [1.0, 1.2])
+flipped = second(lambda torque, r: torque * [1.0, -1.0])
+offset = second(lambda torque, r: torque + [0.0, 0.7])
+friction = second(lambda torque, r: torque + 0.8 * np.sign(r.v))
+joint_friction = second(lambda torque, r: torque + [0.0, 0.8] * np.sign(r.v))
 
 
 @pytest.mark.parametrize("recordings", [PAIR, FOUR])
@@ -97,26 +89,22 @@ def test_a_fault_of_the_model_is_no_difference_and_hides_none():
     assert keys(compared(FOUR, with_offset)[1]) == {("offset", 1, 1)}
 
 
-def test_another_load_in_one_recording():
-    def load(k, torque, recording):
-        if k != 1:
-            return torque
-        states = np.hstack([recording.q, recording.v, recording.a])
-        ball = np.array([0.6, 0.05, 0.02, 0.12, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02])
-        return torque + last_body_regressor(recording.model, states) @ ball
+def carried(recording, body):
+    """Torque of a body at the end of the arm."""
+    states = np.hstack([recording.q, recording.v, recording.a])
+    return last_body_regressor(recording.model, states) @ body
 
-    assert {one.recording for one in compared(FOUR, load)[1]} == {1}
+
+def test_another_load_in_one_recording():
+    ball = np.array([0.6, 0.05, 0.02, 0.12, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02])
+    found = compared(FOUR, second(lambda torque, r: torque + carried(r, ball)))[1]
+    assert {one.recording for one in found} == {1}
 
 
 def test_a_last_link_that_is_heavier_is_a_payload():
-    def heavier(k, torque, recording):
-        states = np.hstack([recording.q, recording.v, recording.a])
-        last = recording.model.inertias[recording.model.nv].toDynamicParameters()
-        return (
-            torque
-            + 0.3 * (k == 1) * last_body_regressor(recording.model, states) @ last
-        )
-
+    model = FOUR[0].model
+    last = 0.3 * model.inertias[model.nv].toDynamicParameters()
+    heavier = second(lambda torque, r: torque + carried(r, last))
     found = compared(FOUR, heavier, bodies="prior")[1]
     assert {(one.cause, one.recording) for one in found} == {("payload", 1)}
     for one in found:

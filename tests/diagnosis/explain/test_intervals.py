@@ -77,13 +77,7 @@ def test_ninety_per_cent_of_the_next_differences():
     def both(seconds):
         before = residuals(rng, seconds, size=1.0, rho=0.5)
         smaller = before.torque - 0.6 * before.residual
-        after = TorqueResiduals(
-            index=before.index,
-            torque=before.torque,
-            predicted=smaller,
-            weight=before.weight,
-        )
-        return before, after
+        return before, replace(before, predicted=smaller)
 
     for _ in range(300):
         searched, held_out, then = both(90.0), both(30.0), both(NEXT_SECONDS)

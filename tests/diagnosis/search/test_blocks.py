@@ -23,12 +23,11 @@ def blocks_of(lengths, correlation=0.05, filter_length=0.1, step=0.05):
     return make_blocks(time, starts, correlation, filter_length)
 
 
-def autoregression(rho, n, seed=0):
+def stationary(keep, n, seed=0):
+    """Autoregression of unit variance."""
     rng = np.random.default_rng(seed)
-    x = np.zeros(n)
-    for i in range(1, n):
-        x[i] = rho * x[i - 1] + rng.normal()
-    return x
+    steps = np.sqrt(1 - keep**2) * rng.normal(size=n)
+    return lfilter([1.0], [1.0, -keep], steps, zi=[keep * rng.normal()])[0]
 
 
 # -- blocks
@@ -82,7 +81,7 @@ def test_too_short_recordings_are_refused():
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.8])
 def test_correlation_time_of_an_autoregression(rho):
     """Sum of rho^k over both sides: (1 + rho) / (1 - rho) steps."""
-    x = autoregression(rho, 20000)[:, None]
+    x = stationary(rho, 20000)[:, None]
     found = correlation_time(x, np.ones_like(x), 0.1, np.array([0]))
     assert found == pytest.approx(0.1 * (1 + rho) / (1 - rho), rel=0.25)
 
@@ -90,7 +89,7 @@ def test_correlation_time_of_an_autoregression(rho):
 def test_correlation_does_not_reach_across_recordings():
     """Recordings that begin at other levels than those on which the last ended."""
     lengths = np.full(30, 60)
-    x = np.concatenate([autoregression(0.8, 60, seed) for seed in range(30)])
+    x = np.concatenate([stationary(0.8, 60, seed) for seed in range(30)])
     starts = np.r_[0, np.cumsum(lengths)[:-1]]
     x = x[:, None]
     apart = correlation_time(x, np.ones_like(x), 1.0, starts)
@@ -104,12 +103,6 @@ def test_correlation_does_not_reach_across_recordings():
 # -- memory
 
 
-def stationary(keep, n, seed=0):
-    rng = np.random.default_rng(seed)
-    steps = np.sqrt(1 - keep**2) * rng.normal(size=n)
-    return lfilter([1.0], [1.0, -keep], steps, zi=[keep * rng.normal()])[0]
-
-
 @pytest.mark.parametrize("keep", [0.0, 0.6, 0.95])
 def test_the_memory_is_that_of_the_autoregression(keep):
     time = memory_time(stationary(keep, 4000), np.ones(4000, bool), [0], 0.1)
@@ -119,19 +112,18 @@ def test_the_memory_is_that_of_the_autoregression(keep):
 
 def test_slow_residuals_of_short_recordings_are_not_read_too_short():
     """Correlated for 10 s in 30 s, and a mean was taken out: half are above 6 s."""
-    times = []
-    for seed in range(60):
-        x = stationary(np.exp(-0.1 / 5.0), 300, seed)
-        x = (x - x.mean())[:, None]
-        times.append(correlation_time(x, np.ones_like(x), 0.1, [0]))
-    assert 6.0 < np.median(times)
+
+    def median(seconds):
+        times = []
+        for seed in range(60):
+            x = stationary(np.exp(-0.1 / seconds), 300, seed)
+            x = (x - x.mean())[:, None]
+            times.append(correlation_time(x, np.ones_like(x), 0.1, [0]))
+        return np.median(times)
+
+    assert median(5.0) > 6.0
     # Those of a tenth that time are read as such.
-    fast = []
-    for seed in range(60):
-        x = stationary(np.exp(-0.1 / 0.5), 300, seed)
-        x = (x - x.mean())[:, None]
-        fast.append(correlation_time(x, np.ones_like(x), 0.1, [0]))
-    assert np.median(fast) == pytest.approx(1.0, rel=0.25)
+    assert median(0.5) == pytest.approx(1.0, rel=0.25)
 
 
 def test_a_random_walk_is_correlated_for_ever():

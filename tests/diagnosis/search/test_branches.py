@@ -13,25 +13,7 @@ from sklearn_vbjfa.diagnosis.search._branches import branches_of, root_joints
 from sklearn_vbjfa.effects import Coupling, resolve
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._faults import Cubic
-
-AXES = ("RY", "RX", "RZ", "RY")
-
-
-def arms(count, axes=AXES):
-    """Make a robot of several arms whose joints take turns in the order."""
-    rng = np.random.default_rng(7)
-    model = pin.Model()
-    last = np.zeros(count, dtype=int)
-    for j, axis in enumerate(axes):
-        for arm in range(count):
-            place = pin.SE3(np.eye(3), np.r_[0.0, 0.0, 0.3] + 0.1 * rng.normal(size=3))
-            joint = getattr(pin, f"JointModel{axis}")()
-            name = f"arm_{arm}_joint_{j}"
-            last[arm] = model.addJoint(int(last[arm]), joint, place, name)
-            link = pin.Inertia.FromBox(4.0 / (1 + j), 0.08, 0.1, 0.3)
-            centre = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.15]))
-            model.appendBodyToJoint(int(last[arm]), link, centre)
-    return model
+from tests.model._robots import arms
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +55,7 @@ def test_the_whole_is_searched_where_it_is_small_or_not_known(two_arms):
     assert [b.joints for b in branches_of(robot, own, None)] == everything
     rows = slice(0, 1000)
     small = RobotIdentifier(
-        arms(3, AXES[:2]), dt=recording.dt, friction=("viscous",)
+        arms(3, ("RY", "RX")), dt=recording.dt, friction=("viscous",)
     ).fit(recording.q[rows, :6], recording.tau[rows, :6])
     assert [b.joints for b in branches_of(small, library, None)] == [list(range(6))]
 

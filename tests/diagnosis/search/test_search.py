@@ -9,7 +9,6 @@ import pytest
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.diagnosis import SearchSettings
 from sklearn_vbjfa.diagnosis.search import _path
-from sklearn_vbjfa.effects import Effect
 from tests.diagnosis._recordings import record
 from tests.diagnosis.search._searches import (
     CLEAN,
@@ -19,6 +18,7 @@ from tests.diagnosis.search._searches import (
     spring,
     stribeck,
 )
+from tests.diagnosis.search.test_own_effects import own
 
 
 def test_a_clean_recording_needs_nothing():
@@ -77,21 +77,6 @@ def test_what_saves_next_to_nothing_is_not_in_the_model():
         torque = long.torque(joint_1=spring(0.01))
         now = search(torque, ["spring"], long, settings=settings).run()
         assert len(now.effects) == expected
-
-
-# -- shapes
-
-
-@pytest.mark.parametrize("period", [0.23])
-def test_shapes_are_refined_between_the_points_of_the_grid(period):
-    torque = CLEAN.torque(
-        joint_2=lambda r: 0.8 * np.cos(2 * np.pi * r.q[:, 1] / period)
-    )
-    now = search(torque, ["ripple"]).run()
-    assert found(now) == [("ripple", 1)]
-    (ripple,) = now.effects
-    assert ripple.period == pytest.approx(period, rel=0.01)
-    assert ripple.period not in [s["period"] for s in ripple.shapes(now.motion)]
 
 
 def test_the_best_of_many_shapes_is_not_named_in_noise():
@@ -191,16 +176,7 @@ OTHER = np.sin(2 * np.pi * 0.23 * CLEAN.t + 0.5)
 
 def given(kind, signal):
     """Make an effect whose column is a signal (n,) of the recording."""
-
-    class Given(Effect):
-        name = kind
-        coefficients = ("x",)
-        units = (("N m", "N"),)
-
-        def columns(self, motion):
-            return signal[: motion.q.shape[0], None]
-
-    return Given
+    return own(kind, lambda motion, joint: signal[: motion.q.shape[0], None])
 
 
 def torque_of(signal):

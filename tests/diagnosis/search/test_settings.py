@@ -30,13 +30,11 @@ def test_values_that_are_none_are_refused(name, value):
         SearchSettings(**{name: value})
 
 
-@pytest.mark.parametrize("name", ["min_probability", "min_gain"])
-def test_shares_are_below_one(name):
-    with pytest.raises(ValueError, match=f"{name} of .* positive and below 1; got 1.0"):
-        SearchSettings(**{name: 1.0})
-
-
-def test_most_is_a_whole_number():
+def test_shares_are_below_one_and_most_is_a_whole_number():
+    for name in ("min_probability", "min_gain"):
+        message = f"{name} of .* positive and below 1; got 1.0"
+        with pytest.raises(ValueError, match=message):
+            SearchSettings(**{name: 1.0})
     with pytest.raises(ValueError, match="most of SearchSettings must be a positive"):
         SearchSettings(most=2.5)
     assert SearchSettings(most=np.int64(3)).most == 3

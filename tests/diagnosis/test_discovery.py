@@ -17,6 +17,7 @@ from sklearn_vbjfa.robot import FitOptions
 from tests._quick import one_in
 from tests.diagnosis._recordings import SPRINGY, named, record
 from tests.diagnosis.report._pages import text_of
+from tests.diagnosis.search._searches import coulomb, spring
 from tests.effects._arms import play_sample_by_sample
 from tests.effects._faults import Cubic
 from tests.robot import test_drives as drives
@@ -26,16 +27,8 @@ GOOD = SPRINGY.torque
 PLAIN = ["coulomb", "offset", "spring"]
 
 
-def coulomb(size, joint=1):
-    return lambda r: size * np.sign(r.v[:, joint])
-
-
-def quadratic(size, joint=1):
-    return lambda r: size * r.v[:, joint] * np.abs(r.v[:, joint])
-
-
-def spring(k, c=0.0, joint=0):
-    return lambda r: k * r.q[:, joint] + c
+def quadratic(size):
+    return lambda r: size * r.v[:, 1] * np.abs(r.v[:, 1])
 
 
 def lugre(r, joint=1, force=1.2, displacement=0.02):
@@ -202,8 +195,7 @@ def held_out(split):
 
 
 def test_the_error_is_that_of_the_untouched_part(springy):
-    torque = GOOD
-    whole, split = split_of(ARM.robot(), ARM.position, torque)
+    whole, split = split_of(ARM.robot(), ARM.position, GOOD)
     search = split.searched(whole)
     again = ARM.robot().fit(search.q, search.tau, groups=search.groups)
     assert_allclose(again.theta_, springy.declared_.theta_, rtol=1e-9)
@@ -227,21 +219,19 @@ def test_the_error_is_that_of_the_untouched_part(springy):
 
 def test_the_spread_is_that_of_the_whole_recording(springy):
     """Of all moving time, so that a quiet end cannot make a small error large."""
-    torque = GOOD
-    whole = springy.declared_.residuals(ARM.position, torque)
+    whole = springy.declared_.residuals(ARM.position, GOOD)
     moving = np.array([x[w > 0].std() for x, w in zip(whole.torque.T, whole.weight.T)])
     assert_allclose(springy.torque_std_, moving, rtol=0.1)
 
 
 def test_the_model_that_is_handed_over_knows_all_data(springy):
-    torque = GOOD
     (effect,) = springy.effects_
     again = ARM.robot(
         effects=(effect.effect,),
         friction=springy.baseline_.features_.friction_,
         cutoff=springy.validation_model_.cutoff_,
         options=FitOptions(standstill=springy.validation_model_.standstill_),
-    ).fit(ARM.position, torque)
+    ).fit(ARM.position, GOOD)
     assert_allclose(again.theta_, springy.identifier_.theta_, rtol=1e-9)
     assert not np.allclose(
         springy.validation_model_.theta_, springy.identifier_.theta_, rtol=1e-6
@@ -267,9 +257,8 @@ def test_prediction_is_that_of_the_completed_model(springy):
 
 
 def test_the_search_does_not_touch_the_untouched_part(springy):
-    torque = GOOD
     rows = held_out(split_of(ARM.robot(), ARM.position)[1])
-    other = torque.copy()
+    other = GOOD.copy()
     other[rows] += 3 * np.random.default_rng(0).normal(size=(rows.size, 2))
     loop = SPRINGY.search(other)
     assert named(loop) == named(springy)
@@ -319,14 +308,6 @@ def test_an_effect_of_ones_own():
     assert effect.name in {e["name"] for e in report.to_dict()["effects"]}
 
 
-def test_declared_friction_is_not_looked_for():
-    torque = ARM.torque(joint_2=coulomb(1.0))
-    robot = ARM.robot(friction=("viscous", "coulomb"))
-    loop = ARM.discover(torque, ["coulomb", "viscous", "offset"], robot=robot)
-    assert loop.effects_ == ()
-    assert loop.declared_.features_.friction_ == ("viscous", "coulomb")
-
-
 def test_declared_effects_stay():
     torque = ARM.torque(joint_2=coulomb(1.0), joint_1=spring(4.0, 1.0))
     robot = ARM.robot(effects=(effects.Coulomb(1),))
@@ -342,9 +323,8 @@ def test_declared_effects_stay():
 
 
 def test_other_regressors_close_the_loop_as_well():
-    torque = GOOD
     robot = ARM.robot(regressor=LinearRegression(), projector=None)
-    loop = ARM.discover(torque, PLAIN, robot=robot)
+    loop = ARM.discover(GOOD, PLAIN, robot=robot)
     assert named(loop) == [("spring", 0)]
 
 
@@ -433,86 +413,63 @@ def test_pickled_and_fitted_again(springy):
     assert named(again) == named(springy) == [("spring", 0)]
     assert_array_equal(again.predict(ARM.position), springy.predict(ARM.position))
     assert str(again.report_) == str(springy.report_)
-    again.fit(ARM.position, ARM.torque(joint_2=spring(4.0, joint=1)))
+    again.fit(ARM.position, ARM.torque(joint_2=lambda r: 4.0 * r.q[:, 1]))
     assert named(again) == [("spring", 1)]
 
 
 # -- what is refused
 
 
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"effects": ["stiction"]}, "Unknown effect 'stiction'; expected one of visc"),
-        ({"effects": ["coulomb", "coulomb"]}, "effects names coulomb twice"),
-        ({"alpha": 0.0}, "'alpha' .* must be a float in the range"),
-        ({"test_size": 0.0}, "'test_size' .* must be a float in the range"),
-        ({"max_effects": -1}, "'max_effects' .* must be an int in the range"),
-    ],
-)
-def test_parameters_out_of_range_are_refused(given, message):
+def refused(message, robot=None, X=ARM.position, y=GOOD, t=None, groups=None, **given):
+    loop = EffectDiscovery(ARM.robot() if robot is None else robot, **given)
     with pytest.raises(ValueError, match=message):
-        EffectDiscovery(ARM.robot(), **given).fit(ARM.position, GOOD)
-
-
-def test_other_identifiers_are_refused():
-    with pytest.raises(
-        ValueError, match=r"must be an instance of .*RobotIdentifier.* LinearReg"
-    ):
-        EffectDiscovery(LinearRegression()).fit(ARM.position, GOOD)
-    with pytest.raises(ValueError, match="dt must be the sample period"):
-        EffectDiscovery(ARM.robot(dt=None)).fit(ARM.position, GOOD)
-
-
-@pytest.mark.parametrize("rows", [5, 20])
-def test_too_short_recordings_are_refused(rows):
-    with pytest.raises(ValueError, match=r"short|too little|longer|at least|samples"):
-        EffectDiscovery(ARM.robot()).fit(ARM.position[:rows], GOOD[:rows])
-
-
-def test_low_cutoff_needs_a_long_recording():
-    with pytest.raises(ValueError, match="12 blocks"):
-        EffectDiscovery(ARM.robot(cutoff=0.6)).fit(ARM.position, GOOD)
-
-
-def flipped(torque):
-    return torque * [1, -1]
+        loop.fit(X, y, t=t, groups=groups)
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("message", "given"),
     [
-        (flipped, "torque of joint_2 has the wrong sign"),
-        (lambda y: y[:, :1], "y must have 2 column"),
+        ("Unknown effect 'stiction'; expected one of visc", {"effects": ["stiction"]}),
+        ("effects names coulomb twice", {"effects": ["coulomb", "coulomb"]}),
+        ("'alpha' .* must be a float in the range", {"alpha": 0.0}),
+        ("'test_size' .* must be a float in the range", {"test_size": 0.0}),
+        ("'max_effects' .* must be an int in the range", {"max_effects": -1}),
+        (
+            "must be an instance of .*RobotIdentifier.* LinearReg",
+            {"robot": LinearRegression()},
+        ),
+        ("dt must be the sample period", {"robot": ARM.robot(dt=None)}),
+        ("12 blocks", {"robot": ARM.robot(cutoff=0.6)}),
+        (
+            r'must have criterion="torque".*loop\.ident',
+            {"robot": ARM.robot(criterion="simulation")},
+        ),
     ],
 )
-def test_wrong_torques_are_refused(spoil, message):
-    with pytest.raises(ValueError, match=message):
-        EffectDiscovery(ARM.robot()).fit(ARM.position, spoil(GOOD))
+def test_other_settings_are_refused(message, given):
+    refused(message, **given)
 
 
-def test_wrong_positions_are_refused():
-    with pytest.raises(ValueError, match="degrees"):
-        EffectDiscovery(ARM.robot()).fit(np.degrees(ARM.position), GOOD)
-    with pytest.raises(ValueError, match="X must have 2 columns"):
-        EffectDiscovery(ARM.robot()).fit(ARM.position[:, :1], GOOD)
-    with pytest.raises(ValueError, match="t must"):
-        EffectDiscovery(ARM.robot()).fit(ARM.position, GOOD, t=ARM.t[::-1])
-    with pytest.raises(ValueError, match="one label per row"):
-        EffectDiscovery(ARM.robot()).fit(ARM.position, GOOD, groups=[1, 2])
+@pytest.mark.parametrize(
+    ("message", "given"),
+    [
+        ("torque of joint_2 has the wrong sign", {"y": GOOD * [1, -1]}),
+        ("y must have 2 column", {"y": GOOD[:, :1]}),
+        ("degrees", {"X": np.degrees(ARM.position)}),
+        ("X must have 2 columns", {"X": ARM.position[:, :1]}),
+        ("t must", {"t": ARM.t[::-1]}),
+        ("one label per row", {"groups": [1, 2]}),
+        ("short|too little|at least", {"X": ARM.position[:5], "y": GOOD[:5]}),
+        ("short|too little|at least", {"X": ARM.position[:20], "y": GOOD[:20]}),
+    ],
+)
+def test_wrong_recordings_are_refused(message, given):
+    refused(message, **given)
 
 
 def test_an_unfitted_loop_says_so():
     with pytest.raises(ValueError, match="not fitted"):
         EffectDiscovery(ARM.robot()).predict(ARM.position)
-
-
-def test_the_search_works_on_torques():
-    robot = RobotIdentifier(
-        ARM.model, dt=0.01, criterion="simulation", friction=("viscous",)
-    )
-    with pytest.raises(ValueError, match=r'must have criterion="torque".*loop\.ident'):
-        EffectDiscovery(robot).fit(ARM.q, ARM.torque())
 
 
 # -- torques of a drive
@@ -529,9 +486,7 @@ def test_channels_that_a_drive_has_not_are_not_looked_for():
     drive = drives.PDDrive(drives.KP, drives.KD, delay=0.0)
     recording = drive.driven(told)
     robot = RobotIdentifier(drives.ARM, dt=drives.DT)
-    asked = {
-        "effects": ["jerk", "torque_filter", "delay"],
-    }
+    asked = {"effects": ["jerk", "torque_filter", "delay"]}
     measured = EffectDiscovery(robot, **asked).fit(recording.states, recording.tau)
     assert [one.joint for one in measured.effects_] == [1]
     made = EffectDiscovery(clone(robot).set_params(drive=drive), **asked)

@@ -8,6 +8,7 @@ from scipy import integrate
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.fit import DESCRIBED, SCALES, _alike
 from sklearn_vbjfa.robot import FitOptions
+from tests.effects._arms import inverse_dynamics, motion
 
 LEGS = ("FL", "FR", "RL", "RR")
 TERMS = ("viscous", "coulomb", "offset", "rotor_inertia")
@@ -38,17 +39,11 @@ def drives(model):
     return DRIVES[[int("calf" in name) for name in list(model.names)[1:]]]
 
 
-def recorded(model, true, amplitude=0.4):
+def recorded(model, true):
     """Positions and torques of a robot with some drives (nv, 3)."""
-    rng = np.random.default_rng([0, 5])
-    t = np.arange(2000) * DT
-    w = 2 * np.pi * rng.uniform(0.3, 1.5, (model.nv, 3))
-    angle = t[:, None, None] * w + rng.uniform(0, 2 * np.pi, w.shape)
-    q = amplitude * np.sin(angle).sum(axis=2)
-    v = amplitude * (w * np.cos(angle)).sum(axis=2)
-    a = -amplitude * (w**2 * np.sin(angle)).sum(axis=2)
-    data = model.createData()
-    tau = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+    _, states = motion(model.nv, dt=DT, size=1.5, top=1.5)
+    q, v, a = np.split(states, 3, axis=1)
+    tau, rng = inverse_dynamics(model, states), np.random.default_rng([0, 5])
     sign = rng.choice([-1.0, 1.0], model.nv)
     tau += true[:, 0] * v + true[:, 1] * np.sign(v) + 0.1 * sign + true[:, 2] * a
     return q, tau + 0.05 * tau.std(axis=0) * rng.standard_normal(tau.shape)

@@ -10,6 +10,7 @@ from scipy import integrate
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.fit import DESCRIBED, BodyPrior, around, little_learned
 from sklearn_vbjfa.model import DoubtWarning
+from tests.effects._arms import inverse_dynamics, motion
 
 TERMS = ("viscous", "coulomb", "offset", "rotor_inertia")
 DT = 0.01
@@ -38,21 +39,14 @@ def scaled(model, factor, joint=None):
     return out
 
 
-def recorded(model, noise=0.02, amplitude=1.0, seed=0):
+def recorded(model, amplitude=1.0):
     """Positions and torques of a true robot, friction and rotors included."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(3000) * DT
-    w = 2 * np.pi * np.array([0.31, 0.47, 0.67])[:, None] * [1.0, 1.37, 2.1]
-    phase = rng.uniform(0, 2 * np.pi, w.shape)
-    angle = t[:, None, None] * w + phase
-    size = 0.4 * amplitude
-    q = size * np.sin(angle).sum(axis=2)
-    v = size * (w * np.cos(angle)).sum(axis=2)
-    a = -size * (w**2 * np.sin(angle)).sum(axis=2)
-    data = model.createData()
-    rigid = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
-    tau = rigid + 0.5 * v + 0.8 * np.sign(v) + 0.3 + 0.05 * a
-    return q, tau + noise * tau.std(axis=0) * rng.standard_normal(tau.shape)
+    _, states = motion(3, duration=30.0, dt=DT, size=1.5 * amplitude, top=1.4)
+    q, v, a = np.split(states, 3, axis=1)
+    tau = inverse_dynamics(model, states)
+    tau += 0.5 * v + 0.8 * np.sign(v) + 0.3 + 0.05 * a
+    white = np.random.default_rng(0).standard_normal(tau.shape)
+    return q, tau + 0.02 * tau.std(axis=0) * white
 
 
 def fitted(model, recording, **settings):

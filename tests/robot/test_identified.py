@@ -19,6 +19,7 @@ from sklearn_vbjfa.effects import (
     TorqueGain,
 )
 from tests.model.test_mjcf import rigid
+from tests.robot.test_identifier import identify
 
 
 def mean_sign(rest, v, a):
@@ -37,13 +38,8 @@ def loaded(simulated):
         TorqueGain(joint=3, gain=1.1),
         JointZero(joint=2),
     ]
-    robot = RobotIdentifier(
-        simulated.urdf,
-        dt=simulated.dt,
-        friction=("viscous", "coulomb", "offset", "rotor_inertia"),
-        effects=effects,
-    )
-    return robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    friction = ("viscous", "coulomb", "offset", "rotor_inertia")
+    return identify(simulated, friction=friction, effects=effects)
 
 
 def test_a_torque_model_holds_what_predict_knows(loaded, simulated, new_motion):
@@ -93,13 +89,7 @@ def test_a_tilted_base_is_in_the_model(simulated):
 def read(simulated, tmp_path_factory):
     """Robot with a memory, and with an effect that needs the future, from a file."""
     effects = [LoadFriction(joint=1), MaxwellSlip(joint=2), Jerk(joint=0)]
-    robot = RobotIdentifier(
-        simulated.urdf,
-        dt=simulated.dt,
-        friction=("viscous", "coulomb"),
-        effects=effects,
-    )
-    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    robot = identify(simulated, effects=effects)
     path = tmp_path_factory.mktemp("read") / "robot.json"
     robot.save(path)
     return load_identified(path)

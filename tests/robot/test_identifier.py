@@ -137,7 +137,7 @@ def test_torques_in_another_unit_are_the_robot_in_that_unit(
 def test_order_and_names_of_recordings_do_not_matter(identified, simulated):
     order = np.argsort(-simulated.groups, kind="stable")
     names = np.where(simulated.groups[order] == 1, "late", "early")
-    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, friction=FRICTION)
+    robot = clone(identified)
     robot.fit(simulated.q[order], simulated.tau[order], groups=names)
     np.testing.assert_allclose(robot.theta_, identified.theta_, rtol=1e-6, atol=1e-8)
     assert robot.cutoff_ == pytest.approx(identified.cutoff_, rel=1e-12)
@@ -280,7 +280,7 @@ def test_one_joint_takes_a_flat_torque():
     assert np.all(robot.min_eigenvalues_ > 0)
 
 
-# -- scikit-learn
+# -- noise
 
 
 def test_noise_of_encoders_is_what_exact_torques_leave():
@@ -300,13 +300,8 @@ def test_noise_of_encoders_is_what_exact_torques_leave():
 def test_torque_noise_is_what_passes_the_low_pass(simulated):
     # White noise up to the cut-off, but for the slope of the filter.
     cutoff, noise = 5.0, np.linspace(0.1, 0.6, 6)
-    robot = RobotIdentifier(
-        simulated.urdf,
-        dt=simulated.dt,
-        cutoff=cutoff,
-        options=FitOptions(torque_noise=noise),
-    )
-    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    options = FitOptions(torque_noise=noise)
+    robot = identify(simulated, cutoff=cutoff, options=options)
     expected = noise * np.sqrt(2 * cutoff * simulated.dt)
     np.testing.assert_allclose(robot.torque_noise_, expected, rtol=0.06)
 

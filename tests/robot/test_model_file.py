@@ -9,11 +9,7 @@ import numpy as np
 import pytest
 from sklearn.linear_model import Ridge
 
-from sklearn_vbjfa import (
-    IdentifiedRobot,
-    RobotIdentifier,
-    load_identified,
-)
+from sklearn_vbjfa import IdentifiedRobot, RobotIdentifier, load_identified
 from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.effects import (
     BaseTilt,
@@ -52,9 +48,15 @@ class Stiffening(Effect):
         return motion.q[:, [self.joint]] ** self.power
 
 
+def fit(recording, signals=None, **given):
+    given = {"friction": ("viscous",), **given}
+    robot = RobotIdentifier(recording.urdf, dt=DT, **given)
+    known = {"groups": recording.groups, "signals": signals}
+    return robot.fit(recording.q, recording.tau, **known)
+
+
 def fitted_plain(recording):
-    robot = RobotIdentifier(recording.urdf, dt=DT, friction=("viscous", "coulomb"))
-    return robot.fit(recording.q, recording.tau, groups=recording.groups), {}
+    return fit(recording, friction=("viscous", "coulomb")), {}
 
 
 def fitted_effects(recording):
@@ -67,31 +69,18 @@ def fitted_effects(recording):
         Payload(joint=5, instant=7.0, centre=(0.0, 0.1, 0.0)),
         Signal(joint=2, signal="warmth", of="viscous", reference=0.3),
     ]
-    robot = RobotIdentifier(
-        recording.urdf, dt=DT, effects=effects, friction=("viscous",)
-    )
     signals = {"warmth": np.sin(np.arange(len(recording.q)) / 300.0)}
-    robot.fit(recording.q, recording.tau, groups=recording.groups, signals=signals)
-    return robot, {"signals": signals}
+    return fit(recording, signals, effects=effects), {"signals": signals}
 
 
 def fitted_in_model(recording):
     effects = [BaseTilt(), JointZero(joint=2), JointAxis(joint=3), TorqueGain(joint=1)]
-    robot = RobotIdentifier(
-        recording.urdf, dt=DT, effects=effects, friction=("viscous",)
-    )
-    return robot.fit(recording.q, recording.tau, groups=recording.groups), {}
+    return fit(recording, effects=effects), {}
 
 
 def fitted_gains(recording):
-    robot = RobotIdentifier(
-        recording.urdf,
-        dt=DT,
-        gains="unknown",
-        options=FitOptions(known_masses={"elbow": 4.0}),
-        friction=("viscous",),
-    )
-    return robot.fit(recording.q, recording.tau, groups=recording.groups), {}
+    options = FitOptions(known_masses={"elbow": 4.0})
+    return fit(recording, gains="unknown", options=options), {}
 
 
 def fitted_states(recording):
@@ -105,13 +94,7 @@ def fitted_states(recording):
     return robot.fit(recording.states, recording.tau), {}
 
 
-ROBOTS = (
-    fitted_plain,
-    fitted_effects,
-    fitted_in_model,
-    fitted_gains,
-    fitted_states,
-)
+ROBOTS = (fitted_plain, fitted_effects, fitted_in_model, fitted_gains, fitted_states)
 
 
 @pytest.fixture(scope="module", params=ROBOTS, ids=lambda f: f.__name__)
@@ -189,10 +172,7 @@ def test_the_robot_in_a_file_is_the_fitted_one(fitted, simulated, tmp_path):
 
 def test_an_effect_of_ones_own(simulated, tmp_path):
     effects = [Stiffening(joint=2, power=np.int64(3), label="b", odd=False)]
-    robot = RobotIdentifier(
-        simulated.urdf, dt=DT, effects=effects, friction=("viscous",)
-    )
-    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    robot = fit(simulated, effects=effects)
     path = tmp_path / "robot.json"
     robot.save(path)
     with pytest.raises(ValueError, match=r"effects\[0\]\.name.*effects=\[\.\.\.\]"):

@@ -3,24 +3,23 @@
 import warnings
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier, effects, load_identified  # noqa: E402
-from sklearn_vbjfa.effects import Motion  # noqa: E402
-from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
-from sklearn_vbjfa.robot import to_mjcf  # noqa: E402
-from sklearn_vbjfa.simulation import (  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier, effects, load_identified
+from sklearn_vbjfa.effects import Motion
+from sklearn_vbjfa.physical import min_eigenvalue
+from sklearn_vbjfa.robot import to_mjcf
+from sklearn_vbjfa.simulation import (
     ForwardDynamics,
     Recorded,
     Stepper,
     why_left_out,
 )
-from tests._quick import one_in  # noqa: E402
-from tests.model._mujoco import drive_torques  # noqa: E402
-from tests.simulation._machines import machine, point  # noqa: E402
-from tests.simulation._random_robots import (  # noqa: E402
+from tests._quick import one_in
+from tests.model._mujoco import drive_torques
+from tests.simulation._machines import machine, point
+from tests.simulation._random_robots import (
     DT,
     random_motion,
     random_predictor,

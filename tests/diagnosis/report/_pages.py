@@ -124,6 +124,11 @@ def parsed(html):
     return page
 
 
+def line_of(report):
+    """Return the text of a terminal in one line."""
+    return " ".join(str(report).split())
+
+
 def text_of(report):
     """Return what is read on the page of a report, in one line."""
     html = re.sub(r"<(style|script)\b.*?</\1>", "", report.to_html(), flags=re.DOTALL)

@@ -8,11 +8,9 @@ import pytest
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import DiscoveredEffect, Fact, NotIdentifiable
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
-from sklearn_vbjfa.robot import (
-    Correction,
-)
+from sklearn_vbjfa.robot import Correction
 from tests.diagnosis.report._outcomes import EVIDENCE, make_outcome, make_trials
-from tests.diagnosis.report._pages import section_of, text_of
+from tests.diagnosis.report._pages import line_of, section_of, text_of
 
 NAMES = tuple(f"joint_{j + 1}" for j in range(6))
 MISSING = "Effects that were missing"
@@ -114,9 +112,8 @@ def report_of(*effects, **changes):
 )
 def test_effects_have_values_and_remedies(effect, values, remedy):
     report = report_of(effect)
-    terminal = " ".join(str(report).split())
     for value in (*values, remedy):
-        assert value in terminal
+        assert value in line_of(report)
         assert value in text_of(report)
     assert remedy in section_of(report, "Next steps")
     # One that was declared is to be corrected as well, and is not missing.

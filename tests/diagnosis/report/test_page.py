@@ -8,11 +8,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.diagnosis.report import (
-    HEIGHT,
-    WIDTH,
-    documentation_of,
-)
+from sklearn_vbjfa.diagnosis.report import HEIGHT, WIDTH, documentation_of
 from tests.diagnosis.report._outcomes import finding, make_outcome
 from tests.diagnosis.report._pages import (
     FILES,

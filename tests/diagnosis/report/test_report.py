@@ -20,7 +20,7 @@ from tests.diagnosis.report._outcomes import (
     make_possible,
     make_trials,
 )
-from tests.diagnosis.report._pages import section_of, text_of
+from tests.diagnosis.report._pages import line_of, section_of, text_of
 
 NAMES = tuple(f"joint{j + 1}" for j in range(6))
 UNKNOWN, FLOOR = np.full(6, np.nan), make_outcome().floor
@@ -42,11 +42,6 @@ CASES = {
 @pytest.fixture(params=CASES, name="outcome")
 def fixture_outcome(request):
     return make_outcome(**CASES[request.param])
-
-
-def line_of(report):
-    """Return the text of a terminal in one line."""
-    return " ".join(str(report).split())
 
 
 # -- the verdict
@@ -353,8 +348,7 @@ def test_without_a_search_nothing_is_said_of_what_is_missing():
     for status in ({}, {"unexplained": (1,)}):
         outcome = make_outcome(n_effects=0, channels=(), **status)
         settings = outcome.provenance["settings"] | {"effects": ()}
-        provenance = outcome.provenance | {"settings": settings}
-        headline = Report(replace(outcome, provenance=provenance)).headline
+        headline = Report(changed(outcome, settings=settings)).headline
         assert "o search was made" in headline
         assert "missing" not in headline
 

@@ -1,6 +1,7 @@
 """The command identify: files from a recording, one line for what is wrong."""
 
 import csv
+import functools
 import json
 import re
 import warnings
@@ -15,53 +16,14 @@ from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model import load_model
+from tests.command_line._running import refused, write_csv
 from tests.hostile._case import LINK, URDF
 
 FILES = ["identified.json", "identified.urdf", "identified.xml"]
 FILES += ["parameters.csv", "report.html", "report.json"]
 
 
-@pytest.fixture(scope="module")
-def recording(urdf):
-    """Two joints, 15 s; a spring on the shoulder is missing in the model."""
-    return make_robot_recording(
-        str(urdf),
-        duration=15.0,
-        n_harmonics=8,
-        undeclared={"spring": (0, 4.0)},
-        random_state=0,
-    )
-
-
-def write_csv(path, recording, *, q=None, tau=None, t=True, rows=slice(None)):
-    """Write columns t, q1, ..., tau1, ...; q and tau replace those recorded."""
-    q = recording.q if q is None else q
-    tau = recording.tau if tau is None else tau
-    names = [f"q{k + 1}" for k in range(q.shape[1])]
-    names += [f"tau{k + 1}" for k in range(tau.shape[1])]
-    table = np.hstack([q, tau])
-    if t:
-        names, table = ["t", *names], np.column_stack([recording.t, table])
-    header = ",".join(names)
-    np.savetxt(path, table[rows], fmt="%.8g", delimiter=",", header=header, comments="")
-    return path
-
-
-@pytest.fixture
-def good(tmp_path, recording, monkeypatch):
-    """Path of a recording without fault, in the working folder."""
-    monkeypatch.chdir(tmp_path)
-    return write_csv(tmp_path / "arm.csv", recording)
-
-
-def refusal(capsys, *argv):
-    """Return the one line on stderr."""
-    assert main(["identify", *map(str, argv)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    (line,) = captured.err.splitlines()
-    assert line.startswith("sklearn-vbjfa: ")
-    return line
+refusal = functools.partial(refused, "identify")
 
 
 def identified(path, nv=2):

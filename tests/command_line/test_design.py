@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import functools
 import io
 import json
 import re
@@ -15,6 +16,7 @@ import pytest
 from sklearn_vbjfa import RobotIdentifier, load_identified
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
+from tests.command_line._running import refused
 from tests.hostile._case import URDF
 
 # The robots of these tests have no collision geometry, which is a doubt.
@@ -84,14 +86,7 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-def refusal(capsys, *argv):
-    """Return the one line on stderr."""
-    assert main(["design", *map(str, argv)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    (line,) = captured.err.splitlines()
-    assert line.startswith("sklearn-vbjfa: ")
-    return line
+refusal = functools.partial(refused, "design")
 
 
 def read(path):
@@ -257,35 +252,23 @@ def test_a_duration_that_would_do_is_named(here, capsys):
     assert f"Give a duration of {wanted:g} s" in line
 
 
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        ("--duration", "nan"),
-        ("--duration", "0"),
-        ("--dt", "-1"),
-    ],
-)
-def test_numbers_that_are_none(option, value, here, capsys):
-    line = refusal(capsys, "--urdf", "arm.urdf", f"{option}={value}")
-    assert f"{option.lstrip('-')} must be" in line
+LIMITS = "--torque must be positive numbers, one for each of shoulder, elbow"
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("option", "said"),
     [
-        ("1,2,3", "positive numbers, one for each of shoulder, elbow"),
-        ("inf,1", "positive numbers, one for each of shoulder, elbow"),
+        ("--duration=nan", "duration must be"),
+        ("--duration=0", "duration must be"),
+        ("--dt=-1", "dt must be"),
+        ("--torque=1,2,3", LIMITS),
+        ("--torque=inf,1", LIMITS),
+        ("--torque=a,b", "--torque has an invalid value: 'a,b'"),
+        ("--torque=", "--torque has an invalid value: ''"),
     ],
 )
-def test_limits_that_are_none(text, said, here, capsys):
-    line = refusal(capsys, "--urdf", "arm.urdf", f"--torque={text}")
-    assert f"--torque must be {said}" in line
-
-
-@pytest.mark.parametrize("text", ["a,b", ""])
-def test_values_that_are_no_numbers(text, here, capsys):
-    line = refusal(capsys, "--urdf", "arm.urdf", f"--torque={text}")
-    assert f"--torque has an invalid value: '{text}'" in line
+def test_numbers_that_are_none(option, said, here, capsys):
+    assert said in refusal(capsys, "--urdf", "arm.urdf", option)
 
 
 def test_places_where_nothing_can_be_written(here, capsys):

@@ -9,27 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa._cli._parser import EXIT_CODES
+from tests.command_line import _running
 from tests.hostile._case import DT, LINK, URDF, N, cells, columns
 
 COMMANDS = ("identify", "inspect")
 WRIST = {"name": "tip", "joint": "wrist", "parent": "lower", "origin": 0.3}
 HAND = URDF.replace("</robot>", LINK.format(**WRIST, centre=0.1, mass=1) + "</robot>")
 # Options that keep the runs short.
-SHORT = {
-    "identify": ("--effects", "none", "--out", "out"),
-}
+SHORT = {"identify": ("--effects", "none", "--out", "out")}
 
 
 def run(capsys, command, *argv):
     """Run a command; the exit code, stdout, and the lines on stderr."""
-    code = main([command, *map(str, argv), *SHORT.get(command, ())])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err.splitlines()
+    code, out, err = _running.run(capsys, command, *argv, *SHORT.get(command, ()))
+    return code, out, err.splitlines()
 
 
 def write(table, name="arm.csv"):
@@ -62,6 +58,10 @@ def by_joint(table):
     return {name[:-1] + names.get(name[-1], name[-1]): x for name, x in table.items()}
 
 
+# Of an encoder at rest.
+NOISE = 1e-4 * np.random.default_rng(0).normal(size=N)
+
+
 def half(table):
     return np.arange(N) >= N // 2
 
@@ -72,12 +72,7 @@ RECORDINGS = {
     "sound": (lambda x: x, {"": (0, "")}),
     "a clipped torque": (
         lambda x: x | {"tau1": np.clip(x["tau1"], *np.quantile(x["tau1"], [0.2, 0.8]))},
-        {
-            "": (
-                3,
-                r"The torque of shoulder is clipped at .* % of its samples lie there",
-            )
-        },
+        {"": (3, "The torque of shoulder is clipped at .* % of its samples lie there")},
     ),
     "lost readings": (
         lambda x: x | {"tau1": x["tau1"] * (np.arange(N) % 200 >= 20)},
@@ -102,10 +97,7 @@ RECORDINGS = {
         lambda x: x | {"q2": np.full(N, 0.3)},
         {
             "": (3, "elbow never moves"),
-            "identify": (
-                3,
-                r"no usable samples \(joint 2 \(elbow\)\); elbow never",
-            ),
+            "identify": (3, r"no usable samples \(joint 2 \(elbow\)\); elbow never"),
         },
     ),
     "a gap": (
@@ -135,13 +127,7 @@ RECORDINGS = {
         },
     ),
     "a robot at rest": (
-        lambda x: (
-            x
-            | {
-                name: 1e-4 * np.random.default_rng(0).normal(size=N)
-                for name in ("q1", "q2")
-            }
-        ),
+        lambda x: x | dict.fromkeys(("q1", "q2"), NOISE),
         {"": (2, "No joint moves"), "inspect": (3, "No joint moves")},
     ),
     "no positions": (

@@ -10,6 +10,7 @@ import pytest
 from sklearn_vbjfa import load_model
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
+from tests.command_line import _running
 from tests.model._legs import JOINTS, legs_mjcf
 
 ON_ITS_SIDE = (1.0, 1.0, 0.0, 0.0)
@@ -40,9 +41,7 @@ def run(folder, monkeypatch, tmp_path, capsys):
     files = [str(folder / "legs.csv"), "--urdf", str(folder / "legs.xml")]
 
     def call(command, *options):
-        code = main([command, *files, *options])
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
+        return _running.run(capsys, command, *files, *options)
 
     return call
 
@@ -71,10 +70,7 @@ def test_the_orientation_is_that_of_the_loop(run, tmp_path):
     ("text", "said"),
     [
         ("1,1,0", "must be a quaternion of four finite numbers w, x, y, z"),
-        (
-            "1,1,0,up",
-            "--base-orientation has an invalid value: '1,1,0,up'",
-        ),
+        ("1,1,0,up", "--base-orientation has an invalid value: '1,1,0,up'"),
     ],
 )
 def test_refuses_what_is_no_orientation(run, text, said):

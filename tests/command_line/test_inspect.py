@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
+from tests.command_line._running import refused, run
 from tests.recording._logs import KINDS, plain
 
 
@@ -15,15 +15,9 @@ def made():
 
 def inspect(capsys, *argv, code=0):
     """Return stdout and stderr of a run that ends with an exit code."""
-    found = main(["inspect", *map(str, argv)])
-    captured = capsys.readouterr()
-    assert found == code, captured.err
-    return captured.out, captured.err
-
-
-def test_a_robot_description_is_asked_for(capsys):
-    assert main(["inspect", "log.csv"]) == 2
-    assert "give --urdf FILE" in capsys.readouterr().err
+    found, out, err = run(capsys, "inspect", *argv)
+    assert found == code, err
+    return out, err
 
 
 def test_a_sound_recording(made, tmp_path, capsys):
@@ -65,8 +59,7 @@ def test_a_refusal_names_the_command(made, tmp_path, capsys):
     header, rows = path.read_text().split("\n", 1)
     header = header.replace("q", "angle").replace("tau", "torque")
     path.write_text(f"{header}\n{rows}")
-    assert main(["inspect", str(path), "--urdf", made.urdf]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    line = refused("inspect", capsys, path, "--urdf", made.urdf)
     command = line.partition("this would work: python -m sklearn_vbjfa ")[2]
     assert command.startswith("inspect ")
     assert command.endswith("--columns 'q=angle{i},tau=torque{i}'")

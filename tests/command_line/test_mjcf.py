@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio
 import pytest
 
-from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model import joint_names, load_model
+from tests.command_line._running import run, write_csv
 
 # A planar arm with a gripper, whose second finger follows the first, a four-bar linkage
 # at its tip, and a loose object beside it.
@@ -65,18 +65,7 @@ def recording(tmp_path_factory):
 
 @pytest.fixture
 def table(recording, tmp_path):
-    heads = ["t", "q1", "q2", "tau1", "tau2"]
-    columns = np.column_stack([recording.t, recording.q, recording.tau])
-    path = tmp_path / "swing.csv"
-    np.savetxt(path, columns, delimiter=",", header=",".join(heads), comments="")
-    return path
-
-
-def run(capsys, *argv):
-    """Return the exit code and what was printed."""
-    code = main([*map(str, argv)])
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+    return write_csv(tmp_path / "swing.csv", recording)
 
 
 def test_a_run_from_mjcf_writes_every_file(write, table, recording, capsys):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -86,13 +87,10 @@ def test_a_folder_that_is_named_is_not_written_over(here, capsys, nothing_read):
 def test_a_folder_that_takes_no_files_is_told_first(here, capsys, nothing_read, option):
     assert run(option, "/proc/x") == 2
     (line,) = capsys.readouterr().err.splitlines()
-    expected = "/proc cannot be written to ("
-    assert expected in line
+    assert "/proc cannot be written to (" in line
 
 
 def test_a_description_without_masses_is_named_and_not_the_period(here, capsys):
-    import re
-
     text = re.sub('<mass value="[^"]*"', '<mass value="0"', URDF)
     Path("arm.urdf").write_text(text)
     assert main(["inspect", "arm.csv", "--urdf", "arm.urdf"]) in (0, 3)

@@ -10,7 +10,9 @@ import pytest
 
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
-from tests.command_line.test_close_loop import FILES, write_csv
+from tests.command_line import _running
+from tests.command_line._running import write_csv
+from tests.command_line.test_close_loop import FILES
 from tests.hostile._case import URDF
 
 RUNS = ("runs/a.csv", "runs/b.csv", "runs/c.csv")
@@ -59,10 +61,9 @@ def closed(motions, tmp_path_factory):
 
 def run(capsys, command, *argv):
     """Run a command; the exit code, stdout, and the lines on stderr."""
-    argv = [command, *map(str, argv), "--urdf", "arm.urdf", *SHORT.get(command, ())]
-    code = main(argv)
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err.splitlines()
+    options = ("--urdf", "arm.urdf", *SHORT.get(command, ()))
+    code, out, err = _running.run(capsys, command, *argv, *options)
+    return code, out, err.splitlines()
 
 
 def refusal(capsys, command, *argv):

@@ -1,30 +1,16 @@
 """The command simulate: errors on screen, files, one line for what is wrong."""
 
 import csv
+import functools
 import re
 
 import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier, load_identified
-from sklearn_vbjfa._cli import main
-from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.simulation import SimulationError
-from tests.command_line.test_close_loop import write_csv
-
-
-@pytest.fixture(scope="module")
-def recording(urdf):
-    """Two joints, 10 s; a spring on the shoulder is missing in the model."""
-    return make_robot_recording(
-        str(urdf),
-        duration=10.0,
-        dt=0.01,
-        n_harmonics=8,
-        undeclared={"spring": (0, 4.0)},
-        random_state=0,
-    )
+from tests.command_line._running import refused, run
 
 
 @pytest.fixture(scope="module")
@@ -36,31 +22,15 @@ def saved(urdf, recording, tmp_path_factory):
     return path
 
 
-@pytest.fixture
-def good(tmp_path, recording, monkeypatch):
-    """Path of a recording without fault, in the working folder."""
-    monkeypatch.chdir(tmp_path)
-    return write_csv(tmp_path / "arm.csv", recording)
+refusal = functools.partial(refused, "simulate")
 
 
-def run(capsys, *argv, code=0):
+def printed(capsys, *argv, code=0):
     """Return what is printed, without notes."""
-    assert main(["simulate", *map(str, argv)]) == code
-    captured = capsys.readouterr()
-    assert all(
-        line.startswith(("note: ", "warning: ")) for line in captured.err.splitlines()
-    )
-    return captured.out
-
-
-def refusal(capsys, *argv):
-    """Return the one line on stderr."""
-    assert main(["simulate", *map(str, argv)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    (line,) = captured.err.splitlines()
-    assert line.startswith("sklearn-vbjfa: ")
-    return line
+    found, out, err = run(capsys, "simulate", *argv)
+    assert found == code
+    assert all(x.startswith(("note: ", "warning: ")) for x in err.splitlines())
+    return out
 
 
 def table(text):
@@ -79,9 +49,9 @@ def rms_degrees(errors):
 
 def test_a_saved_robot_is_simulated_over_all_rows(good, saved, recording, capsys):
     # Windows of which few are hard are too few to be clear on the shoulder.
-    text = run(capsys, good, "--model", saved, "--out", "here/there")
+    text = printed(capsys, good, "--model", saved, "--out", "here/there")
     lines = text.splitlines()
-    assert lines[0].startswith("Recording 'arm': 1000 samples, 2 joints")
+    assert lines[0].startswith("Recording 'arm': 3000 samples, 2 joints")
     assert max(map(len, lines)) <= 90
     # The same in Python.
     found = simulate_windows(load_identified(saved), recording.q, recording.tau)
@@ -125,7 +95,7 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
         return right(self, *given, **named)
 
     monkeypatch.setattr(IdentifiedRobot, "simulate", wrong)
-    text = run(capsys, good, "--model", saved, code=3)
+    text = printed(capsys, good, "--model", saved, code=3)
     count = len(calls)
     told = " ".join(text.splitlines())
     where = re.search(
@@ -161,7 +131,7 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
         ("arm.csv --model M --window 0", "window must be a time in seconds"),
         ("arm.csv --model M --window nan", "window must be a time in seconds"),
         ("arm.csv --model M --window 60", "No recording is as long as a window of 60"),
-        ("arm.csv --model M --window 0.001", "at least the sample period 0.01 s"),
+        ("arm.csv --model M --window 0.001", "at least the sample period 0.005 s"),
         ("arm.csv --model M --out arm.csv", "arm.csv is not a folder"),
         ("arm.csv --model M --joints elbow", "2 column(s) q for 1 joint(s)"),
     ],
@@ -175,10 +145,10 @@ def test_what_cannot_be_is_one_line(argv, message, good, urdf, saved, capsys):
 
 def test_a_recording_of_another_rate_is_refused(saved, recording, tmp_path, capsys):
     source = tmp_path / "slow.npz"
-    np.savez(source, q=recording.q[::2], tau=recording.tau[::2], dt=0.02)
+    np.savez(source, q=recording.q[::2], tau=recording.tau[::2], dt=0.01)
     line = refusal(capsys, source, "--model", saved)
-    assert "slow.npz: is sampled every 0.02 s" in line
-    assert "was identified at 0.01 s" in line
+    assert "slow.npz: is sampled every 0.01 s" in line
+    assert "was identified at 0.005 s" in line
 
 
 def test_no_file_is_written_by_half(good, saved, capsys, monkeypatch):
@@ -190,15 +160,11 @@ def test_no_file_is_written_by_half(good, saved, capsys, monkeypatch):
         raise OSError("No space left on device")
 
     monkeypatch.setattr("sklearn_vbjfa._cli._simulate.errors_table", full)
-    assert main(["simulate", str(good), "--model", str(saved)]) == 2
-    captured = capsys.readouterr()
+    code, out, err = run(capsys, "simulate", good, "--model", saved)
+    assert code == 2
     # The numbers are not lost with the files.
-    assert "position error over windows" in captured.out
-    (line,) = [
-        x
-        for x in captured.err.splitlines()
-        if not x.startswith(("note: ", "warning: "))
-    ]
+    assert "position error over windows" in out
+    *_, line = err.splitlines()
     assert line == "sklearn-vbjfa: No space left on device"
     assert [path.name for path in folder.iterdir()] == ["simulation.csv"]
     assert (folder / "simulation.csv").read_text() == "old"

@@ -46,6 +46,14 @@ def _messages(typestore, one, header):
         yield round(1e9 * float(received)) + 10**9, message
 
 
+def _write(bag, topics, typestore, serialize, header):
+    kind = "sensor_msgs/msg/JointState"
+    for one in topics:
+        connection = bag.add_connection(one.topic, kind, typestore=typestore)
+        for received, message in _messages(typestore, one, header):
+            bag.write(connection, received, serialize(message, kind))
+
+
 def write_ros2(folder, topics, plugin="SQLITE3", other=False, packed=None):
     """Write a bag of ROS 2; return the file with the messages."""
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -69,12 +77,7 @@ def write_ros2(folder, topics, plugin="SQLITE3", other=False, packed=None):
             connection = bag.add_connection("/rosout", kind, typestore=typestore)
             word = typestore.types[kind]("hello")
             bag.write(connection, 10**9, typestore.serialize_cdr(word, kind))
-        for one in topics:
-            kind = "sensor_msgs/msg/JointState"
-            connection = bag.add_connection(one.topic, kind, typestore=typestore)
-            for received, message in _messages(typestore, one, header):
-                raw = typestore.serialize_cdr(message, kind)
-                bag.write(connection, received, raw)
+        _write(bag, topics, typestore, typestore.serialize_cdr, header)
     (file,) = [x for x in folder.iterdir() if x.suffix != ".yaml"]
     return file
 
@@ -95,10 +98,5 @@ def write_ros1(file, topics, compression=None):
     if compression is not None:
         bag.set_compression(getattr(Writer.CompressionFormat, compression))
     with bag:
-        for one in topics:
-            kind = "sensor_msgs/msg/JointState"
-            connection = bag.add_connection(one.topic, kind, typestore=typestore)
-            for received, message in _messages(typestore, one, header):
-                raw = typestore.serialize_ros1(message, kind)
-                bag.write(connection, received, raw)
+        _write(bag, topics, typestore, typestore.serialize_ros1, header)
     return file

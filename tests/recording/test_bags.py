@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.datasets import make_robot_recording, read_recording
+from sklearn_vbjfa.datasets import make_robot_recording
 from tests.recording._bags import States, states, write_ros1, write_ros2
 from tests.recording._reading import read_text as read
+from tests.recording._reading import refusal
 
 N, DT = 80, 0.01
 T = DT * np.arange(N)
@@ -22,13 +23,10 @@ def arm(**changes):
 
 
 def refused(path, **options):
-    """Return the refusal: one line that names the file."""
-    with pytest.raises(ValueError, match=r"\S") as caught:
-        read_recording(path, **options)
-    text = str(caught.value)
-    assert text.startswith(str(path))
-    assert "\n" not in text
-    return text, getattr(caught.value, "options", {})
+    """Return the text of the refusal, which begins with the file, and its options."""
+    error = refusal(path, **options)
+    assert str(error).startswith(str(path))
+    return str(error), getattr(error, "options", {})
 
 
 @pytest.fixture(params=["SQLITE3", "MCAP", "ros1", "BZ2", "LZ4"])
@@ -36,9 +34,8 @@ def write(request, tmp_path):
     """Write a bag of one of the formats, return its file."""
 
     def write(*topics, **options):
-        folder = tmp_path / "bag"
         if request.param in ("SQLITE3", "MCAP"):
-            return write_ros2(folder, topics, request.param)
+            return write_ros2(tmp_path / "bag", topics, request.param)
         packed = None if request.param == "ros1" else request.param
         return write_ros1(tmp_path / "arm.bag", topics, packed)
 

@@ -6,7 +6,7 @@ import pytest
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import RecordingRefused
 from tests.recording._reading import read
-from tests.recording.test_reader import DT, N, table, write
+from tests.recording.test_reader import DT, N, assert_same, table, write
 
 JOINTS = ("shoulder", "lift")
 ROBOT = """<robot name="r"><link name="base"/>
@@ -22,10 +22,7 @@ ROBOT = """<robot name="r"><link name="base"/>
 
 
 def same(recording):
-    columns = table()
-    for name in ("q", "tau"):
-        expected = np.column_stack([columns[f"{name}{k}"] for k in (1, 2)])
-        np.testing.assert_allclose(getattr(recording, name), expected, atol=1e-8)
+    assert_same(recording, table(), atol=1e-8)
     assert recording.dt == pytest.approx(DT)
 
 

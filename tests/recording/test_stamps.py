@@ -1,13 +1,11 @@
 """Irregular stamps: late or sampled, rows lost or twice, gaps, packets, clocks."""
 
-import warnings
-
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import inspect_time_stamps
 from tests.benchmarks._protocols import protocols
+from tests.recording._reading import read_text
 
 DT = 0.004
 N = 3000
@@ -27,15 +25,11 @@ def late(share, rng, n=N):
 
 def save(path, t, q, tau, **more):
     np.savez(path, t=t, q=q, tau=tau, **more)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        recording = read_recording(path)
-    return recording, " ".join(str(w.message) for w in caught)
+    return read_text(path)
 
 
 def test_stamps_are_judged():
-    dt = 0.01
-    t = dt * np.arange(100)
+    dt, t = 0.01, 0.01 * np.arange(100)
     steady = inspect_time_stamps(t)
     assert not steady.late
     np.testing.assert_array_equal(steady.slots, np.arange(100))

@@ -565,9 +565,6 @@ def test_a_linkage_has_the_work_of_its_spring(ratio, angle, rest):
     assert_allclose(torque[1:-1], np.gradient(energy, q)[1:-1], atol=2e-3)
 
 
-# -- an effect of one's own
-
-
 # -- settings that cannot be
 
 

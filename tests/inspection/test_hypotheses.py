@@ -9,6 +9,7 @@ import pytest
 from sklearn_vbjfa.datasets import load_demo_recording, make_robot_recording
 from sklearn_vbjfa.inspection import inspect_channels
 from tests._quick import one_in
+from tests.effects._arms import inverse_dynamics
 
 
 @pytest.fixture(scope="module")
@@ -118,14 +119,8 @@ def test_a_base_in_another_orientation(log, down):
 
 def gantry(gravity=(0.0, 0.0, -9.81)):
     """Three slides and a wrist, a recording of it under gravity [m/s^2], its weight."""
-    model = pin.Model()
-    for j, axis in enumerate(("PX", "PY", "PZ", "RY")):
-        joint = getattr(pin, f"JointModel{axis}")()
-        place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.3]))
-        number = model.addJoint(j, joint, place, f"joint_{j + 1}")
-        body = pin.Inertia.FromBox(5.0 - j, 0.1, 0.1, 0.3)
-        centre = pin.SE3(np.eye(3), np.array([0.02, 0.0, 0.15]))
-        model.appendBodyToJoint(number, body, centre)
+    kinds = enumerate(("PX", "PY", "PZ", "RY"))
+    model = chain(*((f"joint_{j + 1}", kind, j) for j, kind in kinds))
     made = make_robot_recording(model, duration=15.0, dt=0.01, random_state=2)
     data, turned = model.createData(), model.copy()
     turned.gravity.linear = np.array(gravity)
@@ -255,10 +250,9 @@ def test_a_force_on_a_link_is_named_with_its_time(log):
 
 def test_torques_of_the_description(log):
     recording, model, _ = log
-    data = model.createData()
     v = np.gradient(recording.q, recording.dt, axis=0)
-    states = zip(recording.q, v, np.gradient(v, recording.dt, axis=0))
-    tau = np.array([pin.rnea(model, data, *row).copy() for row in states])
+    states = np.hstack([recording.q, v, np.gradient(v, recording.dt, axis=0)])
+    tau = inverse_dynamics(model, states)
     assert grave(log, tau=tau)[0] == ["computed_torque"]
 
 

@@ -6,6 +6,7 @@ import pytest
 
 from sklearn_vbjfa.datasets import Recording
 from sklearn_vbjfa.inspection import motion_of
+from tests.effects._arms import inverse_dynamics
 from tests.hostile._case import URDF
 
 
@@ -18,11 +19,9 @@ def urdf(tmp_path_factory):
 
 def recording(urdf, q, dt=0.01):
     """Return a recording of these positions, with the torques of the description."""
-    model = pinocchio.buildModelFromUrdf(urdf)
-    data = model.createData()
-    v, a = (np.gradient(x, dt, axis=0) for x in (q, np.gradient(q, dt, axis=0)))
-    rows = zip(q, v, a)
-    tau = np.array([pinocchio.rnea(model, data, *row) for row in rows])
+    v = np.gradient(q, dt, axis=0)
+    states = np.hstack([q, v, np.gradient(v, dt, axis=0)])
+    tau = inverse_dynamics(pinocchio.buildModelFromUrdf(urdf), states)
     return Recording(
         name="arm",
         q=q,

@@ -6,10 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from sklearn_vbjfa import (
-    RigidBodyFeatures,
-    load_model,
-)
+from sklearn_vbjfa import RigidBodyFeatures, load_model
 from sklearn_vbjfa.model import (
     joint_names,
     load_reduced,
@@ -45,16 +42,6 @@ def legs(request, tmp_path):
     path = tmp_path / f"legs.{'xml' if request.param == 'mjcf' else 'urdf'}"
     path.write_text(legs_mjcf() if request.param == "mjcf" else legs_urdf())
     return path
-
-
-@pytest.fixture
-def write(tmp_path):
-    def to_file(text):
-        path = tmp_path / ("robot.urdf" if text.startswith("<robot") else "robot.xml")
-        path.write_text(text)
-        return path
-
-    return to_file
 
 
 @pytest.fixture

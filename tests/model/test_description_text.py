@@ -13,6 +13,7 @@ from sklearn_vbjfa.model import (
     load_folded,
     load_text,
 )
+from tests.effects._arms import inverse_dynamics
 from tests.model._robots import random_body
 from tests.model._trees import ALIGNED, OBLIQUE, build, make_joint
 
@@ -22,11 +23,6 @@ def with_bodies(model, rng):
         body = pin.Inertia.FromDynamicParameters(random_body(rng))
         model.inertias[j + 1] = body
     return model
-
-
-def torques(model, states):
-    data = model.createData()
-    return np.array([pin.rnea(model, data, *x) for x in states])
 
 
 @settings(max_examples=20, deadline=None)
@@ -43,9 +39,9 @@ def test_a_written_tree_is_the_same_robot(seed, kinds):
     read.gravity = model.gravity
     assert joint_names(read) == joint_names(model)
     states = rng.normal(size=(5, 3, model.nv))
-    expected = torques(model, states)
+    expected = inverse_dynamics(model, states)
     np.testing.assert_allclose(
-        torques(read, states), expected, atol=1e-12 * np.abs(expected).max()
+        inverse_dynamics(read, states), expected, atol=1e-12 * np.abs(expected).max()
     )
 
 
@@ -63,7 +59,9 @@ def test_branches_in_another_order():
     ordered = in_order(read, joint_names(model))
     assert joint_names(ordered) == joint_names(model)
     states = rng.normal(size=(5, 3, 5))
-    np.testing.assert_allclose(torques(ordered, states), torques(model, states))
+    np.testing.assert_allclose(
+        inverse_dynamics(ordered, states), inverse_dynamics(model, states)
+    )
     # The frames are carried by the same joints as before.
     carried = {f.name: read.names[f.parentJoint] for f in read.frames}
     assert {f.name: ordered.names[f.parentJoint] for f in ordered.frames} == carried

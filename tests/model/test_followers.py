@@ -38,7 +38,6 @@ def joint(name, parent, child, kind="revolute", axis="0 1 0", mimic=""):
 
 
 def robot(*joints):
-    links = "".join(link(name, k + 1) for k, name in enumerate("abcdefgh"))
     used = {name for name in "abcdefgh" if f'child link="{name}"' in "".join(joints)}
     links = "".join(link(name, ord(name) - 96) for name in sorted(used))
     return f'<robot name="r"><link name="base"/>{links}{"".join(joints)}</robot>'
@@ -71,16 +70,6 @@ RELATIONS = {
     "f3": ("grip", -1.4, 0.2),
     "f4": ("j2", 1.0, 0.3),
 }
-
-
-@pytest.fixture
-def write(tmp_path):
-    def to_file(text, name="robot.urdf"):
-        path = tmp_path / name
-        path.write_text(text)
-        return path
-
-    return to_file
 
 
 def literal(path, q, v, a, names):

@@ -33,16 +33,6 @@ ONE_JOINT = """<robot name="bench">
 LIMIT = '<limit lower="-1" upper="1" effort="7" velocity="3"/>'
 
 
-@pytest.fixture
-def write(tmp_path):
-    def make(text):
-        path = tmp_path / "robot.urdf"
-        path.write_text(text)
-        return path
-
-    return make
-
-
 @pytest.mark.parametrize("limit", ["", '<limit effort="7" velocity="3"/>'])
 def test_continuous_joint_is_one_angle(write, limit):
     turning = load_model(write(ONE_JOINT.format(kind="continuous", limit=limit)))

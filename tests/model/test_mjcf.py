@@ -6,11 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from sklearn_vbjfa.model import (
-    JointDynamics,
-    load_model,
-    write_mjcf,
-)
+from sklearn_vbjfa.model import JointDynamics, load_model, write_mjcf
+from tests.effects._arms import inverse_dynamics
 from tests.model._mujoco import drive_torques, moving_states
 from tests.model._robots import random_body, random_tree
 from tests.model.test_urdf import TREE
@@ -28,8 +25,7 @@ def rigid(model, bodies, states):
     model = model.copy()
     for j, body in enumerate(bodies):
         model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
-    data, nv = model.createData(), model.nv
-    return np.array([pin.rnea(model, data, *row.reshape(3, nv)) for row in states])
+    return inverse_dynamics(model, states)
 
 
 def assert_same(found, expected, share=1e-10):

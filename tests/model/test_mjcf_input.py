@@ -3,7 +3,6 @@
 import warnings
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa.model import (
@@ -17,6 +16,7 @@ from sklearn_vbjfa.model import (
     write_mjcf,
     write_reduced,
 )
+from tests.effects._arms import inverse_dynamics
 from tests.model._mujoco import moving_states
 from tests.model._robots import random_tree
 
@@ -110,30 +110,18 @@ def bodies_by_mujoco(path, states):
     return np.array(found)
 
 
-def by_pinocchio(model, states):
-    data = model.createData()
-    rows = [pin.rnea(model, data, *row.reshape(3, -1)) for row in states]
-    return np.array(rows)
-
-
 def assert_same_torques(path, seed=0, share=1e-11):
     model = quiet(load_model, path)
     states = moving_states(np.random.default_rng(seed), 30, model.nv)
     expected = bodies_by_mujoco(path, states)
-    worst = np.abs(by_pinocchio(model, states) - expected).max()
+    worst = np.abs(inverse_dynamics(model, states) - expected).max()
     assert worst < share * np.abs(expected).max()
 
 
-@pytest.fixture
-def write(tmp_path):
-    (tmp_path / "part.xml").write_text(PART)
-
-    def to_file(text, name="robot.xml"):
-        path = tmp_path / name
-        path.write_text(text)
-        return path
-
-    return to_file
+@pytest.fixture(autouse=True)
+def part(write):
+    """Write what some of the files include."""
+    write(PART, "part.xml")
 
 
 def arm(inside="", joint='<joint name="j"/>', before="", after=""):
@@ -205,9 +193,9 @@ def test_written_robots_are_read_again(seed, tmp_path):
     q, v, a = np.split(states, 3, axis=1)
     moved = np.hstack([q - own["ref"], v, a])
     columns = np.concatenate([np.array(order) + k * nv for k in range(3)])
-    found = by_pinocchio(read, states[:, columns])
+    found = inverse_dynamics(read, states[:, columns])
     model.armature = own["armature"]
-    expected = by_pinocchio(model, moved)[:, order]
+    expected = inverse_dynamics(model, moved)[:, order]
     np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
     np.testing.assert_allclose(
         bodies_by_mujoco(path, states[:, columns]),
@@ -230,13 +218,13 @@ def test_held_joints_are_at_zero(write, tmp_path):
     full = np.zeros((30, 3, 8))
     full[:, :, at] = states.reshape(30, 3, 3)
     expected = bodies_by_mujoco(path, full.reshape(30, 24))[:, at]
-    np.testing.assert_allclose(by_pinocchio(model, states), expected, atol=1e-9)
+    np.testing.assert_allclose(inverse_dynamics(model, states), expected, atol=1e-9)
     reduced = tmp_path / "reduced.urdf"
     held = write_reduced(path, reduced, moving)
     assert held == tuple(name for name in JOINTS if name not in moving)
     again = quiet(load_model, reduced)
     assert joint_names(again) == movable_joints(reduced) == tuple(own)
-    np.testing.assert_allclose(by_pinocchio(again, states), expected, atol=1e-9)
+    np.testing.assert_allclose(inverse_dynamics(again, states), expected, atol=1e-9)
     limits = model.lowerPositionLimit, model.upperPositionLimit
     np.testing.assert_array_equal(
         [again.lowerPositionLimit, again.upperPositionLimit],

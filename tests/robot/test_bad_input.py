@@ -87,42 +87,24 @@ def test_a_joint_that_never_moves(new_motion):
     assert np.isfinite(error).all()
 
 
-def test_a_dead_torque_channel(new_motion):
+def test_channels_that_say_nothing(new_motion):
     tau = changed(new_motion.tau, (slice(None), [1, 4]), 3.0)
-    with pytest.raises(
-        ValueError,
-        match=r"torque of joint_2, joint_5 is constant while .*Check the rec",
-    ):
+    message = r"torque of joint_2, joint_5 is constant while .*Check the rec"
+    with pytest.raises(ValueError, match=message):
         identify(new_motion, tau=tau)
-
-
-def test_no_motion_at_all(new_motion):
     with pytest.raises(ValueError, match=r"No joint moves.*Check the position columns"):
         identify(new_motion, q=np.ones_like(new_motion.q))
 
 
-def test_too_few_equations(new_motion):
-    states = new_motion.states[:10]
-    with pytest.raises(
-        ValueError, match=r"60 equations .* fewer than the 66 parameters; record for"
-    ):
-        identify(
-            new_motion,
-            q=states,
-            tau=new_motion.tau[:10],
-            standstill=None,
-            bodies="free",
-        )
-
-
-def test_too_short_to_differentiate(new_motion):
+def test_too_few_rows(new_motion):
+    q, tau, states = new_motion.q, new_motion.tau, new_motion.states[:10]
+    message = "60 equations .* fewer than the 66 parameters; record for"
+    with pytest.raises(ValueError, match=message):
+        identify(new_motion, states, tau[:10], standstill=None, bodies="free")
     with pytest.raises(ValueError, match="at least 16 samples; the longest has 15"):
-        identify(new_motion, q=new_motion.q[:15], tau=new_motion.tau[:15])
-
-
-def test_too_short_for_the_filter(new_motion):
+        identify(new_motion, q[:15], tau[:15])
     with pytest.raises(ValueError, match=r"The low-pass at 2 Hz is .*higher cutoff"):
-        identify(new_motion, q=new_motion.q[:60], tau=new_motion.tau[:60], cutoff=2.0)
+        identify(new_motion, q[:60], tau[:60], cutoff=2.0)
 
 
 def test_what_is_no_robot(new_motion):

@@ -189,4 +189,7 @@ def test_impossible_bodies_are_not_written(moved, tmp_path):
     robot.fit(moved.q, moved.tau)
     with pytest.raises(ValueError, match="not physically consistent, and an MJCF file"):
         robot.to_mjcf(tmp_path / "out.xml")
+    message = r'joint_1.*not physically.*projector="default"'
+    with pytest.raises(ValueError, match=message):
+        robot.to_urdf(tmp_path / "out.urdf")
     assert not list(tmp_path.iterdir())

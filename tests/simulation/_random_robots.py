@@ -132,6 +132,16 @@ def random_motion(rng, nv, length=200):
     return np.hstack([q, v, a])
 
 
+def with_effects(predictor, effects, coef, load=()):
+    """Return the same predictor with effects more, and their coefficients."""
+    return replace(
+        predictor,
+        plan=replace(predictor.plan, effects=(*predictor.effects_, *effects)),
+        theta_=np.r_[predictor.theta_, coef],
+        load_parameters=np.r_[predictor.load_parameters, load],
+    )
+
+
 def without(predictor, left_out):
     """Return the same predictor without effects at some places."""
     effects, at = [], predictor.features_.n_parameters_

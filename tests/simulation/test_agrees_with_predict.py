@@ -1,7 +1,6 @@
 """What `predict` says of simulated states is the torque that drove them."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -23,7 +22,8 @@ from sklearn_vbjfa.effects import (
     TorqueFilter,
     ViscousQuadratic,
 )
-from sklearn_vbjfa.simulation import simulate, with_bodies
+from sklearn_vbjfa.simulation import simulate
+from tests.model.test_mjcf import rigid
 from tests.simulation._machines import random_machine, wheel
 
 
@@ -51,9 +51,7 @@ def some_effects(rng, nv):
 def inverse(robot, states, t):
     """Torques of simulated states by bodies, declared friction and columns."""
     q, v, a = np.split(states, 3, axis=1)
-    model = with_bodies(robot.model, robot.bodies)
-    data = model.createData()
-    load = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+    load = rigid(robot.model, robot.bodies, states)
     declared = dict(zip(robot.friction_names, robot.friction.T))
     tau = load + declared["viscous"] * v + declared["coulomb"] * np.sign(v)
     motion = Motion(q=q, v=v, a=a, t=t, load=load, torque=load)

@@ -8,11 +8,7 @@ from sklearn_vbjfa.effects import Spring
 from sklearn_vbjfa.simulation import simulate, with_bodies
 from tests.model._robots import random_body
 from tests.model._trees import random_placement
-from tests.simulation._machines import (
-    machine,
-    slider,
-    wheel,
-)
+from tests.simulation._machines import machine, slider, wheel
 
 
 def nothing(n, nv=1):

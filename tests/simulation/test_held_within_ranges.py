@@ -3,26 +3,19 @@
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import (
-    Effect,
-    EffectRange,
-    LoadFriction,
-    Spring,
-    ViscousQuadratic,
-)
-from sklearn_vbjfa.simulation import (
-    Stepper,
-    simulate,
-)
+from sklearn_vbjfa.effects import EffectRange, LoadFriction, Spring, ViscousQuadratic
+from sklearn_vbjfa.simulation import Stepper, simulate
+from tests.effects._faults import Cubic
+from tests.model.test_mjcf import rigid
 from tests.simulation._machines import slider
 from tests.simulation._random_robots import (
     random_motion,
     random_predictor,
+    with_effects,
 )
 
 DEPENDENT = [
@@ -33,15 +26,10 @@ DEPENDENT = [
 ]
 
 
-class Cubic(Effect):
-    """Stiffness that grows with the square of the position."""
+class Held(Cubic):
+    """Its torque is held beyond the range of its positions."""
 
-    name, coefficients, units = "cubic", ("k3",), (("N m/rad^3", "N/m^3"),)
     depends = ("position",)
-
-    def columns(self, motion):
-        """Cube of the position."""
-        return motion.q[:, [self.joint]] ** 3
 
 
 def range_of(effect, position=(-0.2, 0.25), speed=(0.05, 0.7), load=(-1.5, 2.0)):
@@ -71,19 +59,6 @@ def held(predictor, **ends):
     return replace(predictor, plan=plan, effect_ranges_=(*declared, *own))
 
 
-def with_effect(rng, effect, coef):
-    """Predictor of a random robot of three joints with one effect."""
-    predictor = random_predictor(rng, 3, [])
-    return replace(
-        predictor,
-        plan=replace(predictor.plan, effects=(effect,)),
-        theta_=np.r_[predictor.theta_, coef],
-        load_parameters=np.r_[
-            predictor.load_parameters, () if "load" in effect.needs else coef
-        ],
-    )
-
-
 def torques(predictor, X):
     return predictor.torques(predictor.prepare(X))
 
@@ -95,17 +70,14 @@ def load_of(predictor, X):
     )
     model = predictor.features_.model_.copy()
     model.armature = np.zeros(model.nv)
-    for j, body in enumerate(bodies):
-        model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body[:10].copy())
-    data = model.createData()
-    return np.array([pin.rnea(model, data, *row.reshape(3, -1)) for row in X])
+    return rigid(model, bodies[:, :10].copy(), X)
 
 
 # Margin as a share of the width, and torques by the signal that is held, its ends, and
 # the sign of the velocity. Speeds have both directions, and twice the width.
 LAWS = [
     (Spring(1), [3.0, 0.4], 0.2, lambda x, ends, s: 3.0 * np.clip(x, *ends) + 0.4),
-    (Cubic(1), [3.0], 0.2, lambda x, ends, s: 3.0 * np.clip(x, *ends) ** 3),
+    (Held(1), [3.0], 0.2, lambda x, ends, s: 3.0 * np.clip(x, *ends) ** 3),
     (
         ViscousQuadratic(1),
         [0.8],
@@ -125,7 +97,9 @@ LAWS = [
 @pytest.mark.parametrize(("effect", "coef", "share", "law"), LAWS)
 def test_a_prediction_is_the_torque_at_the_end(effect, coef, share, law):
     rng = np.random.default_rng(4)
-    free, X = with_effect(rng, effect, coef), random_motion(rng, 3)
+    bare, of_load = random_predictor(rng, 3, []), "load" in effect.needs
+    free = with_effects(bare, (effect,), coef, () if of_load else coef)
+    X = random_motion(rng, 3)
     (quantity, *_) = effect.depends
     load = load_of(free, X)[:, 1]
     values = {"position": X[:, 1], "speed": X[:, 4], "load": load}[quantity]

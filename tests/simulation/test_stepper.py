@@ -1,7 +1,5 @@
 """Torques state by state are those of the whole recording."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,6 +12,7 @@ from tests.simulation._random_robots import (
     DT,
     random_motion,
     random_predictor,
+    with_effects,
     without,
 )
 
@@ -125,21 +124,15 @@ class Remembering(Summed):
         return torque
 
 
-def with_effects(rng, own, nv=3):
-    """Return a predictor with effects of one's own, beside a hysteresis."""
-    predictor = random_predictor(rng, nv, ["maxwell_slip"])
-    widths = sum(len(effect.coefficients) for effect in own)
-    return replace(
-        predictor,
-        plan=replace(predictor.plan, effects=(*predictor.effects_, *own)),
-        theta_=np.r_[predictor.theta_, rng.normal(size=widths)],
-        load_parameters=np.r_[predictor.load_parameters, rng.normal(size=widths)],
-    )
+def with_effect(rng, own):
+    """Return a predictor with an effect of one's own, beside a hysteresis."""
+    predictor = random_predictor(rng, 3, ["maxwell_slip"])
+    return with_effects(predictor, (own,), *rng.normal(size=(2, 1)))
 
 
 def test_effects_of_ones_own():
     rng = np.random.default_rng(3)
-    predictor = with_effects(rng, (Remembering(joint=2),))
+    predictor = with_effect(rng, Remembering(joint=2))
     X = random_motion(rng, 3)
     stepper = Stepper(predictor.torque_model())
     assert stepper.left_out_ == ()
@@ -153,7 +146,7 @@ def test_effects_of_ones_own():
 
 def test_a_memory_that_cannot_be_stepped_is_left_out():
     rng = np.random.default_rng(4)
-    predictor = with_effects(rng, (Summed(joint=1),))
+    predictor = with_effect(rng, Summed(joint=1))
     stepper = Stepper(predictor.torque_model())
     (left,) = stepper.left_out_
     assert (left.name, left.joint) == ("summed", 1)

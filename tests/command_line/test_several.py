@@ -21,10 +21,8 @@ SHORT = {"identify": ("--effects", "spring")}
 
 
 @pytest.fixture(scope="module")
-def motions(tmp_path_factory):
+def motions(urdf):
     """Three motions of a robot that has a spring on its shoulder."""
-    urdf = tmp_path_factory.mktemp("arm") / "arm.urdf"
-    urdf.write_text(URDF)
     made = make_robot_recording(
         str(urdf), duration=8.0, dt=0.01, n_recordings=3, random_state=0
     )

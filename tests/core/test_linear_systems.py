@@ -7,22 +7,17 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn_vbjfa._core._linear_systems import scaled_lstsq, unit_columns
 
 
-@pytest.fixture
-def make_columns():
-    """Return a factory of columns with any unit and offset, and weights."""
-
-    def make(unit, offset, n_samples=200):
-        rng = np.random.default_rng(0)
-        weight = rng.uniform(0.5, 2.0, size=n_samples)
-        return unit * (rng.normal(size=(n_samples, 3)) + offset), weight
-
-    return make
+def make_columns(unit, offset, n_samples=200):
+    """Make columns with any unit and offset, and weights."""
+    rng = np.random.default_rng(0)
+    weight = rng.uniform(0.5, 2.0, size=n_samples)
+    return unit * (rng.normal(size=(n_samples, 3)) + offset), weight
 
 
 @pytest.mark.parametrize("center", [True, False])
 @pytest.mark.parametrize("offset", [0.0, 1e3, 1e8])
 @pytest.mark.parametrize("unit", [1e-200, 1e-6, 1.0, 1e200])
-def test_moments(make_columns, unit, offset, center):
+def test_moments(unit, offset, center):
     X, weight = make_columns(unit, offset)
     result = unit_columns(X, weight, center=center)
     mean = np.average(X / unit, axis=0, weights=weight) * unit * center

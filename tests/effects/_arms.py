@@ -131,17 +131,9 @@ def with_changed_body(model, delta):
 
 def last_body_regressor(model, states):
     """Regressor of the last body's ten parameters, (n, nv, 10)."""
-    import pinocchio as pin
+    from tests.model._trees import by_sample
 
-    data = model.createData()
-    return np.array(
-        [
-            pin.computeJointTorqueRegressor(model, data, *row.reshape(3, model.nv))[
-                :, -10:
-            ]
-            for row in states
-        ]
-    )
+    return by_sample(model, *np.split(states, 3, axis=1))[:, :, -1]
 
 
 def stops_sample_by_sample(q, displacement, level=None):

@@ -6,17 +6,12 @@ from numpy.testing import assert_allclose
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, load_identified
 from sklearn_vbjfa.effects import UnnamedTorque
-from tests.effects._arms import arm, inverse_dynamics, motion
-
-T, X = motion(1, duration=40.0, dt=0.02, seed=5)
-Q, V, _ = np.split(X, 3, axis=1)
-MODEL = arm("Y")
-NOISE = 0.02 * np.random.default_rng(3).normal(size=Q.shape)
+from tests.effects.test_hard_recordings import LOAD, MODEL, NOISE, Q, V, X
 
 
 def recorded(torque):
     """Measured torques of an arm with a further torque."""
-    return inverse_dynamics(MODEL, X) + 0.5 * V + torque + NOISE
+    return LOAD + 0.5 * V + torque + NOISE
 
 
 def step(q):

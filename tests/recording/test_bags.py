@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.datasets import make_robot_recording
 from tests.recording._bags import States, states, write_ros1, write_ros2
 from tests.recording._reading import read_text as read
 from tests.recording._reading import refusal
@@ -147,11 +146,6 @@ def test_velocities_are_taken_if_all_messages_have_them(tmp_path):
 
 
 # -- robots ----------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def made():
-    return make_robot_recording(duration=1.0, random_state=0)
 
 
 def test_sensors_and_joints_that_were_not_recorded(tmp_path, made):

@@ -6,16 +6,11 @@ import warnings
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.datasets import make_robot_recording, read_recording
+from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import RecordingRefused
 from tests.recording._logs import EPOCH, GAINS, KINDS, plain
 from tests.recording._reading import read
 from tests.recording.test_reader import table, write
-
-
-@pytest.fixture(scope="module")
-def made():
-    return make_robot_recording(duration=2.0, dt=0.004, random_state=0)
 
 
 def renamed(names, columns=None):

@@ -6,30 +6,26 @@ import pytest
 from sklearn_vbjfa.datasets import Recording
 
 
-@pytest.fixture
-def make_recording():
-    def make(**changes):
-        rng = np.random.default_rng(0)
-        fields = {
-            "name": "bench",
-            "q": rng.normal(size=(9, 2)),
-            "tau": rng.normal(size=(9, 2)),
-            "v": rng.normal(size=(9, 2)),
-            "t": 0.1 * np.array([0, 1, 2, 0, 1, 2, 3, 0, 1]),
-            "dt": 0.1,
-            "groups": np.array([0, 0, 0, 1, 1, 1, 1, 2, 2]),
-            "group_names": ("slow", "fast", "rest"),
-            "joint_names": ("a", "b"),
-            "position_units": ("rad", "m"),
-            "torque_units": ("N m", "N"),
-            "signals": {"temperature": np.arange(9.0)},
-        }
-        return Recording(**{**fields, **changes})
-
-    return make
+def make_recording(**changes):
+    rng = np.random.default_rng(0)
+    fields = {
+        "name": "bench",
+        "q": rng.normal(size=(9, 2)),
+        "tau": rng.normal(size=(9, 2)),
+        "v": rng.normal(size=(9, 2)),
+        "t": 0.1 * np.array([0, 1, 2, 0, 1, 2, 3, 0, 1]),
+        "dt": 0.1,
+        "groups": np.array([0, 0, 0, 1, 1, 1, 1, 2, 2]),
+        "group_names": ("slow", "fast", "rest"),
+        "joint_names": ("a", "b"),
+        "position_units": ("rad", "m"),
+        "torque_units": ("N m", "N"),
+        "signals": {"temperature": np.arange(9.0)},
+    }
+    return Recording(**{**fields, **changes})
 
 
-def test_select_keeps_rows_and_renumbers_labels(make_recording):
+def test_select_keeps_rows_and_renumbers_labels():
     recording = make_recording()
     kept = recording.select("rest", 0, "rest")
     rows = [0, 1, 2, 7, 8]
@@ -44,7 +40,7 @@ def test_select_keeps_rows_and_renumbers_labels(make_recording):
 
 
 @pytest.mark.parametrize("entry", ["Fast", 3, -1, True, 1.0])
-def test_select_refuses_what_is_not_there(make_recording, entry):
+def test_select_refuses_what_is_not_there(entry):
     with pytest.raises(
         ValueError, match=r"choose from the names .* or the labels 0 to 2"
     ):
@@ -74,14 +70,14 @@ def test_select_refuses_what_is_not_there(make_recording, entry):
         {"group_names": ("a", "a", "b")},
     ],
 )
-def test_inconsistent_fields_are_refused_by_name(make_recording, changes):
+def test_inconsistent_fields_are_refused_by_name(changes):
     (name,) = changes
     with pytest.raises(ValueError, match=name) as caught:
         make_recording(**changes)
     assert "must" in str(caught.value)
 
 
-def test_no_description_gives_a_remedy(make_recording):
+def test_no_description_gives_a_remedy():
     with pytest.raises(FileNotFoundError, match=r"dataclasses\.replace"):
         make_recording().robot_model()
 
@@ -94,7 +90,7 @@ def test_no_description_gives_a_remedy(make_recording):
         ("bam_xl330", ("servo",), [0.3], [0.49 * 9.81 * 0.1 * np.sin(0.3)]),
     ],
 )
-def test_gravity_of_the_one_joint_models(make_recording, name, joints, q, gravity):
+def test_gravity_of_the_one_joint_models(name, joints, q, gravity):
     import pinocchio as pin
 
     recording = make_recording(
@@ -111,7 +107,7 @@ def test_gravity_of_the_one_joint_models(make_recording, name, joints, q, gravit
     np.testing.assert_allclose(torque, gravity, atol=1e-12)
 
 
-def test_double_pendulum_model_has_the_published_dynamics(make_recording):
+def test_double_pendulum_model_has_the_published_dynamics():
     import pinocchio as pin
 
     recording = make_recording(

@@ -1,21 +1,16 @@
 """Resampling against functions with a known value everywhere."""
 
 import numpy as np
-import pytest
 
 from sklearn_vbjfa.recording import interpolate
 
 
-@pytest.fixture
-def make_stamps():
-    def make(n_samples, dt=0.01, jitter=0.3, seed=0):
-        rng = np.random.default_rng(seed)
-        return dt * (np.arange(n_samples) + rng.uniform(-jitter, jitter, n_samples))
-
-    return make
+def make_stamps(n_samples, dt=0.01, jitter=0.3, seed=0):
+    rng = np.random.default_rng(seed)
+    return dt * (np.arange(n_samples) + rng.uniform(-jitter, jitter, n_samples))
 
 
-def test_cubic_reproduces_a_cubic_and_linear_a_line(make_stamps):
+def test_cubic_reproduces_a_cubic_and_linear_a_line():
     t = make_stamps(200)
     channels = {
         "q": np.column_stack([t**3 - t, 2 * t**2]),
@@ -32,7 +27,7 @@ def test_cubic_reproduces_a_cubic_and_linear_a_line(make_stamps):
     np.testing.assert_allclose(part["temperature"], 20 + x)
 
 
-def test_a_joint_that_stands_does_not_move_by_rounding(make_stamps):
+def test_a_joint_that_stands_does_not_move_by_rounding():
     t = make_stamps(500)
     channels = {"q": np.column_stack([np.sin(t), np.full(t.size, 0.1038)])}
     _, part = interpolate(t - t[0], channels, 0.01)

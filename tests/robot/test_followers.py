@@ -7,20 +7,15 @@ import pytest
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.model import joint_names, load_folded
 from sklearn_vbjfa.physical import min_eigenvalue
+from tests.model.test_followers import joint, link
 
 LINKS = {"upper": 4.0, "lower": 3.0, "left": 1.0, "right": 1.2}
+MIMIC = 'joint="grip" multiplier="-2.5" offset="0.2"'
 JOINTS = (
-    ("shoulder", "base", "upper", "revolute", "0 1 0", ""),
-    ("elbow", "upper", "lower", "revolute", "1 0 0", ""),
-    ("grip", "lower", "left", "prismatic", "1 1 0", ""),
-    (
-        "follow",
-        "lower",
-        "right",
-        "revolute",
-        "1 0 1",
-        '<mimic joint="grip" multiplier="-2.5" offset="0.2"/>',
-    ),
+    joint("shoulder", "base", "upper"),
+    joint("elbow", "upper", "lower", axis="1 0 0"),
+    joint("grip", "lower", "left", "prismatic", "1 1 0"),
+    joint("follow", "lower", "right", axis="1 0 1", mimic=MIMIC),
 )
 # Of the joints in Pinocchio's order: shoulder, elbow, follow, grip.
 A = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, -2.5], [0, 0, 1.0]])
@@ -30,19 +25,8 @@ DT = 0.005
 
 
 def description():
-    links = "".join(
-        f'<link name="{name}"><inertial><origin xyz=".1 .02 .03"/>'
-        f'<mass value="{mass}"/><inertia ixx=".010" iyy=".012" izz=".013" ixy="0" '
-        'ixz="0" iyz="0"/></inertial></link>'
-        for name, mass in LINKS.items()
-    )
-    joints = "".join(
-        f'<joint name="{name}" type="{kind}"><origin xyz=".1 .2 .3" rpy=".1 .2 .3"/>'
-        f'<parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>'
-        f'<limit lower="-3" upper="3" effort="1" velocity="20"/>{mimic}</joint>'
-        for name, parent, child, kind, axis, mimic in JOINTS
-    )
-    return f'<robot name="gripper"><link name="base"/>{links}{joints}</robot>'
+    parts = "".join([*(link(*one) for one in LINKS.items()), *JOINTS])
+    return f'<robot name="gripper"><link name="base"/>{parts}</robot>'
 
 
 def torques(model, q, v, a):
@@ -100,7 +84,7 @@ def test_a_recording_needs_no_columns_of_a_follower(fitted, recorded, motion, pa
     assert (error < 0.01 * true.std(axis=0)).all()
 
 
-def test_a_follower_has_ten_parameters_of_its_own(fitted):
+def test_a_follower_has_ten_parameters_of_its_own(fitted, path):
     names = [name for name in fitted.parameter_names_ if name.startswith("follow:")]
     assert len(names) == 10
     assert names[0] == "follow:m"
@@ -110,12 +94,15 @@ def test_a_follower_has_ten_parameters_of_its_own(fitted):
     assert min_eigenvalue(body[None])[0] > 0
     # It swings about an axis of its own, which shows a moment of inertia about it.
     axis = np.array([1.0, 0.0, 1.0]) / np.sqrt(2)
-    full = pin.Inertia(1.2, np.array([0.1, 0.02, 0.03]), np.diag([0.01, 0.012, 0.013]))
-    xx, xy, yy, xz, yz, zz = body[4:]
-    found = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    true = pin.Inertia.FromDynamicParameters(full.toDynamicParameters())
-    moment = true.matrix()[3:, 3:]
-    assert axis @ found @ axis == pytest.approx(axis @ moment @ axis, rel=0.02)
+    full = pin.buildModelFromUrdf(str(path))
+    true, found = (
+        axis @ one.matrix()[3:, 3:] @ axis
+        for one in (
+            full.inertias[full.getJointId("follow")],
+            pin.Inertia.FromDynamicParameters(body),
+        )
+    )
+    assert found == pytest.approx(true, rel=0.02)
 
 
 def test_a_written_mjcf_has_the_follower(fitted, motion, tmp_path):

@@ -146,51 +146,50 @@ def test_filters_act_on_all_of_the_torque(kind):
     assert np.isfinite(robot.predict(STATES[300:600], t=T[300:600])).all()
 
 
+# Share of the load that the second joint loses, and its torque.
+MU = 0.15
+OF_LOAD = on_joint(1, MU * np.abs(LOAD[:, 1]) * np.sign(V[:, 1]))
+
+
 def test_load_friction_is_a_fixed_point(monkeypatch):
-    mu = 0.15
-    added = on_joint(1, mu * np.abs(LOAD[:, 1]) * np.sign(V[:, 1]))
-    robot = fit(added, effects.LoadFriction(1))
-    assert coefficients(robot)[0] == pytest.approx(mu, rel=0.01)
-    assert_allclose(robot.predict(STATES), DECLARED + added, atol=0.05)
+    robot = fit(OF_LOAD, effects.LoadFriction(1))
+    assert coefficients(robot)[0] == pytest.approx(MU, rel=0.01)
+    assert_allclose(robot.predict(STATES), DECLARED + OF_LOAD, atol=0.05)
     monkeypatch.setattr(_plan, "_LOAD_PASSES", 9)
-    settled = fit(added, effects.LoadFriction(1))
-    assert coefficients(settled)[0] == pytest.approx(mu, rel=1e-3)
+    settled = fit(OF_LOAD, effects.LoadFriction(1))
+    assert coefficients(settled)[0] == pytest.approx(MU, rel=1e-3)
     assert coefficients(robot)[0] == pytest.approx(coefficients(settled)[0], rel=0.01)
 
 
 def test_the_load_follows_a_gain_that_is_found():
-    mu, gain = 0.15, 1.1
-    added = on_joint(1, mu * np.abs(LOAD[:, 1]) * np.sign(V[:, 1]))
-    noise = 0.1 * NOISE
-    tau = (DECLARED + added) * [1.0, gain, 1.0] + noise
+    gain, noise = 1.1, 0.1 * NOISE
+    tau = (DECLARED + OF_LOAD) * [1.0, gain, 1.0] + noise
     used = effects.LoadFriction(1), effects.TorqueGain(1)
     robot = RobotIdentifier(MODEL, effects=used, **EXACT).fit(STATES, tau)
     found = coefficients(robot)
     assert found[1] == pytest.approx(gain, rel=0.01)
-    assert found[0] == pytest.approx(mu, rel=0.02)
+    assert found[0] == pytest.approx(MU, rel=0.02)
     left = robot.predict(STATES) - tau
     assert (np.std(left, axis=0) < 1.05 * np.std(noise, axis=0)).all()
 
 
 def test_a_fit_after_another_has_its_load():
-    mu = 0.15
-    added = on_joint(1, mu * np.abs(LOAD[:, 1]) * np.sign(V[:, 1]))
     late = RobotIdentifier(MODEL, effects=(effects.LoadFriction(1),), **EXACT)
 
     def after(fitted):
-        return clone(late).begin_with(fitted).fit(STATES, DECLARED + added)
+        return clone(late).begin_with(fitted).fit(STATES, DECLARED + OF_LOAD)
 
-    alone = clone(late).fit(STATES, DECLARED + added)
+    alone = clone(late).fit(STATES, DECLARED + OF_LOAD)
     # The fit without it is the first pass, that with another plain effect nearly.
-    assert_array_equal(after(fit(added)).theta_, alone.theta_)
-    near = after(fit(added, effects.Coulomb(1))).theta_
+    assert_array_equal(after(fit(OF_LOAD)).theta_, alone.theta_)
+    near = after(fit(OF_LOAD, effects.Coulomb(1))).theta_
     assert_allclose(near, alone.theta_, rtol=0.01, atol=0.01)
     # Of a fit that has it already the load is better.
     again = after(alone)
-    errors = [abs(coefficients(one)[0] / mu - 1) for one in (again, alone)]
+    errors = [abs(coefficients(one)[0] / MU - 1) for one in (again, alone)]
     assert errors[0] < 0.3 * errors[1]
     # Once only.
-    again.fit(STATES, DECLARED + added)
+    again.fit(STATES, DECLARED + OF_LOAD)
     assert_array_equal(again.theta_, alone.theta_)
 
 

@@ -3,7 +3,6 @@
 import warnings
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import optimize
@@ -16,6 +15,7 @@ from sklearn_vbjfa.robot import FitOptions
 from tests._quick import one_in
 from tests.effects._arms import arm, motion
 from tests.effects._faults import faulty, measured
+from tests.model._trees import by_sample
 from tests.robot import EXACT
 
 DT = 0.02
@@ -90,12 +90,9 @@ def test_values_are_found_without_noise(case):
 def literal_regressor(model, effects, states):
     """Regressor matrices (n, nv, 11 nv) of the robot with faults, by Pinocchio."""
     other, shifts, gains = faulty(model, effects)
-    data, nv = other.createData(), model.nv
-    Phi = np.zeros((states.shape[0], nv, nv, 11))
-    for i, row in enumerate(states - np.r_[shifts, np.zeros(2 * nv)]):
-        block = pin.computeJointTorqueRegressor(other, data, *row.reshape(3, nv))
-        Phi[i, :, :, :10] = block.reshape(nv, nv, 10)
-        Phi[i, range(nv), range(nv), 10] = row[nv : 2 * nv]
+    q, v, a = np.split(states, 3, axis=1)
+    friction = v[:, :, None, None] * np.eye(model.nv)[:, :, None]
+    Phi = np.concatenate([by_sample(other, q - shifts, v, a), friction], axis=3)
     return gains[:, None] * Phi.reshape(*Phi.shape[:2], -1)
 
 

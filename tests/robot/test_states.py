@@ -15,19 +15,14 @@ def wave(t, frequency, phase=0.3):
     return np.column_stack([s, w * c, -(w**2) * s])
 
 
-@pytest.fixture
-def noisy_wave():
+def noisy_wave(n, noise, seed=0):
     """Make slow sines in several joints under white noise."""
-
-    def make(n, noise, seed=0):
-        t = np.arange(n) * DT
-        joints = [wave(t, f, f) for f in np.linspace(0.2, 0.6, len(noise))]
-        truth = np.stack(joints, axis=2).reshape(n, -1)  # [q | v | a]
-        rng = np.random.default_rng(seed)
-        q = truth[:, : len(noise)] + noise * rng.normal(size=(n, len(noise)))
-        return q, truth
-
-    return make
+    t = np.arange(n) * DT
+    joints = [wave(t, f, f) for f in np.linspace(0.2, 0.6, len(noise))]
+    truth = np.stack(joints, axis=2).reshape(n, -1)  # [q | v | a]
+    rng = np.random.default_rng(seed)
+    q = truth[:, : len(noise)] + noise * rng.normal(size=(n, len(noise)))
+    return q, truth
 
 
 # -- exactness
@@ -68,7 +63,7 @@ def test_sines_pass_with_the_stated_gain_and_no_phase(frequency, cutoff):
 # -- recordings
 
 
-def test_a_jump_between_recordings_leaves_no_trace(noisy_wave):
+def test_a_jump_between_recordings_leaves_no_trace():
     q, _ = noisy_wave(1200, np.array([1e-3, 1e-4]))
     groups = np.repeat(["a", "b", "c"], [500, 300, 400])
     jumped = q + np.repeat([0.0, 1e3, -50.0], [500, 300, 400])[:, None]
@@ -87,7 +82,7 @@ def test_a_jump_between_recordings_leaves_no_trace(noisy_wave):
 # -- what is measured
 
 
-def test_noise_variance(noisy_wave):
+def test_noise_variance():
     noise = np.array([1e-4, 1e-3, 1e-2])
     q, _ = noisy_wave(20_000, noise)
     estimator = StateEstimator(DT).fit(q)
@@ -95,7 +90,7 @@ def test_noise_variance(noisy_wave):
     np.testing.assert_allclose(estimator.noise_variance_, noise**2, rtol=0.12)
 
 
-def test_bandwidth_is_that_of_the_motion(noisy_wave):
+def test_bandwidth_is_that_of_the_motion():
     t = np.arange(8000) * DT
     q = wave(t, 0.2)[:, :1] + 1e-4 * np.random.default_rng(1).normal(size=(8000, 1))
     q = np.hstack([q, wave(t, 2.0)[:, :1], np.full((8000, 1), 0.7)])
@@ -117,7 +112,7 @@ def test_a_joint_that_rests_stays_at_rest():
     )
 
 
-def test_halves_agree_with_the_truth_and_share_no_noise(noisy_wave):
+def test_halves_agree_with_the_truth_and_share_no_noise():
     noise = np.array([1e-3])
     q, truth = noisy_wave(40_000, noise)
     estimator = StateEstimator(DT, cutoff=5.0).fit(q)
@@ -135,7 +130,7 @@ def test_halves_agree_with_the_truth_and_share_no_noise(noisy_wave):
     assert np.corrcoef(errors[0][:, 1], whole[:, 1])[0, 1] > 0.5
 
 
-def test_velocity_noise_is_that_of_the_velocities(noisy_wave):
+def test_velocity_noise_is_that_of_the_velocities():
     q, truth = noisy_wave(6000, noise=np.array([1e-4, 1e-3]))
     estimator = StateEstimator(DT, cutoff=[20.0, None]).fit(q)
     wrong = (estimator.transform(q) - truth)[100:-100, 2:4]

@@ -38,6 +38,7 @@ def test_the_best_place_between_two_points_is_found(name):
     path = search(torque, [name]).path()
     found = path.run().members[0].effect
     assert getattr(found, shape) == pytest.approx(value, rel=0.01)
+    assert getattr(found, shape) not in [one[shape] for one in found.shapes(MOTION)]
 
 
 def two_recordings():

@@ -1,7 +1,6 @@
 """The command design: a motion and its summary, one line for what is wrong."""
 
 import contextlib
-import csv
 import functools
 import io
 import json
@@ -11,6 +10,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier, load_identified
@@ -89,28 +89,15 @@ def here(tmp_path, monkeypatch):
 refusal = functools.partial(refused, "design")
 
 
-def read(path):
-    with path.open(newline="", encoding="utf-8") as file:
-        return {
-            key: np.array(values, dtype=float)
-            for key, values in zip(*_transposed(csv.reader(file)))
-        }
-
-
-def _transposed(rows):
-    heads, *rows = rows
-    return heads, list(zip(*rows))
-
-
 # -- a run -----------------------------------------------------------------------------
 
 
 def test_the_file_is_a_motion_within_its_limits(designed):
     out, _, _ = designed
-    found = read(out)
+    found = pd.read_csv(out)
     heads = ["t"] + [f"{kind}_{name}" for kind in "qva" for name in JOINTS]
     assert list(found) == heads
-    t = found["t"]
+    t = found["t"].to_numpy()
     # The period of the recordings so far.
     np.testing.assert_allclose(np.diff(t), 0.01)
     assert t.size == 400
@@ -139,7 +126,7 @@ def test_the_summary_names_what_is_decided_and_what_no_motion_shows(designed):
         told,
     )
     # Shares of the acceleration that is allowed, with the margin of the design.
-    largest = np.abs(read(designed[0])["a_shoulder"]).max() / 20
+    largest = np.abs(pd.read_csv(designed[0])["a_shoulder"]).max() / 20
     share = float(re.search(r"joint 1 \(shoulder\) +\d+ % +\d+ % +(\d+) %", told)[1])
     assert share == pytest.approx(100 * largest, abs=1.0)
 
@@ -156,12 +143,11 @@ def test_the_command_after_it_works(home, here, capsys):
     command = shlex.split(re.findall("python -m sklearn_vbjfa (identify .*)", text)[-1])
     assert "slow.csv" not in text
     assert command[command.index("--gain") + 1] == "2,2"
-    found = read(Path("motion.csv"))
-    states = [[found[f"{x}_{name}"] for name in JOINTS] for x in "qva"]
-    tau = load_identified(folder / "identified.json").predict(np.vstack(states).T)
-    names = [*found, *(f"tau_{name}" for name in JOINTS)]
-    table = np.column_stack([*found.values(), 0.5 * tau])
-    np.savetxt("recording.csv", table, "%.8g", ",", header=",".join(names), comments="")
+    found = pd.read_csv("motion.csv")
+    states = found[[f"{x}_{name}" for x in "qva" for name in JOINTS]].to_numpy()
+    tau = load_identified(folder / "identified.json").predict(states)
+    found[[f"tau_{name}" for name in JOINTS]] = 0.5 * tau
+    found.to_csv("recording.csv", index=False)
     assert main([*command, "--no-search"]) in (0, 3)
 
 

@@ -146,12 +146,17 @@ def test_arrays_of_each_joint(made, tmp_path):
     assert_same(read(path, made, **options)[0], made)
 
 
-def test_the_last_line_of_json_may_be_cut(made, tmp_path):
-    path = tmp_path / "log.jsonl"
-    path.write_text("\n".join(map(json.dumps, messages(made)))[:-30])
+def assert_cut(path, text, made):
+    """Read what lacks its end: all but the last row, with a word."""
+    path.write_text(text)
     recording, notes = read(path, made)
     assert_same(recording, made, slice(0, made.n_samples - 1))
     assert any("the last line is cut" in x for x in notes)
+
+
+def test_the_last_line_of_json_may_be_cut(made, tmp_path):
+    text = "\n".join(map(json.dumps, messages(made)))
+    assert_cut(tmp_path / "log.jsonl", text[:-30], made)
 
 
 # -- text that is cut or out of order --------------------------------------------------
@@ -166,11 +171,7 @@ def text(made):
 
 @pytest.mark.parametrize("cut", [100, 40, 9, 8, 3])
 def test_a_last_line_that_is_cut_is_left_out_with_a_word(cut, made, text, tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join([text[0], *text[1]])[:-cut])
-    recording, notes = read(path, made)
-    assert_same(recording, made, slice(0, made.n_samples - 1))
-    assert any("the last line is cut" in x for x in notes)
+    assert_cut(tmp_path / "log.csv", "\n".join([text[0], *text[1]])[:-cut], made)
 
 
 def test_two_recordings_one_behind_the_other_are_not_mixed(made, text, tmp_path):

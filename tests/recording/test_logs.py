@@ -10,7 +10,7 @@ from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import RecordingRefused
 from tests.recording._logs import EPOCH, GAINS, KINDS, plain
 from tests.recording._reading import read
-from tests.recording.test_reader import table, write
+from tests.recording.test_reader import assert_same, table, write
 
 
 def renamed(names, columns=None):
@@ -135,8 +135,7 @@ def test_a_mapping_counts_from_0_or_1(tmp_path, first):
         names |= {f"q{j}": f"ang-{j - 1 + first}", f"tau{j}": f"M{j - 1 + first}x"}
     path = write(tmp_path / "arm.csv", renamed(names))
     recording, _ = read(path, columns="q=ang-{i},tau=M{i}x,t=clock")
-    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
-    np.testing.assert_allclose(recording.tau[:, 1], columns["tau2"], atol=1e-9)
+    assert_same(recording, columns)
     assert recording.dt == pytest.approx(0.01)
     mapping = {"q": "ang-{i}", "tau": "M{i}x", "t": "clock"}
     again, _ = read(path, columns=mapping)
@@ -150,8 +149,7 @@ def test_a_mapping_by_joints_in_any_order(tmp_path):
     path = write(tmp_path / "arm.csv", renamed(names | {"v1": "foot.pos"}, columns))
     options = {"joint_names": ["hip", "knee"]}
     recording, said = read(path, columns="q={joint}.pos,tau={joint}.load", **options)
-    np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-9)
-    np.testing.assert_allclose(recording.tau[:, 1], columns["tau2"], atol=1e-9)
+    assert_same(recording, columns)
     assert any("joint(s) foot are not joints of the robot" in x for x in said)
     single = "q_hip=hip.pos,q2=knee.pos,tau=hip.load"
     with pytest.raises(ValueError, match="column 'q_knee' is missing"):
@@ -207,8 +205,7 @@ def test_the_refusal_names_options_that_work(tmp_path, names):
     assert "try columns=" in text
     assert "\n" not in text
     recording, _ = read(path, **caught.value.options)
-    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
-    np.testing.assert_allclose(recording.tau[:, 0], columns["tau1"], atol=1e-9)
+    assert_same(recording, columns)
     assert recording.dt == pytest.approx(0.01)
 
 
@@ -226,9 +223,8 @@ def test_units_in_names(tmp_path, pattern):
         new[pattern.format(f"v{j}", "rpm")] = columns[f"v{j}"] * 30 / np.pi
         new[pattern.format(f"tau{j}", "mNm")] = 1e3 * columns[f"tau{j}"]
     recording, said = read(write(tmp_path / "arm.csv", new, separator=";"))
-    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-8)
+    assert_same(recording, columns, atol=1e-8)
     np.testing.assert_allclose(recording.v[:, 0], columns["v1"], atol=1e-8)
-    np.testing.assert_allclose(recording.tau[:, 1], columns["tau2"], atol=1e-8)
     assert recording.dt == pytest.approx(0.01)
     assert any("converted from deg, mNm, rpm" in x for x in said)
 
@@ -238,8 +234,7 @@ def test_units_of_a_slide(tmp_path):
     new = {"t_us": 1e6 * columns["t"], "q1 [mm]": 1e3 * columns["q1"]}
     new["tau1 [kN]"] = 1e-3 * columns["tau1"]
     recording, _ = read(write(tmp_path / "slide.csv", new))
-    np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-8)
-    np.testing.assert_allclose(recording.tau[:, 0], columns["tau1"], atol=1e-8)
+    assert_same(recording, columns, nv=1, atol=1e-8)
     assert recording.position_units == ("m",)
     assert recording.torque_units == ("N",)
 
@@ -306,7 +301,7 @@ def test_times_of_day_go_on_past_midnight(tmp_path):
         f"{int(x // 3600) % 24:02}:{int(x // 60) % 60:02}:{x % 60:07.4f}" for x in t
     ]
     recording, said = read(write(tmp_path / "arm.csv", {**columns, "t": text}))
-    np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-9)
+    assert_same(recording, columns)
     assert recording.dt == pytest.approx(0.01)
     assert not said
 
@@ -331,9 +326,7 @@ def test_joints_named_like_units(tmp_path):
     for j, name in ((1, "m"), (2, "deg")):
         new |= {f"q_{name}": columns[f"q{j}"], f"tau[{name}]": columns[f"tau{j}"]}
     path = write(tmp_path / "arm.csv", new)
-    recording, _ = read(path, joint_names=["m", "deg"])
-    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
-    np.testing.assert_allclose(recording.tau[:, 0], columns["tau1"], atol=1e-9)
+    assert_same(read(path, joint_names=["m", "deg"])[0], columns)
 
 
 # -- what would work -------------------------------------------------------------------

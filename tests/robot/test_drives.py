@@ -246,41 +246,40 @@ def test_saturated_samples_count_nothing():
 
 
 BAD = {
-    "no drive": ({"drive": "pd"}, {}, "drive must be a PDDrive, CurrentDrive"),
-    "gains of channels": ({"gains": "unknown"}, {}, "cannot be combined with gains"),
-    "no kp": ({"drive": PDDrive(kd=KD)}, {}, "kp is missing: give kp="),
-    "negative": ({"drive": PDDrive(KP, -KD)}, {}, "kd must not be negative"),
+    "no drive": ("drive must be a PDDrive, CurrentDrive", {"drive": "pd"}),
+    "gains of channels": ("cannot be combined with gains", {"gains": "unknown"}),
+    "no kp": ("kp is missing: give kp=", {"drive": PDDrive(kd=KD)}),
+    "negative": ("kd must not be negative", {"drive": PDDrive(KP, -KD)}),
     "by name": (
-        {"drive": PDDrive({"joint_1": 1.0}, KD)},
-        {},
         "one key in each joint's name; 0 of 'joint_1' are in 'joint_2'",
+        {"drive": PDDrive({"joint_1": 1.0}, KD)},
     ),
-    "delay": ({"drive": PDDrive(KP, KD, delay="long")}, {}, "'auto' or a time in s"),
-    "no commands": ({}, {"q_desired": None}, "needs the channel 'q_desired'"),
+    "delay": ("'auto' or a time in s", {"drive": PDDrive(KP, KD, delay="long")}),
     "recorded gains": (
-        {"drive": PDDrive()},
-        {"kp": np.full((2400, 3), -1.0)},
         "kp of the recording must not be negative",
+        {"drive": PDDrive(), "kp": np.full((2400, 3), -1.0)},
     ),
     "constant": (
-        {},
-        {"q_desired": np.full((2400, 3), 0.5)},
         "commands are constant while joints move",
+        {"q_desired": np.full((2400, 3), 0.5)},
     ),
 }
 
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_named(case):
-    settings, signals, message = BAD[case]
-    recording = told()
-    recording.signals.update(signals)
-    for name, values in signals.items():
-        if values is None:
-            del recording.signals[name]
-    drive = settings.pop("drive", PDDrive(KP, KD)) if settings else PDDrive(KP, KD)
+    message, given = BAD[case]
+    signals = {name: given[name] for name in ("q_desired", "kp") if name in given}
+    settings = {name: given[name] for name in ("drive", "gains") if name in given}
     with pytest.raises(ValueError, match=message):
-        identify(recording, drive, **settings)
+        identify(told(**signals), **settings)
+
+
+def test_commands_are_needed():
+    recording = told()
+    del recording.signals["q_desired"]
+    with pytest.raises(ValueError, match="needs the channel 'q_desired'"):
+        identify(recording)
 
 
 @pytest.mark.parametrize("drive", [PDDrive(KP, KD), PDDrive(KP, KD, delay=0.09)])

@@ -34,11 +34,16 @@ def urdf(tmp_path_factory):
     return str(path)
 
 
+def fitted(urdf, seed, n, off, labelled=True, **changes):
+    """Identify a robot from n recordings that differ."""
+    X, y, labels, _ = recordings(urdf, seed, n, off=off, **changes)
+    robot = RobotIdentifier(urdf, bodies="fixed")
+    return robot.fit(X, y, groups=labels if labelled else None)
+
+
 @pytest.fixture(scope="module")
 def several(urdf):
-    """Identify a robot from six recordings that differ."""
-    X, y, labels, _ = recordings(urdf, 0, 6, off=share_of(0.3))
-    return RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels)
+    return fitted(urdf, 0, 6, share_of(0.3))
 
 
 # -- one value -------------------------------------------------------------------------
@@ -77,8 +82,7 @@ def test_a_value_is_as_scipy_has_it(centre, deviations, weights, lowest):
 
 
 def test_one_recording_has_the_deviations_of_the_fit(urdf):
-    X, y, _, _ = recordings(urdf, 3, 1, off=share_of(0.0), noise=1.0)
-    robot = RobotIdentifier(urdf, bodies="fixed").fit(X, y)
+    robot = fitted(urdf, 3, 1, share_of(0.0), labelled=False, noise=1.0)
     # without what its stretches differ by
     alone = dataclasses.replace(robot.robot_, recording_variance=None)
     found = alone.ranges(level=0.8)
@@ -97,9 +101,7 @@ def test_a_single_recording_is_judged_by_its_stretches(urdf):
     """Four recordings that differ, told as one, against four that do not."""
 
     def ranges(share, labelled):
-        X, y, labels, _ = recordings(urdf, 4, 4, off=share_of(share), noise=0.1)
-        groups = labels if labelled else None
-        return RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=groups).ranges()
+        return fitted(urdf, 4, 4, share_of(share), labelled, noise=0.1).ranges()
 
     one, several, same = ranges(0.3, False), ranges(0.3, True), ranges(0.0, False)
     assert (one.recordings, several.recordings, same.recordings) == (1, 4, 1)
@@ -156,19 +158,16 @@ def test_left_out_recordings_are_in_their_ranges(n, share, urdf):
 @pytest.mark.parametrize("n", [2, 8])
 def test_the_fitted_value_is_off_as_the_mean_of_its_recordings(urdf, n):
     """Deviations of the next recording are s sqrt(1 + 1/n), of n that tell as much."""
-    X, y, labels, _ = recordings(urdf, 5, n, off=share_of(0.0), noise=1e-3)
-    robot = RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels)
+    robot = fitted(urdf, 5, n, share_of(0.0), noise=1e-3)
     found = robot.robot_.recording_variance
-    places = [robot.parameter_names_.index(f"hip:{one}") for one in ("viscous",)]
-    own = [list(found.places).index(k) for k in places]
-    values = np.abs(robot.theta_[places])
-    np.testing.assert_allclose(found.size[own] / values, np.sqrt(1 + 1 / n), rtol=0.01)
+    place = robot.parameter_names_.index("hip:viscous")
+    size = found.size[list(found.places).index(place)]
+    assert size / robot.theta_[place] == pytest.approx(np.sqrt(1 + 1 / n), rel=0.01)
 
 
 def test_the_scatter_is_found(urdf):
     off = share_of(0.3)
-    X, y, labels, _ = recordings(urdf, 2, 30, off=off)
-    found = RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels).ranges()
+    found = fitted(urdf, 2, 30, off).ranges()
     between = np.array([found[name].between for name in NAMES])
     # the deviation of a deviation of thirty is 13 %
     np.testing.assert_allclose(between, off, rtol=0.4)

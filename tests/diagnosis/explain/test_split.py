@@ -14,7 +14,7 @@ MODEL = arm("ZY")
 
 
 def robot(**given):
-    return RobotIdentifier(MODEL, **({"friction": ("viscous",), **{"dt": DT} | given}))
+    return RobotIdentifier(MODEL, dt=DT, friction=("viscous",), **given)
 
 
 def motion(seconds, still=(), seed=0):
@@ -31,11 +31,18 @@ def motion(seconds, still=(), seed=0):
     return np.sin(2 * np.pi * path * [0.5, 0.4]) + 1e-6 * rng.normal(size=(t.size, 2))
 
 
-def divided(robot, X, groups, share):
+def divided(robot, X, groups=None, share=0.25):
     """Split of a recording of positions or states by a robot that is not fitted."""
     known = {"dt": robot.dt, "joint_names": ("a", "b")}
     whole = take_arrays(X, np.zeros((len(X), 2)), groups, **known)
     return split_in_time(robot, whole, share)
+
+
+@pytest.fixture(scope="module")
+def minute():
+    """Return positions of a minute of motion, and how they are split."""
+    q = motion(60.0)
+    return q, divided(robot(cutoff=4.0), q)
 
 
 def moving(q):
@@ -55,9 +62,8 @@ def whole(split, n, groups=None):
     assert_array_equal(np.diff(split.pieces) > 0, cut)
 
 
-def test_several_stretches_of_a_single_recording():
-    q = motion(60.0)
-    split = divided(robot(cutoff=4.0), q, None, 0.25)
+def test_several_stretches_of_a_single_recording(minute):
+    q, split = minute
     whole(split, len(q))
     assert len(split.stretches) == 3
     assert split.held_out_rows.size == pytest.approx(0.25 * len(q), rel=0.05)
@@ -70,7 +76,7 @@ def test_several_stretches_of_a_single_recording():
 def test_both_ends_of_each_of_several_recordings():
     q = motion(90.0)
     groups = np.repeat([7, 3, 7], [2000, 1000, 1500])
-    split = divided(robot(cutoff=8.0), q, groups, 0.25)
+    split = divided(robot(cutoff=8.0), q, groups)
     whole(split, len(q), groups)
     edges = [(s.start, s.stop) for s in split.stretches]
     assert [a for a, _ in edges[::2]] == [0, 2000, 3000]
@@ -82,7 +88,7 @@ def test_both_ends_of_each_of_several_recordings():
 
 def test_a_robot_that_comes_to_rest_is_judged_in_motion():
     q = motion(60.0, still=[(0, 40.0, 60.0), (1, 40.0, 60.0)])
-    split = divided(robot(), q, None, 0.25)
+    split = divided(robot(), q)
     whole(split, len(q))
     share = moving(q)[split.held_out_rows].sum() / moving(q).sum()
     assert share == pytest.approx(0.25, abs=0.04)
@@ -93,16 +99,15 @@ def test_a_robot_that_comes_to_rest_is_judged_in_motion():
 def test_joints_that_move_one_at_a_time_are_all_judged():
     q = motion(80.0, still=[(0, 40.0, 80.0), (1, 0.0, 40.0)])
     for groups in (None, np.repeat([0, 1], len(q) // 2)):
-        split = divided(robot(), q, groups, 0.25)
+        split = divided(robot(), q, groups)
         whole(split, len(q), groups)
         share = moving(q)[split.held_out_rows].sum(axis=0) / moving(q).sum(axis=0)
         assert np.all(share > 0.12), share
         assert np.all(share < 0.4), share
 
 
-def test_the_guard_leaves_half_of_every_stretch():
-    q = motion(60.0)
-    split = divided(robot(cutoff=4.0), q, None, 0.25)
+def test_the_guard_leaves_half_of_every_stretch(minute):
+    q, split = minute
     near = split.guarded(10)
     assert near.held_out_rows.size == split.held_out_rows.size - 10 * 5
     assert near.stretches[-1].stop == len(q)
@@ -124,9 +129,8 @@ def test_a_short_recording_gives_more_for_a_verdict():
     assert short.held_out_rows.size == pytest.approx(0.15 * 400, rel=0.6)
 
 
-def test_a_stretch_in_which_something_jumps_is_not_judged():
-    q = motion(60.0)
-    split = divided(robot(cutoff=4.0), q, None, 0.25)
+def test_a_stretch_in_which_something_jumps_is_not_judged(minute):
+    q, split = minute
     clock = np.arange(len(q)) * DT
     first, second, last = split.stretches
     inside = clock[(second.start + second.stop) // 2]

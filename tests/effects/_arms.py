@@ -158,6 +158,15 @@ def bristles_sample_by_sample(q, displacement, level):
     return z
 
 
+def lag_step_by_step(x, dt, time_constant, n=200):
+    """Low-pass of the first order of what is straight between samples, by Euler."""
+    fine = np.interp(np.arange(0, x.size - 1 + 1e-9, 1 / n), np.arange(x.size), x)
+    middle, y = 0.5 * (fine[1:] + fine[:-1]), np.full_like(fine, fine[0])
+    for i, now in enumerate(middle):
+        y[i + 1] = y[i] + dt / n / time_constant * (now - y[i])
+    return y[::n]
+
+
 def play_sample_by_sample(q, width):
     """Play operator as it is defined."""
     out = np.empty(q.size)

@@ -220,15 +220,18 @@ def test_torques_as_shares_of_what_each_motor_has(log):
     assert 'gains="unknown"' in found[0].message
 
 
+def assert_from_6_to_9_s(kinds, found):
+    assert kinds == ["external_force"]
+    told = found[0].message.split("From ")[1].split(" s after")[0].split(" to ")
+    assert [float(x) for x in told] == pytest.approx([6.0, 9.0], abs=0.5)
+
+
 def test_a_contact_is_named_with_its_time(log):
     recording = log[0]
     begin, end = (round(t / recording.dt) for t in (6.0, 9.0))
     tau = recording.tau.copy()
     tau[begin:end] += 1.5 * tau.std(axis=0)
-    kinds, found = grave(log, tau=tau)
-    assert kinds == ["external_force"]
-    told = found[0].message.split("From ")[1].split(" s after")[0].split(" to ")
-    assert [float(x) for x in told] == pytest.approx([6.0, 9.0], abs=0.5)
+    assert_from_6_to_9_s(*grave(log, tau=tau))
 
 
 @pytest.mark.slow
@@ -242,10 +245,7 @@ def test_a_force_on_a_link_is_named_with_its_time(log):
         frame = pin.LOCAL_WORLD_ALIGNED
         jacobian = pin.getJointJacobian(model, data, model.nv, frame)
         tau[row] += 40.0 * jacobian[2]
-    kinds, found = grave(log, tau=tau)
-    assert kinds == ["external_force"]
-    told = found[0].message.split("From ")[1].split(" s after")[0].split(" to ")
-    assert [float(x) for x in told] == pytest.approx([6.0, 9.0], abs=0.5)
+    assert_from_6_to_9_s(*grave(log, tau=tau))
 
 
 def test_torques_of_the_description(log):

@@ -13,6 +13,7 @@ from sklearn_vbjfa.equations import _plan
 from tests.effects._arms import (
     arm,
     inverse_dynamics,
+    lag_step_by_step,
     motion,
     play_sample_by_sample,
     stops_sample_by_sample,
@@ -121,14 +122,7 @@ def test_filters_act_on_all_of_the_torque(kind):
     T_lag = 0.03
     whole = DECLARED[:, 1] + 4 * np.sign(V[:, 1])
     if kind == "lag":
-        fine = DT / 200
-        times = np.arange(0, T.size * 200 - 199) * fine
-        x = np.interp(times, T, whole)
-        y = np.empty_like(x)
-        y[0] = x[0]
-        for i in range(1, x.size):
-            y[i] = y[i - 1] + fine / T_lag * (0.5 * (x[i - 1] + x[i]) - y[i - 1])
-        passed = y[::200]
+        passed = lag_step_by_step(whole, DT, T_lag)
     else:
         weights = np.exp(-0.5 * ((T[:, None] - T) / T_lag) ** 2)
         passed = weights @ whole / weights.sum(axis=1)

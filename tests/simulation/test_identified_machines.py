@@ -7,6 +7,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import RobotIdentifier, load_identified
 from sklearn_vbjfa.effects import Backlash, Delay, LoadFriction, Payload, TorqueGain
+from tests.effects._arms import play_sample_by_sample
 from tests.simulation._machines import GRAVITY, Arm, pendulum, wheel
 
 DT, INERTIA, MASS, LENGTH, OWN = 0.01, 0.5, 1.5, 0.4, 0.02
@@ -121,12 +122,7 @@ def test_a_channel_that_reads_too_much_drives_as_it_should():
 def test_play_has_its_width_once():
     width, k = 0.3, 4.0
     states, _ = swing()
-    q = states[:, 0]
-    follower, play = q[0], []
-    for x in q:
-        follower = min(max(follower, x - width / 2), x + width / 2)
-        play.append(follower)
-    tau = INERTIA * states[:, 2] + k * np.array(play)
+    tau = INERTIA * states[:, 2] + k * play_sample_by_sample(states[:, 0], width)
     robot = identified(
         wheel().model, states, tau[:, None], effects=[Backlash(0, width)]
     )

@@ -150,12 +150,9 @@ SLOW = ["drift", "payload", "ripple", "viscous_quadratic", "spring"]
 
 
 def slow_noise():
-    rng = np.random.default_rng(3)
-    keep = np.exp(-0.02 / 5.0)
-    noise = np.zeros(ONE.t.size)
-    for i in range(1, noise.size):
-        noise[i] = keep * noise[i - 1] + np.sqrt(1 - keep**2) * rng.normal()
-    return noise
+    keep, rng = np.exp(-0.02 / 5.0), np.random.default_rng(3)
+    steps = np.r_[0.0, np.sqrt(1 - keep**2) * rng.normal(size=ONE.t.size - 1)]
+    return lfilter([1.0], [1.0, -keep], steps)
 
 
 def test_slow_noise_makes_no_slow_effects():

@@ -13,7 +13,7 @@ from bench_friction_memory import record
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from tests.diagnosis._recordings import DT, named
-from tests.effects._arms import arm, inverse_dynamics
+from tests.effects._arms import arm, inverse_dynamics, stops_sample_by_sample
 
 REACH, SIZE = 0.02, 1.5  # displacement [rad] and torque [N m] of one stop
 
@@ -32,21 +32,13 @@ def stopping(rng, moves=24):
     return np.array(q)[:, None]
 
 
-def stop(q):
-    """State of a stop operator, step by step."""
-    z = np.zeros(len(q))
-    for i, step in enumerate(np.diff(q[:, 0])):
-        z[i + 1] = np.clip(z[i] + step / REACH, -1, 1)
-    return z
-
-
 @pytest.mark.parametrize("memory", [True, False])
 def test_torque_at_rest_shows_friction_with_memory(memory):
     rng = np.random.default_rng(3)
     q = stopping(rng)
     v = np.gradient(q, DT, axis=0)
     states = np.hstack([q, v, np.gradient(v, DT, axis=0)])
-    friction = SIZE * stop(q)
+    friction = SIZE * stops_sample_by_sample(q[:, 0], REACH)
     if not memory:
         # Any torque in the band may hold the joint.
         still = np.abs(v[:, 0]) < 1e-9

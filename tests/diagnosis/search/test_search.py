@@ -19,6 +19,7 @@ from tests.diagnosis.search._searches import (
     stribeck,
 )
 from tests.diagnosis.search.test_own_effects import own
+from tests.effects._arms import lag_step_by_step
 
 
 def test_a_clean_recording_needs_nothing():
@@ -109,17 +110,8 @@ def averaged(torque, seconds):
 
 
 def lagged(torque, time_constant):
-    """Euler steps of a low-pass of the first order, fine enough not to matter."""
-    n, dt = 50, FAST.t[1] - FAST.t[0]
-
-    def passed(x):
-        fine = np.interp(np.arange(0, x.size - 1 + 1e-9, 1 / n), np.arange(x.size), x)
-        share, out = dt / n / time_constant, np.zeros_like(fine)
-        for i in range(1, fine.size):
-            out[i] = out[i - 1] + share * (fine[i] - out[i - 1])
-        return out[::n]
-
-    return on_joint_2(torque, passed)
+    dt = FAST.t[1] - FAST.t[0]
+    return on_joint_2(torque, lambda x: lag_step_by_step(x, dt, time_constant))
 
 
 @pytest.mark.parametrize("late", [0.02, -0.02])

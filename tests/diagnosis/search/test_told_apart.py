@@ -70,9 +70,8 @@ def test_zeros_of_parallel_joints_are_rivals_or_told_apart():
         [JointAxis(2, 0.06, -0.05)],
         [TorqueGain(1, 1.15)],
         [BaseTilt(0, 0.07, -0.04), JointZero(1, 0.06)],
-        [],
     ],
-    ids=["zero", "axis", "gain", "tilt and zero", "nothing"],
+    ids=["zero", "axis", "gain", "tilt and zero"],
 )
 def test_a_search_names_what_is_there(truth):
     now = searched(truth, VERTICAL).run()

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
@@ -14,11 +13,10 @@ from sklearn_vbjfa.recording import RecordingRefused
 from sklearn_vbjfa.robot import FitOptions
 from tests.diagnosis.report._pages import text_of
 from tests.effects._arms import arm, inverse_dynamics, motion
+from tests.robot.test_known_masses import CENTRE, GAINS, MASS, with_ball
 
 DT, NV = 0.02, 3
-GAINS = np.array([8.0, 5.0, 12.0])
-STIFFNESS, MASS, PICKED = 6.0, 1.5, 20.0
-CENTRE = np.array([0.02, 0.0, 0.1])
+STIFFNESS, PICKED = 6.0, 20.0
 VISCOUS = np.array([0.5, 0.4, 0.3])
 
 
@@ -27,11 +25,8 @@ def recording():
     """Currents of an arm that picks up a ball, with a spring that is not declared."""
     model = arm("ZYX")
     t, states = motion(NV, duration=40.0, dt=DT, seed=4)
-    loaded = model.copy()
-    ball = pin.Inertia(MASS, CENTRE, np.zeros((3, 3)))
-    loaded.inertias[NV] = loaded.inertias[NV] + ball
-    after = (t >= PICKED)[:, None]
-    tau = np.where(after, *(inverse_dynamics(m, states) for m in (loaded, model)))
+    both = (inverse_dynamics(one, states) for one in (with_ball(model), model))
+    tau = np.where((t >= PICKED)[:, None], *both)
     tau += VISCOUS * states[:, NV : 2 * NV]
     tau[:, 1] += STIFFNESS * states[:, 1]
     white = np.random.default_rng(0).normal(size=tau.shape)

@@ -19,16 +19,21 @@ PICKED = 10.0
 MASS, CENTRE = 1.5, np.array([0.02, 0.0, 0.1])
 
 
+def with_ball(model, mass=MASS):
+    """Return an arm that carries a point mass, which has no inertia of its own."""
+    loaded = model.copy()
+    ball = pin.Inertia(mass, CENTRE, np.zeros((3, 3)))
+    loaded.inertias[model.nv] = loaded.inertias[model.nv] + ball
+    return loaded
+
+
 def recorded(model=ARM, gains=GAINS, payload=MASS, noise=0.01, seed=0, states=STATES):
     """Compute what channels read while a ball is picked up halfway."""
     exact = inverse_dynamics(model, states)
     if payload:
-        loaded = model.copy()
-        # A point mass: nothing of its own inertia.
-        ball = pin.Inertia(payload, CENTRE, np.zeros((3, 3)))
-        loaded.inertias[model.nv] = loaded.inertias[model.nv] + ball
         after = (T >= PICKED)[:, None]
-        exact = np.where(after, inverse_dynamics(loaded, states), exact)
+        loaded = inverse_dynamics(with_ball(model, payload), states)
+        exact = np.where(after, loaded, exact)
     exact = exact * gains
     white = np.random.default_rng(seed).normal(size=exact.shape)
     return exact + noise * exact.std(axis=0) * white

@@ -1,11 +1,12 @@
 """Windows of a recording: where they begin, their errors, and those that fail."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.robot import clearly_smaller
@@ -14,17 +15,9 @@ DT = 0.01
 
 
 @pytest.fixture(scope="module")
-def recording():
-    """Two motions of the made-up arm, hardly any noise."""
-    return make_robot_recording(
-        duration=6.0,
-        dt=DT,
-        frequency=1.0,
-        n_recordings=2,
-        torque_noise=0.0,
-        encoder_noise=1e-7,
-        random_state=3,
-    )
+def recording(simulated):
+    """Two motions of the made-up arm, without noise."""
+    return replace(simulated, q=simulated.states[:, :6], tau=simulated.tau_clean)
 
 
 @pytest.fixture(scope="module")
@@ -143,12 +136,12 @@ def test_effects_of_time_have_the_clock_of_the_fit(recording):
     [
         ({"window": 0.0}, "window must be a time in seconds, at least the sample"),
         (
-            {"window": 7.0},
-            "No recording is as long as a window of 7 s: the longest has",
+            {"window": 17.0},
+            "No recording is as long as a window of 17 s: the longest has",
         ),
-        ({"y": np.zeros((5, 6))}, r"inconsistent numbers of samples: \[1200, 5\]"),
-        ({"y": np.zeros((1200, 2))}, r"y must have 6 column\(s\) of torques; got 2"),
-        ({"t": np.zeros(3)}, r"inconsistent numbers of samples: \[1200, 3\]"),
+        ({"y": np.zeros((5, 6))}, r"inconsistent numbers of samples: \[3200, 5\]"),
+        ({"y": np.zeros((3200, 2))}, r"y must have 6 column\(s\) of torques; got 2"),
+        ({"t": np.zeros(3)}, r"inconsistent numbers of samples: \[3200, 3\]"),
     ],
 )
 def test_what_cannot_be_is_refused(change, message, robot, recording):

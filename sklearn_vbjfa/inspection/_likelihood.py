@@ -214,21 +214,25 @@ class DescribedRobot:
             made.append((used, moments, rows.size / self.times[j], np.var(y) + 1e-300))
         return _solve(made, prior, m)
 
-    def residual(self, columns=None, without=None):
+    def residual(self, columns=None):
         """Return what bodies that are free for each joint leave of torques, (n, nv)."""
-        # Zero where a joint stands. without (n,): rows that are not fitted.
-        signals, others = self.signals, [] if columns is None else [columns]
-        left = np.zeros(signals.tau.shape)
+        # Zero where a joint stands.
+        signals, left = self.signals, np.zeros(self.signals.tau.shape)
         for j in self.joints:
-            rows, rigid = self.rows[j], self.entries[:, j][:, self.bodies.used[j]]
-            X = np.column_stack([rigid, self._plain(j), *others])[rows]
-            X = X[:, X.any(axis=0)]
-            X /= np.sqrt((X**2).mean(axis=0))
-            fitted = X if without is None else X * ~without[rows, None]
-            gram = fitted.T @ fitted + 1e-6 * rows.size * np.eye(X.shape[1])
+            rows, X = self.rows[j], self.free(j, columns)[self.rows[j]]
+            gram = X.T @ X + 1e-6 * rows.size * np.eye(X.shape[1])
             y = signals.tau[rows, j]
-            left[rows, j] = y - X @ np.linalg.solve(gram, fitted.T @ y)
+            left[rows, j] = y - X @ np.linalg.solve(gram, X.T @ y)
         return left
+
+    def free(self, j, columns=None):
+        """Columns (n, p) of a joint's bodies and plain terms, zero where it stands."""
+        others = [] if columns is None else [columns]
+        rigid = self.entries[:, j][:, self.bodies.used[j]]
+        X = np.column_stack([rigid, self._plain(j), *others])
+        X = X * (self.signals.weight[:, [j]] > 0)
+        X = X[:, X.any(axis=0)]
+        return X / np.sqrt((X[self.rows[j]] ** 2).mean(axis=0))
 
     def errors(self):
         """Relative errors (n_joints,) of torques with bodies free for each joint."""

@@ -46,8 +46,8 @@ SILENT, UNRELATED, COMPUTED = 0.1, 0.85, 0.007
 # they are small, or this one of some joints.
 OF_ANOTHER, UNFOLLOWED = 0.3, 0.65
 # A factor of gravity, or of inertia, that is below this with its error is none, unless
-# slides hold more than this share of their weight.
-NO_WEIGHT, HELD = 0.5, 0.5
+# slides hold more than this share of their weight if they were upright.
+NO_WEIGHT, HELD = 0.5, 0.15
 # A base is mounted otherwise if it is turned by more than this [rad] (less is a tilt,
 # which the search finds among its rivals), and pulls as gravity does to this factor.
 TURNED, AS_HEAVY = np.radians(30.0), 1.5
@@ -98,7 +98,7 @@ FRICTION = 15.0
 ITERATIONS, CONVERGED, PASSES, SETTLED = 20, 1e-2, 6, 0.05
 # Least variances, relative to a torque's and to the largest of all torques, and the
 # autocorrelation at which residuals count as independent.
-LEAST_NOISE, LEAST_VARIANCE, INDEPENDENT = 1e-6, 1e-12, 0.05
+LEAST_NOISE, LEAST_VARIANCE, INDEPENDENT = COMPUTED**2, 1e-12, 0.05
 # Shorter recordings are skipped [samples]. With fewer moving rows a joint is not
 # judged, nor with fewer than so many times the parameters of its torque, unless there
 # are enough.

@@ -41,11 +41,9 @@ def orders(reading, what):
         starts = [*(np.roll(same, k) for k in rolled), same[::-1]]
         starts += usual_orders(reading)
     for i, j in combinations(joints.tolist(), 2):
-        # Positions alone are those of joints of one kind.
-        if what != "positions" or reading.slides[i] == reading.slides[j]:
-            order = same.copy()
-            order[[i, j]] = j, i
-            moves.append(reordered(order, what))
+        order = same.copy()
+        order[[i, j]] = j, i
+        moves.append(reordered(order, what))
     change = climbed(reading, moves, [reordered(order, what) for order in starts])
     if not change.joints:
         return None
@@ -202,9 +200,9 @@ def units(reading):
         tried = [(x, *degrees) for x in (revolute, far) if x.any()]
     elif not out.any() and (_speeds(reading) < _fastest(model)).all():
         tried.append((revolute, "turns", "rev", 2 * np.pi))
-    # Limits that are exceeded by far are evidence as well.
-    known, least = (2 * number.DECISIVE, -np.inf) if far.any() else (0.0, None)
-    least, found = clear_of_all(reading) if least is None else least, []
+    # Limits that are exceeded by far are evidence as well, and turns of many joints.
+    known = 2 * number.DECISIVE * (far.any() or many)
+    least, found = -np.inf if far.any() else clear_of_all(reading), []
     for joints, unit, short, factor in tried:
         change = Change(positions=times(reading.nv, factor, np.flatnonzero(joints)))
         # Of a joint without limits any angle may be right.
@@ -366,10 +364,15 @@ def periods(reading):
     )
     if found is None:
         return None
-    # Another period changes inertia against weight: torques without either look alike.
-    moving = robot.pulled(np.zeros(3))
-    rivals = [robot.fit(rest).evidence for rest in (moving, robot.entries - moving)]
-    if max(rivals) - robot.now.evidence > found.log_odds - number.RIVAL:
+    # Another period changes inertia against weight: torques with another weight, or of
+    # the weight alone, look alike.
+    weight = robot.weight[:, :, None]
+    rivals = (
+        robot.fit(columns=weight, deviation=1.0),
+        robot.fit(robot.entries - robot.pulled(np.zeros(3))),
+    )
+    best = max(one.evidence for one in rivals) - robot.now.evidence
+    if best > found.log_odds - number.RIVAL:
         return None
     period = dt * found.change.period
     remedy = {"dt": float(f"{period:.6g}")}

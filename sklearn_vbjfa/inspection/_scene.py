@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sklearn_vbjfa._core._linear_systems import orthonormal_basis
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._reading import Candidate, Change
@@ -12,21 +13,30 @@ from sklearn_vbjfa.inspection._sentences import percent
 
 def weightless(reading):
     """Return joints whose torques do not contain the weight of the links."""
-    robot, lost, odds = reading.robot, [], 0.0
+    robot = reading.robot
     nothing, moving = robot.pulled(np.zeros(3)), robot.moving
+
+    def gain(joints):
+        """Log odds of no weight on some joints; zero if springs do nearly as well."""
+        now = robot.fit(joints=joints).evidence
+        # Without any weight, or with that of the description taken off.
+        made = robot.fit(nothing, joints=joints), robot.fit(mean=moving, joints=joints)
+        most = max(one.evidence for one in made)
+        other = max(now, _as_springs(robot, joints))
+        return most - now if most - other > number.DECISIVE else 0.0
+
     # A weight that does not vary is like an offset.
     loaded = _loaded(robot, robot.weight - robot.weight.mean(axis=0))
-    for j in loaded:
-        now = robot.fit(joints=[j]).evidence
-        # Without any weight, or with that of the description taken off.
-        made = robot.fit(nothing, joints=[j]), robot.fit(mean=moving, joints=[j])
-        most = max(one.evidence for one in made)
-        if most - max(now, _as_springs(robot, [j])) > number.DECISIVE:
-            lost, odds = [*lost, j], odds + most - now
+    each = {j: gain([j]) for j in loaded}
+    lost, odds = [j for j in loaded if each[j]], sum(each.values())
+    # Together joints show more, since they carry the same bodies.
+    if len(loaded) > 1 and (whole := gain(loaded)) > odds:
+        lost, odds = loaded, whole
     # Slides hold a weight in whatever direction gravity pulls.
+    pull = np.linalg.norm(robot.by_gravity, axis=-1)
     held, weight = (
         np.linalg.norm(x.mean(axis=0)[reading.slides])
-        for x in (robot.signals.tau, robot.weight)
+        for x in (robot.signals.tau, pull)
     )
     # What balances a single joint is likelier a spring.
     if not lost or len(lost) == 1 < len(loaded) or held > number.HELD * weight > 0:
@@ -39,7 +49,11 @@ def weightless(reading):
     # is that of the description.
     other = part > 2 * error[0] and not 1 / number.SCALE < part < number.SCALE
     scale = part if other and weight < 1 / number.SCALE else 1.0
-    share, error = weight / scale, error[1] / scale
+    # A controller takes off the described weight, whatever the bodies weigh.
+    taken = robot.fit(columns=robot.weight[:, :, None], deviation=1.0, joints=lost)
+    shares = weight / scale, 1.0 + taken.factors[0]
+    errors = error[1] / scale, number.INTERVAL * taken.errors[0]
+    share, error = min(zip(shares, errors), key=lambda one: abs(one[0]))
     if abs(share) + error > number.NO_WEIGHT:
         return None
     heavy = np.abs(robot.weight[:, lost]).max()
@@ -76,13 +90,14 @@ def turned(reading):
     """Return another orientation of the base than described."""
     robot, start, found = reading.robot, reading.bodies.pull, reading.robot.now
     usual, pull = np.linalg.norm(start), start
-    # What the motion does not show of the direction stays by the prior.
+    # What the motion does not show of the direction stays as described, or is zero.
     free = {"columns": robot.by_gravity, "deviation": 1.0}
-    step = robot.fit(**free).factors
-    if np.linalg.norm(step) < 0.5 * number.TURNED * usual:
+    fit, still = robot.fit(**free), robot.fit(robot.pulled(np.zeros(3)), **free)
+    if np.linalg.norm(fit.factors) < 0.5 * number.TURNED * usual:
         return None
-    whole = start + step
-    tried = [whole, *np.eye(3), *-np.eye(3)]
+    whole, shown = start + fit.factors, fit.errors < 0.5
+    tried = [whole, still.factors, *np.eye(3), *-np.eye(3)]
+    variants = len(tried)
     for _ in range(number.PASSES):
         tried = [usual * x / max(np.linalg.norm(x), 1e-300) for x in tried]
         fits = [robot.fit(robot.pulled(x)) for x in tried]
@@ -94,21 +109,25 @@ def turned(reading):
         tried = [whole]
     # A spring that more than balances a single joint looks the same.
     heavy = 1 / number.AS_HEAVY < np.linalg.norm(whole) / usual < number.AS_HEAVY
-    weight = robot.by_gravity @ pull
-    loaded = _loaded(robot, weight)
+    loaded = _loaded(robot, robot.by_gravity @ pull)
     springs = _as_springs(robot, robot.joints) > found.evidence - number.DECISIVE
-    # Nor is it a weight that only offsets would hide.
-    even, mean = (x.mean(axis=0)[loaded] for x in (weight, robot.signals.tau))
-    largest = np.abs(weight).max(axis=0)[loaded]
-    apart, none = (np.square(x / largest).sum() for x in (mean - even, mean))
-    if not heavy or len(loaded) < 2 or springs or apart > none:
+    # Nor is it a weight that only offsets would hide: that of slides may have a sign.
+    largest = np.abs(robot.by_gravity @ pull).max(axis=0)[loaded]
+
+    def offsets(pull):
+        left = (robot.signals.tau - robot.by_gravity @ pull).mean(axis=0)[loaded]
+        return np.square(left / largest).sum()
+
+    pull = min(pull, np.where(shown, pull, -pull), key=offsets)
+    hidden = offsets(pull) > max(offsets(np.zeros(3)), number.GOOD_FIT**2)
+    if not heavy or len(loaded) < 2 or springs or hidden:
         return None
     fall = found.fall(robot.now)
     angle = float(np.arccos(np.clip(pull @ start / usual**2, -1, 1)))
     return Candidate(
         change=Change(gravity=9.81 * pull),
         joints=reading.every,
-        log_odds=found.evidence - robot.now.evidence,
+        log_odds=found.evidence - robot.now.evidence - np.log(variants),
         fall=fall,
         clear=angle > number.TURNED and fall >= number.CLEAR * len(loaded),
         facts={
@@ -217,13 +236,8 @@ def _lowpass(robot, samples):
 def contact(reading):
     """Return an interval in which something else acts, with torques that are even."""
     robot, rows = reading.robot, reading.signals.row
-    inside = np.zeros(rows.size, dtype=bool)
-    for _ in range(number.PASSES):
-        before, place = inside, _pushed(robot, inside)
-        inside = np.zeros(rows.size, dtype=bool)
-        inside[slice(*place)] = True
-        if (inside == before).all():
-            break
+    place, inside = _pushed(robot), np.zeros(rows.size, dtype=bool)
+    inside[slice(*place)] = True
     # A contact makes what is left correlated for as long as it lasts.
     times = robot.correlation_times(inside[:, None].astype(float))
     times = np.minimum(robot.times, times)
@@ -234,9 +248,14 @@ def contact(reading):
     torques = (columns @ fit.factors)[inside][:, robot.joints]
     push = np.sqrt((torques**2).mean(axis=0)) / (size * np.exp(0.5 * fit.left))
     felt = push > number.CONTACT
-    # A force on a link loads the joints before it; friction of a single one varies.
+    # Friction of a single joint varies.
     few = felt.sum() < min(robot.joints.size, 2)
     if few or fit.fall(now) < number.CLEAR_OF_JOINT:
+        return None
+    # A force on a link loads most of the joints before it.
+    last = int(robot.joints[felt][-1])
+    before = np.array(reading.model.supports[last + 1])[1:] - 1
+    if felt[np.isin(robot.joints, before)].mean() < 0.5:
         return None
     # Within the recording in which its middle lies.
     stops = [part.stop for part in reading.parts]
@@ -258,16 +277,22 @@ def contact(reading):
     )
 
 
-def _pushed(robot, inside):
-    """Rows between which even torques explain most of what the bodies leave."""
-    # inside (n,): rows with which the bodies are not fitted.
-    left = robot.residual(without=inside)[:, robot.joints]
-    size = np.sqrt(np.maximum((left[~inside] ** 2).mean(axis=0), 1e-300))
-    n, sums = len(left), np.vstack([0 * size, (left / size).cumsum(axis=0)])
+def _pushed(robot):
+    """Rows between which even torques explain most of what free bodies leave."""
+    n, fall = len(robot.signals.tau), 0.0
     ends = np.arange(0, n + 1, max(1, n // number.CONTACT_ENDS))
     long = ends - ends[:, None]
     first, last = np.nonzero((long >= n // number.SHORTEST_CONTACT) & (long <= n // 2))
     first, last = ends[first], ends[last]
-    gain = ((sums[last] - sums[first]) ** 2).sum(axis=1) / (last - first)
-    k = int(np.argmax(gain))
+    for j in robot.joints:
+        # Of the torque, and of one that is even between the rows, what is left.
+        basis, moves = orthonormal_basis(robot.free(j)), robot.signals.weight[:, j] > 0
+        y = robot.signals.tau[:, j] * moves
+        y = y - basis @ (basis.T @ y)
+        sums = np.vstack([np.zeros(len(basis.T) + 2), np.c_[basis, y, moves]])
+        *bases, product, rows = np.diff(sums.cumsum(axis=0)[[first, last]], axis=0)[0].T
+        size = np.maximum(rows - np.square(bases).sum(axis=0), 1.0)
+        share = product**2 / size / max(y @ y, 1e-300)
+        fall = fall - np.log1p(-np.minimum(share, 1.0 - np.finfo(float).eps))
+    k = int(np.argmax(fall))
     return first[k], last[k]

@@ -117,11 +117,17 @@ def test_a_base_in_another_orientation(log, down):
     assert [float(x) for x in shown.split(", ")] == pytest.approx(down, abs=0.1)
 
 
-def gantry(gravity=(0.0, 0.0, -9.81)):
-    """Three slides and a wrist, a recording of it under gravity [m/s^2], its weight."""
-    kinds = enumerate(("PX", "PY", "PZ", "RY"))
-    model = chain(*((f"joint_{j + 1}", kind, j) for j, kind in kinds))
-    made = make_robot_recording(model, duration=15.0, dt=0.01, random_state=2)
+GANTRY, SCARA = ("PX", "PY", "PZ", "RY"), ("RZ", "RZ", "PZ", "RZ")
+PALLETISER = ("RZ", "RY", "RY", "RX", "RY")
+SEVEN = ("RZ", "RY", "RZ", "RY", "RZ", "RY", "RZ")
+
+
+def built(axes, gravity=(0.0, 0.0, -9.81), *, seed=2, perturbation=0.1):
+    """Return a robot, its recording, its weight, and torques under other gravity."""
+    model = chain(*((f"joint_{j + 1}", kind, j) for j, kind in enumerate(axes)))
+    made = make_robot_recording(
+        model, duration=15.0, dt=0.01, perturbation=perturbation, random_state=seed
+    )
     data, turned = model.createData(), model.copy()
     turned.gravity.linear = np.array(gravity)
     weight, other = (
@@ -133,16 +139,37 @@ def gantry(gravity=(0.0, 0.0, -9.81)):
 
 def test_slides_show_whether_gravity_is_missing_or_turned():
     # An offset of a slide explains a constant force as well.
-    model, made, weight, _ = gantry()
+    model, made, weight, _ = built(GANTRY)
     kinds, _ = grave((made, model, weight), tau=made.tau - weight)
     assert kinds == ["no_gravity"]
-    *made, tau = gantry((6.0, 5.0, -6.0))
+    *made, tau = built(GANTRY, (6.0, 5.0, -6.0))
     kinds, _ = grave((made[1], model, weight), tau=tau)
     assert kinds == ["base_orientation"]
 
 
+@pytest.mark.parametrize("gravity", [(-7.8, 6.0, 0.1), (9.81, 0.0, 0.0)])
+def test_a_base_on_its_side_is_turned_although_a_slide_holds_no_weight(gravity):
+    model, made, weight, tau = built(SCARA, gravity)
+    kinds, _ = grave((made, model, weight), tau=tau)
+    assert kinds == ["base_orientation"]
+
+
+@pytest.mark.parametrize("axes", [PALLETISER, SEVEN])
+def test_torques_without_weight_are_not_of_another_period(axes):
+    model, made, weight, _ = built(axes, seed=3, perturbation=0.3)
+    kinds, _ = grave((made, model, weight), tau=made.tau - weight)
+    assert kinds == ["no_gravity"]
+
+
+def test_positions_of_a_slide_and_of_a_turn_are_exchanged():
+    model, made, weight, _ = built(GANTRY)
+    kinds, found = grave((made, model, weight), q=made.q[:, [0, 3, 2, 1]])
+    assert kinds == ["swapped_positions"]
+    assert found[0].joints == (1, 3)
+
+
 def test_a_force_that_is_constant_but_for_rounding_is_not_coarse():
-    model, made, weight, _ = gantry()
+    model, made, weight, _ = built(GANTRY)
     found = inspect_channels(model, made.q, weight, made.dt)
     assert {one.kind for one in found} <= {"constant_torque", "unverified"}
     assert found[0].joints == (0, 1, 2)
@@ -220,18 +247,19 @@ def test_torques_as_shares_of_what_each_motor_has(log):
     assert 'gains="unknown"' in found[0].message
 
 
-def assert_from_6_to_9_s(kinds, found):
+def assert_contact(kinds, found, times=(6.0, 9.0)):
     assert kinds == ["external_force"]
     told = found[0].message.split("From ")[1].split(" s after")[0].split(" to ")
-    assert [float(x) for x in told] == pytest.approx([6.0, 9.0], abs=0.5)
+    assert [float(x) for x in told] == pytest.approx(times, abs=0.5)
 
 
-def test_a_contact_is_named_with_its_time(log):
+@pytest.mark.parametrize(("rows", "times"), [(4000, (6.0, 9.0)), (2000, (2.0, 5.0))])
+def test_a_contact_is_named_with_its_time(log, rows, times):
     recording = log[0]
-    begin, end = (round(t / recording.dt) for t in (6.0, 9.0))
-    tau = recording.tau.copy()
-    tau[begin:end] += 1.5 * tau.std(axis=0)
-    assert_from_6_to_9_s(*grave(log, tau=tau))
+    begin, end = (round(t / recording.dt) for t in times)
+    tau = recording.tau[:rows].copy()
+    tau[begin:end] += 2.0 * tau.std(axis=0)
+    assert_contact(*grave(log, q=recording.q[:rows], tau=tau), times)
 
 
 @pytest.mark.slow
@@ -245,7 +273,7 @@ def test_a_force_on_a_link_is_named_with_its_time(log):
         frame = pin.LOCAL_WORLD_ALIGNED
         jacobian = pin.getJointJacobian(model, data, model.nv, frame)
         tau[row] += 40.0 * jacobian[2]
-    assert_from_6_to_9_s(*grave(log, tau=tau))
+    assert_contact(*grave(log, tau=tau))
 
 
 def test_torques_of_the_description(log):

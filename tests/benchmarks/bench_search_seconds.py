@@ -238,7 +238,6 @@ def main(argv=None):
     asked = [{"case": name} for name in arguments.cases or cases]
     for task in ledger.missing(asked):
         ledger.add(task | measure(task["case"], arguments.data_home))
-        print(json.dumps(ledger.results[-1]), file=sys.stderr, flush=True)
     found = {one["case"]: one for one in ledger.of(asked)}
     rows = [row(x, cases[x], before.get(x), found.get(x)) for x in cases]
     commits = ledger.commits()

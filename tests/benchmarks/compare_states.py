@@ -53,8 +53,7 @@ SETS = {
     "ur5": ({"cutoff": 8.0, "options": FitOptions(standstill=0.03)}, ("No6",), 25.0),
 }
 FITTED = ("theta_std_", "identifiable_", "min_eigenvalues_", "noise_floor_")
-FITTED += ("torque_noise_", "output_noise_", "cutoff_")
-FITTED += ("standstill_",)
+FITTED += ("torque_noise_", "output_noise_", "cutoff_", "standstill_")
 FOUND = ("error_before_", "error_plain_", "error_after_", "torque_std_")
 LABELS = {"name", "joint", "effect", "parameter", "unit", "link"}
 
@@ -67,6 +66,11 @@ def timed(found, step, function, *given, **settings):
     result = function(*given, **settings)
     found[f"seconds|{step}"] = time.process_time() - started
     return result
+
+
+def under(name, figures):
+    """Figures under a name."""
+    return {f"{name}, {key}": value for key, value in figures.items()}
 
 
 def public_arrays(model):
@@ -107,7 +111,7 @@ def exported(robot, q, groups):
         except ValueError:
             found[f"{kind}, refused"] = True
             continue
-        found |= {f"{kind}, {key}": value for key, value in read(path).items()}
+        found |= under(kind, read(path))
     return found
 
 
@@ -161,9 +165,8 @@ def search_figures(identifier, q, tau, groups, **settings):
         found[f"search, {kind}"] = [f"{e.name} {e.joint}" for e in own]
         found[f"search, {kind}, log odds"] = [e.log_odds for e in own]
         found[f"search, {kind}, values"] = flat([e.parameters for e in own])
-    found |= {f"search, {key}": getattr(search, key) for key in FOUND}
-    figures = fitted_robot(search.identifier_, q, groups)
-    found |= {f"search, {key}": value for key, value in figures.items()}
+    found |= under("search", {key: getattr(search, key) for key in FOUND})
+    found |= under("search", fitted_robot(search.identifier_, q, groups))
     return found | {"search, file|report": flat(search.report_.to_dict())}
 
 
@@ -188,7 +191,7 @@ def tables(data_home):
         for name, model in models.items():
             timed(found, f"{name} {seed}", model.fit, data.X, data.y)
             figures = public_arrays(model) | {"torque": model.predict(data.X_test)}
-            found |= {f"{name} {seed}, {k}": v for k, v in figures.items()}
+            found |= under(f"{name} {seed}", figures)
     recording = datasets.load_demo_recording()
     states = sklearn_vbjfa.StateEstimator(dt=recording.dt).fit(recording.q)
     return found | {"states": states.transform(recording.q)}
@@ -216,8 +219,7 @@ def recorded(name, data_home):
         settings |= {"input_noise": None, "regressor": paper}
         robot = RobotIdentifier(model, dt=recording.dt, **settings)
         robot.fit(given[0], given[1], groups=given[2])
-        figures = fitted_robot(robot, given[0], given[2])
-        found |= {f"paper, {key}": value for key, value in figures.items()}
+        found |= under("paper", fitted_robot(robot, given[0], given[2]))
     return found
 
 
@@ -235,12 +237,10 @@ def go2(data_home):
     for bodies in ("prior", "free"):
         robot = RobotIdentifier(model, bodies=bodies, **settings)
         timed(found, f"torques, {bodies}", robot.fit, q, tau, groups=groups)
-        figures = fitted_robot(robot, q, groups)
-        found |= {f"torques, {bodies}, {key}": x for key, x in figures.items()}
+        found |= under(f"torques, {bodies}", fitted_robot(robot, q, groups))
     robot = RobotIdentifier(model, drive=PDDrive(), **settings)
     timed(found, "commands", robot.fit_recording, PDDrive().driven(runs[0]))
-    figures = fitted_robot(robot, runs[0].q)
-    return found | {f"commands, {key}": value for key, value in figures.items()}
+    return found | under("commands", fitted_robot(robot, runs[0].q))
 
 
 def identifiers(data_home):
@@ -277,8 +277,7 @@ def identifiers(data_home):
         settings = {"friction": ("viscous", "coulomb"), **settings}
         robot = RobotIdentifier("arm.urdf", dt=0.01, **settings)
         timed(found, name, robot.fit, q, tau, groups=groups)
-        figures = fitted_robot(robot, q, groups)
-        found |= {f"{name}, {key}": value for key, value in figures.items()}
+        found |= under(name, fitted_robot(robot, q, groups))
     return found
 
 
@@ -303,8 +302,7 @@ def whole_robot(data_home):
     held = (effects.BaseTilt(), effects.JointZero(3), effects.TorqueGain(2))
     robot = RobotIdentifier("six.urdf", dt=0.01, friction=PLAIN, effects=held)
     timed(found, "geometry", robot.fit, given[0], given[1], groups=given[2])
-    figures = fitted_robot(robot, given[0], given[2])
-    return found | {f"geometry, {key}": value for key, value in figures.items()}
+    return found | under("geometry", fitted_robot(robot, given[0], given[2]))
 
 
 LINK = """
@@ -342,6 +340,7 @@ SIX = urdf(
 
 # -- the command line ------------------------------------------------------------------
 
+PACKAGE = sys.executable, "-m", "sklearn_vbjfa"
 LAW = "pd kp=100,100 kd=5,5"
 # Typed in this order in one folder, each as words.
 COMMANDS = (
@@ -411,13 +410,6 @@ def write_tables():
         np.savetxt(f"{name}.csv", table, header=header, **options)
 
 
-def run(words):
-    """Run the package as a command."""
-    return subprocess.run(
-        [sys.executable, "-m", "sklearn_vbjfa", *words], capture_output=True, text=True
-    )
-
-
 def command_line(data_home):
     """Exit codes of commands, names and numbers of their files."""
     write_tables()
@@ -426,7 +418,8 @@ def command_line(data_home):
         title = f"'{command}'"
         words = [LAW if word == "LAW" else word for word in command.split()]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        found[f"{title}, exit code"] = run(words).returncode
+        done = subprocess.run([*PACKAGE, *words], capture_output=True)
+        found[f"{title}, exit code"] = done.returncode
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds = [x.ru_utime + x.ru_stime for x in (before, after)]
         found[f"seconds|{title}"] = seconds[1] - seconds[0]
@@ -557,11 +550,6 @@ def difference(one, other, metric=None):
     return float(np.linalg.norm(change) / norm if norm else most)
 
 
-def rough(key):
-    """Whether a figure is printed, or zero but for the solver's tolerance."""
-    return "file|" in key or "min_eigenvalues_" in key
-
-
 def differences(one, two):
     """Return the differences between figures that both states have, name -> text."""
     found = {}
@@ -572,7 +560,9 @@ def differences(one, two):
         if "theta|" in key and key.split("theta|")[0] + "metric" in one:
             metric = np.asarray(one[key.split("theta|")[0] + "metric"])
         apart = difference(one[key], two[key], metric)
-        if not apart <= (DIGITS if rough(key) else TOLERANCE):
+        # Printed, or zero but for the solver's tolerance.
+        rough = "file|" in key or "min_eigenvalues_" in key
+        if not apart <= (DIGITS if rough else TOLERANCE):
             found[key] = f"{apart:.2e}" if np.isfinite(apart) else shown(one, two, key)
     return found
 

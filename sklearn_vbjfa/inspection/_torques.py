@@ -109,10 +109,10 @@ def torque_factors(robot, alike):
 
 def scaled(reading):
     """Return all torques over a factor against the described ones."""
-    factors, error, *_ = torque_factors(reading.robot, alike=True)
+    factors, error, known, _ = torque_factors(reading.robot, alike=True)
     factor, error = float(factors[0]), float(error[0])
     least = number.COMMANDED if reading.commanded else number.SCALE
-    if factor <= 0 or 1 / least < factor < least:
+    if not known or factor <= 0 or 1 / least < factor < least:
         return None
     low, high = factor * np.exp([-error, error])
     units, robot = _units_inside(low, high), reading.robot

@@ -94,6 +94,15 @@ def test_a_factor_of_all_torques_has_an_interval_that_holds_it(log, factor):
     assert low < factor < high
 
 
+def test_a_factor_that_the_motion_does_not_show_is_not_claimed():
+    model = chain(("first", "RY", 0), ("second", "RY", 1))
+    made = make_robot_recording(
+        model, duration=12.0, dt=0.01, frequency=0.4, random_state=8
+    )
+    found = inspect_channels(model, np.rad2deg(made.q), made.tau, made.dt)
+    assert "torque_unit" not in {x.kind for x in found}
+
+
 def test_torques_of_the_weight_alone(log):
     kinds, _ = grave(log, tau=log[2])
     assert "gravity_only" in kinds

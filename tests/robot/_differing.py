@@ -41,7 +41,9 @@ def share_of(share):
 
 
 def held(urdf, seed, n, off):
-    """Whether values of a left-out recording are in the ranges."""
+    """Whether values of a left-out recording are in the ranges, and by noise alone."""
     X, y, labels, new = recordings(urdf, seed, n, off=off)
     found = RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels).ranges(0.9)
-    return [found[k].lower <= x <= found[k].upper for k, x in zip(NAMES, new)]
+    both = [(found[name], value) for name, value in zip(NAMES, new)]
+    noise = [abs(value - one.value) <= 1.645 * one.within for one, value in both]
+    return [one.lower <= value <= one.upper for one, value in both], noise

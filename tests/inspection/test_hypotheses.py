@@ -267,7 +267,7 @@ def test_a_contact_is_named_with_its_time(log, rows, times):
     recording = log[0]
     begin, end = (round(t / recording.dt) for t in times)
     tau = recording.tau[:rows].copy()
-    tau[begin:end] += 2.0 * tau.std(axis=0)
+    tau[begin:end] += 1.5 * tau.std(axis=0)
     assert_contact(*grave(log, q=recording.q[:rows], tau=tau), times)
 
 

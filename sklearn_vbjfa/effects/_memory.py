@@ -34,28 +34,27 @@ _CURVE = 200
 
 
 @functools.cache
-def _compiled():
-    """Compile the recursions over samples; the seconds that Numba needs come once."""
+def _compiled(function):
+    """Compile a recursion over samples, when it is used first."""
+    # Numba takes a second to import.
     from sklearn_vbjfa._core._compiler import compiler
 
-    compiled = compiler(__file__)
-    return tuple(map(compiled, (_elements, _turned, _play)))
+    return compiler(__file__)(function)
 
 
 def elements(q, displacements, level=1.0, falls=False, creeps=False, before=()):
     """States (n, k) of elements that slip at, or creep towards, a level."""
     # level (n,): of the elements that fall, bool (k,); that of the others is 1.
     # before: positions that the joint came through, at the first of which z is zero.
-    states, turned, _ = _compiled()
     d = np.asarray(displacements, dtype=float)
     z = np.zeros((q.size, d.size))
     if len(before):
         # At a constant level the ends of each way are enough.
-        ends = turned(np.append(before, q[0]))
+        ends = _compiled(_turned)(np.append(before, q[0]))
         z[0] = elements(ends, d, creeps=creeps)[-1]
     level, falls = np.broadcast_to(level, q.shape), np.broadcast_to(falls, d.shape)
     arrays = (np.ascontiguousarray(x) for x in (q, d, level, falls))
-    states(*arrays, creeps, z)
+    _compiled(_elements)(*arrays, creeps, z)
     return z
 
 
@@ -89,7 +88,7 @@ def _turned(q):
 def play(q, width):
     """Play operator: the position follows q within half the width."""
     out = np.array(q, dtype=float)
-    _compiled()[2](out, 0.5 * width)
+    _compiled(_play)(out, 0.5 * width)
     return out
 
 

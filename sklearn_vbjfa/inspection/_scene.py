@@ -92,10 +92,11 @@ def turned(reading):
     usual, pull = np.linalg.norm(start), start
     # What the motion does not show of the direction stays as described, or is zero.
     free = {"columns": robot.by_gravity, "deviation": 1.0}
-    fit, still = robot.fit(**free), robot.fit(robot.pulled(np.zeros(3)), **free)
+    fit = robot.fit(**free)
     if np.linalg.norm(fit.factors) < 0.5 * number.TURNED * usual:
         return None
     whole, shown = start + fit.factors, fit.errors < 0.5
+    still = robot.fit(robot.pulled(np.zeros(3)), **free)
     tried = [whole, still.factors, *np.eye(3), *-np.eye(3)]
     variants = len(tried)
     for _ in range(number.PASSES):

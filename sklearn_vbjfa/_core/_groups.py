@@ -1,7 +1,7 @@
 """Evidence for a group of columns: its scale is integrated, its shapes are averaged."""
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import nnls
@@ -107,25 +107,21 @@ class Groups:
     def discounted(self, excess):
         """Return the moments of a likelihood discounted for overdispersion."""
         value, rest, vectors = self._spectral
-        found = Groups(
-            H=self.H / excess.ratio,
-            q=self.q / excess.ratio,
-            own=self.own / excess.ratio,
-            unit=self.unit,
-            freedom=excess.freedom,
-            positive=self.positive,
-        )
         known = value / excess.ratio, rest / excess.ratio, vectors
-        found.__dict__["_spectral"] = known
-        return found
+        moments = {
+            name: getattr(self, name) / excess.ratio for name in ("H", "q", "own")
+        }
+        return self._with(known, **moments, freedom=excess.freedom)
 
     def part(self, at):
         """Return some of the groups, a slice."""
-        values = {"H": self.H[at], "q": self.q[at], "own": self.own[at]}
-        values |= {"unit": self.unit[at], "positive": self.positive}
-        found = Groups(**values, freedom=self.freedom)
-        # What is known of all is known of some.
-        found.__dict__["_spectral"] = tuple(x[at] for x in self._spectral)
+        arrays = {name: getattr(self, name)[at] for name in ("H", "q", "own", "unit")}
+        return self._with(tuple(x[at] for x in self._spectral), **arrays)
+
+    def _with(self, spectral, **changes):
+        """Return the groups with other moments, whose spectrum is known."""
+        found = replace(self, **changes)
+        found.__dict__["_spectral"] = spectral
         return found
 
     def integrated(self, scale, own):

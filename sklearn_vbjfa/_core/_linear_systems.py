@@ -16,7 +16,7 @@ than the noise, as the fit absorbs part of it in each block; the correction is e
 white noise.
 """
 
-import itertools
+from collections import namedtuple
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,15 +54,9 @@ def or_one(sizes):
     return np.where(sizes > 0, sizes, 1.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class UnitColumns:
-    """Columns of unit length, weighted by the square root of the row weights."""
-
-    # (n_samples, n_features): ``sqrt(weight) * (X - mean) / scale``; 0 if constant
-    values: np.ndarray
-    mean: np.ndarray  # (n_features,): weighted means; zero without centring
-    # (n_features,): lengths of the centred, weighted columns; one if constant
-    scale: np.ndarray
+# Columns sqrt(weight) (X - mean) / scale (n, d) of unit length, 0 if constant; weighted
+# means (d,), zero without centring; and lengths (d,), one if constant.
+UnitColumns = namedtuple("UnitColumns", "values mean scale")
 
 
 def unit_columns(X, weight, *, center):
@@ -70,8 +64,7 @@ def unit_columns(X, weight, *, center):
     # Dividing by the largest magnitude keeps squares from overflowing, and a second
     # pass removes the rounding of the first mean: any unit and offset is treated alike.
     total = weight.sum()
-    magnitude = np.maximum(X.max(axis=0), -X.min(axis=0))
-    magnitude = or_one(magnitude)
+    magnitude = or_one(np.maximum(X.max(axis=0), -X.min(axis=0)))
     values = X / magnitude
     mean = np.zeros(X.shape[1])
     if center:
@@ -86,7 +79,7 @@ def unit_columns(X, weight, *, center):
     length[constant] = 1.0
     values /= length
     scale = np.where(constant, 1.0, magnitude * length)
-    return UnitColumns(values=values, mean=mean * magnitude, scale=scale)
+    return UnitColumns(values, mean * magnitude, scale)
 
 
 def svd(matrix, *, full_matrices=True):
@@ -106,37 +99,26 @@ def rank_tolerance(matrix):
 
 def orthonormal_basis(matrix):
     """Orthonormal basis of the column space, columns scaled to one length first."""
-    length = np.linalg.norm(matrix, axis=0)
-    scaled = matrix / or_one(length)
-    U, s, _ = svd(scaled, full_matrices=False)
-    if s.size == 0:
-        return U
-    return U[:, s > rank_tolerance(matrix) * s[0]]
+    length = or_one(np.linalg.norm(matrix, axis=0))
+    U, s, _ = svd(matrix / length, full_matrices=False)
+    return U[:, s > rank_tolerance(matrix) * s.max(initial=0.0)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ScaledSolution:
-    """Least squares in scaled columns."""
-
-    coef: np.ndarray  # (n_features,): solution
-    # (n_features, n_features): pseudo-inverse of their Gram matrix, scaled back
-    inverse: np.ndarray
-    # (n_features,): coefficients that are the same in all solutions
-    identified: np.ndarray
-    rank: int  # rank of the scaled columns
+# Solution (d,), pseudo-inverse (d, d) of the Gram matrix, which coefficients (d,) are
+# the same in all solutions, and the rank of the scaled columns.
+ScaledSolution = namedtuple("ScaledSolution", "coef inverse identified rank")
 
 
 def scaled_lstsq(matrix, target):
     """Least squares, of minimum norm among the columns scaled to one length."""
-    length = np.linalg.norm(matrix, axis=0)
-    length = or_one(length)
+    length = or_one(np.linalg.norm(matrix, axis=0))
     U, s, Vt = svd(matrix / length)
     rank = int(np.sum(s > rank_tolerance(matrix) * s.max(initial=0.0)))
     basis = Vt[:rank].T / s[:rank]
     coef = basis @ (U[:, :rank].T @ target) / length
     inverse = basis @ basis.T / np.outer(length, length)
     identified = np.linalg.norm(Vt[rank:], axis=0) <= np.sqrt(np.finfo(float).eps)
-    return ScaledSolution(coef=coef, inverse=inverse, identified=identified, rank=rank)
+    return ScaledSolution(coef, inverse, identified, rank)
 
 
 def mixed_tls(columns, target, exact):
@@ -163,26 +145,16 @@ def mixed_tls(columns, target, exact):
 
 def _classical_tls(columns, target, floor):
     """Minimum-norm total least squares; singular values below `floor` are zero."""
-    # With X = U S V', the singular value decomposition of [X y] is that of the small
-    # matrix [[S, c], [0, rho]], c = U'y and rho the norm of y outside the span of X.
     # With sigma_k(X) = sigma_{k+1}([X y]) there is no finite solution, or many: then,
     # following Van Huffel & Vandewalle (1991), the last direction of V is dropped.
     U, s, Vt = svd(columns, full_matrices=False)
-    rank = int(np.sum(s > floor))
-    along = U.T @ target
-    rest = np.linalg.norm(target - U[:, :rank] @ along[:rank])
-    while rank > 0:
-        arrow = np.zeros((rank + 1, rank + 1))
-        arrow[np.arange(rank), np.arange(rank)] = s[:rank]
-        arrow[:rank, rank] = along[:rank]
-        arrow[rank, rank] = rest
-        _, sigma, Wt = svd(arrow)
-        if 1 - (sigma[-1] / s[rank - 1]) ** 2 > NONGENERIC:
-            # The normal of the fitted hyperplane, with y's element scaled to -1.
-            normal = Wt[-1]
+    for rank in range(int(np.sum(s > floor)), 0, -1):
+        seen = np.column_stack([U[:, :rank] * s[:rank], target])
+        # The normal of the fitted hyperplane.
+        normal = svd(seen)[2][-1]
+        smallest = np.linalg.norm(seen @ normal)
+        if 1 - (smallest / s[rank - 1]) ** 2 > NONGENERIC:
             return Vt[:rank].T @ (-normal[:rank] / normal[rank])
-        rank -= 1
-        rest = np.hypot(rest, along[rank])
     return np.zeros(columns.shape[1])
 
 
@@ -194,8 +166,6 @@ class ScaledEigen:
     values: np.ndarray  # (p,): eigenvalues of the scaled matrix, ascending
     vectors: np.ndarray  # (p, p): eigenvectors, in scaled coordinates
     known: np.ndarray  # (p,): directions above the tolerance
-    # places of rows that have nothing in common with others, and their eigenvectors
-    parts: tuple
 
     @property
     def rank(self):
@@ -237,11 +207,8 @@ class ScaledEigen:
 
     def inverse(self):
         """Pseudo-inverse of A in scaled columns, ndarray of shape (p, p)."""
-        scaled = np.zeros(self.vectors.shape)
-        for rows, columns in self.parts:
-            own = columns[self.known[columns]]
-            V = self.vectors[np.ix_(rows, own)]
-            scaled[np.ix_(rows, rows)] = (V / self.values[own]) @ V.T
+        V = self.known_vectors
+        scaled = (V / self.known_values) @ V.T
         return scaled / np.outer(self.scale, self.scale)
 
     def solve(self, b):
@@ -260,15 +227,14 @@ def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
     # default the rounding of p rows; with relative=False the eigenvalue itself.
     p = A.shape[0]
     if scale is None:
-        diagonal = np.diagonal(A)
-        scale = np.sqrt(or_one(diagonal))
+        scale = np.sqrt(or_one(np.diagonal(A)))
     scale = np.broadcast_to(np.asarray(scale, dtype=float), (p,))
-    values, vectors, parts = _eigen(A / np.outer(scale, scale))
+    values, vectors = _eigen(A / np.outer(scale, scale))
     limit = p * ROUNDING if tolerance is None else tolerance
     if relative:
         limit = limit * max(values[-1], 0.0) if p else limit
     return ScaledEigen(
-        scale=scale, values=values, vectors=vectors, known=values > limit, parts=parts
+        scale=scale, values=values, vectors=vectors, known=values > limit
     )
 
 
@@ -281,40 +247,21 @@ def branches(support):
     return [(some, np.flatnonzero(support[some].any(axis=0))) for some in rows]
 
 
-def _connected(A):
-    """Rows of a symmetric matrix (p, p) that have something in common, in parts."""
-    p = A.shape[0]
-    label = np.zeros(p, dtype=int)
-    if p >= _LARGE:
-        label = csgraph.connected_components(A != 0, directed=False)[1]
-    return [np.flatnonzero(label == k) for k in range(label.max(initial=0) + 1)]
-
-
 def _eigen(A):
-    """Eigenvalues, ascending, vectors and `ScaledEigen.parts` of a matrix (p, p)."""
-    p, rows = A.shape[0], _connected(A)
-    if len(rows) == 1:
-        return *linalg.eigh(A), ((rows[0], rows[0]),)
-    values, vectors = np.empty(p), np.zeros((p, p))
-    at = 0
-    for one in rows:
-        own = np.arange(at, at := at + one.size)
-        found = linalg.eigh(A[np.ix_(one, one)])
-        values[own], vectors[np.ix_(one, own)] = found
+    """Eigenvalues, ascending, and vectors of a symmetric matrix (p, p)."""
+    label = np.zeros(A.shape[0], dtype=int)
+    if label.size >= _LARGE:
+        label = csgraph.connected_components(A != 0, directed=False)[1]
+    rows = [np.flatnonzero(label == k) for k in range(label.max(initial=0) + 1)]
+    found = [linalg.eigh(A[np.ix_(one, one)]) for one in rows]
+    values, vectors = np.concatenate([one for one, _ in found]), np.empty(A.shape)
+    vectors[np.concatenate(rows)] = linalg.block_diag(*(own for _, own in found))
     order = np.argsort(values, kind="stable")
-    vectors, place = vectors[:, order], np.argsort(order)
-    ends = np.cumsum([0, *map(len, rows)])
-    columns = [np.sort(place[a:b]) for a, b in itertools.pairwise(ends)]
-    return values[order], vectors, tuple(zip(rows, columns))
+    return values[order], vectors[:, order]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Dependencies:
-    """Generators among the inputs."""
-
-    basis: np.ndarray  # columns that generate all others, ascending
-    # for each column of the basis, the column itself and its exact copies
-    copies: tuple
+# Columns that generate all others, ascending, and each with its exact copies.
+Dependencies = namedtuple("Dependencies", "basis copies")
 
 
 def find_dependencies(R):
@@ -323,7 +270,7 @@ def find_dependencies(R):
     eigen = scaled_eigen(R, DEPENDENCY_TOLERANCE, scale=1.0)
     alone = tuple(np.array([j]) for j in range(d))
     if eigen.rank == d:
-        return Dependencies(basis=np.arange(d), copies=alone)
+        return Dependencies(np.arange(d), alone)
     involved = eigen.lost(1e-6)
     dependent, free = np.flatnonzero(involved), np.flatnonzero(~involved)
     groups = _copies(R, dependent)
@@ -337,7 +284,7 @@ def find_dependencies(R):
     members = {int(group[0]): group for group in groups}
     members.update({int(j): np.array([j]) for j in free})
     basis = np.sort(np.concatenate([free, chosen]))
-    return Dependencies(basis=basis, copies=tuple(members[int(j)] for j in basis))
+    return Dependencies(basis, tuple(members[int(j)] for j in basis))
 
 
 def _copies(R, columns):
@@ -408,9 +355,8 @@ def block_variance(grams, scores, place, noise=1.0):
     # (n_blocks, p): rows times residuals, weighted alike; place (n_blocks, 2): the
     # recording of a block and its number there, sorted; noise: weighted mean square of
     # the residuals. Undetermined parameters come out as nan.
-    parts = _connected(grams.sum(axis=0))
-    parts = [(rows, grams[:, rows[:, None], rows]) for rows in parts]
-    return variance_of_parts(parts, scores, place, noise)
+    every = np.arange(scores.shape[1])
+    return variance_of_parts([(every, grams)], scores, place, noise)
 
 
 def variance_of_parts(parts, scores, place, noise=1.0):

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy import linalg
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
@@ -172,9 +173,7 @@ def white_noise_variance(frequency, power, noise_gain):
     # how many segments they were averaged.
     ratio = (power / noise_gain)[frequency >= 0.5 * frequency[-1]]
     n_blocks = max(1, ratio.size // _BLOCK)
-    size, larger = divmod(ratio.size, n_blocks)  # as np.array_split divides
-    sizes = np.r_[np.full(larger, size + 1), np.full(n_blocks - larger, size)]
-    means = np.add.reduceat(ratio, np.cumsum(sizes) - sizes) / sizes
+    means = [part.mean() for part in np.array_split(ratio, n_blocks)]
     if n_blocks < 3:  # a mean, or as good as one
         return float(np.mean(means))
     return float(np.median(means) / (1 - 1 / (9 * _INDEPENDENT)) ** 3)
@@ -263,12 +262,15 @@ def _basis(step, first, last, order):
     """Values (order 0) or derivatives of the six functions at x = k / step."""
     # For k from `first` to `last`; outside [0, 1] the polynomials continue.
     x = np.arange(first, last + 1) / step
-    columns = []
-    for c in _POLYNOMIALS.T:
-        columns.append(np.polyval(np.polyder(c, order), x))
-    table = np.column_stack(columns)
+    derivatives = [np.polyder(c, order) for c in _POLYNOMIALS.T]
+    table = np.column_stack([np.polyval(c, x) for c in derivatives])
     table.setflags(write=False)
     return table
+
+
+def _windows(coef):
+    """Coefficients of the functions of each interval, (n, 6)."""
+    return sliding_window_view(coef, _WIDTH).copy()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -291,10 +293,7 @@ class Spline:
         low, high = start - self.shift, stop - 1 - self.shift
         first = min(max(low // per, 0), n_intervals - 1)
         last = min(max(high // per, 0), n_intervals - 1)
-        windows = np.empty((last - first + 1, _WIDTH))
-        coef = self.coef[first : last + _WIDTH]
-        for j in range(_WIDTH):
-            windows[:, j] = coef[j : j + len(windows)]
+        windows = _windows(self.coef[first : last + _WIDTH])
         values = (windows @ self._table(0, per - 1, order).T).ravel()
         begin, end = first * per, (last + 1) * per
         inside = slice(max(begin - low, 0), max(min(end, high + 1) - low, 0))
@@ -354,11 +353,7 @@ def _slope(x, coef, step, lam):
     basis = _basis(step, 0, step - 1, 0)
     # One interval more, of which the first sample may be on the last knot: the last of
     # its functions is zero there.
-    windows = np.zeros((n_intervals + 1, _WIDTH))
-    for j in range(_WIDTH):
-        part = coef[j : j + n_intervals + 1]
-        windows[: part.size, j] = part
-    left = -(windows @ basis.T).ravel()
+    left = -(_windows(np.append(coef, 0.0)) @ basis.T).ravel()
     left[:n] += x
     left[n:] = 0.0
     products = left.reshape(-1, step) @ basis

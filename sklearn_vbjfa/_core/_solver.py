@@ -6,8 +6,8 @@ joint maxima (`_correlated`). Without priors the maximum is explicit
 (`at_highest_likelihood`).
 """
 
-from collections import deque
-from dataclasses import dataclass, field, replace
+from collections import deque, namedtuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -48,14 +48,13 @@ class Solution:
     """Result of the iteration."""
 
     # ``status`` is "converged", "max_iter" or "bound_decreased"; ``fall`` is the size
-    # of the decrease; ``at_floor`` names the variances at their floor (Heywood cases).
+    # of the decrease.
 
     state: object
     history: np.ndarray
     n_iter: int
     status: str
     fall: float = 0.0
-    at_floor: dict = field(default_factory=dict)
 
 
 def climb(steps, point, max_iter):
@@ -237,16 +236,11 @@ def from_vector(vector, like, prior):
     return update_precisions(replace(like, **values), prior)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Slope:
-    """Gradient of the bound, and the inverse curvature implied by an EM step."""
-
-    # ``scale * gradient`` is the EM step to first order in the logarithms. Both have
-    # the shape of the coordinates; the gradient is zero where a variance rests on its
-    # floor and would fall further.
-
-    gradient: np.ndarray
-    scale: np.ndarray
+# Gradient of the bound, and the inverse curvature implied by an EM step: ``scale *
+# gradient`` is that step to first order in the logarithms. Both have the shape of the
+# coordinates; the gradient is zero where a variance rests on its floor and would fall
+# further.
+Slope = namedtuple("Slope", "gradient scale")
 
 
 def slope(moments, state, hidden, prior):
@@ -254,48 +248,39 @@ def slope(moments, state, hidden, prior):
     # With q(Z, T) at its optimum the bound has the gradient of the expected
     # log-likelihood alone (Fisher's identity): each entry is the residual of the
     # stationarity condition that the update of the same name solves.
-    n, S_tt = moments.n, hidden.S_tt
+    n, S_tt, weight = moments.n, hidden.S_tt, prior.psi_x_weight
     alpha = state.E_alpha if prior.ard else 0.0
     alpha_x = alpha if prior.ard and prior.coupled else 0.0
     # Without a change of loadings the updates are eqs. 14 to 16 at this state.
     new = update_noise(moments, state, state, hidden, replace(prior, psi_x_weight=0.0))
     on_z, on_x = S_tt / state.psi_z + alpha, S_tt / state.psi_x + alpha_x
-    curvature = np.full(S_tt.size, 0.5 * n)
-    gradient = {
-        "w_z_mean": (hidden.S_zt - state.w_z_mean * S_tt) / state.psi_z
-        - alpha * state.w_z_mean,
-        "w_x_mean": (hidden.S_xt - state.w_x_mean * S_tt) / state.psi_x
-        - alpha_x * state.w_x_mean,
-        "psi_z": 0.5 * n * (new.psi_z / state.psi_z - 1.0),
-        "w_z_var": 0.5 * (1.0 - state.w_z_var * on_z),
-        "w_x_var": 0.5 * (1.0 - state.w_x_var * on_x),
+
+    def falling(name):
+        now = getattr(state, name)
+        on = 0.5 * n * (getattr(new, name) / now - 1.0)
+        if name == "psi_x" and weight:
+            on = on + 0.5 * weight * (prior.psi_x_mode / now - 1.0)
+        return np.where((now <= VARIANCE_FLOOR) & (on < 0), 0.0, on)
+
+    parts = {
+        "w_z_mean": (
+            (hidden.S_zt - state.w_z_mean * S_tt) / state.psi_z
+            - alpha * state.w_z_mean,
+            1.0 / on_z,
+        ),
+        "w_x_mean": (
+            (hidden.S_xt - state.w_x_mean * S_tt) / state.psi_x
+            - alpha_x * state.w_x_mean,
+            1.0 / on_x,
+        ),
+        "psi_z": (falling("psi_z"), 2.0 / n),
+        "psi_x": (falling("psi_x"), 2.0 / (n + weight)),
+        "w_z_var": (0.5 * (1.0 - state.w_z_var * on_z), 2.0),
+        "w_x_var": (0.5 * (1.0 - state.w_x_var * on_x), 2.0),
+        "psi_y": (falling("psi_y"), 2.0 / n),
     }
-    scale = {
-        "w_z_mean": 1.0 / on_z,
-        "w_x_mean": 1.0 / on_x,
-        "psi_z": 1.0 / curvature,
-        "w_z_var": np.full(S_tt.size, 2.0),
-        "w_x_var": np.full(S_tt.size, 2.0),
-    }
-    if prior.psi_x_fixed is None:
-        weight = prior.psi_x_weight
-        on_psi_x = 0.5 * n * (new.psi_x / state.psi_x - 1.0)
-        if weight:
-            on_psi_x = on_psi_x + 0.5 * weight * (prior.psi_x_mode / state.psi_x - 1.0)
-        gradient["psi_x"] = on_psi_x
-        scale["psi_x"] = 1.0 / (curvature + 0.5 * weight)
-    for name in ("psi_z", "psi_x"):
-        if name in gradient:
-            stuck = (getattr(state, name) <= VARIANCE_FLOOR) & (gradient[name] < 0)
-            gradient[name] = np.where(stuck, 0.0, gradient[name])
-    on_psi_y = 0.5 * n * (new.psi_y / state.psi_y - 1.0)
-    if state.psi_y <= VARIANCE_FLOOR:
-        on_psi_y = max(on_psi_y, 0.0)
-    names = _blocks(prior)
-    return Slope(
-        gradient=np.concatenate([*(gradient[name] for name in names), [on_psi_y]]),
-        scale=np.concatenate([*(scale[name] for name in names), [2.0 / n]]),
-    )
+    pairs = [np.broadcast_arrays(*parts[name]) for name in [*_blocks(prior), "psi_y"]]
+    return Slope(*(np.hstack(side) for side in zip(*pairs)))
 
 
 # Pairs of steps and changes of the gradient that are kept: the usual number of
@@ -517,30 +502,18 @@ def solve(moments, state, prior, *, max_iter, tol):
     # of y) has no highest likelihood, and nothing to extrapolate to but rounding.
     if not prior.ard and moments.rest <= VARIANCE_FLOOR * moments.yy:
         found = climb(PlainSteps(problem, tol), problem.evaluate(state), max_iter)
-        if found.status != "bound_decreased":
-            # The expectations at the end are good for one more update.
-            end = problem.update(problem.evaluate(found.state))
-            found = replace(found, state=end)
-        return _with_floor(found, prior)
+        if found.status == "bound_decreased":
+            return found
+        # The expectations at the end are good for one more update.
+        return replace(found, state=problem.update(problem.evaluate(found.state)))
     # Along flat directions the last digits of the moments decide where within `tol` a
     # quasi-Newton method stops: they must not depend on the rows' order.
     rounded = IndependentProblem(moments.without_last_digits(), prior)
     steps = QuasiNewtonSteps(rounded, tol)
     found = climb(steps, rounded.evaluate(state), max_iter)
-    if found.status == "converged" and not prior.ard:
-        # The last step is an iteration too.
-        if found.n_iter < max_iter:
-            found = _end(problem, found)
-        else:
-            found = replace(found, status="max_iter")
-    return _with_floor(found, prior)
-
-
-def _with_floor(found, prior):
-    """Name the variances at their floor: {name: ndarray of indices}."""
-    state, floor = found.state, 2 * VARIANCE_FLOOR
-    places = {"psi_y": np.flatnonzero(np.atleast_1d(state.psi_y) <= floor)}
-    if prior.psi_x_fixed is None:
-        places["psi_x"] = np.flatnonzero(state.psi_x <= floor)
-    stuck = {name: where for name, where in places.items() if where.size}
-    return replace(found, at_floor=stuck)
+    if found.status != "converged" or prior.ard:
+        return found
+    # The last step is an iteration too.
+    if found.n_iter == max_iter:
+        return replace(found, status="max_iter")
+    return _end(problem, found)

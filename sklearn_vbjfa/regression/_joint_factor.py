@@ -118,13 +118,12 @@ class BaseJointFactorRegressor(BaseRegressor):
             self.relevant_ = data.expand(result.retained).astype(bool)
             # w_z in the unit of y: a standardised precision over y's variance
             self.alpha_ = data.expand(state.E_alpha / data.y_scale**2, fill=np.inf)
-        self._warn_at_floor(result.solution.at_floor, data)
+        if fixed is None and (at_floor := state.psi_x <= 2 * VARIANCE_FLOOR).any():
+            self._warn_at_floor(at_floor, data)
         return self
 
     def _warn_at_floor(self, at_floor, data):
-        if "psi_x" not in at_floor:
-            return
-        where = np.flatnonzero(data.active)[at_floor["psi_x"]]
+        where = np.flatnonzero(data.active)[at_floor]
         labels = self._feature_labels()
         shown = ", ".join(str(labels[i]) for i in where[:10])
         warnings.warn(

@@ -35,13 +35,6 @@ class Lowpass:
         """Samples that are lost at each end."""
         return self.taps.size // 2
 
-    @property
-    def efficiency(self):
-        """Independent samples per output, for white noise at the input."""
-        # Outputs closer than the filter is long share noise; this holds for the sum of
-        # many.
-        return float(self.step * (self.taps @ self.taps)) if self.half else 1.0
-
     def centres(self, n, outputs=slice(None)):
         """Return the samples at which (some of the) outputs stand, for n samples."""
         chosen = range(self.half, n - self.half, self.step)[outputs]
@@ -49,11 +42,29 @@ class Lowpass:
 
     def __call__(self, x):
         """Filter the rows of x (n, ...) and keep every `step`-th."""
-        return decimate(self, x)
+        if self.half == 0:
+            return x[:: self.step]
+        n = x.shape[0]
+        flat = x.reshape(n, -1)
+        result = BlockFilter(self, self.centres(n).size, flat.shape[1])
+        if result.outputs.size:
+            length = block_length(self, 8 * flat.shape[1])
+            for first in range(0, n, length):
+                result.add(first, flat[first : first + length])
+        return result.outputs.reshape(-1, *x.shape[1:])
 
     def average(self, weight):
         """Average weights (n, ...) over the filter's neighbourhood."""
-        return decimate(averaging(self), weight)
+        taps = np.abs(self.taps)
+        return replace(self, taps=taps / taps.sum())(weight)
+
+    def samples(self, weight):
+        """Count filtered rows as independent samples; zero where too little counts."""
+        # Outputs closer than the filter is long share the noise.
+        each = float(self.step * (self.taps @ self.taps)) if self.half else 1.0
+        # A tie must not depend on the order in which the taps were summed.
+        counts = self.average((weight > 0).astype(float)) > _MASK_SHARE - 1e-9
+        return np.where(counts, each * self.average(weight), 0.0)
 
 
 def design(dt, cutoff, step=None):
@@ -151,33 +162,3 @@ class BlockFilter:
                 return
             matrix = matrix[max(-low, 0) : high - low]
             self.outputs[max(low, 0) : high] += matrix @ part
-
-
-def decimate(lowpass, x):
-    """Filter rows x (n, ...) and keep every `step`-th."""
-    if lowpass.half == 0:
-        return x[:: lowpass.step]
-    n = x.shape[0]
-    flat = x.reshape(n, -1)
-    result = BlockFilter(lowpass, lowpass.centres(n).size, flat.shape[1])
-    if result.outputs.size:
-        length = block_length(lowpass, 8 * flat.shape[1])
-        for first in range(0, n, length):
-            result.add(first, flat[first : first + length])
-    return result.outputs.reshape(-1, *x.shape[1:])
-
-
-def averaging(lowpass):
-    """Return the filter that averages weights over the neighbourhood of a filter."""
-    taps = np.abs(lowpass.taps)
-    return Lowpass(taps=taps / taps.sum(), step=lowpass.step)
-
-
-def filter_weight(lowpass, weight):
-    """Count filtered rows as independent samples; zero where too little counts."""
-    smoother = averaging(lowpass)
-    average = decimate(smoother, weight)
-    full = decimate(smoother, (weight > 0).astype(float))
-    # A tie must not depend on the order in which the taps were summed.
-    counts = full > _MASK_SHARE - 1e-9
-    return np.where(counts, lowpass.efficiency * average, 0.0)

@@ -9,8 +9,6 @@ from sklearn_vbjfa._core._lowpass import (
     BlockFilter,
     block_length,
     coarser,
-    decimate,
-    filter_weight,
     stride,
 )
 from sklearn_vbjfa._core._progress import counted
@@ -461,8 +459,8 @@ class Segment:
         chosen = lowpass.centres(self.n_rows, outputs)
         seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
         q, v = (derivative(self.states, seen, order) for order in range(2))
-        weight = filter_weight(lowpass, self.counts(seen, v))
-        signals = decimate(lowpass, np.stack([self.torque[seen], q, v], axis=1))
+        weight = lowpass.samples(self.counts(seen, v))
+        signals = lowpass(np.stack([self.torque[seen], q, v], axis=1))
         tau, q, v = (np.ascontiguousarray(signals[:, k]) for k in range(3))
         ways = np.sign(v) * (np.abs(v) > self.standstill)
         ranges = SignalRanges.of([q, np.abs(v), ways], weight > 0)
@@ -478,7 +476,7 @@ class Segment:
         apart = sum(
             gain * (one - other) for gain, one, other in zip(self.feedback, even, odd)
         )
-        return -decimate(lowpass, np.ascontiguousarray(apart))
+        return -lowpass(np.ascontiguousarray(apart))
 
     def _filtered(self, lowpass, seen, outputs):
         # Entries (n, n_entries) may be overwritten by the next ones.
@@ -499,8 +497,8 @@ class Segment:
         for order in range(3):
             signals = np.ascontiguousarray(derivative(self.states, rows, order))
             if order == 1:
-                weight = filter_weight(lowpass, self.counts(rows, signals))
-            made.append(decimate(lowpass, signals))
+                weight = lowpass.samples(self.counts(rows, signals))
+            made.append(lowpass(signals))
         return SignalRanges.of([torques(*made)], weight > 0)
 
 
@@ -730,11 +728,11 @@ def compare(segments, lowpass, theta):
     # of each joint instead of all columns of the regressor.
     found, every = [], slice(None)
     for own in segments:
-        torque = decimate(lowpass, np.asarray(own.torque))
-        predicted = decimate(lowpass, own.rows.predict(theta))
+        torque = lowpass(np.asarray(own.torque))
+        predicted = lowpass(own.rows.predict(theta))
         counts = own.counts(every, derivative(own.states, every, 1))
         rows = own.first + lowpass.centres(own.n_rows)
-        found.append((rows, torque, predicted, filter_weight(lowpass, counts)))
+        found.append((rows, torque, predicted, lowpass.samples(counts)))
     index, torque, predicted, weight = (np.concatenate(x) for x in zip(*found))
     return TorqueResiduals(
         index=index, torque=torque, predicted=predicted, weight=weight

@@ -72,7 +72,8 @@ def matrix_statistics(robot, simulated):
         short = min(edge, len(counts) // 20)
         counts[:short] = counts[len(counts) - short :] = 0.0
         kept = lowpass.average(counts)
-        weight = np.where(kept >= 0.5, lowpass.efficiency * kept, 0.0)
+        each = lowpass.step * (lowpass.taps @ lowpass.taps)
+        weight = np.where(kept >= 0.5, each * kept, 0.0)
         mean, apart = lowpass(0.5 * (even + odd)[own]), lowpass((even - odd)[own])
         rows.append((mean, apart, lowpass(simulated.tau[own]), weight))
     Phi, apart, tau, w = (np.concatenate(x) for x in zip(*rows))

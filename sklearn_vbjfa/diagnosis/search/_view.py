@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._lowpass import coarser, stride
 from sklearn_vbjfa.diagnosis.search._blocks import (
@@ -354,9 +353,7 @@ class RecordingView:
 
     def filtered(self, columns):
         """Filter columns (n, ...) of the samples as the torques were."""
-        return np.concatenate(
-            [_lowpass.decimate(self._lowpass, columns[part]) for part in self.parts]
-        )
+        return np.concatenate([self._lowpass(columns[part]) for part in self.parts])
 
     def joints_of(self, effect):
         """Joints whose torque an effect changes."""

@@ -50,13 +50,7 @@ def infer_latent(S, n, psi, floor=1e-12):
     covariance = S / n
     d = covariance.shape[0]
     if not psi.any():
-        eye = np.eye(d)
-        return Latent(
-            H=eye,
-            P=np.zeros((d, d)),
-            Sigma_t=covariance,
-            exact=True,
-        )
+        return Latent(H=np.eye(d), P=np.zeros((d, d)), Sigma_t=covariance, exact=True)
     eigen = scaled_eigen(covariance - psi, 0.0, scale=1.0)
     Sigma_t = eigen.matrix()  # [C1]
     total = Sigma_t + psi
@@ -76,7 +70,6 @@ def _given_beta(latent, G):
     d = G.shape[0]
     A = latent.P @ G
     A[np.diag_indices(d)] += 1.0
-    # SciPy's own function checks for longer than such small systems take.
     lu, _, both, failed = lapack.dgesv(A, np.hstack([latent.H, latent.P]))  # [C4]
     if failed:
         raise linalg.LinAlgError("the precision of the latent inputs is singular")
@@ -135,23 +128,16 @@ def _prior_bound(state, shape0, rate0, logdet_cov, shared):
 _SAFE_ROUNDING = 1e-8
 
 
-def posterior_beta(S_tt, S_ty, s2, alpha, root):
-    """Mean, covariance and its log-determinant of beta from sums over t, [C8], [C9]."""
-    # root(): their `SecondMoments`, called only if needed.
-    prior = 1.0 / np.sqrt(alpha)
-    largest = (np.diagonal(S_tt) / alpha).max() / s2
-    if np.finfo(float).eps * prior.size * largest >= _SAFE_ROUNDING:
-        return _posterior_of_root(root(), s2, prior)
-    A = S_tt * np.outer(prior, prior) / s2
-    A[np.diag_indices_from(A)] += 1.0
-    factor, failed = lapack.dpotrf(A)
+def inverse_factor(A, prior, noise=1.0):
+    """L with L L' = (A / noise + diag(1 / prior^2))^-1, and log det(L L' / prior^2)."""
+    B = A * np.outer(prior, prior) / noise
+    B[np.diag_indices_from(B)] += 1.0
+    # SciPy's own functions check for longer than such small systems take.
+    factor, failed = lapack.dpotrf(B)
     if failed:
         raise linalg.LinAlgError(f"leading minor {failed} is not positive definite")
-    scaled = prior[:, None] * lapack.dtrtri(factor)[0]
-    cov = scaled @ scaled.T  # [C8]
-    mean = scaled @ (scaled.T @ S_ty) / s2  # [C9]
-    logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
-    return mean, cov, float(logdet)
+    logdet = -2 * np.log(np.diagonal(factor)).sum()
+    return prior[:, None] * lapack.dtrtri(factor)[0], float(logdet)
 
 
 def _posterior_of_root(root, s2, prior):
@@ -235,10 +221,16 @@ class CorrelatedProblem:
         return self.evaluate(state, logdet, self._spread(cov, alpha))
 
     def _posterior(self, S_tt, S_ty, s2, alpha):
-        def root():
-            return self.moments if self.exact else square_root(self.n, S_tt, S_ty, 0.0)
-
-        return posterior_beta(S_tt, S_ty, s2, alpha, root)
+        """Mean, covariance and its log-determinant of beta, [C8], [C9]."""
+        prior = 1.0 / np.sqrt(alpha)
+        largest = (np.diagonal(S_tt) / alpha).max() / s2
+        if np.finfo(float).eps * self.d * largest >= _SAFE_ROUNDING:
+            exact = self.exact
+            root = self.moments if exact else square_root(self.n, S_tt, S_ty, 0.0)
+            return _posterior_of_root(root, s2, prior)
+        half, logdet = inverse_factor(S_tt, prior, s2)
+        logdet -= np.log(alpha).sum()
+        return half @ (half.T @ S_ty) / s2, half @ half.T, logdet
 
     def _spread(self, cov, alpha):
         """Return tr(cov S_tt) / psi_y of a posterior under precisions (d,)."""
@@ -517,14 +509,9 @@ def posterior_covariance(n, psi, solution, dof=np.inf):
         return state.beta_cov
     beta = solution.beyond
     v = state.psi_y + beta @ psi @ beta
-    prior = np.sqrt(v * state.E_alpha / n)
-    root = 1.0 / prior
-    A = solution.latent.Sigma_t * np.outer(root, root)
-    A[np.diag_indices_from(A)] += 1.0
-    half = linalg.solve_triangular(
-        linalg.cholesky(A, lower=True), np.diag(root), lower=True
-    )
-    G_inv = half.T @ half
+    prior = 1.0 / np.sqrt(v * state.E_alpha / n)
+    half, _ = inverse_factor(solution.latent.Sigma_t, prior)
+    G_inv = half @ half.T
     psi_beta = psi @ beta
     middle = v * psi + np.outer(psi_beta, psi_beta)
     # Wishart: the covariance of psi beta for an estimated psi, times dof. An estimated

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from numbers import Integral, Real
 
 import numpy as np
-from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_vbjfa._core._correlated import inverse_factor
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._moments import from_data, from_scatter, standardise
 from sklearn_vbjfa._core._solver import Solution, solve, start
@@ -439,12 +439,8 @@ def _coefficient_covariance(moments, s, precision):
     # S_xx / s plus that of its prior. The variational variances, conditional on the
     # private z of each input, would be far too small.
     if np.all(precision > 0):
-        root = 1.0 / np.sqrt(precision)
-        A = moments.S * np.outer(root, root) / s
-        A[np.diag_indices_from(A)] += 1.0
-        factor = linalg.cholesky(A, lower=True)
-        half = linalg.solve_triangular(factor, np.diag(root), lower=True)
-        return half.T @ half
+        half, _ = inverse_factor(moments.S, 1.0 / np.sqrt(precision), s)
+        return half @ half.T
     # Without a prior the null space of S_xx has no finite variance: the span's
     # covariance is reported and the affected inputs are marked infinite.
     eigen = scaled_eigen(moments.S / s, scale=1.0)

@@ -61,7 +61,9 @@ class Equations:
 
 def joined(pieces):
     """Concatenate the equations of a recording."""
-    names = ("Phi", "tau", "weight", "index")
+    names, pieces = ("Phi", "tau", "weight", "index"), list(pieces)
+    if len(pieces) == 1:
+        return pieces[0]
     columns = zip(*[[getattr(one, name) for name in names] for one in pieces])
     return Equations(**dict(zip(names, map(np.concatenate, columns))))
 
@@ -431,7 +433,7 @@ class Segment:
         spread = self._made[0].spread
         found = [spread(rows) for _, rows, _ in self._filtered(lowpass, seen, outputs)]
         return Equations(
-            Phi=np.concatenate(found),
+            Phi=found[0] if len(found) == 1 else np.concatenate(found),
             tau=tau,
             weight=weight,
             index=self.first + lowpass.centres(self.n_rows, outputs),
@@ -608,10 +610,10 @@ def numbered(recording, plan):
 
 
 def equations(made, lowpass):
-    """Yield the equations of segments, piece by piece."""
+    """Yield the equations of segments that are as long as the filter."""
     for segment in made:
-        for outputs in segment.pieces(lowpass):
-            yield segment.equations(lowpass, outputs)
+        if lowpass.centres(segment.n_rows).size:
+            yield segment.equations(lowpass, slice(None))
 
 
 def accumulate(made, lowpass, *, n_jobs=None, numbering=None):

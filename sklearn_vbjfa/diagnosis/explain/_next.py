@@ -174,15 +174,12 @@ def motions_of(identifier, states, predicted, weight, spread):
     rows = np.linspace(0, len(states) - 1, min(len(states), _ROWS)).astype(int)
     states, features = states[rows], identifier.features_
     theta = identifier.theta_[: features.n_parameters_]
-    by_parameter = features.matrices(states) * theta
-    friction = np.zeros((len(rows), features.n_joints_))
-    width = features.n_parameters_ // features.n_joints_
-    first = width - len(features.friction_)
-    for k, name in enumerate(features.friction_):
-        if name != RotorInertia.name:
-            own = by_parameter[:, :, first + k :: width]
-            friction += np.diagonal(own, axis1=1, axis2=2)
-    load = by_parameter.sum(axis=2) - friction
+    theta = theta.reshape(features.n_joints_, -1)
+    plain = features.declared(states) * theta[:, 10:]
+    rotor = [name == RotorInertia.name for name in features.friction_]
+    friction = plain[:, :, ~np.array(rotor, dtype=bool)].sum(axis=2)
+    load = features.torques(*np.split(states, 3, axis=1), theta[:, :10])
+    load += plain[:, :, rotor].sum(axis=2)
     for effect in identifier.effects_:
         if effect.with_motion or not {"speed", "direction"}.isdisjoint(effect.depends):
             # The torque of the effects of such a joint.

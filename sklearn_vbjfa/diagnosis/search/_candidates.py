@@ -142,7 +142,8 @@ class Candidates:
                 continue
             if shapes := problem.first_shapes(one):
                 found[j].append(problem.shaped(shapes))
-        self.families = {j: families_of(own) for j, own in found.items()}
+        # Those of a joint are not needed any more once they are side by side.
+        self.families = {j: families_of(found.pop(j)) for j in list(found)}
         self.count = sum(map(len, self.families.values()))
         self.log_prior = np.log(settings.expected / max(self.count, 1))
         # Log odds above which an effect is in the model.

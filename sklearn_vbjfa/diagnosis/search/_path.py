@@ -61,6 +61,8 @@ class Path:
         fit, seen = self.begin(), None
         for self.turn in range(_TURNS):
             say(f"round {self.turn + 1}")
+            # Those of the last round take much memory.
+            self.candidates = None
             self.candidates = self._candidates(fit)
             base = self._spectrum(fit.holding(False))
             fit = self._climb(self.scaled(Fit(base, fit.members)))

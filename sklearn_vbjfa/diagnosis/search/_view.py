@@ -368,13 +368,13 @@ class RecordingView:
         at_once = max(1, _AT_ONCE // (n * k * len(joints)))
         for first in range(0, len(effects), at_once):
             some = effects[first : first + at_once]
-            # Beside each other (n, nj, c, k), those with fewer columns with zeros.
-            made = np.zeros((n, len(joints), len(some), k))
+            # Beside each other (nj, c, k, n), those with fewer columns with zeros.
+            made = np.zeros((len(joints), len(some), k, n))
             for c, effect in enumerate(some):
-                own = self._made(effect, motion)
-                made[:, :, c, : own.shape[-1]] = own.reshape(n, len(joints), -1)
-            filtered = self.filtered(made.reshape(n, -1))
-            filtered = filtered.reshape(-1, *made.shape[1:])
+                own = self._made(effect, motion).reshape(n, len(joints), -1)
+                made[:, c, : own.shape[2]] = own.transpose(1, 2, 0)
+            filtered = self.filtered(made.reshape(-1, n).T)
+            filtered = filtered.reshape(-1, *made.shape[:3])
             for i, j in enumerate(joints):
                 scale = self.gains[j] * self.root[:, j]
                 own = out[i, :, first : first + at_once]
@@ -402,7 +402,7 @@ class RecordingView:
             made = cosines(rows, joints), np.sqrt((rows**2).mean(axis=1))
             for at, i in enumerate(missing):
                 k = len(effects[i].coefficients)
-                own = made[0][:, :, at, :k].copy(), made[1][:, at, :k].copy()
+                own = made[0][:, :, at, :k], made[1][:, at, :k]
                 known[i] = loads[i], *own
         for key, own in zip(keys, known):
             self._shapes.put(key, own)

@@ -31,7 +31,9 @@ def motion_of(recording, model=None):
     # shorter than the filter that separates the motion from noise.
     model = load_model(recording.robot_model() if model is None else model)
     rows, parts = long_parts(recording.n_samples, recording.groups)
-    q, tau = recording.q[rows], recording.tau[rows]
+    q, tau = recording.q, recording.tau
+    if len(rows) < len(q):
+        q, tau = q[rows], tau[rows]
     every = np.ones(q.shape, dtype=bool)
     signals = filtered(q, tau, recording.dt, parts, every) if parts else None
     if signals is None:

@@ -154,32 +154,40 @@ def filtered(q, tau, dt, parts, usable):
     ]
     if not inner:
         return None
-    states = [_states(q[s.start - half : s.stop + half], dt, smooth) for s in inner]
-    speed = np.abs(np.concatenate([x[:, 1] for x in states]))
-    slow, pieces = number.STANDSTILL * np.quantile(speed, 0.995, axis=0), []
-    for part, x in zip(inner, states):
-        moves = (np.abs(x[:, 1]) > slow) & usable[part]
-        pieces.append(
-            (
-                lowpass(x.reshape(len(x), -1)),
-                lowpass(np.sign(x[:, 1])),
-                lowpass(tau[part]),
-                lowpass(np.gradient(tau[part], axis=0)),
-                (lowpass.average(moves.astype(float)) > 0.9).astype(float),
-                part.start + lowpass.centres(len(x)),
-            )
-        )
-    names = [one.name for one in fields(Signals)]
-    return Signals(**dict(zip(names, map(np.concatenate, zip(*pieces)))))
+    # Joint by joint, which takes less memory.
+    joints = [
+        _joint_signals(*one, dt, inner, smooth, lowpass)
+        for one in zip(q.T, tau.T, usable.T)
+    ]
+    *states, sign, tau, slope, weight = np.stack(joints, axis=2)
+    rows = [p.start + lowpass.centres(p.stop - p.start) for p in inner]
+    return Signals(
+        states=np.concatenate(states, axis=1),
+        sign=sign,
+        tau=tau,
+        slope=slope,
+        weight=weight,
+        row=np.concatenate(rows),
+    )
 
 
-def _states(q, dt, smooth):
-    """Positions, velocities and accelerations (n, 3, nv) inside the filter's ends."""
-    made = np.empty((len(q) - 2 * smooth.half, 3, q.shape[1]))
-    made[:, 0] = scipy.signal.oaconvolve(q, smooth.taps[:, None], "valid", axes=0)
-    for k in (1, 2):
-        made[:, k] = np.gradient(made[:, k - 1], dt, axis=0)
-    return made
+def _joint_signals(q, tau, usable, dt, parts, smooth, lowpass):
+    """Filter q, v, a, the sign of v, torque, its slope and weights, (7, n)."""
+    half, states = smooth.half, []
+    for part in parts:
+        x = q[part.start - half : part.stop + half]
+        x = scipy.signal.oaconvolve(x, smooth.taps, "valid")
+        v = np.gradient(x, dt)
+        states.append((x, v, np.gradient(v, dt)))
+    speed = np.abs(np.concatenate([v for _, v, _ in states]))
+    slow, pieces = number.STANDSTILL * np.quantile(speed, 0.995), []
+    for part, (x, v, a) in zip(parts, states):
+        torque = tau[part]
+        signals = x, v, a, np.sign(v), torque, np.gradient(torque)
+        moves = (np.abs(v) > slow) & usable[part]
+        weight = lowpass.average(moves.astype(float)) > 0.9
+        pieces.append([*lowpass(np.column_stack(signals)).T, weight])
+    return np.concatenate(pieces, axis=1)
 
 
 def _cutoffs(q, dt, parts):

@@ -22,8 +22,10 @@ def weightless(reading):
         # Without any weight, or with that of the description taken off.
         made = robot.fit(nothing, joints=joints), robot.fit(mean=moving, joints=joints)
         most = max(one.evidence for one in made)
-        other = max(now, _as_springs(robot, joints))
-        return most - now if most - other > number.DECISIVE else 0.0
+        if most - now <= number.DECISIVE:
+            return 0.0
+        springs = _as_springs(robot, joints)
+        return most - now if most - springs > number.DECISIVE else 0.0
 
     # A weight that does not vary is like an offset.
     loaded = _loaded(robot, robot.weight - robot.weight.mean(axis=0))

@@ -270,28 +270,16 @@ def _table_of_object(path, found):
     for name in lists:
         lengths = {_longest(one) for one in found[name]}
         if len(lengths) > 1 and _longest(found) < max(lengths):
-            table = _table_of_arrays(path, _end_to_end(path, name, found[name]))
-            note = f"the {len(found[name])} entries of {name!r} are one recording each."
-            return replace(table, notes=(*table.notes, note))
+            raise ValueError(
+                f"{path}: the list {name!r} has {len(found[name])} records with arrays "
+                "of different lengths; write one file each, or rows with a column "
+                "segment."
+            )
     return _table_of_arrays(path, _without_common_part(_flattened(found)))
 
 
 def _longest(record):
     return max((len(x) for x in record.values() if isinstance(x, list)), default=0)
-
-
-def _end_to_end(path, name, records):
-    """Return the arrays of recordings end to end, with a column segment."""
-    arrays = [{k: x for k, x in one.items() if isinstance(x, list)} for one in records]
-    counts = [{len(x) for x in one.values()} for one in arrays]
-    if len({tuple(x) for x in arrays}) > 1 or any(len(x) != 1 for x in counts):
-        raise ValueError(
-            f"{path}: the list {name!r} has {len(records)} records with arrays of "
-            "different lengths; write one file each, or rows with a column segment."
-        )
-    found = {key: [x for one in arrays for x in one[key]] for key in arrays[0]}
-    segment = np.repeat(np.arange(len(records)), [count.pop() for count in counts])
-    return {**found, "segment": segment}
 
 
 # -- Parquet and Feather ---------------------------------------------------------------

@@ -109,7 +109,7 @@ def checked_recording(identifier, recording):
         )
     validate_data(identifier, X, skip_check_array=True)
     _check_rows(identifier, X, recording.t, recording.segments)
-    offered = OfferedSignals(columns=recording.signals)
+    offered = OfferedSignals(recording.signals)
     used = signals_for(identifier.effects_, None, offered, recording.n_samples)
     weight = recording.weight
     if weight is not None and used.keys() == recording.signals.keys():

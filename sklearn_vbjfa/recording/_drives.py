@@ -222,7 +222,7 @@ class PDDrive(Drive):
         command, parts = self.commands(recording), recording.segments
         _check_commands(command, recording)
         kp, kd = self.law(recording.joint_names, recording)
-        clock = _clock(recording)
+        clock = recording.clock()
         if self.waits is not None:
             check_wait(self.waits, recording)
         command = held(command, parts, clock, self.waits or 0.0)
@@ -449,17 +449,13 @@ def check_wait(delay, recording):
         )
 
 
-def _clock(recording):
-    return check_dt(recording.dt) * np.arange(recording.n_samples)
-
-
 def velocities(recording):
     """Velocities (n, nv): those of states, or slopes of the positions, as they came."""
     # Drives make theirs of the same encoder, some milliseconds late by a filter, and
     # what they log has noise of the whole band: only its lag is taken.
     if recording.states is not None:
         return recording.states[:, recording.nv : 2 * recording.nv]
-    parts, q, clock = recording.segments, np.asarray(recording.q), _clock(recording)
+    parts, q, clock = recording.segments, np.asarray(recording.q), recording.clock()
     late = [
         interpolate(q[:, j : j + 1], parts, clock, one, order=1)
         for j, one in enumerate(velocity_lags(recording).tolist())
@@ -472,7 +468,7 @@ def velocity_lags(recording):
     # By least squares on accelerations, where the motion is.
     if recording.states is not None or recording.v is None:
         return np.zeros(recording.nv)
-    parts, q, clock = recording.segments, np.asarray(recording.q), _clock(recording)
+    parts, q, clock = recording.segments, np.asarray(recording.q), recording.clock()
     slope = interpolate(q, parts, clock, order=1)
     lowpass = _lowpass.design(recording.dt, min(_SLOW, 0.2 / recording.dt))
     long = [part for part in parts if part.stop - part.start > 2 * lowpass.half]

@@ -336,13 +336,10 @@ def _named(column, begins, joints):
     bare, unit = split_unit(name)
     # The whole name may end with a joint that is called like a unit.
     for text, in_text in ((name, ""), (bare, unit), split_last_part(bare)):
-        if text.lower() in _ALONE and in_text in ("", unit):
-            return Role(kind=_ALONE[text.lower()], column=column, unit=in_text)
-        if text.lower() in _TIMES and unit_of("t", in_text):
-            return Role(kind="t", column=column, unit=in_text)
-        for begin, kind in begins.items():
-            key = _key_of(text, begin, joints)
-            if key != "" and (in_text in ("", unit) or unit_of(kind, in_text)):
+        keys = [(kind, _key_of(text, x, joints)) for x, kind in begins.items()]
+        for kind, key in [(_ALONE.get(text.lower(), ""), 1), *keys]:
+            known = in_text in ("", unit) or unit_of(kind, in_text)
+            if kind and key != "" and known:
                 return Role(kind=kind, key=key, column=column, unit=in_text)
     return None
 

@@ -77,34 +77,19 @@ def listed_joints(names, joints):
 # -- which columns are signals ---------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OfferedSignals:
-    """Columns that came with the motion and that nobody asked for by name."""
-
-    columns: Mapping = field(default_factory=dict)  # as they were read, numbers or not
+class OfferedSignals(dict):
+    """Columns that came with the motion, by name, as read, that nobody asked for."""
 
     @classmethod
     def of_file(cls, recording):
         """Take the other columns of a file, one by one, without those of joints."""
-        columns = {}
+        columns = cls()
         for name, values in recording.signals.items():
             if values.ndim == 1:
                 columns[name] = values
             elif name not in ("a", *COMMANDS, *OF_MOTORS):
                 columns |= {f"{name}{k + 1}": x for k, x in enumerate(values.T)}
-        return cls(columns=columns)
-
-    def column(self, name, n_samples):
-        """Return a column that somebody asked for, or say why that cannot be."""
-        values, reason = as_numbers(self.columns[name], n_samples)
-        if reason:
-            raise ValueError(f"The column {name!r} {reason}.")
-        return values
-
-    @property
-    def names(self):
-        """Names of all columns, tuple of str."""
-        return tuple(self.columns)
+        return columns
 
 
 def as_numbers(values, n_samples):
@@ -154,14 +139,16 @@ def _asked_for(effects, given, offered, n_samples):
     if isinstance(given, OfferedSignals):
         given, offered = None, given
     found = _given(given, n_samples)
-    twice = [name for name in found if name in offered.names]
+    twice = [name for name in found if name in offered]
     if twice:
         raise ValueError(
             f"signals has {twice[0]!r}, which is a column of X as well; give it once."
         )
     wanted = {x for effect in _users(effects) for x in effect.recorded}
-    for name in wanted & set(offered.names):
-        found[name] = offered.column(name, n_samples)
+    for name in wanted & offered.keys():
+        found[name], reason = as_numbers(offered[name], n_samples)
+        if reason:
+            raise ValueError(f"The column {name!r} {reason}.")
     missing = sorted(wanted - set(found))
     if missing:
         raise ValueError(
@@ -183,7 +170,7 @@ def signals_for(effects, given, offered, n_samples):
     if wanted or not _users(effects):
         return found if wanted else {}
     # An effect of one's own, of which nobody knows what it uses, takes all.
-    read = {name: as_numbers(x, n_samples)[0] for name, x in offered.columns.items()}
+    read = {name: as_numbers(x, n_samples)[0] for name, x in offered.items()}
     return found | {name: x for name, x in read.items() if x is not None}
 
 
@@ -206,8 +193,8 @@ def survey(given, offered, recording, effects):
     found, wanted, offered = _asked_for(effects, given, offered, n_samples)
     check_useful(found, recording)
     reasons = {}
-    for name in (x for x in offered.columns if x not in wanted):
-        values, reason = as_numbers(offered.columns[name], n_samples)
+    for name in (x for x in offered if x not in wanted):
+        values, reason = as_numbers(offered[name], n_samples)
         reason = reason or fault(values, recording, _FOLLOWS)
         if reason:
             reasons[name] = reason
@@ -339,7 +326,7 @@ def columns_beside(X, names):
     channels = {column for group in found.values() for column in group}
     rest = [x for x in _columns_of(X) if x not in channels]
     rest = [x for x in rest if "q" in found and x.lower() not in _NOT_HERE]
-    return OfferedSignals(columns={name: X[name].to_numpy() for name in rest})
+    return OfferedSignals({name: X[name].to_numpy() for name in rest})
 
 
 def torques_in_order(y, names):

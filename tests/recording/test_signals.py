@@ -117,12 +117,10 @@ class Uses:
 
 def test_what_is_offered_is_taken_or_said():
     offered = OfferedSignals(
-        columns={
-            "label": np.full(N, "a"),
-            "warm": WARM,
-            "torque": TAU[:, 0],
-            "gap": np.where(T > 1, T, np.nan),
-        }
+        label=np.full(N, "a"),
+        warm=WARM,
+        torque=TAU[:, 0],
+        gap=np.where(T > 1, T, np.nan),
     )
     found, said = survey(None, offered, MEASURED, (Uses(),))
     assert list(found) == ["warm"]
@@ -130,7 +128,7 @@ def test_what_is_offered_is_taken_or_said():
     names = "Column(s) 'label', 'gap', 'torque' are not used as signals: "
     assert one.message.startswith(names + "'label' holds 'a' and not numbers; 'gap'")
     assert (one.kind, one.joints, one.severity) == ("unusable_signal", (), "note")
-    many = OfferedSignals(columns={f"c{k}": np.ones(N) for k in range(30)})
+    many = OfferedSignals({f"c{k}": np.ones(N) for k in range(30)})
     _, (one,) = survey(None, many, MEASURED, (Uses(),))
     assert "'c4' and 25 more are not" in one.message
     assert len(one.message) < 400
@@ -158,11 +156,11 @@ def test_columns_of_a_frame_are_divided():
     X = pandas.DataFrame({**columns, "tau_hip": T, "tau_knee": T, "v_hip": T})
     np.testing.assert_array_equal(positions_in_order(X, names), Q)
     beside = columns_beside(X, names)
-    assert list(beside.columns) == ["warm", "v_hip"]
+    assert list(beside) == ["warm", "v_hip"]
     states = pandas.DataFrame(
         {f"{kind}{j}": x[:, j] for kind, x in zip("qva", (Q, V, A)) for j in (0, 1)}
     ).assign(warm=WARM)
-    assert list(columns_beside(states, names).columns) == ["warm"]
+    assert list(columns_beside(states, names)) == ["warm"]
     np.testing.assert_array_equal(positions_in_order(states, names), STATES.states)
 
 
@@ -182,8 +180,8 @@ def test_other_columns_of_a_file_are_signals_by_their_names(kind, tmp_path):
             frame.to_parquet(source)
     found = read_recording(source)
     offered = OfferedSignals.of_file(found)
-    assert offered.names == ("Temp °C",)
-    np.testing.assert_allclose(offered.column("Temp °C", N), WARM, rtol=1e-9)
+    assert list(offered) == ["Temp °C"]
+    np.testing.assert_allclose(offered["Temp °C"], WARM, rtol=1e-9)
 
 
 def test_what_a_file_holds_besides_numbers_is_known(tmp_path):

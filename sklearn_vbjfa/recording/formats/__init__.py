@@ -14,15 +14,12 @@ from sklearn_vbjfa.recording.formats import _arrays
 from sklearn_vbjfa.recording.formats._arrays import BAGS, bag_files, read_bag
 from sklearn_vbjfa.recording.formats._text import read_sheet, read_text
 
-# What a file may be, for the help of commands.
+# What a file may be, for refusals and the help of commands.
 TABLES = (
     "CSV (also .gz, .bz2, .xz), Excel, npz, npy with named fields, MATLAB (to version "
     "7.2), parquet or JSON"
 )
-_KNOWN = (
-    ".csv, .xlsx, .npz, .npy, .mat, .parquet, .json, .jsonl, .bag, .db3 or .mcap (text "
-    "also with .gz, .bz2 or .xz)"
-)
+_KNOWN = f"{TABLES}, or a bag (.bag, .db3, .mcap)"
 # Readers of the bytes of a file, which may be packed or a pipe, and of files.
 _OF_BYTES = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), read_text),

@@ -125,11 +125,6 @@ def _read_lines(path, content, notes=()):
             na_values=[y for x in _NOTHING for y in (x, x.upper(), x.capitalize())],
             decimal="," if separator != "," and "," in lines[start] else ".",
         )
-    if len(frame) != len(numbers):
-        raise ValueError(
-            f"{path}: has {len(numbers)} lines and {len(frame)} rows; write each row "
-            "in one line."
-        )
     frame.index = numbers
     table = Table(
         path=path,

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
         make_robot_recording,
     )
     from sklearn_vbjfa.inspection._inspect import inspect_recording
-    from sklearn_vbjfa.recording import Recording, read_recording
+    from sklearn_vbjfa.recording._reader import read_recording
+    from sklearn_vbjfa.recording._recording import Recording
 
 # A name is imported when it is asked for: the demonstration needs no loader of others.
 # What is not in __all__ is for tests and benchmarks.

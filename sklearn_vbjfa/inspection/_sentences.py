@@ -30,8 +30,9 @@ _UNVERIFIED = (
 )
 SENTENCES = {
     # -- rows
-    "shuffled_rows": "The rows are not in the order of time: positions change by "
-    "{change:.2g} times their spread in a row. Sort them by time (no shuffle).",
+    "shuffled_rows": "The rows are not in the order of time, or of two robots in turn: "
+    "positions change by {change:.2g} times their spread in a row. Sort them by time "
+    "(no shuffle), and keep those of one robot.",
     "wrapped_position": "The position of {who} is wrapped: it jumps by {turn} {count} "
     "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "

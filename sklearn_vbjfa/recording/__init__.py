@@ -1,15 +1,6 @@
 """Recordings: what they hold, how they are read, and faults of their samples."""
 
-from typing import TYPE_CHECKING
-
 from sklearn_vbjfa import _lazily
-
-# What type checkers see of names that are imported when they are asked for.
-if TYPE_CHECKING:
-    from sklearn_vbjfa.recording._drives import CurrentDrive, PDDrive, VoltageDrive
-    from sklearn_vbjfa.recording._reader import read_recording
-    from sklearn_vbjfa.recording._recording import Recording
-    from sklearn_vbjfa.recording._signals import ChannelFinding
 
 # Users get `Recording` and `read_recording` from `sklearn_vbjfa.datasets`; the rest is
 # for other rooms.

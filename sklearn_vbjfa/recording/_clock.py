@@ -1,6 +1,5 @@
 """Sample times: each stamp against its place on a regular grid."""
 
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -188,12 +187,12 @@ def prediction_errors(t, values):
 # -- stamps of arrays ------------------------------------------------------------------
 
 # Accelerations go with the square of a wrong period: this share of it, and no less than
-# a row over a recording, is refused. Steps are irregular beyond the second share.
-_WRONG_PERIOD, _JITTER = 0.002, 0.1
+# a row over a recording, is refused.
+_WRONG_PERIOD = 0.002
 
 
 def check_time_stamps(t, dt, parts):
-    """Refuse stamps t (n,) [s] that contradict dt [s], warn of irregular ones."""
+    """Refuse stamps t (n,) [s] that contradict dt [s]."""
     # Nothing is asked of the step from one of the slices `parts` to the next; without
     # dt (rows need not be equidistant) only that the stamps rise.
     if t is None:
@@ -213,15 +212,6 @@ def check_time_stamps(t, dt, parts):
                 f"{np.diff(stamps).max():.6g} s, but dt={dt:.6g} s. Resample, or begin "
                 "another recording after each gap (groups)."
             )
-        if np.abs(found.steps / dt - 1).max() > _JITTER:
-            warnings.warn(
-                f"steps between time stamps from row {first} on vary from "
-                f"{found.steps.min():.6g} to {found.steps.max():.6g} s, dt={dt:.6g} s; "
-                "rows count as equidistant. Resample, unless only the stamps are "
-                "irregular.",
-                UserWarning,
-                stacklevel=3,
-            )
 
 
 # -- rows that are no samples ----------------------------------------------------------
@@ -234,9 +224,6 @@ _LEAST_SHARE, _PLACES, _RUN = 0.02, 10, 3
 # A value but zero that comes so often, and is this many ranges of the others away from
 # them, stands for a missing one; a channel has more values than the last number.
 _OFTEN, _AWAY, _LEVELS = 3, 3.0, 16
-# Sources alternate if positions change from row to row by more than this share of their
-# spread, and by less than this share of it from one row of a source to its next.
-_TO_AND_FRO = 0.1
 
 
 def without_odd_rows(table, layout, options, notes):
@@ -246,13 +233,15 @@ def without_odd_rows(table, layout, options, notes):
     are missing.
     """
     q, tau = layout.of("q"), layout.of("tau") if options.drive is None else ()
-    values = _matrix(table, [*q, *tau])
+    roles, n = [*q, *tau, *layout.of("v", "a")], len(q + tau)
+    values = _matrix(table, roles)
     fillers = [
         f"{x:g} in column {role.column!r}"
-        for role, column in zip([*q, *tau], values.T)
+        for role, column in zip(roles, values.T)
         for x in _without_fillers(column)
     ]
-    empty = np.isnan(values).all(axis=1)
+    holes = np.isnan(values)
+    empty = holes[:, :n].all(axis=1)
     if empty.all():
         # Also a table without these columns.
         return table, None
@@ -260,8 +249,6 @@ def without_odd_rows(table, layout, options, notes):
         notes.append(
             f"{empty.sum()} row(s) without any position or torque are left out."
         )
-    roles = [*q, *tau, *layout.of("v"), *layout.of("a")]
-    holes = np.isnan(np.hstack([values, _matrix(table, roles[len(q + tau) :])]))
     lacking = holes.any(axis=1) & ~empty
     if 0 < lacking.sum() <= _LACKING * (~empty).sum():
         row = int(np.argmax(lacking))
@@ -280,8 +267,7 @@ def without_odd_rows(table, layout, options, notes):
             )
         notes.append(f"{found}measured: taken as missing.")
     rows = np.flatnonzero(~empty)
-    _refuse_alternating(table, values[rows, : len(q)], rows)
-    second = _second_source(values[rows, : len(q)], values[rows, len(q) :])
+    second = _second_source(values[rows, : len(q)], values[rows, len(q) : n])
     if second.any():
         notes.append(
             f"{second.sum()} row(s) ({100 * second.mean():.0f} %) in which all torques "
@@ -322,32 +308,6 @@ def _without_fillers(x):
         if np.unique(others).size > _LEVELS:
             x[x == level] = np.nan
             yield level
-
-
-def _refuse_alternating(table, q, rows):
-    """Refuse rows of several sources in turn, such as of two robots."""
-    q = q[:, np.ptp(q, axis=0) > 0] if len(q) > _LEVELS else q[:1, :0]
-    step, spread = _usual_steps(q), q.std(axis=0)
-    if not q.size or (step <= _TO_AND_FRO * spread).any():
-        return
-    sources = {"of two sources in turn": np.arange(len(q)) % 2}
-    for name in table.names:
-        values = table.values(name)[rows].astype(str)
-        labels = np.unique(values, return_inverse=True)[1]
-        if 0 < labels.max() <= _LEVELS:
-            sources[f"of several sources, by column {name!r}"] = labels
-    for what, labels in sources.items():
-        order = np.argsort(labels, kind="stable")
-        if (_usual_steps(q[order]) < _TO_AND_FRO * step).all():
-            raise ValueError(
-                f"{table.path}: positions jump to and fro from row to row: rows are "
-                f"{what}; keep those of one."
-            )
-
-
-def _usual_steps(q):
-    """Return the median of the steps of columns (n, k), (k,)."""
-    return np.median(np.abs(np.diff(q, axis=0, prepend=q[:1])), axis=0)
 
 
 def _second_source(q, tau):

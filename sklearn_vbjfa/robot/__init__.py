@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.fit import FitOptions as FitOptions
     from sklearn_vbjfa.fit import JointTorqueRegressor as JointTorqueRegressor
     from sklearn_vbjfa.fit import RobotIdentifier as RobotIdentifier
-    from sklearn_vbjfa.recording import CurrentDrive, PDDrive, VoltageDrive
+    from sklearn_vbjfa.recording._drives import CurrentDrive, PDDrive, VoltageDrive
 
 __all__ = ["CurrentDrive", "FitOptions", "PDDrive", "VoltageDrive"]
 

@@ -83,6 +83,8 @@ SAMPLES = {
     "rate as dt": ("wrong_dt", lambda q, tau, dt, j, rng: (q, tau, 1 / dt)),
     "dt a thousandth": ("wrong_dt", lambda q, tau, dt, j, rng: (q, tau, 1e-3 * dt)),
     "shuffled rows": ("shuffled_rows", shuffled),
+    "rows of two robots": ("shuffled_rows", lambda q, tau, dt, j, rng: (
+        np.hstack([q, q[::-1]]).reshape(-1, q.shape[1]), np.repeat(tau, 2, 0), dt)),
 }  # fmt: skip
 # What the description has to show, which it can in half of the cases.
 ORDER = "swapped_joints swapped_positions swapped_torques"

@@ -389,7 +389,7 @@ def _of_two_robots(columns):
     [
         (_of_12_bits, "subtract 4096 from those from 2048 on"),
         (_scaled_by_a_tenth, r"subtract 409\.6 from those from 204\.8 on"),
-        (_of_two_robots, "two sources in turn"),
+        (_of_two_robots, "time repeats"),
     ],
 )
 def test_codes_and_rows_of_other_robots_are_refused(tmp_path, change, message):

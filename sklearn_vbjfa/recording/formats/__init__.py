@@ -5,7 +5,6 @@ import contextlib
 import gzip
 import io
 import lzma
-import shlex
 import sys
 from pathlib import Path
 
@@ -72,12 +71,9 @@ def read_table(path, options) -> Table:
     elif ending in _OF_FILES:
         table = _OF_FILES[ending](path)
     else:
-        remedy = "or in Python by numpy.savez(FILE, t=t, q=q, tau=tau)"
-        if ending == ".zip":
-            remedy = f"or unpack it first: unzip {shlex.quote(str(path))}"
         raise ValueError(
-            f"{path}: unknown ending {ending!r}; save the recording as {_KNOWN}, "
-            f"{remedy}"
+            f"{path}: unknown ending {ending!r}; save the recording as {_KNOWN}, or in "
+            "Python by numpy.savez(FILE, t=t, q=q, tau=tau), or unpack it first"
         )
     if table.frame.empty:
         raise no_rows(path)
@@ -100,8 +96,6 @@ def _read_stream(path, ending, stream):
             module.open(io.BytesIO(content), "rb") as unpacked,
         ):
             content = _content(path, unpacked)
-    if not content.strip():
-        raise no_rows(path)
     return _OF_BYTES[ending](path, content)
 
 

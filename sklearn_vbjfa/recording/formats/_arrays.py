@@ -19,6 +19,7 @@ from sklearn_vbjfa.recording._table import (
     check_size,
     imported,
     listed,
+    no_rows,
     parsing,
     quoted,
 )
@@ -161,24 +162,15 @@ def read_npz(path) -> Table:
             check_size(path, sum(member.file_size for member in archive.infolist()))
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-        # A zip archive of other files, such as a spreadsheet, yields bytes.
-        if not all(isinstance(array, np.ndarray) for array in arrays.values()):
-            raise ValueError("it holds other files than arrays")
     return _table_of_arrays(path, arrays)
 
 
 def read_npy(path) -> Table:
     """Read one array: a matrix, or named fields."""
     with parsing(path, "npy file", "save it again with numpy.save."):
-        array = np.lib.format.open_memmap(path, mode="r")
-    if array.ndim == 2 and array.dtype.kind in "biuf":
-        return table_of(path, np.array(array))
-    if array.dtype.names is None:
-        raise ValueError(
-            f"{path}: holds an array of shape {array.shape} without names; expected "
-            "one with named fields, or numpy.savez(FILE, t=t, q=q, tau=tau)."
-        )
-    return _table_of_arrays(path, {x: np.array(array[x]) for x in array.dtype.names})
+        array = np.load(path, allow_pickle=False)
+    names = array.dtype.names or ()
+    return _table_of_arrays(path, {x: array[x] for x in names} or {"": array})
 
 
 # -- MATLAB ----------------------------------------------------------------------------
@@ -203,13 +195,8 @@ def read_mat(path) -> Table:
     # Tables and time series have no name here, functions no numbers.
     found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
     usable = _flattened(found, lambda x: np.asarray(x).dtype.kind in "biufU")
-    arrays = _without_common_part(usable)
-    if not arrays:
-        raise ValueError(
-            f"{path}: holds no arrays of numbers; in MATLAB write those of tables and "
-            f"time series: t = T.Time; q = T{{:, 2:7}}; ... {_SAVE}."
-        )
-    return _table_of_arrays(path, {name: np.asarray(x) for name, x in arrays.items()})
+    arrays = {name: np.asarray(x) for name, x in usable.items()}
+    return _table_of_arrays(path, _without_common_part(arrays))
 
 
 # -- JSON ------------------------------------------------------------------------------
@@ -226,17 +213,10 @@ def read_json(path, content) -> Table:
     rows = found if isinstance(found, list) and found else [found]
     if isinstance(found, dict):
         table = _table_of_object(path, found)
-    elif _is_list_of(list, rows):
-        table = table_of(path, _array(path, "the list", rows))
     elif _is_list_of(dict, rows):
         table = _table_of_records(path, rows)
     else:
-        odd = next(x for x in rows if not isinstance(x, dict))
-        raise NotATable(
-            f"{path}: holds {quoted(odd)}; expected objects such as "
-            '{"t": 0.0, "q": [0.1, 0.2], "tau": [1.5, 0.4]}, rows of numbers, or '
-            "arrays by their names."
-        )
+        table = table_of(path, _array(path, "the list", rows))
     return replace(table, notes=(*table.notes, *notes))
 
 
@@ -295,10 +275,7 @@ def read_parquet(path) -> Table:
     """
     files = [path] if path.is_file() else sorted((path / "data").rglob("*.parquet"))
     if not files:
-        raise ValueError(
-            f"{path}: is a LeRobot data set without parquet files in its folder data; "
-            "expected data/chunk-000/*.parquet (is it downloaded completely?)."
-        )
+        raise no_rows(path / "data")
     dataset = imported(path, "pyarrow.dataset").dataset
     is_parquet = files[0].suffix.lower() in PARQUET[:2]
     with parsing(path, "parquet file of plain columns", "write it again."):

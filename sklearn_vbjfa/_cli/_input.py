@@ -55,7 +55,6 @@ class LoadedRecording:
             drive=self.drive,
             gains=gains,
             bodies=self.bodies,
-            named=one.joints_named,
         )
 
     def other_joints(self):

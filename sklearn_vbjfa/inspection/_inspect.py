@@ -183,7 +183,6 @@ def inspect_recording(recording, model=None):
         recording.dt,
         recording.groups,
         gains=None if _are_torques(recording.torque_units) else "unknown",
-        named=recording.joints_named,
     )
 
 
@@ -227,14 +226,12 @@ def inspect_channels(
     drive=None,
     gains=None,
     bodies="prior",
-    named=False,
 ):
     """Inspect channels that are given as arrays; see `inspect_recording`."""
     # q, tau (n_samples, nv): as of a `Recording`, or a motor quantity for torques.
     # drive, gains, bodies: as of `RobotIdentifier`. Of commands only the order of
     # magnitude is judged, and no delay is looked for. With gains to identify no size of
-    # torques is a fault, and with free bodies no factor of all of them. named: whether
-    # the channels carry the names of the joints, so that no order is assumed.
+    # torques is a fault, and with free bodies no factor of all of them.
     model, dt = load_folded(model).still, check_dt(dt)
     names, (q, tau) = joint_names(model), (np.asarray(x, dtype=float) for x in (q, tau))
     if q.shape != tau.shape or q.shape[1:] != (model.nv,):
@@ -257,7 +254,7 @@ def inspect_channels(
         rows, parts = thinned(parts, log.every)
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
-    found = _compared(Reading(model, names, q, tau, dt, parts, usable, drive, named))
+    found = _compared(Reading(model, names, q, tau, dt, parts, usable, drive))
     unknown = set(_OF_SIZE) if gains is not None else set()
     if bodies == "free":
         unknown.add("torque_unit")
@@ -347,8 +344,6 @@ def _unverified(reading):
         reason = "weightless"
     elif not reading.commanded and _size_assumed(reading.robot):
         reason = "size"
-    elif not reading.named and _order_assumed(reading):
-        reason = "order"
     args = reading.names, reading.every, "note"
     return [finding(f"unverified:{reason}", *args)] if reason else []
 
@@ -358,14 +353,3 @@ def _size_assumed(robot):
     columns = robot.described[:, :, None]
     fit = robot.fit(mean=np.zeros_like(robot.described), columns=columns)
     return abs(fit.factors[0]) < number.INTERVAL * fit.errors[0]
-
-
-def _order_assumed(reading):
-    """Whether another usual order of joints fits as well as that of the description."""
-    now, orders = reading.robot.now, positions.usual_orders(reading)
-    fits = (reading.tried(positions.reordered(order)) for order in orders)
-    return any(
-        fit.fall(now) > -number.CLEAR or fit.evidence > now.evidence - number.RIVAL
-        for fit in fits
-        if fit is not None
-    )

@@ -225,7 +225,6 @@ class Reading:
     parts: list  # slices of the recordings
     usable: np.ndarray  # (n, nv): samples without known faults
     drive: object = None  # what made the torques
-    named: bool = False  # whether columns carry the joints' names
 
     def __post_init__(self):
         self.nv, self.every = self.model.nv, tuple(range(self.model.nv))

@@ -8,7 +8,6 @@ _MODULES = {
     "_signals": (
         "ChannelFinding",
         "OfferedSignals",
-        "carries_names",
         "check_useful",
         "columns_beside",
         "fault",

@@ -140,10 +140,8 @@ def _guess_width(n_features):
 
 
 def _check_columns(values, name, n_features):
-    """Array of distinct column numbers, sorted, from numbers or a mask."""
+    """Array of distinct column numbers, sorted."""
     values = np.asarray(values)
-    if values.dtype == bool and values.shape == (n_features,):
-        return np.flatnonzero(values)
     if values.size == 0:
         return np.array([], dtype=int)
     if (
@@ -153,8 +151,8 @@ def _check_columns(values, name, n_features):
         or values.max() >= n_features
     ):
         raise ValueError(
-            f"{name} must be a list of column numbers from 0 to {n_features - 1}, or a "
-            f"mask of shape ({n_features},); got {values!r}."
+            f"{name} must be a list of column numbers from 0 to {n_features - 1}; got "
+            f"{values!r}."
         )
     return np.unique(values)
 

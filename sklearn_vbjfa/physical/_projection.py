@@ -123,24 +123,8 @@ _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProjectionResult:
-    """Outcome of `project`."""
-
-    theta: np.ndarray  # (n_features,): consistent vector, in the units of the input
-    # "unchanged" (the input was consistent and is returned bit for bit) or "projected"
-    status: str
-    objective: float  # squared distance to the input in the metric
-    # (n_bodies,): least eigenvalue of each body's matrix in units of the scales
-    min_eigenvalues: np.ndarray
-    # certified bound on how far the squared distance (with the anchor's pull) exceeds
-    # the least one, relative to it, or to the square of 1e-7 of the vector's length
-    relative_gap: float
-    message: str  # how the solver ended
-
-
-@dataclass(frozen=True, kw_only=True)
 class Options:
-    """Layout, scales and anchor of a projection.
+    """Layout, margin and anchor of a projection.
 
     Parameters
     ----------
@@ -148,18 +132,13 @@ class Options:
         First column of each body's ten. None: those that the names of the columns
         give. Without names, joints have 11 columns (viscous friction last) or 10,
         whichever divides the number of columns; if both do, 11, with a warning.
-    nonnegative : "auto", array-like of int or array-like of bool, default="auto"
+    nonnegative : "auto" or array-like of int, default="auto"
         Columns outside the bodies that must not be negative (viscous and Coulomb
-        friction, rotor inertia): column numbers, or a mask of shape (n_features,).
-        "auto": those that the names of the columns give; without names the eleventh
-        column of a joint of eleven.
+        friction, rotor inertia). "auto": those that the names of the columns give;
+        without names the eleventh column of a joint of eleven.
     margin : float, default=1e-8
         Least eigenvalue of each body's matrix in units of the body's mass and length
         scale, above zero, so that the projected robot can be simulated.
-    mass_scale, length_scale : float, array-like of shape (n_bodies,) or None, \
-            default=None
-        Units of mass [kg] and length [m] of each body. None: the sizes of the bodies
-        of the anchor if there is one, otherwise of the vectors.
     anchor : array-like of shape (n_features,) or None, default=None
         Vector to which directions are pulled that the metric does not see, such as
         that of a data sheet. None: the vector itself.
@@ -178,37 +157,12 @@ class Options:
     body_starts: object = None
     nonnegative: object = "auto"
     margin: float = 1e-8
-    mass_scale: object = None
-    length_scale: object = None
     anchor: object = None
 
     def __post_init__(self):
         """Raise ValueError for an impossible margin."""
         if not 0 < self.margin < 1:
             raise ValueError(f"margin must be between 0 and 1, got {self.margin!r}.")
-
-
-def _check_vector(values, name):
-    values = column_or_1d(values, dtype=np.float64, input_name=name)
-    assert_all_finite(values, input_name=name)
-    return values
-
-
-def _resolve_scales(found, options):
-    """Units (mass, length) of every body, as given or as found in the data."""
-    scales = []
-    for name, default in zip(("mass_scale", "length_scale"), found):
-        given = getattr(options, name)
-        value = np.asarray(default if given is None else given, dtype=float)
-        if value.shape not in ((), default.shape) or not np.all(
-            np.isfinite(value) & (value > 0)
-        ):
-            raise ValueError(
-                f"{name} must be a positive number, or one for each of "
-                f"{default.size} bodies, got {given!r}."
-            )
-        scales.append(np.broadcast_to(value, default.shape).copy())
-    return scales
 
 
 def _default_metric(rows, layout, mass_scale, length_scale):
@@ -248,15 +202,15 @@ class Projection:
         )
         anchor = options.anchor
         if anchor is not None:
-            anchor = _check_vector(anchor, "anchor")
+            anchor = column_or_1d(anchor, dtype=np.float64, input_name="anchor")
+            assert_all_finite(anchor, input_name="anchor")
             check_consistent_length(anchor, rows.T)
         if metric is not None:
             metric = check_metric(metric, n_features)
             rows = np.array([metric.visible_part(row)[0] for row in rows])
         # The anchor is usually a plausible robot.
         source = rows if anchor is None else anchor[None]
-        found = body_scales(source[:, layout.body_columns])
-        mass_scale, length_scale = _resolve_scales(found, options)
+        mass_scale, length_scale = body_scales(source[:, layout.body_columns])
         if metric is None:
             metric = _default_metric(rows, layout, mass_scale, length_scale)
         return cls(
@@ -271,13 +225,12 @@ class Projection:
 
     @one_blas_thread()
     def __call__(self, theta):
-        """Project one vector; return a `ProjectionResult`."""
+        """Project one vector (n_features,)."""
         theta = self.metric.without_rounding(theta)
         bodies, kept = self.layout.body_columns, self.layout.nonnegative
         enough = self._eigenvalues(theta) >= self.margin
         if np.all(enough) and np.all(theta[kept] >= 0):
-            outcome = {"status": "unchanged", "message": "already consistent"}
-            return self._outcome(theta, theta.copy(), relative_gap=0.0, **outcome)
+            return theta.copy()
         units, scaled_root = self._scale(theta)
         # One common factor brings bodies far from their scales back near one.
         common = np.abs((theta / units)[bodies]).max(initial=0.0)
@@ -295,13 +248,7 @@ class Projection:
         solution = solve(programme)
         if solution.gap > GAP_TARGET:
             _warn_gap(solution)
-        return self._outcome(
-            theta,
-            self._settle(solution.vector * units, units, programme),
-            status="projected",
-            relative_gap=solution.gap,
-            message=solution.status,
-        )
+        return self._settle(solution.vector * units, units, programme)
 
     def _eigenvalues(self, vector):
         """Smallest eigenvalue of each body's matrix, shape (n_bodies,)."""
@@ -310,15 +257,6 @@ class Projection:
             self.constraint,
             mass_scale=self.mass_scale,
             length_scale=self.length_scale,
-        )
-
-    def _outcome(self, theta, vector, **details):
-        displacement = self.metric.root @ (vector - theta)
-        return ProjectionResult(
-            theta=vector,
-            objective=float(displacement @ displacement),
-            min_eigenvalues=self._eigenvalues(vector),
-            **details,
         )
 
     def _scale(self, theta):
@@ -369,62 +307,3 @@ def _warn_gap(solution):
         ConvergenceWarning,
         stacklevel=5,
     )
-
-
-def project(theta, metric=None, *, constraint="pseudo-inertia", **options):
-    r"""Find the physically consistent parameter vector nearest to a given one.
-
-    Minimises :math:`(\theta - \theta_0)^\top A (\theta - \theta_0)`, eq. 35 of
-    [TDS2011]_ with `A` the de-noised :math:`X_t^\top X_t`, over the vectors whose
-    bodies satisfy the constraint and whose friction is not negative.
-    :class:`PhysicalProjector` does the same for every row of a matrix.
-
-    Parameters
-    ----------
-    theta : array-like of shape (n_features,)
-        Parameter vector: for every joint ten inertial parameters [kg, kg m, kg m^2] in
-        Pinocchio's order, then its friction and effect columns.
-    metric : array-like of shape (n_features, n_features) or None, default=None
-        Symmetric positive semidefinite `A`, of any scale.  None counts every parameter
-        in its own unit.
-    constraint : {"pseudo-inertia", "eq30"}, default="pseudo-inertia"
-        See :class:`PhysicalProjector`.
-    **options
-        Fields of :class:`Options`.
-
-    Returns
-    -------
-    result : object
-        With the attributes `theta`, ndarray of shape (n_features,); `status`,
-        "unchanged" or "projected"; `objective`, the squared distance;
-        `min_eigenvalues`, ndarray of shape (n_bodies,), in units of the scales;
-        `relative_gap`, the certified excess of the squared distance over the least
-        one; and `message`, how the solver ended.
-
-    Raises
-    ------
-    ProjectionError
-        If no vector is certified to be the nearest one.  The input is never handed
-        back in its place.
-    ValueError
-        If an argument has the wrong shape or value.
-
-    References
-    ----------
-    .. [TDS2011] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system
-       identification with input and output noise", Neural Networks 24(1), 2011.
-       :doi:`10.1016/j.neunet.2010.08.011`
-
-    Examples
-    --------
-    Izz = 3 exceeds Ixx + Iyy = 2, which no body can have; with weight 4 on Izz the
-    nearest body has Ixx = Iyy = 13/9 and Izz = 26/9.
-
-    >>> import numpy as np
-    >>> from sklearn_vbjfa.physical import project
-    >>> result = project([2, 0, 0, 0, 1, 0, 1, 0, 0, 3], np.diag([1.0] * 9 + [4.0]))
-    >>> (result.theta[[4, 6, 9]] * 9).round(5)
-    array([13., 13., 26.])
-    """
-    theta = _check_vector(theta, "theta")
-    return Projection.of(theta[None], constraint, metric, Options(**options))(theta)

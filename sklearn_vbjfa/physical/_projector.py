@@ -44,7 +44,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         have 11 columns (the paper's, viscous friction last) or 10.
 
     options : Options or None, default=None
-        Layout, margin, scales and anchor; None takes the defaults of :class:`Options`.
+        Layout, margin and anchor; None takes the defaults of :class:`Options`.
 
     Attributes
     ----------
@@ -57,12 +57,6 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     nonnegative_ : ndarray of int of shape (n_nonnegative,)
         Columns that must not be negative.
 
-    mass_scale_ : ndarray of shape (n_bodies,)
-        Unit of mass of each body [kg].
-
-    length_scale_ : ndarray of shape (n_bodies,)
-        Unit of length of each body [m].
-
     n_features_in_ : int
         Number of columns seen in `fit`.
 
@@ -71,7 +65,6 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     See Also
     --------
-    project : The same for one vector.
     is_consistent : Test of one body.
 
     Notes
@@ -163,8 +156,6 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             X, self.constraint, self.metric, options, names
         )
         self.metric_ = self._projection.metric.matrix
-        self.mass_scale_ = self._projection.mass_scale
-        self.length_scale_ = self._projection.length_scale
         self.body_starts_ = self._projection.layout.body_starts
         self.nonnegative_ = self._projection.layout.nonnegative
         return self
@@ -190,4 +181,4 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         """
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
-        return np.array([self._projection(row).theta for row in X])
+        return np.array([self._projection(row) for row in X])

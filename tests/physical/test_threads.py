@@ -6,7 +6,7 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from sklearn_vbjfa._core._threads import one_blas_thread
-from sklearn_vbjfa.physical import ProjectionError, _solver, project
+from sklearn_vbjfa.physical import PhysicalProjector, ProjectionError, _solver
 
 FLAT = [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3]
 
@@ -39,12 +39,13 @@ def library(monkeypatch):
 def test_projection_holds_the_limit_and_gives_it_back_even_when_it_fails(
     library, monkeypatch
 ):
-    project(FLAT)
+    projector = PhysicalProjector()
+    projector.fit_transform([FLAT])
     assert set(library.seen) == {1}
     assert library.n_threads == 2
     monkeypatch.setattr(_solver, "_MAX_STEPS", 1)
     with pytest.raises(ProjectionError):
-        project(FLAT)
+        projector.fit_transform([FLAT])
     assert library.n_threads == 2
 
 

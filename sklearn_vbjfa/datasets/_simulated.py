@@ -1,6 +1,6 @@
 """Simulated recordings with their truth, and the regression study of the paper."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib import resources
 
 import numpy as np
@@ -27,55 +27,6 @@ _RIPPLE_PERIOD = np.radians(20.0)
 _OUTPUT_SNR, _N_TEST = 5.0, 2000
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Misfit:
-    """Differences between a robot and its description."""
-
-    # roll and pitch by which gravity is turned in the frame of the base [rad]
-    base_tilt: tuple = (0.0, 0.0)
-    # (nv,): what encoders read where their joints are at zero [rad or m]
-    zeros: np.ndarray | float = 0.0
-    # rotation vectors by which origins of joints are turned, in their frame [rad]
-    axes: dict = field(default_factory=dict)
-    gains: np.ndarray | float = 1.0  # (nv,): what torque channels read over the torque
-
-    @classmethod
-    def of(cls, base_tilt, joint_zero, joint_axis, torque_gain, nv):
-        """Check what was asked for of a robot of nv joints."""
-        roll, pitch = map(float, base_tilt)
-        axes = {
-            j: tuple(map(float, turn)) for j, turn in dict(joint_axis or {}).items()
-        }
-        zeros, gains = np.zeros(nv), np.ones(nv)
-        for values, given in ((zeros, joint_zero), (gains, torque_gain)):
-            for joint, value in dict(given or {}).items():
-                _check_joint(joint, nv)
-                values[joint] = value
-        for joint in axes:
-            _check_joint(joint, nv)
-        if not (gains > 0).all():
-            raise ValueError(f"torque_gain must be positive; got {torque_gain}.")
-        return cls(base_tilt=(roll, pitch), zeros=zeros, axes=axes, gains=gains)
-
-    def built(self, model):
-        """Return the robot of a model as it stands there."""
-        pin = import_pinocchio()
-        robot = model.copy()
-        gravity = robot.gravity.copy()
-        gravity.linear = pin.rpy.rpyToMatrix(*self.base_tilt, 0.0) @ gravity.linear
-        robot.gravity = gravity
-        for joint, turn in self.axes.items():
-            placement = robot.jointPlacements[joint + 1]
-            placement.rotation = placement.rotation @ pin.exp3(np.array(turn))
-        return robot
-
-
-def _check_joint(joint, nv):
-    """Refuse a joint that the robot does not have."""
-    if joint not in range(nv):
-        raise ValueError(f"joints are numbered 0 to {nv - 1}; got {joint!r}.")
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SimulatedRecording(Recording):
     """A recording that was simulated, and what it was simulated from.
@@ -90,24 +41,12 @@ class SimulatedRecording(Recording):
         True inertial parameters of each body in Pinocchio's order.
     friction : mapping of str to ndarray of shape (nv,)
         True coefficients of the friction columns.
-    encoder_noise : float
-        Standard deviation of the position noise [rad or m].
-    torque_noise : ndarray of shape (nv,)
-        Standard deviation of the torque noise [N m or N].
-    undeclared : mapping of str to (int, float)
-        Effects beside rigid bodies and friction: name -> joint (from zero) and size.
-    misfit : Misfit
-        Differences between the robot and its description.
     """
 
     states: np.ndarray
     tau_clean: np.ndarray
     inertial: np.ndarray
-    friction: dict = field(default_factory=dict)
-    encoder_noise: float
-    torque_noise: np.ndarray
-    undeclared: dict = field(default_factory=dict)
-    misfit: Misfit = field(default_factory=Misfit)
+    friction: dict
 
     def select(self, *names_or_labels):
         """Keep some of the recordings, with their truth; see `Recording.select`."""
@@ -210,8 +149,8 @@ def make_robot_recording(
     Raises
     ------
     ValueError
-        If a recording has fewer than 16 samples, or a friction, an effect or a joint
-        is unknown.
+        If a recording has fewer than 16 samples, or a friction or an effect is
+        unknown.
 
     Examples
     --------
@@ -236,21 +175,24 @@ def make_robot_recording(
     ]
     states = np.concatenate(pieces)
     q, v, a = np.split(states, 3, axis=1)
-    misfit = Misfit.of(base_tilt, joint_zero, joint_axis, torque_gain, nominal.nv)
-    rigid = rigid_torques(misfit.built(with_inertias(nominal, inertial)), states)
+    robot = _turned(with_inertias(nominal, inertial), base_tilt, joint_axis or {})
+    rigid = rigid_torques(robot, states)
     coefficients = _draw_friction(friction, rigid, v, a, rng)
     clean = rigid + _friction_torque(coefficients, q, v, a)
-    undeclared = dict(undeclared or {})
     for part in (slice(k * n, (k + 1) * n) for k in range(n_recordings)):
         # A spring is at rest where it is, whichever recording looks at it.
         clean[part] += undeclared_torque(
-            undeclared, q[part], v[part], rigid[part], rest=q.mean(axis=0)
+            undeclared or {}, q[part], v[part], rigid[part], rest=q.mean(axis=0)
         )
-    clean *= misfit.gains
+    for joint, gain in (torque_gain or {}).items():
+        clean[:, joint] *= gain
+    zeros = np.zeros(nominal.nv)
+    for joint, zero in (joint_zero or {}).items():
+        zeros[joint] = zero
     noise = torque_noise * clean.std(axis=0)
     return SimulatedRecording(
         name="simulated",
-        q=q + misfit.zeros + encoder_noise * rng.normal(size=q.shape),
+        q=q + zeros + encoder_noise * rng.normal(size=q.shape),
         tau=clean + noise * rng.normal(size=clean.shape),
         **recording_fields(nominal, n, n_recordings, dt),
         urdf=urdf if isinstance(urdf, str) else None,
@@ -260,10 +202,7 @@ def make_robot_recording(
         tau_clean=clean,
         inertial=inertial,
         friction=coefficients,
-        encoder_noise=float(encoder_noise),
         torque_noise=noise,
-        undeclared=undeclared,
-        misfit=misfit,
     )
 
 
@@ -301,6 +240,19 @@ def load_demo_recording() -> SimulatedRecording:
 
 
 # -- motion and friction ---------------------------------------------------------------
+
+
+def _turned(model, base_tilt, joint_axis):
+    """Copy a model with gravity turned, and origins of joints in their own frames."""
+    pin = import_pinocchio()
+    robot = model.copy()
+    gravity = robot.gravity.copy()
+    gravity.linear = pin.rpy.rpyToMatrix(*base_tilt, 0.0) @ gravity.linear
+    robot.gravity = gravity
+    for joint, turn in joint_axis.items():
+        placement = robot.jointPlacements[joint + 1]
+        placement.rotation = placement.rotation @ pin.exp3(np.array(turn))
+    return robot
 
 
 def _motion(model, n, dt, frequency, n_harmonics, rng):
@@ -388,17 +340,11 @@ def undeclared_torque(undeclared, q, v, rigid, rest):
                 f"Unknown undeclared effect {name!r}; expected some of "
                 f"{', '.join(_TORQUES)}."
             )
-        try:
-            joint, size = entry
-            position = q[:, joint] - (rest[joint] if name == "spring" else 0.0)
-            total[:, joint] += _TORQUES[name](
-                float(size), position, v[:, joint], rigid[:, joint]
-            )
-        except (TypeError, IndexError) as error:
-            raise ValueError(
-                f"undeclared[{name!r}] must be (joint, size) with a joint of 0 to "
-                f"{q.shape[1] - 1}; got {entry!r}."
-            ) from error
+        joint, size = entry
+        position = q[:, joint] - (rest[joint] if name == "spring" else 0.0)
+        total[:, joint] += _TORQUES[name](
+            float(size), position, v[:, joint], rigid[:, joint]
+        )
     return total
 
 

@@ -9,7 +9,7 @@ _MODULES = {
     "_instrumental_variables": ("InstrumentalVariables",),
     "_joint_factor": ("BaseJointFactorRegressor", "JFARegressor", "fit_moments"),
     "_locally_weighted": ("LocallyWeightedRegressor",),
-    "_stepwise": ("StepwiseRegressor", "select_features", "sweep"),
+    "_stepwise": ("StepwiseRegressor",),
     "_total_least_squares": ("NoiseCovariance", "TotalLeastSquares", "replicate_noise"),
     "_vbjfa": ("VBJFARegressor",),
 }

@@ -213,14 +213,19 @@ def noise_shares(noise, data, names):
             )
         noise = np.diagonal(noise)
     share = noise[data.active] / data.x_scale**2
-    full = np.flatnonzero(data.active)[share >= 1.0]
+    warn_of_excess(data, share >= 1.0, names)
+    return np.minimum(share, 1.0)
+
+
+def warn_of_excess(data, excess, names):
+    """Name the active inputs (n_active,), bool, that are nothing but noise."""
+    full = np.flatnonzero(data.active)[excess]
     if full.size:
         shown = ", ".join(str(names[i]) for i in full[:10])
         warnings.warn(
             f"input_noise is at least the whole variance of {full.size} input(s) "
-            f"({shown}): they hold no signal beyond noise and get the coefficient 0. "
-            "Check the units of input_noise (variances, not standard deviations).",
+            f"({shown}): no signal is left in them. Check the units of input_noise "
+            "(variances, not standard deviations).",
             UserWarning,
-            stacklevel=6,
+            stacklevel=7,
         )
-    return np.minimum(share, 1.0)

@@ -3,7 +3,6 @@
 Tags such as [C15] are equations of the guide.
 """
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,7 @@ from sklearn_vbjfa._core._correlated import (
 )
 from sklearn_vbjfa._core._linear_systems import find_dependencies
 from sklearn_vbjfa._core._updates import LinearModel
-from sklearn_vbjfa.regression._base import standard_noise
+from sklearn_vbjfa.regression._base import standard_noise, warn_of_excess
 
 # An input is relevant when its coefficient is more than this many posterior standard
 # deviations away from zero.
@@ -40,14 +39,13 @@ class CorrelatedFit:
     """Solutions in standardised units, spread over all active columns."""
 
     # `noisy` and `noiseless` are the linear models for the two kinds of queries, with
-    # the solutions that they come from; alpha, relevant (d,) and psi (d, d) are the
-    # precisions, the relevant inputs and the input noise.
+    # the solutions that they come from; relevant (d,) and psi (d, d) are the relevant
+    # inputs and the input noise.
 
     noisy: LinearModel
     noiseless: LinearModel
     noisy_solution: CorrelatedSolution
     noiseless_solution: CorrelatedSolution
-    alpha: np.ndarray
     relevant: np.ndarray
     psi: np.ndarray
 
@@ -59,35 +57,6 @@ def largest_noise_fraction(R, r):
     return float(min(LARGEST_FRACTION, max(smallest, 0.0)))  # [C15]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Solver:
-    """Fit of a model to moments with some input noise (d, d)."""
-
-    max_iter: int
-    tol: float
-    common: bool  # whether all coefficients share one precision
-
-    def __call__(self, m, psi, *, common=False, cross=None):
-        return solve_correlated(
-            m,
-            psi,
-            common=common or self.common,
-            max_iter=self.max_iter,
-            tol=self.tol,
-            cross=cross,
-        )
-
-
-def _is_selected(noise):
-    """Whether inputs are selected for noiseless queries."""
-    # Zero noise is Bayesian ARD regression; a covariance is taken at its word.
-    return noise is None or (np.ndim(noise) < 2 and bool(np.any(noise)))
-
-
-def _enough_samples(data):
-    return data.moments.n > SAMPLES_PER_INPUT * data.x_scale.size
-
-
 def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf):
     """Fit the model to standardised data and its moments as a scatter matrix."""
     # noise: the user's, validated; None estimates it, `dof` are the degrees of freedom
@@ -97,16 +66,21 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
     # then answered by all inputs as they are, see `_average`.
     m = data.moments
     # Hardly more samples than inputs do not tell a precision for each of noisy ones.
-    few = not _enough_samples(data)
-    common = few and noise is not None
-    solve = _Solver(max_iter=max_iter, tol=tol, common=common)
+    few = m.n <= SAMPLES_PER_INPUT * data.x_scale.size
+
+    def solve(m, psi, *, common=few and noise is not None, cross=None):
+        given = {"max_iter": max_iter, "tol": tol, "cross": cross}
+        return solve_correlated(m, psi, common=common, **given)
+
     if few and noise is None:
         return _fit_few(m, solve)
     d = m.xx.size
     psi = standard_noise(noise, data)
     if psi is not None:
-        _warn_excess(m.S / m.n, psi, data, labels)
-    if not _is_selected(noise):
+        excess = np.diagonal(psi) / np.diagonal(m.S / m.n) > 1 + 1e-9
+        warn_of_excess(data, excess, labels)
+    # Zero noise is Bayesian ARD regression; a covariance is taken at its word.
+    if noise is not None and (np.ndim(noise) == 2 or not np.any(noise)):
         return _fit_all(m, psi, solve, cross, dof)
     R, r = m.S / m.n, m.xy / m.n
     exact = np.zeros((d, d))
@@ -153,7 +127,6 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
         ),
         noisy_solution=as_they_are,
         noiseless_solution=solution,
-        alpha=as_they_are.state.E_alpha,
         relevant=relevant,
         psi=psi,
     )
@@ -163,9 +136,7 @@ def _fit_all(m, psi, solve, cross, dof):
     """Fit all inputs with a known noise covariance (d, d), for both queries."""
     solution = solve(m, psi, cross=cross)
     state, latent = solution.state, solution.latent
-    in_common = solution
-    if not solve.common:
-        in_common = solve(m, psi, common=True, cross=cross)
+    in_common = solve(m, psi, common=True, cross=cross)
     cov = _uncertainty(m, psi, state.beta_mean, in_common, dof)
     noiseless = LinearModel(
         coef=state.beta_mean, cov=cov, noise=_output_noise(psi, solution)
@@ -179,7 +150,6 @@ def _fit_all(m, psi, solve, cross, dof):
         noiseless=noiseless,
         noisy_solution=solution,
         noiseless_solution=solution,
-        alpha=state.E_alpha,
         relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
         psi=psi,
     )
@@ -198,7 +168,6 @@ def _fit_few(m, solve):
         noiseless=model,
         noisy_solution=solution,
         noiseless_solution=solution,
-        alpha=state.E_alpha,
         relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
         psi=exact,
     )
@@ -273,22 +242,6 @@ def _average(m, solution, other, *, by_evidence=False):
     return LinearModel(
         coef=coef, cov=cov, noise=share * first.psi_y + (1 - share) * second.psi_y
     )
-
-
-def _warn_excess(R, psi, data, labels):
-    """Name the columns whose noise alone exceeds what was measured."""
-    over = np.flatnonzero(np.diagonal(psi) > np.diagonal(R) * (1 + 1e-9))
-    if over.size:
-        shown = ", ".join(
-            str(labels[i]) for i in np.flatnonzero(data.active)[over][:10]
-        )
-        warnings.warn(
-            f"input_noise exceeds the whole variance of {over.size} input(s) "
-            f"({shown}): no signal is left in them. Check the units of input_noise "
-            "(variances, not standard deviations).",
-            UserWarning,
-            stacklevel=6,
-        )
 
 
 def _relevant_inputs(m, basis, as_they_are, solve):

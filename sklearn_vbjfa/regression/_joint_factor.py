@@ -1,7 +1,7 @@
 """What the EM and the VB estimator share: moments, attributes, prediction."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from numbers import Integral, Real
 
 import numpy as np
@@ -10,7 +10,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_vbjfa._core._correlated import inverse_factor
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._moments import from_data, from_scatter, standardise
-from sklearn_vbjfa._core._solver import Solution, solve, start
+from sklearn_vbjfa._core._solver import solve, start
 from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
@@ -108,14 +108,16 @@ class BaseJointFactorRegressor(BaseRegressor):
         if data.is_degenerate:
             return self._fit_constant(data)
         prior = replace(prior, psi_x_fixed=fixed)
-        result = fit_independent(data, prior, max_iter=self.max_iter, tol=self.tol)
-        state = result.solution.state
+        solution, retained, noisy, noiseless = fit_independent(
+            data, prior, max_iter=self.max_iter, tol=self.tol
+        )
+        state = solution.state
         units = np.log(data.y_scale) + np.log(data.x_scale).sum()
-        self._set_loop_attributes(result.solution, data, units)
-        self._set_linear_models(result.noisy, result.noiseless, data)
+        self._set_loop_attributes(solution, data, units)
+        self._set_linear_models(noisy, noiseless, data)
         self.input_noise_ = data.expand(state.psi_x * data.x_scale**2)
         if prior.ard:
-            self.relevant_ = data.expand(result.retained).astype(bool)
+            self.relevant_ = data.expand(retained).astype(bool)
             # w_z in the unit of y: a standardised precision over y's variance
             self.alpha_ = data.expand(state.E_alpha / data.y_scale**2, fill=np.inf)
         if fixed is None and (at_floor := state.psi_x <= 2 * VARIANCE_FLOOR).any():
@@ -379,18 +381,9 @@ class JFARegressor(BaseJointFactorRegressor):
 _INITIAL_NOISE = 0.3
 
 
-@dataclass(frozen=True, kw_only=True)
-class IndependentFit:
-    """Solution in standardised units, with what the attributes are made of."""
-
-    solution: Solution
-    retained: np.ndarray
-    noisy: LinearModel
-    noiseless: LinearModel
-
-
 def fit_independent(data, prior, *, max_iter, tol):
-    """Run the iteration and derive coefficients, covariances and noise."""
+    """Run the iteration; derive the solution, relevant inputs, and linear models."""
+    # Models are those of noisy and of noiseless queries, in standardised units.
     moments = data.moments
     d = moments.xx.shape[0]
     state = start(moments, prior, np.full(d, _INITIAL_NOISE))
@@ -417,20 +410,15 @@ def fit_independent(data, prior, *, max_iter, tol):
     finite = np.isfinite(np.diagonal(cov_noisy))
     cov = np.where(np.outer(finite, finite), cov_noisy, 0.0) * np.outer(lift, lift)
     cov[np.diag_indices_from(cov)] += np.where(finite, 0.0, np.inf)
-    return IndependentFit(
-        solution=solution,
-        retained=retained,
-        noisy=LinearModel(
-            coef=coefficients_noisy(state),
-            cov=cov_noisy,
-            noise=float(hidden.y_var),
-        ),
-        noiseless=LinearModel(
-            coef=coefficients_noiseless(state, retained),
-            cov=cov,
-            noise=float(state.psi_y + state.psi_z.sum()),
-        ),
+    noisy = LinearModel(
+        coef=coefficients_noisy(state), cov=cov_noisy, noise=float(hidden.y_var)
     )
+    noiseless = LinearModel(
+        coef=coefficients_noiseless(state, retained),
+        cov=cov,
+        noise=float(state.psi_y + state.psi_z.sum()),
+    )
+    return solution, retained, noisy, noiseless
 
 
 def _coefficient_covariance(moments, s, precision):

@@ -125,7 +125,7 @@ class LocallyWeightedRegressor(BaseRegressor):
         centers = means.cluster_centers_
         self.centers_ = centers * self.scale_
         self.bandwidth_ = self._widths(centers)
-        local = self._local_weights(Z, centers)
+        local = np.exp(self._exponents(Z, centers))
         template = VBJFARegressor() if self.regressor is None else self.regressor
         self.estimators_ = []
         for k in range(n_models):
@@ -148,10 +148,10 @@ class LocallyWeightedRegressor(BaseRegressor):
         np.fill_diagonal(squares, np.inf)
         return np.sqrt(squares.min(axis=1))
 
-    def _local_weights(self, Z, centers):
+    def _exponents(self, Z, centers):
+        """Logarithms (n, k) of the weights of standardised rows around centres."""
         squares = ((Z[:, None] - centers[None]) ** 2).sum(axis=-1)
-        exponent = -0.5 * squares / self.bandwidth_**2
-        return np.exp(exponent)
+        return -0.5 * squares / self.bandwidth_**2
 
     def predict(self, X):
         """Blend the local models' predictions.
@@ -167,9 +167,7 @@ class LocallyWeightedRegressor(BaseRegressor):
             Predicted outputs.
         """
         X = self._check_queries(X)
-        centers = self.centers_ / self.scale_
-        squares = ((X / self.scale_)[:, None] - centers[None]) ** 2
-        exponent = -0.5 * squares.sum(axis=-1) / self.bandwidth_**2
+        exponent = self._exponents(X / self.scale_, self.centers_ / self.scale_)
         # Far from all centres the nearest model decides, whatever underflows.
         exponent -= exponent.max(axis=1, keepdims=True)
         weight = np.exp(exponent)

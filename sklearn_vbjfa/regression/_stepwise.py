@@ -192,7 +192,7 @@ class StepwiseRegressor(LinearRegressor):
                 "scale the weights to sum up to the number of samples."
             )
         correlation = columns.values.T @ columns.values
-        selection = select_features(
+        selected, path, status = select_features(
             correlation,
             dof,
             p_enter=self.p_enter,
@@ -200,7 +200,7 @@ class StepwiseRegressor(LinearRegressor):
             max_iter=self.max_iter,
         )
 
-        chosen = np.flatnonzero(selection.selected)
+        chosen = np.flatnonzero(selected)
         coef = np.zeros(X.shape[1])
         if chosen.size:
             inputs, output = columns.values[:, chosen], columns.values[:, -1]
@@ -213,18 +213,17 @@ class StepwiseRegressor(LinearRegressor):
             coef[chosen] = solution / columns.scale[chosen] * columns.scale[-1]
 
         self._set_coefficients(coef, columns.mean)
-        self.selected_ = selection.selected
-        self.path_ = selection.path
-        self.n_iter_ = len(selection.path)
-        self.converged_ = selection.status == "converged"
-        if selection.status == "max_iter":
+        self.selected_, self.path_ = selected, path
+        self.n_iter_ = len(path)
+        self.converged_ = status == "converged"
+        if status == "max_iter":
             warnings.warn(
                 f"Stepwise selection stopped at max_iter={self.max_iter} steps "
                 "although a test would still move a feature; raise max_iter.",
                 ConvergenceWarning,
                 stacklevel=2,
             )
-        elif selection.status == "revisited":
+        elif status == "revisited":
             warnings.warn(
                 f"Stepwise selection stopped after {self.n_iter_} steps: rounding "
                 "proposed a model seen before. The features are nearly collinear; "
@@ -233,16 +232,6 @@ class StepwiseRegressor(LinearRegressor):
                 stacklevel=2,
             )
         return self
-
-
-@dataclass(frozen=True, kw_only=True)
-class StepwiseSelection:
-    """Outcome of :func:`select_features`."""
-
-    selected: np.ndarray  # (n_features,): features in the final model
-    path: tuple
-    # why the search ended; "revisited" if rounding proposed a model seen before
-    status: str
 
 
 def sweep(table, pivot):
@@ -264,12 +253,14 @@ def sweep(table, pivot):
 def select_features(correlation, dof, *, p_enter, p_remove, max_iter):
     """Run forward selection with backward elimination until no test moves a feature."""
     # correlation: products (d + 1, d + 1) of the unit-length columns of [X y], zero for
-    # constants; dof: degrees of freedom of y before any feature enters.
+    # constants; dof: degrees of freedom of y before any feature enters. Returns the
+    # features (d,), bool, the steps, and why the search ended: "revisited" if rounding
+    # proposed a model seen before.
     n_features = correlation.shape[0] - 1
     selected = np.zeros(n_features, dtype=bool)
     path = []
     if correlation[-1, -1] == 0:
-        return StepwiseSelection(selected=selected, path=(), status="converged")
+        return selected, (), "converged"
     table = correlation
     visited = {selected.tobytes()}
     while True:
@@ -302,7 +293,7 @@ def select_features(correlation, dof, *, p_enter, p_remove, max_iter):
             table = correlation
             for feature in np.flatnonzero(selected):
                 table = sweep(table, feature)
-    return StepwiseSelection(selected=selected, path=tuple(path), status=status)
+    return selected, tuple(path), status
 
 
 def _f_ratio(rss_smaller, rss_larger, dof_larger):

@@ -193,17 +193,6 @@ class NoiseCovariance:
             return np.asarray(self.covariance, dtype=dtype)
         return np.array(self.covariance, dtype=dtype)
 
-    def of_means(self, n_measurements):
-        """Return the covariance of the noise of means of so many measurements."""
-        if not n_measurements >= 1:
-            raise ValueError(
-                "n_measurements must be the number of measurements in each mean, 1 or "
-                f"more; got {n_measurements!r}."
-            )
-        return NoiseCovariance(
-            covariance=self.covariance / n_measurements, dof=self.dof
-        )
-
 
 def replicate_noise(X, groups):
     """Estimate the covariance of the input noise from repeated measurements.
@@ -225,9 +214,8 @@ def replicate_noise(X, groups):
     noise : object
         `covariance`, ndarray of shape (n_features, n_features), of the noise of a
         single measurement, and its degrees of freedom `dof`. ``np.asarray`` gives the
-        covariance, and ``of_means(m)`` that of means of m measurements. Regressors
-        accept the object as `input_noise`. The covariance is singular with fewer
-        degrees of freedom than features.
+        covariance. Regressors accept the object as `input_noise`. The covariance is
+        singular with fewer degrees of freedom than features.
 
     Raises
     ------
@@ -240,9 +228,9 @@ def replicate_noise(X, groups):
 
     Notes
     -----
-    The noise must be that of the fitted rows: for means of m measurements use
-    ``replicate_noise(X, groups).of_means(m)``. A bias that is common to all
-    measurements of a unit is not detected.
+    The noise must be that of the fitted rows: for means of m measurements divide the
+    covariance by m. A bias that is common to all measurements of a unit is not
+    detected.
 
     References
     ----------

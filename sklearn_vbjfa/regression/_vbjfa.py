@@ -253,6 +253,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         unit = np.outer(data.x_scale, data.x_scale)
         self.input_noise_ = np.zeros((d, d))
         self.input_noise_[np.ix_(data.active, data.active)] = result.psi * unit
-        self.alpha_ = data.expand(result.alpha / data.y_scale**2, fill=np.inf)
+        alpha = result.noisy_solution.state.E_alpha
+        self.alpha_ = data.expand(alpha / data.y_scale**2, fill=np.inf)
         self.relevant_ = data.expand(result.relevant).astype(bool)
         return self

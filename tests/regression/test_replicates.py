@@ -56,17 +56,6 @@ def test_corrects_what_least_squares_gets_wrong():
     assert model.coef_std_.max() < 0.06
 
 
-def test_means_have_less_noise():
-    X, y, labels, truth = make_units(5, 2000, 4)
-    single = replicate_noise(X.reshape(-1, 3), labels)
-    noise = single.of_means(4)
-    assert noise.dof == single.dof
-    assert_allclose(noise.covariance.diagonal(), truth.diagonal() / 4, rtol=0.1)
-    model = VBJFARegressor(input_noise=noise, query="noiseless")
-    model.fit(X.mean(axis=0), y)
-    assert np.all(np.abs(model.coef_ - COEF) < 4 * model.coef_std_)
-
-
 @pytest.mark.parametrize("n_repeats", [2])
 def test_intervals_cover_with_estimated_noise(n_repeats):
     # 60 units: 60 or 120 degrees of freedom. 100 data sets of three coefficients, a
@@ -90,5 +79,3 @@ def test_wrong_input_is_refused():
         replicate_noise(np.eye(4), [1, 1])
     with pytest.raises(ValueError, match="NaN"):
         replicate_noise([[np.nan], [1.0]], [1, 1])
-    with pytest.raises(ValueError, match="n_measurements must be the number"):
-        replicate_noise(np.eye(2), [1, 1]).of_means(0)

@@ -9,7 +9,7 @@ import numpy as np
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _gravity, _input
 from sklearn_vbjfa._cli._parser import command_line, spelled
-from sklearn_vbjfa._cli._run import Done
+from sklearn_vbjfa._cli._run import Done, rendered
 from sklearn_vbjfa._core._progress import say
 from sklearn_vbjfa.design import (
     KnownRobot,
@@ -59,27 +59,21 @@ def design(arguments, folder):
     noise = np.array(robot.known.torque_noise)
     measured = np.isfinite(noise) & (noise > 0)
 
+    facts = _summary.facts(motion, found) | {"unchecked": _summary.unchecked(motion)}
+
     def write(folder, notes):
         motion.to_csv(folder / out.name)
         options = found.get("provenance", {}).get("options", {})
         drive = options.get("drive")
         torque = f"the channels of --drive {drive}" if drive else "tau"
-        run = (
-            f"Run {out} and record q and {torque}; name joints as in the file (q_NAME)."
-        )
-        steps = [*_summary.before(motion), run]
-        # The first step is 0 where something is to be done before the robot moves.
-        lines = [
-            line
-            for count, step in enumerate(steps, 2 - len(steps))
-            for line in _summary.wrapped(f"{count}. {step}", "   ")
-        ]
-        lines.append(_next_command(arguments, robot, options))
-        return ["", "Next:", *(f"  {line}" for line in lines)]
+        command = _next_command(arguments, robot, options)
+        steps = {"out": out, "torque": torque, "command": command}
+        return [rendered("next_motion.txt.j2", **steps, **facts)]
 
-    text = _summary.summary(motion, Path(robot.file).name, measured, found)
+    name = Path(robot.file).name
+    facts |= {"robot": name, "motion": motion, "measured": measured.all()}
     return Done(
-        text="\n".join(text),
+        text=rendered("motion.txt.j2", **facts),
         doubts=_summary.doubts(motion, arguments.effects or ()),
         folder=out.parent,
         files=(out.name,),

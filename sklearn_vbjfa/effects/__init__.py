@@ -33,7 +33,7 @@ _MODULES = {
     "_memory": "Backlash MaxwellSlip elements play",
     "_motion": """
         FAST HELD MARGIN OUTLIERS ROUNDING EffectRange Floats Motion OutsideRange Rest
-        State mean_sign outside own_motions
+        State outside own_motions
     """,
     "_position": "Counterbalance FrictionByPosition Offset Ripple Spring",
     "_unnamed": "UnnamedTorque",

@@ -52,14 +52,9 @@ _LIBRARY = {
 
 def closure(effect, library):
     """Names, a set, of all effects that an effect contains, directly or not."""
-    by_name = {e.name: e for e in library}
-    found, open_ = set(), list(effect.contains)
-    while open_:
-        name = open_.pop()
-        if name not in found:
-            found.add(name)
-            open_ += by_name[name].contains if name in by_name else ()
-    return found
+    inside = [one for one in library if one.name in effect.contains]
+    others = [one for one in library if one not in inside]
+    return set(effect.contains).union(*(closure(one, others) for one in inside))
 
 
 def available():

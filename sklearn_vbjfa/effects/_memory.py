@@ -29,6 +29,10 @@ _BANKS = {
     "loaded": ("mu", RATIO),
     "falling": ("S", TORQUE),
 }
+_AT_ONCE = (
+    "turns round at once: stiffness before sliding, and friction that depends on load "
+    "or speed"
+)
 # Points of the curve on which the displacement at half of the friction is looked for.
 _CURVE = 200
 
@@ -145,10 +149,8 @@ class MaxwellSlip(Shaped, Stateful):
     record = "many reversals, after short and long moves"
     files = InFiles(
         parameter="coulomb",
-        urdf="friction in URDF turns round at once: stiffness before sliding, and "
-        "friction that depends on load or speed",
-        mjcf="frictionloss in MJCF turns round at once: stiffness before sliding, and "
-        "friction that depends on load or speed",
+        urdf=f"friction in URDF {_AT_ONCE}",
+        mjcf=f"frictionloss in MJCF {_AT_ONCE}",
     )
 
     def __init__(
@@ -400,18 +402,12 @@ class Backlash(Shaped, Stateful):
 
     def law(self, maths):
         j, half = self.joint, 0.5 * self.width
-        last = p = None
+        p = None
 
         def torque(state):
-            nonlocal last, p
+            nonlocal p
             q = state.q[j]
-            if p is None:
-                p = q
-            elif q > last:
-                p = max(p, q - half)
-            elif q < last:
-                p = min(p, q + half)
-            last = q
+            p = q if p is None else min(max(p, q - half), q + half)
             return p, 1.0
 
         return torque

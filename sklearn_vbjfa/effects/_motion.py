@@ -87,11 +87,6 @@ def _mean_size(v, noise):
     return v * erf(x) + noise * np.sqrt(2 / np.pi) * np.exp(-(x**2))
 
 
-def mean_sign(v, a, rest):
-    """Sign of velocities (n, nv); its mean where a `Rest` is given."""
-    return np.sign(v) if rest is None else rest.sign(v, a)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
     """Signals of one or several recordings, all at the full sample rate."""
@@ -133,14 +128,6 @@ class Motion:
         """Number of joints."""
         return self.q.shape[1]
 
-    @property
-    def later(self):
-        """When recordings begin [s], but for the first."""
-        starts = self.begins
-        if starts is None:
-            starts = [self.t[part.start] for part in self.parts]
-        return np.asarray(starts[1:], dtype=float)
-
     def speed(self, joint):
         """Fastest speed of a joint, outliers aside [rad/s or m/s]."""
         if joint not in self._speeds:
@@ -173,8 +160,10 @@ class Arrays:
 
     def sign(self, *joints):
         """Return (v, a) -> mean sign of the speed of a joint, or of a sum of speeds."""
-        rest = None if self.rest is None else self.rest.pick(*joints)
-        return lambda v, a: mean_sign(v[:, None], a[:, None], rest)[:, 0]
+        if self.rest is None:
+            return lambda v, a: np.sign(v)
+        rest = self.rest.pick(*joints)
+        return lambda v, a: rest.sign(v[:, None], a[:, None])[:, 0]
 
 
 class Floats:

@@ -250,8 +250,10 @@ class Payload(Shaped, OfTime):
 
     def shapes(self, motion):
         """Instants all over the recording."""
-        t = motion.t
-        starts = motion.later
+        t, starts = motion.t, motion.begins
+        if starts is None:
+            starts = [t[part.start] for part in motion.parts]
+        starts = np.asarray(starts[1:], dtype=float)
         shares = np.linspace(t[0], t[-1], _INSTANTS + 2)[1:-1]
         # Between two recordings all instants are one: the start of the second.
         border = np.searchsorted(t, starts)
@@ -268,9 +270,7 @@ def _ball(c):
     out = np.zeros((10, 5))
     out[:4, :4] = np.eye(4)
     slopes = [np.outer(c, c) - (c @ c) * one]
-    slopes += [
-        2 * c[k] * one - np.outer(one[k], c) - np.outer(c, one[k]) for k in range(3)
-    ]
+    slopes += [2 * x * one - np.outer(e, c) - np.outer(c, e) for x, e in zip(c, one)]
     for column, slope in enumerate([*slopes, one]):
         # Ixx, Ixy, Iyy, Ixz, Iyz, Izz
         out[4:, column] = slope[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import Motion, Rest, mean_sign
+from sklearn_vbjfa.effects import Motion, Rest
 
 V = np.linspace(-0.3, 0.3, 61)[:, None]
 
@@ -17,12 +17,12 @@ def rest(speed=0.05, time=0.0, noise=0.0, nv=1):
 
 
 def test_without_speed_it_is_the_error_function():
-    found = mean_sign(V, 0 * V, rest(speed=0.0, noise=0.1))
+    found = rest(speed=0.0, noise=0.1).sign(V, 0 * V)
     np.testing.assert_allclose(found, erf(V / (np.sqrt(2) * 0.1)), rtol=1e-12)
 
 
 def test_without_noise_it_is_the_fraction_of_the_speed():
-    found = mean_sign(V, 0 * V, rest())
+    found = rest().sign(V, 0 * V)
     np.testing.assert_allclose(found, np.clip(V / 0.05, -1, 1), rtol=1e-14)
     # exactly the sign where nothing is in doubt
     np.testing.assert_array_equal(np.abs(found[np.abs(V) > 0.0501]), 1.0)
@@ -36,15 +36,13 @@ def test_it_is_the_mean_over_what_the_velocity_may_be(noise, a):
     rng = np.random.default_rng(0)
     n = 200_000
     moved = V[::6] + rng.uniform(-width, width, n) + noise * rng.normal(size=n)
-    found = mean_sign(V[::6], np.full_like(V[::6], a), rest(speed, time, noise))
+    found = rest(speed, time, noise).sign(V[::6], np.full_like(V[::6], a))
     np.testing.assert_allclose(found[:, 0], np.sign(moved).mean(axis=1), atol=0.012)
 
 
 def test_a_reversal_is_no_rest():
     v = np.array([[0.01]])
-    slow, fast = (
-        mean_sign(v, np.array([[a]]), rest(time=1.0))[0, 0] for a in (0.0, 5.0)
-    )
+    slow, fast = (rest(time=1.0).sign(v, np.array([[a]]))[0, 0] for a in (0.0, 5.0))
     assert slow == pytest.approx(0.2)
     assert fast == 1.0
 

@@ -41,11 +41,6 @@ class Moments:
     factor: np.ndarray
 
     @property
-    def n_features(self):
-        """Number of inputs."""
-        return self.origin.size - 1
-
-    @property
     def mean(self):
         """Weighted means, ndarray of shape (n_features + 1,)."""
         return self.origin + self.factor[0, 1:] / self.factor[0, 0]

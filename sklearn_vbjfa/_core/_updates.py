@@ -52,10 +52,9 @@ class HiddenExpectations:
     S_tt: np.ndarray
     S_xt: np.ndarray
     S_rr: float  # sum over samples of <(y - 1'z)^2>
-    # (n_features,): sum of x_m e and e^2, with e = y - coef'x
+    # (n_features,): sum of x_m e and e^2, with e = y - c'x
     S_xe: np.ndarray
     S_ee: float
-    coef: np.ndarray  # (n_features,): coefficient of E[y | x] for noisy x in this state
     y_var: float  # variance of y given x
     x_var: np.ndarray  # (n_features,): marginal variance of x
     # (n_features,): prior precision of t, raised by the uncertainty of the loadings
@@ -165,7 +164,6 @@ def expect_hidden(moments, state):
         S_rr=S_rr,
         S_xe=S_xe,
         S_ee=S_ee,
-        coef=c,
         y_var=s,
         x_var=psi_x + w_x**2 / t_precision,
         t_precision=t_precision,

@@ -93,7 +93,7 @@ class BaseJointFactorRegressor(BaseRegressor):
 
     def _fit_moments(self, moments):
         self.statistics_ = moments
-        self.n_features_in_ = moments.n_features
+        self.n_features_in_ = moments.origin.size - 1
         return self._fit(standardise(moments, centred=self.fit_intercept))
 
     def _feature_labels(self):

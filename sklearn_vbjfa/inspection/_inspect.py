@@ -297,7 +297,7 @@ def _examined(reading):
         proposed.sort(key=lambda one: -one[1][1])
         for hypothesis, (candidate, odds) in proposed:  # noqa: B007
             after = candidate.change and reading.changed(candidate.change)
-            if after is None or _scores_better(reading, after):
+            if after is None or _is_better(after, reading.robot):
                 break
         else:
             break
@@ -325,12 +325,12 @@ def _proposed(reading, when):
     return [pair for pair in found if pair[1] is not None]
 
 
-def _scores_better(before, after):
+def _is_better(log, before):
     """Whether a log that was repaired agrees better with the description."""
-    if after.tell_nothing():
+    if log.tell_nothing():
         return False
-    robot = DescribedRobot(after.bodies, after.signals, before.robot.times)
-    return robot.now.evidence > before.robot.now.evidence
+    robot = DescribedRobot(log.bodies, log.signals, before.times)
+    return robot.now.evidence > before.now.evidence
 
 
 def _unverified(reading):
@@ -342,14 +342,11 @@ def _unverified(reading):
         return []
     elif reading.bodies.weightless:
         reason = "weightless"
-    elif not reading.commanded and _size_assumed(reading.robot):
-        reason = "size"
+    elif not reading.commanded:
+        # Whether torques of any size fit the described bodies as well.
+        robot, rigid = reading.robot, reading.robot.described
+        fit = robot.fit(mean=np.zeros_like(rigid), columns=rigid[:, :, None])
+        if abs(fit.factors[0]) < number.INTERVAL * fit.errors[0]:
+            reason = "size"
     args = reading.names, reading.every, "note"
     return [finding(f"unverified:{reason}", *args)] if reason else []
-
-
-def _size_assumed(robot):
-    """Whether torques of any size fit the described bodies as well."""
-    columns = robot.described[:, :, None]
-    fit = robot.fit(mean=np.zeros_like(robot.described), columns=columns)
-    return abs(fit.factors[0]) < number.INTERVAL * fit.errors[0]

@@ -21,7 +21,6 @@ from sklearn_vbjfa.inspection._reading import (
     times,
 )
 from sklearn_vbjfa.inspection._sentences import finding
-from sklearn_vbjfa.inspection._torques import torque_factors
 from sklearn_vbjfa.model import is_prismatic
 
 # -- order, direction and coupling -----------------------------------------------------
@@ -227,10 +226,6 @@ def _with_ratios(reading, best):
     joints, after = list(best.joints), reading.changed(best.change)
     if after.tell_nothing():
         return best
-    scale = float(torque_factors(after.robot, alike=True)[0][0])
-    if 0 < scale < 1 / number.SCALE or scale > number.SCALE:
-        # The unit of the torques is another one, too.
-        after = after.changed(Change(torques=times(reading.nv, 1 / scale)))
     nv, starts = reading.nv, [_factor(x, joints, reading.nv) for x in number.RATIOS]
     moves = [_factor(x, j, nv) for x, j in product(number.RATIOS, joints)]
     more = climbed(after, moves, starts, number.SETTLED)
@@ -253,9 +248,8 @@ def gear(reading):
     for x, j in product(number.RATIOS, turning):
         # A wrong gear keeps the power; or the position alone is wrong.
         for make in (_factor, _geared):
-            changes[make(x, j, reading.nv)] = functools.partial(
-                make, j=j, nv=reading.nv
-            )
+            make = functools.partial(make, j=j, nv=reading.nv)
+            changes[make(x)] = make
     best = likely(reading, changes) if changes else None
     if best is None:
         return None

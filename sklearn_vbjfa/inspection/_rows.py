@@ -273,7 +273,7 @@ def _breaks(log, flags, least):
         if b - a + 1 >= least and jumps[0][ends].any():
             new = begin if jumps[0][begin] or log.first[begin] else a
             found.append((new, b))
-        elif (flags[a] and least > 1) or jumps[1][ends].any():
+        elif least > 1 or jumps[1][ends].any():
             if _amid_motion(log, a, b, number.HELD_SPEED * usual[0]):
                 found.append((a, b))
     return found
@@ -286,9 +286,7 @@ def _amid_motion(log, a, b, least):
         return False
     into = (log.q[a - 1] - log.q[a - 1 - near]) / near
     out = (log.q[b + 1 + near] - log.q[b + 1]) / near
-    return bool(
-        ((np.minimum(np.abs(into), np.abs(out)) > least) & (into * out > 0)).any()
-    )
+    return bool((np.minimum(into * np.sign(out), np.abs(out)) > least).any())
 
 
 def _report_lost(log, kind, runs, severity):

@@ -234,7 +234,10 @@ def without_odd_rows(table, layout, options, notes):
     """
     q, tau = layout.of("q"), layout.of("tau") if options.drive is None else ()
     roles, n = [*q, *tau, *layout.of("v", "a")], len(q + tau)
-    values = _matrix(table, roles)
+    values = [table.values(role.column) for role in roles]
+    if not values or any(x.dtype.kind not in "iuf" for x in values):
+        return table, None
+    values = np.column_stack(values).astype(float)
     fillers = [
         f"{x:g} in column {role.column!r}"
         for role, column in zip(roles, values.T)
@@ -243,7 +246,6 @@ def without_odd_rows(table, layout, options, notes):
     holes = np.isnan(values)
     empty = holes[:, :n].all(axis=1)
     if empty.all():
-        # Also a table without these columns.
         return table, None
     if empty.any():
         notes.append(
@@ -280,14 +282,6 @@ def without_odd_rows(table, layout, options, notes):
     # Rows of other topics, and of a second source, are no samples that are missing.
     lost = not second.any() and rows.size >= (1 - _LACKING) * table.n_rows
     return replace(table, frame=table.frame.iloc[rows]), rows if lost else None
-
-
-def _matrix(table, roles):
-    """Return columns as a matrix, without numbers (n_rows, 0)."""
-    values = [table.values(role.column) for role in roles]
-    if not values or any(x.dtype.kind not in "iuf" for x in values):
-        return np.zeros((table.n_rows, 0))
-    return np.column_stack(values).astype(float)
 
 
 def _without_fillers(x):

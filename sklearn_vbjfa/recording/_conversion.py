@@ -13,6 +13,7 @@ from sklearn_vbjfa.recording._layout import (
     ReadOptions,
     channel_unit,
     laid_out,
+    matches,
     refuse_two,
 )
 from sklearn_vbjfa.recording._recording import check_dt
@@ -107,39 +108,31 @@ def _nearest(table, kind, joints):
     if kind == "t":
         return _clocks(table)
     wanted = {"q_desired": {"q", "command"}}.get(kind, {kind})
-    near = {
-        pattern: len(columns) == (len(joints) or len(columns))
-        for pattern, columns in _families(table, joints).items()
-        if channels_in(pattern) == wanted
-    }
+    near = {}
+    for pattern in dict.fromkeys(_patterns(table, joints)):
+        keys = {role.key for role in matches(pattern, table, kind)}
+        keys = keys & {*joints} if "{joint}" in pattern else keys
+        # Numbers count from 0 or 1 without a hole; one alone is that of the only joint.
+        count = len(keys)
+        fits = keys <= {*joints} or keys in ({*range(count)}, {*range(1, count + 1)})
+        fits = fits and (count > 1 or len(joints) == 1 or "{i}" not in pattern)
+        if fits and channels_in(pattern) == wanted:
+            near[pattern] = count == (len(joints) or count)
     return [x for x, whole in near.items() if whole] or list(near)
 
 
-def _families(table, joints):
-    """Return columns of numbers by their names without a number or a joint."""
-    groups: dict[str, dict] = {}
+def _patterns(table, joints):
+    """Yield names of columns of numbers, with a mark for the joint or its number."""
     for column in table.frame.select_dtypes("number"):
         name = split_unit(column)[0]
-        joint = max((x for x in joints if x in name), key=len, default=None)
-        if joint is not None:
-            groups.setdefault(name.replace(joint, "{joint}", 1), {})[joint] = column
-        # Any of its numbers may be the joint's.
+        joint = max((x for x in joints if x in name), key=len, default="")
+        if joint:
+            yield name.replace(joint, "{joint}", 1)
         for match in re.finditer(r"\d{1,6}", name):
-            pattern = f"{name[: match.start()]}{{i}}{name[match.end() :]}"
-            groups.setdefault(pattern, {})[int(match[0])] = column
+            yield f"{name[: match.start()]}{{i}}{name[match.end() :]}"
         if len(joints) == 1:
             # Of one joint nothing needs a number.
-            groups.setdefault(name, {})[joints[0]] = column
-    # Numbers count from 0 or 1 without a hole; one alone is that of the only joint.
-    return {
-        pattern: found
-        for pattern, found in groups.items()
-        if "{i}" not in pattern
-        or (
-            (len(found) > 1 or len(joints) == 1)
-            and (min(found) in (0, 1) and np.ptp([*found]) == len(found) - 1)
-        )
-    }
+            yield name
 
 
 def _clocks(table):
@@ -356,10 +349,8 @@ _SIGNED = (11, 12, 16)
 
 
 def _refuse_codes(table: Table, column, values):
-    if not values.size or values.min() < 0:
-        return
     levels = np.unique(values)
-    if levels.size < 2:
+    if levels.size < 2 or levels[0] < 0:
         return
     unit = 1.0 if (levels == np.round(levels)).all() else np.diff(levels).min()
     if levels[-1] >= unit * 2.0**_BITS.stop:
@@ -405,9 +396,6 @@ def _check_joints(table: Table, found, robot):
     if not names:
         return tuple(f"joint_{k + 1}" for k in range(nv))
     if len(names) != nv:
-        # A surplus column may be no position at all: its text is refused first.
-        for role in found["q"]:
-            table.numbers(role.column)
         fewer = nv < len(names) and not robot.chosen
         raise RecordingRefused(
             f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "

@@ -96,20 +96,15 @@ def _pieces(log, dt, ends=()):
 
 def _fields(pieces, dt: float) -> dict:
     """Concatenate pieces into the array fields of a `Recording`."""
-
-    def together(arrays):
-        # A single one is not copied.
-        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
-
     columns = {
-        key: together([one.channels[key] for one in pieces])
+        key: np.concatenate([one.channels[key] for one in pieces])
         for key in pieces[0].channels
     }
     return {
         "q": columns.pop("q"),
         "tau": columns.pop("tau"),
         "v": columns.pop("v", None),
-        "t": together([one.t for one in pieces]),
+        "t": np.concatenate([one.t for one in pieces]),
         "dt": dt,
         "groups": labels_of([one.t.size for one in pieces]),
         "group_names": distinct(one.name for one in pieces),

@@ -206,13 +206,9 @@ def survey(given, offered, recording, effects):
         found = {name: found[name] for name in found if name in wanted}
     if not reasons:
         return found, ()
-    # Constants and copies of the motion come last.
-    usual = ("is constant", "is the ")
-    names = sorted(reasons, key=lambda name: reasons[name].startswith(usual))[:_NAMED]
-    told = "; ".join(f"{name!r} {reasons[name]}" for name in names)
-    more = f" and {len(reasons) - _NAMED} more" * (len(reasons) > _NAMED)
-    names = ", ".join(map(repr, names))
-    message = f"Column(s) {names}{more} are not used as signals: {told}."
+    told = [f"{name!r} {reason}" for name, reason in reasons.items()][:_NAMED]
+    more = f"; and {len(reasons) - _NAMED} more" * (len(reasons) > _NAMED)
+    message = f"Column(s) are not used as signals: {'; '.join(told)}{more}."
     return found, (ChannelFinding("unusable_signal", (), "note", message),)
 
 
@@ -225,7 +221,8 @@ def fault(values, recording, share=_COPY):
     # column, from which on it is another channel.
     if np.ptp(values) <= _ROUNDING * np.abs(values).max():
         return f"is constant ({values[0]:.6g} in all rows), so that nothing varies"
-    if _is_clock(values, recording):
+    t = np.arange(values.size) if recording.t is None else recording.t
+    if all(_shared(values[x], t[x]) > 1 - _CLOCK for x in recording.segments):
         return "is a clock: use t, and the effects of time"
     explained, channel = max(_likeness(values, recording), default=(0.0, ""))
     if explained < share:
@@ -287,12 +284,6 @@ def _shared(x, y):
     x, y = x - x.mean(), y - y.mean()
     power = (x @ x) * (y @ y)
     return float((x @ y) ** 2 / power) if power > 0 else 0.0
-
-
-def _is_clock(values, recording):
-    """Return whether a column counts time, or rows, in each recording."""
-    t = np.arange(values.size) if recording.t is None else recording.t
-    return all(_shared(values[x], t[x]) > 1 - _CLOCK for x in recording.segments)
 
 
 _NUMBERED = re.compile(r"([a-z]+?)_?(\d+)")
@@ -365,11 +356,8 @@ def _foreign(frame, names, what, kinds):
     if rest or count not in {1, len(kinds)}:
         return frame
     expected = [f"{kind}_{name}" for kind in kinds[:count] for name in names]
-    strange = [x for x in columns if x not in (*expected, *names)]
     raise ValueError(
-        f"{what} has columns {', '.join(columns)}"
-        + (f", of which {', '.join(strange)} name no joint" if strange else "")
-        + f" of the robot; expected {', '.join(expected)} in any order (or the joints' "
-        "names alone). Rename the columns, or give an array "
+        f"{what} has columns {', '.join(columns)}; expected {', '.join(expected)} in "
+        "any order (or the joints' names alone). Rename the columns, or give an array "
         f"({what}.to_numpy()) in the robot's order."
     )

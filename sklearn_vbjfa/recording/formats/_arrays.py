@@ -284,40 +284,30 @@ def read_parquet(path) -> Table:
         check_size(path, 8 * len(names) * data.count_rows())
         check_names(path, names or [""], "has")
         arrays = {x: one.to_numpy() for x, one in zip(names, data.to_table().columns)}
-    info, found = _lerobot_info(files[0]), {}
+    features, found = _features(files[0]), {}
     for name, values in arrays.items():
         lists = values.dtype.kind == "O" and values.size and values[0] is not None
         if lists and {np.shape(x) for x in values} == {(np.size(values[0]),)}:
             matrix = np.stack(list(values))
-            motors = _motors(info, name)
-            if len(motors) != matrix.shape[1]:
+            motors = features.get(name, {}).get("names")
+            if isinstance(motors, dict):
+                (motors,) = motors.values()
+            if motors is None or len(motors) != matrix.shape[1]:
                 motors = range(matrix.shape[1])
+            motors = [str(motor).removesuffix(".pos") for motor in motors]
             found |= {f"{name}.{motor}": x for motor, x in zip(motors, matrix.T)}
         else:
             found[name] = values
     return table_of(path, found)
 
 
-def _lerobot_info(file):
-    """Return what meta/info.json above a parquet file says, a dict."""
+def _features(file):
+    """Return what a LeRobot data set says of the columns of its file, {} for others."""
     for path in (folder / _INFO for folder in list(file.resolve().parents)[:4]):
         if path.is_file():
             with parsing(path, "JSON file", "download the data set again."):
-                info = json.loads(path.read_text(encoding="utf-8"))
-            return info if isinstance(info, dict) else {}
+                return json.loads(path.read_text(encoding="utf-8"))["features"]
     return {}
-
-
-def _motors(info, name):
-    """Return the names of the motors in a column of lists, [] if unknown."""
-    names = info
-    for key in ("features", name, "names"):
-        names = names.get(key) if isinstance(names, dict) else None
-    if isinstance(names, dict):
-        names = next(iter(names.values()), None)
-    if not isinstance(names, list):
-        return []
-    return [str(motor).removesuffix(".pos") for motor in names]
 
 
 # -- bags ------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from sklearn_vbjfa.inspection import _torques as torques
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._positions import implausible_speed
 from sklearn_vbjfa.inspection._reading import Reading, long_parts, thinned
-from sklearn_vbjfa.inspection._rows import inspect_rows, shuffled_rows
+from sklearn_vbjfa.inspection._rows import Rows, shuffled_rows
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.model import (
     is_prismatic,
@@ -245,7 +245,8 @@ def inspect_channels(
         return in_order(shuffled)
     if len(rows) < len(q):
         q, tau = q[rows], tau[rows]
-    log = inspect_rows(names, q, tau, dt, parts, rows, ~is_prismatic(model))
+    log = Rows(names, q, tau, dt, parts, rows, ~is_prismatic(model))
+    log.inspect()
     if {one.kind for one in log.findings} & {"motion_as_torque", "copied_position"}:
         return in_order(log.findings)
     q, tau, usable = log.q, log.tau, log.usable

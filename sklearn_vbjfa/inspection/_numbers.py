@@ -113,10 +113,11 @@ STANDSTILL = 0.02
 # -- rows ------------------------------------------------------------------------------
 
 # Rows in time order resemble the row before; the mean squared step of shuffled rows is
-# twice the variance. Seven tenths of that is a correlation of 0.3. Noise has no order
-# either: a joint moves at least this much [rad or m], and is at rest if its travel is
-# below this many standard deviations of its noise.
-SHUFFLED, LEAST_MOTION, STILL_TRAVEL = 0.7, 0.01, 12.0
+# twice the variance. Seven tenths of that is a correlation of 0.3. Of two robots in
+# turn it is this many times that of two rows. Noise has no order either: a joint moves
+# at least this much [rad or m], and is at rest if its travel is below this many
+# standard deviations of its noise.
+SHUFFLED, IN_TURN, LEAST_MOTION, STILL_TRAVEL = 0.7, 2.0, 0.01, 12.0
 # In fewer rows it is not looked for.
 SHORT_RUN = 16
 # A jump is a full turn to within this fraction of one.

@@ -30,6 +30,12 @@ class Rows:
         self.held = np.zeros(q.shape[1], dtype=bool)  # torques at a lower rate
         self.every = 1  # rows until all positions are new
 
+    def inspect(self):
+        """Inspect each channel, for findings and sound samples."""
+        for check in CHECKS:
+            check(self)
+        self.usable[:, self.still] = False
+
     @functools.cached_property
     def still(self):
         """Joints that never move, ndarray (nv,) of bool."""
@@ -81,15 +87,6 @@ class Rows:
         self.findings.append(finding(kind, self.names, joints, severity, **facts))
 
 
-def inspect_rows(names, q, tau, dt, parts, rows, revolute):
-    """Inspect each channel; return the `Rows` with findings and sound samples."""
-    log = Rows(names, q, tau, dt, parts, rows, revolute)
-    for check in CHECKS:
-        check(log)
-    log.usable[:, log.still] = False
-    return log
-
-
 def _marked(x, runs):
     """Mark runs of rows (first, last), ndarray (n,) of bool."""
     marked = np.zeros(len(x), dtype=bool)
@@ -109,11 +106,15 @@ def shuffled_rows(names, q, parts):
     n = int(sizes.sum()) - len(pieces)
     if n < number.SHORT_RUN:
         return []
-    square = sum((np.diff(x, axis=0) ** 2).sum(axis=0) for x in pieces) / n
+    square, later = (
+        sum(((x[k:] - x[:-k]) ** 2).sum(axis=0) for x in pieces) / n for k in (1, 2)
+    )
     variance = sizes @ np.array([x.var(axis=0) for x in pieces]) / sizes.sum()
     moves = variance > number.LEAST_MOTION**2
     least = (square[moves] / (2 * variance[moves])).min(initial=np.inf)
-    if not number.SHUFFLED <= least < np.inf:
+    # Rows of two robots in turn resemble the row before the last one.
+    turns = moves.any() and (square > number.IN_TURN * later)[moves].all()
+    if not (turns or number.SHUFFLED <= least < np.inf):
         return []
     every, facts = range(len(names)), {"change": np.sqrt(2 * least)}
     return [finding("shuffled_rows", names, every, "error", **facts)]

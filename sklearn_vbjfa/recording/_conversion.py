@@ -459,17 +459,14 @@ def _signals(table: Table, layout, time, segment, notes):
 
 def _columns_taken(table, layout, options, found, time):
     """Return which columns were taken where their names do not show it, in one line."""
-    parts, converted = [], set()
+    parts, units = [], [x for roles in found.values() for x in roles if x.unit]
     for kind, roles in [*found.items(), ("t", [] if time is None else [time])]:
         names = [role.column for role in roles]
-        if kind != "t":
-            units = [x.unit for x in roles if x.unit]
-            factors = [channel_unit(table, x).factor for x in roles if x.unit]
-            converted |= {x for x, factor in zip(units, factors) if factor != 1}
         named = all(x.lower().replace("τ", "tau").startswith(kind) for x in names)
         if not (options.mapping or named):
             ends = [names[0], names[-1]] if len(names) > 1 else names
             parts.append(f"{kind} = {' ... '.join(ends)}")
+    converted = {x.unit for x in units if channel_unit(table, x).factor != 1}
     if converted:
         parts.append(f"converted from {', '.join(sorted(converted))}")
     if layout.what:

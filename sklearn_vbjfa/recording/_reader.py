@@ -494,18 +494,12 @@ def _recording(files, several, urdf, notes):
 
 def _check_agreement(first, other):
     """Refuse files of other robots, or that were not recorded alike."""
-    for one, two in zip(_traits(first), _traits(other)):
+    for what in ("joint_names", "position_units", "torque_units"):
+        one, two = (listed(getattr(file, what)) for file in (first, other))
         if one != two:
+            what = what.replace("_", " ")
             raise ValueError(
-                f"{first.path} has {one} and {other.path} has {two}; expected files "
-                "with the same joints and channels: correct one of them, or "
+                f"{first.path} has the {what} {one} and {other.path} {two}; expected "
+                "files with the same joints and channels: correct one of them, or "
                 "process them separately."
             )
-
-
-def _traits(file):
-    """Yield what must be the same in all files, in words."""
-    yield f"the joints {listed(file.joint_names)}"
-    yield f"positions in {listed(file.position_units)}"
-    yield f"torques in {listed(file.torque_units)}"
-    yield "velocities" if "v" in file.channels else "no velocities"

@@ -11,12 +11,9 @@ from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-
-if TYPE_CHECKING:
-    import pandas
 
 # Bytes that a file may hold when unpacked: some hours of a robot at 1 kHz.
 LARGEST = 1 << 30
@@ -62,7 +59,7 @@ class Table:
     """
 
     path: Path  # as messages name it
-    frame: "pandas.DataFrame"
+    frame: Any  # a data frame
     place: str = "row {}"  # a row in messages
     # single values, and arrays of another length
     scalars: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -119,11 +116,6 @@ def parsing(path, what, remedy):
         yield
     except (RecordingRefused, ImportError):
         raise
-    except MemoryError as error:
-        raise RecordingRefused(
-            f"{path}: is too large to be read at once, or damaged; save a shorter "
-            "recording, or this one again."
-        ) from error
     except Exception as error:
         # rosbags quotes what an error held as a tuple.
         reason = re.sub(r"\(['\"](.*?)['\"],\)", r"\1", " ".join(str(error).split()))

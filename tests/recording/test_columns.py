@@ -63,7 +63,7 @@ def test_states_by_name():
 
 def test_foreign_names_are_refused(simulated):
     X = pandas.DataFrame(simulated.q, columns=[*NAMES[:5], "gripper"])
-    with pytest.raises(ValueError, match="X has columns joint_1, .*, gripper; ") as caught:
+    with pytest.raises(ValueError, match=r"X has columns .*, gripper; ") as caught:
         identify(simulated, X, simulated.tau)
     assert "expected q_joint_1, " in str(caught.value)
     y = pandas.DataFrame(simulated.tau, columns=[f"current_{j}" for j in range(6)])

@@ -154,8 +154,7 @@ DIFFERENT = {
         motion(0.1),
         motion(0.2) | {"q3": np.ones(N), "v3": np.ones(N), "tau3": np.ones(N)},
         {},
-        "has the joints joint_1, joint_2 and {} has the joints joint_1, joint_2, "
-        "joint_3",
+        "has the joint names joint_1, joint_2 and {} joint_1, joint_2, joint_3",
     ),
     "units of positions": (
         without(motion(0.1), "v1", "v2"),
@@ -164,13 +163,13 @@ DIFFERENT = {
             for name, column in without(motion(0.2), "v1", "v2").items()
         },
         {},
-        "has positions in rad, rad and {} has positions in rad, m",
+        "has the position units rad, rad and {} rad, m",
     ),
     "currents": (
         motion(0.1),
         {f"{k} [A]" if "tau" in k else k: x for k, x in motion(0.2).items()},
         {"gains": "unknown"},
-        "has torques in N m, N m and {} has torques in A, A",
+        "has the torque units N m, N m and {} A, A",
     ),
 }
 

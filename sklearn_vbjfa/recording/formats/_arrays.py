@@ -201,13 +201,9 @@ def read_mat(path) -> Table:
 
 # -- JSON ------------------------------------------------------------------------------
 
-# Lists and numbers of Python take so many times the bytes of their text.
-_SPREAD = 4
-
 
 def read_json(path, content) -> Table:
     """Read a list of records or rows, one a line or not, or arrays by their names."""
-    check_size(path, _SPREAD * len(content))
     with parsing(path, "JSON file", "write it again."):
         found, notes = _parsed(content.decode("utf-8-sig"))
     rows = found if isinstance(found, list) and found else [found]
@@ -341,7 +337,6 @@ def read_bag(files, shown, topic, joints) -> Table:
 def _messages(bag, shown, connections):
     """Return joints, q, v and tau (3, n_messages, n_joints), and times (2, n) [ns]."""
     # What a message lacks is nan; times are those of the header and of the recorder.
-    check_size(shown, 200 * sum(x.msgcount for x in connections))
     rows, times = [], []
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)

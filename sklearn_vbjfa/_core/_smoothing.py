@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy import linalg
 from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
@@ -270,7 +269,9 @@ def _basis(step, first, last, order):
 
 def _windows(coef):
     """Coefficients of the functions of each interval, (n, 6)."""
-    return sliding_window_view(coef, _WIDTH).copy()
+    # NumPy's own function checks for longer than a short piece takes.
+    shape, strides = (coef.size - _DEGREE, _WIDTH), 2 * coef.strides
+    return np.ndarray(shape, coef.dtype, coef, strides=strides).copy()
 
 
 @dataclass(frozen=True, kw_only=True)

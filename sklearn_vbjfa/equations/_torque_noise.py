@@ -98,9 +98,16 @@ def noise_facts(residual, torque, states, dt, cutoff, n_jobs=None):
 
 
 def _of_joint(residual, torque, q, v, dt, cutoff):
-    residual, torque, q, v = map(np.ascontiguousarray, (residual, torque, q, v))
-    n, count = residual.size, held_rows(torque)
-    scales = np.full(len(_STRIDES), np.nan)
+    count = held_rows(np.ascontiguousarray(torque))
+    residual, q, v = map(np.ascontiguousarray, (residual, q, v))
+    scales = _scales(residual, v, count, dt, cutoff)
+    left = _without_own_friction(q, v, residual)
+    return count, scales, _gap_power(left, dt, cutoff)
+
+
+def _scales(residual, v, count, dt, cutoff):
+    """Variances of differences (n_strides,), see `NoiseFacts`."""
+    n, scales = residual.size, np.full(len(_STRIDES), np.nan)
     turning = int(_TURNING / (cutoff * dt))
     turned = np.cumsum(np.r_[0, np.diff(np.sign(v)) != 0, 0])
     first = np.arange(count // 2, n, count)
@@ -115,8 +122,7 @@ def _of_joint(residual, torque, q, v, dt, cutoff):
             d = d[turned_after[-d.size :] == turned_before[: d.size]]
             if d.size >= _SHORTEST:
                 scales[k] = (np.median(np.abs(d)) / _MEDIAN) ** 2
-    left = _without_own_friction(q, v, residual)
-    return count, scales, _gap_power(left, dt, cutoff)
+    return scales
 
 
 def _without_own_friction(q, v, residual):
@@ -124,11 +130,12 @@ def _without_own_friction(q, v, residual):
     reach = np.ptp(q)
     if not reach > 0:
         return residual
-    friction = [np.sign(v), v, np.abs(v), v * np.abs(v)]
-    friction += list(elements(q, reach * np.array(_DISPLACEMENTS)).T)
-    columns = np.stack([*friction, np.ones_like(q)])
-    sizes = np.abs(columns).max(axis=1, keepdims=True)
-    columns /= np.maximum(sizes, np.finfo(float).tiny)
+    columns = np.ones((5 + len(_DISPLACEMENTS), q.size))
+    columns[0], columns[1], columns[2] = np.sign(v), v, np.abs(v)
+    columns[3] = v * columns[2]
+    columns[4:-1] = elements(q, reach * np.array(_DISPLACEMENTS)).T
+    for own in columns:
+        own /= max(own.max(), -own.min(), np.finfo(float).tiny)
     # Products suffice: what they cannot tell apart takes away the same.
     products = columns @ columns.T, columns @ residual
     return residual - np.linalg.lstsq(*products, rcond=None)[0] @ columns

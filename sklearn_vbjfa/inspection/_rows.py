@@ -173,8 +173,8 @@ def still_joints(q, parts):
 def at_rest(names, q, parts):
     """Return the finding that nothing moves, in rows in any order; None if not."""
     # Rows out of order look like noise as well, but like more of it.
-    still = still_joints(q, parts).all()
-    still = still and q.std(axis=0).max() <= number.LEAST_MOTION
+    still = q.std(axis=0).max() <= number.LEAST_MOTION
+    still = still and still_joints(q, parts).all()
     return _nothing_moves(names, q) if still else None
 
 
@@ -465,7 +465,7 @@ def _stuck(log, j, stands):
     noise = np.median(np.abs(np.diff(x, n=3, prepend=x[:3]))[moves])
     noisy = noise > number.NOISY * speed[speed > 0].min()
     same, others = (step == 0) & ~log.first, ~log.still
-    others[j] = False
+    others[j], repeats = False, same.sum()
     for a, b in log.runs(stands[:, j]):
         if b - a <= number.LEAST_STOP:
             continue
@@ -474,7 +474,7 @@ def _stuck(log, j, stands):
         sudden = np.concatenate(ends).max(initial=0.0) > fast
         # When several joints stop together, the robot paused.
         pauses = stands[a + 3 : b - 1, others].all(axis=0).any()
-        rest = same.sum() - same[a : b + 1].sum()
+        rest = repeats - same[a : b + 1].sum()
         dead = noisy and b - a > number.DEAD_RUN and rest < number.SELDOM * len(x)
         dead = dead and same[a : b + 1].mean() > number.EXACT
         if (sudden or dead) and not pauses:

@@ -425,10 +425,16 @@ def take_rows(recording, rows, groups):
         groups = np.repeat(list(groups), [own.stop - own.start for own in rows])
         rows = np.concatenate([np.arange(own.start, own.stop) for own in rows])
     segments = contiguous_groups(groups, rows.size)
-    arrays = {key: getattr(recording, key) for key in _WIDTHS}
+
+    def taken(x):
+        if x is None or x.strides[0]:
+            return None if x is None else x[rows]
+        # One number for all rows takes no memory.
+        return np.broadcast_to(x[0], (rows.size, *x.shape[1:]))
+
     return replace(
         recording,
-        **{key: None if x is None else x[rows] for key, x in arrays.items()},
+        **{key: taken(getattr(recording, key)) for key in _WIDTHS},
         **_labelled(segments),
         signals={key: values[rows] for key, values in recording.signals.items()},
         before=tuple(_positions_before(recording, rows[x.start]) for x in segments),

@@ -224,7 +224,7 @@ def _with_stretches(bare, parts, stretches):
     starts, stops = {s.start for s in stretches}, {s.stop for s in stretches}
     edges = sorted(ends | starts | stops)
     pieces = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
-    rows = np.setdiff1d(np.arange(len(pieces)), np.r_[tuple(stretches)])
+    rows = np.delete(np.arange(len(pieces)), np.r_[tuple(stretches)])
     return replace(
         bare,
         stretches=tuple(stretches),

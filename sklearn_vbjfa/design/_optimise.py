@@ -14,6 +14,7 @@ Lagrangian (Nocedal and Wright, Numerical optimization, 2006, chapter 17) needs 
 number for each, and unconstrained steps, which L-BFGS-B does.
 """
 
+from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,18 +66,11 @@ class Questions:
         return float(self.alone.sum() + self.beside.sum()) if self.effects else 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Worth:
-    """Value of a criterion."""
-
-    value: float  # to be made large [nats]
-    # (n_columns, n_columns): its derivative by the information, symmetric
-    by_information: np.ndarray
-    # (n_effects,): evidence for each effect beside the model, in squared standard
-    # errors: the mean over coefficients of the effect at random
-    alone: np.ndarray
-    # (n_effects, n_effects): the same beside the model with each rival
-    beside: np.ndarray
+# Value of a criterion, to be made large [nats]; its derivative by the information
+# (n_columns, n_columns); and the evidence, in squared standard errors, the mean over
+# coefficients at random, for each effect beside the model (n_effects,), and beside the
+# model with each rival (n_effects, n_effects).
+Worth = namedtuple("Worth", "value by_information alone beside")
 
 
 def worth(information, questions):

@@ -173,30 +173,17 @@ class EffectColumns:
 
     effect: object  # at its joint
     inputs: tuple  # signals that its columns depend on row by row, such as ("v", 2)
-    # whether a row depends on others: then the columns are differentiated along the
-    # motion of their own joint
-    remembers: bool
 
     @classmethod
     def of(cls, effect, motion):
         """Probe an effect with a motion in which all signals vary."""
-        before = effect.columns(motion)
-        inputs, remembers = [], isinstance(effect, Stateful)
-        middle = motion.q.shape[0] // 2
+        before, inputs = effect.columns(motion), []
         for name in ("q", "v", "a", "load", "torque"):
             for joint, values in enumerate(getattr(motion, name).T):
-                size = np.ptp(values) * 1e-2 + 1e-6
-                if np.array_equal(
-                    effect.columns(_moved(motion, name, joint, size)), before
-                ):
-                    continue
-                inputs.append((name, joint))
-                step = np.zeros(values.size)
-                step[middle] = size
-                one = effect.columns(_moved(motion, name, joint, step)) != before
-                one[middle] = False
-                remembers |= bool(one.any())
-        return cls(effect, tuple(inputs), remembers)
+                moved = _moved(motion, name, joint, np.ptp(values) * 1e-2 + 1e-6)
+                if not np.array_equal(effect.columns(moved), before):
+                    inputs.append((name, joint))
+        return cls(effect, tuple(inputs))
 
     def everywhere(self, motion):
         """Columns on all joints (n, nv, k)."""
@@ -347,7 +334,8 @@ class EquationModel:
                 row[j] += width
             if not slopes.any():
                 continue
-            if one.remembers:
+            if isinstance(one.effect, Stateful):
+                # Along the motion of its own joint.
                 _add_along(one, slopes, motion, z, basis, by_z)
             else:
                 self._add_by_signals(one, slopes, motion, by_states, by_load)

@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa.design import Lagrangian
+from sklearn_vbjfa.effects import Stateful
 from tests.design._chains import chain, problem_of
 
 KINDS = ("revolute", "prismatic", "continuous")
@@ -114,5 +115,5 @@ def test_gradient_with_effects_to_part(path):
 @pytest.mark.slow
 def test_gradient_with_effects_that_remember(path):
     problem, z = problem_of(path, effects=("maxwell_slip", "spring"))
-    assert any(one.remembers for one in problem.model.effects)
+    assert any(isinstance(one.effect, Stateful) for one in problem.model.effects)
     assert gradient_error(problem, z) < 0.05

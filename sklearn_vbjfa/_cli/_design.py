@@ -21,8 +21,6 @@ from sklearn_vbjfa.design import (
 
 # Options of identify that describe the robot and hold for its next recording.
 _OF_ROBOT = ("joints", "base_orientation", "gain", "known_mass", "drive", "friction")
-# Options that replace limits of the description.
-_LIMITS = ("velocity", "acceleration", "torque")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,8 +82,7 @@ def design(arguments, folder):
 def _motion(arguments, robot, found):
     """Design the motion, refused if it goes beyond the limits."""
     names = robot.known.joint_names
-    limits = {option: _per_joint(arguments, option, names) for option in _LIMITS}
-    if robot.is_relative and limits["acceleration"] is limits["torque"] is None:
+    if robot.is_relative and arguments.acceleration is arguments.torque is None:
         raise ValueError(
             "torque gains are relative, so the torque limits of the description do not "
             "apply; give --acceleration, or --torque in units of the channels."
@@ -95,7 +92,12 @@ def _motion(arguments, robot, found):
         robot.known,
         duration=arguments.duration,
         dt=arguments.dt or robot.dt,
-        limits=MotionLimits.of(robot.model, **limits),
+        limits=MotionLimits.of(
+            robot.model,
+            velocity=arguments.velocity,
+            acceleration=arguments.acceleration,
+            torque=arguments.torque,
+        ),
         effects=arguments.effects or (),
         report=found or None,
         random_state=arguments.seed,
@@ -106,21 +108,6 @@ def _motion(arguments, robot, found):
             "give a longer --duration or another --seed."
         )
     return motion
-
-
-def _per_joint(arguments, option, names):
-    """Return the limits of an option for each joint (nv,), None for none."""
-    values = getattr(arguments, option)
-    if values is None:
-        return None
-    found = np.array(len(names) * values if len(values) == 1 else values)
-    if found.size != len(names) or not (np.isfinite(found) & (found > 0)).all():
-        raise ValueError(
-            f"{spelled(option)} must be positive numbers, one for each of "
-            f"{', '.join(names)}, with commas between them; got "
-            f"{arguments.typed[option]}."
-        )
-    return found
 
 
 def _described(arguments, folder):

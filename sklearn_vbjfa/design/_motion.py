@@ -260,9 +260,9 @@ class MotionLimits:
         model : str, os.PathLike or pinocchio.Model
             Path of a URDF file, or a model. A joint that turns without end gets one
             turn about its zero.
-        velocity, acceleration, torque : array-like of shape (nv,), default=None
+        velocity, acceleration, torque : float or array-like of shape (nv,)
             Limits to take in place of those of the description, which has none of
-            acceleration; nan keeps one.
+            acceleration; None or nan keeps one.
 
         Returns
         -------
@@ -283,10 +283,10 @@ class MotionLimits:
         _lacks(names, endless & sliding, "range of positions", "position limits")
         low = np.where(endless, -_ONE_TURN, low)
         high = np.where(endless, _ONE_TURN, high)
-        velocity = _given(velocity, _known(model.velocityLimit))
+        velocity = _given("velocity", velocity, _known(model.velocityLimit))
         _lacks(names, np.isinf(velocity), "velocity limit", "--velocity")
-        effort = _given(torque, _known(model.effortLimit))
-        acceleration = _given(acceleration, np.full(effort.shape, np.inf))
+        effort = _given("torque", torque, _known(model.effortLimit))
+        acceleration = _given("acceleration", acceleration, np.full(len(names), np.inf))
         endless = np.isinf(acceleration) & np.isinf(effort)
         _lacks(names, endless, "torque limit", "--torque or --acceleration")
         return cls(np.column_stack([low, high]), velocity, acceleration, effort)
@@ -329,9 +329,14 @@ def _lacks(names, lacking, what, option):
         )
 
 
-def _given(limit, described):
+def _given(name, limit, described):
     """Limits that are given (nv,), and where they are nan or None those described."""
-    limit = np.nan if limit is None else np.asarray(limit, dtype=float)
+    limit = np.array(np.nan if limit is None else limit, dtype=float)
+    if limit.size not in (1, described.size):
+        raise ValueError(
+            f"{name} must hold one limit, or one for each of {described.size} joints; "
+            f"got {limit.size}."
+        )
     return np.where(np.isnan(limit), described, limit)
 
 

@@ -238,17 +238,15 @@ def test_a_duration_that_would_do_is_named(here, capsys):
     assert f"Give a duration of {wanted:g} s" in line
 
 
-LIMITS = "--torque must be positive numbers, one for each of shoulder, elbow"
-
-
 @pytest.mark.parametrize(
     ("option", "said"),
     [
         ("--duration=nan", "duration must be"),
         ("--duration=0", "duration must be"),
         ("--dt=-1", "dt must be"),
-        ("--torque=1,2,3", LIMITS),
-        ("--torque=inf,1", LIMITS),
+        ("--torque=1,2,3", "torque must hold one limit, or one for each of 2 joints"),
+        ("--torque=inf,1", "gives no torque limit of shoulder"),
+        ("--velocity=-1", "Joint 1 has no room: velocity must be positive"),
         ("--torque=a,b", "--torque has an invalid value: 'a,b'"),
         ("--torque=", "--torque has an invalid value: ''"),
     ],

@@ -364,21 +364,30 @@ _OVERSHOT = 1e-12
 _LARGEST_STRETCH = 5.0
 
 
-class _Anderson:
-    """Anderson's extrapolation of a fixed-point iteration (Walker and Ni, 2011)."""
+class FixedPointSteps(PlainSteps):
+    """Steps that Anderson's method extrapolates (Walker and Ni, 2011)."""
 
-    def __init__(self, n_logs, most):
-        self.n_logs, self.last = n_logs, None
+    # When the bound gains less than `tol`, end points still differ by the length of a
+    # step, and rounding decides which is the last. The steps go on until they are
+    # rounding: the result is the fixed point, whatever the order of summation.
+
+    def __init__(self, problem, tol):
+        super().__init__(problem, tol)
+        self.n_logs, self.last, self.at = problem.d + 1, None, None
+        # More differences than coordinates are not independent: old ones would count
+        # as much as new ones.
+        most = min(_MEMORY, self.n_logs) if problem.exact else _MEMORY
         # Differences of images and of steps, from one to the next.
         self.images, self.steps = deque(maxlen=most - 1), deque(maxlen=most - 1)
+        self.smallest, self.idle = np.inf, 0
 
     def forget(self):
-        """Start again."""
+        """Start the extrapolation again."""
         self.last = None
         self.images.clear()
         self.steps.clear()
 
-    def next(self, point, image):
+    def _extrapolated(self, point, image):
         """Return the next point to evaluate, after `point` was mapped to `image`."""
         step, before = image - point, self.last
         self.last = image, step
@@ -394,23 +403,6 @@ class _Anderson:
             return image
         return image - further
 
-
-class FixedPointSteps(PlainSteps):
-    """Extrapolated steps to the fixed point."""
-
-    # When the bound gains less than `tol`, end points still differ by the length of a
-    # step, and rounding decides which is the last. The steps go on until they are
-    # rounding: the result is the fixed point, whatever the order of summation.
-
-    def __init__(self, problem, tol):
-        super().__init__(problem, tol)
-        logs = problem.d + 1
-        # More differences than coordinates are not independent: old ones would count
-        # as much as new ones.
-        most = min(_MEMORY, logs) if problem.exact else _MEMORY
-        self.anderson, self.at = _Anderson(logs, most), None
-        self.smallest, self.idle = np.inf, 0
-
     def propose(self, point, budget):
         """Return a step from the extrapolated point."""
         self.start = point if self.at is None else self.problem.moved(point, self.at)
@@ -425,7 +417,7 @@ class FixedPointSteps(PlainSteps):
         """After a fall: the extrapolation overshot, restart from the best point."""
         extrapolated, self.at = self.at is not None, None
         if extrapolated:
-            self.anderson.forget()
+            self.forget()
         return extrapolated
 
     def accept(self, point, new, quiet):
@@ -434,10 +426,10 @@ class FixedPointSteps(PlainSteps):
         self.converged = quiet
         here = self.problem.coordinates(self.start)
         there = self.problem.coordinates(new)
-        length = np.abs(there - here)[: self.problem.d + 1].max()
+        length = np.abs(there - here)[: self.n_logs].max()
         self.idle = 0 if length < 0.5 * self.smallest else self.idle + 1
         self.smallest = min(length, self.smallest)
-        self.at = self.anderson.next(here, there)
+        self.at = self._extrapolated(here, there)
         return quiet and (self.smallest <= _SETTLED or self.idle >= _PATIENCE)
 
 

@@ -306,18 +306,41 @@ def _on_grid(vector, point):
     return np.round(vector / width) * width
 
 
-class Curvature:
-    """Inverse curvature of the bound: that of an EM step, corrected by past steps."""
+class QuasiNewtonSteps(PlainSteps):
+    """Quasi-Newton steps where they raise the bound, else the plain one."""
 
-    # The quasi-Newton acceleration of EM by Jamshidian and Jennrich (1997), with the
-    # two-loop recursion in place of a matrix.
+    # The plain iteration converges slowly along flat directions: its step is a Newton
+    # step with a diagonal curvature that is much too large. Correcting it by past steps
+    # takes far fewer iterations: the quasi-Newton acceleration of EM by Jamshidian and
+    # Jennrich (1997), with the two-loop recursion in place of a matrix.
 
-    def __init__(self):
+    def __init__(self, problem, tol):
+        super().__init__(problem, tol)
         self.steps, self.changes = deque(maxlen=_MEMORY), deque(maxlen=_MEMORY)
+        self.here, self.quiet = None, 0
 
-    def learn(self, step, before, after):
+    def propose(self, point, budget):
+        """Return a point that gains enough, or None when the budget is spent."""
+        prior, spent = self.problem.prior, 0
+        # Near an exact fit gradients are rounding, more than the grid absorbs.
+        if self.here is not None and rounding_of_fit(point.hidden.y_var) <= _GRID:
+            direction = self._direction()
+            if direction is not None:
+                new, spent = self._search(point, direction, min(_TRIALS, budget))
+                if new is not None or spent >= budget:
+                    return new, spent
+        self.steps.clear()
+        self.changes.clear()
+        plain = self.problem.update(point)
+        vector = _on_grid(to_vector(plain, prior), point)
+        new = self.problem.evaluate(from_vector(vector, plain, prior))
+        if new.value >= point.value:
+            return new, spent + 1
+        return self.problem.evaluate(plain), spent + 2
+
+    def _learn(self, step, after):
         """Add a pair, unless the bound is not concave along it."""
-        change = before.gradient - after.gradient
+        change = self.here.gradient - after.gradient
         along = step @ change
         size = np.sqrt(
             (change @ (after.scale * change)) * (step @ (step / after.scale))
@@ -326,15 +349,11 @@ class Curvature:
             self.steps.append(step)
             self.changes.append(change)
 
-    def forget(self):
-        """Start again."""
-        self.steps.clear()
-        self.changes.clear()
-
-    def direction(self, slope):
+    def _direction(self):
         """Quasi-Newton direction, or None without any pair."""
         if not self.steps:
             return None
+        slope = self.here
         rest, parts = slope.gradient.copy(), []
         for step, change in zip(reversed(self.steps), reversed(self.changes)):
             parts.append((step @ rest) / (step @ change))
@@ -346,36 +365,6 @@ class Curvature:
             found += step * (parts.pop() - (change @ found) / (step @ change))
         found[slope.gradient == 0.0] = 0.0  # variances that rest on their floor
         return found if found @ slope.gradient > 0 else None
-
-
-class QuasiNewtonSteps(PlainSteps):
-    """Quasi-Newton steps where they raise the bound, else the plain one."""
-
-    # The plain iteration converges slowly along flat directions: its step is a Newton
-    # step with a diagonal curvature that is much too large. Correcting it by past steps
-    # takes far fewer iterations.
-
-    def __init__(self, problem, tol):
-        super().__init__(problem, tol)
-        self.curvature, self.here, self.quiet = Curvature(), None, 0
-
-    def propose(self, point, budget):
-        """Return a point that gains enough, or None when the budget is spent."""
-        prior, spent = self.problem.prior, 0
-        # Near an exact fit gradients are rounding, more than the grid absorbs.
-        if self.here is not None and rounding_of_fit(point.hidden.y_var) <= _GRID:
-            direction = self.curvature.direction(self.here)
-            if direction is not None:
-                new, spent = self._search(point, direction, min(_TRIALS, budget))
-                if new is not None or spent >= budget:
-                    return new, spent
-        self.curvature.forget()
-        plain = self.problem.update(point)
-        vector = _on_grid(to_vector(plain, prior), point)
-        new = self.problem.evaluate(from_vector(vector, plain, prior))
-        if new.value >= point.value:
-            return new, spent + 1
-        return self.problem.evaluate(plain), spent + 2
 
     def _search(self, point, direction, trials):
         """First point along the direction that gains enough, and the trials."""
@@ -405,7 +394,7 @@ class QuasiNewtonSteps(PlainSteps):
         there = slope(self.problem.moments, new.state, new.hidden, prior)
         if self.here is not None:
             step = to_vector(new.state, prior) - to_vector(point.state, prior)
-            self.curvature.learn(step, self.here, there)
+            self._learn(step, there)
         self.here = there
         self.quiet = self.quiet + 1 if quiet else 0
         self.converged = self.quiet == 2

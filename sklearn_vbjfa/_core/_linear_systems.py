@@ -268,12 +268,10 @@ def find_dependencies(R):
     """Find the generating columns from the correlation matrix R (d, d)."""
     d = R.shape[0]
     eigen = scaled_eigen(R, DEPENDENCY_TOLERANCE, scale=1.0)
-    alone = tuple(np.array([j]) for j in range(d))
     if eigen.rank == d:
-        return Dependencies(np.arange(d), alone)
+        return Dependencies(np.arange(d), tuple(np.arange(d)[:, None]))
     involved = eigen.lost(1e-6)
-    dependent, free = np.flatnonzero(involved), np.flatnonzero(~involved)
-    groups = _copies(R, dependent)
+    groups, free = _copies(R, np.flatnonzero(involved)), np.flatnonzero(~involved)
     first = np.array([group[0] for group in groups])
     rank = eigen.rank - free.size
     # Columns as points: F'F = R without the null space.
@@ -281,8 +279,7 @@ def find_dependencies(R):
     chosen = rays
     if rays is None or rays.size != rank:
         chosen = _largest_volume(R, first, rank)
-    members = {int(group[0]): group for group in groups}
-    members.update({int(j): np.array([j]) for j in free})
+    members = {int(group[0]): group for group in [*groups, *free[:, None]]}
     basis = np.sort(np.concatenate([free, chosen]))
     return Dependencies(basis, tuple(members[int(j)] for j in basis))
 
@@ -349,21 +346,13 @@ class BlockVariance:
     pooled: float
 
 
-def block_variance(grams, scores, place, noise=1.0):
+def block_variance(parts, scores, place, noise=1.0):
     """Compare the scatter of scores between blocks with that of white residuals."""
-    # grams (n_blocks, p, p): weighted second moments of each block's rows; scores
-    # (n_blocks, p): rows times residuals, weighted alike; place (n_blocks, 2): the
-    # recording of a block and its number there, sorted; noise: weighted mean square of
-    # the residuals. Undetermined parameters come out as nan.
-    every = np.arange(scores.shape[1])
-    return variance_of_parts([(every, grams)], scores, place, noise)
-
-
-def variance_of_parts(parts, scores, place, noise=1.0):
-    """Return the `block_variance` of parameters in parts that have nothing in common.
-
-    parts: pairs of their places (k,) and Gram matrices (n_blocks, k, k).
-    """
+    # parts: places (k,) of parameters that have nothing in common with others, and
+    # weighted second moments (n_blocks, k, k) of each block's rows; scores (n_blocks,
+    # p): rows times residuals, weighted alike; place (n_blocks, 2): the recording of a
+    # block and its number there, sorted; noise: weighted mean square of the residuals.
+    # Undetermined parameters come out as nan.
     shape, place = scores.shape, np.array(place)
     white, used = np.zeros(shape[1]), np.zeros(shape[1], dtype=bool)
     roots = _inverse_roots([grams.sum(axis=0) for _, grams in parts])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa._core._linear_systems import branches, variance_of_parts
+from sklearn_vbjfa._core._linear_systems import block_variance, branches
 from sklearn_vbjfa._core._moments import Scatter
 from sklearn_vbjfa.equations._ranges import SignalRanges, sum_ranges
 
@@ -133,7 +133,7 @@ def block_scatter(stats, weight, theta):
     if (np.diff(order) != 1).any():
         found = [(columns, grams[order]) for columns, grams in found]
         scores, keys = scores[order], keys[order]
-    return variance_of_parts(found, scores, keys, float(noise))
+    return block_variance(found, scores, keys, float(noise))
 
 
 def weighted_parts(stats, parts, weight, theta):

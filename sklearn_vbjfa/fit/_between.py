@@ -83,7 +83,8 @@ def _noise_within(found, keys, grams, scores, places):
         rows = place[:, 0] == number
         if rows.sum() > 1:
             left = each[rows] - inner[rows] @ (back @ s)
-            share = block_variance(inner[rows], left, place[rows], noise).pooled
+            part = np.arange(len(places)), inner[rows]
+            share = block_variance([part], left, place[rows], noise).pooled
             total, counted = total + share * (rows.sum() - 1), counted + rows.sum() - 1
     return noise * max(total / counted, 1.0) if counted else noise
 

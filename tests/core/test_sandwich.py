@@ -9,6 +9,11 @@ from tests.core._problems import coloured
 NORMAL = 1.6449
 
 
+def scatter(grams, scores, place, noise=1.0):
+    """Take all parameters together."""
+    return block_variance([(np.arange(scores.shape[1]), grams)], scores, place, noise)
+
+
 def study(rho, *, p=3, n=1200, n_blocks=40, trials=150, recordings=1):
     """Errors of least squares (trials, p) in coloured noise, factors, freedoms."""
     rng = np.random.default_rng(0)
@@ -23,7 +28,7 @@ def study(rho, *, p=3, n=1200, n_blocks=40, trials=150, recordings=1):
         rows = [label == b for b in range(n_blocks)]
         grams = np.array([X[r].T @ X[r] for r in rows])
         scores = np.array([X[r].T @ left[r] for r in rows])
-        found = block_variance(grams, scores, place, left @ left / n)
+        found = scatter(grams, scores, place, left @ left / n)
         errors.append(error)
         deviations.append(np.sqrt(np.diagonal(found.scores.T @ found.scores)))
         np.testing.assert_allclose(
@@ -64,7 +69,7 @@ def test_slow_residuals_are_seen_beyond_a_block():
         noise = coloured(rng, n, 0.98)
         mean = noise.mean()
         scores = (noise - mean).reshape(blocks, 30).sum(axis=1)[:, None]
-        found = block_variance(grams, scores, place, noise.var())
+        found = scatter(grams, scores, place, noise.var())
         ratio.append([mean**2, found.factor[0] * found.white[0]])
     true, claimed = np.mean(ratio, axis=0)
     assert claimed == pytest.approx(true, rel=0.3)
@@ -77,8 +82,8 @@ def test_blocks_of_other_recordings_are_no_neighbours():
     grams = np.ones((40, 1, 1))
     together = np.column_stack([np.zeros(40, int), np.arange(40)])
     alone = np.column_stack([np.arange(40), np.zeros(40, int)])
-    joined = block_variance(grams, scores, together)
-    apart = block_variance(grams, scores, alone)
+    joined = scatter(grams, scores, together)
+    apart = scatter(grams, scores, alone)
     assert joined.factor[0] > 1.25 * apart.factor[0]
     # By hand: equal neighbours are one block; what the fit took of each is put back,
     # and what is left between neighbours counts on both sides.
@@ -97,7 +102,7 @@ def test_what_is_not_determined_has_no_variance():
     scores = np.zeros((20, 2))
     scores[:, 0] = np.random.default_rng(0).normal(size=20)
     place = np.column_stack([np.zeros(20, int), np.arange(20)])
-    found = block_variance(grams, scores, place)
+    found = scatter(grams, scores, place)
     assert np.isfinite(found.factor[0])
     assert np.isnan(found.factor[1])
     assert found.scores[:, 1].tolist() == [0.0] * 20
@@ -112,7 +117,7 @@ def test_a_parameter_of_one_block_takes_the_factor_of_the_others():
     scores = np.zeros((30, 2))
     scores[:, 0] = 3.0 * rng.normal(size=30)
     place = np.column_stack([np.zeros(30, int), np.arange(30)])
-    found = block_variance(grams, scores, place)
+    found = scatter(grams, scores, place)
     assert found.factor[1] == pytest.approx(found.factor[0], rel=0.1)
     assert np.isnan(found.freedom[1])
     # Its own scores are zero: no covariance, and above all not one of zero.

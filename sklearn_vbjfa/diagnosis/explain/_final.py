@@ -9,9 +9,9 @@ from scipy import special
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import (
+    block_variance,
     branches,
     scaled_eigen,
-    variance_of_parts,
 )
 from sklearn_vbjfa.equations._equations import held_columns
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
@@ -174,7 +174,7 @@ class FinalFit:
                 grams[k] = own.T @ own
                 scores[k, columns] = residual[block][:, joints].ravel() @ own
             parts.append((columns, grams))
-        return variance_of_parts(parts, scores, np.array(places))
+        return block_variance(parts, scores, np.array(places))
 
     def _forms(self, i, covariance):
         """Probabilities and parameters of other forms of an effect of one column."""

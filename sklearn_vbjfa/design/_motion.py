@@ -1,16 +1,13 @@
 """A designed motion, a finite Fourier series, and the limits that it keeps."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import null_space
 
 from sklearn_vbjfa._core import write_whole
-from sklearn_vbjfa.model import (
-    is_prismatic,
-    joint_names,
-    load_model,
-)
+from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
 
 # A joint that turns without end gets one turn about its zero [rad].
 _ONE_TURN = np.pi
@@ -139,16 +136,15 @@ class FourierCurve:
     period: float
     n_harmonics: int
     n_joints: int
-    _free: np.ndarray = field(init=False, repr=False)
 
-    def __post_init__(self):
+    @cached_property
+    def _free(self):
         k = np.arange(1, self.n_harmonics + 1)
         # Unit coordinates have about the same velocities, whatever their harmonics.
         size = 1.0 / k
         zero = np.zeros(k.size)
         held = np.array([np.r_[k**2 * size, zero], np.r_[zero, k * size]])
-        free = np.tile(size, 2)[:, None] * null_space(held)
-        object.__setattr__(self, "_free", free)
+        return np.tile(size, 2)[:, None] * null_space(held)
 
     @property
     def size(self):

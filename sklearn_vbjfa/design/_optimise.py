@@ -191,9 +191,9 @@ class Problem:
     no_clearance: str  # why nothing is known of the distance between bodies
     room: float  # smallest distance that is allowed [m]
 
-    def times(self, per_period=16):
-        """Return samples [s], so many in the shortest period."""
-        n = per_period * self.curve.n_harmonics
+    def times(self):
+        """Return samples [s], 16 in the shortest period."""
+        n = 16 * self.curve.n_harmonics
         return np.arange(n) * (self.curve.period / n)
 
     def weights(self, states, step):

@@ -55,6 +55,7 @@ class LoadedRecording:
             drive=self.drive,
             gains=gains,
             bodies=self.bodies,
+            named=one.joints_named,
         )
 
     def other_joints(self):

@@ -36,6 +36,7 @@ from sklearn_vbjfa.inspection import refusal
 from sklearn_vbjfa.model import DoubtWarning, joint_names, load_model
 from sklearn_vbjfa.recording import (
     OfferedSignals,
+    carries_names,
     check_clock,
     check_dt,
     columns_beside,
@@ -258,6 +259,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             commanded, signals = drive.taken(whole.tau, signals)
             whole = drive.driven(replace(whole, signals=commanded))
         beside = columns_beside(X, self.joint_names_)
+        whole = replace(whole, joints_named=carries_names(X, self.joint_names_))
         self._fit(whole, library, signals, beside, _names(whole, groups))
         for found in self.report_.outcome.findings["channels"]:
             if found.severity == "warning":
@@ -287,6 +289,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             command=recording.command,
             feedback=recording.feedback,
             torque_units=recording.torque_units,
+            joints_named=recording.joints_named,
         )
         names = tuple(map(str, recording.group_names))
         return self._fit(whole, library, signals, OfferedSignals(), names)

@@ -356,6 +356,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             drive=self.drive,
             gains=self.asked_gains,
             bodies=self.bodies,
+            named=recording.joints_named,
         )
 
     @one_blas_thread()

@@ -113,8 +113,7 @@ TABLE = (
     Hypothesis("no_gravity", "error", scene.weightless, "weighs"),
     Hypothesis("gravity_only", "error", scene.weight_alone, "weighs"),
     Hypothesis("base_orientation", "error", scene.turned, "weighs"),
-    Hypothesis("external_force", "warning", scene.contact, "measured poor", "last",
-               masses="invented"),
+    Hypothesis("external_force", "warning", scene.contact, "measured", "poor"),
     Hypothesis("delay", "note", scene.late, "measured", "last"),
     Hypothesis("torque_unit", "warning", torques.beyond_limits, "measured", "last"),
     Hypothesis("other_robot", "warning", torques.of_another, "measured poor",
@@ -183,6 +182,7 @@ def inspect_recording(recording, model=None):
         recording.dt,
         recording.groups,
         gains=None if _are_torques(recording.torque_units) else "unknown",
+        named=recording.joints_named,
     )
 
 
@@ -226,12 +226,14 @@ def inspect_channels(
     drive=None,
     gains=None,
     bodies="prior",
+    named=False,
 ):
     """Inspect channels that are given as arrays; see `inspect_recording`."""
     # q, tau (n_samples, nv): as of a `Recording`, or a motor quantity for torques.
     # drive, gains, bodies: as of `RobotIdentifier`. Of commands only the order of
     # magnitude is judged, and no delay is looked for. With gains to identify no size of
-    # torques is a fault, and with free bodies no factor of all of them.
+    # torques is a fault, and with free bodies no factor of all of them. named: whether
+    # the channels carry the names of the joints, so that no order is assumed.
     model, dt = load_folded(model).still, check_dt(dt)
     names, (q, tau) = joint_names(model), (np.asarray(x, dtype=float) for x in (q, tau))
     if q.shape != tau.shape or q.shape[1:] != (model.nv,):
@@ -255,7 +257,7 @@ def inspect_channels(
         rows, parts = thinned(parts, log.every)
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
-    found = _compared(Reading(model, names, q, tau, dt, parts, usable, drive))
+    found = _compared(Reading(model, names, q, tau, dt, parts, usable, drive, named))
     unknown = set(_OF_SIZE) if gains is not None else set()
     if bodies == "free":
         unknown.add("torque_unit")
@@ -296,13 +298,18 @@ def _examined(reading):
         if reading.poor or proposed:
             proposed += _proposed(reading, "poor")
         proposed.sort(key=lambda one: -one[1][1])
+        unclear = -np.inf
         for hypothesis, (candidate, odds) in proposed:  # noqa: B007
+            if not candidate.clear:
+                unclear = max(unclear, odds)
+                continue
+            if candidate.change and odds < unclear - number.RIVAL:
+                # Something else is the matter.
+                continue
             after = candidate.change and reading.changed(candidate.change)
             if after is None or _is_better(after, reading.robot):
                 break
         else:
-            break
-        if not candidate.clear:
             break
         rivals = [
             (one.kind or other.name).partition(":")[0]
@@ -343,11 +350,27 @@ def _unverified(reading):
         return []
     elif reading.bodies.weightless:
         reason = "weightless"
-    elif not reading.commanded:
-        # Whether torques of any size fit the described bodies as well.
-        robot, rigid = reading.robot, reading.robot.described
-        fit = robot.fit(mean=np.zeros_like(rigid), columns=rigid[:, :, None])
-        if abs(fit.factors[0]) < number.INTERVAL * fit.errors[0]:
-            reason = "size"
+    elif not reading.commanded and _size_assumed(reading.robot):
+        reason = "size"
+    elif not reading.named and _order_assumed(reading):
+        reason = "order"
     args = reading.names, reading.every, "note"
     return [finding(f"unverified:{reason}", *args)] if reason else []
+
+
+def _size_assumed(robot):
+    """Whether torques of any size fit the described bodies as well."""
+    columns = robot.described[:, :, None]
+    fit = robot.fit(mean=np.zeros_like(robot.described), columns=columns)
+    return abs(fit.factors[0]) < number.INTERVAL * fit.errors[0]
+
+
+def _order_assumed(reading):
+    """Whether another usual order of joints fits as well as that of the description."""
+    now, orders = reading.robot.now, positions.usual_orders(reading)
+    fits = (reading.tried(positions.reordered(order)) for order in orders)
+    return any(
+        fit.fall(now) > -number.CLEAR or fit.evidence > now.evidence - number.RIVAL
+        for fit in fits
+        if fit is not None
+    )

@@ -169,6 +169,21 @@ class DescribedRobot:
         """Log odds of bodies with a wider prior."""
         return max(0.0, self.fit(spread=spread).evidence - self.now.evidence)
 
+    def with_springs(self, joints):
+        """Return the evidence for springs between all joints beside the weight."""
+        # In a small motion the lack of weight, or its turn, is linear in the positions.
+        nv, tau = self.bodies.nv, self.signals.tau
+        q = self.signals.states[:, :nv] - self.signals.states[:, :nv].mean(axis=0)
+        q = q / np.where(q.any(axis=0), np.sqrt((q**2).mean(axis=0)), 1.0)
+        sizes = np.diag(np.sqrt((tau**2).mean(axis=0)))
+        columns = (q[:, None, :, None] * sizes[:, None]).reshape(len(q), nv, nv * nv)
+        return self.fit(columns=columns, deviation=1.0, joints=joints).evidence
+
+    def surpasses(self, evidence):
+        """Whether an evidence is far above that of other masses, and of springs."""
+        others = self.invented + self.now.evidence, self.with_springs(self.joints)
+        return evidence > max(others) + number.FAR
+
     @property
     def sizes(self):
         """Deviation of each torque over that of the described one, ndarray (nv,)."""

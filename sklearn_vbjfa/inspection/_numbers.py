@@ -8,6 +8,9 @@ import numpy as np
 # it is reported, log odds within which two are rivals, and standard errors of a 90 %
 # interval.
 PRIOR, DECISIVE, RIVAL, INTERVAL = -np.log(100.0), 5.0, np.log(19.0), 1.645
+# Log odds by which zeros, where errors hardly fall, and a contact must surpass other
+# masses and springs.
+FAR = 25.0
 # Another reading must lower the squared errors of all joints by this factor [log], and
 # those of the joints that it changes by the second, each.
 CLEAR, CLEAR_OF_JOINT = np.log(2.0), np.log(4.0)

@@ -225,6 +225,7 @@ class Reading:
     parts: list  # slices of the recordings
     usable: np.ndarray  # (n, nv): samples without known faults
     drive: object = None  # what made the torques
+    named: bool = False  # whether columns carry the joints' names
 
     def __post_init__(self):
         self.nv, self.every = self.model.nv, tuple(range(self.model.nv))
@@ -397,7 +398,9 @@ def likely(reading, changes):
     """Return the most probable of some changes that a rough score prefers."""
     changes = list(changes)
     gain = reading.rough(Change()) - np.array([reading.rough(x) for x in changes])
-    best = [changes[k] for k in np.argsort(-gain)[: number.MOST_LIKELY] if gain[k] > 0]
+    # What the motion cannot tell from the log as it is may be a rival.
+    best = np.argsort(-gain)[: number.MOST_LIKELY]
+    best = [changes[k] for k in best if gain[k] > -number.SETTLED]
     return most_probable(judged(reading, x, variants=len(changes)) for x in best)
 
 

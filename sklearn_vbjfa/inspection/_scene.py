@@ -24,7 +24,8 @@ def weightless(reading):
         most = max(one.evidence for one in made)
         if most - now <= number.DECISIVE:
             return 0.0
-        springs = _as_springs(robot, joints)
+        # Springs on several joints are as rare as other faults of each.
+        springs = robot.with_springs(joints) + number.PRIOR * (len(joints) - 1)
         return most - now if most - springs > number.DECISIVE else 0.0
 
     # A weight that does not vary is like an offset.
@@ -113,7 +114,7 @@ def turned(reading):
     # A spring that more than balances a single joint looks the same.
     heavy = 1 / number.AS_HEAVY < np.linalg.norm(whole) / usual < number.AS_HEAVY
     loaded = _loaded(robot, robot.by_gravity @ pull)
-    springs = _as_springs(robot, robot.joints) > found.evidence - number.DECISIVE
+    springs = robot.with_springs(robot.joints) > found.evidence - number.DECISIVE
     # Nor is it a weight that only offsets would hide: that of slides may have a sign.
     largest = np.abs(robot.by_gravity @ pull).max(axis=0)[loaded]
 
@@ -144,17 +145,6 @@ def _loaded(robot, weight):
     """List the joints that weights (n, nv) load."""
     heavy = np.abs(weight).max(axis=0)
     return [int(j) for j in robot.joints if heavy[j] > 0.1 * heavy.max()]
-
-
-def _as_springs(robot, joints):
-    """Return the evidence for springs between all joints, the weight as described."""
-    # In a small motion the lack of weight, or its turn, is linear in the positions.
-    nv, tau = robot.bodies.nv, robot.signals.tau
-    q = robot.signals.states[:, :nv] - robot.signals.states[:, :nv].mean(axis=0)
-    q = q / np.where(q.any(axis=0), np.sqrt((q**2).mean(axis=0)), 1.0)
-    sizes = np.diag(np.sqrt((tau**2).mean(axis=0)))
-    columns = (q[:, None, :, None] * sizes[:, None]).reshape(len(q), nv, nv * nv)
-    return robot.fit(columns=columns, deviation=1.0, joints=joints).evidence
 
 
 # -- lag -------------------------------------------------------------------------------
@@ -253,7 +243,8 @@ def contact(reading):
     felt = push > number.CONTACT
     # Friction of a single joint varies.
     few = felt.sum() < min(robot.joints.size, 2)
-    if few or fit.fall(now) < number.CLEAR_OF_JOINT:
+    evidence = fit.evidence - np.log(rows.size)
+    if few or fit.fall(now) < number.CLEAR_OF_JOINT or not robot.surpasses(evidence):
         return None
     # A force on a link loads most of the joints before it.
     last = int(robot.joints[felt][-1])
@@ -275,7 +266,7 @@ def contact(reading):
     ]
     return Candidate(
         joints=tuple(joints.tolist()),
-        log_odds=fit.evidence - now.evidence - np.log(rows.size),
+        log_odds=evidence - now.evidence,
         facts={"begin": begin, "end": end, "where": where, "pushes": ", ".join(pushes)},
     )
 

@@ -161,6 +161,8 @@ SENTENCES = {
     "unverified:weightless": _UNVERIFIED + "gravity loads no joint of the description.",
     "unverified:size": "The size of the torques cannot be verified: gravity is nearly "
     "constant in this motion, and inertia is like rotor inertia.",
+    "unverified:order": "The columns are assumed to be in the order of the description "
+    "({names}): in the order of the names the torques agree as well.",
 }
 
 

@@ -8,6 +8,7 @@ from sklearn_vbjfa.inspection._reading import (
     Candidate,
     Change,
     judged,
+    most_probable,
     times,
 )
 from sklearn_vbjfa.inspection._sentences import percent
@@ -137,36 +138,41 @@ def _units_inside(low, high):
 
 def scaled_each(reading):
     """Return torques of which one has another factor than the rest, or all have."""
-    nv = reading.nv
     factors, error, known, seen = torque_factors(reading.robot, alike=False)
-    # Far from those of others, a factor may be uncertain.
-    shown = np.flatnonzero(seen)
-    if not shown.size:
-        return None
-    logs = np.log(factors[shown])
+    # Far from those of others, a factor may be uncertain; what friction or a rotor adds
+    # to a torque does not make it far too small.
+    joints = reading.robot.joints
+    logs = np.log(factors[joints])
     others = [np.delete(logs, k) for k in range(logs.size)]
     middle = np.array([np.median(x) if x.size else 0.0 for x in others])
-    away = np.abs(logs - middle) > np.log(number.SINGLE)
-    # Of two joints, it is the one whose torque is farther from the described one.
-    if away.sum() == 1 or (away.any() and shown.size == 2):
-        # No error: a description with invented inertias looks the same.
-        j = int(shown[np.argmax(np.abs(logs) * away)])
-        ratio = 1 / factors[j]
-        units = _units_inside(*factors[j] * np.exp(error[j] * np.array([-1, 1])))
-        units = units or "torque of the motor, a current, or another unit"
-        facts = {"factor": factors[j], "ratio": ratio, "units": units}
-        more = {"variants": nv, "kind": "gear_factor", "facts": facts}
-        return judged(reading, Change(torques=times(nv, ratio, j)), -np.inf, **more)
+    far = (logs - middle) / np.log(number.SINGLE)
+    away = joints[(far < -1) | (far > 1) & seen[joints]].tolist()
+    # What is not shown is as large as others are.
+    factors[joints] = np.where(seen[joints], factors[joints], np.exp(logs - middle))
+    found = [_scaled_one(reading, j, factors[j], error[j]) for j in away]
+    known[away] = False
     logs = np.sort(np.log(factors[known]))
     # The factors of many hold two that are off by chance.
-    most = logs[1:-1] if logs.size > 3 else logs
-    if known.sum() < 2 or np.ptp(most) < np.log(number.SCALE):
-        return None
-    factors = np.where(known, factors, np.exp(logs.mean()))
-    change = Change(torques=np.diag(1 / factors))
-    each = [f"{reading.names[j]} {factors[j]:.2g}" for j in np.flatnonzero(known)]
-    facts = {"each": ", ".join(each)}
-    return judged(reading, change, -np.inf, joints=reading.every, facts=facts)
+    most = logs[1:-1] if logs.size > 4 else logs
+    if logs.size > 1 and np.ptp(most) > np.log(number.SCALE):
+        factors = np.where(known, factors, np.exp(logs.mean()))
+        change = Change(torques=np.diag(1 / factors))
+        each = [f"{reading.names[j]} {factors[j]:.2g}" for j in np.flatnonzero(known)]
+        facts = {"each": ", ".join(each)}
+        args = {"joints": reading.every, "facts": facts}
+        found.append(judged(reading, change, -np.inf, **args))
+    return most_probable(found)
+
+
+def _scaled_one(reading, j, factor, error):
+    """Return the torque of a joint over a factor against the described one."""
+    # No error: a description with invented inertias looks the same.
+    units = _units_inside(*factor * np.exp(error * np.array([-1, 1])))
+    units = units or "torque of the motor, a current, or another unit"
+    facts = {"factor": factor, "ratio": 1 / factor, "units": units}
+    change = Change(torques=times(reading.nv, 1 / factor, j))
+    args = {"variants": reading.nv, "kind": "gear_factor", "facts": facts}
+    return judged(reading, change, -np.inf, **args)
 
 
 def beyond_limits(reading):

@@ -8,6 +8,7 @@ _MODULES = {
     "_signals": (
         "ChannelFinding",
         "OfferedSignals",
+        "carries_names",
         "check_useful",
         "columns_beside",
         "fault",

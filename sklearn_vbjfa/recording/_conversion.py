@@ -280,6 +280,8 @@ def rows_of(table: Table, options: ReadOptions) -> FileRows:
         joint_names=tuple(names),
         position_units=tuple("m" if slide else "rad" for slide in slides),
         torque_units=tuple(torque_units),
+        joints_named=robot.chosen
+        or all(isinstance(role.key, str) for role in layout.of("q")),
         notes=[*taken, *notes],
     )
 

@@ -153,6 +153,7 @@ class FileRows:
     joint_names: tuple[str, ...]
     position_units: tuple[str, ...]
     torque_units: tuple[str, ...]
+    joints_named: bool
     notes: list
 
 

@@ -488,6 +488,7 @@ def _recording(files, several, urdf, notes):
         torque_units=first.torque_units,
         urdf=None if urdf is None else fspath(urdf),
         description=f"Read from {listed([x.path.name for x in files])}.",
+        joints_named=first.joints_named,
         **fields,
     )
 

@@ -129,6 +129,8 @@ class Recording:
     before : tuple of ndarray of shape (k, nv), default=()
         Positions before each segment, if these are pieces of longer recordings, on
         which friction with memory depends. Empty if they are unknown.
+    joints_named : bool, default=False
+        Whether the columns of the file carry the names of the joints.
     urdf : str or None, default=None
         File with a description of the robot, URDF or MJCF.
     source, licence, citation, description : str, default=""
@@ -159,6 +161,7 @@ class Recording:
     feedback: np.ndarray | None = None
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
     before: tuple[np.ndarray, ...] = ()
+    joints_named: bool = False
     urdf: str | None = None
     source: str = ""
     licence: str = ""

@@ -303,6 +303,12 @@ def positions_in_order(X, names):
     return X[[column for kind in kinds for column in found[kind]]]
 
 
+def carries_names(X, names):
+    """Return whether columns of a data frame carry the names of joints."""
+    found = set(map(str, _columns_of(X)))
+    return any(name in found or f"q_{name}" in found for name in names)
+
+
 def columns_beside(X, names):
     """Return the other columns of a data frame X, `OfferedSignals`."""
     # Time, labels of recordings and other channels of joints are no signals. Empty for

@@ -322,6 +322,15 @@ def test_torques_far_beyond_the_limits_of_axes_that_show_no_mass():
     assert "torque_unit" in {x.kind for x in inspect_channels(model, q, tau, dt)}
 
 
+def test_the_order_of_branches_that_are_alike_is_assumed():
+    arms = (("right", "RY", 0), ("right_2", "RX", 1))
+    model = chain(*arms, ("left", "RY", 0), ("left_2", "RX", 3))
+    (finding,) = inspect_channels(model, *simulated(model))
+    assert (finding.kind, finding.severity) == ("unverified", "note")
+    assert "assumed to be in the order of the description" in finding.message
+    assert inspect_channels(model, *simulated(model), named=True) == ()
+
+
 def test_a_robot_without_load_by_gravity_cannot_be_verified():
     model = chain(("joint_0", "RZ", 0), ("joint_1", "RZ", 1))
     (finding,) = inspect_channels(model, *simulated(model))

@@ -47,15 +47,10 @@ def weightless(reading):
     columns = np.stack([moving, robot.weight], axis=-1)
     mean = np.zeros_like(moving)
     fit = robot.fit(nothing, mean=mean, columns=columns, joints=lost)
-    (part, weight), error = fit.factors, number.INTERVAL * fit.errors
-    # Torques may be in another unit, if the motion shows that; but not if their weight
-    # is that of the description.
-    other = part > 2 * error[0] and not 1 / number.SCALE < part < number.SCALE
-    scale = part if other and weight < 1 / number.SCALE else 1.0
     # A controller takes off the described weight, whatever the bodies weigh.
     taken = robot.fit(columns=robot.weight[:, :, None], deviation=1.0, joints=lost)
-    shares = weight / scale, 1.0 + taken.factors[0]
-    errors = error[1] / scale, number.INTERVAL * taken.errors[0]
+    shares = fit.factors[1], 1.0 + taken.factors[0]
+    errors = number.INTERVAL * np.array([fit.errors[1], taken.errors[0]])
     share, error = min(zip(shares, errors), key=lambda one: abs(one[0]))
     if abs(share) + error > number.NO_WEIGHT:
         return None

@@ -86,13 +86,11 @@ def _tried(table, options, offered):
     """Return a mapping, with the options offered and more, that reads a file, or {}."""
     try:
         rows = rows_of(table, options)
-    except RecordingRefused as error:
-        unit = error.options.get("time_unit", options.time_unit)
+    except ValueError as error:
+        unit = getattr(error, "options", {}).get("time_unit", options.time_unit)
         if unit == options.time_unit:
             return {}
         return _tried(table, replace(options, time_unit=unit), {"time_unit": unit})
-    except ValueError:
-        return {}
     columns = ",".join(f"{key}={x}" for key, x in options.mapping.items())
     offered = {"columns": columns} | offered
     if options.gains is options.drive is None and {*rows.torque_units} - {"N m", "N"}:

@@ -323,17 +323,8 @@ def read_recording(
     ...     read_recording(file, columns="q=angle,tau=torque,t=clock")
     Recording 'hinge': 20 samples, 1 joint, dt = 0.01 s
     """
-    options = checked(
-        columns=columns,
-        preset=preset,
-        dt=dt,
-        urdf=urdf,
-        joint_names=joint_names,
-        topic=topic,
-        gains=gains,
-        time_unit=time_unit,
-        drive=drive,
-    )
+    given = columns, preset, dt, joint_names, gains, time_unit, drive
+    options = checked(*given, urdf=urdf, topic=topic)
     paths: list = [path]
     if not isinstance(path, (str, PathLike)):
         paths = list(dict.fromkeys(Path(x) for x in path))

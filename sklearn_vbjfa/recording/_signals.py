@@ -139,13 +139,8 @@ def _asked_for(effects, given, offered, n_samples):
     if isinstance(given, OfferedSignals):
         given, offered = None, given
     found = _given(given, n_samples)
-    twice = [name for name in found if name in offered]
-    if twice:
-        raise ValueError(
-            f"signals has {twice[0]!r}, which is a column of X as well; give it once."
-        )
     wanted = {x for effect in _users(effects) for x in effect.recorded}
-    for name in wanted & offered.keys():
+    for name in wanted & offered.keys() - found.keys():
         found[name], reason = as_numbers(offered[name], n_samples)
         if reason:
             raise ValueError(f"The column {name!r} {reason}.")
@@ -193,7 +188,7 @@ def survey(given, offered, recording, effects):
     found, wanted, offered = _asked_for(effects, given, offered, n_samples)
     check_useful(found, recording)
     reasons = {}
-    for name in (x for x in offered if x not in wanted):
+    for name in [name for name in offered if name not in found]:
         values, reason = as_numbers(offered[name], n_samples)
         reason = reason or fault(values, recording, _FOLLOWS)
         if reason:

@@ -27,9 +27,8 @@ CUT = "the last line is cut, or has no end: it is left out."
 _PREAMBLE = 200
 # What loggers write where nothing was measured.
 _NOTHING = ("", "-", "nan", "-nan", "+nan", "na", "n/a", "null", "none")
-# NumPy writes lists of its numbers as [np.float64(0.1), ...].
-_OF_NUMPY = re.compile(r"np\.\w+\(([^()]*)\)")
-_LIST = re.compile(r"(?:array\()?[(\[]\s*([^()\[\]]*?)\s*[)\]](?:, dtype=\w+)?\)?")
+# What lists have beside their numbers; NumPy writes array([np.float64(0.1), ...]).
+_OF_LISTS = re.compile(r"np\.\w+|array|dtype=\w+|[\[\](),;]")
 # float() takes more (1_000, digits of other scripts), which no logger writes.
 _NUMBER = re.compile(
     r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
@@ -356,25 +355,19 @@ def _column(table, name, comma):
 def _spread(table, name, values):
     """Return names and columns of the entries of cells that are lists of numbers."""
     # Empty for other cells.
-    if values.dtype.kind != "O" or not all(map(_is_number, _entries(values[0]))):
+    if values.dtype.kind != "O":
+        return []
+    rows = [_OF_LISTS.sub(" ", cell).split() for cell in values]
+    if not rows[0] or not all(map(_is_number, rows[0])):
         return []
     try:
-        matrix = np.array([_entries(cell) for cell in values], dtype=float)
+        matrix = np.array(rows, dtype=float)
     except ValueError as error:
-        if not _LIST.fullmatch(values[0]):
-            return []
         raise ValueError(
             f"{table.path}: the cells of column {quoted(name)} are not lists of as "
             "many numbers; correct or remove those rows."
         ) from error
     return [(f"{name}_{k}", x) for k, x in enumerate(matrix.T)]
-
-
-def _entries(cell):
-    """Return the texts in a list; of what is none, one that is no number."""
-    match = _LIST.fullmatch(_OF_NUMPY.sub(r"\1", cell))
-    entries = re.split(r"[\s,;]+", match[1] if match else cell.strip())
-    return entries if match or len(entries) > 1 else ["none"]
 
 
 # -- spreadsheets ----------------------------------------------------------------------

@@ -25,7 +25,12 @@ from sklearn_vbjfa.equations._states import (
     smooth_segment,
 )
 from sklearn_vbjfa.model import is_prismatic, joint_names
-from sklearn_vbjfa.recording import check_cutoff, check_dt
+from sklearn_vbjfa.recording import (
+    check_cutoff,
+    check_dt,
+    delayed_torques,
+    with_torques_shifted,
+)
 
 
 def in_parallel(function, tasks, n_jobs):
@@ -112,8 +117,8 @@ class Plan:
 
     def applied(self, recording):
         if self.lag:
-            recording = recording.with_torques_shifted(self.lag)
-        return replace(recording, tau=recording.torques(self.delay))
+            recording = with_torques_shifted(recording, self.lag)
+        return replace(recording, tau=delayed_torques(recording, self.delay))
 
     @property
     def timed(self):

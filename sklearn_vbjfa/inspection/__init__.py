@@ -12,12 +12,9 @@ _MODULES = {
         "refusal",
     ),
     "_motion": ("JointMotion", "motion_of", "one_speed"),
-    "_rows": (
-        "at_rest",
-        "disorder",
-    ),
+    "_rows": ("at_rest", "disorder"),
     "_reading": ("Reading",),
-    "_torques": ("most_explaining", "signed_columns", "size_message"),
+    "_torques": ("most_explaining", "signed_columns"),
 }
 __all__: list[str] = []
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

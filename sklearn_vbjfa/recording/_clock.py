@@ -10,7 +10,6 @@ from sklearn_vbjfa.recording._recording import check_dt, check_rows_of_time
 from sklearn_vbjfa.recording._table import (
     TIME_UNITS,
     RecordingRefused,
-    Table,
     imported,
     is_of_a_robot,
     listed,
@@ -325,7 +324,7 @@ def _second_source(q, tau):
 _DAY = 86400.0
 
 
-def time_of(table: Table, layout, options):
+def time_of(table, layout, options):
     """Return stamps (n_rows,) [s] or None, and the role of their column."""
     times = layout.of("t")
     exact = any(is_exact(x) for x in times)
@@ -371,7 +370,7 @@ def _stamps(table, role, time_unit):
     return seconds if factor == 1.0 else factor * (seconds - seconds[0]), role
 
 
-def _check_unit(table: Table, role, step, factor, time_unit):
+def _check_unit(table, role, step, factor, time_unit):
     """Refuse a unit of time in which steps are too long or too short for a robot."""
     used, unit, period = (
         time_unit or role.unit or "s",
@@ -390,7 +389,7 @@ def _check_unit(table: Table, role, step, factor, time_unit):
     )
 
 
-def _seconds_of_dates(table: Table, column: str):
+def _seconds_of_dates(table, column: str):
     """Return dates, or times of day, as seconds from the first, None for others."""
     pandas, values = imported(table.path, "pandas"), table.frame[column]
     if values.dtype.kind != "M":

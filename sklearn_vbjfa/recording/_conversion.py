@@ -10,7 +10,6 @@ from sklearn_vbjfa.recording._clock import SAME_DT, time_of, without_odd_rows
 from sklearn_vbjfa.recording._drives import PDDrive
 from sklearn_vbjfa.recording._grid import FileRows
 from sklearn_vbjfa.recording._layout import (
-    ReadOptions,
     channel_unit,
     laid_out,
     matches,
@@ -22,7 +21,6 @@ from sklearn_vbjfa.recording._table import (
     MEASURED,
     Loss,
     RecordingRefused,
-    Table,
     channels_in,
     is_current,
     kinds_in,
@@ -150,7 +148,7 @@ def _clocks(table):
 _LARGEST = 1e12
 
 
-def is_recording(table: Table, options: ReadOptions):
+def is_recording(table, options):
     """Return whether a table has all channels, or would have with other options."""
     try:
         robot = options.robot(table)
@@ -209,7 +207,7 @@ def _in_order(table, layout, options, robot, notes):
     return found, replace(robot, names=names)
 
 
-def rows_of(table: Table, options: ReadOptions) -> FileRows:
+def rows_of(table, options) -> FileRows:
     """Return the rows of a table, complete, and notes on how they were read."""
     notes = list(table.notes)
     robot = options.robot(table)
@@ -322,7 +320,7 @@ def _in_units(table, found, options, notes):
     return channels, units
 
 
-def _values(table: Table, role):
+def _values(table, role):
     """Return a column (n_rows,) in the package's units, and the base of its unit."""
     values, unit = table.numbers(role.column), channel_unit(table, role)
     if role.kind == "tau":
@@ -348,7 +346,7 @@ _FILLED, _NEAR_END, _BITS = 0.45, 0.1, range(8, 33)
 _SIGNED = (11, 12, 16)
 
 
-def _refuse_codes(table: Table, column, values):
+def _refuse_codes(table, column, values):
     levels = np.unique(values)
     if levels.size < 2 or levels[0] < 0:
         return
@@ -383,7 +381,7 @@ def _refuse_codes(table: Table, column, values):
 # -- joints ----------------------------------------------------------------------------
 
 
-def _check_joints(table: Table, found, robot):
+def _check_joints(table, found, robot):
     """Check the number of joints by the columns of each kind, return their names."""
     names, nv = robot.names, len(found["q"])
     for kind, roles in found.items():
@@ -407,7 +405,7 @@ def _check_joints(table: Table, found, robot):
     return names
 
 
-def _check_units(table: Table, found, units, names, robot):
+def _check_units(table, found, units, names, robot):
     """Return which joints slide, list of bool; refuse units that deny it."""
     slides = []
     for j, joint in enumerate(names):
@@ -431,7 +429,7 @@ def _check_units(table: Table, found, units, names, robot):
 # -- other columns ---------------------------------------------------------------------
 
 
-def _segments(table: Table, layout):
+def _segments(table, layout):
     """Return segment labels or None, and the name of their column."""
     columns = [role.column for role in layout.of("segment")]
     for other in columns:
@@ -442,7 +440,7 @@ def _segments(table: Table, layout):
     return table.numbers(columns[0]) if labels.dtype.kind == "f" else labels, columns[0]
 
 
-def _signals(table: Table, layout, time, segment, notes):
+def _signals(table, layout, time, segment, notes):
     """Return the other columns that are finite numbers."""
     taken = {x.column for x in layout.roles if x.kind not in ("t", "segment")}
     taken |= {segment, *(() if time is None else time.columns), *layout.no_signals}

@@ -450,11 +450,6 @@ def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
             f"{table.path}: has no column {', '.join(missing)}, which columns asks "
             f"for; found {listed(table.names)}"
         )
-    if table.nameless:
-        # What nobody has named is no signal.
-        return Layout(
-            roles=tuple(roles), no_signals=frozenset(table.names), certain=True
-        )
     kinds = {role.kind for role in roles}
     taken = {role.kind for role in plain.roles if role.column in owner}
     # Of a channel some of whose columns are another's nothing is left, of times some.
@@ -465,7 +460,9 @@ def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
         and (role.kind not in taken or role.kind == "t")
         and role.column not in owner
     ]
-    return replace(plain, roles=tuple(roles), certain=True)
+    # What nobody has named is no signal.
+    others = frozenset(table.names) if table.nameless else plain.no_signals
+    return replace(plain, roles=tuple(roles), no_signals=others, certain=True)
 
 
 # -- by a preset -----------------------------------------------------------------------

@@ -21,6 +21,7 @@ from sklearn_vbjfa.inspection._reading import (
     times,
 )
 from sklearn_vbjfa.inspection._sentences import finding
+from sklearn_vbjfa.inspection._torques import of_another
 from sklearn_vbjfa.model import is_prismatic
 
 # -- order, direction and coupling -----------------------------------------------------
@@ -167,7 +168,8 @@ def zeros(reading, few):
     # Where bodies are free and friction is large, errors hardly fall.
     if found is None or found.clear or found.fall < 0.5 * number.CLEAR:
         return found
-    return replace(found, clear=reading.robot.surpasses(now.evidence + found.log_odds))
+    far = reading.robot.surpasses(now.evidence + found.log_odds)
+    return replace(found, clear=far and not of_another(reading.changed(found.change)))
 
 
 # -- units -----------------------------------------------------------------------------

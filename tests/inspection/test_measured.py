@@ -86,3 +86,9 @@ def test_a_mirrored_wrist_may_be_its_torque(measured):
     model, q, tau, dt = measured("ur5")
     (found,) = inspect_channels(model, q * one_changed(6, 5, -1, 1), tau, dt)
     assert {found.kind, *found.rivals} == {"torque_sign", "position_sign"}
+
+
+def test_the_description_of_another_robot_has_no_wrong_zeros(measured):
+    model, log = measured("ur5")[0], datasets.load_demo_recording().select(0)
+    found = inspect_channels(model, log.q, log.tau, log.dt)
+    assert [x.kind for x in found if x.severity != "note"] == ["other_robot"]

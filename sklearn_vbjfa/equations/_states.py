@@ -342,12 +342,9 @@ class RecordingStates:
     halves: tuple | None = None
 
     @classmethod
-    def of_rows(cls, segments, states, halves=None):
+    def of_rows(cls, segments, states):
         """Divide states (n, 3 * nv) of all rows among the segments."""
-        both = None
-        if halves is not None:
-            both = tuple([half[part] for part in segments] for half in halves)
-        return cls(own=[states[part] for part in segments], halves=both)
+        return cls(own=[states[part] for part in segments])
 
     @classmethod
     def of(cls, recording, estimator):

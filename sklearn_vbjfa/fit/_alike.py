@@ -55,15 +55,8 @@ class AlikeValue:
 # -- which joints ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class AlikeJoints:
-    """Joints that have the same drive."""
-
-    name: str
-    joints: tuple[int, ...]
-
-
 def alike_joints(settings):
+    """Return the groups of joints with the same drive, pairs of name and joints."""
     alike = settings.fit_options.alike
     if alike not in ("auto", None):
         raise ValueError(f"alike must be 'auto' or None; got {alike!r}.")
@@ -112,7 +105,7 @@ def _equal(joints, model):
 def _named(groups, names):
     called = [_common([names[j] for j in joints]) for joints in groups]
     return tuple(
-        AlikeJoints(
+        (
             name if called.count(name) == 1 else _listed([names[j] for j in joints]),
             joints,
         )
@@ -142,16 +135,11 @@ class _Shared:
     parameter: str
     places: np.ndarray
 
-    def visible(self, std):
-        """Return it without values of which deviations (p,) say that nothing tells."""
-        own = std[self.places]
-        finite = np.isfinite(own) & (own > 0)
-        finite &= own < _SILENT * own[finite].min(initial=np.inf)
-        return replace(self, places=self.places[finite])
 
-
-def shared_values(groups, robot):
+def _shared_values(groups, robot, std):
     """Values of the drives of alike joints, which have neither sign nor place."""
+    # Without those of which deviations (p,) say that nothing tells: what a joint stood
+    # still for is not shared.
     features, joints = robot.features_, {}
     per_joint = features.n_parameters_ // features.n_joints_
     held = held_columns(features, robot.effects_)
@@ -167,11 +155,14 @@ def shared_values(groups, robot):
                 key = (f"{effect.name}:{name}", type(effect), shape)
                 joints.setdefault(key, {})[effect.joint] = place
     found = []
-    for group in groups:
+    for name, alike in groups:
         for key, places in joints.items():
-            own = [places[j] for j in group.joints if j in places]
-            if len(own) > 1:
-                found.append(_Shared(group.name, key[0], np.array(own)))
+            own = np.array([places[j] for j in alike if j in places], dtype=int)
+            known = np.isfinite(std[own]) & (std[own] > 0)
+            own = own[known]
+            own = own[std[own] < _SILENT * std[own].min(initial=np.inf)]
+            if own.size > 1:
+                found.append(_Shared(name, key[0], own))
     return found
 
 
@@ -246,80 +237,48 @@ def _unit(y, S):
     return np.sqrt((inverse.sum(axis=0) @ y / total) ** 2 + 1.0 / total)
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """An estimate, as far as values that are alike are concerned."""
-
-    # at: places of these values; parts: which of them are alike; unit: size of the mean
-    # of each one's part; ratio (p,): factors by which residuals correlated in time
-    # widen the deviations; C (p, p): covariance, zero where it is infinite.
-
-    found: object
-    at: np.ndarray
-    unit: np.ndarray
-    parts: tuple
-    ratio: np.ndarray
-    C: np.ndarray
-
-    @classmethod
-    def of(cls, found, kept):
-        C, ratio = widening(found)
-        wide, theta = C * np.outer(ratio, ratio), found.theta_unconstrained
-        unit = [np.full(p.size, _unit(theta[p], wide[np.ix_(p, p)])) for p in kept]
-        ends = np.cumsum([places.size for places in kept])
-        return cls(
-            found=found,
-            at=np.concatenate(kept),
-            unit=np.concatenate(unit),
-            parts=tuple(np.arange(e - p.size, e) for e, p in zip(ends, kept)),
-            ratio=ratio,
-            C=C,
-        )
-
-    @property
-    def problem(self):
-        """The values in units of their means, as well known as their deviations say."""
-        scale = self.ratio[self.at] / self.unit
-        S = self.C[np.ix_(self.at, self.at)] * np.outer(scale, scale)
-        y = self.found.theta_unconstrained[self.at] / self.unit
-        return _AlikeProblem(y, S, self.parts)
-
-    def beside(self, problem, sites):
-        at, scale = self.at, self.unit / self.ratio[self.at]
-        mean, covariance = problem.solved(sites)
-        less = (problem.S - covariance) * np.outer(scale, scale)
-        precision = problem.precision(sites)
-        right = precision @ problem.centre(sites, mean) / self.unit
-        precision = precision / np.outer(self.unit, self.unit)
-        moved = self.unit * (mean - problem.y)
-        return with_prior(self.found, at, moved, less, precision, right)
-
-
 def beside_each_other(found, groups, robot):
     """Return an `Estimate` in which values of alike joints are near each other."""
-    # What a joint stood still for is not told, and is not shared.
-    shared = [one.visible(found.std) for one in shared_values(groups, robot)]
-    shared = [one for one in shared if one.places.size > 1]
+    shared = _shared_values(groups, robot, found.std)
     if not shared:
         return found
-    seen = _Seen.of(found, [one.places for one in shared])
-    labels = [robot.parameter_names_[i].partition(":")[0] for i in seen.at]
-    problem = seen.problem
+    C, ratio = widening(found)
+    wide, theta = C * np.outer(ratio, ratio), found.theta_unconstrained
+    at = np.concatenate([one.places for one in shared])
+    ends = np.cumsum([one.places.size for one in shared])
+    parts = tuple(np.arange(e - x.places.size, e) for e, x in zip(ends, shared))
+    # In units of the mean of their part, as well known as their deviations say.
+    unit = np.empty(at.size)
+    for part in parts:
+        unit[part] = _unit(theta[at[part]], wide[np.ix_(at[part], at[part])])
+    scale = ratio[at] / unit
+    S = C[np.ix_(at, at)] * np.outer(scale, scale)
+    problem = _AlikeProblem(theta[at] / unit, S, parts)
     sites = problem.sites()
-    beside = seen.beside(problem, sites)
     mean, covariance = problem.solved(sites)
-    values = []
-    for one, part in zip(shared, problem.parts):
-        value = AlikeValue(
+    less = (S - covariance) / np.outer(scale, scale)
+    precision = problem.precision(sites)
+    beside = with_prior(
+        found,
+        at,
+        unit * (mean - problem.y),
+        less,
+        precision / np.outer(unit, unit),
+        precision @ problem.centre(sites, mean) / unit,
+    )
+    labels = [robot.parameter_names_[i].partition(":")[0] for i in at]
+    values = tuple(
+        AlikeValue(
             group=one.group,
             parameter=one.parameter,
             joints=tuple(labels[i] for i in part),
-            places=tuple(seen.at[part].tolist()),
-            **_spread(mean[part], covariance[np.ix_(part, part)], seen.unit[part]),
+            places=tuple(at[part].tolist()),
+            **_spread(mean[part], covariance[np.ix_(part, part)], unit[part]),
             unit=robot.parameter_units_[one.places[0]],
         )
-        values.append(value)
-    return replace(beside, alike=tuple(values))
+        for one, part in zip(shared, parts)
+    )
+    return replace(beside, alike=values)
 
 
 def _spread(y, S, unit):

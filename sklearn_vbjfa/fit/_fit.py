@@ -222,7 +222,7 @@ class Recipe:
     description: object = None  # that bodies are near, a `BodyPrior`
     gains: object = None
     masses: dict  # known ones [kg], by names of bodies
-    alike: tuple = ()  # `AlikeJoints`
+    alike: tuple = ()  # groups of joints with the same drive
 
     def of_moments(self, robot, moments, rows=(), made=()):
         # rows: the equations themselves, where second moments do not suffice.
@@ -409,7 +409,8 @@ def iterate_corrections(recipe, fit, source, relative):
         for one in (found.theta, found.theta_unconstrained, found.std)
         + (robot.identifiable_,)
     )
-    theta[own] = unconstrained[own] = values.values_of(robot.effects_)
+    held = [one.values for one in robot.effects_ if one.in_model]
+    theta[own] = unconstrained[own] = np.concatenate(held)
     covariance_of_all = found.covariance
     if not _of_bodies(robot):
         std, covariance_of_all = values.beside(std, covariance_of_all)
@@ -520,17 +521,11 @@ def refine_fit(recipe, fit, source, window):
     found = recipe.of_source(robot, source).found
     found = replace(found, std=robot.theta_std_)
     recorded = source.recording, source.states
-    refined = refine(robot, found, *recorded, window, recipe.projector)
-    found = replace(
-        found,
-        theta=refined.theta,
-        theta_unconstrained=refined.unconstrained,
-        std=refined.std,
-    )
+    found, criteria = refine(robot, found, *recorded, window, recipe.projector)
     ranges = robot.effect_ranges_
     fit = RobotFit.of(robot, found, robot.identifiable_, fit.made)
     robot = replace(fit.robot, effect_ranges_=ranges)
-    return replace(fit, robot=robot, criteria=refined.criteria)
+    return replace(fit, robot=robot, criteria=criteria)
 
 
 # -- values of effects that are part of the robot model, by Gauss and Newton -----------
@@ -621,10 +616,6 @@ class ModelValues:
             covariance[np.ix_(rest, own)] = across
             covariance[np.ix_(own, rest)] = across.T
         return std, covariance
-
-    @staticmethod
-    def values_of(effects):
-        return np.concatenate([one.values for one in effects if one.in_model])
 
     def longer(self, factor, before):
         """Factors (k,) of the steps, twice those of the last if these lead on."""

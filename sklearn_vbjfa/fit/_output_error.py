@@ -56,17 +56,6 @@ class SimulationCriteria:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Refined:
-    """Parameters after a refinement."""
-
-    # (p,): parameters; those of the last step before its projection; deviations
-    theta: np.ndarray
-    unconstrained: np.ndarray
-    std: np.ndarray
-    criteria: SimulationCriteria  # errors before and after
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Windows:
     """Windows of a recording, W of L rows."""
 
@@ -134,18 +123,6 @@ def _start_noise(estimator, nv):
     variance = estimator.noise_variance_
     encoder = np.sqrt(np.where(np.isnan(variance), 0.0, variance))
     return np.concatenate([encoder, estimator.velocity_noise()])
-
-
-def _window_rows(window, recording):
-    """Return the number of rows of a window, from the parameter `window` [s]."""
-    rows = round(float(window) / recording.dt) + 1
-    longest = max(part.stop - part.start for part in recording.segments)
-    if rows > longest:
-        raise ValueError(
-            f"window={window:g} s is longer than the longest recording "
-            f"({(longest - 1) * recording.dt:.6g} s)."
-        )
-    return rows
 
 
 def check_criterion(settings):
@@ -268,8 +245,15 @@ def refine(predictor, found, recording, states, window, projector):
     # the torque fit, each projected onto the physically consistent parameters in its
     # own metric, and taken only where the criterion falls. predictor: `IdentifiedRobot`
     # of the torque fit; found: its `Estimate`; recording, states: what was fitted;
-    # window, projector: see `FitOptions` and `RobotIdentifier`. Returns `Refined`.
-    rows = _window_rows(window, recording)
+    # window, projector: see `FitOptions` and `RobotIdentifier`. Returns the refined
+    # `Estimate`, and `SimulationCriteria`.
+    rows = round(float(window) / recording.dt) + 1
+    longest = max(part.stop - part.start for part in recording.segments)
+    if rows > longest:
+        raise ValueError(
+            f"window={window:g} s is longer than the longest recording "
+            f"({(longest - 1) * recording.dt:.6g} s)."
+        )
     windows = Windows.of(predictor, recording, states, rows)
     with warnings.catch_warnings(record=True) as caught:
         # Every window of every step says what the simulation goes without: once will
@@ -319,12 +303,9 @@ def _refine(predictor, found, windows, projector):
         converged=converged,
     )
     std = deviations(normal, metric, _LEAST_DAMPING * largest, found.std)
-    return Refined(
-        theta=fit.predictor.theta_,
-        unconstrained=unconstrained,
-        std=np.where(held, found.std, std),
-        criteria=criteria,
-    )
+    refined = {"theta": fit.predictor.theta_, "theta_unconstrained": unconstrained}
+    std = np.where(held, found.std, std)
+    return replace(found, **refined, std=std), criteria
 
 
 def _largest(H, metric):
@@ -433,7 +414,8 @@ def slopes(predictor, recording, states):
     Phi = np.concatenate([one(slice(None)) for one in rows_of(states)])
     Phi /= features.gains_[:, None]
     Phi[:, :, held] = 0.0
-    theta = np.where(held | of_effects(predictor, _of_channel), 0.0, predictor.theta_)
+    held |= of_effects(predictor, lambda effect: isinstance(effect, OfChannel))
+    theta = np.where(held, 0.0, predictor.theta_)
 
     def torque(column, values):
         other = states.copy()
@@ -456,10 +438,6 @@ def slopes(predictor, recording, states):
             jump[:, k] = (torque(column, both[0]) - torque(column, both[1]))[:, k]
     stiffness, damping, mass = found
     return Slopes(mass=mass, damping=damping, stiffness=stiffness, jump=jump, Phi=Phi)
-
-
-def _of_channel(effect):
-    return isinstance(effect, OfChannel)
 
 
 def held_parameters(predictor):

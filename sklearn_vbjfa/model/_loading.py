@@ -3,7 +3,6 @@
 What of a description does not enter the model is said in one warning.
 """
 
-import contextlib
 import os
 import warnings
 import xml.etree.ElementTree as ElementTree
@@ -189,16 +188,9 @@ def description_text(folded):
 
 def load_text(text, path):
     """Return the model of a URDF that was read before, as `load_folded`, in silence."""
-    with _silence():
-        return _folded(parse_text(text.encode(), path), Path(path)).model
-
-
-@contextlib.contextmanager
-def _silence():
-    """Suppress notes on parts of a description that do not enter the model."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", _LEFT_OUT, UserWarning)
-        yield
+        return _folded(parse_text(text.encode(), path), Path(path)).model
 
 
 def _is_mjcf(tree, path):

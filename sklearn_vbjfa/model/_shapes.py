@@ -38,15 +38,14 @@ def import_coal():
     return coal
 
 
-def load_shapes(path, model, package_dirs=()):
+def load_shapes(path, model):
     """Read the collision shapes of a URDF as convex shapes on the bodies of a model.
 
     Returns a pinocchio.GeometryModel, whose collision pairs are those of links that are
     not next to each other.
     """
     # NoShapes where there are none. What held joints carry is where the model has it.
-    # Packages of meshes are looked for in package_dirs, in the folder of the URDF and
-    # in its parents.
+    # Packages of meshes are looked for in the folder of the URDF and in its parents.
     pin, coal = import_pinocchio(), import_coal()
     path = Path(path)
     tree = parse_description(path)
@@ -57,7 +56,7 @@ def load_shapes(path, model, package_dirs=()):
             f"The model has no link {missing[0]!r} of {path.name!r}, its collision "
             "shapes belong to another robot."
         )
-    _find_meshes(tree, path, package_dirs)
+    _find_meshes(tree, path)
     geometry = _build(pin, tree, path, model)
     shapes = geometry.geometryObjects
     read = [model.frames[x.parentFrame].name for x in shapes]
@@ -91,25 +90,23 @@ def _links_with_shapes(tree, path):
     return found
 
 
-def _find_meshes(tree, path, package_dirs):
+def _find_meshes(tree, path):
     """Write where the meshes are into a description; refuse one that is missing."""
-    given = [Path(folder).resolve() for folder in package_dirs]
-    folders = given + list(path.resolve().parents)
+    folders = list(path.resolve().parents)
     for link in tree.getroot().findall("link"):
         for mesh in link.findall("collision/geometry/mesh"):
             name = mesh.get("filename", "")
-            found = _mesh_file(name, folders, path.resolve().parent)
+            found = _mesh_file(name, folders)
             if found is None:
-                searched = [repr(str(x)) for x in (*given, path.resolve().parent)]
                 raise NoShapes(
                     f"The mesh {name!r} of link {link.get('name')!r} was not found in "
-                    f"{', '.join(searched)} or a folder above it; put the "
-                    "folder of its package there."
+                    f"{str(folders[0])!r} or a folder above it; put the folder of its "
+                    "package there."
                 )
             mesh.set("filename", f"file://{found}")
 
 
-def _mesh_file(name, folders, beside):
+def _mesh_file(name, folders):
     """Path of a mesh as a URDF names it, None where there is none."""
     packaged = _IN_PACKAGE.fullmatch(name)
     if packaged:
@@ -119,7 +116,7 @@ def _mesh_file(name, folders, beside):
         candidates = [folder / package / rest for folder in folders]
         candidates += [folder / rest for folder in folders]
     else:
-        candidates = [beside / name.removeprefix("file://")]
+        candidates = [folders[0] / name.removeprefix("file://")]
     return next((x for x in candidates if name and x.is_file()), None)
 
 

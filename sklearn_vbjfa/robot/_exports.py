@@ -1,7 +1,7 @@
 """Export to URDF and MJCF: omitted effects, and their approximation."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -217,30 +217,15 @@ def _left_of_urdf(account):
 # -- MJCF ------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _JointTerms:
-    """What effects enter into the joints of an MJCF file; see `Effect`."""
-
-    constant: np.ndarray  # (nv,): constant torque
-    spring: np.ndarray  # (nv,): stiffness about the zero of the position
-    ref: np.ndarray  # (nv,): what encoders read at the zero of the description
-
-    def take(self, effect, coef):
-        """Take what the file has of an effect; return coefficients that are left."""
-        left = dict(coef)
-        for place, name in effect.files.places:
-            getattr(self, place)[effect.joint] += left.pop(name)
-        return left
-
-
 def _mjcf_dynamics(account, servo=None):
     robot, nv = account.robot, account.robot.n_joints
     damping, frictionloss, armature = (
         account.passive(name) for name in ("viscous", "coulomb", "rotor_inertia")
     )
-    joints = _JointTerms(
-        constant=account.total("offset"), spring=np.zeros(nv), ref=np.zeros(nv)
-    )
+    # Constant torque, stiffness about the zero of the position, and what encoders read
+    # at the zero of the description.
+    constant, (spring, ref) = account.total("offset"), np.zeros((2, nv))
+    joints = {"constant": constant, "spring": spring, "ref": ref}
     for effect, coef in account.uses:
         # In the sums; in the model, in the gains, or a body of its own.
         if not (effect.files.mjcf or effect.files.places):
@@ -252,11 +237,12 @@ def _mjcf_dynamics(account, servo=None):
                 why = "a file cannot say that commands act before they are given"
                 account.leave_effect(effect, coef, why)
             continue
-        left = joints.take(effect, dict(zip(effect.coefficients, map(float, coef))))
+        left = dict(zip(effect.coefficients, map(float, coef)))
+        for place, name in effect.files.places:
+            joints[place][effect.joint] += left.pop(name)
         if left:
             rest = [left.get(name, 0.0) for name in effect.coefficients]
             account.leave_effect(effect, rest, effect.files.mjcf)
-    constant, spring, ref = joints.constant, joints.spring, joints.ref
     stable = spring > 0
     springref = np.where(stable, -constant / np.where(stable, spring, 1.0), 0.0)
     return JointDynamics(

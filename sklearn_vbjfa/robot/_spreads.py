@@ -120,18 +120,17 @@ def outside_text(found, names, prismatic):
             f"{names[one.joint]}: {_PLURALS[one.quantity]} to {one.reached:.3g} {unit},"
             f" fitted on {low:.3g} to {high:.3g} {unit} {rows}"
         )
-    return ". ".join(filter(None, ["; ".join(said), held_text(found)]))
+    return ". ".join(filter(None, ["; ".join(said), _held_text(found)]))
 
 
-def held_text(found, label=str):
+def _held_text(found):
     """Name the effects that are held and those that are extrapolated."""
-    # label: name of an effect -> what to call it.
     found = [one for one in found if one.quantity != "direction"]
     held = [name for one in found for name in one.held]
     others = [name for one in found for name in one.names if name not in one.held]
     texts = {"Held constant beyond the margin": held, "Extrapolated": others}
     return ". ".join(
-        f"{what}: {', '.join(label(name) for name in dict.fromkeys(names))}"
+        f"{what}: {', '.join(dict.fromkeys(names))}"
         for what, names in texts.items()
         if names
     )

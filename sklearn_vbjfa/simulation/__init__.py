@@ -8,8 +8,8 @@ package and for tests.
 from sklearn_vbjfa.simulation._dynamics import ForwardDynamics, with_bodies
 from sklearn_vbjfa.simulation._integrate import Integrator
 from sklearn_vbjfa.simulation._simulate import (
-    Recorded,
     SimulationError,
+    recorded,
     simulate,
     simulate_controlled,
 )

@@ -13,20 +13,18 @@ class SimulationError(ValueError):
     """The motion of an identified robot diverges; the message says when and where."""
 
 
-class Recorded:
-    """Recorded signals (n,) at times t, interpolated linearly."""
+def recorded(signals, t):
+    """Return a function that interpolates signals (n,) at times t (n,) linearly."""
 
-    def __init__(self, signals, t):
-        self._signals, self._t = dict(signals), t
-
-    def __call__(self, name, t):
-        """Value of one of them at a time."""
-        if name not in self._signals:
+    def value(name, at):
+        if name not in signals:
             raise ValueError(
                 f"The robot has an effect that varies with the recorded signal {name!r}"
                 "; give it in signals, one value per row of tau."
             )
-        return float(np.interp(t, self._t, self._signals[name]))
+        return float(np.interp(at, t, signals[name]))
+
+    return value
 
 
 def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
@@ -37,7 +35,7 @@ def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
     q0, v0 = _start(robot, q0, v0)
     tau = _torques(robot, tau)
     t = _times(robot, t, len(tau))
-    signals = Recorded(_signals(signals, len(tau)), t)
+    signals = recorded(_signals(signals, len(tau)), t)
     dynamics = ForwardDynamics(robot, signals)
     _warn_left_out(robot, dynamics)
     _check_inertia(robot, dynamics, q0)
@@ -54,7 +52,7 @@ def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
     # control: (row, q, v) -> torques (nv,) as the channels read them, row being 3.5
     # between rows 3 and 4; updates: how often in a sample period. Returns states (n, 3
     # nv).
-    dynamics = ForwardDynamics(robot, Recorded(signals or {}, t))
+    dynamics = ForwardDynamics(robot, recorded(signals or {}, t))
 
     def torques(row, q, v):
         drive = control(row, q, v) / robot.gains

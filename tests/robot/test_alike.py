@@ -138,7 +138,7 @@ def groups_of(model, alike="auto", **settings):
     robot = RobotIdentifier(
         model, dt=DT, options=FitOptions(alike=alike), **settings
     ).build_model()
-    return {one.name: one.joints for one in robot._shared_drives}
+    return dict(robot._shared_drives)
 
 
 def test_names_and_bodies_make_a_group():

@@ -12,8 +12,8 @@ from sklearn_vbjfa.physical import min_eigenvalue
 from sklearn_vbjfa.robot import to_mjcf
 from sklearn_vbjfa.simulation import (
     ForwardDynamics,
-    Recorded,
     Stepper,
+    recorded,
     why_left_out,
 )
 from tests._quick import one_in
@@ -56,7 +56,7 @@ def test_columns_are_steps_and_dynamics(name, seed, way):
     X, t = two_rows(rng, way), np.array([0.9, 0.9 + DT])
     signals = {own: rng.normal(size=2) for own in effect.recorded}
     model, tau = bare.torque_model(), 5.0 * rng.normal(size=NV)
-    dynamics = ForwardDynamics(model, Recorded(signals, t))
+    dynamics = ForwardDynamics(model, recorded(signals, t))
     dynamics.start(X[0, :NV])
     dynamics.set_bodies(t[1])
     dynamics.set_time(t[1])

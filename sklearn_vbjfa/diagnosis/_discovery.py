@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from functools import wraps
 from numbers import Integral, Real
 
 import numpy as np
@@ -49,6 +50,7 @@ from sklearn_vbjfa.recording import (
     with_torques_shifted,
 )
 from sklearn_vbjfa.regression._base import Interval
+from sklearn_vbjfa.robot._robot import IdentifiedRobot
 from sklearn_vbjfa.robot._windows import unfollowed
 
 
@@ -486,20 +488,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     # -- predictions -------------------------------------------------------------------
 
+    @wraps(IdentifiedRobot.predict)
     def predict(self, X, groups=None, t=None, signals=None):
-        """Predict the joint torques with the completed model.
-
-        Parameters
-        ----------
-        X, groups, t, signals : array-like
-            Positions or states, labels, time [s] on the clock of the fit, and recorded
-            signals, as for `fit`.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, nv)
-            Joint torques [N m] or forces [N].
-        """
         check_is_fitted(self)
         return self.identifier_.predict(X, groups=groups, t=t, signals=signals)
 

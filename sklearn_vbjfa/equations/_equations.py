@@ -201,12 +201,6 @@ class RegressorRows:
         """Number of rows."""
         return self.states.shape[0]
 
-    def every(self, some):
-        """Return every so many of the rows."""
-        columns = [(effect, values[::some]) for effect, values in self.columns]
-        states = self.states[:][::some]
-        return RegressorRows(self._features, states, columns, self._rest)
-
     def spans(self, rows, length, some=1):
         """Yield where blocks of at most `length` rows begin, and their entries."""
         # Of every so many rows, as which they are counted.
@@ -215,7 +209,7 @@ class RegressorRows:
         out = np.empty((length, self.used.size))
         span = some * length * max(1, _SPAN_ROWS // (some * length))
         for begin in range(rows.start, rows.stop, span):
-            own = self.part(slice(begin, min(begin + span, rows.stop))).every(some)
+            own = self.part(slice(begin, min(begin + span, rows.stop), some))
             declared = self._features.declared(own.states, self._rest)
             for at in range(0, own.n_rows, length):
                 block = slice(at, min(at + length, own.n_rows))

@@ -312,13 +312,13 @@ class SplineStates:
 
     def __getitem__(self, rows):
         """States [q | v | a] of a slice of rows, (n, 3 * nv)."""
-        start, stop, _ = rows.indices(self.shape[0])
+        start, stop, step = rows.indices(self.shape[0])
         # The samples of a signal are next to each other, as they are evaluated and as
         # the regressors take them.
         columns = np.empty((3, len(self._splines), stop - start))
         for order, signals in enumerate(columns):
             self._evaluate(start, stop, order, signals)
-        return columns.reshape(self.shape[1], -1).T
+        return columns.reshape(self.shape[1], -1).T[::step]
 
     def derivative(self, rows, order):
         """Positions, velocities or accelerations of a slice of rows, (n, nv)."""

@@ -14,6 +14,7 @@ from sklearn.utils.validation import (
 
 from sklearn_vbjfa._core._correlated import direct_share
 from sklearn_vbjfa._core._linear_systems import or_one, scaled_eigen, unit_columns
+from sklearn_vbjfa._core._threads import one_blas_thread
 
 # Columns that are larger, or smaller than its inverse, have no squares to sum.
 LARGEST = 1e100
@@ -24,9 +25,33 @@ __all__ = ["Interval", "StrOptions", "check_sample_weight"]
 
 
 class BaseRegressor(RegressorMixin, BaseEstimator):
-    """Validation of parameters, rows and queries."""
+    """Validation of parameters, rows and queries; subclasses fit in `_fit_rows`."""
 
-    def _check_rows(self, X, y, sample_weight, *, min_samples=1, reset=True):
+    # Fewest rows of a fit.
+    _min_samples = 2
+
+    @one_blas_thread()
+    def fit(self, X, y, sample_weight=None):
+        """Fit the model.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Inputs.
+        y : array-like of shape (n_samples,)
+            Output.
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weights; a weight of 2 is the row twice.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+        """
+        self._fit_rows(*self._check_rows(X, y, sample_weight))
+        return self
+
+    def _check_rows(self, X, y, sample_weight, *, min_samples=None, reset=True):
         """Validate parameters and rows; return X, y, and weights or None."""
         self._validate_params()
         X, y = validate_data(
@@ -35,7 +60,7 @@ class BaseRegressor(RegressorMixin, BaseEstimator):
             y,
             dtype=np.float64,
             y_numeric=True,
-            ensure_min_samples=min_samples,
+            ensure_min_samples=min_samples or self._min_samples,
             reset=reset,
         )
         names = getattr(self, "feature_names_in_", range(X.shape[1]))
@@ -227,5 +252,5 @@ def warn_of_excess(data, excess, names):
             f"({shown}): no signal is left in them. Check the units of input_noise "
             "(variances, not standard deviations).",
             UserWarning,
-            stacklevel=7,
+            stacklevel=9,
         )

@@ -122,7 +122,7 @@ class InstrumentalVariables(LinearRegressor):
             If there are fewer instruments than features, or their rows are not those
             of X.
         """
-        X, y, weight = self._check_rows(X, y, sample_weight)
+        X, y, weight = self._check_rows(X, y, sample_weight, min_samples=1)
         n_features = X.shape[1]
         blocks = [X, y]
         if instruments is not None:

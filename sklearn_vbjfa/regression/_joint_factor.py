@@ -43,26 +43,8 @@ class BaseJointFactorRegressor(BaseRegressor):
         "tol": [Interval(Real, 0, None, closed="left")],
     }
 
-    @one_blas_thread()
-    def fit(self, X, y, sample_weight=None):
-        """Fit the model.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            Noisy inputs.
-        y : array-like of shape (n_samples,)
-            Noisy output.
-        sample_weight : array-like of shape (n_samples,), default=None
-            Weights; a weight of 2 is the row twice.
-
-        Returns
-        -------
-        self : object
-            Fitted estimator.
-        """
-        X, y, weight = self._check_rows(X, y, sample_weight, min_samples=2)
-        return self._fit_moments(from_data(X, y, weight))
+    def _fit_rows(self, X, y, weight):
+        self._fit_moments(from_data(X, y, weight))
 
     @one_blas_thread()
     def partial_fit(self, X, y, sample_weight=None):
@@ -85,7 +67,7 @@ class BaseJointFactorRegressor(BaseRegressor):
             Fitted estimator.
         """
         first = not hasattr(self, "statistics_")
-        X, y, weight = self._check_rows(X, y, sample_weight, reset=first)
+        X, y, weight = self._check_rows(X, y, sample_weight, min_samples=1, reset=first)
         total = from_data(X, y, weight)
         if not first:
             total = self.statistics_ + total
@@ -133,7 +115,7 @@ class BaseJointFactorRegressor(BaseRegressor):
             "zero, the smallest that the data resolve (a Heywood case): the fit takes "
             "them as exact. Give input_noise where it is known.",
             UserWarning,
-            stacklevel=5,
+            stacklevel=8,
         )
 
     def _fit_constant(self, data):
@@ -163,7 +145,7 @@ class BaseJointFactorRegressor(BaseRegressor):
                 "explain; the last state before it is kept. Check the scaling and "
                 "the rank of X.",
                 ConvergenceWarning,
-                stacklevel=4,
+                stacklevel=8,
             )
         elif solution.status == "max_iter":
             gain = np.diff(solution.history[-2:])
@@ -173,7 +155,7 @@ class BaseJointFactorRegressor(BaseRegressor):
                 f"iterations with a gain of {reached} per sample, tol={self.tol:.3g}; "
                 "increase max_iter or tol.",
                 ConvergenceWarning,
-                stacklevel=4,
+                stacklevel=8,
             )
 
     def _set_linear_models(self, noisy, noiseless, data):

@@ -90,24 +90,7 @@ class LocallyWeightedRegressor(BaseRegressor):
         self.n_models = n_models
         self.bandwidth = bandwidth
 
-    def fit(self, X, y, sample_weight=None):
-        """Place the local models and fit them.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            Inputs.
-        y : array-like of shape (n_samples,)
-            Output.
-        sample_weight : array-like of shape (n_samples,), default=None
-            Weights; a weight of 2 is the row twice.
-
-        Returns
-        -------
-        self : object
-            Fitted estimator.
-        """
-        X, y, weight = self._check_rows(X, y, sample_weight, min_samples=2)
+    def _fit_rows(self, X, y, weight):
         if weight is None:
             weight = np.ones(X.shape[0])
         used = weight > 0
@@ -136,7 +119,6 @@ class LocallyWeightedRegressor(BaseRegressor):
             model = clone(template)
             model.fit(X[near] - self.centers_[k], y[near], sample_weight=w[near])
             self.estimators_.append(model)
-        return self
 
     def _widths(self, centers):
         if not isinstance(self.bandwidth, str):

@@ -181,7 +181,7 @@ class StepwiseRegressor(LinearRegressor):
                 f"leave for ever; got p_enter={self.p_enter!r} and "
                 f"p_remove={self.p_remove!r}. Lower p_enter or raise p_remove."
             )
-        X, y, weight = self._check_rows(X, y, sample_weight, min_samples=2)
+        X, y, weight = self._check_rows(X, y, sample_weight)
         columns, total = self._unit_columns([X, y], weight)
         dof = total - bool(self.fit_intercept)
         if dof <= 1:

@@ -119,24 +119,9 @@ class TotalLeastSquares(LinearRegressor):
         self.input_noise = input_noise
         self.output_noise = output_noise
 
-    def fit(self, X, y, sample_weight=None):
-        """Fit the coefficients.
+    _min_samples = 1
 
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            Inputs.
-        y : array-like of shape (n_samples,)
-            Output.
-        sample_weight : array-like of shape (n_samples,), default=None
-            Weights of the rows.
-
-        Returns
-        -------
-        self : TotalLeastSquares
-            Fitted estimator.
-        """
-        X, y, weight = self._check_rows(X, y, sample_weight)
+    def _fit_rows(self, X, y, weight):
         whiten, exact, output_std = self._noise_coordinates(X.shape[1])
         columns, _ = self._unit_columns([X, y], weight)
         # Column scales commute with the orthogonal factor; with them taken out the
@@ -144,7 +129,6 @@ class TotalLeastSquares(LinearRegressor):
         factor = np.linalg.qr(columns.values, mode="r") * columns.scale
         coef = mixed_tls(factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact)
         self._set_coefficients(output_std * (whiten @ coef), columns.mean)
-        return self
 
     def _noise_coordinates(self, n_features):
         """Coordinates ``X @ whiten`` of independent noise, of unit variance or zero."""

@@ -446,8 +446,6 @@ class NoisyRegression:
         True coefficients of the relevant inputs.
     relevant : ndarray of shape (n_features,), bool
         The relevant inputs.
-    irrelevant : ndarray of shape (n_features,), bool
-        The inputs that have nothing to do with the output.
     input_noise : ndarray of shape (n_features,)
         Variances of the inputs' noise.
     input_noise_covariance : ndarray of shape (n_features, n_features)
@@ -462,7 +460,6 @@ class NoisyRegression:
     y_test: np.ndarray
     coef: np.ndarray
     relevant: np.ndarray
-    irrelevant: np.ndarray
     input_noise: np.ndarray
     input_noise_covariance: np.ndarray
     output_noise: float
@@ -550,15 +547,13 @@ def make_noisy_regression(
         [np.eye(n_relevant), weights, np.zeros((n_irrelevant, n_relevant))]
     )
     full = made @ np.diag(noise) @ made.T
-    kind = np.repeat([0, 1, 2], [n_relevant, n_redundant, n_irrelevant])
     return NoisyRegression(
         X=X,
         y=y,
         X_test=X_test,
         y_test=t_test @ coef,
         coef=coef,
-        relevant=kind == 0,
-        irrelevant=kind == 2,
+        relevant=np.arange(len(full)) < n_relevant,
         input_noise=np.diagonal(full).copy(),
         input_noise_covariance=full,
         output_noise=output_noise,

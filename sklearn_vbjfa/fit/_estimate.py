@@ -100,7 +100,7 @@ class Estimate:
         noise = moments.total_noise(self.joint_weights)
         return replace(
             self,
-            metric=total.S_xx.copy() if noise is None else denoised(total, noise),
+            metric=denoised(total, noise),
             input_noise=noise,
             moments=moments.in_stretches(),
         )
@@ -125,11 +125,6 @@ class PlainEstimate:
         return np.sqrt(np.diagonal(self.covariance))
 
 
-def default_regressor():
-    """Bayesian regression with automatic relevance determination, noiseless queries."""
-    return VBJFARegressor(latent="correlated", query="noiseless")
-
-
 def from_moments(regressor):
     """Whether a regressor (None: the default) needs second moments only."""
     return regressor is None or isinstance(regressor, BaseJointFactorRegressor)
@@ -149,13 +144,16 @@ def estimate(
     # description will be the prior, so that the equations alone count here.
     weight = resolve_weights(joint_weights, moments)
     total, noise = moments.total(weight), moments.total_noise(weight)
-    metric = total.S_xx.copy() if noise is None else denoised(total, noise)
+    metric = denoised(total, noise)
     covariance = None
     if described:
         theta = scaled_eigen(metric, IDENTIFIABLE).solve(total.S_xy)
         regressor, std = None, np.full(theta.shape, np.nan)
     else:
-        regressor = default_regressor() if regressor is None else clone(regressor)
+        if regressor is None:
+            # Bayesian regression with automatic relevance determination.
+            regressor = VBJFARegressor(latent="correlated", query="noiseless")
+        regressor = clone(regressor)
         if from_moments(regressor):
             theta, std, covariance = _fit_moments(regressor, total, noise)
         else:
@@ -187,7 +185,7 @@ def plain_estimate(moments, joint_weights="auto", bodies=None):
         np.divide(_FINEST * moments.n, moments.yy, out=most, where=moments.yy > 0)
         weight = np.minimum(weight, most)
     total, noise = moments.total(weight), moments.total_noise(weight)
-    metric = total.S_xx if noise is None else denoised(total, noise)
+    metric = denoised(total, noise)
     right, held = total.S_xy, np.zeros(total.S_xy.size, dtype=bool)
     if bodies is not None:
         prior, held = bodies.noise * bodies.prior, bodies.before == 0
@@ -401,7 +399,9 @@ def _read_coefficients(regressor, sample):
 
 def denoised(total, noise):
     """Gram matrix without the input noise's share (X_t' X_t of eq. 35), projected."""
-    # Directions in which the noise exceeds the signal keep nothing.
+    # Directions in which the noise exceeds the signal keep nothing; noise: or None.
+    if noise is None:
+        return total.S_xx.copy()
     scale = np.sqrt(np.diagonal(total.S_xx))
     unit = np.where(scale > 0, scale, 1.0)
     signal = total.S_xx - total.n_samples * noise
@@ -560,10 +560,6 @@ def _without_negative(theta, metric, places):
 # -- weights of joints -----------------------------------------------------------------
 
 
-def least_squares(G, g):
-    return scaled_eigen(G, 2 * ROUNDING * G.shape[0]).solve(g)
-
-
 def noise_weights(moments, max_iter=30, tol=1e-6):
     """Inverse residual variance of each joint by iterated weighted least squares."""
     # Starts from the mean squared torques, so the unit of a joint's torque does not
@@ -573,7 +569,9 @@ def noise_weights(moments, max_iter=30, tol=1e-6):
     variance = np.where(used & (moments.yy > 0), moments.yy / n, np.inf)
     for _ in range(max_iter):
         weight = 1.0 / variance
-        theta = least_squares(moments.gram(weight), weight @ moments.g)
+        gram = moments.gram(weight)
+        found = scaled_eigen(gram, 2 * ROUNDING * len(gram))
+        theta = found.solve(weight @ moments.g)
         new = moments.residual_squares(theta) / n
         new = np.where(np.isfinite(variance), new, np.inf)
         # An exactly fitted joint would get infinite weight.

@@ -39,10 +39,8 @@ from sklearn_vbjfa.fit._estimate import (
     project,
 )
 from sklearn_vbjfa.fit._gains import (
-    channel_gains,
     common_gain,
     gain_places,
-    mass_places,
     relative_gains,
     with_gains,
 )
@@ -53,7 +51,7 @@ from sklearn_vbjfa.recording import (
     delayed_torques,
     take_rows,
 )
-from sklearn_vbjfa.robot._channels import CommonGain
+from sklearn_vbjfa.robot._channels import ChannelGains
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 from sklearn_vbjfa.robot._spreads import known_parameters
 
@@ -400,7 +398,9 @@ def iterate_corrections(recipe, fit, source, relative):
             check_wait(effect.delay, source.recording)
     common = None
     if relative is not None:
-        common, covariance = _common_gain(recipe, fit, relative, values)
+        common, covariance = common_gain(
+            recipe.masses, fit.robot, relative, values.estimate
+        )
         if common.factor is not None:
             fit = _in_units(recipe, fit, source, common.factor)
     robot, found, own = fit.robot, fit.found, values.indices
@@ -423,8 +423,16 @@ def iterate_corrections(recipe, fit, source, relative):
             std[places[relative.references]] = 0.0
             units = robot.parameter_units_
             std = common.widened(theta, std, units, places, covariance)
-        names = robot.joint_names_
-        gains = channel_gains(names, theta[places], std[places], relative, common)
+        own_std = std[places]
+        if common.factor is None:
+            own_std[relative.references] = 0.0
+        gains = ChannelGains(
+            joint_names=robot.joint_names_,
+            gain=theta[places],
+            std=own_std,
+            reference=relative.reference,
+            common=common,
+        )
     shown[own] = np.isfinite(std[own])
     corrected = replace(
         found,
@@ -488,20 +496,6 @@ def _fitted_again(recipe, robot, source, moments):
     held = robot.linear_part(np.ones(moments.g.shape[1])) == 0.0
     plain = moments.zeroed(np.broadcast_to(held, moments.g.shape))
     return recipe.of_moments(robot, plain, made=source.segments(robot))
-
-
-def _common_gain(recipe, fit, relative, values):
-    features, effects = fit.robot.features_, fit.robot.effects_
-    places = mass_places(
-        recipe.masses, features.model_, effects, features.n_parameters_
-    )
-    common, covariance = common_gain(
-        recipe.masses, places, theta=fit.robot.theta_, estimate=values.estimate
-    )
-    if len(relative.references) != 1:
-        # Gains of joints that share nothing have no common factor.
-        return CommonGain(masses=recipe.masses), None
-    return common, covariance
 
 
 def _in_units(recipe, fit, source, factor):

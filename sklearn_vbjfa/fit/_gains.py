@@ -17,7 +17,7 @@ from sklearn_vbjfa.effects import Payload, TorqueGain
 from sklearn_vbjfa.equations._plan import effect_places
 from sklearn_vbjfa.fit._estimate import IDENTIFIABLE, LOST, noise_weights
 from sklearn_vbjfa.model._trees import body_names
-from sklearn_vbjfa.robot._channels import HALF_WIDTH, LIMIT, ChannelGains, CommonGain
+from sklearn_vbjfa.robot._channels import HALF_WIDTH, LIMIT, CommonGain
 
 # ... so that two of them differ by its square at most.
 _WIDEST = LIMIT**2
@@ -200,23 +200,6 @@ def gain_places(effects, n_rigid):
     return np.array([gains[joint] for joint in sorted(gains)], dtype=int)
 
 
-# -- what a fit says -------------------------------------------------------------------
-
-
-def channel_gains(names, gain, std, relative, common):
-    """Collect the gains (nv,) that a fit found and their deviations, `ChannelGains`."""
-    # relative: RelativeGains; common: CommonGain.
-    if common.factor is None:
-        std[relative.references] = 0.0
-    return ChannelGains(
-        joint_names=names,
-        gain=gain,
-        std=std,
-        reference=relative.reference,
-        common=common,
-    )
-
-
 def check_gains(gains, joint_names):
     """Refuse recordings without information on the gains of the channels."""
     if gains is None:
@@ -262,28 +245,31 @@ def check_masses(masses, gains, model):
     return {name: float(mass) for name, mass in masses.items()}
 
 
-def mass_places(masses, model, effects, n_rigid):
+def _mass_places(masses, robot):
     """Where known masses are among the parameters, a list of (name, mass, place)."""
     # A payload that is picked up and put down is there twice.
-    bodies, found = body_names(model), []
+    features, found = robot.features_, []
+    bodies, width = body_names(features.model_), features.n_parameters_
     for name, mass in masses.items():
         if name in bodies:
-            found.append((name, mass, bodies.index(name) * (n_rigid // model.nv)))
-    for effect, at in effect_places(effects, n_rigid):
+            found.append((name, mass, bodies.index(name) * (width // len(bodies))))
+    for effect, at in effect_places(robot.effects_, width):
         if isinstance(effect, Payload) and PAYLOAD in masses:
             found.append((PAYLOAD, masses[PAYLOAD], at.start))
     return found
 
 
-def common_gain(masses, places, theta, estimate):
+def common_gain(masses, robot, relative, estimate):
     # Returns a `CommonGain`, and the covariance (p,) of its factor with the parameters
     # in units of the reference channel, or None if nothing fixes it. Every sum of known
     # masses that the recording determines is one equation; all of them are weighted by
-    # how well they are known. masses: dict of str to float; places: their
-    # `mass_places`; theta: parameters of the fit (p,); estimate: `PlainEstimate` of the
-    # same, with the relative gains beside them.
-    nothing = CommonGain(masses=masses), None
-    if not places:
+    # how well they are known. masses: dict of str to float; robot: as fitted, with the
+    # `RelativeGains`; estimate: `PlainEstimate` of the same, with these beside the
+    # parameters.
+    nothing, theta = (CommonGain(masses=masses), None), robot.theta_
+    places = _mass_places(masses, robot)
+    # Gains of joints that share nothing have no common factor.
+    if not places or len(relative.references) != 1:
         return nothing
     names, expected, at = (np.array(x) for x in zip(*places))
     # What is put down is a change by minus its mass; of magnitudes, as those given.

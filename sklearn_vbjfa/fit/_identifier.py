@@ -183,7 +183,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         by the description alone.
     criteria_ : SimulationCriteria
         Errors of positions (nv,) before and after the refinement, number and length of
-        the windows, number of steps, convergence. Only with ``criterion="simulation"``.
+        the windows, convergence. Only with ``criterion="simulation"``.
     n_features_in_ : int
         nv or 3 nv.
 

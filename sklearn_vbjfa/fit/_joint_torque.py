@@ -50,8 +50,6 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         regressor provides none.
     joint_weights_ : ndarray of shape (nv,)
         Weights of the joints.
-    n_rows_ : ndarray of shape (nv,)
-        Number of equations of each joint.
     parameter_names_ : tuple of str or None
         Names of the parameters, such as "joint_1:m", from those of the columns of
         `RigidBodyFeatures`; None if X has no such names.
@@ -161,7 +159,6 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         self.theta_unconstrained_ = found.theta_unconstrained
         self.theta_std_ = found.std
         self.joint_weights_ = found.joint_weights
-        self.n_rows_ = found.moments.n_rows
         self.metric_, self.input_noise_ = found.metric, found.input_noise
         self.regressor_ = found.regressor
         self.theta_ = self._project(self.theta_unconstrained_)
@@ -172,13 +169,10 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         if self.projector is None:
             return theta.copy()
         self.projector_ = clone(self.projector)
-        open_settings = {
-            "metric": self.metric_,
-            "parameter_names": self.parameter_names_,
-        }
-        for name, value in open_settings.items():
-            if getattr(self.projector_, name, False) is None:
-                self.projector_.set_params(**{name: value})
+        if self.projector_.metric is None:
+            self.projector_.set_params(metric=self.metric_)
+        if self.projector_.parameter_names is None:
+            self.projector_.set_params(parameter_names=self.parameter_names_)
         return self.projector_.fit(theta[None]).transform(theta[None])[0]
 
     def predict(self, X):

@@ -51,8 +51,7 @@ class SimulationCriteria:
     position_after: np.ndarray
     n_windows: int
     window: float  # their length [s]
-    n_iterations: int  # steps that were taken
-    converged: bool  # whether they ended at the tolerance
+    converged: bool  # whether the steps ended at the tolerance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -274,7 +273,7 @@ def _refine(predictor, found, windows, projector):
     normal = Normal.of(fit, windows)
     largest = _largest(normal.H, metric)
     damping, unconstrained = _FIRST_DAMPING, found.theta_unconstrained
-    taken, converged = 0, False
+    converged = False
     for _ in range(_MOST_STEPS):
         if not largest > 0 or damping > _MOST_DAMPING:
             converged = True
@@ -288,7 +287,6 @@ def _refine(predictor, found, windows, projector):
             continue
         fell = value - after
         fit, value, unconstrained = trial, after, raw
-        taken += 1
         damping = max(0.1 * damping, _LEAST_DAMPING)
         normal = Normal.of(fit, windows)
         if fell < TOLERANCE * count:
@@ -299,7 +297,6 @@ def _refine(predictor, found, windows, projector):
         position_after=fit.position_errors(windows),
         n_windows=windows.count,
         window=(windows.measured.shape[1] - 1) * windows.recording.dt,
-        n_iterations=taken,
         converged=converged,
     )
     std = deviations(normal, metric, _LEAST_DAMPING * largest, found.std)

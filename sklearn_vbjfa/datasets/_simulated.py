@@ -13,7 +13,7 @@ from sklearn_vbjfa.model import (
     load_model,
 )
 from sklearn_vbjfa.physical import inertial_parameters, pseudo_inertia
-from sklearn_vbjfa.recording import Recording
+from sklearn_vbjfa.recording._recording import Recording
 
 # Range [rad or m] and speed [per s] where the description gives none, or wider ones.
 _DEFAULT_RANGE = 2.5

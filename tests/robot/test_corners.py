@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_vbjfa import RobotIdentifier, StateEstimator, load_identified
-from sklearn_vbjfa.effects import Rest, mean_sign
+from sklearn_vbjfa.effects import Rest
 from sklearn_vbjfa.fit import jump
 from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot import FitOptions, PDDrive
@@ -66,12 +66,13 @@ def test_the_sign_turns_when_the_true_velocity_does(turns, before):
         rounding=estimator.rounding(),
     )
 
-    def turned(rest):
+    def turned(sign):
         near = np.abs(t) < 0.05
-        return t[near][np.argmax(turns * mean_sign(v, a, rest)[near, 0] > 0)]
+        return t[near][np.argmax(turns * sign[near, 0] > 0)]
 
-    assert abs(turned(rest)) < 1.5 * DT
-    assert turned(None) != pytest.approx(turned(rest), abs=0.4 * DT)
+    at = turned(rest.sign(v, a))
+    assert abs(at) < 1.5 * DT
+    assert turned(np.sign(v)) != pytest.approx(at, abs=0.4 * DT)
 
 
 def driven(seconds=20.0, seed=0):

@@ -13,7 +13,8 @@ A log is *visible* if the sound log has log odds above 3 against it, by the like
 of the inspection with its prior odds. *right*: the findings that are more than warnings
 (and lags) are of that kind, and a factor or a lag is right; *undecided*: another kind,
 with that one named as less than 19 times less probable; *silent*: there are none;
-*wrong*: there are others. With ``--data-home`` the measured sets, whole and in halves.
+*wrong*: there are others. With ``--data-home`` the same is done to measured robots, a
+minute of each, and all measured sets are inspected, whole and in halves.
 
 Seeds 0 to 99 are for work, from 1000 on to confirm.
 """
@@ -23,7 +24,7 @@ import warnings
 import numpy as np
 from _report import parser, publish, rst_table, run_study
 
-KEYS = ("seed", "what")
+KEYS = ("set", "seed", "what")
 MEASURED = (
     "bam_xl330 dfki_double_pendulum emps franka_panda kuka_kr300 kuka_lbr_med7 "
     "staubli_tx40 tflex_1dof tiago unitree_go2 ur5"
@@ -37,8 +38,11 @@ ROBOTS = {
     "palletiser": ("RZ", "RY", "RY", "RX", "RY"),
     "seven joints": ("RZ", "RY", "RZ", "RY", "RZ", "RY", "RZ"),
 }
+# Measured robots to which things are done, and rows of each at most.
+DONE_TO, ROWS = "ur5 franka_panda staubli_tx40 kuka_lbr_med7".split(), 12_000
 VISIBLE = 3.0
 OTHERS = ("undecided", "silent", "wrong")
+TO_MEASURED = f"The same done to measured robots ({', '.join(DONE_TO)}), twice each:"
 
 
 def robot(kind, rng):
@@ -184,12 +188,10 @@ DONE = {
 # -- one log ---------------------------------------------------------------------------
 
 
-def run(task):
-    """Inspect one log."""
+def simulated(seed):
+    """Draw kind and model of a robot, and a recording of it."""
     from sklearn_vbjfa.datasets import make_robot_recording
-    from sklearn_vbjfa.inspection import inspect_channels
 
-    seed, what = task["seed"], task["what"]
     rng = np.random.default_rng([seed, 48])
     kind = list(ROBOTS)[seed % len(ROBOTS)]
     model = robot(kind, rng)
@@ -203,18 +205,35 @@ def run(task):
         perturbation=float(rng.uniform(0, 0.3)),
         random_state=seed,
     )
-    model = made.robot_model() if model is None else model
-    q, tau, dt, names, strength = made.q, made.tau, made.dt, "", None
+    return kind, made.robot_model() if model is None else model, made
+
+
+def run(task):
+    """Inspect one log."""
+    from sklearn_vbjfa.inspection import inspect_channels
+
+    seed, what, name = task["seed"], task["what"], task["set"]
+    if name:
+        made = fetched(name, task["data_home"])
+        kind, model = name, made.robot_model()
+        made = made.select(0)
+    else:
+        kind, model, made = simulated(seed)
+    q, tau, dt = made.q[:ROWS], made.tau[:ROWS], made.dt
+    names, strength = "", None
     if what:
         names, function = DONE[what]
         known = model.nv, np.random.default_rng([seed, 49])
-        used = real(model, made.inertial) if what == "base turned" else model
+        turns = what == "base turned" and not name
+        used = real(model, made.inertial) if turns else model
         q, tau, dt, strength = function(used, q, tau, dt, *known)
     found = inspect_channels(model, q, tau, dt)
-    grave = [x for x in found if x.severity != "note" or x.kind == "delay"]
+    # Measured torques may be late themselves.
+    late = what == "late" or not name
+    grave = [x for x in found if x.severity != "note" or (late and x.kind == "delay")]
     kinds = {x.kind for x in grave}
     right = bool(kinds) and kinds <= set(names.split())
-    if right and what == "late":
+    if right and what == "late" and not name:
         right = abs(grave[0].value - strength) < 0.002 + 0.1 * strength
     if right and what in ("larger", "smaller"):
         right = abs(np.log(grave[0].value / strength)) < np.log(1.6)
@@ -222,9 +241,9 @@ def run(task):
     undecided = [{x.kind, *x.rivals} & set(names.split()) for x in grave]
     if outcome == "wrong" and all(undecided):
         outcome = "undecided"
-    odds = shown(model, (made.q, made.tau, made.dt), (q, tau, dt))
+    odds = shown(model, (made.q[:ROWS], made.tau[:ROWS], made.dt), (q, tau, dt))
     return {
-        **task,
+        **{key: task[key] for key in KEYS},
         "robot": kind,
         "outcome": outcome,
         "kinds": sorted(kinds),
@@ -247,15 +266,21 @@ def shown(model, sound, wrong):
     return float(scores[0] - scores[1] - np.log(100.0))
 
 
+def fetched(name, data_home):
+    """Load the recording of a measured robot."""
+    from sklearn_vbjfa import datasets
+
+    fetch = getattr(datasets, f"fetch_{name}")
+    return fetch(data_home=data_home, download_if_missing=False)
+
+
 def measured(data_home):
     """Tabulate findings that forbid a use in measured sets, whole and in halves."""
-    from sklearn_vbjfa import datasets
     from sklearn_vbjfa.inspection import inspect_channels
 
     rows = []
     for name in MEASURED:
-        fetch = getattr(datasets, f"fetch_{name}")
-        one = fetch(data_home=data_home, download_if_missing=False)
+        one = fetched(name, data_home)
         half, cells = len(one.q) // 2, [name]
         for part in (slice(None), slice(None, half), slice(half, None)):
             known = one.q[part], one.tau[part], one.dt, one.groups[part]
@@ -272,6 +297,8 @@ def report(results):
     rows = []
     for what in ["", *DONE]:
         own = [r for r in results if r["what"] == what]
+        if not own:
+            continue
         seen = [r for r in own if r["log_odds"] > VISIBLE or not what]
         counts = [sum(r["outcome"] == x for r in own) for x in OTHERS]
         visible = sum(r["outcome"] == "right" for r in seen)
@@ -290,13 +317,22 @@ def main(argv=None):
     names, tasks = list(DONE), []
     for seed in range(first, last + 1):
         own = names[2 * seed % len(DONE)], names[(2 * seed + 1) % len(DONE)]
-        tasks += [{"seed": seed, "what": what} for what in ("", *own)]
+        tasks += [{"set": "", "seed": seed, "what": what} for what in ("", *own)]
+    home = arguments.data_home
+    done_to = [
+        {"set": name, "seed": seed, "what": what, "data_home": home}
+        for name in DONE_TO * bool(home)
+        for seed in (first, last)
+        for what in DONE
+        if what != "base turned"
+    ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        ledger = run_study(run, tasks, KEYS, out=arguments.out)
+        ledger = run_study(run, tasks + done_to, KEYS, out=arguments.out)
         text = report(ledger.of(tasks))
-        if arguments.data_home:
-            text = f"{text}\n\n{measured(arguments.data_home)}"
+        if home:
+            parts = text, TO_MEASURED, report(ledger.of(done_to)), measured(home)
+            text = "\n\n".join(parts)
     publish(
         "log_hypotheses",
         text,

@@ -1,7 +1,7 @@
 """Processor seconds of the whole loop, each recording in a process of its own.
 
 Run ``python tests/benchmarks/bench_search_seconds.py [--cases NAME ...] [--quick]
-[--data-home DIR] [--out FILE] [--before FILE] [--write]``.
+[--data-home DIR] [--out FILE] [--write]``.
 
 Data: the demonstration; one run of the quadruped (`fetch_unitree_go2`, 4,781 rows of
 twelve motors); the first two motions of the KR300 of the Nonlinear Benchmark (7,260
@@ -12,8 +12,7 @@ that the description lacks; ten arms of six joints on one base, 60 s; the 30 min
 ``bench_long_recordings.py``.
 
 ``EffectDiscovery.fit`` with its defaults and the text of its report, one thread, user
-and system time of the process after its imports. With ``--out`` figures are kept in a
-file of JSON lines; those of another state of the code come with ``--before``.
+and system time of the process after its imports.
 """
 
 import argparse
@@ -27,7 +26,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from _report import Ledger, parser, publish, rst_table
+from _report import Ledger, fixed, parser, publish, rst_table
 
 # Target of each case [s].
 CASES = {
@@ -210,21 +209,13 @@ def measure(case, data_home):
     return json.loads(answer.stdout.splitlines()[-1])
 
 
-HEADERS = ["recording", "before [s]", "now [s]", "target", "names before", "names now"]
-
-
-def row(case, target, before, now):
-    """Row of the table."""
-    seconds = [f"{x['seconds']:.1f}" if x else "" for x in (before, now)]
-    names = [str(len(x["named"])) if x else "" for x in (before, now)]
-    return [case, *seconds, f"{target:.0f}" if np.isfinite(target) else "", *names]
+HEADERS = ["recording", "seconds", "target", "names"]
 
 
 def main(argv=None):
     """Print the table."""
     arguments = parser(__doc__, data=True, out=True)
     arguments.add_argument("--cases", nargs="+", help="names of the table")
-    arguments.add_argument("--before", help="figures of another state of the code")
     # what the script starts itself with
     arguments.add_argument("--run", help=argparse.SUPPRESS)
     arguments = arguments.parse_args(argv)
@@ -233,13 +224,18 @@ def main(argv=None):
         return
     cases = QUICK if arguments.quick else CASES
     ledger = Ledger(arguments.out, ("case",))
-    before = Ledger([arguments.before] if arguments.before else (), ("case",))
-    before = {one["case"]: one for one in before.results}
     asked = [{"case": name} for name in arguments.cases or cases]
     for task in ledger.missing(asked):
         ledger.add(task | measure(task["case"], arguments.data_home))
-    found = {one["case"]: one for one in ledger.of(asked)}
-    rows = [row(x, cases[x], before.get(x), found.get(x)) for x in cases]
+    rows = [
+        [
+            x["case"],
+            f"{x['seconds']:.1f}",
+            *fixed([cases[x["case"]]], 0),
+            len(x["named"]),
+        ]
+        for x in ledger.of(asked)
+    ]
     commits = ledger.commits()
     publish("search_seconds", rst_table(rows, HEADERS), arguments, commits=commits)
 

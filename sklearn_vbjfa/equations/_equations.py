@@ -719,13 +719,13 @@ def torque_spread(*parts):
 
 
 def compare(segments, lowpass, theta):
-    """Low-pass filtered residuals of `Segment` by parameters (p,)."""
+    """Low-pass filtered residuals of `Segment` by parameters (p,); None: torques."""
     # Torques are predicted before the low-pass, which is linear: a filter of one column
     # of each joint instead of all columns of the regressor.
     found, every = [], slice(None)
     for own in segments:
         torque = lowpass(np.asarray(own.torque))
-        predicted = lowpass(own.rows.predict(theta))
+        predicted = torque if theta is None else lowpass(own.rows.predict(theta))
         counts = own.counts(every, derivative(own.states, every, 1))
         rows = own.first + lowpass.centres(own.n_rows)
         found.append((rows, torque, predicted, lowpass.samples(counts)))

@@ -32,6 +32,7 @@ _LOWEST = 2.0
 # over the cut-off, seen through windows of this many periods of it.
 _GAP = np.array([0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.5, 4.0])
 _WINDOW = 12.0
+_AT_ONCE = 64  # windows of which spectra are made at once
 # Model error of the family of spectra, in log power.
 _UNLIKE = 0.05
 # Time after a reversal in which friction turns round, times the cut-off; displacements
@@ -160,20 +161,23 @@ def _strides(dt, cutoff):
 def _gap_power(x, dt, cutoff):
     """Power per row of x (n,) in bands of the gap (n_bands,), median of windows."""
     length = round(_WINDOW / (cutoff * dt))
-    power = np.full(_GAP.size - 1, np.nan)
     if x.size < 3 * length:
-        return power
+        return np.full(_GAP.size - 1, np.nan)
     taper = np.hanning(length + 2)[1:-1]
     frequency = np.fft.rfftfreq(length, dt) / cutoff
     borders = np.searchsorted(frequency, _GAP)
     windows = np.lib.stride_tricks.sliding_window_view(x, length)[:: length // 2]
-    windows = (windows - windows.mean(axis=1, keepdims=True)) * taper
-    spectra = np.abs(np.fft.rfft(windows, axis=1)) ** 2 / (taper @ taper)
-    for k, (low, high) in enumerate(itertools.pairwise(borders)):
-        if low < high:
-            power[k] = np.median(spectra[:, low:high].mean(axis=1))
+    # Some at a time, which stay in the cache.
+    means = np.full((len(windows), _GAP.size - 1), np.nan)
+    for first in range(0, len(windows), _AT_ONCE):
+        some = windows[first : first + _AT_ONCE]
+        some = (some - some.mean(axis=1, keepdims=True)) * taper
+        spectra = np.abs(np.fft.rfft(some, axis=1)) ** 2 / (taper @ taper)
+        for k, (low, high) in enumerate(itertools.pairwise(borders)):
+            if low < high:
+                means[first : first + _AT_ONCE, k] = spectra[:, low:high].mean(axis=1)
     # the median of a Gamma variable over its mean (Wilson and Hilferty)
-    return power / (1 - 1 / (9 * _gap_shape())) ** 3
+    return np.median(means, axis=0) / (1 - 1 / (9 * _gap_shape())) ** 3
 
 
 def _gap_shape():

@@ -345,8 +345,9 @@ class IdentifiedRobot:
         recording = self.recording(X, y, groups, weight, clock, signals)
         return self.residuals_of(recording)
 
-    def residuals_of(self, recording):
+    def residuals_of(self, recording, predicts=True):
         """Torque residuals on a `Recording`; see `residuals`."""
+        # predicts: whether predictions are needed, beside torques and weights
         lowpass = self.plan.lowpass
         check_length(recording.segments, lowpass, self.plan.cutoff)
         recording = self._on_clock(recording)
@@ -362,10 +363,10 @@ class IdentifiedRobot:
                 theta=self.load_parameters,
                 rest=rest,
             )
-            return compare(made, lowpass, self.theta_)
+            return compare(made, lowpass, self.theta_ if predicts else None)
 
         found = compared(None)
-        if not (found.weight > 0).all():
+        if predicts and not (found.weight > 0).all():
             # Weighted rows have the columns of the fit; rows at rest are predicted.
             found = found.filled(compared(rest))
         return found

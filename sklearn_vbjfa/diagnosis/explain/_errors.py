@@ -40,7 +40,7 @@ def judge(loop, found, split, near, whole):
     searched = residuals(near.searched(whole), near.rows)
     fitted = searched[plain]
     if near is not split:
-        fitted = plain.robot_.residuals_of(split.searched(whole))
+        fitted = plain.robot_.residuals_of(split.searched(whole), predicts=False)
     # A joint whose channel carries no information counts nowhere.
     fitted = replace(fitted, weight=fitted.weight * used)
     spread = torque_spread(fitted, held_out[declared])

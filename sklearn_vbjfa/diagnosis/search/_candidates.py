@@ -142,8 +142,12 @@ class Candidates:
                 continue
             if shapes := problem.first_shapes(one):
                 found[j].append(problem.shaped(shapes))
-        # Those of a joint are not needed any more once they are side by side.
-        self.families = {j: families_of(found.pop(j)) for j in list(found)}
+        self.families = {}
+        for j in list(found):
+            # Cosines are there once: those that are side by side.
+            self.families[j] = families_of(found.pop(j))
+            for columns in dict.fromkeys(one.columns for one in self.families[j]):
+                problem.view.keep(columns)
         self.count = sum(map(len, self.families.values()))
         self.log_prior = np.log(settings.expected / max(self.count, 1))
         # Log odds above which an effect is in the model.

@@ -388,8 +388,7 @@ class RecordingView:
         has fewer, and root mean squares (nj, c, k) of rows.
         """
         joints = self.joints_of(effects[0])
-        use = type(effects[0]), effects[0].joint, *self.gains[joints]
-        keys = [(use, *sorted(effect.shape().items())) for effect in effects]
+        keys = self._keys(effects, joints)
         loads = [motion if "load" in effect.needs else None for effect in effects]
         known = [self._shapes.take(key) for key in keys]
         missing = [
@@ -415,6 +414,19 @@ class RecordingView:
             values[:, :, c, : own.shape[2]] = own
             size[:, c, : own.shape[2]] = own_size
         return values, size
+
+    def keep(self, columns):
+        """Let kept cosines of shapes be those of `Columns` that hold the same."""
+        for c, key in enumerate(self._keys(columns.effects, list(columns.joints))):
+            load, values, size = self._shapes.take(key)
+            if values is not None:
+                values = columns.values[:, :, c, : values.shape[2]]
+                self._shapes.put(key, (load, values, size))
+
+    def _keys(self, effects, joints):
+        """Return by what cosines of effects on joints are kept, a list."""
+        gains = self.gains[joints]
+        return [(type(e), e.joint, *gains, *sorted(e.shape().items())) for e in effects]
 
     def _made(self, effect, motion):
         """Columns of an effect at the samples, checked for custom effects."""

@@ -128,6 +128,14 @@ class Motion:
         """Number of joints."""
         return self.q.shape[1]
 
+    @property
+    def later(self):
+        """When recordings begin [s], but for the first."""
+        starts = self.begins
+        if starts is None:
+            starts = [self.t[part.start] for part in self.parts]
+        return np.asarray(starts[1:], dtype=float)
+
     def speed(self, joint):
         """Fastest speed of a joint, outliers aside [rad/s or m/s]."""
         if joint not in self._speeds:

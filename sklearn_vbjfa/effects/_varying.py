@@ -250,10 +250,7 @@ class Payload(Shaped, OfTime):
 
     def shapes(self, motion):
         """Instants all over the recording."""
-        t, starts = motion.t, motion.begins
-        if starts is None:
-            starts = [t[part.start] for part in motion.parts]
-        starts = np.asarray(starts[1:], dtype=float)
+        t, starts = motion.t, motion.later
         shares = np.linspace(t[0], t[-1], _INSTANTS + 2)[1:-1]
         # Between two recordings all instants are one: the start of the second.
         border = np.searchsorted(t, starts)

@@ -10,7 +10,7 @@ b = 0 unless they have noise in common. Tags such as [C6] are equations of the g
 """
 
 import functools
-from collections import deque
+from collections import deque, namedtuple
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -160,15 +160,9 @@ def _posterior_of_root(root, s2, prior):
     return mean, cov, float(logdet)
 
 
-@dataclass(frozen=True, kw_only=True)
-class CorrelatedPoint:
-    """A state with its bound, and the sums that the next step needs."""
-
-    state: CorrelatedState
-    value: float
-    # sums of <tt'> (d, d) and <t> y (d,)
-    S_tt: np.ndarray
-    S_ty: np.ndarray
+# A state with its bound, and the sums of <tt'> (d, d) and <t> y (d,) that the next step
+# needs.
+CorrelatedPoint = namedtuple("CorrelatedPoint", "state value S_tt S_ty")
 
 
 class CorrelatedProblem:
@@ -277,7 +271,7 @@ class CorrelatedProblem:
             given = given or _given_beta(self.latent, state.beta_cov / state.psi_y)
             S_tt, S_ty, value = self._expected(state, *given)
         value += _prior_bound(state, self.ard_shape, self.ard_rate, logdet, self.shared)
-        return CorrelatedPoint(state=state, value=value, S_tt=S_tt, S_ty=S_ty)
+        return CorrelatedPoint(state, value, S_tt, S_ty)
 
     def _expected(self, state, latent, logdet):
         """E-step over T with noisy inputs, [C5] to [C7], [C12], [C18]."""
@@ -343,12 +337,12 @@ class CorrelatedProblem:
             psi_y=max(float(np.exp(logs[d])), self.floor),
         )
         if self.exact:
-            return replace(point, state=state)
+            return point._replace(state=state)
         places, length = self._triangle
         S_tt = np.zeros((d, d))
         S_tt.ravel()[places] = vector[d + 1 : -d] * (self.n / length)
         S_tt += np.triu(S_tt, 1).T
-        return replace(point, state=state, S_tt=S_tt, S_ty=self.n * vector[-d:])
+        return CorrelatedPoint(state, point.value, S_tt, self.n * vector[-d:])
 
 
 # Steps kept by Anderson's method (usually 5 to 20; more cost more than they save).

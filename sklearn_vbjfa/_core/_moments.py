@@ -7,6 +7,7 @@ scatter matrix.
 """
 
 import functools
+from collections import namedtuple
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -102,14 +103,9 @@ def from_data(X, y, weight=None):
     return Moments(n_samples=n_samples, origin=origin, factor=factor)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scatter:
-    """Sums of products of the columns of [X y], of which there are no rows."""
-
-    n_samples: float  # sum of the weights
-    S_xx: np.ndarray  # (d, d)
-    S_xy: np.ndarray  # (d,)
-    S_yy: float
+# Sum of the weights, and sums of products (d, d), (d,) and a float of the columns of
+# [X y], of which there are no rows.
+Scatter = namedtuple("Scatter", "n_samples S_xx S_xy S_yy")
 
 
 def from_scatter(known):

@@ -14,7 +14,6 @@ from scipy import linalg
 
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
-    HiddenExpectations,
     State,
     coefficients_noisy,
     data_bound,
@@ -122,13 +121,8 @@ class PlainSteps:
 # ------------------------------------------------- plain steps of independent latents
 
 
-@dataclass(frozen=True, kw_only=True)
-class Point:
-    """A state with its expectations and its bound."""
-
-    state: State
-    value: float
-    hidden: HiddenExpectations
+# A state with its bound and its `HiddenExpectations`.
+Point = namedtuple("Point", "state value hidden")
 
 
 class IndependentProblem:
@@ -141,7 +135,7 @@ class IndependentProblem:
         """Do the E-step and the bound of a state."""
         hidden = expect_hidden(self.moments, state)
         value = data_bound(self.moments, hidden) + prior_bound(state, self.prior)
-        return Point(state=state, value=value, hidden=hidden)
+        return Point(state, value, hidden)
 
     def update(self, point):
         """Do the M-steps: the state after a point."""

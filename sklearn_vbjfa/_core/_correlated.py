@@ -30,18 +30,9 @@ from sklearn_vbjfa._core._solver import (
 )
 from sklearn_vbjfa._core._updates import LOG_2PI, precision_bound
 
-
-@dataclass(frozen=True, kw_only=True)
-class Latent:
-    """Gaussian of the latent inputs: H, P, Sigma_t and more, all (d, d)."""
-
-    # E[t | x] = H x, Cov[t | x] = P, Cov[t] = Sigma_t. With ``exact`` the noise is zero
-    # and t is x.
-
-    H: np.ndarray
-    P: np.ndarray
-    Sigma_t: np.ndarray
-    exact: bool
+# Gaussian of the latent inputs, E[t | x] = H x, Cov[t | x] = P, Cov[t] = Sigma_t, all
+# (d, d). With ``exact`` the noise is zero and t is x.
+Latent = namedtuple("Latent", "H P Sigma_t exact")
 
 
 def infer_latent(S, n, psi, floor=1e-12):
@@ -75,7 +66,7 @@ def _given_beta(latent, G):
         raise linalg.LinAlgError("the precision of the latent inputs is singular")
     P = both[:, d:]
     logdet = np.log(np.abs(np.diagonal(lu))).sum()
-    return replace(latent, H=both[:, :d], P=0.5 * (P + P.T)), logdet
+    return latent._replace(H=both[:, :d], P=0.5 * (P + P.T)), logdet
 
 
 def likely_noise(squares, through, n, d, penalty, floor):

@@ -11,6 +11,7 @@ Tags such as [eq. 12] are equations of the paper, [B1] to [B4] those of the guid
 the bound, which keeps all its constants: for JFA it is the log-likelihood itself.
 """
 
+from collections import namedtuple
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,17 +84,10 @@ class Prior:
     psi_x_mode: np.ndarray | None = None  # (n_features,) or None: mode of that prior
 
 
-@dataclass(frozen=True, kw_only=True)
-class LinearModel:
-    """Answer to one kind of query, in standardised units."""
-
-    # Coefficients (d,), their covariance (d, d), the variance of y given the query, and
-    # by how much that may be larger where the input noise is unknown.
-
-    coef: np.ndarray
-    cov: np.ndarray
-    noise: float
-    open_noise: float = 0.0
+# Answer to one kind of query, in standardised units: coefficients (d,), their
+# covariance (d, d), the variance of y given the query, and by how much that may be
+# larger where the input noise is unknown.
+LinearModel = namedtuple("LinearModel", "coef cov noise open_noise", defaults=[0.0])
 
 
 def coefficients_noisy(state):

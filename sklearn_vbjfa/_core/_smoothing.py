@@ -40,10 +40,6 @@ _CORRECTIONS = 2
 _STANDS_STILL = 2.0**-30
 
 
-# Samples that a cubic spline needs.
-_CUBIC = 4
-
-
 def knot_step(dt, cutoff):
     """Return the samples per knot for a cut-off frequency [Hz]."""
     return max(1, int(1.0 / (dt * cutoff * _KNOTS_PER_PERIOD)))
@@ -421,13 +417,12 @@ def interpolate(values, parts, t, delay=0.0, order=0):
     out = np.empty(values.shape)
     for part in parts:
         rows, clock = values[part], t[part]
-        degree = 3 if clock.size >= _CUBIC else min(clock.size - 1, 1)
-        if not degree:
+        if clock.size == 1:
             out[part] = rows if order == 0 else 0.0
             continue
         # Counted in the recording, times are as exact at noon as at midnight.
         clock = clock - clock[0]
-        made = make_interp_spline(clock, rows, k=degree)
+        made = make_interp_spline(clock, rows, k=min(3, clock.size - 1))
         asked = clock - delay
         out[part] = made(np.clip(asked, 0.0, clock[-1]), nu=order)
         if order:

@@ -87,7 +87,9 @@ class GravityCorrection:
     def interval_at(self, q):
         """Half width (n, nv) of the 90 % interval of the gravity torque at poses q."""
         rows = _gravity_rows(self.identifier.features_, np.asarray(q, dtype=float))
-        return HALF_WIDTH * _deviations(rows, rows @ _covariance(self.identifier))
+        across = rows @ _covariance(self.identifier)
+        variance = np.einsum("kjp,kjp->kj", across, rows)
+        return HALF_WIDTH * np.sqrt(np.maximum(variance, 0.0))
 
 
 def correct_gravity(recording, model):
@@ -255,11 +257,6 @@ def _random_poses(robot, random_state=0):
     return q[:_CANDIDATES]
 
 
-def _deviations(rows, across):
-    """Deviations (n, nv) of torques from rows (n, nv, p) and rows times covariance."""
-    return np.sqrt(np.maximum(np.einsum("kjp,kjp->kj", across, rows), 0.0))
-
-
 def _best_poses(rows, covariance, noise, n):
     """Choose n rows (n, nv, p), each of which narrows the widest interval most.
 
@@ -269,11 +266,13 @@ def _best_poses(rows, covariance, noise, n):
     chosen, stds = [], []
     while True:
         across = rows @ covariance
-        stds.append(np.sqrt((_deviations(rows, across) ** 2).mean(axis=0)))
+        torque = across @ rows.transpose(0, 2, 1)
+        variance = np.maximum(np.diagonal(torque, axis1=1, axis2=2), 0.0)
+        stds.append(np.sqrt(variance.mean(axis=0)))
         if len(chosen) == n:
             return chosen, np.array(stds)
         # A pose is recorded from both sides.
-        gains = np.linalg.inv(across @ rows.transpose(0, 2, 1) + np.diag(noise**2 / 2))
+        gains = np.linalg.inv(torque + np.diag(noise**2 / 2))
         # What each pose would take away of the widest variance, summed over all poses.
         shared = across[:, stds[-1].argmax()] @ rows.transpose(0, 2, 1)
         best = int(np.einsum("kmj,kji,kmi->k", shared, gains, shared).argmax())

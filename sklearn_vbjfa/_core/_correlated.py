@@ -66,7 +66,8 @@ def _given_beta(latent, G):
         raise linalg.LinAlgError("the precision of the latent inputs is singular")
     P = both[:, d:]
     logdet = np.log(np.abs(np.diagonal(lu))).sum()
-    return latent._replace(H=both[:, :d], P=0.5 * (P + P.T)), logdet
+    P = 0.5 * (P + P.T)
+    return Latent(both[:, :d], P, latent.Sigma_t, latent.exact), logdet
 
 
 def likely_noise(squares, through, n, d, penalty, floor):
@@ -328,7 +329,7 @@ class CorrelatedProblem:
             psi_y=max(float(np.exp(logs[d])), self.floor),
         )
         if self.exact:
-            return point._replace(state=state)
+            return CorrelatedPoint(state, point.value, point.S_tt, point.S_ty)
         places, length = self._triangle
         S_tt = np.zeros((d, d))
         S_tt.ravel()[places] = vector[d + 1 : -d] * (self.n / length)

@@ -15,12 +15,7 @@ from sklearn_vbjfa.inspection._positions import implausible_speed
 from sklearn_vbjfa.inspection._reading import Reading, long_parts, thinned
 from sklearn_vbjfa.inspection._rows import Rows, shuffled_rows
 from sklearn_vbjfa.inspection._sentences import finding
-from sklearn_vbjfa.model import (
-    is_prismatic,
-    joint_names,
-    load_folded,
-    movable_joints,
-)
+from sklearn_vbjfa.model import is_prismatic, joint_names, load_folded, movable_joints
 from sklearn_vbjfa.recording import (
     ChannelFinding,
     RecordingRefused,

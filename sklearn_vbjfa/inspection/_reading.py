@@ -10,11 +10,7 @@ import scipy
 
 from sklearn_vbjfa._core import _lowpass, _smoothing
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._likelihood import (
-    Bodies,
-    DescribedRobot,
-    under_gravity,
-)
+from sklearn_vbjfa.inspection._likelihood import Bodies, DescribedRobot, under_gravity
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import COMMANDS, contiguous_groups
 

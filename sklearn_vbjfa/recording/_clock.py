@@ -363,8 +363,7 @@ def _stamps(table, role, time_unit):
         )
     seconds, unit = table.numbers(role.column), channel_unit(table, role)
     factor = 1.0 if unit is None else unit.factor
-    if time_unit is not None:
-        factor = TIME_UNITS[time_unit]
+    factor = TIME_UNITS.get(time_unit, factor)
     _check_unit(table, role, usual_step(seconds), factor, time_unit)
     # Without a unit stamps stay as they are, for messages that quote them.
     return seconds if factor == 1.0 else factor * (seconds - seconds[0]), role

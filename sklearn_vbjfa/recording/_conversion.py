@@ -9,12 +9,7 @@ import numpy as np
 from sklearn_vbjfa.recording._clock import SAME_DT, time_of, without_odd_rows
 from sklearn_vbjfa.recording._drives import PDDrive
 from sklearn_vbjfa.recording._grid import FileRows
-from sklearn_vbjfa.recording._layout import (
-    channel_unit,
-    laid_out,
-    matches,
-    refuse_two,
-)
+from sklearn_vbjfa.recording._layout import channel_unit, laid_out, matches, refuse_two
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import (

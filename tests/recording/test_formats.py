@@ -154,7 +154,7 @@ def test_matlab_of_the_wrong_version(tmp_path):
     path = tmp_path / "arm.mat"
     path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(900))
     message = str(refusal(path))
-    assert "version 7.3 (HDF5), expected version 5 to 7.2" in message
+    assert "is not a complete MATLAB file of version 5 to 7.2" in message
     assert "save(FILE, 't', 'q', 'tau', '-v7')" in message
 
 

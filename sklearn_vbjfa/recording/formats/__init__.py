@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sklearn_vbjfa.recording._table import Table, check_size, listed, no_rows, parsing
 from sklearn_vbjfa.recording.formats import _arrays
-from sklearn_vbjfa.recording.formats._arrays import BAGS, bag_files, read_bag
+from sklearn_vbjfa.recording.formats._arrays import BAGS, INFO, bag_files, read_bag
 from sklearn_vbjfa.recording.formats._text import read_sheet, read_text
 
 # What a file may be, for refusals and the help of commands.
@@ -36,8 +36,7 @@ _PACKED = {b"\x1f\x8b": gzip, b"BZh": bz2, b"\xfd7zXZ\x00": lzma}
 _PACKED_ENDINGS = (".gz", ".bz2", ".xz")
 _CHUNK = 1 << 20
 # Files that only the folder of one bag or data set has.
-_INFO = "meta/info.json"
-_MARKS = ("metadata.yaml", _INFO)
+_MARKS = ("metadata.yaml", INFO)
 
 
 def read_table(path, options) -> Table:
@@ -56,13 +55,13 @@ def read_table(path, options) -> Table:
         )
     elif files:
         table = read_bag(files, path, options.topic, options.joints)
-    elif (path / _INFO).is_file():
+    elif (path / INFO).is_file():
         table = _arrays.read_parquet(path)
     elif path.is_dir():
         names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
         raise ValueError(
             f"{path}: is a folder without a recording: {_KNOWN}, or a LeRobot data set "
-            f"({_INFO}). It holds {listed(names) or 'nothing'}."
+            f"({INFO}). It holds {listed(names) or 'nothing'}."
         )
     elif ending in _OF_BYTES or not path.is_file():
         # What is no file is a pipe of text.

@@ -6,7 +6,6 @@ import re
 import zipfile
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -130,7 +129,7 @@ def _number_of_rows(path, arrays):
             return Counter(map(len, chosen)).most_common(1)[0][0]
     raise NotATable(
         f"{path}: holds {listed(arrays) or 'nothing'}; expected arrays q and tau of "
-        "shape (n_samples, n_joints), or columns q1, ..., tau1, ...",
+        "shape (n_samples, n_joints), or columns q1, ..., tau1, ..."
     )
 
 
@@ -182,13 +181,6 @@ def read_mat(path) -> Table:
     """Read the variables of a MATLAB file."""
     from scipy.io import loadmat
 
-    with path.open("rb") as file:
-        begin = file.read(128)
-    if begin.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        raise ValueError(
-            f"{path}: is a MATLAB file of version 7.3 (HDF5), expected version 5 to "
-            f"7.2; in MATLAB: {_SAVE}."
-        )
     what = "MATLAB file of version 5 to 7.2"
     with parsing(path, what, f"write it again with {_SAVE}."):
         found = loadmat(path, simplify_cells=True)
@@ -261,7 +253,7 @@ def _longest(record):
 # -- Parquet and Feather ---------------------------------------------------------------
 
 PARQUET = (".parquet", ".pq", ".feather", ".arrow")
-_INFO = Path("meta") / "info.json"
+INFO = "meta/info.json"
 
 
 def read_parquet(path) -> Table:
@@ -299,7 +291,7 @@ def read_parquet(path) -> Table:
 
 def _features(file):
     """Return what a LeRobot data set says of the columns of its file, {} for others."""
-    for path in (folder / _INFO for folder in list(file.resolve().parents)[:4]):
+    for path in (folder / INFO for folder in list(file.resolve().parents)[:4]):
         if path.is_file():
             with parsing(path, "JSON file", "download the data set again."):
                 return json.loads(path.read_text(encoding="utf-8"))["features"]
@@ -371,8 +363,7 @@ def _joint_states(shown, topic, names, values, times, wanted):
         known &= asked
     # Joints that come together, the set of them that gives most samples.
     best = max(
-        np.unique(known, axis=0),
-        key=lambda x: x.sum() * known[:, x].all(axis=1).sum(),
+        np.unique(known, axis=0), key=lambda x: x.sum() * known[:, x].all(axis=1).sum()
     )
     rows = known[:, best].all(axis=1)
     joints, others = names[best].tolist(), sorted(names[~best])

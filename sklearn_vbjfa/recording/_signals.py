@@ -201,9 +201,10 @@ def survey(given, offered, recording, effects):
         found = {name: found[name] for name in found if name in wanted}
     if not reasons:
         return found, ()
-    told = [f"{name!r} {reason}" for name, reason in reasons.items()][:_NAMED]
-    more = f"; and {len(reasons) - _NAMED} more" * (len(reasons) > _NAMED)
-    message = f"Column(s) are not used as signals: {'; '.join(told)}{more}."
+    shown, left = [*reasons][:_NAMED], len(reasons) - _NAMED
+    names = ", ".join(map(repr, shown)) + f" and {left} more" * (left > 0)
+    told = "; ".join(f"{name!r} {reasons[name]}" for name in shown)
+    message = f"Column(s) {names} are not used as signals: {told}."
     return found, (ChannelFinding("unusable_signal", (), "note", message),)
 
 

@@ -12,7 +12,7 @@ from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._dynamics import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, write_mjcf
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
-from sklearn_vbjfa.simulation import LeftOut, SimulationError, simulate
+from sklearn_vbjfa.simulation import LeftOut, SimulationError, simulate, with_bodies
 
 
 def plain_totals(robot):
@@ -183,6 +183,16 @@ class _Account:
         """List plain coefficients (nv,) that have no place."""
         for j in np.flatnonzero(totals):
             self.leave(name, j, reason)
+
+
+def as_pinocchio(robot):
+    """Return the `pin.Model` of a `TorqueModel`, with friction and rotor inertia."""
+    account = _Account(robot)
+    model = with_bodies(robot.model, robot.bodies, account.passive("rotor_inertia"))
+    model.damping = account.passive("viscous")
+    dry = account.passive("coulomb")
+    model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -dry, dry
+    return model
 
 
 # -- URDF ------------------------------------------------------------------------------

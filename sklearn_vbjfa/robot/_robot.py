@@ -17,10 +17,11 @@ from sklearn_vbjfa.equations._equations import (
     equations,
     is_plain,
     joined,
+    make_motion,
     plain_coefficients,
     regressor_rows,
 )
-from sklearn_vbjfa.equations._features import RigidBodyFeatures
+from sklearn_vbjfa.equations._features import Follower, RigidBodyFeatures
 from sklearn_vbjfa.equations._plan import Plan, needs_load, parameter_names
 from sklearn_vbjfa.equations._recording_checks import (
     check_length,
@@ -47,6 +48,7 @@ from sklearn_vbjfa.recording._recording import (
 from sklearn_vbjfa.robot._channels import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._exports import (
+    as_pinocchio,
     friction_of_file,
     plain_totals,
     refitted,
@@ -487,6 +489,65 @@ class IdentifiedRobot:
                 f"{drive!r}."
             )
         return follow(self, drive, recording, window)
+
+    def gravity(self, q):
+        """Return the torques that hold the robot still.
+
+        Parameters
+        ----------
+        q : array-like of shape (nv,) or (n_samples, nv)
+            Joint positions [rad or m].
+
+        Returns
+        -------
+        ndarray of the shape of q
+            Torques of gravity on the identified bodies, as the torque channels read
+            them [N m or N]; no friction, offset or spring.
+
+        Raises
+        ------
+        ValueError
+            If q does not suit the robot.
+        """
+        q = np.asarray(q, dtype=float)
+        nv = self.features_.n_joints_
+        if q.shape[-1:] != (nv,) or q.ndim > 2 or not np.isfinite(q).all():
+            raise ValueError(
+                f"q must hold finite positions of {nv} joints, shape ({nv},) or "
+                f"(n_samples, {nv}); got shape {q.shape}."
+            )
+        rows = np.atleast_2d(q)
+        still = np.zeros_like(rows)
+        torque = self.features_.torques(rows, still, still, self.inertial())
+        states = np.hstack([rows, still, still])
+        for effect, own in zip(self.effects_, self.split(self.theta_)):
+            if isinstance(effect, Follower):
+                motion = make_motion(self.features_, states, None, [slice(None)])
+                torque = torque + effect.columns(motion) @ own
+        return (torque * self.features_.gains_).reshape(q.shape)
+
+    def to_pinocchio(self):
+        """Return a Pinocchio model of the identified robot.
+
+        Returns
+        -------
+        pinocchio.Model
+            Identified bodies in ``inertias``, rotor inertia in ``armature``, viscous
+            friction in ``damping`` and Coulomb friction in ``lowerDryFrictionLimit``
+            and ``upperDryFrictionLimit``. ``pinocchio.rnea`` and ``aba`` take bodies
+            and armature into account, and no friction.
+
+        Raises
+        ------
+        ValueError
+            If a body has no mass.
+
+        Notes
+        -----
+        Joints of the description that follow others (``mimic``) carry no bodies.
+        Offsets, springs and further effects have no place in the model.
+        """
+        return as_pinocchio(self.torque_model())
 
     def save(self, path):
         """Write the identified robot to a file.

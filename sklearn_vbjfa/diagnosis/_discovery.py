@@ -16,6 +16,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     FinalFit,
     judge,
     make_outcome,
+    motions_of,
     split_in_time,
     that_help,
     unnamed_torques,
@@ -309,7 +310,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
-            outcome = self._close(whole, library, unusable, names)
+            outcome, self._expectation = self._close(whole, library, unusable, names)
         for name in ("effects", "possible", "unexplained", "not_identifiable"):
             setattr(self, f"{name}_", outcome.findings[name])
         for name in ("before", "plain", "after"):
@@ -362,7 +363,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     # -- stages ------------------------------------------------------------------------
 
     def _close(self, whole, library, unusable, names):
-        """Close the loop on a checked recording; return the `Outcome`."""
+        """Close the loop on a checked recording; return what `make_outcome` does."""
         say("channels")
         channels = () if whole.states is not None else self._inspected(whole)
         silent = [j for f in channels if f.kind in NO_INFORMATION for j in f.joints]
@@ -492,6 +493,36 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     def predict(self, X, groups=None, t=None, signals=None):
         check_is_fitted(self)
         return self.identifier_.predict(X, groups=groups, t=t, signals=signals)
+
+    def expected_error(self, X, groups=None, t=None, signals=None):
+        """Predict the error of the completed model on another motion.
+
+        It is the error on held-out data, larger for speeds, accelerations and loads
+        beyond those of the fit, and what friction, gains, offsets and the load differ
+        by between recordings. The report has the same for motion like the fitted.
+
+        Parameters
+        ----------
+        X, groups, t, signals : array-like
+            Positions or states of the motion, as for `predict`.
+
+        Returns
+        -------
+        error : ndarray of shape (nv,)
+            Median of the RMS error over `torque_std_`; nan for a joint without an error
+            on held-out data.
+        interval : ndarray of shape (2, nv)
+            Ends between which it is in nine of ten recordings.
+        """
+        predicted = self.predict(X, groups, t, signals)
+        robot, spread = self.identifier_, self.torque_std_
+        states = robot.robot_.states(positions_in_order(X, self.joint_names_), groups)
+        states = np.asarray(states)
+        speeds = np.abs(np.split(states, 3, axis=1)[1])
+        moving = (speeds > np.maximum(robot.standstill_, 0.0)).astype(float)
+        motion = motions_of(robot, states, predicted, moving, spread)
+        error, low, high = self._expectation.of(motion)[:, :-1]
+        return error, np.stack([low, high])
 
 
 def _is_plain(effect):

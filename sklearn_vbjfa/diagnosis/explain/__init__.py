@@ -12,7 +12,7 @@ _MODULES = {
         ABOVE_FLOOR Dependence NO_INFORMATION NotIdentifiable Unexplained dependences
         motion_signals p_value
     """,
-    "_next": "Expectation",
+    "_next": "Expectation Motions motions_of",
     "_outcome": "Fact JointErrors Outcome make_outcome parameter_values",
     "_recordings": "Contradiction Parts contradictions",
     "_split": "split_in_time",

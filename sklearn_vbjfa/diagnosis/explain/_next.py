@@ -29,7 +29,7 @@ _ROWS = 4000
 
 
 class Expectation:
-    """Error to expect of the next recording of such a motion.
+    """Error to expect of the next recording, by its motion.
 
     The squared error is that on held-out data (noise and model errors) plus the
     differences of parameters between recordings, times the torques that they act on.
@@ -40,10 +40,10 @@ class Expectation:
     # left, floor (nv,): error on held-out data and that of the noise alone, over the
     # spread; scatter (nv,): deviation of the logarithm of the first; left_out (r, nv):
     # errors on each recording of a model fitted to the others, nan where there is none;
-    # sizes (4, nv): of the torques of the motion, see `torque_sizes`
+    # motion: `Motions` of the fit
 
-    def __init__(self, left, floor, scatter, left_out, sizes):
-        self._left, self._sizes = left, sizes
+    def __init__(self, left, floor, scatter, left_out, motion):
+        self._left, self._motion = left, motion
         self._scatter = np.nan_to_num(scatter)
         self.recordings = len(left_out)
         known = np.where(left_out > 0, left_out, np.nan) ** 2
@@ -74,7 +74,7 @@ class Expectation:
         """Logarithm of the likelihood of the variance between recordings, (n,)."""
         if not used.any():
             return np.zeros(_DRAWS)
-        sizes = self._sizes[:, used] ** 2
+        sizes = self._motion.sizes[:, used] ** 2
         expected = (_robots(1)[0][:, :, None] ** 2 * sizes).sum(axis=1)
         # Usually one kind dominates, and the variance is chi-squared.
         least = (_SLACK * self._left[used]) ** 2
@@ -89,20 +89,22 @@ class Expectation:
             return "measured"
         return "partly measured" if self.recordings == 2 else "assumed"
 
-    def quantiles(self):
-        """Find median and ends in nine of ten recordings of errors, (3, nv + 1).
+    def of(self, motion=None):
+        """Expect errors for a motion, by default one like the fitted, (3, nv + 1).
 
-        Of each joint, nan for one that was not judged, and of the mean of the joints.
+        Median and ends in nine of ten recordings of the error of each joint, nan for
+        one that was not judged, and of the mean of the joints.
         """
-        count = max(self.recordings, 1)
+        motion, count = motion or self._motion, max(self.recordings, 1)
         differ, again, motions = _robots(count)
-        rng, nv = np.random.default_rng(1), self._lacks.shape[1]
+        lacks = self._lacks * self._motion.distance(motion)
+        rng, nv = np.random.default_rng(1), lacks.shape[1]
         values = rng.standard_normal((_DRAWS, len(_KINDS), nv))
         values[:, _SHARED] = values[:, _SHARED, :1]
         change, luck = rng.standard_normal((2, _DRAWS, nv))
-        alone = self._noise + self._lacks * np.exp(2 * (again + motions * change))
+        alone = self._noise + lacks * np.exp(2 * (again + motions * change))
         squares = alone * np.exp(2 * self._scatter * luck)
-        shifts = differ[:, :, None] * self._sizes * values
+        shifts = differ[:, :, None] * motion.sizes * values
         errors = np.sqrt(squares + (1 + 1 / count) * (shifts**2).sum(axis=1))
         judged = np.isfinite(self._left)
         found = np.full((len(_ENDS), nv + 1), np.nan)
@@ -136,12 +138,38 @@ def _robots(count):
     return differ, again, _DIFFER[0] * np.exp(_DIFFER[1] * motions)
 
 
-def torque_sizes(identifier, states, predicted, weight, spread):
-    """Sizes (4, nv), over a spread (nv,), of the torques that each of `_KINDS` scales.
+class Motions:
+    """Sizes of torques of a motion, and the speeds, accelerations and loads in it."""
 
-    Of states (n, 3 nv) with predicted torques and weights (n, nv), which are zero where
-    a joint rests.
-    """
+    # v, a, load, friction (n, nv); weight (n, nv): zero where a joint rests; spread
+    # (nv,): of the torque of the fit
+
+    def __init__(self, v, a, load, friction, weight, spread):
+        total = np.maximum(weight.sum(axis=0), 1e-300)
+
+        def size(values):
+            return np.sqrt((weight * values**2).sum(axis=0) / total) / spread
+
+        ones = np.ones(weight.shape)
+        parts = friction, friction + load, spread * ones, load
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.sizes = np.nan_to_num([size(values) for values in parts])
+        rows = np.stack([ones, v, v * np.abs(v), a, load], axis=-1)
+        self._moments = np.einsum("nj,njk,njl->jkl", weight / total, rows, rows)
+
+    def distance(self, other):
+        """Leverage of the rows of a motion over that of these, at least 1."""
+        found = np.ones(len(self._moments))
+        for j, (own, rows) in enumerate(zip(self._moments, other._moments)):
+            if (size := np.trace(own)) > 0:
+                rank = np.linalg.matrix_rank(own, tol=1e-9 * size, hermitian=True)
+                inverse = np.linalg.pinv(own, rcond=1e-9, hermitian=True)
+                found[j] = np.trace(inverse @ rows) / rank
+        return np.maximum(found, 1.0)
+
+
+def motions_of(identifier, states, predicted, weight, spread):
+    """`Motions` of states (n, 3 nv) with predicted torques and weights (n, nv)."""
     # Torques are divided into friction and load.
     rows = np.linspace(0, len(states) - 1, min(len(states), _ROWS)).astype(int)
     states, features = states[rows], identifier.features_
@@ -156,12 +184,5 @@ def torque_sizes(identifier, states, predicted, weight, spread):
         if effect.with_motion or not {"speed", "direction"}.isdisjoint(effect.depends):
             # The torque of the effects of such a joint.
             friction[:, effect.joint] = (predicted[rows] - load)[:, effect.joint]
-    weight = weight[rows]
-    total = np.maximum(weight.sum(axis=0), 1e-300)
-
-    def size(values):
-        return np.sqrt((weight * values**2).sum(axis=0) / total) / spread
-
-    parts = friction, friction + load, spread * np.ones(weight.shape), load
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.nan_to_num([size(values) for values in parts])
+    _, v, a = np.split(states, 3, axis=1)
+    return Motions(v, a, load, friction, weight[rows], spread)

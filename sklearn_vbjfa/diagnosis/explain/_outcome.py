@@ -18,7 +18,7 @@ from sklearn_vbjfa.diagnosis.explain._gaps import (
     not_identifiable,
     unexplained,
 )
-from sklearn_vbjfa.diagnosis.explain._next import Expectation, torque_sizes
+from sklearn_vbjfa.diagnosis.explain._next import Expectation, motions_of
 from sklearn_vbjfa.diagnosis.explain._recordings import Parts, contradictions
 from sklearn_vbjfa.effects import UnnamedTorque, declarable, resolve
 from sklearn_vbjfa.equations._features import nominal_followers
@@ -155,7 +155,7 @@ def _json(value):
 
 
 def make_outcome(loop, search, final, judged, channels, whole, recordings):
-    """Collect the results of a loop as an `Outcome`."""
+    """Collect the results of a loop: an `Outcome`, and the `Expectation` of errors."""
     # The models of the loop were fitted to the rows of the search, `final` to all data;
     # `judged` is returned by `judge`; `whole` is all data, `recordings` their names.
     identifier, columns = final.identifier, judged["columns"]
@@ -172,8 +172,8 @@ def make_outcome(loop, search, final, judged, channels, whole, recordings):
     left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
     states, weight = final.view.states[final.view.index], final.view.equations.weight
     predicted = final.predicted(identifier.theta_)
-    sizes = torque_sizes(identifier, states, predicted, weight, spread)
-    expectation = Expectation(after, columns["floor"], scatter, left_out, sizes)
+    motion = motions_of(identifier, states, predicted, weight, spread)
+    expectation = Expectation(after, columns["floor"], scatter, left_out, motion)
     # A robot whose torques are explained to their noise is the described one.
     explained = (low <= ABOVE_FLOOR[0] * columns["floor"])[columns["enough"]]
     if explained.size and explained.all():
@@ -181,7 +181,7 @@ def make_outcome(loop, search, final, judged, channels, whole, recordings):
     names, known = identifier.joint_names_, np.where(columns["enough"], after, np.nan)
     effects = tuple(discovered_effects(search, final, names, prismatic))
     judged_effects = loop.validation_model_.effects_
-    return Outcome(
+    outcome = Outcome(
         errors=_errors(names, prismatic, columns, judged["intervals"]),
         findings={
             "effects": tuple(e for e in effects if not e.warning),
@@ -212,6 +212,7 @@ def make_outcome(loop, search, final, judged, channels, whole, recordings):
             "settings": _settings(loop, search) | judged["settings"],
         },
     )
+    return outcome, expectation
 
 
 def _errors(names, prismatic, columns, intervals):
@@ -345,8 +346,7 @@ def _masses(bodies):
 def _expected(expectation, names):
     """Yield the errors that are expected of the next recording of such motion."""
     joints = [*enumerate(names), (None, "mean of the joints")]
-    quantiles = expectation.quantiles().T.tolist()
-    for (joint, name), (error, low, high) in zip(joints, quantiles):
+    for (joint, name), (error, low, high) in zip(joints, expectation.of().T.tolist()):
         yield Fact(
             kind="next recording",
             name=name,

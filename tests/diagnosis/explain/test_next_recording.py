@@ -6,19 +6,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.diagnosis.explain import Expectation
+from sklearn_vbjfa.diagnosis.explain import Expectation, Motions
 from sklearn_vbjfa.diagnosis.explain._next import _COMMON, _KINDS, _LARGEST, _WIDTH
+from tests.diagnosis._recordings import SPRINGY
 
 LEFT, FLOOR, SCATTER = 0.05, 0.04, 0.05
 
 
-def sizes_of(friction=0.8, nv=1):
-    """Sizes of friction, of friction and load, of an offset, and of the load."""
-    return np.tile([[friction], [np.hypot(friction, 1.0)], [1.0], [1.0]], nv)
+def motion(fast=1.0, friction=0.8, seed=0, nv=1):
+    """Sinusoids of speed, acceleration and load over a torque of unit size."""
+    rng = np.random.default_rng(seed)
+    v, a, load = fast * rng.standard_normal((3, 500, nv))
+    ones = np.ones((500, nv))
+    return Motions(v, a, load, friction * np.sign(v), ones, np.ones(nv))
 
 
-def described(expectation):
-    found = expectation.quantiles()
+def described(expectation, of=None):
+    found = expectation.of(of)
     return SimpleNamespace(
         error=found[0, :-1],
         interval=found[1:, :-1],
@@ -28,10 +32,11 @@ def described(expectation):
     )
 
 
-def expected(left_out=(), left=LEFT, floor=FLOOR, friction=0.8):
+def expected(left_out=(), left=LEFT, floor=FLOOR, of=None, friction=0.8):
     left_out = np.reshape(left_out, (-1, 1)).astype(float)
+    fitted = motion(friction=friction)
     known = np.array([left]), np.array([floor]), np.array([SCATTER])
-    return described(Expectation(*known, left_out, sizes_of(friction)))
+    return described(Expectation(*known, left_out, fitted), of)
 
 
 @pytest.mark.parametrize(
@@ -52,7 +57,7 @@ def error_of(away, sizes, rng):
 
 @pytest.mark.parametrize("r", [0, 2, 4])
 def test_nine_of_ten_next_recordings_of_robots_like_those_assumed(r):
-    sizes, inside = sizes_of()[:, 0], []
+    sizes, inside = motion().sizes[:, 0], []
     medians, count = np.array([*_KINDS.values()]), max(r, 1)
     common, own = np.sqrt([_COMMON, 1.0 - _COMMON])
     for seed in range(150):
@@ -88,10 +93,27 @@ def test_recordings_that_agree_narrow_it_and_others_widen_it():
     assert apart.interval[0, 0] < 0.18
 
 
+def test_it_grows_with_the_distance_from_what_was_fitted():
+    errors = [expected(of=motion(fast), left=0.1).error[0] for fast in (0.5, 1, 2, 4)]
+    assert errors[0] == pytest.approx(errors[1], rel=0.3)
+    assert errors[1] < 0.7 * errors[2] < 0.5 * errors[3]
+
+
 def test_a_joint_that_was_not_judged_has_none():
     known = np.array([0.1, np.nan]), np.array([0.05, 0.05]), np.full(2, SCATTER)
     left_out = np.array([[0.1, np.nan], [0.2, np.nan], [0.1, np.nan]])
-    found = described(Expectation(*known, left_out, sizes_of(nv=2)))
+    found = described(Expectation(*known, left_out, motion(nv=2)))
     assert np.isnan(found.error[1])
     assert np.isnan(found.interval[:, 1]).all()
     assert found.error[0] == pytest.approx(found.mean)
+
+
+def test_a_search_expects_more_of_faster_motion(springy):
+    fitted = springy.report_.outcome.facts_of("next recording")
+    like, interval = springy.expected_error(SPRINGY.position)
+    assert like == pytest.approx([one.value for one in fitted[:2]], rel=0.3)
+    assert (interval[0] < like).all()
+    assert (like < interval[1]).all()
+    # The same path three times as fast.
+    fast, _ = springy.expected_error(SPRINGY.position[::3])
+    assert (fast > 1.2 * like).all()

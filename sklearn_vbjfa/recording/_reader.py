@@ -1,6 +1,7 @@
 """Recordings out of files and folders, one by one or joined."""
 
 import re
+import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -223,6 +224,8 @@ def _seconds(part):
     return seconds
 
 
+# Time in which a file that is being written changes [s].
+_MOMENT = 0.05
 # Files that a note names; more are counted.
 _NAMED = 3
 
@@ -302,9 +305,10 @@ def read_recording(
     OSError
         If the file cannot be read.
     ValueError
-        If the file is damaged, channels are missing or ambiguous, a value is not
-        finite, time is missing or contradicts `dt`, or several files do not agree.
-        Where other options would read the file, the attribute ``options`` has them.
+        If the file is damaged or written to while it is read, channels are missing or
+        ambiguous, a value is not finite, time is missing or contradicts `dt`, or
+        several files do not agree. Where other options would read the file, the
+        attribute ``options`` has them.
 
     Warns
     -----
@@ -333,7 +337,7 @@ def read_recording(
     notes: list[str] = []
     if join:
         tables = [one for path in paths for one in tables_in(path) or [Path(path)]]
-        files = [_joined([read_table(one, options) for one in tables], options)]
+        files = [_joined([_table(one, options) for one in tables], options)]
     else:
         try:
             files = _read(paths, options, notes)
@@ -380,7 +384,7 @@ def _read(paths, options, notes):
             files += _of_folder(expanded(path), inside, options, notes)
         else:
             (path,) = inside or [path]
-            files.append(rows_of(read_table(path, options), options))
+            files.append(rows_of(_table(path, options), options))
     return files
 
 
@@ -391,7 +395,7 @@ def _of_folder(folder, paths, options, notes):
     files, parts, whole = [], [], 0
     for path in paths:
         try:
-            table = read_table(path, options)
+            table = _table(path, options)
             if not any(kind.kind in "iuf" for kind in table.frame.dtypes):
                 raise NotATable(f"{path}: has no column of numbers.")
         except NotATable as error:
@@ -425,6 +429,34 @@ def _joined(tables, options):
     rows = rows_of(joined(tables, options.joints, path), options)
     name = common_folder([one.path for one in tables])
     return replace(rows, name=name) if name else rows
+
+
+def _table(path, options):
+    """Read the table of a file that nobody writes to meanwhile."""
+    before, broken, table = _version(path), None, None
+    try:
+        table = read_table(path, options)
+    except ValueError as error:
+        broken = error
+        # What is being written shows it within a moment.
+        time.sleep(_MOMENT)
+    if _version(path) != before:
+        raise ValueError(
+            f"{path} was written to while it was read; wait until the recording has "
+            "ended, then read it again."
+        ) from broken
+    if broken is not None:
+        raise broken
+    return table
+
+
+def _version(path):
+    """Return size and time of a file, or of all in a folder; None for what is none."""
+    path = expanded(path)
+    found = [path] if path.is_file() else path.rglob("*") if path.is_dir() else []
+    stats = [file.stat() for file in found if file.is_file()]
+    size = sum(one.st_size for one in stats)
+    return len(stats), size, max((one.st_mtime_ns for one in stats), default=0)
 
 
 # -- several files of one robot --------------------------------------------------------

@@ -240,6 +240,8 @@ def test_what_changes_during_a_run_ends_in_one_line_or_whole_files(
     if outcome.code == 2:
         check_refusal(outcome)
         assert not list(tmp_path.glob("**/.writing-*"))
+    if change is _grows:
+        assert "was written to while it was read" in outcome.err
     if change is _report_appears and (tmp_path / "out").is_dir():
         text = (tmp_path / "out" / "report.json").read_text()
         assert text == "of another run"

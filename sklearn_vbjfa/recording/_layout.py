@@ -12,7 +12,9 @@ import numpy as np
 from sklearn_vbjfa.recording._drives import Drive, parse_drive
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.recording._table import (
+    EXPECTED,
     KINDS,
+    MEASURED,
     PRESETS,
     TIME_UNITS,
     RecordingRefused,
@@ -368,7 +370,9 @@ def channel_unit(table: Table, role: Role) -> Unit | None:
     if role.unit and unit is None:
         raise ValueError(
             f"{table.path}: column {role.column!r} is in {role.unit!r}, which is not a "
-            f"known unit of {role.kind}; convert it, or correct the name."
+            f"known unit of {role.kind}; expected "
+            f"{EXPECTED.get(MEASURED.get(role.kind, role.kind), 'none')}. Convert it, "
+            "or correct the name."
         )
     return unit
 

@@ -222,6 +222,14 @@ _UNITS = {
 }
 # How units of derivatives of positions end.
 _RATES = {"v": ("/s", "/sec", "ps"), "a": ("/s^2", "/s2", "/s²", "/s/s", "ps2")}
+# What refusals expect.
+EXPECTED = {
+    "q": "rad, deg, m or mm",
+    "v": "rad/s, deg/s, m/s or mm/s",
+    "a": "rad/s^2, deg/s^2 or m/s^2",
+    "tau": "Nm, N, A, V or %",
+    "t": "s, ms, us or ns",
+}
 _IN_BRACKETS = re.compile(r"(.*?)\s*(?:\[([^][]*)\]|\(([^()]*)\)|\s/\s*(\S+))")
 _LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
 

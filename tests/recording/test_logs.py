@@ -248,7 +248,7 @@ def test_units_of_a_slide(tmp_path):
             "tau1 [kN]",
             r"column 'tau1 \[kN\]' is in kN, but joint_1 turns; expected N m",
         ),
-        ("t [weeks]", "not a known unit of t; convert it"),
+        ("t [weeks]", "not a known unit of t; expected s, ms, us or ns"),
     ],
 )
 def test_units_that_cannot_be(made, tmp_path, name, message):

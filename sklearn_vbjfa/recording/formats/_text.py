@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa.recording._table import (
-    KINDS,
+    EXPECTED,
     NotATable,
     Table,
     check_names,
@@ -229,8 +229,7 @@ def _is_data(cells):
 
 def _are_units(cells):
     """Return whether most cells are units."""
-    kinds = *KINDS, "t"
-    units = [any(unit_of(x, cell.strip("[]()")) for x in kinds) for cell in cells]
+    units = [any(unit_of(x, cell.strip("[]()")) for x in EXPECTED) for cell in cells]
     return 2 * sum(units) > len(cells)
 
 

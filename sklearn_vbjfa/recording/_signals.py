@@ -139,8 +139,12 @@ def _asked_for(effects, given, offered, n_samples):
     if isinstance(given, OfferedSignals):
         given, offered = None, given
     found = _given(given, n_samples)
+    if twice := found.keys() & offered.keys():
+        raise ValueError(
+            f"signals has {min(twice)!r}, which is a column of X as well; give it once."
+        )
     wanted = {x for effect in _users(effects) for x in effect.recorded}
-    for name in wanted & offered.keys() - found.keys():
+    for name in wanted & offered.keys():
         found[name], reason = as_numbers(offered[name], n_samples)
         if reason:
             raise ValueError(f"The column {name!r} {reason}.")

@@ -1,5 +1,6 @@
 """Bodies around their description: a prior whose scale is found body by body."""
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -175,7 +176,11 @@ class _Gaussian:
     # The last entry is the share by which all of its bodies together are larger.
 
     mean: np.ndarray
-    covariance: np.ndarray
+    root: np.ndarray  # of the covariance, root root'
+
+    @functools.cached_property
+    def covariance(self):
+        return self.root @ self.root.T
 
     def total(self, centre):
         mean = self.mean[:-1] + self.mean[-1] * centre
@@ -242,14 +247,14 @@ class _BodyProblem:
         right[self.description.places] += np.einsum("kij,ki->kj", root, own)
         # A direction that neither torques nor description tell stays where it is.
         eigen = scaled_eigen(self.A + self.precision(sites), _RANK)
-        mean, covariance = np.zeros(p + 1), np.zeros((p + 1, p + 1))
-        mean[:p], covariance[:p, :p] = eigen.solve(right), eigen.inverse()
+        mean, root = np.zeros(p + 1), np.zeros((p + 1, eigen.rank + 1))
+        mean[:p], root[:p, :-1] = eigen.solve(right), eigen.inverse_root()
         if not self.sized:
             moved = np.append(-eigen.solve(across), 1.0)
             precision = centre @ across + DESCRIBED**-2 + across @ moved[:p]
             mean += moved * (of_size - across @ mean[:p]) / precision
-            covariance += np.outer(moved, moved) / precision
-        return _Gaussian(mean, covariance)
+            root[:, -1] = moved / np.sqrt(precision)
+        return _Gaussian(mean, root)
 
     def common(self):
         """Size of all bodies together by least squares, all else free; or one."""
@@ -261,8 +266,8 @@ class _BodyProblem:
         """Precisions (n, 10, 10) of bodies, and products with the means (n, 10)."""
         # Everything is in them.
         root = self.description.root
-        around = root @ solution.covariance[self._blocks] @ root.transpose(0, 2, 1)
-        inverse = inverse_of(around)
+        own = root @ solution.root[self.description.places]
+        inverse = inverse_of(own @ own.transpose(0, 2, 1))
         mean = root @ solution.mean[self.description.places][:, :, None]
         return inverse, (inverse @ mean)[:, :, 0]
 

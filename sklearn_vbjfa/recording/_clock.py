@@ -1,5 +1,6 @@
 """Sample times: each stamp against its place on a regular grid."""
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -186,12 +187,12 @@ def prediction_errors(t, values):
 # -- stamps of arrays ------------------------------------------------------------------
 
 # Accelerations go with the square of a wrong period: this share of it, and no less than
-# a row over a recording, is refused.
-_WRONG_PERIOD = 0.002
+# a row over a recording, is refused. Steps are irregular beyond the second share.
+_WRONG_PERIOD, _JITTER = 0.002, 0.1
 
 
 def check_time_stamps(t, dt, parts):
-    """Refuse stamps t (n,) [s] that contradict dt [s]."""
+    """Refuse stamps t (n,) [s] that contradict dt [s], warn of irregular ones."""
     # Nothing is asked of the step from one of the slices `parts` to the next; without
     # dt (rows need not be equidistant) only that the stamps rise.
     if t is None:
@@ -210,6 +211,15 @@ def check_time_stamps(t, dt, parts):
                 f"t lacks samples after row {listed(missing)}: steps are at most "
                 f"{np.diff(stamps).max():.6g} s, but dt={dt:.6g} s. Resample, or begin "
                 "another recording after each gap (groups)."
+            )
+        if np.abs(found.steps / dt - 1).max() > _JITTER:
+            warnings.warn(
+                f"steps between time stamps from row {first} on vary from "
+                f"{found.steps.min():.6g} to {found.steps.max():.6g} s, dt={dt:.6g} s; "
+                "rows count as equidistant. Resample, unless only the stamps are "
+                "irregular.",
+                UserWarning,
+                stacklevel=3,
             )
 
 

@@ -221,12 +221,11 @@ class TorqueFilter(OfChannel):
             return []
         dt = np.median(np.diff(motion.t))
         band = min(motion.bandwidth, _SLOWEST / dt)
-        shapes = [s / (2 * np.pi * band) for s in _CONSTANTS]
         return [
             {"kind": kind, "of": of, "time_constant": float(T)}
             for kind in _FILTERS
             for of in ("torque", "position")
-            for T in shapes
+            for T in (s / (2 * np.pi * band) for s in _CONSTANTS)
             if T >= _SAMPLES * dt
         ]
 

@@ -131,9 +131,7 @@ class Motion:
     @property
     def later(self):
         """When recordings begin [s], but for the first."""
-        starts = self.begins
-        if starts is None:
-            starts = [self.t[part.start] for part in self.parts]
+        starts = self.begins or [self.t[part.start] for part in self.parts]
         return np.asarray(starts[1:], dtype=float)
 
     def speed(self, joint):

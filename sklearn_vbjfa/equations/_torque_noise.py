@@ -32,7 +32,6 @@ _LOWEST = 2.0
 # over the cut-off, seen through windows of this many periods of it.
 _GAP = np.array([0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.5, 4.0])
 _WINDOW = 12.0
-_AT_ONCE = 64  # windows of which spectra are made at once
 # Model error of the family of spectra, in log power.
 _UNLIKE = 0.05
 # Time after a reversal in which friction turns round, times the cut-off; displacements
@@ -99,16 +98,9 @@ def noise_facts(residual, torque, states, dt, cutoff, n_jobs=None):
 
 
 def _of_joint(residual, torque, q, v, dt, cutoff):
-    count = held_rows(np.ascontiguousarray(torque))
-    residual, q, v = map(np.ascontiguousarray, (residual, q, v))
-    scales = _scales(residual, v, count, dt, cutoff)
-    left = _without_own_friction(q, v, residual)
-    return count, scales, _gap_power(left, dt, cutoff)
-
-
-def _scales(residual, v, count, dt, cutoff):
-    """Variances of differences (n_strides,), see `NoiseFacts`."""
-    n, scales = residual.size, np.full(len(_STRIDES), np.nan)
+    residual, torque, q, v = map(np.ascontiguousarray, (residual, torque, q, v))
+    n, count = residual.size, held_rows(torque)
+    scales = np.full(len(_STRIDES), np.nan)
     turning = int(_TURNING / (cutoff * dt))
     turned = np.cumsum(np.r_[0, np.diff(np.sign(v)) != 0, 0])
     first = np.arange(count // 2, n, count)
@@ -123,7 +115,8 @@ def _scales(residual, v, count, dt, cutoff):
             d = d[turned_after[-d.size :] == turned_before[: d.size]]
             if d.size >= _SHORTEST:
                 scales[k] = (np.median(np.abs(d)) / _MEDIAN) ** 2
-    return scales
+    left = _without_own_friction(q, v, residual)
+    return count, scales, _gap_power(left, dt, cutoff)
 
 
 def _without_own_friction(q, v, residual):
@@ -131,12 +124,11 @@ def _without_own_friction(q, v, residual):
     reach = np.ptp(q)
     if not reach > 0:
         return residual
-    columns = np.ones((5 + len(_DISPLACEMENTS), q.size))
-    columns[0], columns[1], columns[2] = np.sign(v), v, np.abs(v)
-    columns[3] = v * columns[2]
-    columns[4:-1] = elements(q, reach * np.array(_DISPLACEMENTS)).T
-    for own in columns:
-        own /= max(own.max(), -own.min(), np.finfo(float).tiny)
+    friction = [np.sign(v), v, np.abs(v), v * np.abs(v)]
+    friction += list(elements(q, reach * np.array(_DISPLACEMENTS)).T)
+    columns = np.stack([*friction, np.ones_like(q)])
+    sizes = np.abs(columns).max(axis=1, keepdims=True)
+    columns /= np.maximum(sizes, np.finfo(float).tiny)
     # Products suffice: what they cannot tell apart takes away the same.
     products = columns @ columns.T, columns @ residual
     return residual - np.linalg.lstsq(*products, rcond=None)[0] @ columns
@@ -161,23 +153,20 @@ def _strides(dt, cutoff):
 def _gap_power(x, dt, cutoff):
     """Power per row of x (n,) in bands of the gap (n_bands,), median of windows."""
     length = round(_WINDOW / (cutoff * dt))
+    power = np.full(_GAP.size - 1, np.nan)
     if x.size < 3 * length:
-        return np.full(_GAP.size - 1, np.nan)
+        return power
     taper = np.hanning(length + 2)[1:-1]
     frequency = np.fft.rfftfreq(length, dt) / cutoff
     borders = np.searchsorted(frequency, _GAP)
     windows = np.lib.stride_tricks.sliding_window_view(x, length)[:: length // 2]
-    # Some at a time, which stay in the cache.
-    means = np.full((len(windows), _GAP.size - 1), np.nan)
-    for first in range(0, len(windows), _AT_ONCE):
-        some = windows[first : first + _AT_ONCE]
-        some = (some - some.mean(axis=1, keepdims=True)) * taper
-        spectra = np.abs(np.fft.rfft(some, axis=1)) ** 2 / (taper @ taper)
-        for k, (low, high) in enumerate(itertools.pairwise(borders)):
-            if low < high:
-                means[first : first + _AT_ONCE, k] = spectra[:, low:high].mean(axis=1)
+    windows = (windows - windows.mean(axis=1, keepdims=True)) * taper
+    spectra = np.abs(np.fft.rfft(windows, axis=1)) ** 2 / (taper @ taper)
+    for k, (low, high) in enumerate(itertools.pairwise(borders)):
+        if low < high:
+            power[k] = np.median(spectra[:, low:high].mean(axis=1))
     # the median of a Gamma variable over its mean (Wilson and Hilferty)
-    return np.median(means, axis=0) / (1 - 1 / (9 * _gap_shape())) ** 3
+    return power / (1 - 1 / (9 * _gap_shape())) ** 3
 
 
 def _gap_shape():

@@ -13,7 +13,7 @@ from sklearn.utils import (
 )
 
 from sklearn_vbjfa._core._threads import one_blas_thread
-from sklearn_vbjfa.physical._layout import ParameterLayout, resolve_layout
+from sklearn_vbjfa.physical._layout import resolve_layout
 from sklearn_vbjfa.physical._programme import Programme
 from sklearn_vbjfa.physical._pseudo_inertia import (
     body_scales,
@@ -122,41 +122,21 @@ def check_metric(metric, n_features):
 _ROUNDING = 1e-12
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Options:
-    """Layout, margin and anchor of a projection.
+    """Layout, margin and anchor of a projection."""
 
-    Parameters
-    ----------
-    body_starts : array-like of int of shape (n_bodies,) or None, default=None
-        First column of each body's ten. None: those that the names of the columns
-        give. Without names, joints have 11 columns (viscous friction last) or 10,
-        whichever divides the number of columns; if both do, 11, with a warning.
-    nonnegative : "auto" or array-like of int, default="auto"
-        Columns outside the bodies that must not be negative (viscous and Coulomb
-        friction, rotor inertia). "auto": those that the names of the columns give;
-        without names the eleventh column of a joint of eleven.
-    margin : float, default=1e-8
-        Least eigenvalue of each body's matrix in units of the body's mass and length
-        scale, above zero, so that the projected robot can be simulated.
-    anchor : array-like of shape (n_features,) or None, default=None
-        Vector to which directions are pulled that the metric does not see, such as
-        that of a data sheet. None: the vector itself.
-
-    Raises
-    ------
-    ValueError
-        If `margin` is not between 0 and 1.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.physical import Options, PhysicalProjector
-    >>> projector = PhysicalProjector(options=Options(margin=1e-6))
-    """
-
+    # First column of each body's ten, and columns that must not be negative (viscous
+    # and Coulomb friction, rotor inertia). None: those that the names of the columns
+    # give. Without names, joints have 11 columns (viscous friction last) or 10,
+    # whichever divides the number of columns; if both do, 11, with a warning.
     body_starts: object = None
-    nonnegative: object = "auto"
+    nonnegative: object = ()
+    # least eigenvalue of each body's matrix in units of the body's mass and length
+    # scale, above zero, so that the projected robot can be simulated
     margin: float = 1e-8
+    # (n_features,): vector to which directions are pulled that the metric does not
+    # see, such as that of a data sheet. None: the vector itself
     anchor: object = None
 
     def __post_init__(self):
@@ -165,13 +145,13 @@ class Options:
             raise ValueError(f"margin must be between 0 and 1, got {self.margin!r}.")
 
 
-def _default_metric(rows, layout, mass_scale, length_scale):
+def _default_metric(rows, bodies, mass_scale, length_scale):
     """Metric that counts each parameter in its own unit."""
     # The ten of a body in units of its mass and length scale; a column outside the
     # bodies in units of its root mean square over the rows (1 for a column of zeros).
     units = np.sqrt(np.mean(rows**2, axis=0))
     units[units == 0] = 1.0
-    units[layout.body_columns] = parameter_units(mass_scale, length_scale)
+    units[bodies] = parameter_units(mass_scale, length_scale)
     return check_metric(np.diag(units**-2.0), units.size)
 
 
@@ -181,7 +161,8 @@ class Projection:
 
     constraint: str
     margin: float
-    layout: ParameterLayout
+    bodies: np.ndarray  # (n_bodies, 10): columns of every body
+    nonnegative: np.ndarray  # columns that must not be negative
     metric: Metric
     # (n_bodies,): units of each body's matrix [kg] and [m]
     mass_scale: np.ndarray
@@ -194,12 +175,7 @@ class Projection:
         """Validate the settings for rows (n_samples, n_features)."""
         check_constraint(constraint)
         n_features = rows.shape[1]
-        layout = resolve_layout(
-            n_features,
-            body_starts=options.body_starts,
-            nonnegative=options.nonnegative,
-            parameter_names=parameter_names,
-        )
+        bodies, nonnegative = resolve_layout(n_features, options, parameter_names)
         anchor = options.anchor
         if anchor is not None:
             anchor = column_or_1d(anchor, dtype=np.float64, input_name="anchor")
@@ -210,13 +186,14 @@ class Projection:
             rows = np.array([metric.visible_part(row)[0] for row in rows])
         # The anchor is usually a plausible robot.
         source = rows if anchor is None else anchor[None]
-        mass_scale, length_scale = body_scales(source[:, layout.body_columns])
+        mass_scale, length_scale = body_scales(source[:, bodies])
         if metric is None:
-            metric = _default_metric(rows, layout, mass_scale, length_scale)
+            metric = _default_metric(rows, bodies, mass_scale, length_scale)
         return cls(
             constraint=constraint,
             margin=options.margin,
-            layout=layout,
+            bodies=bodies,
+            nonnegative=nonnegative,
             metric=metric,
             mass_scale=mass_scale,
             length_scale=length_scale,
@@ -227,7 +204,7 @@ class Projection:
     def __call__(self, theta):
         """Project one vector (n_features,)."""
         theta = self.metric.without_rounding(theta)
-        bodies, kept = self.layout.body_columns, self.layout.nonnegative
+        bodies, kept = self.bodies, self.nonnegative
         enough = self._eigenvalues(theta) >= self.margin
         if np.all(enough) and np.all(theta[kept] >= 0):
             return theta.copy()
@@ -253,7 +230,7 @@ class Projection:
     def _eigenvalues(self, vector):
         """Smallest eigenvalue of each body's matrix, shape (n_bodies,)."""
         return min_eigenvalue(
-            vector[self.layout.body_columns],
+            vector[self.bodies],
             self.constraint,
             mass_scale=self.mass_scale,
             length_scale=self.length_scale,
@@ -261,7 +238,7 @@ class Projection:
 
     def _scale(self, theta):
         """Units of the columns, and the metric's root in them, columns up to one."""
-        bodies, diagonal = self.layout.body_columns, self.metric.size**2
+        bodies, diagonal = self.bodies, self.metric.size**2
         units = np.ones(theta.size)
         units[bodies] = parameter_units(self.mass_scale, self.length_scale)
         outside = np.ones(theta.size, dtype=bool)
@@ -279,7 +256,7 @@ class Projection:
         """Make a vector consistent to the last bit in the user's own units."""
         # Division by the units rounds, so an eigenvalue may come out a few rounding
         # errors below the margin; the least lift that restores it is added.
-        bodies, kept = self.layout.body_columns, self.layout.nonnegative
+        bodies, kept = self.bodies, self.nonnegative
         least = _ROUNDING * np.abs(vector / units).max(initial=0.0) * units[kept]
         vector[kept] = np.where(vector[kept] > least, vector[kept], 0.0)
         excess = np.finfo(float).eps

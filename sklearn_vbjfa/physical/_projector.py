@@ -44,7 +44,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         have 11 columns (the paper's, viscous friction last) or 10.
 
     options : Options or None, default=None
-        Layout, margin and anchor; None takes the defaults of :class:`Options`.
+        Layout, margin and anchor for other estimators.
 
     Attributes
     ----------
@@ -156,8 +156,8 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             X, self.constraint, self.metric, options, names
         )
         self.metric_ = self._projection.metric.matrix
-        self.body_starts_ = self._projection.layout.body_starts
-        self.nonnegative_ = self._projection.layout.nonnegative
+        self.body_starts_ = self._projection.bodies[:, 0]
+        self.nonnegative_ = self._projection.nonnegative
         return self
 
     def transform(self, X):

@@ -28,12 +28,7 @@ def test_the_length_gives_ten_or_eleven_columns_a_joint(n_features, starts, kept
 @pytest.mark.parametrize(
     ("n_features", "options", "name"),
     [
-        (24, {}, "body_starts"),
-        (24, {"body_starts": [0, 12]}, "nonnegative"),
-        (21, {"body_starts": [0, 0]}, "body_starts"),
-        (21, {"body_starts": [0.5]}, "body_starts"),
-        (11, {"nonnegative": [3]}, "nonnegative names column 3"),
-        (11, {"nonnegative": [11]}, "nonnegative"),
+        (24, {}, "parameter_names"),
         (12, {"names": ["a"]}, "parameter_names"),
     ],
 )
@@ -55,5 +50,5 @@ def named(*joints):
 
 def test_what_is_given_goes_before_names():
     names = named(("a", ("viscous", "offset")), ("b", ("viscous", "offset")))
-    assert layout(24, names, nonnegative=[11]) == ([0, 12], [11])
-    assert layout(24, names, body_starts=[12]) == ([12], [10, 22])
+    assert layout(24, names) == ([0, 12], [10, 22])
+    assert layout(24, names, body_starts=[12], nonnegative=[11]) == ([12], [11])

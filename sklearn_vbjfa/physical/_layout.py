@@ -65,7 +65,7 @@ def _is_nonnegative(name):
 
 
 def _guessed_layout(n_features):
-    """First columns of the bodies of 10 or 11 columns, and the columns beside them."""
+    """First columns of the bodies of 10 or 11 columns, and the other columns."""
     if n_features < N_INERTIAL:
         warnings.warn(
             f"{n_features} columns are too few for a body (10 inertial "

@@ -72,16 +72,10 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     Both sets are convex: the pseudo-inertia and the spatial inertia matrix are linear
     in the parameters, so the projection is a convex quadratic programme with one linear
     matrix inequality per body, and its minimum is unique thanks to the anchor.
-    Eq. 30 states the second set through a nonlinear map, in which the paper's
-    remark that the minimisation is convex does not hold.
 
-    The scales `m0`, `l0` enter the margin, the default metric and the anchor's weight
-    alone.  They are fixed in `fit`, so that projecting twice changes nothing, and they
-    follow the units of the data: parameters times a constant, or another unit of
-    length, give the same answer in those units.
-
-    The cost is one interior-point solve per row, :math:`O(d^3)` per iteration.  A
-    failed solve raises :class:`ProjectionError`; the input is never returned in its
+    The scales `m0`, `l0` of the bodies enter the margin, the default metric and the
+    anchor's weight alone.  They are fixed in `fit` and follow the units of the data.
+    A failed solve raises :class:`ProjectionError`; the input is never returned in its
     place.
 
     References

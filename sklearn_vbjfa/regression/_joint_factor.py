@@ -299,22 +299,14 @@ class JFARegressor(BaseJointFactorRegressor):
 
     Notes
     -----
-    **What is identifiable.** The likelihood depends on the parameters through the
-    variances of the inputs, the noisy-query coefficients and the variance of y given
-    x: 2d + 1 numbers for 4d + 1 unknowns. `coef_noisy_` is identified, and is ordinary
-    least squares at the highest likelihood. The split of an input's variance into
-    signal and noise is not identified. The likelihood bounds it only in that the input
-    noise, through the coefficients, makes no more output noise than there is. Where
-    below that it ends depends on the start and the data. Give `input_noise` when you
-    know it.
+    The likelihood identifies `coef_noisy_`, which is ordinary least squares at its
+    maximum, and not the split of an input's variance into signal and noise: that
+    depends on the start and the data. Give `input_noise` when you know it.
 
-    **Convergence.** A quasi-Newton method climbs the likelihood, and the last step goes
-    to its maximum, where `coef_noisy_` is least squares to rounding. In three cases the
-    iteration ends where one step gains less than `tol`: known input noise that makes
-    more output noise than there is, fewer samples than features, and an exact fit,
-    which has no highest likelihood.
-
-    An iteration costs O(d^2), whatever the number of samples.
+    A quasi-Newton method climbs the likelihood. The iteration ends where one step gains
+    less than `tol`, before the maximum, with known input noise that makes more output
+    noise than there is, with fewer samples than features, and for an exact fit. An
+    iteration costs O(d^2), whatever the number of samples.
 
     References
     ----------

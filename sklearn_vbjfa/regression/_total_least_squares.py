@@ -50,19 +50,15 @@ class TotalLeastSquares(LinearRegressor):
 
     Notes
     -----
-    The model is :math:`y = \xi^T \beta + \beta_0 + \epsilon`,
-    :math:`x = \xi + \delta`, with :math:`\xi` unknown and
-    :math:`\mathrm{cov}(\delta, \epsilon)` known up to a factor. The estimate
-    minimises
+    With :math:`y = \xi^T \beta + \beta_0 + \epsilon` and :math:`x = \xi + \delta` of
+    unknown :math:`\xi`, the estimate minimises
 
     .. math::
 
         \sum_i w_i \left( \delta_i^T \Psi_x^{-1} \delta_i
         + \epsilon_i^2 / \psi_y \right)
 
-    and is consistent if the noise ratios are right, which the data alone cannot
-    tell. Sample weights scale the rows by :math:`\sqrt{w_i}`: weight 2 is a row
-    given twice.
+    and is consistent if the noise ratios are right, which the data alone cannot tell.
 
     Columns are divided by their noise standard deviations (a covariance is
     diagonalised), the column of ones and the features without noise are eliminated by

@@ -122,29 +122,22 @@ class VBJFARegressor(BaseJointFactorRegressor):
 
     Notes
     -----
-    **Identifiability.** The second moments determine the coefficients for noisy
-    queries. They only bound the split of the variance of an input into signal and
-    noise, which follows from `input_noise` if given, and otherwise from a prior:
+    The second moments determine the coefficients for noisy queries. They only bound the
+    split of the variance of an input into signal and noise, which follows from
+    `input_noise` if given, and otherwise from a prior:
 
-    - Correlated latent inputs: all relevant inputs have the same fraction f of noise.
-      With the correlations R of the inputs and the coefficients :math:`b_0` for noisy
-      queries, :math:`(R - f I) b_f = R b_0` for every admissible f, from zero to the
-      smallest eigenvalue of the correlations of the inputs given the output (at most a
-      third). `coef_noiseless_` is the middle, and `coef_cov_` the second moment about
-      it over both ends, which more rows do not reduce. If the inputs are exact, pass
-      ``input_noise=0``.
-    - Independent latent inputs with ``prior="noise"``: the inverse-gamma prior.
-    - ``prior="paper"``: the starting point and the shared alpha_m. The loadings of a
-      redundant input shrink at different rates, and the input is not relevant.
+    - Correlated latent inputs: all relevant inputs have the same fraction of noise,
+      from zero to the smallest eigenvalue of the correlations of the inputs given the
+      output, at most a third. `coef_noiseless_` is the middle, and `coef_cov_` the
+      second moment about it over both ends, which more rows do not reduce. If the
+      inputs are exact, pass ``input_noise=0``.
+    - Independent latent inputs: the inverse-gamma prior; with ``prior="paper"`` the
+      starting point and the shared alpha_m.
 
-    **Selection.** For noiseless queries of correlated latent inputs, exactly dependent
-    inputs are reduced to their generators, only relevant inputs are fitted, and their
-    coefficients share one precision. There is no selection if `input_noise` is zero or
-    a full covariance, or with few samples per input.
-
-    **Noisy queries** are answered by the mean of two Bayesian regressions on all
-    inputs, one with a precision for each input and one with a common precision, unless
-    there is no selection.
+    For noiseless queries of correlated latent inputs only relevant inputs are fitted,
+    unless `input_noise` is zero or a full covariance, or samples are few. Noisy queries
+    are then answered by the mean of two regressions on all inputs, one with a precision
+    for each input and one with a common precision (``docs/theory.rst``).
 
     An iteration costs O(d^2) with independent latent inputs and O(d^3) with correlated
     ones, for any number of samples.

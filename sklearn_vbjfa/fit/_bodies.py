@@ -1,6 +1,5 @@
 """Bodies around their description: a prior whose scale is found body by body."""
 
-import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -134,18 +133,6 @@ class BodyPosterior:
     # size of all torques over those that the bodies require, and its relative error
     torque_size: tuple[float, float] = (1.0, np.inf)
 
-    @classmethod
-    def of_nothing(cls, theta, covariance, noise):
-        p = theta.size
-        return cls(
-            theta=theta,
-            covariance=covariance,
-            noise=noise,
-            prior=np.zeros((p, p)),
-            before=np.full(p, np.nan),
-            centre=np.zeros(p),
-        )
-
 
 def little_learned(std, before):
     """Whether data leave most of the deviation that a description has."""
@@ -167,26 +154,6 @@ class Site:
     @classmethod
     def of_scale(cls, scale, size=10):
         return cls(np.eye(size) / scale**2, np.zeros(size), scale)
-
-
-@dataclass(frozen=True, eq=False)
-class _Gaussian:
-    """Gaussian posterior of the change from a description, and of its common size."""
-
-    # The last entry is the share by which all of its bodies together are larger.
-
-    mean: np.ndarray
-    root: np.ndarray  # of the covariance, root root'
-
-    @functools.cached_property
-    def covariance(self):
-        return self.root @ self.root.T
-
-    def total(self, centre):
-        mean = self.mean[:-1] + self.mean[-1] * centre
-        cross = np.outer(self.covariance[:-1, -1], centre)
-        covariance = self.covariance[:-1, :-1] + cross + cross.T
-        return mean, covariance + self.covariance[-1, -1] * np.outer(centre, centre)
 
 
 def _along(description, A, b):
@@ -220,14 +187,9 @@ class _BodyProblem:
         """Precision (p, p) of the prior with some sites."""
         out, root = np.zeros(self.A.shape), self.description.root
         own = np.array([site.precision for site in sites])
-        out[self._blocks] = root.transpose(0, 2, 1) @ own @ root
+        at = self.description.places
+        out[at[:, :, None], at[:, None, :]] = root.transpose(0, 2, 1) @ own @ root
         return 0.5 * (out + out.T)
-
-    @property
-    def _blocks(self):
-        """Places of each body's block in a matrix (p, p)."""
-        places = self.description.places
-        return places[:, :, None], places[:, None, :]
 
     @property
     def centre(self):
@@ -235,6 +197,8 @@ class _BodyProblem:
         return self.description.vector(self.b.size)
 
     def solved(self, sites):
+        """Mean and root of the covariance of the change from the description."""
+        # The last entry is the share by which all of its bodies together are larger.
         # The size of all bodies together is known to the usual share from `common`:
         # what a torque channel calls a newton metre is sometimes not known at all. It
         # is the last unknown, beside a matrix in which branches are apart.
@@ -254,7 +218,7 @@ class _BodyProblem:
             precision = centre @ across + DESCRIBED**-2 + across @ moved[:p]
             mean += moved * (of_size - across @ mean[:p]) / precision
             root[:, -1] = moved / np.sqrt(precision)
-        return _Gaussian(mean, root)
+        return mean, root
 
     def common(self):
         """Size of all bodies together by least squares, all else free; or one."""
@@ -262,23 +226,19 @@ class _BodyProblem:
         own, product, _ = _along(self.description, self.A, self.b)
         return product / own if own > 0 and product > 0 else 1.0
 
-    def marginals(self, solution):
+    def marginals(self, sites):
         """Precisions (n, 10, 10) of bodies, and products with the means (n, 10)."""
         # Everything is in them.
-        root = self.description.root
-        own = root @ solution.root[self.description.places]
-        inverse = inverse_of(own @ own.transpose(0, 2, 1))
-        mean = root @ solution.mean[self.description.places][:, :, None]
+        own, (mean, root) = self.description.root, self.solved(sites)
+        around = own @ root[self.description.places]
+        inverse = inverse_of(around @ around.transpose(0, 2, 1))
+        mean = own @ mean[self.description.places][:, :, None]
         return inverse, (inverse @ mean)[:, :, 0]
 
     def sites(self):
         """Sites of the bodies, see `propagated`."""
-
-        def marginals(sites):
-            return zip(*self.marginals(self.solved(sites)))
-
         usual = [Site.of_scale(DESCRIBED)] * len(self.description.names)
-        return propagated(usual, marginals)
+        return propagated(usual, lambda sites: zip(*self.marginals(sites)))
 
     def departures(self):
         """Bodies larger or smaller than descriptions usually err, one by one."""
@@ -292,7 +252,7 @@ class _BodyProblem:
         sites, open_ = [Site.of_scale(DESCRIBED)] * len(names), np.ones(len(names))
         found = []
         while open_.any():
-            marginals = self.marginals(self.solved(sites))
+            marginals = self.marginals(sites)
             H, q = np.zeros((len(names), 1, 1)), np.zeros((len(names), 1))
             for k, (along, precision, product) in enumerate(zip(size, *marginals)):
                 variance = along @ np.linalg.solve(precision, along)
@@ -413,25 +373,29 @@ def around(description, A, b):
     first = _BodyProblem(description, A, b).common()
     problem = _BodyProblem(description.scaled(first), A, b)
     sites = problem.sites()
-    solution, precision = problem.solved(sites), problem.precision(sites)
-    change, covariance = solution.total(problem.centre)
+    (mean, root), precision = problem.solved(sites), problem.precision(sites)
+    every = root @ root.T
+    centre = problem.centre
+    cross = np.outer(every[:-1, -1], centre)
+    covariance = every[:-1, :-1] + cross + cross.T
+    covariance = covariance + every[-1, -1] * np.outer(centre, centre)
     # The common size takes what the prior says of it.
-    of_size = precision @ problem.centre
-    share = problem.centre @ of_size + DESCRIBED**-2
+    of_size = precision @ centre
+    share = centre @ of_size + DESCRIBED**-2
     prior = precision - np.outer(of_size, of_size) / share
     seen = np.diagonal(A) + np.diagonal(prior) > 0
     covariance[~seen, ~seen] = np.inf
     before = np.full(b.size, np.nan)
     before[description.places] = problem.description.deviation(sites)
-    common = first * (1.0 + solution.mean[-1])
-    common_std = first * np.sqrt(solution.covariance[-1, -1])
+    common = first * (1.0 + mean[-1])
+    common_std = first * np.sqrt(every[-1, -1])
     # Whether a body departs is asked of a description in the unit of the torques.
     if abs(common - 1.0) < _FAR_OFF * common_std:
         asked = _BodyProblem(description, A, b, sized=True)
     else:
         asked = problem
     return BodyPosterior(
-        theta=problem.centre + change,
+        theta=centre + (mean[:-1] + mean[-1] * centre),
         covariance=covariance,
         prior=prior,
         before=before,

@@ -273,7 +273,14 @@ def with_prior(found, at, moved, less, precision, right):
     C = np.where(np.isfinite(found.covariance), 0.5 * (C + C.T), found.covariance)
     changes, bodies = {"theta": theta, "covariance": C}, found.bodies
     if bodies is None:
-        bodies = BodyPosterior.of_nothing(**changes, noise=noise_of(found))
+        # Nothing is said of the values so far.
+        bodies = BodyPosterior(
+            **changes,
+            noise=noise_of(found),
+            prior=np.zeros(C.shape),
+            before=np.full(theta.size, np.nan),
+            centre=np.zeros(theta.size),
+        )
     prior, sums = bodies.prior.copy(), bodies.prior @ bodies.centre
     prior[np.ix_(at, at)] += precision
     sums[at] += right

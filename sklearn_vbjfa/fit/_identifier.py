@@ -311,9 +311,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         recording = recording_of_arguments(
             self, X, y, groups, sample_weight, t, signals
         )
-        for one in self._fit_inspected(recording):
-            warnings.warn(one.message, DoubtWarning, stacklevel=2)
-        return self
+        return self._fit_inspected(recording)
 
     def fit_recording(self, recording):
         """Identify the robot from a `Recording`.
@@ -330,20 +328,21 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             Fitted estimator.
         """
         self._declare()
-        for one in self._fit_inspected(checked_recording(self, recording)):
-            warnings.warn(one.message, DoubtWarning, stacklevel=2)
-        return self
+        return self._fit_inspected(checked_recording(self, recording))
 
     def _fit_inspected(self, recording):
-        """Fit; return findings on channels if the fit contradicts the description."""
+        """Fit; warn of the channels if the fit contradicts the description."""
         self._fit(recording, look=True)
         if not self._suspect:
-            return []
+            return self
         findings = self.findings(recording)
         lag = sum(one.value for one in findings if one.kind == "delay")
         if lag and (self.drive, self.asked_gains) == (None, None):
             self.fit_inspected(recording, lag)
-        return [one for one in findings if one.severity != "note"]
+        for one in findings:
+            if one.severity != "note":
+                warnings.warn(one.message, DoubtWarning, stacklevel=3)
+        return self
 
     def findings(self, recording):
         """Return what `inspect_channels` finds in a recording under these settings."""

@@ -10,7 +10,7 @@ from sklearn_vbjfa.effects import CommandDelay, OfChannel, OfTime
 from sklearn_vbjfa.equations._features import follower_parameters, following_joints
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._dynamics import CorrectedModel
-from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, write_mjcf
+from sklearn_vbjfa.model._mjcf import JointDynamics, write_mjcf
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
 from sklearn_vbjfa.simulation import LeftOut, SimulationError, simulate, with_bodies
 
@@ -53,12 +53,6 @@ def to_mjcf(path, robot, min_eigenvalues, notes=(), servo=None, added=None):
         servo=servo,
     )
     return tuple(account.left)
-
-
-def servo_of(drive, names, delay):
-    """Return the `Servo` of a `PDDrive` whose commands act a delay [s] late."""
-    kp, kd = drive.law(names)
-    return Servo(kp=kp, kd=kd, most=drive.most(names), delay=max(delay, 0.0))
 
 
 def to_urdf(path, text, robot, min_eigenvalues, notes=(), turned_joints=None):

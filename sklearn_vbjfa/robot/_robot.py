@@ -31,6 +31,7 @@ from sklearn_vbjfa.equations._recording_checks import (
 from sklearn_vbjfa.equations._states import RecordingStates, fit_states, smooth_to
 from sklearn_vbjfa.equations._torque_noise import noise_facts, rows_looked_at, seen
 from sklearn_vbjfa.model._loading import joint_names
+from sklearn_vbjfa.model._mjcf import Servo
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.recording import (
     columns_beside,
@@ -52,7 +53,6 @@ from sklearn_vbjfa.robot._exports import (
     friction_of_file,
     plain_totals,
     refitted,
-    servo_of,
     to_mjcf,
     to_urdf,
     warn_of_motion,
@@ -85,15 +85,6 @@ class Inputs:
     def noiseless(self, plan):
         nothing = np.zeros(self.recording.nv)
         return replace(self, rest=plan.rest(nothing))
-
-    def signals(self, features, inertial=None):
-        """Return positions, speeds, directions and, with inertial parameters, loads."""
-        # Arrays of shape (n, nv) by their names in `EffectRange`.
-        q, v, a = np.split(self.states, 3, axis=1)
-        found = {"position": q, "speed": np.abs(v), "direction": np.sign(v)}
-        if inertial is not None:
-            found["load"] = features.torques(q, v, a, inertial)
-        return found
 
     def counts(self, standstill):
         """Rows in which each signal can be judged, (n, nv), bool, by its name."""
@@ -738,7 +729,9 @@ class IdentifiedRobot:
         pairs = zip(self.effects_, self.split(self.theta_))
         found = [x[0] for one, x in pairs if isinstance(one, CommandDelay)]
         delay = sum(found) if found else drive.waits or 0.0
-        return servo_of(drive, self.joint_names_, delay)
+        kp, kd = drive.law(self.joint_names_)
+        most = drive.most(self.joint_names_)
+        return Servo(kp=kp, kd=kd, most=most, delay=max(delay, 0.0))
 
     @property
     def joint_names_(self):
@@ -874,8 +867,10 @@ class IdentifiedRobot:
     def outside(self, asked):
         """Find where `Inputs` leaves what was fitted, tuple of `OutsideRange`."""
         wanted = {(name, e.joint) for e in self.effect_ranges_ for name in e.depends}
-        load = any(name == "load" for name, _ in wanted)
-        signals = asked.signals(self.features_, self.inertial() if load else None)
+        q, v, a = np.split(asked.states, 3, axis=1)
+        signals = {"position": q, "speed": np.abs(v), "direction": np.sign(v)}
+        if any(name == "load" for name, _ in wanted):
+            signals["load"] = self.features_.torques(q, v, a, self.inertial())
         counts = asked.counts(self.plan.standstill)
         judged = {(k, j): signals[k][counts[k][:, j], j] for k, j in wanted}
         held = [one is not None for one in self.held]

@@ -35,6 +35,8 @@ _FINEST = 1e8
 IDENTIFIABLE = 1e-9
 # ... and so does a parameter with more than this share in such directions.
 LOST = 1e-6
+# Iterations of the joints' weights, and the relative change that ends them.
+_MOST_WEIGHTINGS, _SETTLED = 30, 1e-6
 # Student's t has a deviation from three degrees of freedom on.
 _LEAST_FREEDOM = 3.0
 
@@ -52,8 +54,6 @@ class Estimate:
     joint_weights: np.ndarray  # (nv,): of the joints' equations [1 / torque squared]
     # (p, p): weighted Gram matrix, input noise subtracted, X_t' X_t of eq. 35
     metric: np.ndarray
-    # (p, p) or None: covariance in a weighted equation, where it was measured
-    input_noise: np.ndarray | None
     # of the fit; of a single recording the stretches in place of blocks of time
     moments: JointMoments
     regressor: object  # None where the description is the prior
@@ -101,7 +101,6 @@ class Estimate:
         return replace(
             self,
             metric=denoised(total, noise),
-            input_noise=noise,
             moments=moments.in_stretches(),
         )
 
@@ -166,7 +165,6 @@ def estimate(
         covariance=None if covariance is None else pooled * covariance,
         joint_weights=weight,
         metric=metric,
-        input_noise=noise,
         moments=moments.in_stretches(),
         regressor=regressor,
         wider=wider,
@@ -567,14 +565,14 @@ def _without_negative(theta, metric, places):
 # -- weights of joints -----------------------------------------------------------------
 
 
-def noise_weights(moments, max_iter=30, tol=1e-6):
+def noise_weights(moments):
     """Inverse residual variance of each joint by iterated weighted least squares."""
     # Starts from the mean squared torques, so the unit of a joint's torque does not
     # matter; a joint without rows gets zero weight.
     used = moments.n > 0
     n = np.where(used, moments.n, 1.0)
     variance = np.where(used & (moments.yy > 0), moments.yy / n, np.inf)
-    for _ in range(max_iter):
+    for _ in range(_MOST_WEIGHTINGS):
         weight = 1.0 / variance
         gram = moments.gram(weight)
         found = scaled_eigen(gram, 2 * ROUNDING * len(gram))
@@ -587,6 +585,6 @@ def noise_weights(moments, max_iter=30, tol=1e-6):
         finite = np.isfinite(new)
         change = np.abs(new[finite] / variance[finite] - 1)
         variance = new
-        if change.size == 0 or change.max() < tol:
+        if change.size == 0 or change.max() < _SETTLED:
             break
     return 1.0 / variance

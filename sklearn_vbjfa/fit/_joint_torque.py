@@ -56,9 +56,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
     regressor_, projector_ : estimator
         The fitted regressor and projector (None without).
     metric_ : ndarray of shape (p, p)
-        Weighted Gram matrix of the equations, measured input noise subtracted.
-    input_noise_ : ndarray of shape (p, p) or None
-        Covariance of the input noise in a weighted equation, if measured.
+        Weighted Gram matrix of the equations.
     n_features_in_ : int
         nv * p.
 
@@ -159,7 +157,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         self.theta_unconstrained_ = found.theta_unconstrained
         self.theta_std_ = found.std
         self.joint_weights_ = found.joint_weights
-        self.metric_, self.input_noise_ = found.metric, found.input_noise
+        self.metric_ = found.metric
         self.regressor_ = found.regressor
         self.theta_ = self._project(self.theta_unconstrained_)
         return self

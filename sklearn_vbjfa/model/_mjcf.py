@@ -101,7 +101,6 @@ def write_mjcf(
     dynamics,
     *,
     dt=None,
-    name="robot",
     note="",
     followers=(),
     servo=None,
@@ -113,7 +112,7 @@ def write_mjcf(
     # followers: those that carry others first; servo: `Servo` of motors that have one.
     tree = _Tree(model, bodies, dynamics, followers)
     step = _time_step(dt)
-    root = ElementTree.Element("mujoco", model=name)
+    root = ElementTree.Element("mujoco", model="robot")
     add_comment(root, note)
     ElementTree.SubElement(
         root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false"

@@ -395,21 +395,12 @@ def _turn_origin(joint, rotation):
     origin.set("rpy", numbers(_rpy(turned)))
 
 
-def write_urdf(
-    text,
-    target,
-    model,
-    parameters,
-    friction,
-    note="",
-    turned=None,
-    followers=None,
-):
+def write_urdf(text, target, model, parameters, note="", turned=None, followers=None):
     """Write a URDF with other inertias and friction, from its text."""
-    # parameters (nv, 10 + n_friction) [kg, kg m, kg m^2]; friction: their names, of
-    # which "viscous" and "coulomb" have a place in URDF; note: comment at the top;
-    # turned: rotation matrices (3, 3) of joints' origins, in their own axes; followers:
-    # bodies (10,) of joints that follow others, by name.
+    # parameters (nv, 12): inertial ones [kg, kg m, kg m^2], viscous and Coulomb
+    # friction; note: comment at the top; turned: rotation matrices (3, 3) of joints'
+    # origins, in their own axes; followers: bodies (10,) of joints that follow others,
+    # by name.
     followers = {} if followers is None else followers
     root = ElementTree.fromstring(text)
     add_comment(root, note)
@@ -443,12 +434,11 @@ def write_urdf(
         if name in followers:
             # Its friction is felt as that of its leader.
             continue
-        values = dict(zip(friction, row[10:]))
         dynamics = joint.find("dynamics")
         if dynamics is None:
             dynamics = ElementTree.SubElement(joint, "dynamics")
-        dynamics.set("damping", number(values.get("viscous", 0.0)))
-        dynamics.set("friction", number(values.get("coulomb", 0.0)))
+        dynamics.set("damping", number(row[10]))
+        dynamics.set("friction", number(row[11]))
     write_tree(ElementTree.ElementTree(root), target)
 
 

@@ -1,17 +1,19 @@
 """Locally weighted regression around any linear regressor."""
 
-from numbers import Integral, Real
+from numbers import Integral
 
 import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import or_one
-from sklearn_vbjfa.regression._base import BaseRegressor, Interval, StrOptions
+from sklearn_vbjfa.regression._base import BaseRegressor, Interval
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
 
 # Samples further than this many bandwidths from a centre weigh less than 0.4 % there
 # and are left out of its model.
 _REACH = 3.3
+# Width of a model, in standard deviations, that weighs all samples alike.
+_WIDEST = 1e6
 
 
 class LocallyWeightedRegressor(BaseRegressor):
@@ -34,16 +36,14 @@ class LocallyWeightedRegressor(BaseRegressor):
         Number of local models; their centres are found by k-means, which starts from
         points far from each other: nothing is drawn at random, and neither the order
         of the rows nor their repetition matters.
-    bandwidth : "auto" or float, default="auto"
-        Width h of the weights, in standard deviations of the inputs. ``"auto"``: for
-        each model the distance to the nearest other centre.
 
     Attributes
     ----------
     centers_ : ndarray of shape (n_models, n_features)
         Centres, in the units of X.
     bandwidth_ : ndarray of shape (n_models,)
-        Widths, in standard deviations of the inputs.
+        Widths h, in standard deviations of the inputs: distances to the nearest other
+        centres.
     scale_ : ndarray of shape (n_features,)
         Standard deviations of the inputs; 1 for a constant one.
     estimators_ : list of estimator
@@ -82,13 +82,11 @@ class LocallyWeightedRegressor(BaseRegressor):
     _parameter_constraints: dict = {  # noqa: RUF012
         "regressor": "no_validation",
         "n_models": [Interval(Integral, 1, None, closed="left")],
-        "bandwidth": [StrOptions({"auto"}), Interval(Real, 0, None, closed="neither")],
     }
 
-    def __init__(self, regressor=None, *, n_models=10, bandwidth="auto"):
+    def __init__(self, regressor=None, *, n_models=10):
         self.regressor = regressor
         self.n_models = n_models
-        self.bandwidth = bandwidth
 
     def _fit_rows(self, X, y, weight):
         if weight is None:
@@ -107,7 +105,10 @@ class LocallyWeightedRegressor(BaseRegressor):
         means.fit(Z[used], sample_weight=weight[used])
         centers = means.cluster_centers_
         self.centers_ = centers * self.scale_
-        self.bandwidth_ = self._widths(centers)
+        squares = ((centers[:, None] - centers[None]) ** 2).sum(axis=-1)
+        np.fill_diagonal(squares, np.inf)
+        # A single model is the global one.
+        self.bandwidth_ = np.minimum(np.sqrt(squares.min(axis=1)), _WIDEST)
         local = np.exp(self._exponents(Z, centers))
         template = VBJFARegressor() if self.regressor is None else self.regressor
         self.estimators_ = []
@@ -119,16 +120,6 @@ class LocallyWeightedRegressor(BaseRegressor):
             model = clone(template)
             model.fit(X[near] - self.centers_[k], y[near], sample_weight=w[near])
             self.estimators_.append(model)
-
-    def _widths(self, centers):
-        if not isinstance(self.bandwidth, str):
-            return np.full(centers.shape[0], float(self.bandwidth))
-        if centers.shape[0] == 1:
-            # A single model is the global one.
-            return np.full(1, 1e6)
-        squares = ((centers[:, None] - centers[None]) ** 2).sum(axis=-1)
-        np.fill_diagonal(squares, np.inf)
-        return np.sqrt(squares.min(axis=1))
 
     def _exponents(self, Z, centers):
         """Logarithms (n, k) of the weights of standardised rows around centres."""

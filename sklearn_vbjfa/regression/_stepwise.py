@@ -2,7 +2,7 @@
 
 import warnings
 from dataclasses import dataclass
-from numbers import Integral, Real
+from numbers import Real
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -50,9 +50,6 @@ class StepwiseRegressor(LinearRegressor):
     p_remove : float, default=0.10
         A selected feature leaves if the p-value of its partial F-test is above
         this. At least `p_enter`, or a feature could enter and leave for ever.
-    max_iter : int, default=None
-        Largest number of steps, each entering or removing one feature. ``None``
-        sets no limit: the search always ends.
     fit_intercept : bool, default=True
         Whether to fit an intercept, which is not subject to selection. Without it,
         the data are expected to be centred, or the model to pass through zero.
@@ -140,16 +137,12 @@ class StepwiseRegressor(LinearRegressor):
     _parameter_constraints = {  # noqa: RUF012
         "p_enter": [Interval(Real, 0, 1, closed="right")],
         "p_remove": [Interval(Real, 0, 1, closed="right")],
-        "max_iter": [Interval(Integral, 1, None, closed="left"), None],
         "fit_intercept": ["boolean"],
     }
 
-    def __init__(
-        self, *, p_enter=0.05, p_remove=0.10, max_iter=None, fit_intercept=True
-    ):
+    def __init__(self, *, p_enter=0.05, p_remove=0.10, fit_intercept=True):
         self.p_enter = p_enter
         self.p_remove = p_remove
-        self.max_iter = max_iter
         self.fit_intercept = fit_intercept
 
     def fit(self, X, y, sample_weight=None):
@@ -192,14 +185,9 @@ class StepwiseRegressor(LinearRegressor):
                 "scale the weights to sum up to the number of samples."
             )
         correlation = columns.values.T @ columns.values
-        selected, path, status = select_features(
-            correlation,
-            dof,
-            p_enter=self.p_enter,
-            p_remove=self.p_remove,
-            max_iter=self.max_iter,
+        selected, path, self.converged_ = select_features(
+            correlation, dof, p_enter=self.p_enter, p_remove=self.p_remove
         )
-
         chosen = np.flatnonzero(selected)
         coef = np.zeros(X.shape[1])
         if chosen.size:
@@ -215,15 +203,7 @@ class StepwiseRegressor(LinearRegressor):
         self._set_coefficients(coef, columns.mean)
         self.selected_, self.path_ = selected, path
         self.n_iter_ = len(path)
-        self.converged_ = status == "converged"
-        if status == "max_iter":
-            warnings.warn(
-                f"Stepwise selection stopped at max_iter={self.max_iter} steps "
-                "although a test would still move a feature; raise max_iter.",
-                ConvergenceWarning,
-                stacklevel=2,
-            )
-        elif status == "revisited":
+        if not self.converged_:
             warnings.warn(
                 f"Stepwise selection stopped after {self.n_iter_} steps: rounding "
                 "proposed a model seen before. The features are nearly collinear; "
@@ -250,17 +230,17 @@ def sweep(table, pivot):
     return swept
 
 
-def select_features(correlation, dof, *, p_enter, p_remove, max_iter):
+def select_features(correlation, dof, *, p_enter, p_remove):
     """Run forward selection with backward elimination until no test moves a feature."""
     # correlation: products (d + 1, d + 1) of the unit-length columns of [X y], zero for
     # constants; dof: degrees of freedom of y before any feature enters. Returns the
-    # features (d,), bool, the steps, and why the search ended: "revisited" if rounding
-    # proposed a model seen before.
+    # features (d,), bool, the steps, and whether no test would move a feature any more;
+    # else rounding proposed a model seen before.
     n_features = correlation.shape[0] - 1
     selected = np.zeros(n_features, dtype=bool)
     path = []
     if correlation[-1, -1] == 0:
-        return selected, (), "converged"
+        return selected, (), True
     table = correlation
     visited = {selected.tobytes()}
     while True:
@@ -268,11 +248,7 @@ def select_features(correlation, dof, *, p_enter, p_remove, max_iter):
         if step is None:
             step = _entry(table, selected, dof, p_enter)
         if step is None:
-            status = "converged"
-            break
-        if max_iter is not None and len(path) >= max_iter:
-            status = "max_iter"
-            break
+            return selected, tuple(path), True
         proposal = selected.copy()
         proposal[step.feature] = step.action == "enter"
         # In exact arithmetic a model never comes back: with Fe(nu) >= Fr(nu) the
@@ -280,8 +256,7 @@ def select_features(correlation, dof, *, p_enter, p_remove, max_iter):
         # log RSS + sum over the sizes of log(1 + Fe(nu) / nu) falls strictly at
         # each entry and does not rise at a removal (Miller, 2002).
         if proposal.tobytes() in visited:
-            status = "revisited"
-            break
+            return selected, tuple(path), False
         visited.add(proposal.tobytes())
         selected = proposal
         path.append(step)
@@ -293,7 +268,6 @@ def select_features(correlation, dof, *, p_enter, p_remove, max_iter):
             table = correlation
             for feature in np.flatnonzero(selected):
                 table = sweep(table, feature)
-    return selected, tuple(path), status
 
 
 def _f_ratio(rss_smaller, rss_larger, dof_larger):

@@ -67,7 +67,6 @@ def to_urdf(path, text, robot, min_eigenvalues, notes=(), turned_joints=None):
         path,
         robot.model,
         np.hstack([robot.bodies, joints]),
-        ("viscous", "coulomb"),
         _note(list(filter(None, notes)), account.left),
         turned_joints,
         follower_parameters(robot.effects, robot.coefficients),

@@ -72,12 +72,11 @@ def test_round_trip_of_an_identified_arm(identified, tmp_path):
 def test_links_fixed_to_a_link_are_merged_with_it(tree, tmp_path):
     rng = np.random.default_rng(0)
     bodies = np.array([random_body(rng), random_body(rng)])
-    friction = np.array([[0.5, 0.25, -3.0], [4.0, 8.0, 1.0]])
+    friction = np.array([[0.5, 0.25], [4.0, 8.0]])
     target = tmp_path / "out.urdf"
     model = load_model(tree)
     assert tuple(model.names)[1:] == ("right", "left")
-    names = ("viscous", "coulomb", "offset")
-    write_urdf(tree.read_text(), target, model, np.hstack([bodies, friction]), names)
+    write_urdf(tree.read_text(), target, model, np.hstack([bodies, friction]))
     again = load_model(target)
     np.testing.assert_allclose(nominal_parameters(again), bodies, rtol=1e-10)
     root = ElementTree.parse(target).getroot()
@@ -99,15 +98,14 @@ def test_links_fixed_to_a_link_are_merged_with_it(tree, tmp_path):
 
 
 def test_refuses_a_description_without_the_joints(tree, simulated, tmp_path):
-    rows = np.array([random_body(np.random.default_rng(k)) for k in range(6)])
+    rows = np.zeros((6, 12))
+    rows[:, :10] = [random_body(np.random.default_rng(k)) for k in range(6)]
     model = load_model(simulated.urdf)
     with pytest.raises(ValueError, match="no joint named joint_1, joint_2"):
-        write_urdf(tree.read_text(), tmp_path / "out.urdf", model, rows, ())
+        write_urdf(tree.read_text(), tmp_path / "out.urdf", model, rows)
     rows[3, 0] = -1.0
     with pytest.raises(ValueError, match=r'mass -1: only .* Use projector="default"'):
-        write_urdf(
-            Path(simulated.urdf).read_text(), tmp_path / "out.urdf", model, rows, ()
-        )
+        write_urdf(Path(simulated.urdf).read_text(), tmp_path / "out.urdf", model, rows)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
-from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_vbjfa import StepwiseRegressor
 
@@ -128,15 +127,6 @@ def test_nothing_enters_after_an_exact_fit():
     X = np.random.default_rng(0).normal(size=(50, 6))
     model = StepwiseRegressor(p_enter=1.0, p_remove=1.0).fit(X, 0.3 * X[:, 2] + 1)
     assert_array_equal(np.flatnonzero(model.selected_), [2])
-
-
-def test_max_iter_warns_only_when_it_stops_the_search(hald):
-    model = StepwiseRegressor(p_enter=0.10, p_remove=0.10, max_iter=2)
-    with pytest.warns(ConvergenceWarning, match="stopped at max_iter=2 steps"):
-        model.fit(*hald)
-    assert model.n_iter_ == 2
-    assert not model.converged_
-    assert StepwiseRegressor(max_iter=2).fit(*hald).converged_
 
 
 def test_bad_input(hald):

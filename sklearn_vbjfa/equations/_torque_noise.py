@@ -297,11 +297,16 @@ class _NoiseFamily:
             np.where(seen, x, 0.0)
             for seen, x in ((seen_above, above), (seen_between, between))
         )
+
+        def cost_of(amplitude, most):
+            """Sum the squared deviations, those in the gap as far as at most `most`."""
+            own = above - amplitude[:, None] / scale_spread * seen_above
+            more = between - amplitude[:, None] / gap_spread * seen_between
+            return (own**2).sum(axis=1) + (np.minimum(more, most) ** 2).sum(axis=1)
+
         # From above alone: noise is no more than all that is left in the gap.
         amplitude = (above * scale_spread) @ w_above / w_above.sum()
-        own = above - amplitude[:, None] / scale_spread * seen_above
-        more = np.minimum(between - amplitude[:, None] / gap_spread * seen_between, 0.0)
-        cost = (own**2).sum(axis=1) + (more**2).sum(axis=1)
+        cost = cost_of(amplitude, 0.0)
         (low, level, high), unlike = self._level(cost, amplitude, seen_above.sum())
         # One stride shows no colour. What is white there needs no continuation, only
         # that nothing else is likely.
@@ -316,10 +321,8 @@ class _NoiseFamily:
             amplitude = (
                 (above * scale_spread) @ w_above + (between * gap_spread) @ w_between
             ) / total
-            own = above - amplitude[:, None] / scale_spread * seen_above
-            more = between - amplitude[:, None] / gap_spread * seen_between
-            cost = (own**2).sum(axis=1) + (more**2).sum(axis=1)
             count = seen_above.sum() + seen_between.sum()
+            cost = cost_of(amplitude, np.inf)
             (low, both, high), unlike = self._level(cost, amplitude, count)
             agree = reach[0] <= both <= reach[1]
             if agree and unlike <= _CONSISTENT and high - low <= 2 * _KNOWN:

@@ -13,7 +13,6 @@ from sklearn_vbjfa.model._trees import (
     Closure,
     Description,
     Link,
-    check_number,
     import_pinocchio,
 )
 
@@ -87,7 +86,6 @@ def _drop_what_is_not_read(mujoco, spec):
 def _robot(mujoco, model, name, path, n_actuators):
     """Return the `Description` of a model that MuJoCo made."""
     called = repr(str(path))
-    check_number(model.njnt, called)
     names, nameless = _names(model)
     closures, links = _equalities(mujoco, model, names)
     tree = _tree(mujoco, model, names)

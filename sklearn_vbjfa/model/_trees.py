@@ -26,7 +26,6 @@ _NO_LIMIT, _SLIDE = 1e6, 1.0
 _BALL = 0.1
 # Sine of the angle from the vertical below which a base is called level.
 _LEVEL = 1e-6
-_MOST_JOINTS = 200
 
 
 def import_pinocchio():
@@ -268,15 +267,6 @@ def check_joints(loaded):
             "millimetres; divide them by 1000."
         )
     return loaded
-
-
-def check_number(n_joints, called):
-    """Refuse more joints than robots have."""
-    if n_joints > _MOST_JOINTS:
-        raise ValueError(
-            f"{called}: the robot has {n_joints} moving joints, at most "
-            f"{_MOST_JOINTS} can be read; fix the others in the description."
-        )
 
 
 def check_known(moving, names, called):

@@ -10,18 +10,7 @@ RA-L 3(1), 2018 [WKS2018]_.
 import numpy as np
 
 # A body's parameters in Pinocchio's order, as columns and reports name them.
-INERTIAL_NAMES = (
-    "m",
-    "mc_x",
-    "mc_y",
-    "mc_z",
-    "I_xx",
-    "I_xy",
-    "I_yy",
-    "I_xz",
-    "I_yz",
-    "I_zz",
-)
+INERTIAL_NAMES = tuple("m mc_x mc_y mc_z I_xx I_xy I_yy I_xz I_yz I_zz".split())
 N_INERTIAL = len(INERTIAL_NAMES)
 CONSTRAINTS = ("pseudo-inertia", "eq30")
 
@@ -32,18 +21,6 @@ _INERTIA_COLUMN = np.array([0, 1, 1, 2, 2, 2])
 _LENGTH_POWER = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 
 
-def _check_parameters(phi):
-    """Return phi as a float array of shape (..., 10)."""
-    phi = np.asarray(phi, dtype=float)
-    if phi.ndim == 0 or phi.shape[-1] != N_INERTIAL:
-        raise ValueError(
-            "The last axis of phi must hold the 10 inertial parameters of a body "
-            "(m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz); got an array of "
-            f"shape {phi.shape}."
-        )
-    return phi
-
-
 def check_constraint(constraint):
     """Raise when `constraint` is not one of the two constraint sets."""
     if constraint not in CONSTRAINTS:
@@ -52,7 +29,7 @@ def check_constraint(constraint):
 
 def inertia_matrix(phi):
     """Inertia (..., 3, 3) about the origin of the frame of bodies (..., 10)."""
-    phi = _check_parameters(phi)
+    phi = np.asarray(phi, dtype=float)
     inertia = np.empty((*phi.shape[:-1], 3, 3))
     inertia[..., _INERTIA_ROW, _INERTIA_COLUMN] = phi[..., 4:]
     inertia[..., _INERTIA_COLUMN, _INERTIA_ROW] = phi[..., 4:]
@@ -63,7 +40,7 @@ def pseudo_inertia(phi):
     """Pseudo-inertia matrices (..., 4, 4), eq. 14 of [WKS2018]_."""
     # J = [[tr(I) E / 2 - I, m c], [(m c)', m]] = sum of m [r 1]' [r 1]: positive
     # semidefinite if and only if a distribution of positive mass has these parameters.
-    phi = _check_parameters(phi)
+    phi = np.asarray(phi, dtype=float)
     inertia = inertia_matrix(phi)
     trace = phi[..., 4] + phi[..., 6] + phi[..., 9]
     J = np.empty((*phi.shape[:-1], 4, 4))
@@ -93,7 +70,7 @@ def spatial_inertia(phi):
     # M = [[I, [m c]x], [[m c]x', m E]]: by the Schur complement of m E it is positive
     # definite if and only if the mass and the inertia about the centre of mass are,
     # which is the set of eq. 30 of the paper.
-    phi = _check_parameters(phi)
+    phi = np.asarray(phi, dtype=float)
     skew = np.zeros((*phi.shape[:-1], 3, 3))
     skew[..., 2, 1] = phi[..., 1]
     skew[..., 0, 2] = phi[..., 2]
@@ -128,7 +105,7 @@ def min_eigenvalue(
     """Smallest eigenvalues (...) of the constraint matrix of bodies (..., 10)."""
     # Dimensionless: that of S J S / m0, S = diag(1/l0, 1/l0, 1/l0, 1), and the analogue
     # for the spatial inertia. The sign does not depend on the units.
-    phi = _check_parameters(phi) / parameter_units(mass_scale, length_scale)
+    phi = np.asarray(phi, dtype=float) / parameter_units(mass_scale, length_scale)
     return np.linalg.eigvalsh(constraint_matrix(phi, constraint))[..., 0]
 
 
@@ -172,7 +149,7 @@ def body_scales(phi):
     # identifiable body may have any size, and m0 = max(M, H / l0, N / l0^2). They
     # change as units do, and not with the frame or the order of the bodies. A body of
     # zeros takes the mean mass of the others.
-    phi = _check_parameters(phi)
+    phi = np.asarray(phi, dtype=float)
     rows = phi.reshape(np.prod(phi.shape[:-2], dtype=int), *phi.shape[-2:])
     # Frobenius norm: the off-diagonal entries count twice, so that turning the frame
     # changes nothing.

@@ -445,6 +445,7 @@ class IdentifiedRobot:
         """
         model = self.torque_model()
         tau = torques_in_order(tau, model.joint_names)
+        t = None if t is None else check_clock(t, len(tau), self.dt)
         return simulate(model, tau, q0, v0, t, signals=signals)
 
     def follow(self, recording, drive=None, *, window=None):

@@ -164,7 +164,7 @@ def _torques(robot, tau):
 
 
 def _times(robot, t, n):
-    """Check the times of the rows, (n,)."""
+    """Return the times of the rows, (n,)."""
     since = 0.0 if robot.since is None else robot.since
     if t is None:
         if robot.dt is None:
@@ -173,20 +173,7 @@ def _times(robot, t, n):
                 "the rows as t."
             )
         return since + robot.dt * np.arange(n)
-    t = np.array(t, dtype=float)
-    if t.shape != (n,):
-        raise ValueError(
-            f"tau has {n} rows and t has shape {t.shape}; expected one time for each."
-        )
-    steps = np.diff(t)
-    rises = (steps > 0) & np.isfinite(steps)
-    if not rises.all():
-        row = int(np.argmin(rises))
-        raise ValueError(
-            f"t must rise; it goes from {t[row]:.6g} to {t[row + 1]:.6g} s in row "
-            f"{row + 1}."
-        )
-    return t
+    return np.array(t, dtype=float)
 
 
 def _signals(signals, n):

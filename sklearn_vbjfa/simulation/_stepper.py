@@ -9,7 +9,6 @@ import numpy as np
 from sklearn_vbjfa.effects import (
     HELD,
     Floats,
-    LoadFriction,
     Motion,
     OfChannel,
     Payload,
@@ -150,14 +149,15 @@ class Stepper:
     def __init__(self, model):
         self._model, self.left_out_ = causal(model)
         model = self._model
-        self._names, self._nv = model.joint_names, model.n_joints
+        self._nv, loads = model.n_joints, len(model.effects) * [np.empty(0)]
+        if model.load is not None:
+            loads = model.load.coefficients
         # Effects in the model act through it and the gains alone.
-        every = zip(
-            model.effects, model.coefficients, _of_load(model), model.held, strict=True
-        )
         pairs = [
-            (effect, np.asarray(coefs, dtype=float), own, held)
-            for effect, coefs, own, held in every
+            (effect, np.asarray(coefs, dtype=float), np.asarray(own), held)
+            for effect, coefs, own, held in zip(
+                model.effects, model.coefficients, loads, model.held, strict=True
+            )
             if not effect.in_model
         ]
         own = [effect for effect, *_ in pairs]
@@ -166,10 +166,6 @@ class Stepper:
         self._payloads = [one for one in pairs if isinstance(one[0], Payload)]
         self._pairs = [one for one in pairs if not isinstance(one[0], Payload)]
         self._needs_load = any("load" in effect.needs for effect in own)
-        self._needs_torque = any(
-            "load" in effect.needs and type(effect) is not LoadFriction
-            for effect in own
-        )
         maths = self._maths = Floats(model.rest)
         signs = [maths.sign(j) for j in range(self._nv)]
         self._friction = _JointFriction(model.friction_names, model.friction, signs)
@@ -234,10 +230,9 @@ class Stepper:
         read = None
         if self._needs_load:
             row.load = self._load_rigid(q, v, a, row)
-            if self._needs_torque:
-                whole = self._load_whole
-                read = row.load.copy() if whole is None else whole(q, v, a, row)
-                self._load_friction(read, row)
+            whole = self._load_whole
+            read = row.load.copy() if whole is None else whole(q, v, a, row)
+            self._load_friction(read, row)
         for term in self._plain:
             term.add(row, torque, read)
         if self._of_load:
@@ -275,12 +270,6 @@ class Stepper:
                 "vary with."
             )
         return {name: float(signals[name]) for name in self._signals}
-
-
-def _of_load(model):
-    if model.load is None:
-        return [np.empty(0) for _ in model.effects]
-    return [np.asarray(own, dtype=float) for own in model.load.coefficients]
 
 
 def _held(columns, held):

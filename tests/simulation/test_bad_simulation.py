@@ -25,16 +25,6 @@ def test_torque_that_is_no_number_is_named_by_row_time_and_joint(bad):
     refused(message, tau, [0, 0])
 
 
-def test_times():
-    t = 0.01 * np.arange(20)
-    refused(r"tau has 20 rows and t has shape \(19,\)", TAU, [0, 0], t=t[:-1])
-    bad = t.copy()
-    bad[4] = np.nan
-    refused("t must rise; it goes from 0.03 to nan s in row 4", TAU, [0, 0], t=bad)
-    bad[4] = t[2]
-    refused("t must rise; it goes from 0.03 to 0.02 s in row 4", TAU, [0, 0], t=bad)
-
-
 def test_negative_friction_drives():
     robot = slider(2.0, {"viscous": -1.0})
     states = simulate(robot, np.zeros((100, 1)), [0.0], [1.0])

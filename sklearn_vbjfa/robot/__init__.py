@@ -29,7 +29,7 @@ _MODULES = {
     "_exports": ("TERMS", "changed_motion", "to_mjcf", "typical_motion"),
     "_posterior": ("BetweenRecordings", "Marginal", "Posterior"),
     "_simulator_ranges": ("ParameterRange", "Ranges"),
-    "_spreads": ("BodyMass", "body_masses", "note_of_masses"),
+    "_spreads": ("note_of_masses",),
     "_windows": ("clearly_smaller", "follow_windows"),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

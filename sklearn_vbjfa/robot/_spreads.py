@@ -1,11 +1,8 @@
 """Which parameters are known, and where predictions leave the fit."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sklearn_vbjfa.effects import POSITION, SPEED, TORQUE
-from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 
@@ -14,18 +11,6 @@ from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 # A mass is known if its deviation, and what the projection moves it by, are below this
 # share of it: a body that may as well have half or no mass was not weighed.
 _KNOWN = 0.5
-
-
-@dataclass(frozen=True, kw_only=True)
-class BodyMass:
-    """Mass of a body that a joint moves."""
-
-    joint: int  # from zero
-    name: str  # of the body
-    mass: float  # of the fitted robot [kg]
-    std: float  # [kg]; nan or infinite where there is none
-    nominal: float  # of the robot description [kg]
-    known: str  # whether the recording determines it, see `known_parameters`
 
 
 def min_eigenvalues(bodies):
@@ -46,7 +31,7 @@ def known_parameters(robot, found):
     seen = (np.diagonal(found.metric) > 0) | robot.identifiable_
     state = np.where(robot.identifiable_, "yes", "in combination").astype(object)
     state[~seen] = "no"
-    masses = _masses(robot)
+    masses = mass_places(robot)
     moved = robot.theta_ - robot.theta_unconstrained_
     doubt = np.hypot(np.nan_to_num(robot.theta_std_, posinf=np.inf), moved)
     with np.errstate(invalid="ignore"):
@@ -58,43 +43,25 @@ def known_parameters(robot, found):
     return tuple(state)
 
 
-def _masses(robot):
+def mass_places(robot):
     """Return where the masses are among the parameters, (nv,)."""
     nv = robot.features_.n_joints_
     return np.arange(nv) * (robot.features_.n_parameters_ // nv)
 
 
-def body_masses(robot):
-    known = robot.robot_.known_
-    model = robot.features_.model_
-    nominal = nominal_parameters(model)[:, 0]
-    return tuple(
-        BodyMass(
-            joint=joint,
-            name=name,
-            mass=float(robot.theta_[at]),
-            std=float(robot.theta_std_[at]),
-            nominal=float(nominal[joint]),
-            known=known[at],
-        )
-        for joint, (name, at) in enumerate(zip(body_names(model), _masses(robot)))
-    )
-
-
 def note_of_masses(robot):
     """Name the bodies whose mass, or whose inertia, is not identified."""
-    found, lines = body_masses(robot), []
-    if names := [body.name for body in found if body.known != "yes"]:
+    bodies, known = body_names(robot.features_.model_), robot.robot_.known_
+    masses, lines = mass_places(robot), []
+    if names := [name for name, at in zip(bodies, masses) if known[at] != "yes"]:
         lines.append(
             f"Masses that are not individually identifiable: {', '.join(names)}; the "
             "values of all bodies together reproduce the torques."
         )
-    known = np.reshape(
-        robot.robot_.known_[: robot.features_.n_parameters_], (len(found), -1)
-    )
-    described = (known[:, 4:10] == "from the description").all(axis=1)
+    inertias = np.array(known)[masses[:, None] + np.arange(4, 10)]
+    described = (inertias == "from the description").all(axis=1)
     if described.any():
-        names = [body.name for body, one in zip(found, described) if one]
+        names = [name for name, one in zip(bodies, described) if one]
         lines.append(f"Inertias from the description: {', '.join(names)}.")
     return " ".join(lines)
 

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.robot import FitOptions, body_masses, note_of_masses
+from sklearn_vbjfa.model import nominal_parameters
+from sklearn_vbjfa.robot import FitOptions, note_of_masses
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 
@@ -40,24 +41,22 @@ def test_what_is_known_is_what_no_motion_of_parameters_hides(axes):
 
 
 def test_a_slider_is_weighed_and_the_link_of_a_revolute_joint_is_not():
-    slide, link = body_masses(fitted("zY")[0])
-    assert (slide.known, link.known) == ("in combination", "in combination")
-    alone = body_masses(fitted("x")[0])[0]
-    assert alone.known == "yes"
-    assert alone.mass == pytest.approx(4.0, abs=0.05)
-    assert alone.nominal == pytest.approx(4.0)
-    assert 0 < alone.std < 0.05
-    turning = body_masses(fitted("Y")[0])[0]
-    assert turning.known == "no"
+    both = fitted("zY")[0].robot_.known_
+    assert (both[0], both[10]) == ("in combination", "in combination")
+    alone = fitted("x")[0]
+    assert alone.robot_.known_[0] == "yes"
+    assert alone.theta_[0] == pytest.approx(4.0, abs=0.05)
+    assert 0 < alone.theta_std_[0] < 0.05
+    assert fitted("Y")[0].robot_.known_[0] == "no"
     assert "joint_1" in note_of_masses(fitted("Y")[0])
     assert note_of_masses(fitted("x")[0]) == ""
 
 
 def test_a_mass_in_much_noise_is_not_known():
     quiet, loud = (fitted("x", noise=noise)[0] for noise in (1.0, 2000.0))
-    assert body_masses(quiet)[0].known == "yes"
+    assert quiet.robot_.known_[0] == "yes"
     assert quiet.theta_std_[0] < 0.5 * quiet.theta_[0]
-    assert body_masses(loud)[0].known == "no"
+    assert loud.robot_.known_[0] == "no"
     assert loud.identifiable_[0]
 
 
@@ -78,9 +77,8 @@ def test_beside_a_description_its_values_say_so():
     assert {how for name, how in known.items() if name not in felt} == {
         "from the description"
     }
-    (body,) = body_masses(robot)
-    assert body.known == "from the description"
-    assert body.mass == pytest.approx(body.nominal, rel=0.3)
+    nominal = nominal_parameters(robot.features_.model_)[0, 0]
+    assert robot.theta_[0] == pytest.approx(nominal, rel=0.3)
     assert np.isfinite(robot.estimate_.prior_std[:10]).all()
     assert (robot.theta_std_[:10] <= robot.estimate_.prior_std[:10] * 1.01).all()
     assert "joint_1" in note_of_masses(robot)

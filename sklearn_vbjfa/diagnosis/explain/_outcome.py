@@ -23,11 +23,11 @@ from sklearn_vbjfa.diagnosis.explain._recordings import Parts, contradictions
 from sklearn_vbjfa.effects import UnnamedTorque, declarable, resolve
 from sklearn_vbjfa.equations._features import nominal_followers
 from sklearn_vbjfa.inspection import motion_of
-from sklearn_vbjfa.model import import_pinocchio, is_prismatic
+from sklearn_vbjfa.model import body_names, import_pinocchio, is_prismatic
 from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._corrections import corrections_of
-from sklearn_vbjfa.robot._spreads import body_masses
+from sklearn_vbjfa.robot._spreads import mass_places
 
 # Position or velocity that is no limit of a joint.
 _UNLIMITED = 1e3
@@ -197,7 +197,7 @@ def make_outcome(loop, search, final, judged, channels, whole, recordings):
         },
         facts=(
             *parameter_values(identifier),
-            *_masses(body_masses(identifier)),
+            *_masses(identifier),
             *_expected(expectation, names),
         ),
         robot=_robot(loop, search, identifier, whole),
@@ -328,18 +328,21 @@ def _interval(value, std):
     return value - half, value + half
 
 
-def _masses(bodies):
+def _masses(robot):
     """Yield the masses of bodies as facts."""
-    for body in bodies:
+    model, known = robot.features_.model_, robot.robot_.known_
+    nominal = nominal_parameters(model)[:, 0].tolist()
+    for joint, (name, at) in enumerate(zip(body_names(model), mass_places(robot))):
+        mass, std = float(robot.theta_[at]), float(robot.theta_std_[at])
         yield Fact(
             kind="mass",
-            name=body.name,
-            joint=body.joint,
-            value=body.mass,
-            interval=_interval(body.mass, body.std),
+            name=name,
+            joint=joint,
+            value=mass,
+            interval=_interval(mass, std),
             unit="kg",
-            source=body.known,
-            described=body.nominal,
+            source=known[at],
+            described=nominal[joint],
         )
 
 

@@ -25,12 +25,7 @@ from sklearn_vbjfa.equations._states import (
     smooth_segment,
 )
 from sklearn_vbjfa.model import is_prismatic, joint_names
-from sklearn_vbjfa.recording import (
-    check_cutoff,
-    check_dt,
-    delayed_torques,
-    with_torques_shifted,
-)
+from sklearn_vbjfa.recording import check_cutoff, check_dt
 
 
 def in_parallel(function, tasks, n_jobs):
@@ -117,8 +112,8 @@ class Plan:
 
     def applied(self, recording):
         if self.lag:
-            recording = with_torques_shifted(recording, self.lag)
-        return replace(recording, tau=delayed_torques(recording, self.delay))
+            recording = recording.with_torques_shifted(self.lag)
+        return replace(recording, tau=recording.torques(self.delay))
 
     @property
     def timed(self):

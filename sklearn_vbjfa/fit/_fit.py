@@ -45,12 +45,7 @@ from sklearn_vbjfa.fit._gains import (
     with_gains,
 )
 from sklearn_vbjfa.fit._output_error import refine
-from sklearn_vbjfa.recording import (
-    Recording,
-    check_wait,
-    delayed_torques,
-    take_rows,
-)
+from sklearn_vbjfa.recording import Recording, check_wait, take_rows
 from sklearn_vbjfa.robot._channels import ChannelGains
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 from sklearn_vbjfa.robot._spreads import known_parameters
@@ -720,7 +715,7 @@ def with_corners(robot, source):
         return None
     terms, inertia = _joints_of(robot, source)
     recording = source.recording
-    command = recording.command + delayed_torques(recording, plan.delay) - recording.tau
+    command = recording.command + recording.torques(plan.delay) - recording.tau
     torques = [_of_effects(robot, source), command]
     further, commanded = _jumps_of(torques, robot, source)
     dry = terms["coulomb"] + further

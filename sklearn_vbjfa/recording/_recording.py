@@ -259,6 +259,60 @@ class Recording:
         """
         return check_clock(self.t if stamped else None, self.n_samples, self.dt)
 
+    def torques(self, delay: float = 0.0) -> np.ndarray:
+        """Return the torques if commands act later than assumed in `tau`.
+
+        Parameters
+        ----------
+        delay : float, default=0.0
+            Additional delay of the commands [s].
+
+        Returns
+        -------
+        ndarray of shape (n_samples, nv)
+            `tau` itself if the delay is zero.
+
+        Raises
+        ------
+        ValueError
+            If the delay is not zero and the recording has no commands.
+        """
+        if not delay:
+            return self.tau
+        if self.command is None:
+            raise ValueError(
+                f"The robot has a command delay of {delay:.4g} s, and the recording "
+                "has no commands: give them as in the fit (drive=PDDrive(...)), or "
+                "predict torques without measured ones."
+            )
+        late = interpolate(self.command, self.segments, self.clock(), delay)
+        return self.tau + (late - self.command)
+
+    def with_torques_shifted(self, lag: float) -> "Recording":
+        """Return a copy whose torques are read later by a lag.
+
+        Parameters
+        ----------
+        lag : float
+            Time [s] by which the torques are late against the positions.
+
+        Returns
+        -------
+        Recording
+            Torques between rows are interpolated; rows at the ends of recordings whose
+            torques lie outside have no weight.
+        """
+        rows = lag / check_dt(self.dt)
+        tau = np.empty_like(self.tau)
+        weight = np.ones(self.q.shape) if self.weight is None else self.weight.copy()
+        for part in self.segments:
+            at = np.arange(part.stop - part.start) + rows
+            inside = (at >= 0) & (at <= at.size - 1)
+            known = CubicSpline(np.arange(at.size), self.tau[part])
+            tau[part] = known(np.clip(at, 0, at.size - 1))
+            weight[part][~inside] = 0.0
+        return replace(self, tau=tau, weight=weight)
+
     def select(self, *names_or_labels: str | int) -> "Recording":
         """Keep some of the recordings.
 
@@ -322,37 +376,16 @@ class Recording:
         return build_model(self.name, self.urdf, self.joint_names)
 
 
-def delayed_torques(recording, delay):
-    """Return the torques (n_samples, nv) if commands act later by a delay [s]."""
-    if not delay:
-        return recording.tau
-    command = recording.command
-    if command is None:
-        raise ValueError(
-            f"The robot has a command delay of {delay:.4g} s, and the recording has no "
-            "commands: give them as in the fit (drive=PDDrive(...)), or predict "
-            "torques without measured ones."
-        )
-    late = interpolate(command, recording.segments, recording.clock(), delay)
-    return recording.tau + (late - command)
-
-
-def with_torques_shifted(recording, lag):
-    """Return a recording whose torques are read later by a lag [s]."""
-    # Rows at the ends of recordings whose torques lie outside have no weight.
-    rows, tau = lag / check_dt(recording.dt), np.empty_like(recording.tau)
-    weight = np.ones(tau.shape) if recording.weight is None else recording.weight.copy()
-    for part in recording.segments:
-        at = np.arange(part.stop - part.start) + rows
-        inside = (at >= 0) & (at <= at.size - 1)
-        known = CubicSpline(np.arange(at.size), recording.tau[part])
-        tau[part] = known(np.clip(at, 0, at.size - 1))
-        weight[part][~inside] = 0.0
-    return replace(recording, tau=tau, weight=weight)
-
-
 def take_arrays(
-    X, y, groups=None, weight=None, t=None, *, dt, joint_names, signals=None
+    X,
+    y,
+    groups=None,
+    weight=None,
+    t=None,
+    *,
+    dt,
+    joint_names,
+    signals=None,
 ):
     """Make a recording of the validated arguments of a fit."""
     # X: positions (n_samples, nv) or states (n_samples, 3 nv); y, weight (n_samples,

@@ -11,7 +11,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import InstrumentalVariables, RobotIdentifier
 from sklearn_vbjfa.effects import CommandDelay
-from sklearn_vbjfa.recording import delayed_torques, take_arrays
+from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.recording._drives import velocities
 from sklearn_vbjfa.robot import FitOptions, PDDrive
 from tests.effects._arms import arm, inverse_dynamics
@@ -101,8 +101,8 @@ def test_the_law_makes_the_torque():
     feedback = KP * recording.q + KD * recording.states[:, 3:6]
     assert_allclose(found.command, found.tau + feedback, atol=1e-9)
     later = PDDrive(KP, KD, delay=0.01).driven(recording).tau
-    assert_allclose(delayed_torques(found, 0.01)[inside], later[inside], atol=1e-4)
-    assert delayed_torques(found, 0.0) is found.tau
+    assert_allclose(found.torques(0.01)[inside], later[inside], atol=1e-4)
+    assert found.torques() is found.tau
 
 
 def test_a_command_acts_until_the_next_one():
@@ -224,8 +224,9 @@ def test_the_column_is_the_derivative_by_the_delay():
     robot = identify(recording)
     step = 1e-4
 
-    late, early = (delayed_torques(recording, 0.01 + x) for x in (step, -step))
-    slope = (late - early) / (2 * step)
+    slope = (recording.torques(0.01 + step) - recording.torques(0.01 - step)) / (
+        2 * step
+    )
     at = replace(robot.robot_.plan, effects=(CommandDelay(delay=0.01),))
     made = replace(robot.robot_, plan=at).equations(recording)
     # The law moves by minus what the column adds to the model.

@@ -149,8 +149,8 @@ def make_robot_recording(
     Raises
     ------
     ValueError
-        If a recording has fewer than 16 samples, or a friction or an effect is
-        unknown.
+        If a recording has fewer than 16 samples, or a friction, an effect or a joint
+        is unknown.
 
     Examples
     --------
@@ -169,6 +169,11 @@ def make_robot_recording(
         raise ValueError(
             f"duration={duration} s at dt={dt} s are {n} samples; expected at least 16."
         )
+    for joint in {*(joint_zero or ()), *(joint_axis or ()), *(torque_gain or ())}:
+        if joint not in range(nominal.nv):
+            raise ValueError(
+                f"joints are numbered 0 to {nominal.nv - 1}; got {joint!r}."
+            )
     pieces = [
         _motion(nominal, n, dt, frequency, n_harmonics, rng)
         for _ in range(n_recordings)

@@ -20,9 +20,8 @@ from sklearn_vbjfa.datasets import (
     rigid_torques,
     speed_limit,
     true_inertias,
-    with_inertias,
 )
-from sklearn_vbjfa.model import load_model, nominal_parameters
+from sklearn_vbjfa.model import load_model, nominal_parameters, with_bodies
 
 # Rate of the controller of either robot in the paper [Hz].
 RATES = {"head": 420.0, "arm": 480.0}
@@ -206,7 +205,7 @@ class Plant:
 def draw_plant(nominal, motion, rng):
     """Draw a robot that differs from its nominal model."""
     # `motion` gives typical torques, speeds and accelerations.
-    model = with_inertias(nominal, true_inertias(nominal, _PERTURBATION, rng))
+    model = with_bodies(nominal, true_inertias(nominal, _PERTURBATION, rng))
     nv = model.nv
     # A minute of the slowest motion, densely enough for its standard deviations.
     states = motion.states(np.linspace(0.0, 60.0, 1201))

@@ -62,7 +62,6 @@ _MODULES = {
         "rigid_torques",
         "speed_limit",
         "true_inertias",
-        "with_inertias",
     ),
 }
 __all__ = [

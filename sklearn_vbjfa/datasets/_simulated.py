@@ -11,6 +11,7 @@ from sklearn_vbjfa.model import (
     is_prismatic,
     joint_names,
     load_model,
+    with_bodies,
 )
 from sklearn_vbjfa.physical import inertial_parameters, pseudo_inertia
 from sklearn_vbjfa.recording._recording import Recording
@@ -180,7 +181,7 @@ def make_robot_recording(
     ]
     states = np.concatenate(pieces)
     q, v, a = np.split(states, 3, axis=1)
-    robot = _turned(with_inertias(nominal, inertial), base_tilt, joint_axis or {})
+    robot = _turned(with_bodies(nominal, inertial), base_tilt, joint_axis or {})
     rigid = rigid_torques(robot, states)
     coefficients = _draw_friction(friction, rigid, v, a, rng)
     clean = rigid + _friction_torque(coefficients, q, v, a)
@@ -405,18 +406,6 @@ def true_inertias(model, perturbation, rng):
         T = S @ expm(E) @ np.linalg.inv(S)
         bodies.append(inertial_parameters(T @ J @ T.T))
     return np.array(bodies)
-
-
-def with_inertias(model, inertial):
-    """Copy a model with inertial parameters (nv, 10) of bodies, and without rotors."""
-    import pinocchio as pin
-
-    other = model.copy()
-    for j, body in enumerate(inertial):
-        other.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
-    # Those of a recording are among its friction.
-    other.armature = np.zeros(model.nv)
-    return other
 
 
 def recording_fields(model, n, n_recordings, dt):

@@ -1,16 +1,6 @@
 """From recordings to states, regressor matrices, filtered equations and moments."""
 
-from typing import TYPE_CHECKING
-
 from sklearn_vbjfa import _lazily
-
-# What type checkers see of names that are imported when they are asked for.
-if TYPE_CHECKING:
-    from sklearn_vbjfa.equations._equations import TorqueResiduals
-    from sklearn_vbjfa.equations._features import RigidBodyFeatures
-    from sklearn_vbjfa.equations._states import StateEstimator
-
-__all__: list[str] = []
 
 # What is not in __all__ is for other rooms and for tests.
 _MODULES = {

@@ -33,6 +33,7 @@ _MODULES = {
         "nominal_parameters",
         "position_range",
         "solid_bodies",
+        "with_bodies",
     ),
     "_urdf": ("check_possible", "write_urdf"),
 }

@@ -125,6 +125,22 @@ def with_extension(model):
     return model
 
 
+def with_bodies(model, bodies, armature=None):
+    """Return a copy of a model with other bodies (nv, 10) and rotor inertias (nv,)."""
+    pin = import_pinocchio()
+    out = model.copy()
+    for j, body in enumerate(bodies):
+        if not body[0] > 0:
+            raise ValueError(
+                f"The body of {model.names[j + 1]} has the mass {body[0]:.6g} kg: only "
+                "physically consistent parameters can be simulated. Identify with "
+                'projector="default".'
+            )
+        out.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
+    out.armature = np.zeros(model.nv) if armature is None else np.asarray(armature)
+    return out
+
+
 class Tree(NamedTuple):
     """Geometry of the joints, as loops over them need it."""
 

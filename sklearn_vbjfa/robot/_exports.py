@@ -11,8 +11,9 @@ from sklearn_vbjfa.equations._features import follower_parameters, following_joi
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._dynamics import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, write_mjcf
+from sklearn_vbjfa.model._trees import with_bodies
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
-from sklearn_vbjfa.simulation import LeftOut, SimulationError, simulate, with_bodies
+from sklearn_vbjfa.simulation import LeftOut, SimulationError, simulate
 
 
 def plain_totals(robot):

@@ -154,13 +154,8 @@ def _robot_of(content, name, classes):
 # -- effects ---------------------------------------------------------------------------
 
 
-def _encode_effect(effect):
-    shape = effect.get_params(deep=False)
-    joint = shape.pop("joint")
-    return {"name": effect.name, "joint": joint, "shape": _encode(shape)}
-
-
 def _decode_setting(value):
+    """Return lists as tuples, and numbers that JSON does not have."""
     if isinstance(value, list):
         return tuple(map(_decode_setting, value))
     return _SPELLED.get(value, value) if isinstance(value, str) else value
@@ -194,7 +189,9 @@ def _decode_effect(value, at, classes):
 def _encode(value):
     """Return a value as JSON has it: dataclasses as objects, arrays as lists."""
     if isinstance(value, Effect):
-        return _encode_effect(value)
+        shape = value.get_params(deep=False)
+        joint = shape.pop("joint")
+        return {"name": value.name, "joint": joint, "shape": _encode(shape)}
     if isinstance(value, StateEstimator):
         return {name: _encode(getattr(value, name)) for name in ("dt", *_OF_STATES)}
     if is_dataclass(value):
@@ -279,18 +276,12 @@ def _plain(value, kind, at):
 
 def _array(value, at):
     try:
-        found = np.array(_numbers(value))
+        found = np.array(_decode_setting(value))
     except ValueError:
         raise _Wrong(at, "must hold rows of the same length") from None
     if found.dtype.kind not in "bif":
         raise _Wrong(at, "must hold numbers")
     return found
-
-
-def _numbers(value):
-    if isinstance(value, list):
-        return [_numbers(one) for one in value]
-    return _SPELLED.get(value, value) if isinstance(value, str) else value
 
 
 def readable(value):

@@ -260,29 +260,24 @@ def seed_of(random_state):
 # -- draws -----------------------------------------------------------------------------
 
 
-def _unit(covariance):
-    """Correlations of a covariance (p, p), and the deviations (p,), one for none."""
+def _spectrum(covariance):
+    """Eigenvalues and axes of the correlations of a covariance, and the deviations."""
     size = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     size = np.where(size > 0, size, 1.0)
-    return covariance / np.outer(size, size), size
-
-
-def _spectrum(correlation):
+    correlation = covariance / np.outer(size, size)
     value, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
-    return np.maximum(value, 0.0), axes
+    return np.maximum(value, 0.0), axes, size
 
 
 def _root(covariance):
     """Matrix R (p, p) with R' R the covariance; no unit changes a draw with it."""
-    correlation, size = _unit(covariance)
-    value, axes = _spectrum(correlation)
+    value, axes, size = _spectrum(covariance)
     return (axes * np.sqrt(value)) @ axes.T * size
 
 
 def covariance_inverse(covariance):
     """Inverse of a covariance (p, p); zero where nothing varies."""
-    correlation, size = _unit(covariance)
-    value, axes = _spectrum(correlation)
+    value, axes, size = _spectrum(covariance)
     value = np.maximum(value, _ROUNDING * value.max(initial=0.0))
     moves = np.diagonal(covariance) > 0
     scaled = np.divide(axes, value, out=np.zeros_like(axes), where=value > 0)

@@ -5,7 +5,7 @@ and estimator are put away. Names that are not in ``__all__`` are for other room
 package and for tests.
 """
 
-from sklearn_vbjfa.simulation._dynamics import ForwardDynamics, with_bodies
+from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
 from sklearn_vbjfa.simulation._integrate import Integrator
 from sklearn_vbjfa.simulation._simulate import (
     SimulationError,

@@ -4,24 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_vbjfa.model import describe, import_pinocchio
+from sklearn_vbjfa.model import describe, with_bodies
 from sklearn_vbjfa.simulation._terms import TermTable
-
-
-def with_bodies(model, bodies, armature=None):
-    """Return a copy of a model with other bodies (nv, 10) and rotor inertias (nv,)."""
-    pin = import_pinocchio()
-    out = model.copy()
-    for j, body in enumerate(bodies):
-        if not body[0] > 0:
-            raise ValueError(
-                f"The body of {model.names[j + 1]} has the mass {body[0]:.6g} kg: only "
-                "physically consistent parameters can be simulated. Identify with "
-                'projector="default".'
-            )
-        out.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
-    out.armature = np.zeros(model.nv) if armature is None else np.asarray(armature)
-    return out
 
 
 class StateSolution(NamedTuple):

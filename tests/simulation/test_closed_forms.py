@@ -5,7 +5,8 @@ import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa.effects import Spring
-from sklearn_vbjfa.simulation import simulate, with_bodies
+from sklearn_vbjfa.model import with_bodies
+from sklearn_vbjfa.simulation import simulate
 from tests.model._robots import random_body
 from tests.model._trees import random_placement
 from tests.simulation._machines import machine, slider, wheel

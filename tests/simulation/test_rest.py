@@ -6,7 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from sklearn_vbjfa.simulation import simulate, with_bodies
+from sklearn_vbjfa.model import with_bodies
+from sklearn_vbjfa.simulation import simulate
 from tests.simulation._machines import random_machine
 
 

@@ -135,12 +135,14 @@ def _combined(torques, weights):
 class CorrectedModel:
     """A robot model that takes corrections, in any order; `nominal` is left alone."""
 
-    # gains (nv,): what each torque channel reads, over the torque.
+    # gains (nv,): what each torque channel reads, over the torque; base (3, 3), turns:
+    # by which gravity and, by joint, placements were turned.
 
     def __init__(self, nominal):
         self._nominal = nominal
         self.model = nominal.copy()
         self.gains = np.ones(nominal.nv)
+        self.base, self.turns = np.eye(3), {}
         self._tree = describe(nominal)
 
     @property
@@ -156,7 +158,7 @@ class CorrectedModel:
         """Turn gravity by a matrix (3, 3)."""
         gravity = self.model.gravity.copy()
         gravity.linear = rotation @ gravity.linear
-        self.model.gravity = gravity
+        self.model.gravity, self.base = gravity, rotation @ self.base
 
     def turn(self, joint, rotation):
         """Turn the placement of a joint, with all it carries, by a matrix (3, 3)."""
@@ -168,6 +170,7 @@ class CorrectedModel:
         arm = turned @ (placement.translation - nominal.translation)
         placement.translation = nominal.translation + arm
         placement.rotation = turned @ placement.rotation
+        self.turns[joint] = rotation @ self.turns.get(joint, np.eye(3))
 
     def move_zero(self, joint, zero):
         """Put a joint's zero where its encoder reads `zero` [rad or m]."""

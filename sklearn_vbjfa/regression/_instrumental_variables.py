@@ -40,13 +40,11 @@ class InstrumentalVariables(LinearRegressor):
 
     Notes
     -----
-    The model is :math:`y = X \beta + \beta_0 + \epsilon`, where X may be
-    correlated with :math:`\epsilon`, for example if X is measured with noise, and
-    where the instruments Z are correlated with X but not with :math:`\epsilon`:
-    a second measurement of X with independent noise, the reference trajectory, or
-    the simulated response of the robot [2]_. Features known exactly have to be
-    repeated among the instruments. With P the orthogonal projector on the columns
-    of Z [1]_,
+    X may be correlated with the error of y, for example if X is measured with noise;
+    the instruments Z are correlated with X and not with that error: a second
+    measurement of X with independent noise, the reference trajectory, or the simulated
+    response of the robot [2]_. Features known exactly have to be repeated among the
+    instruments. With P the orthogonal projector on the columns of Z [1]_,
 
     .. math::
 
@@ -63,9 +61,8 @@ class InstrumentalVariables(LinearRegressor):
     the data if there are no more of them than features. Weak ones bias the estimate
     towards least squares.
 
-    Columns are scaled to equal lengths before each rank decision: a singular value
-    below ``10 * m * eps`` of the largest, m the larger side of the reduced matrix, is
-    zero, and the solution then has minimum norm among the scaled columns.
+    Singular values of columns of equal lengths below ``10 * m * eps`` of the largest, m
+    the larger side of the reduced matrix, are zero; the solution then has minimum norm.
 
     References
     ----------

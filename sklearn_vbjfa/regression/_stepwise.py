@@ -82,31 +82,26 @@ class StepwiseRegressor(LinearRegressor):
 
     Notes
     -----
-    The model is :math:`y = X \beta + \beta_0 + \epsilon` with independent
-    Gaussian :math:`\epsilon` of one variance and X without error. Feature j is
-    tested against the model S without it by
+    With a Gaussian error of one variance and X without error, feature j is tested
+    against the model S without it by
 
     .. math::
 
         F = \frac{RSS(S) - RSS(S \cup j)}{RSS(S \cup j) / \nu}, \qquad
         \nu = \sum_i w_i - |S \cup j| - 1,
 
-    with one more degree of freedom where no intercept is fitted. Sample weights
-    count repetitions: weight 2 is a row given twice, and the degrees of freedom use
-    the *sum* of the weights. Weights known only up to a factor have to be scaled to
-    sum up to the number of samples.
+    with one more degree of freedom where no intercept is fitted. Sample weights count
+    repetitions; weights known only up to a factor have to be scaled to sum up to the
+    number of samples.
 
     The p-values are those of tests fixed in advance; after selection they are too
     small, and among collinear features the choice is unstable [3]_.
 
     All steps work on the correlation matrix of [X y] by the sweep operator [2]_. A
     feature may enter only while its tolerance, 1 - R² on the other selected features,
-    and the tolerances it leaves to those are at least 1.5e-8: exact duplicates, linear
-    combinations and constants never enter. A residual sum of squares of less than 1e-12
-    of the total one counts as an exact fit, after which nothing enters.
-
-    Should rounding propose a model seen before, the search stops with a warning; in
-    exact arithmetic none returns while ``p_enter <= p_remove`` [4]_.
+    and the tolerances it leaves to those are at least 1.5e-8. Nothing enters after an
+    exact fit. If rounding proposes a model seen before, the search stops with a warning
+    [4]_.
 
     References
     ----------

@@ -32,36 +32,24 @@ class Correction:
     values: dict
 
 
-class _Turns(CorrectedModel):
-    """A robot that keeps the turns that it is corrected by, `base` and `joints`."""
-
-    def __init__(self, robot):
-        super().__init__(robot.features_.nominal_)
-        self.base, self.joints = np.eye(3), {}
-        for effect in robot.effects_:
-            if effect.in_model:
-                effect.correct(self)
-
-    def tilt(self, rotation):
-        """Turn gravity; see `CorrectedModel.tilt`."""
-        super().tilt(rotation)
-        self.base = rotation @ self.base
-
-    def turn(self, joint, rotation):
-        """Turn the placement of a joint; see `CorrectedModel.turn`."""
-        super().turn(joint, rotation)
-        self.joints[joint] = rotation @ self.joints.get(joint, np.eye(3))
+def _corrected(robot):
+    """Return the `CorrectedModel` of a fitted robot, with the turns it has."""
+    made = CorrectedModel(robot.features_.nominal_)
+    for effect in robot.effects_:
+        if effect.in_model:
+            effect.correct(made)
+    return made
 
 
 def turned_joints(robot):
     """Return turns of a fitted robot's joint placements, name -> matrix (3, 3)."""
     names = robot.joint_names_
-    return {names[joint]: turn for joint, turn in _Turns(robot).joints.items()}
+    return {names[joint]: turn for joint, turn in _corrected(robot).turns.items()}
 
 
 def corrections_of(robot):
     """Say what is to be corrected of a fitted robot, a tuple of `Correction`."""
-    turned, names = _Turns(robot), robot.joint_names_
+    turned, names = _corrected(robot), robot.joint_names_
     sums = {}
     for effect in robot.effects_:
         if effect.name in _VALUES:
@@ -107,7 +95,7 @@ def _axis(robot, turned, joint, values):
         "turns": tuple(np.degrees(values).tolist()),
         "about": tuple(map(_axis_name, cross_axes(turned.axis(joint)))),
         "old_rpy": _floats(rpy(origin)),
-        "new_rpy": _floats(rpy(origin @ turned.joints[joint])),
+        "new_rpy": _floats(rpy(origin @ turned.turns[joint])),
     }
 
 

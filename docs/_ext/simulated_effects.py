@@ -17,9 +17,9 @@ from sklearn.base import clone
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Motion, closure, cross_axes, rotation
+from sklearn_vbjfa.equations import RigidBodyFeatures
 from sklearn_vbjfa.equations._equations import make_motion
 from sklearn_vbjfa.model import CorrectedModel
-from sklearn_vbjfa.robot import RigidBodyFeatures
 from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf
 from sklearn_vbjfa.simulation import TorqueModel, why_left_out
 

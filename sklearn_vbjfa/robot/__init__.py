@@ -9,20 +9,14 @@ from sklearn_vbjfa import _lazily
 
 # What type checkers see of names that are imported when they are asked for.
 if TYPE_CHECKING:
-    from sklearn_vbjfa.equations import RigidBodyFeatures as RigidBodyFeatures
-    from sklearn_vbjfa.equations import StateEstimator as StateEstimator
-    from sklearn_vbjfa.equations import TorqueResiduals as TorqueResiduals
-    from sklearn_vbjfa.fit import FitOptions as FitOptions
-    from sklearn_vbjfa.fit import JointTorqueRegressor as JointTorqueRegressor
-    from sklearn_vbjfa.fit import RobotIdentifier as RobotIdentifier
+    from sklearn_vbjfa.fit._arguments import FitOptions
     from sklearn_vbjfa.recording._drives import CurrentDrive, PDDrive, VoltageDrive
 
 __all__ = ["CurrentDrive", "FitOptions", "PDDrive", "VoltageDrive"]
 
 # What is not in __all__ is for other rooms and for tests.
 _MODULES = {
-    ".equations": ("RigidBodyFeatures", "StateEstimator", "TorqueResiduals"),
-    ".fit": ("FitOptions", "JointTorqueRegressor", "RobotIdentifier"),
+    ".fit": ("FitOptions",),
     ".recording": ("CurrentDrive", "PDDrive", "VoltageDrive"),
     "_channels": ("ChannelGains", "CommonGain"),
     "_corrections": ("Correction", "corrections_of"),

@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa.effects import Motion
-from sklearn_vbjfa.equations import with_followers
+from sklearn_vbjfa.equations import RigidBodyFeatures, with_followers
 from sklearn_vbjfa.model import (
     joint_names,
     load_folded,
@@ -16,7 +16,6 @@ from sklearn_vbjfa.model import (
     movable_joints,
     write_reduced,
 )
-from sklearn_vbjfa.robot import RigidBodyFeatures
 
 
 def link(name, mass):

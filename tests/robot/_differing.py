@@ -3,8 +3,8 @@
 import numpy as np
 
 from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.equations import RigidBodyFeatures
 from sklearn_vbjfa.model import nominal_parameters
-from sklearn_vbjfa.robot import RigidBodyFeatures
 
 URDF = """<robot name="one"><link name="base"/><link name="arm"><inertial>
 <origin xyz="0.1 0 0"/><mass value="2"/><inertia ixx="0.01" iyy="0.02" izz="0.02"

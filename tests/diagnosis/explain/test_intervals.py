@@ -14,7 +14,8 @@ from sklearn_vbjfa.diagnosis.explain import (
     named_values,
 )
 from sklearn_vbjfa.effects import AsymmetricFriction, Stribeck
-from sklearn_vbjfa.robot import FitOptions, TorqueResiduals
+from sklearn_vbjfa.equations import TorqueResiduals
+from sklearn_vbjfa.robot import FitOptions
 from tests.core._problems import coloured
 from tests.diagnosis._recordings import named, record
 from tests.effects._arms import arm, inverse_dynamics, motion

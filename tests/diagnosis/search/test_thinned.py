@@ -12,7 +12,7 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.diagnosis.search import _view as _thinned
-from sklearn_vbjfa.robot import FitOptions, RobotIdentifier
+from sklearn_vbjfa.fit import FitOptions, RobotIdentifier
 from tests.diagnosis.report._pages import text_of
 
 LOWPASS = _lowpass.design(0.001, 5.0)

@@ -85,8 +85,13 @@ class TorqueDisplay:
             units=tuple("N" if slides[j] else "N m" for j in chosen),
         )
 
-    def plot(self):
-        """Draw a figure with axes for each joint.
+    def plot(self, ax=None):
+        """Draw into axes, one for each joint.
+
+        Parameters
+        ----------
+        ax : array-like of Axes, default=None
+            Axes to draw into; None makes a figure.
 
         Returns
         -------
@@ -96,26 +101,17 @@ class TorqueDisplay:
         time = np.broadcast_to(self.time[:, None], self.measured.shape)
         curves = {"measured": self.measured, **self._predicted()}
         curves = {label: (time, torque) for label, torque in curves.items()}
-        return self._drawn(curves, "-", "time [s]")
+        return self._drawn(ax, curves, "-", "time [s]")
 
     def _predicted(self):
         """Return the predicted torques by model."""
         models = {"before": self.before, "after": self.after}
         return {label: x for label, x in models.items() if x is not None}
 
-    def _drawn(self, curves, marker, x_label):
+    def _drawn(self, ax, curves, marker, x_label):
         """Draw curves, pairs (m, nv) by label."""
-        try:
-            # By name, so that nothing here imports an optional package.
-            pyplot = importlib.import_module("matplotlib.pyplot")
-        except ImportError as error:
-            raise ImportError(
-                "A display needs matplotlib: pip install matplotlib."
-            ) from error
-        count = len(self.joint_names)
-        size = {"figsize": (8.0, 1.6 * count + 0.7), "layout": "constrained"}
-        self.figure_, axes = pyplot.subplots(count, squeeze=False, **size)
-        self.axes_, self.lines_ = axes[:, 0], []
+        self.axes_ = self._axes(ax)
+        self.figure_, self.lines_ = self.axes_[0].figure, []
         every = slice(None, None, max(1, len(self.time) // _POINTS))
         for j, axis in enumerate(self.axes_):
             axis.set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
@@ -126,6 +122,26 @@ class TorqueDisplay:
         self.axes_[-1].set_xlabel(x_label)
         return self
 
+    def _axes(self, ax):
+        """Return one of some axes for each joint, ndarray; of a new figure if None."""
+        count = len(self.joint_names)
+        if ax is None:
+            try:
+                # By name, so that nothing here imports an optional package.
+                pyplot = importlib.import_module("matplotlib.pyplot")
+            except ImportError as error:
+                raise ImportError(
+                    "A display needs matplotlib: pip install matplotlib."
+                ) from error
+            size = 8.0, 1.6 * count + 0.7
+            _, ax = pyplot.subplots(count, layout="constrained", figsize=size)
+        axes = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
+        if axes.size != count:
+            raise ValueError(
+                f"ax must hold {count} axes, one a joint; got {axes.size}."
+            )
+        return axes
+
 
 class ResidualDisplay(TorqueDisplay):
     """Residuals, measured minus predicted, over predicted torques, one panel a joint.
@@ -133,8 +149,8 @@ class ResidualDisplay(TorqueDisplay):
     Parameters and attributes are those of `TorqueDisplay`.
     """
 
-    def plot(self):
-        """Draw a figure, as `TorqueDisplay.plot` does."""
+    def plot(self, ax=None):
+        """Draw into axes, as `TorqueDisplay.plot` does."""
         predicted = self._predicted()
         curves = {label: (x, self.measured - x) for label, x in predicted.items()}
-        return self._drawn(curves, ".", "predicted torque")
+        return self._drawn(ax, curves, ".", "predicted torque")

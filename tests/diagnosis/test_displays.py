@@ -68,6 +68,16 @@ def test_plot_makes_a_row_for_each_joint(pyplot):
     assert pyplot.get_fignums() == [display.figure_.number]
 
 
+def test_plot_into_given_axes(pyplot):
+    figure, axes = pyplot.subplots(1, 2)
+    display = make_display().plot(axes)
+    assert display.figure_ is figure
+    assert display.axes_[0] is display.lines_[0].axes
+    assert pyplot.get_fignums() == [figure.number]
+    with pytest.raises(ValueError, match="2 axes, one a joint; got 1"):
+        make_display().plot(axes[0])
+
+
 def test_plot_without_matplotlib(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     with pytest.raises(ImportError, match="needs matplotlib"):

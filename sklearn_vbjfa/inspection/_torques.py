@@ -150,8 +150,8 @@ def scaled_each(reading):
     # What is not shown is as large as others are.
     factors[joints] = np.where(seen[joints], factors[joints], np.exp(logs - middle))
     found = [_scaled_one(reading, j, factors[j], error[j]) for j in away]
-    known[away] = False
-    logs = np.sort(np.log(factors[known]))
+    rest = known & ~np.isin(np.arange(known.size), away)
+    logs = np.sort(np.log(factors[rest]))
     # The factors of many hold two that are off by chance.
     most = logs[1:-1] if logs.size > 4 else logs
     if logs.size > 1 and np.ptp(most) > np.log(number.SCALE):

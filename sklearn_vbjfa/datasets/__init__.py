@@ -19,7 +19,6 @@ if TYPE_CHECKING:
         fetch_ur5,
     )
     from sklearn_vbjfa.datasets._simulated import (
-        NoisyRegression,
         SimulatedRecording,
         load_demo_recording,
         make_noisy_regression,
@@ -51,7 +50,6 @@ _MODULES = {
         "remote_files",
     ),
     "_simulated": (
-        "NoisyRegression",
         "SimulatedRecording",
         "demo_arm_urdf",
         "joint_range",

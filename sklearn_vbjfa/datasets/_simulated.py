@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from importlib import resources
 
 import numpy as np
-from sklearn.utils import check_random_state
+from sklearn.utils import Bunch, check_random_state
 
 from sklearn_vbjfa.model import (
     import_pinocchio,
@@ -426,39 +426,6 @@ def recording_fields(model, n, n_recordings, dt):
 # -- the regression study of the paper, section 5.1 ------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class NoisyRegression:
-    """A regression with noisy inputs and output, noiseless test data, and the truth.
-
-    Attributes
-    ----------
-    X, y : ndarray of shape (n_samples, n_features), (n_samples,)
-        Noisy training data. Columns: relevant inputs, redundant, irrelevant.
-    X_test, y_test : ndarray of shape (n_test, n_features), (n_test,)
-        Noiseless test data.
-    coef : ndarray of shape (n_relevant,)
-        True coefficients of the relevant inputs.
-    relevant : ndarray of shape (n_features,), bool
-        The relevant inputs.
-    input_noise : ndarray of shape (n_features,)
-        Variances of the inputs' noise.
-    input_noise_covariance : ndarray of shape (n_features, n_features)
-        Its covariance: redundant inputs inherit the noise of what they are made of.
-    output_noise : float
-        Variance of the output's noise.
-    """
-
-    X: np.ndarray
-    y: np.ndarray
-    X_test: np.ndarray
-    y_test: np.ndarray
-    coef: np.ndarray
-    relevant: np.ndarray
-    input_noise: np.ndarray
-    input_noise_covariance: np.ndarray
-    output_noise: float
-
-
 def make_noisy_regression(
     n_samples=1000,
     *,
@@ -467,7 +434,7 @@ def make_noisy_regression(
     n_irrelevant=90,
     input_snr=2.0,
     random_state=None,
-) -> NoisyRegression:
+) -> Bunch:
     """Generate the data of section 5.1 of the paper.
 
     The relevant inputs are Gaussian with a random covariance, the output has the
@@ -489,8 +456,12 @@ def make_noisy_regression(
 
     Returns
     -------
-    NoisyRegression
-        Data and truth.
+    data : Bunch
+        Data and truth: noisy training data `X` (n_samples, n_features), its columns
+        relevant, redundant and irrelevant, and `y`; noiseless `X_test`, `y_test`; true
+        coefficients `coef` (n_relevant,); which inputs are `relevant` (n_features,);
+        variances `input_noise` (n_features,), `input_noise_covariance`, in which
+        redundant inputs inherit the noise of what they are made of, and `output_noise`.
 
     Raises
     ------
@@ -541,7 +512,7 @@ def make_noisy_regression(
         [np.eye(n_relevant), weights, np.zeros((n_irrelevant, n_relevant))]
     )
     full = made @ np.diag(noise) @ made.T
-    return NoisyRegression(
+    return Bunch(
         X=X,
         y=y,
         X_test=X_test,

@@ -173,11 +173,6 @@ class _Account:
             self.leave(name, j, why)
         return np.maximum(total, 0.0)
 
-    def leave_column(self, name, totals, reason):
-        """List plain coefficients (nv,) that have no place."""
-        for j in np.flatnonzero(totals):
-            self.leave(name, j, reason)
-
 
 def as_pinocchio(robot):
     """Return the `pin.Model` of a `TorqueModel`, with friction and rotor inertia."""
@@ -194,12 +189,10 @@ def as_pinocchio(robot):
 
 def _left_of_urdf(account):
     """List what a URDF has no place for, beside damping and friction that are < 0."""
-    account.leave_column(
-        "offset", account.total("offset"), "URDF has no constant torque"
-    )
-    account.leave_column(
-        "rotor_inertia", account.total("rotor_inertia"), "URDF has no armature"
-    )
+    reasons = {"offset": "constant torque", "rotor_inertia": "armature"}
+    for name, reason in reasons.items():
+        for j in np.flatnonzero(account.total(name)):
+            account.leave(name, j, f"URDF has no {reason}")
     for effect, coef in account.uses:
         if not effect.files.urdf:
             continue

@@ -32,7 +32,9 @@ def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
     # tau (n, nv): as the channels read them; q0, v0 (nv,): in the first row; t (n,):
     # times of the rows [s] on the clock of the fit, by default every `dt` of the robot;
     # signals: by name.
-    q0, v0 = _start(robot, q0, v0)
+    nothing = np.zeros(robot.n_joints)
+    q0 = _checked(robot, "q0", q0, nothing.shape)
+    v0 = _checked(robot, "v0", nothing if v0 is None else v0, nothing.shape)
     tau = _torques(robot, tau)
     t = _times(robot, t, len(tau))
     signals = recorded(_signals(signals, len(tau)), t)
@@ -124,13 +126,6 @@ def _diverged(robot, motion, time, row, joint, updates):
 
 
 # -- what is asked ---------------------------------------------------------------------
-
-
-def _start(robot, q0, v0):
-    nothing = np.zeros(robot.n_joints)
-    q0 = _checked(robot, "q0", q0, nothing.shape)
-    v0 = _checked(robot, "v0", nothing if v0 is None else v0, nothing.shape)
-    return q0, v0
 
 
 def _checked(robot, name, values, shape):

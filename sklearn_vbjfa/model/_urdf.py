@@ -375,12 +375,6 @@ def body_about_com(phi):
     return mass, com, inertia_matrix(phi) - shift
 
 
-def _set_inertial(link, phi):
-    for old in link.findall("inertial"):
-        link.remove(old)
-    _add_inertial(link, *body_about_com(phi))
-
-
 def _turn_origin(joint, rotation):
     """Turn the origin of a joint, and with it what the joint carries."""
     origin = joint.find("origin")
@@ -418,14 +412,13 @@ def write_urdf(text, target, model, parameters, note="", turned=None, followers=
     for name, row in rows:
         joint = joints[name]
         child = joint.find("child").get("link")
-        _set_inertial(links[child], row[:10])
         # What is fixed to the link is one body with it: its inertia is in the sum.
-        waiting = list(fixed_children.get(child, []))
-        while waiting:
-            link = waiting.pop()
+        moved = [child]
+        for link in moved:
             for inertial in links[link].findall("inertial"):
                 links[link].remove(inertial)
-            waiting += fixed_children.get(link, [])
+            moved += fixed_children.get(link, [])
+        _add_inertial(links[child], *body_about_com(row[:10]))
         if turned and name in turned:
             _turn_origin(joint, turned[name])
         if name in followers:

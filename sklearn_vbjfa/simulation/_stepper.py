@@ -187,15 +187,11 @@ class Stepper:
         self._n, self._last = 0, None
         self._plain, self._of_load = [], []
         for effect, coefs, own, held in self._pairs:
-            columns = _held(self._columns_of(effect), held)
-            one = _Term(columns, effect, coefs.tolist(), own.tolist())
+            law = effect.law(self._maths)
+            if law is None:
+                law = _ByMotion(self._model, effect, self._needs_load)
+            one = _Term(_held(law, held), effect, coefs.tolist(), own.tolist())
             (self._of_load if "load" in effect.needs else self._plain).append(one)
-
-    def _columns_of(self, effect):
-        law = effect.law(self._maths)
-        if law is not None:
-            return law
-        return _ByMotion(self._model, effect, self._needs_load)
 
     def step(self, q, v, a, t=None, signals=None):
         """Torques (nv,) of the next state, friction included, as the channels read."""

@@ -32,8 +32,7 @@ PACE has them; every eighth robot).
   none where bodies are not physical.
 - seconds: of one processor, for one robot.
 
-Seeds 0 to 19 are for work, from 5000 on to confirm, each once; those from another first
-seed on are another table.
+Seeds 0 to 19 are for work, from 5000 on to confirm, each once.
 
 ``--measured``: the ten runs of the Go2 itself, one motion. Fitted on runs 0 to 6,
 judged on runs 7 to 9, by torque and by positions in windows of 1 s that begin with a

@@ -15,14 +15,8 @@ recordings with an effect those in which it was found. Of all that was given as 
 with and without an effect, the share that is right stands beside the probability that
 was stated.
 
-``--out`` keeps the verdict on each recording, and goes on where it stopped. Several
-processes can share the seeds, each with a file of its own; ``--trials 0 --out a.jsonl
-b.jsonl`` then makes the table of both.
-
-Targets, fixed before the search by odds was built: any name in at most 2 % of the
-recordings pooled and 5 % of a cell, "perhaps" counted beside them and calibrated.
-Seeds below 200 are for development, 200 to 1999 were used for tables of the search by
-rules; the table uses 2000 and above.
+Targets: any name in at most 2 % of the recordings pooled and 5 % of a cell. Seeds below
+200 are for work, the table uses 2000 and above.
 """
 
 import time

@@ -4,9 +4,7 @@ Run ``python tests/benchmarks/bench_field.py --data-home DIR [--figaroh-python P
 [--out FILE ...] [--data SET ...] [--peers PEER ...] [--write]``, where PYTHON is the
 interpreter of an environment with FIGAROH (``python -m venv ENV && ENV/bin/pip install
 figaroh``); CMA-ES and mujoco.sysid need ``pip install cma "mujoco[sysid]"``. A peer
-that is not there is left out with a line that says so. With ``--out`` every row is kept
-as soon as it is there, so that sets and peers can be run one by one; the tables have
-all rows that are in the files.
+that is not there is left out with a line that says so.
 
 Sets, splits, filters and masks are those of ``_protocols``, but for the Go2:
 runs 0 to 6 are fitted, runs 7 to 9 judged, and all peers are told its commands, not

@@ -3,8 +3,7 @@
 Run as ``python tests/benchmarks/bench_friction_memory.py [--laws lugre]``.
 The generator shares no code with the package: rigid bodies are those of Pinocchio, the
 laws of friction are integrated on a grid twenty times finer than the samples. The
-masses of the description are 20 % off. Each recording has 40 s at 100 Hz; the 40 s
-after it are predicted with the states and the filter of the fit.
+masses of the description are 20 % off. 40 s at 100 Hz; the 40 s after are predicted.
 """
 
 import tempfile

@@ -28,12 +28,9 @@ What is judged:
   signal.
 - ``none``: no fault may be named.
 
-Split: that of `EffectDiscovery`. Beside every share stands its lower bound at 90 %,
-one-sided (Clopper and Pearson, Biometrika 26(4), 1934).
+Beside every share stands its lower bound at 90 % (Clopper and Pearson 1934).
 
-Seeds 0 to 99 are for work, 100 to 199 to confirm (``--seed``). ``--out`` keeps the
-results; what the file holds is not run again, and the table is of all tasks asked for
-that it holds.
+Seeds 0 to 99 are for work, those from 310 on to confirm (``--seed``).
 """
 
 import time

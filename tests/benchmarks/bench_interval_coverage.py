@@ -4,7 +4,6 @@ Run ``python tests/benchmarks/bench_interval_coverage.py [--trials N] [--seed S]
 [--study NAME] [--write]``. Small simulated arms (tests/effects/_arms.py, which shares
 no code with the package), a new motion and new noise in every trial; trial k of every
 cell has the seed S + k. Bodies are described with errors that are drawn in every trial.
-Seeds from 100 on have not been worked with. Three studies:
 
 ``parameters``: `RobotIdentifier`, its estimate and standard deviations, all parameters
 that the data determine on their own; torque noise white or AR(1).

@@ -16,14 +16,8 @@ Data, simulated without the code of the library (``_undeclared_robots.py``), see
 (``n_jobs=2``), and the report's text, each in a process of its own; the data are made
 in another one and read from a file, so that the peak memory (``ru_maxrss``) is that of
 reading, the loop and the report.
-Exponents are slopes of straight lines through the logarithms of figures and of lengths,
-from 3 minutes on, or of joints, from 7 on.
+Exponents are slopes of logarithms, from 3 minutes or 7 joints on.
 Targets: 30 minutes in 120 s with 2 GB and the right name; 23 joints in 60 s.
-
-With ``--out`` figures are kept in a file of JSON lines. One case alone, and the table
-with those before it:
-``--cases "7 joints, 30 min" --out FILE --write``.
-A gigabyte is 1e9 bytes.
 """
 
 import argparse

@@ -13,8 +13,7 @@ the rest white. ``control``: the same disturbance beside a motion that does not 
 model can mimic) in white noise of 5 %, on repeated motion. 100 samples a second,
 encoder noise 2e-5 rad, four plain terms declared.
 
-Seeds 0 to 99 are for work, 1000 to 1059 were seen once; from 2000 on to confirm.
-Split: that of `EffectDiscovery`.
+Seeds 0 to 99 are for work, from 2000 on to confirm.
 """
 
 import time

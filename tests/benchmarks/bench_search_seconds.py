@@ -27,6 +27,7 @@ from pathlib import Path
 
 import numpy as np
 from _report import Ledger, fixed, parser, publish, rst_table
+from _undeclared_robots import nominal_robot
 
 # Target of each case [s].
 CASES = {
@@ -67,8 +68,6 @@ def identified(model, recording, **settings):
 
 def simulated(joints, rows, dt, undeclared):
     """Make a recording of a serial arm."""
-    from _undeclared_robots import nominal_robot
-
     from sklearn_vbjfa.datasets import make_robot_recording
 
     model = nominal_robot("serial", np.random.default_rng(0), joints)

@@ -17,18 +17,12 @@ the torque of 2 Hz), in none of four robots, the case is not counted.
   and nothing else but what the simulated effects contain.
 - ``none``: nothing is missing; any name is wrong.
 
-Split: that of `EffectDiscovery`. Beside every share stands its lower bound at 90 %,
-one-sided (Clopper and Pearson, Biometrika 26(4), 1934).
+Beside every share stands its lower bound at 90 % (Clopper and Pearson 1934).
 
-What the loop gives as perhaps is judged as names are, and counted apart: it makes no
-case named and no name wrong. Of all cases the share of it that is right stands beside
-the probability that was stated.
+What the loop gives as perhaps is judged as names are, and counted apart.
 
-Seeds 0 to 99 are for work, 100 to 199 to confirm; those from 300 on were not used
-before the search that has probabilities. The other studies have seeds from the first
-one on. ``--out`` keeps the results; what the files hold is not run again (the first is
-written to, the others are read), and the table is of all tasks asked for that they
-hold.
+Seeds 0 to 99 are for work, those from 300 on to confirm. The other studies have seeds
+from the first one on.
 """
 
 import time

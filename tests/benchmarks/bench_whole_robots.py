@@ -34,13 +34,10 @@ What is judged:
 - The same set: the names with their joints, beyond the plain terms that every model
   has, are equal from all starts. Beside it: equal but for names that another name of
   the joint contains.
-
 - What the loop gives as perhaps is right or wrong as a name is, and counted apart: it
-  changes neither recall nor precision. Of all robots the share of it that is right
-  stands beside the probability that was stated.
+  changes neither recall nor precision.
 
-Seeds 0 to 99 are for work; ``--confirm`` takes 100 to 129; those from 300 on were not
-used before the search that has probabilities.
+Seeds 0 to 99 are for work, those from 300 on to confirm.
 """
 
 import time

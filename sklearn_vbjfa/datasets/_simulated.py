@@ -184,7 +184,8 @@ def make_robot_recording(
     robot = _turned(with_bodies(nominal, inertial), base_tilt, joint_axis or {})
     rigid = rigid_torques(robot, states)
     coefficients = _draw_friction(friction, rigid, v, a, rng)
-    clean = rigid + _friction_torque(coefficients, q, v, a)
+    signal = {"viscous": v, "coulomb": np.sign(v), "offset": 1.0, "rotor_inertia": a}
+    clean = rigid + sum(x * signal[name] for name, x in coefficients.items())
     for part in (slice(k * n, (k + 1) * n) for k in range(n_recordings)):
         # A spring is at rest where it is, whichever recording looks at it.
         clean[part] += undeclared_torque(
@@ -309,11 +310,6 @@ def _draw_friction(friction, rigid, v, a, rng):
     return {
         name: share[name] * rng.uniform(0.5, 1.5, size=size.shape) for name in friction
     }
-
-
-def _friction_torque(coefficients, q, v, a):
-    signal = {"viscous": v, "coulomb": np.sign(v), "offset": 1.0, "rotor_inertia": a}
-    return sum((x * signal[name] for name, x in coefficients.items()), np.zeros_like(q))
 
 
 # -- torques that the robot has and its declared model lacks ---------------------------

@@ -477,7 +477,13 @@ def _corrected(recipe, fit, source, relative):
         factor, before = values.longer(factor, before), values.step
         corrected = _at(robot, values.corrected(factor))
     else:
-        warn_unsettled(values)
+        names = [effect.name for effect in values.effects if effect.in_model]
+        warnings.warn(
+            f"The values of {', '.join(dict.fromkeys(names))} did not converge in "
+            f"{MOST_CORRECTIONS} corrections (nearly equal columns). Declare fewer.",
+            ConvergenceWarning,
+            stacklevel=6,
+        )
     if number and not loaded:
         fit = _fitted_again(recipe, robot, source, moments)
     robot = replace(fit.robot, load_parameters=fit.robot.parameters_of_load())
@@ -645,16 +651,6 @@ def _within(effect, step):
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(step == 0, np.inf, room / np.where(step == 0, 1.0, step))
     return step if share.min() >= 1 else _SHORT * max(share.min(), 0.0) * step
-
-
-def warn_unsettled(values):
-    names = [effect.name for effect in values.effects if effect.in_model]
-    warnings.warn(
-        f"The values of {', '.join(dict.fromkeys(names))} did not converge in "
-        f"{MOST_CORRECTIONS} corrections (nearly equal columns). Declare fewer.",
-        ConvergenceWarning,
-        stacklevel=7,
-    )
 
 
 # -- lag of all torques ----------------------------------------------------------------

@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import wraps
 
 import numpy as np
-from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_vbjfa._core._threads import one_blas_thread
@@ -50,20 +50,13 @@ from sklearn_vbjfa.recording import PDDrive, check_dt, torques_in_order
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 
 
-class RecordingRegressorMixin(RegressorMixin):
+class RecordingRegressorMixin(MultiOutputMixin, RegressorMixin):
     """A multi-output regressor whose rows are recordings in time order."""
 
     # Labels of recordings that are passed are taken, as by `StateEstimator`.
     __metadata_request__fit = {"groups": True}  # noqa: RUF012
     __metadata_request__predict = {"groups": True}  # noqa: RUF012
     __metadata_request__score = {"groups": True}  # noqa: RUF012
-
-    def __sklearn_tags__(self):
-        """Tags of a regressor with several outputs."""
-        tags = super().__sklearn_tags__()
-        tags.target_tags.multi_output = True
-        tags.target_tags.single_output = True
-        return tags
 
     def score(self, X, y, sample_weight=None, groups=None, t=None, signals=None):
         """Return the coefficient of determination R^2 of the predicted torques.

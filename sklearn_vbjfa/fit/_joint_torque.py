@@ -1,7 +1,7 @@
 """One parameter vector from the torques of all joints, as a scikit-learn regressor."""
 
 import numpy as np
-from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa.equations._equations import Equations
@@ -11,7 +11,7 @@ from sklearn_vbjfa.equations._recording_checks import check_weight
 from sklearn_vbjfa.fit._estimate import estimate
 
 
-class JointTorqueRegressor(RegressorMixin, BaseEstimator):
+class JointTorqueRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     """Estimate one parameter vector from the torques of all joints.
 
     The last step of a pipeline that begins with `RigidBodyFeatures`: splits the wide
@@ -97,13 +97,6 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         self.regressor = regressor
         self.projector = projector
         self.joint_weights = joint_weights
-
-    def __sklearn_tags__(self):
-        """Tags of a regressor with one or several outputs."""
-        tags = super().__sklearn_tags__()
-        tags.target_tags.multi_output = True
-        tags.target_tags.single_output = True
-        return tags
 
     def fit(self, X, y, sample_weight=None):
         """Fit the parameters.

@@ -92,13 +92,13 @@ class Ranges:
             "level": self.level,
             "recordings": self.recordings,
             "note": self.note,
-            "values": [asdict(one) for one in self.parameters if _is_measured(one)],
+            "values": [
+                asdict(one)
+                for one in self.parameters
+                if np.isfinite(one.upper - one.lower) and one.known not in _NOT_MEASURED
+            ],
         }
         write_whole(path, f"{readable(content)}\n")
-
-
-def _is_measured(one):
-    return bool(np.isfinite(one.upper - one.lower) and one.known not in _NOT_MEASURED)
 
 
 def ranges_of(robot, level):

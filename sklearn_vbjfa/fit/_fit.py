@@ -83,9 +83,9 @@ class FitData:
         recording, estimator = self.recording, robot.plan.state_estimator
         if estimator is None:
             raise ValueError(
-                "a regressor that takes instruments needs positions, of which the even "
-                "samples are measured beside the odd ones; got states. Pass positions, "
-                "or another regressor."
+                "a regressor that takes instruments needs positions, whose even and "
+                "odd samples are two measurements; got states. Pass positions, or "
+                "another regressor."
             )
         feedback, groups = recording.feedback, recording.groups
         if feedback is None or not (feedback[0] > 0).all():

@@ -378,7 +378,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.baseline_ = self.declared_
         if set(declarable()) - set(self.declared_.features_.friction_):
             # Plain terms that are declared as effects of single joints would be twice.
-            own = tuple(e for e in self.identifier.effects if not _is_plain(e))
+            own = tuple(
+                effect
+                for effect in self.identifier.effects
+                if effect.name not in declarable() or any(effect.shape().values())
+            )
             plain = {"friction": declarable(), "effects": own}
             plain = clone(self.identifier).set_params(**plain)
             self.baseline_ = plain.fit_inspected(part, compare=False)
@@ -522,12 +526,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         motion = motions_of(robot, states, predicted, moving, spread)
         error, low, high = self._expectation.of(motion)[:, :-1]
         return error, np.stack([low, high])
-
-
-def _is_plain(effect):
-    """Whether an effect of one joint is a friction term without shape parameters."""
-    plain = effect.name in declarable()
-    return plain and not any(effect.shape().values())
 
 
 def _names(whole, groups):

@@ -145,16 +145,6 @@ class Options:
             raise ValueError(f"margin must be between 0 and 1, got {self.margin!r}.")
 
 
-def _default_metric(rows, bodies, mass_scale, length_scale):
-    """Metric that counts each parameter in its own unit."""
-    # The ten of a body in units of its mass and length scale; a column outside the
-    # bodies in units of its root mean square over the rows (1 for a column of zeros).
-    units = np.sqrt(np.mean(rows**2, axis=0))
-    units[units == 0] = 1.0
-    units[bodies] = parameter_units(mass_scale, length_scale)
-    return check_metric(np.diag(units**-2.0), units.size)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Projection:
     """Where vectors are projected and in which distance; validated, in SI units."""
@@ -188,7 +178,12 @@ class Projection:
         source = rows if anchor is None else anchor[None]
         mass_scale, length_scale = body_scales(source[:, bodies])
         if metric is None:
-            metric = _default_metric(rows, bodies, mass_scale, length_scale)
+            # Each parameter counts in its own unit: those of a body in units of its
+            # scales, others in units of their root mean square, 1 for zeros.
+            units = np.sqrt(np.mean(rows**2, axis=0))
+            units[units == 0] = 1.0
+            units[bodies] = parameter_units(mass_scale, length_scale)
+            metric = check_metric(np.diag(units**-2.0), n_features)
         return cls(
             constraint=constraint,
             margin=options.margin,

@@ -2,7 +2,7 @@
 
 import functools
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import scipy
@@ -146,6 +146,10 @@ def zeros(reading, few):
         return change.offset + np.zeros(nv), errors
 
     moves = [moved_by(x, j) for j, x in product(free, number.ANGLES)]
+    if not few:
+        # Zeros of neighbours make up for each other.
+        pairs = product(pairwise(free), number.ANGLES, number.ANGLES)
+        moves += [moved_by(x, j).then(moved_by(y, k)) for (j, k), x, y in pairs]
     step = number.CLEAR_OF_JOINT if few else number.SETTLED
     place, errors = refined(climbed(reading, moves, step=step), free)
     if few:

@@ -49,6 +49,8 @@ DONE = {
     "zero of the elbow": ("ur5", lambda m, q, y: (
         q + one_changed(6, 2, 2.2, 0), y), "position_zero", (2,)),
     "zeros at power-up": ("ur5", lambda m, q, y: (q - q[0], y), "position_zeros", ()),
+    "zeros at power-up, seven joints": ("franka_panda", lambda m, q, y: (
+        q - q[0], y), "position_zeros", ()),
     "torque of a motor": ("franka_panda", lambda m, q, y: (
         q, y / one_changed(7, 1, 109, 1)), "gear_factor", (1,)),
     "torque of a vertical joint's motor": ("ur5", lambda m, q, y: (

@@ -277,9 +277,11 @@ def laid_out(table: Table, options, robot) -> Layout:
             plain = _by_preset(table, options, robot, plain) or plain
         return _by_mapping(table, options.mapping, plain)
     if table.nameless:
+        n = len(robot.names) or 6
+        q, tau = (f"{k}-{k + n - 1}" if n > 1 else str(k) for k in (2, 2 + n))
         raise RecordingRefused(
             f"{table.path}: has no names of columns; give the places of its "
-            f'{len(table.names)} columns, such as columns="t=1,q=2-7,tau=8-13".'
+            f'{len(table.names)} columns, such as columns="t=1,q={q},tau={tau}".'
         )
     if table.joints:
         return replace(plain, certain=True)

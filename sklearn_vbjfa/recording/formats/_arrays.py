@@ -188,6 +188,11 @@ def read_mat(path) -> Table:
     found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
     usable = _flattened(found, lambda x: np.asarray(x).dtype.kind in "biufU")
     arrays = {name: np.asarray(x) for name, x in usable.items()}
+    if not arrays:
+        raise NotATable(
+            f"{path}: holds no arrays; in MATLAB write those of tables and time "
+            f"series: t = T.Time; q = T{{:, 2:7}}; ... {_SAVE}."
+        )
     return _table_of_arrays(path, _without_common_part(arrays))
 
 

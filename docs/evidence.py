@@ -268,7 +268,8 @@ def false_alarms():
         "walk and "
         f"{data.cell(rows[6], 'false alarms, %')} % of those with a slowly varying "
         "torque "
-        "gain have a reported effect (45 recordings each), and the payload is found "
+        f"gain have a reported effect ({data.cell(rows[4], 'recordings')} recordings "
+        "each), and the payload is found "
         "in "
         f"{data.cell('payload', 'found, %', 2)} % only."
     )
@@ -586,16 +587,19 @@ def ranges():
 def changed_logs():
     """Show faults that were put into sound logs."""
     data = Tables("log_hypotheses")
-    sound, *changed = data.tables[0].rows
-    logs, _, right, *_, wrong = (
-        sum(map(int, cells)) for cells in zip(*(row[1:] for row in changed))
-    )
-    sets = [set(row[1:]) == {"none"} for row in data.tables[1].rows]
+    (sound, *changed), done_to, whole = (table.rows for table in data.tables)
+    counts = [
+        [sum(map(int, cells)) for cells in zip(*(row[1:] for row in rows))]
+        for rows in (changed, done_to)
+    ]
+    (logs, _, right, *_, wrong), (others, seen, named, *_, false) = counts
+    sets = [set(row[1:]) == {"none"} for row in whole]
     verdict = (
         f"Of {logs} simulated logs with one fault, {right} are named correctly and "
-        f"{wrong} wrongly; the others are not named or left undecided. {sound[5]} of "
-        f"{sound[1]} sound logs have no finding, and {sum(sets)} of {len(sets)} "
-        "measured sets have none, whole and in halves."
+        f"{wrong} wrongly; of {others} logs of measured robots with one fault ({seen} "
+        f"visible), {named} and {false}. The others are not named or left undecided. "
+        f"{sound[5]} of {sound[1]} sound logs have no finding, and {sum(sets)} of "
+        f"{len(sets)} measured sets have none, whole and in halves."
     )
     limitation = (
         "A fault is visible if the likelihood of the true robot decides for it; the "
@@ -603,7 +607,7 @@ def changed_logs():
         "torques often are not."
     )
     question = "Are faults of a log named?"
-    shown = f"{data.table()}\n\n{data.table(2)}"
+    shown = "\n\n".join(data.table(number) for number in (1, 2, 3))
     return question, verdict, data, shown, limitation
 
 

@@ -368,15 +368,15 @@ def periods(reading):
     )
     if found is None:
         return None
-    # Another period changes inertia against weight: torques with another weight, or of
-    # the weight alone, look alike.
+    # Another period changes inertia against weight: torques with another weight, of the
+    # weight alone, or with that of springs look alike.
     weight = robot.weight[:, :, None]
     rivals = (
-        robot.fit(columns=weight, deviation=1.0),
-        robot.fit(robot.entries - robot.pulled(np.zeros(3))),
+        robot.fit(columns=weight, deviation=1.0).evidence,
+        robot.fit(robot.entries - robot.pulled(np.zeros(3))).evidence,
+        robot.with_springs(robot.joints),
     )
-    best = max(one.evidence for one in rivals) - robot.now.evidence
-    if best > found.log_odds - number.RIVAL:
+    if max(rivals) - robot.now.evidence > found.log_odds - number.RIVAL:
         return None
     period = dt * found.change.period
     remedy = {"dt": float(f"{period:.6g}")}

@@ -53,7 +53,8 @@ def signs(reading):
     # That all signs are wrong is likelier than that those are right which do not show.
     every = frozenset(judge)
     best = every if every in near else min(near, key=len)
-    if not best:
+    # With noise that is correlated for long, few rows decide, and badly.
+    if not best or scores[best].fall(now) < -number.CLEAR:
         return None
     # Joints that are explained too badly to be judged may say that theirs is right.
     others = [j for j in robot.joints.tolist() if j not in judge]

@@ -94,6 +94,16 @@ def test_a_factor_of_all_torques_has_an_interval_that_holds_it(log, factor):
     assert low < factor < high
 
 
+def test_noise_that_is_correlated_for_long_is_no_wrong_sign():
+    made = make_robot_recording(
+        duration=60.0, dt=0.01, frequency=0.9, torque_noise=0.0, random_state=4
+    )
+    walk = np.random.default_rng(4).normal(size=made.tau.shape).cumsum(axis=0)
+    tau = made.tau + 0.05 * walk / walk.std(axis=0) * made.tau.std(axis=0)
+    found = inspect_channels(made.robot_model(), made.q, tau, made.dt)
+    assert [x.kind for x in found if x.severity != "note"] == []
+
+
 def test_a_factor_that_the_motion_does_not_show_is_not_claimed():
     model = chain(("first", "RY", 0), ("second", "RY", 1))
     made = make_robot_recording(

@@ -9,6 +9,7 @@ from sklearn_vbjfa.inspection._reading import (
     Change,
     judged,
     most_probable,
+    stepped,
     times,
 )
 from sklearn_vbjfa.inspection._sentences import percent
@@ -167,11 +168,14 @@ def scaled_each(reading):
 
 def _scaled_one(reading, j, factor, error):
     """Return the torque of a joint over a factor against the described one."""
+    change = Change(torques=times(reading.nv, 1 / factor, j))
+    step = [lambda x: Change(torques=times(reading.nv, np.exp(x), j))]
+    change, _ = stepped(reading, change, step)
+    factor = 1 / change.torques[j, j]
     # No error: a description with invented inertias looks the same.
     units = _units_inside(*factor * np.exp(error * np.array([-1, 1])))
     units = units or "torque of the motor, a current, or another unit"
     facts = {"factor": factor, "ratio": 1 / factor, "units": units}
-    change = Change(torques=times(reading.nv, 1 / factor, j))
     args = {"variants": reading.nv, "kind": "gear_factor", "facts": facts}
     return judged(reading, change, -np.inf, **args)
 

@@ -607,7 +607,10 @@ def changed_logs():
         "torques often are not."
     )
     question = "Are faults of a log named?"
-    shown = "\n\n".join(data.table(number) for number in (1, 2, 3))
+    shown = (
+        f"{data.table()}\n\nMeasured robots:\n\n{data.table(2)}\n\n"
+        f"Findings in measured sets as they are:\n\n{data.table(3)}"
+    )
     return question, verdict, data, shown, limitation
 
 

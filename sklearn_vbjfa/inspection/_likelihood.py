@@ -179,10 +179,14 @@ class DescribedRobot:
         columns = (q[:, None, :, None] * sizes[:, None]).reshape(len(q), nv, nv * nv)
         return self.fit(columns=columns, deviation=1.0, joints=joints).evidence
 
-    def surpasses(self, evidence):
-        """Whether an evidence is far above that of other masses, and of springs."""
-        others = self.invented + self.now.evidence, self.with_springs(self.joints)
-        return evidence > max(others) + number.FAR
+    @functools.cached_property
+    def springs(self):
+        """Log odds of springs between all joints, against none."""
+        return self.with_springs(self.joints) - self.now.evidence
+
+    def surpasses(self, log_odds):
+        """Whether log odds are far above those of other masses, and of springs."""
+        return log_odds > max(self.invented, self.springs) + number.FAR
 
     @property
     def sizes(self):

@@ -168,11 +168,11 @@ def zeros(reading, few):
         least = max(least, number.CLEAR_OF_JOINT) * len(moved)
     variants = len(moves) ** (few * len(moved))
     args = {"joints": moved, "variants": variants, "facts": facts}
-    found, now = judged(reading, Change(offset=place), least, **args), reading.robot.now
+    found = judged(reading, Change(offset=place), least, **args)
     # Where bodies are free and friction is large, errors hardly fall.
     if found is None or found.clear or found.fall < 0.5 * number.CLEAR:
         return found
-    far = reading.robot.surpasses(now.evidence + found.log_odds)
+    far = reading.robot.surpasses(found.log_odds)
     return replace(found, clear=far and not of_another(reading.changed(found.change)))
 
 
@@ -366,17 +366,17 @@ def periods(reading):
         judged(reading, x, least, variants=len(changes), joints=reading.every)
         for x in changes
     )
-    if found is None:
+    if found is None or found.log_odds + number.PRIOR <= number.DECISIVE:
         return None
     # Another period changes inertia against weight: torques with another weight, of the
     # weight alone, or with that of springs look alike.
     weight = robot.weight[:, :, None]
     rivals = (
-        robot.fit(columns=weight, deviation=1.0).evidence,
-        robot.fit(robot.entries - robot.pulled(np.zeros(3))).evidence,
-        robot.with_springs(robot.joints),
+        robot.fit(columns=weight, deviation=1.0),
+        robot.fit(robot.entries - robot.pulled(np.zeros(3))),
     )
-    if max(rivals) - robot.now.evidence > found.log_odds - number.RIVAL:
+    best = max(one.evidence for one in rivals) - robot.now.evidence
+    if max(best, robot.springs) > found.log_odds - number.RIVAL:
         return None
     period = dt * found.change.period
     remedy = {"dt": float(f"{period:.6g}")}

@@ -109,7 +109,8 @@ def turned(reading):
     # A spring that more than balances a single joint looks the same.
     heavy = 1 / number.AS_HEAVY < np.linalg.norm(whole) / usual < number.AS_HEAVY
     loaded = _loaded(robot, robot.by_gravity @ pull)
-    springs = robot.with_springs(robot.joints) > found.evidence - number.DECISIVE
+    odds = found.evidence - robot.now.evidence
+    springs = robot.springs > odds - number.DECISIVE
     # Nor is it a weight that only offsets would hide: that of slides may have a sign.
     largest = np.abs(robot.by_gravity @ pull).max(axis=0)[loaded]
 
@@ -126,7 +127,7 @@ def turned(reading):
     return Candidate(
         change=Change(gravity=9.81 * pull),
         joints=reading.every,
-        log_odds=found.evidence - robot.now.evidence - np.log(variants),
+        log_odds=odds - np.log(variants),
         fall=fall,
         clear=angle > number.TURNED and fall >= number.CLEAR * len(loaded),
         facts={
@@ -238,8 +239,8 @@ def contact(reading):
     felt = push > number.CONTACT
     # Friction of a single joint varies.
     few = felt.sum() < min(robot.joints.size, 2)
-    evidence = fit.evidence - np.log(rows.size)
-    if few or fit.fall(now) < number.CLEAR_OF_JOINT or not robot.surpasses(evidence):
+    odds = fit.evidence - now.evidence - np.log(rows.size)
+    if few or fit.fall(now) < number.CLEAR_OF_JOINT or not robot.surpasses(odds):
         return None
     # A force on a link loads most of the joints before it.
     last = int(robot.joints[felt][-1])
@@ -261,7 +262,7 @@ def contact(reading):
     ]
     return Candidate(
         joints=tuple(joints.tolist()),
-        log_odds=evidence - now.evidence,
+        log_odds=odds,
         facts={"begin": begin, "end": end, "where": where, "pushes": ", ".join(pushes)},
     )
 

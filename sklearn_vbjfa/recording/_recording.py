@@ -430,10 +430,10 @@ def take_rows(recording, rows, groups):
     segments = contiguous_groups(groups, rows.size)
 
     def taken(x):
-        if x is None or x.strides[0]:
-            return None if x is None else x[rows]
-        # One number for all rows takes no memory.
-        return np.broadcast_to(x[0], (rows.size, *x.shape[1:]))
+        if x is not None and not x.strides[0]:
+            # One number for all rows takes no memory.
+            return np.broadcast_to(x[0], (rows.size, *x.shape[1:]))
+        return None if x is None else x[rows]
 
     return replace(
         recording,

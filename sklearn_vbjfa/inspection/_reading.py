@@ -12,7 +12,7 @@ from sklearn_vbjfa._core import _lowpass, _smoothing
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import Bodies, DescribedRobot, under_gravity
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.recording import COMMANDS, contiguous_groups
+from sklearn_vbjfa.recording import contiguous_groups
 
 # -- changes ---------------------------------------------------------------------------
 
@@ -227,7 +227,7 @@ class Reading:
         self.nv, self.every = self.model.nv, tuple(range(self.model.nv))
         self.slides = is_prismatic(self.model)
         # Whether torques are what motors were commanded.
-        self.commanded = self.drive is not None and self.drive.told in COMMANDS
+        self.commanded = self.drive is not None and self.drive.of_positions
         self.measured, self.turns = not self.commanded, not self.slides.all()
 
     @functools.cached_property

@@ -13,7 +13,7 @@ from sklearn_vbjfa.inspection._reading import (
     times,
 )
 from sklearn_vbjfa.inspection._sentences import percent
-from sklearn_vbjfa.recording import UNSIGNED, listed_joints
+from sklearn_vbjfa.recording import listed_joints
 
 # Torque in N m is this many times a number in the unit.
 _UNITS = {
@@ -267,7 +267,7 @@ def unsigned(reading):
         least = min((made < 0).mean(), (made > 0).mean())
         signed = ((sizes - np.abs(made)) ** 2).sum()
         found |= number.SIGN_GAIN * signed < left and least > number.RARE
-    remedy = {"drive": UNSIGNED}
+    remedy = {"drive": "current signed=no"}
     made = Candidate(joints=tuple(one_way), log_odds=np.inf, remedy=remedy)
     return made if found else None
 

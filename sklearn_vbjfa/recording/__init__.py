@@ -20,10 +20,8 @@ _MODULES = {
         "torques_in_order",
     ),
     "_drives": (
-        "COMMANDS",
         "CurrentDrive",
         "Drive",
-        "UNSIGNED",
         "PDDrive",
         "VoltageDrive",
         "check_wait",
@@ -38,6 +36,7 @@ _MODULES = {
         "contiguous_groups",
         "take_arrays",
         "take_rows",
+        "with_torques_shifted",
     ),
     "_repetition": ("find_repetition",),
     "_clock": ("check_time_stamps", "inspect_time_stamps"),

@@ -15,13 +15,13 @@ from sklearn_vbjfa.recording._recording import check_dt
 COMMANDS = ("q_desired", "v_desired", "tau_ff", "kp", "kd")
 # Channels of joints that are what motors were given.
 OF_MOTORS = ("current", "voltage", "supply")
-# What to give where currents have no signs, as `parse_drive` reads it.
-UNSIGNED = "current signed=no"
 # A joint that is at its limit of torque for a larger share of the rows shows nothing
 # of what it would do.
 _MOSTLY = 0.5
 # Frequency below which drives' velocities are compared with the positions' [Hz].
 _SLOW = 10.0
+# Drives set their torque at least so often, if nothing else is known [s].
+_PERIOD = 1e-3
 # What was commanded before a recording is not known: longest delay, as a share of it.
 _UNKNOWN = 0.1
 
@@ -42,8 +42,6 @@ class Drive(BaseEstimator):
     gains: str | None = None  # "unknown" where torques are known up to factors
     # names of its channel in files that have it in place of torques
     spelled: tuple[str, ...] = ()
-    # settings to check if the order of magnitude of the torques is wrong
-    numbers = "the numbers of the drive"
 
     def facts(self, recording):
         """Return what a report says of the drive, a dict of numbers and lists."""
@@ -57,62 +55,65 @@ class Drive(BaseEstimator):
 
     def _channel(self, recording, name):
         """Channel (n, nv) of a recording; None if it has none."""
-        values = recording.signals.get(name)
-        if values is None:
+        if name not in recording.signals:
             return None
-        shape = (recording.n_samples, recording.nv)
-        values = np.asarray(values, dtype=float).reshape(len(values), -1)
-        if name == "supply" and values.shape[1] == 1:
-            values = np.broadcast_to(values, shape)
-        if values.shape != shape or not np.isfinite(values).all():
+        values = recording.signals[name].reshape(recording.n_samples, -1)
+        # One supply feeds all joints.
+        if values.shape[1] != recording.nv and (name, values.shape[1]) != ("supply", 1):
             raise ValueError(
-                f"{name} must have one finite row per sample and one column per joint, "
-                f"shape {shape}; got {values.shape}."
+                f"{name} must have one column per joint, shape {recording.q.shape}; "
+                f"got {values.shape}."
             )
         return values
 
-    def _recorded(self, recording):
-        """Return the channel of the drive, else the torques as such."""
-        values = self._channel(recording, self.told)
-        return recording.tau if values is None else values
+    def driven(self, recording):
+        """Return a recording of the torques of its channel; see `Drive`.
 
-    def _setting(self, name, joints, recording):
-        """Return a setting (nv,), else the channel (n, nv) of its name, else None."""
-        if getattr(self, name) is not None:
-            return self._number(name, joints)
-        return None if recording is None else self._channel(recording, name)
+        Without this channel the recorded torques are taken for it. `command` is None
+        until signs are known.
+        """
+        tau, names = self._channel(recording, self.told), recording.joint_names
+        tau = recording.tau if tau is None else tau
+        factor = self._factor(names, recording)
+        tau = tau if factor is None else tau * factor
+        below = np.flatnonzero((tau < 0).any(axis=0)) if self.unsigned else ()
+        if len(below):
+            raise ValueError(
+                f"{type(self).__name__}(signed=False) expects magnitudes, and "
+                f"{names[below[0]]} has negative currents; use signed=True."
+            )
+        return replace(recording, tau=tau, command=None if self.unsigned else tau)
 
-    def _number(self, name, joints, least=0.0):
-        """Return a setting as one number for each joint, (nv,)."""
+    def _setting(self, name, joints, recording=None, least=0.0):
+        """Return a setting (nv,), or the channel (n, nv) of a recording, or None."""
         given, what = getattr(self, name), f"{type(self).__name__}: {name}"
+        if given is None and recording is not None:
+            return self._channel(recording, name)
         if isinstance(given, Mapping):
-            given = _by_name(what, given, joints)
+            given = [_of_joint(what, given, joint) for joint in joints]
         try:
-            values = np.asarray(given, dtype=float)
+            values = np.broadcast_to(np.asarray(given, dtype=float), len(joints)).copy()
         except (TypeError, ValueError):
             values = np.full(1, np.nan)
-        if values.shape not in {(), (len(joints),)} or np.isnan(values).any():
+        if np.isnan(values).any():
             raise ValueError(
                 f"{what} must be one number, or one for each joint in the order "
                 f"{', '.join(joints)}; got {given!r}."
             )
         if (values < least).any():
             raise ValueError(f"{what} must not be negative; got {given!r}.")
-        return np.broadcast_to(values, len(joints)).copy()
+        return values
 
 
-def _by_name(what, given, joints):
-    """Return numbers that are given by parts of joints' names, a list."""
-    found = []
-    for joint in joints:
-        keys = [joint] if joint in given else [key for key in given if key in joint]
-        if len(keys) != 1:
-            raise ValueError(
-                f"{what} must have one key in each joint's name; {len(keys)} of "
-                f"{', '.join(map(repr, given))} are in {joint!r}."
-            )
-        found.append(given[keys[0]])
-    return found
+def _of_joint(what, given, joint):
+    """Return the number that is given by a part of a joint's name."""
+    keys = [joint] if joint in given else [key for key in given if key in joint]
+    if len(keys) != 1:
+        raise ValueError(
+            f"{what} must have one key in each joint's name; {len(keys)} of "
+            f"{', '.join(map(repr, given))} are in {joint!r}."
+        )
+    return given[keys[0]]
 
 
 class PDDrive(Drive):
@@ -176,6 +177,7 @@ class PDDrive(Drive):
     told = "q_desired"
     of_positions = True
     beside = COMMANDS[1:]
+    # settings to check if the order of magnitude of the torques is wrong
     numbers = (
         "kp [N m/rad] and kd [N m s/rad] (not per degree, nor in units of the "
         "firmware), and the unit of the positions"
@@ -191,13 +193,13 @@ class PDDrive(Drive):
     @property
     def waits(self):
         """Known delay [s]; None if it is to be found."""
-        if isinstance(self.delay, str) and self.delay == "auto":
-            return None
-        if not (isinstance(self.delay, Real) and np.isfinite(self.delay)):
+        if isinstance(self.delay, Real) and np.isfinite(self.delay):
+            return float(self.delay)
+        if not isinstance(self.delay, str) or self.delay != "auto":
             raise ValueError(
                 f"PDDrive: delay must be 'auto' or a time in s; got {self.delay!r}."
             )
-        return float(self.delay)
+        return None
 
     def commands(self, recording):
         """Return the part of the torques (n_samples, nv) that follows from commands.
@@ -214,19 +216,26 @@ class PDDrive(Drive):
                 "to fit, or columns q_desired_<joint> to the reader."
             )
         kp, kd = self.law(recording.joint_names, recording)
-        command = kp * aim + kd * (0.0 if rate is None else rate)
-        return command + (0.0 if ahead is None else ahead)
+        command = kp * aim
+        command = command if rate is None else command + kd * rate
+        return command if ahead is None else command + ahead
 
     def driven(self, recording):
         """Return a recording of the torques that the law asks for; see `Drive`."""
-        command, parts = self.commands(recording), recording.segments
-        _check_commands(command, recording)
-        kp, kd = self.law(recording.joint_names, recording)
-        clock = recording.clock()
+        command, (kp, kd) = (
+            self.commands(recording),
+            self.law(recording.joint_names, recording),
+        )
+        parts, clock = recording.segments, recording.clock()
+        if _changes(recording.q, parts) and not _changes(command, parts):
+            raise ValueError(
+                "The commands are constant while joints move: they are not those that "
+                "the robot followed. Record the commands of the same time and mode."
+            )
         if self.waits is not None:
             check_wait(self.waits, recording)
         command = held(command, parts, clock, self.waits or 0.0)
-        q, v = np.asarray(recording.q), velocities(recording)
+        q, v = recording.q, velocities(recording)
         if self.period is not None:
             # A torque that is held acts half a period late; of the command it is a
             # part of the delay.
@@ -239,8 +248,7 @@ class PDDrive(Drive):
 
     def _saturated(self, recording):
         """Mark samples at the limit of torque, which the law does not tell."""
-        names = recording.joint_names
-        most = self.most(names)
+        names, most = recording.joint_names, self.most(recording.joint_names)
         full = np.abs(recording.tau) >= most
         share = full.mean(axis=0)
         j = int(np.argmax(share))
@@ -265,24 +273,23 @@ class PDDrive(Drive):
 
     # -- in simulation -----------------------------------------------------------------
 
-    def updates(self, dt, usual=None):
+    def updates(self, dt):
         """Return how often torques are set in a sample period."""
         if self.period is None:
-            return 1 if usual is None else max(round(dt / usual), 1)
-        period = self.period if isinstance(self.period, Real) else np.nan
+            return max(round(dt / _PERIOD), 1)
         # A hundredth of a period is the jitter of clocks.
-        if not 0 < period <= 1.01 * dt:
+        if not (isinstance(self.period, Real) and 0 < self.period <= 1.01 * dt):
             raise ValueError(
                 "PDDrive: period must be a positive time in s, at most the sample "
                 f"period of {dt:g} s; got {self.period!r}."
             )
-        return max(round(dt / period), 1)
+        return max(round(dt / self.period), 1)
 
     def most(self, names):
         """Return the largest torque of joints, (nv,); infinite where none is given."""
         if self.saturation is None:
             return np.full(len(names), np.inf)
-        return self._number("saturation", names)
+        return self._setting("saturation", names)
 
     def law(self, names, recording=None):
         """Gains of position and velocity, (nv,) or, if recorded, (n, nv)."""
@@ -295,9 +302,7 @@ class PDDrive(Drive):
                     'line: --drive "pd kp=20,20,40 kd=...").'
                 )
             if (values < 0).any():
-                raise ValueError(
-                    f"PDDrive: {name} of the recording must not be negative."
-                )
+                raise ValueError(f"PDDrive: {name} must not be negative.")
         return tuple(found.values())
 
 
@@ -352,26 +357,11 @@ class CurrentDrive(Drive):
         """Whether only sizes of torques are known."""
         return not self.signed
 
-    def driven(self, recording):
-        """Return a recording of the torques of the currents; see `Drive`.
-
-        Without channels ``current`` its torques are taken for currents. `command` is
-        None until the signs are known.
-        """
-        current = self._recorded(recording)
-        if self.gains is None:
-            names = recording.joint_names
-            current = current * self._number("torque_constant", names, -np.inf)
-        if self.signed:
-            return replace(recording, tau=current, command=current)
-        below = np.flatnonzero((current < 0).any(axis=0))
-        if below.size:
-            raise ValueError(
-                "CurrentDrive(signed=False) expects magnitudes, and "
-                f"{recording.joint_names[below[0]]} has negative currents; use "
-                "signed=True."
-            )
-        return replace(recording, tau=current)
+    def _factor(self, names, recording):
+        unknown = self.gains is not None
+        return (
+            None if unknown else self._setting("torque_constant", names, least=-np.inf)
+        )
 
 
 class VoltageDrive(Drive):
@@ -413,39 +403,23 @@ class VoltageDrive(Drive):
     def __init__(self, *, supply=None):
         self.supply = supply
 
-    def driven(self, recording):
-        """Return a recording of the voltages; see `Drive`.
-
-        Without channels ``voltage`` its torques are taken for voltages.
-        """
-        volts = self._recorded(recording)
-        supply = self._setting("supply", recording.joint_names, recording)
-        volts = volts if supply is None else volts * supply
-        return replace(recording, tau=volts, command=volts)
+    def _factor(self, names, recording):
+        return self._setting("supply", names, recording)
 
 
-def _check_commands(command, recording):
-    """Refuse commands (n, nv) none of which changes while joints move."""
-    parts = recording.segments
-    changes = any((np.ptp(command[part], axis=0) > 0).any() for part in parts)
-    moves = any((np.ptp(recording.q[part], axis=0) > 0).any() for part in parts)
-    if moves and not changes:
-        raise ValueError(
-            "The commands are constant while joints move: they are not those that the "
-            "robot followed. Record the commands of the same time and mode."
-        )
+def _changes(values, parts):
+    """Whether a channel (n, nv) changes inside any recording."""
+    return any(np.ptp(values[part], axis=0).any() for part in parts)
 
 
 def check_wait(delay, recording):
     """Refuse a delay [s] before which too much of a recording has no known command."""
-    pieces = len(recording.segments)
-    time = check_dt(recording.dt) * recording.n_samples
-    if abs(delay) * pieces > _UNKNOWN * time:
-        each = f"{pieces} recordings of {time:.3g} s in all"
+    time = check_dt(recording.dt) * recording.n_samples / len(recording.segments)
+    if abs(delay) > _UNKNOWN * time:
         raise ValueError(
-            f"The delay of the commands is {delay:.3g} s, more than a tenth of "
-            f"{each if pieces > 1 else f'a recording of {time:.3g} s'}: first commands "
-            "are unknown. Record longer, or shift the commands; delay is in seconds."
+            f"The delay of the commands is {delay:.3g} s, more than a tenth of a "
+            f"recording of {time:.3g} s: first commands are unknown. Record longer, or "
+            "shift the commands; delay is in seconds."
         )
 
 
@@ -455,12 +429,11 @@ def velocities(recording):
     # what they log has noise of the whole band: only its lag is taken.
     if recording.states is not None:
         return recording.states[:, recording.nv : 2 * recording.nv]
-    parts, q, clock = recording.segments, np.asarray(recording.q), recording.clock()
-    late = [
-        interpolate(q[:, j : j + 1], parts, clock, one, order=1)
-        for j, one in enumerate(velocity_lags(recording).tolist())
-    ]
-    return np.hstack(late)
+    q, known = recording.q, (recording.segments, recording.clock())
+    lags = velocity_lags(recording).tolist()
+    return np.column_stack(
+        [interpolate(q[:, j], *known, lag, order=1) for j, lag in enumerate(lags)]
+    )
 
 
 def velocity_lags(recording):
@@ -468,16 +441,16 @@ def velocity_lags(recording):
     # By least squares on accelerations, where the motion is.
     if recording.states is not None or recording.v is None:
         return np.zeros(recording.nv)
-    parts, q, clock = recording.segments, np.asarray(recording.q), recording.clock()
-    slope = interpolate(q, parts, clock, order=1)
+    q, parts, clock = recording.q, recording.segments, recording.clock()
     lowpass = _lowpass.design(recording.dt, min(_SLOW, 0.2 / recording.dt))
     long = [part for part in parts if part.stop - part.start > 2 * lowpass.half]
     if not long:
         return np.zeros(recording.nv)
-    # Accelerations of all rows: behind the low-pass they are further apart.
+    # Accelerations of all rows: filtered ones are further apart.
+    slope, bend = (interpolate(q, parts, clock, order=k) for k in (1, 2))
     own, theirs, faster = (
-        np.concatenate([lowpass(np.asarray(x[part])) for part in long])
-        for x in (slope, recording.v, interpolate(q, parts, clock, order=2))
+        np.concatenate([lowpass(x[part]) for part in long])
+        for x in (slope, recording.v, bend)
     )
     power = (faster**2).sum(axis=0)
     return ((own - theirs) * faster).sum(axis=0) / np.where(power > 0, power, 1.0)
@@ -497,37 +470,34 @@ def parse_drive(text):
         )
     known, given = list(DRIVES[kind]().get_params()), {}
     for part in parts:
-        name, equals, value = part.partition("=")
-        if name not in known or not equals or not value or name in given:
+        name, _, value = part.partition("=")
+        if name not in known or not value or name in given:
             raise ValueError(
                 f"drive has {part!r}; expected, each once, NAME=VALUE without blanks, "
                 f"of {', '.join(known)}."
             )
-        given[name] = _parsed_value(name, value)
+        given[name] = _WORDS[value] if value in _WORDS else _numbers(part)
     return DRIVES[kind](**given)
 
 
 _SWITCHES = {"none": None, "true": True, "yes": True, "false": False, "no": False}
+_WORDS: dict[str, object] = {**_SWITCHES, "auto": "auto", "unknown": "unknown"}
 
 
-def _parsed_value(name, text):
-    """Return a number, some of them, some by joints' names, a word or a switch."""
-    if text in _SWITCHES:
-        return _SWITCHES[text]
-    pairs = [one.rpartition(":")[::2] for one in text.split(",")]
-    joints, values = [joint for joint, _ in pairs], []
+def _numbers(part):
+    """Return the number of NAME=VALUE, several, or several by joints' names."""
+    pairs = [x.rpartition(":")[::2] for x in part.partition("=")[2].split(",")]
+    joints, values = {joint for joint, _ in pairs}, [value for _, value in pairs]
     try:
-        values = [float(one) for _, one in pairs]
+        values = np.array(values, dtype=float).tolist()
     except ValueError:
-        if len(pairs) == 1 and not any(joints):
-            # A word, which the drive knows or refuses.
-            return text
-    by_joint = all(joints) and len(set(joints)) == len(joints)
-    if not (values and np.isfinite(values).all() and (by_joint or not any(joints))):
+        values = [np.nan]
+    by_joint = "" not in joints and len(joints) == len(pairs)
+    if not np.isfinite(values).all() or not (by_joint or joints == {""}):
         raise ValueError(
-            f"drive has {name}={text}; expected numbers, or JOINT:NUMBER with commas "
-            "between them, each joint, or part of its name, once."
+            f"drive has {part}; expected numbers, or JOINT:NUMBER with commas between "
+            "them, each joint, or part of its name, once."
         )
     if by_joint:
-        return dict(zip(joints, values))
-    return values[0] if len(values) == 1 else values
+        return {joint: value for (joint, _), value in zip(pairs, values)}
+    return values if len(values) > 1 else values[0]

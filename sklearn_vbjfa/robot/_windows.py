@@ -303,8 +303,6 @@ def warn_once(caught, where, stacklevel):
 _AT_ONCE = "torques of the drive act at once"
 # Share of a row by which rounding may move a time.
 _JITTER = 1e-9
-# Drives set their torque at least so often, in simulation [s].
-_DRIVE_PERIOD = 1e-3
 
 
 def unfollowed(effect):
@@ -327,7 +325,7 @@ class CommandFollower:
         ]
         self._most = drive.most(names)
         self._model, self._dt = robot.torque_model(), recording.dt
-        self._updates = drive.updates(recording.dt, _DRIVE_PERIOD)
+        self._updates = drive.updates(recording.dt)
         self._lags = np.maximum(velocity_lags(recording), 0.0)
         self._signals = {k: x for k, x in recording.signals.items() if x.ndim == 1}
         # effects that a simulation goes without, in words

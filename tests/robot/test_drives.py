@@ -256,7 +256,7 @@ BAD = {
     ),
     "delay": ("'auto' or a time in s", {"drive": PDDrive(KP, KD, delay="long")}),
     "recorded gains": (
-        "kp of the recording must not be negative",
+        "kp must not be negative",
         {"drive": PDDrive(), "kp": np.full((2400, 3), -1.0)},
     ),
     "constant": (

@@ -19,41 +19,21 @@ _AGAIN = 1.5
 _OVERLAP = 0.8
 
 
-@dataclass(frozen=True)
-class RepeatedMotion:
-    """A motion that was recorded more than once."""
-
-    seconds: float  # its length [s]
-    count: float  # how many times it is there
-    recordings: tuple  # from zero
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Repetition:
     """Which motions there are, and when each recording goes through them."""
 
     begins: np.ndarray  # (r,): when recordings begin [s]
-    seconds: np.ndarray  # (r,): their lengths [s]
     motion: np.ndarray  # (r,): motion of each recording, from zero
     delay: np.ndarray  # (r,): how far in its motion each recording begins [s]
     # (m,): periods of the motions [s], infinite for one that does not repeat by itself
     period: np.ndarray
-
-    def motions(self):
-        """Return the repeated motions, a tuple of `RepeatedMotion`."""
-        found = []
-        for k, period in enumerate(self.period):
-            rows = np.flatnonzero(self.motion == k)
-            delay, seconds = self.delay[rows], self.seconds[rows]
-            length = min(period, (delay + seconds).max() - delay.min())
-            count = seconds.sum() / length if length else 0.0
-            if count > _AGAIN:
-                recordings = tuple(rows.tolist())
-                found.append(RepeatedMotion(float(length), float(count), recordings))
-        return tuple(found)
+    # repeated motions: their "seconds", how many times they are there, "count", and in
+    # which "recordings", from zero
+    repeated: tuple[dict, ...]
 
     def __bool__(self):
-        return bool(self.motions())
+        return bool(self.repeated)
 
     def phase(self, recording, t):
         """Return the motion (n,) and the time in it (n,) [s] of rows."""
@@ -88,12 +68,20 @@ def find_repetition(q, t, parts):
             delay.append(delay[first[m]] + step * shifts[m])
         motion.append(m)
         period[m] = min(period[m], step * _own_period(v))
+    motion, delay, repeated = np.array(motion), np.array(delay), []
+    for k, own in enumerate(period):
+        at = np.flatnonzero(motion == k)
+        length = min(own, (delay + seconds)[at].max() - delay[at].min())
+        count = seconds[at].sum() / length if length else 0.0
+        if count > _AGAIN:
+            found = {"seconds": float(length), "count": float(count)}
+            repeated.append(found | {"recordings": tuple(at.tolist())})
     return Repetition(
         begins=np.array([t[part.start] for part in parts]),
-        seconds=seconds,
-        motion=np.array(motion),
-        delay=np.array(delay),
+        motion=motion,
+        delay=delay,
         period=np.array(period),
+        repeated=tuple(repeated),
     )
 
 
@@ -153,11 +141,8 @@ def _shift(a, b):
 
 def _dip(share, best):
     """Return place and value of a minimum between rows, by the parabola around it."""
-    left, middle, right = np.nan, share[best], np.nan
-    if 0 < best < share.size - 1:
-        left, right = share[best - 1], share[best + 1]
-    bend = left - 2 * middle + right
-    if not (np.isfinite(bend) and bend > 0):
-        return float(best), float(middle)
-    value = middle - (left - right) ** 2 / (8 * bend)
-    return best + 0.5 * (left - right) / bend, float(value)
+    near = share[max(best - 1, 0) : best + 2]
+    slope, bend = near[0] - near[-1], near[0] - 2 * share[best] + near[-1]
+    if near.size < 3 or not 0 < bend < np.inf:
+        return float(best), float(share[best])
+    return best + 0.5 * slope / bend, float(share[best] - slope**2 / (8 * bend))

@@ -32,9 +32,9 @@ def test_a_period_is_found_and_rows_of_one_phase_are_the_same():
     q = wave(t, np.array([1, 3, 7]) / 8.3)
     repetition, t, _ = found(q)
     assert repetition
-    (one,) = repetition.motions()
-    assert one.seconds == pytest.approx(8.3, abs=0.002)
-    assert one.count == pytest.approx(37.0 / 8.3, rel=0.01)
+    (one,) = repetition.repeated
+    assert one["seconds"] == pytest.approx(8.3, abs=0.002)
+    assert one["count"] == pytest.approx(37.0 / 8.3, rel=0.01)
     _, phase = repetition.phase(np.zeros(t.size, int), t)
     order = np.argsort(phase)
     assert np.abs(np.diff(q[order], axis=0)).max() < 0.1
@@ -44,8 +44,8 @@ def test_a_period_is_found_and_rows_of_one_phase_are_the_same():
 @pytest.mark.parametrize("dt", [0.001, 0.01, 0.04])
 def test_the_sample_period_does_not_matter(dt):
     t = np.arange(0, 40.0, dt)
-    (one,) = found(wave(t, np.array([1, 2, 5]) / 10.0), dt=dt)[0].motions()
-    assert one.seconds == pytest.approx(10.0, abs=0.02)
+    (one,) = found(wave(t, np.array([1, 2, 5]) / 10.0), dt=dt)[0].repeated
+    assert one["seconds"] == pytest.approx(10.0, abs=0.02)
 
 
 def test_other_frequencies_do_not_repeat():
@@ -53,7 +53,7 @@ def test_other_frequencies_do_not_repeat():
     q = wave(t, [0.131, 0.277, 0.433, 0.619, np.sqrt(0.5)])
     repetition = found(q)[0]
     assert not repetition
-    assert repetition.motions() == ()
+    assert repetition.repeated == ()
 
 
 def test_a_joint_that_goes_its_own_way_is_another_motion():
@@ -71,9 +71,9 @@ def test_recordings_of_one_motion_are_found_wherever_they_begin():
     q = wave(t, [0.131, 0.277, 0.433, 0.619])
     other = wave(t[:2000], [0.17, 0.31, 0.53], seed=1)
     repetition, t, parts = found(q[:3000], other, q[137:3137], gap=5.0)
-    (one,) = repetition.motions()
-    assert one.recordings == (0, 2)
-    assert one.count == pytest.approx(2.0, rel=0.05)
+    (one,) = repetition.repeated
+    assert one["recordings"] == (0, 2)
+    assert one["count"] == pytest.approx(2.0, rel=0.05)
     assert repetition.delay[2] == pytest.approx(1.37, abs=0.005)
     label = np.repeat(np.arange(3), [3000, 2000, 3000])
     motion, phase = repetition.phase(label, t)

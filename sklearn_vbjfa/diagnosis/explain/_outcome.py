@@ -191,7 +191,7 @@ def make_outcome(loop, search, final, judged, channels, whole, recordings):
             "not_identifiable": not_identifiable(search, names),
             "channels": channels,
             "contradictions": contradictions(parts, spread, loop.alpha),
-            "repeated": final.view.repetition.motions(),
+            "repeated": final.view.repetition.repeated,
             "departures": identifier.mass_deviations_,
             "alike": identifier.alike_,
         },

@@ -53,12 +53,17 @@ class _Files:
 
     def find(self, wanted=lambda path: not path.endswith((".urdf", ".xml"))):
         """Return the local file of each wanted path, by default of all data."""
-        if self.source:
-            return self._on_disk(wanted)
-        listed = remote_files(self.name)
-        return {
-            path: self._file(path, *listed[path]) for path in filter(wanted, listed)
-        }
+        if not self.source:
+            of = remote_files(self.name)
+            return {path: self._file(path, *of[path]) for path in filter(wanted, of)}
+        files = (x for x in sorted(self.folder.rglob("*")) if x.is_file())
+        below = {x.relative_to(self.folder).as_posix(): x for x in files}
+        if not any(map(wanted, below)):
+            raise FileNotFoundError(
+                f"{self.name}: no data in {self.folder}; put the files of the set "
+                f"there, which come from {self.source} and are not downloaded."
+            )
+        return {path: local for path, local in below.items() if wanted(path)}
 
     def description(self):
         """Return the path of the published URDF or MJCF, None if it is absent."""
@@ -68,25 +73,12 @@ class _Files:
             return None
         return str(local.resolve())
 
-    def _on_disk(self, wanted):
-        files = (x for x in sorted(self.folder.rglob("*")) if x.is_file())
-        below = {x.relative_to(self.folder).as_posix(): x for x in files}
-        found = {path: local for path, local in below.items() if wanted(path)}
-        if not found:
-            raise FileNotFoundError(
-                f"{self.name}: no data in {self.folder}; put the files of the set "
-                f"there, which come from {self.source} and are not downloaded."
-            )
-        return found
-
     def _file(self, path, address, sha256):
-        address = f"{_BASE_ADDRESS}/{address}"
-        places = [path, PurePosixPath(path).name]
-        for place in (*places, *(f"original/{place}" for place in places)):
-            local = self.folder / place
-            if local.is_file() and _sha256(local) == sha256:
-                return local
-        local = self.folder / path
+        address, local = f"{_BASE_ADDRESS}/{address}", self.folder / path
+        for folder in (self.folder, self.folder / "original"):
+            for found in (folder / path, folder / PurePosixPath(path).name):
+                if found.is_file() and _sha256(found) == sha256:
+                    return found
         if not self.download:
             raise FileNotFoundError(
                 f"{self.name}: no file {path} with SHA-256 {sha256} in {self.folder}; "
@@ -233,12 +225,10 @@ def _repository(name):
 def _documentation(name):
     """Return the documentation of a loader, numpydoc."""
     entry = SETS[name]
-    units = zip(
-        entry["joint_names"],
-        _units(entry, "position_units", "rad"),
-        _units(entry, "torque_units", "N m"),
+    units = _units(entry, "position_units", "rad"), _units(entry, "torque_units", "N m")
+    joints = ", ".join(
+        f"{joint} [{q}, {tau}]" for joint, q, tau in zip(entry["joint_names"], *units)
     )
-    joints = ", ".join(f"{joint} [{q}, {tau}]" for joint, q, tau in units)
     citation = f".. [1] {entry['citation']}"
     return _DOCUMENTATION.format(
         text=entry["text"],

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from importlib import resources
+from typing import ClassVar
 
 import numpy as np
 from sklearn.utils import Bunch, check_random_state
@@ -49,12 +50,7 @@ class SimulatedRecording(Recording):
     inertial: np.ndarray
     friction: dict
 
-    def select(self, *names_or_labels):
-        """Keep some of the recordings, with their truth; see `Recording.select`."""
-        kept = super().select(*names_or_labels)
-        labels = [self.group_names.index(name) for name in kept.group_names]
-        rows = np.isin(self.groups, labels)
-        return replace(kept, tau_clean=self.tau_clean[rows])
+    _widths: ClassVar = Recording._widths | {"tau_clean": 1}
 
     def theta(self, friction):
         """Return the true parameter vector for a choice of friction columns.
@@ -186,16 +182,20 @@ def make_robot_recording(
     coefficients = _draw_friction(friction, rigid, v, a, rng)
     signal = {"viscous": v, "coulomb": np.sign(v), "offset": 1.0, "rotor_inertia": a}
     clean = rigid + sum(x * signal[name] for name, x in coefficients.items())
-    for part in (slice(k * n, (k + 1) * n) for k in range(n_recordings)):
-        # A spring is at rest where it is, whichever recording looks at it.
-        clean[part] += undeclared_torque(
-            undeclared or {}, q[part], v[part], rigid[part], rest=q.mean(axis=0)
-        )
-    for joint, gain in (torque_gain or {}).items():
-        clean[:, joint] *= gain
+    for name, (joint, size) in (undeclared or {}).items():
+        if name not in _TORQUES:
+            raise ValueError(
+                f"Unknown undeclared effect {name!r}; expected some of "
+                f"{', '.join(_TORQUES)}."
+            )
+        for own in np.split(np.arange(len(q)), n_recordings):
+            moved = (x[own, joint] for x in (q - q.mean(axis=0), q, v, rigid))
+            clean[own, joint] += _TORQUES[name](float(size), *moved)
     zeros = np.zeros(nominal.nv)
     for joint, zero in (joint_zero or {}).items():
         zeros[joint] = zero
+    for joint, gain in (torque_gain or {}).items():
+        clean[:, joint] *= gain
     noise = torque_noise * clean.std(axis=0)
     return SimulatedRecording(
         name="simulated",
@@ -235,11 +235,8 @@ def load_demo_recording() -> SimulatedRecording:
     """
     recording = make_robot_recording(
         duration=20.0,
-        dt=0.005,
         frequency=1.0,
         n_recordings=2,
-        encoder_noise=1e-4,
-        torque_noise=0.05,
         undeclared={"load_friction": (1, 0.11)},
         random_state=20110,
     )
@@ -264,12 +261,9 @@ def _turned(model, base_tilt, joint_axis):
 
 def _motion(model, n, dt, frequency, n_harmonics, rng):
     """Draw states (n, 3 * nv) of sines in all joints, inside the limits."""
-    nv = model.nv
-    t = np.arange(n) * dt
-    q, v, a = (np.zeros((n, nv)) for _ in range(3))
-    centre, reach = joint_range(model)
-    speed = speed_limit(model)
-    for j in range(nv):
+    t, states = np.arange(n) * dt, np.zeros((3, n, model.nv))
+    (centre, reach), speed = joint_range(model), speed_limit(model)
+    for j in range(model.nv):
         # from a tenth of the highest frequency up to it
         f = frequency * (0.1 + 0.9 * rng.uniform(size=n_harmonics))
         f[0] = frequency * rng.uniform(0.85, 1.0)
@@ -281,25 +275,13 @@ def _motion(model, n, dt, frequency, n_harmonics, rng):
         size *= min(
             _RANGE_SHARE * reach[j] / largest[0], _RANGE_SHARE * speed[j] / largest[1]
         )
-        q[:, j] = centre[j] + s @ size
-        v[:, j] = c @ (size * w)
-        a[:, j] = -s @ (size * w**2)
-    return np.hstack([q, v, a])
+        moved = centre[j] + s @ size, c @ (size * w), -s @ (size * w**2)
+        states[:, :, j] = moved
+    return np.hstack(list(states))
 
 
 def _draw_friction(friction, rigid, v, a, rng):
     """Coefficients that take some per cent of each joint's torque."""
-    known = ("viscous", "coulomb", "offset", "rotor_inertia")
-    unknown = set(friction) - set(known)
-    if unknown:
-        raise ValueError(
-            f"Unknown friction {sorted(unknown)}; expected some of {sorted(known)}."
-        )
-    if isinstance(friction, dict):
-        return {
-            name: np.broadcast_to(np.asarray(value, dtype=float), rigid.shape[1:])
-            for name, value in friction.items()
-        }
     size = rigid.std(axis=0)
     share = {
         "viscous": 0.15 * size / v.std(axis=0),
@@ -307,6 +289,16 @@ def _draw_friction(friction, rigid, v, a, rng):
         "offset": 0.05 * size,
         "rotor_inertia": 0.15 * size / a.std(axis=0),
     }
+    unknown = sorted(set(friction) - share.keys())
+    if unknown:
+        raise ValueError(
+            f"Unknown friction {unknown}; expected some of {sorted(share)}."
+        )
+    if isinstance(friction, dict):
+        return {
+            name: np.broadcast_to(np.asarray(value, dtype=float), size.shape)
+            for name, value in friction.items()
+        }
     return {
         name: share[name] * rng.uniform(0.5, 1.5, size=size.shape) for name in friction
     }
@@ -319,35 +311,19 @@ def _turn(v):
     return np.tanh(v / (_TURN * np.abs(v).max()))
 
 
-# Name -> torque of size, position, speed and load of the joint.
+# Name -> torque of size, position from the middle of the motion, at which springs are
+# at rest, and position, speed and load of the joint.
 _TORQUES = {
-    "load_friction": lambda size, q, v, load: size * np.abs(load) * _turn(v),
-    "stribeck": lambda size, q, v, load: (
+    "load_friction": lambda size, away, q, v, load: size * np.abs(load) * _turn(v),
+    "stribeck": lambda size, away, q, v, load: (
         size / np.cosh(v / (0.1 * np.abs(v).max())) * _turn(v)
     ),
-    "spring": lambda size, q, v, load: size * q,
-    "ripple": lambda size, q, v, load: size * np.sin(2 * np.pi * q / _RIPPLE_PERIOD),
-    "offset": lambda size, q, v, load: np.full(q.shape, float(size)),
+    "spring": lambda size, away, q, v, load: size * away,
+    "ripple": lambda size, away, q, v, load: (
+        size * np.sin(2 * np.pi * q / _RIPPLE_PERIOD)
+    ),
+    "offset": lambda size, away, q, v, load: np.full(q.shape, size),
 }
-
-
-def undeclared_torque(undeclared, q, v, rigid, rest):
-    """Sum torques (n, nv) of undeclared effects, name -> (joint from zero, size)."""
-    # q, v and the torques of the rigid bodies, (n, nv) each, are those of one
-    # recording; springs are at rest at `rest` (nv,).
-    total = np.zeros_like(q)
-    for name, entry in undeclared.items():
-        if name not in _TORQUES:
-            raise ValueError(
-                f"Unknown undeclared effect {name!r}; expected some of "
-                f"{', '.join(_TORQUES)}."
-            )
-        joint, size = entry
-        position = q[:, joint] - (rest[joint] if name == "spring" else 0.0)
-        total[:, joint] += _TORQUES[name](
-            float(size), position, v[:, joint], rigid[:, joint]
-        )
-    return total
 
 
 # -- robots ----------------------------------------------------------------------------
@@ -376,14 +352,9 @@ def speed_limit(model):
 
 def rigid_torques(model, states):
     """Inverse dynamics of a Pinocchio model for rows [q | v | a]."""
-    import pinocchio as pin
-
-    data, rnea = model.createData(), pin.rnea
-    q, v, a = np.split(states, 3, axis=1)
-    out = np.empty(q.shape)
-    for k in range(len(out)):
-        out[k] = rnea(model, data, q[k], v[k], a[k])
-    return out
+    rnea, data = import_pinocchio().rnea, model.createData()
+    rows = zip(*np.split(states, 3, axis=1))
+    return np.array([rnea(model, data, *row) for row in rows])
 
 
 def true_inertias(model, perturbation, rng):
@@ -500,19 +471,16 @@ def make_noisy_regression(
     y = t @ coef + np.sqrt(output_noise) * rng.normal(size=n_samples)
     x = t + np.sqrt(noise) * rng.normal(size=t.shape)
     X = np.hstack([x, x @ weights.T, rng.normal(size=(n_samples, n_irrelevant))])
-    t_test = rng.normal(size=(_N_TEST, n_relevant)) @ root.T
-    X_test = np.hstack(
-        [t_test, t_test @ weights.T, rng.normal(size=(_N_TEST, n_irrelevant))]
-    )
-    made = np.vstack(
-        [np.eye(n_relevant), weights, np.zeros((n_irrelevant, n_relevant))]
-    )
+    x_test = rng.normal(size=(_N_TEST, n_relevant)) @ root.T
+    others = rng.normal(size=(_N_TEST, n_irrelevant))
+    absent = np.zeros((n_irrelevant, n_relevant))
+    made = np.vstack([np.eye(n_relevant), weights, absent])
     full = made @ np.diag(noise) @ made.T
     return Bunch(
         X=X,
         y=y,
-        X_test=X_test,
-        y_test=t_test @ coef,
+        X_test=np.hstack([x_test, x_test @ weights.T, others]),
+        y_test=x_test @ coef,
         coef=coef,
         relevant=np.arange(len(full)) < n_relevant,
         input_noise=np.diagonal(full).copy(),

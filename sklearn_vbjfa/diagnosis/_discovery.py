@@ -48,6 +48,7 @@ from sklearn_vbjfa.recording import (
     take_arrays,
     take_rows,
     torques_in_order,
+    with_torques_shifted,
 )
 from sklearn_vbjfa.regression._base import Interval
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
@@ -370,7 +371,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         for found in (x.value for x in channels if x.kind == "delay"):
             again = clone(self.identifier).fit_inspected(whole, found, compare=False)
             self.torque_lag_ = again.torque_lag_
-            whole = whole.with_torques_shifted(self.torque_lag_)
+            whole = with_torques_shifted(whole, self.torque_lag_)
         say("declared model")
         split = split_in_time(self.identifier, whole, self.test_size)
         part = split.searched(whole)

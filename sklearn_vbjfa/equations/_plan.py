@@ -25,7 +25,7 @@ from sklearn_vbjfa.equations._states import (
     smooth_segment,
 )
 from sklearn_vbjfa.model import is_prismatic, joint_names
-from sklearn_vbjfa.recording import check_cutoff, check_dt
+from sklearn_vbjfa.recording import check_cutoff, check_dt, with_torques_shifted
 
 
 def in_parallel(function, tasks, n_jobs):
@@ -112,7 +112,7 @@ class Plan:
 
     def applied(self, recording):
         if self.lag:
-            recording = recording.with_torques_shifted(self.lag)
+            recording = with_torques_shifted(recording, self.lag)
         return replace(recording, tau=recording.torques(self.delay))
 
     @property

@@ -20,9 +20,9 @@ from sklearn_vbjfa.recording import (
     contiguous_groups,
     positions_in_order,
     signals_for,
+    take_arrays,
     torques_in_order,
 )
-from sklearn_vbjfa.robot._robot import recording_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,14 +81,14 @@ def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
     if identifier.drive is not None:
         channels, signals = identifier.drive.taken(y, signals)
     used = signals_for(identifier.effects_, signals, columns, X.shape[0])
-    recording = recording_of(
-        identifier.joint_names_,
-        identifier.dt,
+    recording = take_arrays(
         X,
         y,
-        groups=groups,
-        weight=check_weight(sample_weight, y.shape),
-        t=t,
+        groups,
+        check_weight(sample_weight, y.shape),
+        t,
+        dt=identifier.dt,
+        joint_names=identifier.joint_names_,
         signals=used,
     )
     check_useful(signals, recording)

@@ -7,7 +7,11 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from sklearn_vbjfa.recording._layout import channel_unit, is_exact, refuse_two
-from sklearn_vbjfa.recording._recording import check_dt, check_rows_of_time
+from sklearn_vbjfa.recording._recording import (
+    check_dt,
+    check_rows_of_time,
+    contiguous_groups,
+)
 from sklearn_vbjfa.recording._table import (
     TIME_UNITS,
     RecordingRefused,
@@ -73,12 +77,12 @@ def inspect_time_stamps(
             f"time steps by {period:.6g} s at the median: t is probably not in "
             "seconds; give time_unit ms, us or ns."
         )
-    gaps = np.flatnonzero(step > GAP_PERIODS * period)
-    pieces = [slice(a, b) for a, b in zip(np.r_[0, gaps + 1], np.r_[gaps + 1, t.size])]
+    is_gap = step > GAP_PERIODS * period
+    pieces = contiguous_groups(np.r_[0, np.cumsum(is_gap)], t.size)
     slots = np.r_[0, np.cumsum(counts)]
     for piece in pieces:
         slots[piece] -= slots[piece.start]
-    found = float(np.delete(step, gaps).sum() / np.delete(counts, gaps).sum())
+    found = float(step[~is_gap].sum() / counts[~is_gap].sum())
     irregular = max(np.ptp((t - found * slots)[x]) for x in pieces) > 2 * STEADY * found
     sampled = irregular and _is_sampled(t, found * slots, pieces, positions)
     if irregular and not sampled:
@@ -93,8 +97,8 @@ def inspect_time_stamps(
         sampled=bool(sampled),
         late=bool(irregular and not sampled),
         slots=slots,
-        steps=np.delete(step, gaps),
-        gaps=gaps,
+        steps=step[~is_gap],
+        gaps=np.flatnonzero(is_gap),
     )
 
 
@@ -242,42 +246,39 @@ def without_odd_rows(table, layout, options, notes):
     are missing.
     """
     q, tau = layout.of("q"), layout.of("tau") if options.drive is None else ()
-    roles, n = [*q, *tau, *layout.of("v", "a")], len(q + tau)
-    values = [table.values(role.column) for role in roles]
+    columns, n = [x.column for x in (*q, *tau, *layout.of("v", "a"))], len(q + tau)
+    values = [table.values(column) for column in columns]
     if not values or any(x.dtype.kind not in "iuf" for x in values):
         return table, None
     values = np.column_stack(values).astype(float)
     fillers = [
-        f"{x:g} in column {role.column!r}"
-        for role, column in zip(roles, values.T)
-        for x in _without_fillers(column)
+        f"{x:g} in column {column!r}"
+        for column, own in zip(columns, values.T)
+        for x in _without_fillers(own)
     ]
     holes = np.isnan(values)
     empty = holes[:, :n].all(axis=1)
+    lacking = holes.any(axis=1) & ~empty
+    few = lacking.sum() <= _LACKING * (~empty).sum()
+    # Rows of other topics have neither positions nor torques.
+    out = empty | lacking if few else empty
     if empty.all():
         return table, None
-    if empty.any():
+    if out.any():
+        row = int(np.argmax(out))
         notes.append(
-            f"{empty.sum()} row(s) without any position or torque are left out."
+            f"{out.sum()} row(s) lack a number, the first in {table.where(row)}, "
+            f"column {columns[int(np.argmax(holes[row]))]!r}: left out."
         )
-    lacking = holes.any(axis=1) & ~empty
-    if 0 < lacking.sum() <= _LACKING * (~empty).sum():
-        row = int(np.argmax(lacking))
-        column = roles[int(np.argmax(holes[row]))].column
-        notes.append(
-            f"{lacking.sum()} row(s) lack a number, the first in {table.where(row)}, "
-            f"column {column!r}: left out."
-        )
-        empty |= lacking
     if fillers:
         found = f"{listed(fillers)} is far from all other values, as where nothing was "
-        if (lacking & ~empty).any():
+        if not few:
             raise ValueError(
                 f"{table.path}: {found}measured ({lacking.sum()} rows); remove these "
                 "rows, or write nan."
             )
         notes.append(f"{found}measured: taken as missing.")
-    rows = np.flatnonzero(~empty)
+    rows = np.flatnonzero(~out)
     second = _second_source(values[rows, : len(q)], values[rows, len(q) : n])
     if second.any():
         notes.append(
@@ -296,9 +297,7 @@ def without_odd_rows(table, layout, options, notes):
 def _without_fillers(x):
     """Yield the values of a column that stand for a missing one, replaced by nan."""
     known = x[~np.isnan(x)]
-    if known.size <= _LEVELS:
-        return
-    ends = known.min(), known.max()
+    ends = known.min(initial=np.inf), known.max(initial=-np.inf)
     others = known[(known > ends[0]) & (known < ends[1])]
     if others.size <= _LEVELS:
         return
@@ -319,13 +318,11 @@ def _second_source(q, tau):
     none = np.zeros(still.size, dtype=bool)
     if not tau.size or still.mean() <= _LEAST_SHARE:
         return none
-    edges = np.flatnonzero(np.diff(np.r_[0, still.astype(int), 0]))
-    first, stop = edges[::2], edges[1::2]
-    inside = (first > 0) & (stop < still.size)
-    first, stop = first[inside], stop[inside]
-    if first.size < _PLACES or np.median(stop - first) > _RUN:
+    runs = contiguous_groups(still, still.size)[1:-1]
+    ends = np.array([(x.start, x.stop) for x in runs if still[x.start]])
+    if len(ends) < _PLACES or np.median(np.ptp(ends, axis=1)) > _RUN:
         return none
-    moves = (q[stop] != q[first - 1]).any(axis=1)
+    moves = (q[ends[:, 1]] != q[ends[:, 0] - 1]).any(axis=1)
     return still if moves.mean() >= 0.5 else none
 
 
@@ -365,37 +362,30 @@ def _stamps(table, role, time_unit):
     dates = _seconds_of_dates(table, role.column)
     if dates is not None:
         return dates, replace(role, unit="s")
-    if table.values(role.column).dtype.kind == "O":
+    values, unit = table.values(role.column), channel_unit(table, role)
+    if values.dtype.kind == "O":
         raise ValueError(
-            f"{table.path}: column {role.column!r} holds "
-            f"{quoted(str(table.values(role.column)[0]))}; expected seconds, dates "
-            "(2024-03-30T23:59:50.125) or times of day (23:59:50.125)."
+            f"{table.path}: column {role.column!r} holds {quoted(str(values[0]))}; "
+            "expected seconds, dates (2024-03-30T23:59:50.125) or times of day "
+            "(23:59:50.125)."
         )
-    seconds, unit = table.numbers(role.column), channel_unit(table, role)
-    factor = 1.0 if unit is None else unit.factor
-    factor = TIME_UNITS.get(time_unit, factor)
-    _check_unit(table, role, usual_step(seconds), factor, time_unit)
+    seconds = table.numbers(role.column)
+    factor = TIME_UNITS.get(time_unit, 1.0 if unit is None else unit.factor)
+    step = usual_step(seconds)
+    period, likely = factor * step, unit_of_steps(step)
+    used = time_unit or role.unit or "s"
+    # What goes up by one counts rows.
+    known = step in (0.0, 1.0) or is_of_a_robot(period)
+    if not known and likely not in ("", used):
+        raise RecordingRefused(
+            f"{table.path}: time steps by {period:.4g} s at the median, too "
+            f"{'slow for a motion' if period > 1 else 'fast for a robot'}; column "
+            f"{role.column!r} cannot be in {used}, in {likely} this would be a period "
+            f"of {step * TIME_UNITS[likely]:.4g} s.",
+            {"time_unit": likely},
+        )
     # Without a unit stamps stay as they are, for messages that quote them.
     return seconds if factor == 1.0 else factor * (seconds - seconds[0]), role
-
-
-def _check_unit(table, role, step, factor, time_unit):
-    """Refuse a unit of time in which steps are too long or too short for a robot."""
-    used, unit, period = (
-        time_unit or role.unit or "s",
-        unit_of_steps(step),
-        factor * step,
-    )
-    # What goes up by one counts rows.
-    if step in (0.0, 1.0) or is_of_a_robot(period) or unit in ("", used):
-        return
-    raise RecordingRefused(
-        f"{table.path}: time steps by {period:.4g} s at the median, too "
-        f"{'slow for a motion' if period > 1 else 'fast for a robot'}; column "
-        f"{role.column!r} cannot be in {used}, in {unit} this would be a period of "
-        f"{step * TIME_UNITS[unit]:.4g} s.",
-        {"time_unit": unit},
-    )
 
 
 def _seconds_of_dates(table, column: str):

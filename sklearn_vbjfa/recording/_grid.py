@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -19,7 +20,7 @@ from sklearn_vbjfa.recording._clock import (
     prediction_errors,
 )
 from sklearn_vbjfa.recording._drives import COMMANDS
-from sklearn_vbjfa.recording._recording import contiguous_groups, labels_of
+from sklearn_vbjfa.recording._recording import contiguous_groups
 from sklearn_vbjfa.recording._table import Loss
 
 # Fewer samples than this between two gaps cannot be differentiated and held out from.
@@ -96,26 +97,23 @@ def _pieces(log, dt, ends=()):
 
 def _fields(pieces, dt: float) -> dict:
     """Concatenate pieces into the array fields of a `Recording`."""
-    columns = {
+    signals = {
         key: np.concatenate([one.channels[key] for one in pieces])
         for key in pieces[0].channels
     }
     return {
-        "q": columns.pop("q"),
-        "tau": columns.pop("tau"),
-        "v": columns.pop("v", None),
+        **{key: signals.pop(key, None) for key in ("q", "tau", "v")},
         "t": np.concatenate([one.t for one in pieces]),
         "dt": dt,
-        "groups": labels_of([one.t.size for one in pieces]),
+        "groups": np.repeat(np.arange(len(pieces)), [one.t.size for one in pieces]),
         "group_names": distinct(one.name for one in pieces),
-        "signals": columns,
+        "signals": signals,
     }
 
 
 def distinct(names):
     """Return names as a tuple, repeated ones with a number."""
-    seen = Counter()
-    found = []
+    seen, found = Counter(), []
     for name in names:
         seen[name] += 1
         found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
@@ -157,8 +155,7 @@ class FileRows:
     notes: list
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Run:
+class _Run(NamedTuple):
     """A segment of a file."""
 
     file: FileRows
@@ -170,7 +167,7 @@ class _Run:
 def on_grid(files, names) -> dict:
     """Cut files at segments and gaps, return the array fields of a `Recording`."""
     # names: of the files, "" for one alone.
-    runs = [_runs(file, name) for file, name in zip(files, names)]
+    runs = [list(_runs(file, name)) for file, name in zip(files, names)]
     dt = _common_period([run for own in runs for run in own])
     pieces = [piece for own in runs for piece in _of_file(own, dt)]
     fields = _fields(pieces, dt)
@@ -182,42 +179,30 @@ def on_grid(files, names) -> dict:
 
 
 def _runs(file, name):
-    """Return the segments of a file and what their stamps show."""
-    n = len(file.channels["q"])
-    parts = contiguous_groups(file.labels, n)
+    """Yield the segments of a file with what their stamps show."""
+    parts = contiguous_groups(file.labels, file.t.size)
     names = [name or "recording"]
     if file.labels is not None:
         labels = (str(file.labels[part.start]).removesuffix(".0") for part in parts)
         names = [f"{name} {x}".strip() for x in distinct(labels)]
-    keep = _first_of_stamps(file, parts)
-    runs = [np.arange(part.start, part.stop)[keep[part]] for part in parts]
-    return [
-        _Run(file=file, name=x, rows=rows, stamps=_inspected(file, rows))
-        for x, rows in zip(names, runs)
-    ]
-
-
-def _first_of_stamps(file, parts):
-    """Return which rows have another stamp than the one before, or all if few have."""
     again = np.r_[False, np.diff(file.t) == 0]
     again[[part.start for part in parts]] = False
-    if not 0 < again.sum() <= _REPEATED * again.size:
-        return np.ones_like(again)
-    file.notes.append(
-        f"{again.sum()} row(s) have the stamp of the one before: left out."
-    )
-    return ~again
-
-
-def _inspected(file, rows):
-    """Return what the stamps of a segment show."""
-    positions = file.channels["q"][rows]
-    try:
-        return inspect_time_stamps(
-            file.t[rows], file.dt, lambda k: file.where(rows[k]), positions
+    if again.mean() > _REPEATED:
+        again[:] = False
+    if again.any():
+        file.notes.append(
+            f"{again.sum()} row(s) have the stamp of the one before: left out."
         )
-    except ValueError as error:
-        raise ValueError(f"{file.path}: {error}") from None
+    for own, part in zip(names, parts):
+        rows = np.arange(part.start, part.stop)[~again[part]]
+        t, positions = file.t[rows], file.channels["q"][rows]
+        try:
+            found = inspect_time_stamps(
+                t, file.dt, lambda k, rows=rows: file.where(rows[k]), positions
+            )
+        except ValueError as error:
+            raise ValueError(f"{file.path}: {error}") from None
+        yield _Run(file, own, rows, found)
 
 
 def _common_period(runs):
@@ -227,9 +212,8 @@ def _common_period(runs):
     if high > (1 + 2 * DT_TOLERANCE) * low:
         raise ValueError(
             f"{runs[0].file.path} has a sample period of {low:.6g} s and "
-            f"{runs[-1].file.path} one of {high:.6g} s, which differ by more than "
-            f"{200 * DT_TOLERANCE:g} %: resample one of them, or process them "
-            "separately."
+            f"{runs[-1].file.path} one of {high:.6g} s: resample one of them, or "
+            "process them separately."
         )
     return runs[(len(runs) - 1) // 2].stamps.dt
 
@@ -239,7 +223,7 @@ def _of_file(runs, dt):
     file, pieces, short = runs[0].file, [], 0
     for run in runs:
         channels, ends = file.channels, run.stamps.gaps + 1
-        if run.rows.size < len(channels["q"]):
+        if run.rows.size < file.t.size:
             channels = {key: x[run.rows] for key, x in channels.items()}
         made = _pieces(Log(run.name, _times(run, dt), channels), dt, ends)
         short += ends.size + 1 - len(made)

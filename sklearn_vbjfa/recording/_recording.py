@@ -3,10 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from sklearn_vbjfa._core._smoothing import contiguous_groups, interpolate
 
@@ -73,10 +72,6 @@ def check_clock(t, n_samples, dt):
             f"{bad[0] + 1} ({time[bad[0]]:.6g} s, then {time[bad[0] + 1]:.6g} s)."
         )
     return time
-
-
-# Fields with a value for each row: columns for each joint, 0 for one in all.
-_WIDTHS = {"q": 1, "tau": 1, "v": 1, "states": 3, "weight": 1, "command": 1, "t": 0}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -168,37 +163,31 @@ class Recording:
     citation: str = ""
     description: str = ""
 
+    # Fields with a value for each row: columns for each joint, 0 for one in all.
+    _widths: ClassVar = {"t": 0, "states": 3} | dict.fromkeys(
+        ("q", "tau", "v", "weight", "command"), 1
+    )
+
     def __post_init__(self):
         if self.dt is not None or self.states is None:
             check_dt(self.dt)
-        if _finite("q", self.q).ndim != 2 or self.q.size == 0:
+        _check("q", self.q, np.shape(self.q))
+        if self.q.ndim != 2 or self.q.size == 0:
             raise ValueError(
                 f"q must have shape (n_samples, nv), got {self.q.shape}; for one joint "
                 "use q.reshape(-1, 1)."
             )
         n_samples, nv = self.q.shape
-        for key, width in _WIDTHS.items():
+        for key, width in self._widths.items():
             values = getattr(self, key)
             if values is not None or key == "tau":
-                shape = (n_samples, width * nv) if width else (n_samples,)
-                _check_shape(key, _finite(key, values).shape, shape)
+                _check(key, values, (n_samples, width * nv) if width else (n_samples,))
         for key, values in self.signals.items():
-            key = f"signals[{key!r}]"
-            _check_shape(key, _finite(key, values).shape[:1], (n_samples,))
+            _check(f"signals[{key!r}]", values, (n_samples, *np.shape(values)[1:]))
         for key in ("joint_names", "position_units", "torque_units"):
-            _check_shape(key, (len(getattr(self, key)),), (nv,))
-        self._check_groups()
-        if self.t is not None:
-            back = (np.diff(self.t) < 0) & (np.diff(self.groups) == 0)
-            if back.any():
-                raise ValueError(
-                    "t must not decrease inside a recording, it does after row "
-                    f"{np.flatnonzero(back)[0]}; sort the rows or start a new label."
-                )
-
-    def _check_groups(self):
-        """Refuse labels that are not 0, 1, ... in blocks, one for each name."""
-        _check_shape("groups", self.groups.shape, (self.n_samples,))
+            if len(getattr(self, key)) != nv:
+                raise ValueError(f"{key} must have {nv} entries, as q has columns.")
+        _check("groups", self.groups, (n_samples,))
         labels = self.groups[[part.start for part in self.segments]]
         count, is_int = len(set(self.group_names)), self.groups.dtype.kind in "iu"
         blocks = [*range(len(self.group_names))] if is_int else None
@@ -288,31 +277,6 @@ class Recording:
         late = interpolate(self.command, self.segments, self.clock(), delay)
         return self.tau + (late - self.command)
 
-    def with_torques_shifted(self, lag: float) -> "Recording":
-        """Return a copy whose torques are read later by a lag.
-
-        Parameters
-        ----------
-        lag : float
-            Time [s] by which the torques are late against the positions.
-
-        Returns
-        -------
-        Recording
-            Torques between rows are interpolated; rows at the ends of recordings whose
-            torques lie outside have no weight.
-        """
-        rows = lag / check_dt(self.dt)
-        tau = np.empty_like(self.tau)
-        weight = np.ones(self.q.shape) if self.weight is None else self.weight.copy()
-        for part in self.segments:
-            at = np.arange(part.stop - part.start) + rows
-            inside = (at >= 0) & (at <= at.size - 1)
-            known = CubicSpline(np.arange(at.size), self.tau[part])
-            tau[part] = known(np.clip(at, 0, at.size - 1))
-            weight[part][~inside] = 0.0
-        return replace(self, tau=tau, weight=weight)
-
     def select(self, *names_or_labels: str | int) -> "Recording":
         """Keep some of the recordings.
 
@@ -331,25 +295,24 @@ class Recording:
         ValueError
             If a name or label does not exist, or none is given.
         """
-        labels = sorted({self._label(entry) for entry in names_or_labels})
+        labels = set()
+        for entry in names_or_labels:
+            choices = [*self.group_names]
+            if isinstance(entry, (int, np.integer)) and not isinstance(entry, bool):
+                choices = [*range(len(self.group_names))]
+            if entry not in choices:
+                raise ValueError(
+                    f"No recording {entry!r} in {self.name!r}; choose from the names "
+                    f"{self.group_names} or the labels 0 to {len(choices) - 1}."
+                )
+            labels.add(choices.index(entry))
         if not labels:
             raise ValueError(
                 f"Name at least one recording to keep, out of {self.group_names}."
             )
-        made = take_rows(self, [self.segments[label] for label in labels], labels)
-        return replace(made, group_names=tuple(self.group_names[x] for x in labels))
-
-    def _label(self, entry: str | int) -> int:
-        """Label of a recording given by its name or label."""
-        if isinstance(entry, str) and entry in self.group_names:
-            return self.group_names.index(entry)
-        is_label = isinstance(entry, (int, np.integer)) and not isinstance(entry, bool)
-        if is_label and 0 <= int(entry) < len(self.group_names):
-            return int(entry)
-        raise ValueError(
-            f"No recording {entry!r} in {self.name!r}; choose from the names "
-            f"{self.group_names} or the labels 0 to {len(self.group_names) - 1}."
-        )
+        kept = sorted(labels)
+        made = take_rows(self, [self.segments[label] for label in kept], kept)
+        return replace(made, group_names=tuple(self.group_names[x] for x in kept))
 
     def robot_model(self) -> "pin.Model":
         """Nominal model of the robot, with one degree of freedom per joint.
@@ -376,35 +339,40 @@ class Recording:
         return build_model(self.name, self.urdf, self.joint_names)
 
 
+def with_torques_shifted(recording, lag):
+    """Return a recording whose torques are read later by a lag [s]."""
+    # Torques between rows are interpolated; rows at the ends of recordings whose
+    # torques lie outside have no weight.
+    parts, weight = recording.segments, recording.weight
+    tau = interpolate(recording.tau, parts, recording.clock(), -lag)
+    weight = np.ones(tau.shape) if weight is None else weight.copy()
+    for part in parts:
+        at = np.arange(part.stop - part.start) + lag / recording.dt
+        weight[part][(at < 0) | (at > at.size - 1)] = 0.0
+    return replace(recording, tau=tau, weight=weight)
+
+
 def take_arrays(
-    X,
-    y,
-    groups=None,
-    weight=None,
-    t=None,
-    *,
-    dt,
-    joint_names,
-    signals=None,
+    X, y, groups=None, weight=None, t=None, *, dt, joint_names, signals=None
 ):
-    """Make a recording of the validated arguments of a fit."""
+    """Make a recording of the validated arguments of a fit or a prediction."""
     # X: positions (n_samples, nv) or states (n_samples, 3 nv); y, weight (n_samples,
-    # nv); groups: labels in any form; t: time stamps; dt [s]; signals (n_samples,) by
-    # name.
+    # nv), None for zero torques; groups: labels in any form; t: time stamps; dt [s];
+    # signals (n_samples,) by name.
     nv, segments = len(joint_names), contiguous_groups(groups, X.shape[0])
     return Recording(
         name="",
         q=X[:, :nv],
-        tau=y,
+        tau=np.zeros((len(X), nv)) if y is None else y,
         t=None if t is None else np.asarray(t, dtype=float),
-        dt=dt,
+        dt=None if dt is None else check_dt(dt),
         **_labelled(segments),
         joint_names=tuple(joint_names),
         position_units=nv * ("",),
         torque_units=nv * ("",),
         states=X if X.shape[1] == 3 * nv else None,
         weight=weight,
-        signals={} if signals is None else signals,
+        signals=signals or {},
     )
 
 
@@ -412,12 +380,7 @@ def _labelled(segments):
     """Return labels and names of recordings that follow one another."""
     names = tuple(str(k) for k in range(len(segments)))
     lengths = [part.stop - part.start for part in segments]
-    return {"groups": labels_of(lengths), "group_names": names}
-
-
-def labels_of(lengths):
-    """Labels 0, 1, ... of the rows of recordings of some lengths."""
-    return np.repeat(np.arange(len(lengths)), lengths)
+    return {"groups": np.repeat(np.arange(len(names)), lengths), "group_names": names}
 
 
 def take_rows(recording, rows, groups):
@@ -437,7 +400,7 @@ def take_rows(recording, rows, groups):
 
     return replace(
         recording,
-        **{key: taken(getattr(recording, key)) for key in _WIDTHS},
+        **{key: taken(getattr(recording, key)) for key in recording._widths},
         **_labelled(segments),
         signals={key: values[rows] for key, values in recording.signals.items()},
         before=tuple(_positions_before(recording, rows[x.start]) for x in segments),
@@ -451,8 +414,8 @@ def _positions_before(recording, row):
     return np.concatenate([recording.before[k], known]) if recording.before else known
 
 
-def _finite(name: str, values: Any) -> np.ndarray:
-    """Return a numeric array, rejecting NaN and infinity."""
+def _check(name: str, values: Any, shape: tuple[int, ...]) -> None:
+    """Reject what is not an array of finite numbers in a shape."""
     is_array = isinstance(values, np.ndarray) and values.dtype.kind in "biuf"
     if not is_array or not np.isfinite(values).all():
         kind = getattr(values, "dtype", type(values).__name__)
@@ -460,12 +423,7 @@ def _finite(name: str, values: Any) -> np.ndarray:
             f"{name} must be an ndarray of finite numbers, got {kind} or other values; "
             "drop or interpolate those rows first."
         )
-    return values
-
-
-def _check_shape(name: str, shape: tuple[int, ...], expected: tuple[int, ...]) -> None:
-    """Reject a shape that does not agree with q."""
-    if shape != expected:
+    if values.shape != shape:
         raise ValueError(
-            f"{name} must have shape {expected} to agree with q, got {shape}."
+            f"{name} must have shape {shape} to agree with q, got {values.shape}."
         )

@@ -101,12 +101,11 @@ def as_numbers(values, n_samples):
             f"has the shape {values.shape}; expected one value per row, ({n_samples},)"
         )
     try:
-        numbers = values if values.dtype.kind in "biufUS" else values.astype(float)
+        numbers = None if values.dtype.kind in "US" else values.astype(float)
     except (TypeError, ValueError):
-        numbers = values
-    if numbers.dtype.kind not in "biuf":
-        return None, f"holds {quoted(str(values.ravel()[0]))} and not numbers"
-    numbers = numbers.astype(float)
+        numbers = None
+    if numbers is None:
+        return None, f"holds {quoted(str(values[0]))} and not numbers"
     gaps = np.flatnonzero(~np.isfinite(numbers))
     if gaps.size:
         return None, (
@@ -119,13 +118,14 @@ def as_numbers(values, n_samples):
 def _given(signals, n_samples):
     """Return signals that were given by name as floats (n_samples,), a dict."""
     # A data frame is no mapping but has items.
-    if signals is not None and not hasattr(signals, "items"):
+    signals = {} if signals is None else signals
+    if not hasattr(signals, "items"):
         raise ValueError(
             "signals must be a mapping of names to columns of one value per row, or a "
             f"data frame; got {type(signals).__name__}."
         )
     found = {}
-    for name, values in () if signals is None else signals.items():
+    for name, values in signals.items():
         if not isinstance(name, str) or not name:
             raise ValueError(f"signals must have names that are text; got {name!r}.")
         found[name], reason = as_numbers(values, n_samples)
@@ -144,17 +144,16 @@ def _asked_for(effects, given, offered, n_samples):
             f"signals has {min(twice)!r}, which is a column of X as well; give it once."
         )
     wanted = {x for effect in _users(effects) for x in effect.recorded}
-    for name in wanted & offered.keys():
+    for name in sorted(wanted - found.keys()):
+        if name not in offered:
+            raise ValueError(
+                f"The signal {name!r}, which an effect needs, is missing; give "
+                f"signals={{{name!r}: ...}} with one value per row, or a column of "
+                "that name in a data frame X."
+            )
         found[name], reason = as_numbers(offered[name], n_samples)
         if reason:
             raise ValueError(f"The column {name!r} {reason}.")
-    missing = sorted(wanted - set(found))
-    if missing:
-        raise ValueError(
-            f"The signal {missing[0]!r}, which an effect needs, is missing; give "
-            f"signals={{{missing[0]!r}: ...}} with one value per row, or a column of "
-            "that name in a data frame X."
-        )
     return found, wanted, offered
 
 
@@ -178,7 +177,7 @@ def check_useful(given, recording):
     if isinstance(given, OfferedSignals):
         return
     for name, values in _given(given, recording.n_samples).items():
-        reason = fault(values, recording, _COPY)
+        reason = fault(values, recording)
         if reason:
             raise ValueError(f"signals: {name!r} {reason}.")
 
@@ -207,8 +206,8 @@ def survey(given, offered, recording, effects):
         return found, ()
     shown, left = [*reasons][:_NAMED], len(reasons) - _NAMED
     names = ", ".join(map(repr, shown)) + f" and {left} more" * (left > 0)
-    told = "; ".join(f"{name!r} {reasons[name]}" for name in shown)
-    message = f"Column(s) {names} are not used as signals: {told}."
+    lines = "; ".join(f"{name!r} {reasons[name]}" for name in shown)
+    message = f"Column(s) {names} are not used as signals: {lines}."
     return found, (ChannelFinding("unusable_signal", (), "note", message),)
 
 
@@ -247,36 +246,29 @@ def _likeness(values, recording):
         v, a = np.split(recording.states, 3, axis=1)[1:]
         channels += [("velocity", v, 0), ("acceleration", a, 0)]
     for what, channel, order in channels:
-        column = _integral(values, parts, order)
-        for j, name in enumerate(recording.joint_names):
-            other = channel[:, j]
-            if order:
-                other = np.concatenate([_without_trend(other[p], order) for p in parts])
+        column = values
+        if order:
+            column = np.concatenate([_integral(values[p], order) for p in parts])
+            channel = np.vstack([_without_trend(channel[p], order) for p in parts])
+        for name, other in zip(recording.joint_names, channel.T):
             yield _shared(column, other), f"{what} of {name}"
 
 
-def _integral(values, parts, order):
-    """Integrate a column so often, recording by recording, without constants."""
-    if order == 0:
-        return values
-    found = []
-    for part in parts:
-        x = values[part]
-        size = np.abs(x).max()
-        for _ in range(order):
-            x = np.cumsum(x - x.mean())
-        left = _without_trend(x, order)
-        # What is constant in a recording leaves nothing but rounding.
-        tiny = _ROUNDING * size * float(x.size) ** order
-        found.append(np.where(np.abs(left) > tiny, left, 0.0))
-    return np.concatenate(found)
+def _integral(x, order):
+    """Integrate a column of one recording so often, without constants."""
+    # What is constant in a recording leaves nothing but rounding.
+    tiny = _ROUNDING * np.abs(x).max() * float(x.size) ** order
+    for _ in range(order):
+        x = np.cumsum(x - x.mean())
+    left = _without_trend(x, order)
+    return np.where(np.abs(left) > tiny, left, 0.0)
 
 
 def _without_trend(x, degree):
-    """Take a polynomial of time, as constants of integration add, off a column."""
-    time = np.linspace(-1.0, 1.0, x.size)
-    trend = np.polynomial.Legendre.fit(time, x, min(degree, x.size - 1))
-    return x - trend(time)
+    """Take a polynomial of time, as of constants of integration, off columns."""
+    time, degree = np.linspace(-1.0, 1.0, len(x)), min(degree, len(x) - 1)
+    trend = np.polynomial.legendre.legfit(time, x, degree)
+    return x - np.polynomial.legendre.legval(time, trend).T
 
 
 def _shared(x, y):
@@ -305,18 +297,19 @@ def positions_in_order(X, names):
 
 def carries_names(X, names):
     """Return whether columns of a data frame carry the names of joints."""
-    found = set(map(str, _columns_of(X)))
-    return any(name in found or f"q_{name}" in found for name in names)
+    return any(x in _columns_of(X) for name in names for x in (name, f"q_{name}"))
 
 
 def columns_beside(X, names):
     """Return the other columns of a data frame X, `OfferedSignals`."""
     # Time, labels of recordings and other channels of joints are no signals. Empty for
     # what has no names.
-    found = _by_kind(_columns_of(X), names, "q")
-    channels = {column for group in found.values() for column in group}
-    rest = [x for x in _columns_of(X) if x not in channels]
-    rest = [x for x in rest if "q" in found and x.lower() not in _NOT_HERE]
+    columns = _columns_of(X)
+    found = _by_kind(columns, names, "q")
+    if "q" not in found:
+        return OfferedSignals()
+    apart = {*_NOT_HERE, *(x for group in found.values() for x in group)}
+    rest = [x for x in columns if x not in apart and x.lower() not in apart]
     return OfferedSignals({name: X[name].to_numpy() for name in rest})
 
 

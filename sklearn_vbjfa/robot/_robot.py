@@ -102,21 +102,6 @@ class Inputs:
         return {"position": inner, "speed": moves, "load": inner, "direction": moves}
 
 
-def recording_of(names, dt, X, y, groups=None, weight=None, t=None, signals=None):
-    """Make a `Recording` of checked arrays; zero torques where none are given."""
-    nv = len(names)
-    return take_arrays(
-        X,
-        np.zeros((X.shape[0], nv)) if y is None else y,
-        groups,
-        weight,
-        t,
-        dt=check_dt(dt) if X.shape[1] == nv or dt is not None else None,
-        joint_names=names,
-        signals=signals,
-    )
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class IdentifiedRobot:
     """An identified robot without its data, for prediction, simulation and control.
@@ -816,9 +801,8 @@ class IdentifiedRobot:
 
     def recording(self, X, y=None, groups=None, weight=None, t=None, signals=None):
         """Make a `Recording` of checked arrays; zero torques where none are given."""
-        return recording_of(
-            self.joint_names_, self.plan.dt, X, y, groups, weight, t, signals
-        )
+        given = {"dt": self.plan.dt, "joint_names": self.joint_names_}
+        return take_arrays(X, y, groups, weight, t, signals=signals, **given)
 
     def prepare(self, X, groups=None, t=None, signals=None):
         """Make the `Inputs` of the rows of a recording."""

@@ -40,7 +40,7 @@ from sklearn.base import clone
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.effects import Shaped
-from sklearn_vbjfa.recording import take_arrays
+from sklearn_vbjfa.recording import take_arrays, with_torques_shifted
 from sklearn_vbjfa.robot import FitOptions
 
 SETS = {
@@ -91,7 +91,7 @@ def split_of(loop, q, tau, groups):
         q, tau, groups, None, None, dt=dt, joint_names=loop.joint_names_
     )
     if loop.torque_lag_:
-        whole = whole.with_torques_shifted(loop.torque_lag_)
+        whole = with_torques_shifted(whole, loop.torque_lag_)
     split = split_in_time(loop.identifier, whole, loop.test_size)
     effects = loop.validation_model_.effects_
     shaped = [e for e in effects if isinstance(e, Shaped)]

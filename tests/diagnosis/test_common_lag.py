@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import load_demo_recording
+from sklearn_vbjfa.recording import with_torques_shifted
 
 
 @pytest.mark.parametrize("lag", [0.05, -0.0125])
@@ -14,7 +15,7 @@ def test_shifted_torques_are_those_of_the_motion(lag):
     t = np.arange(recording.n_samples) * recording.dt
     tau = np.column_stack([np.sin((1 + j) * t) for j in range(recording.nv)])
     late = np.column_stack([np.sin((1 + j) * (t - lag)) for j in range(recording.nv)])
-    right = replace(recording, tau=late).with_torques_shifted(lag)
+    right = with_torques_shifted(replace(recording, tau=late), lag)
     used = right.weight[:, 0] > 0
     assert used.sum() == recording.n_samples - np.ceil(abs(lag) / recording.dt)
     np.testing.assert_allclose(right.tau[used], tau[used], atol=1e-5)

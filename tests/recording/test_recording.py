@@ -58,7 +58,6 @@ def test_select_refuses_what_is_not_there(entry):
         {"tau": np.zeros((8, 2))},
         {"v": np.zeros((9, 1))},
         {"t": np.zeros(8)},
-        {"t": -np.arange(9.0)},
         {"tau": np.full((9, 2), np.nan)},
         {"joint_names": ("a",)},
         {"torque_units": ("N",)},

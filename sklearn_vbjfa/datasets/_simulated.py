@@ -50,7 +50,7 @@ class SimulatedRecording(Recording):
     inertial: np.ndarray
     friction: dict
 
-    _widths: ClassVar = Recording._widths | {"tau_clean": 1}
+    WIDTHS: ClassVar = Recording.WIDTHS | {"tau_clean": 1}
 
     def theta(self, friction):
         """Return the true parameter vector for a choice of friction columns.

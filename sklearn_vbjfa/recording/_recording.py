@@ -164,7 +164,7 @@ class Recording:
     description: str = ""
 
     # Fields with a value for each row: columns for each joint, 0 for one in all.
-    _widths: ClassVar = {"t": 0, "states": 3} | dict.fromkeys(
+    WIDTHS: ClassVar = {"t": 0, "states": 3} | dict.fromkeys(
         ("q", "tau", "v", "weight", "command"), 1
     )
 
@@ -178,7 +178,7 @@ class Recording:
                 "use q.reshape(-1, 1)."
             )
         n_samples, nv = self.q.shape
-        for key, width in self._widths.items():
+        for key, width in self.WIDTHS.items():
             values = getattr(self, key)
             if values is not None or key == "tau":
                 _check(key, values, (n_samples, width * nv) if width else (n_samples,))
@@ -400,7 +400,7 @@ def take_rows(recording, rows, groups):
 
     return replace(
         recording,
-        **{key: taken(getattr(recording, key)) for key in recording._widths},
+        **{key: taken(getattr(recording, key)) for key in recording.WIDTHS},
         **_labelled(segments),
         signals={key: values[rows] for key, values in recording.signals.items()},
         before=tuple(_positions_before(recording, rows[x.start]) for x in segments),

@@ -35,8 +35,8 @@ def _refusal(table, layout, options, robot, missing):
     near = {kind: _nearest(table, kind, robot.names) for kind in missing}
     parts = []
     if layout.joints and layout.joints != robot.names:
-        joints = f"its joints {listed(layout.joints)} are not those of the robot"
-        parts.append(f"{joints}, {listed(robot.names)}")
+        joints = f"{listed(layout.joints)} are not those of the robot"
+        parts.append(f"its joints {joints}, {listed(robot.names)}")
     for kind, names in near.items():
         what = f"no {_WHAT.get(kind, kind)}: expected columns {kind}1, {kind}2, ..."
         if kind == "t":
@@ -48,14 +48,15 @@ def _refusal(table, layout, options, robot, missing):
             "if the motors follow commands, give the drive, drive=... (command line: "
             '--drive "pd kp=... kd=...")'
         )
-        driven = laid_out(table, replace(options, drive=PDDrive()), robot)
+        driven = laid_out(table, replace(options, drive=PDDrive(), gains=None), robot)
         if driven.kinds | {*table.scalars} >= {"q_desired", "kp", "kd"}:
             offered = {"drive": "pd"}
     parts.append(f"found {listed(table.names)}")
     if not offered and missing != ["t"]:
         parts.append(
             "rename them in the header, or give "
-            f'columns="q=NAME{{i}},{options.kinds[1]}=NAME{{i}},t=NAME"'
+            f'columns="q=NAME{{i}},{options.kinds[1]}=NAME{{i}},t=NAME"; files of one '
+            "recording need join=True (--join)"
         )
     return RecordingRefused(f"{table.path}: {'; '.join(parts)}.", offered)
 
@@ -69,26 +70,27 @@ def _offered(table, options, near):
     for patterns in itertools.islice(itertools.product(*near.values()), _MOST_TRIED):
         mapping = options.mapping | dict(zip(near, patterns))
         if not any("," in x or "=" in x for x in mapping.values()):
-            changed = replace(options, mapping=mapping, preset=None)
-            found.append(_tried(table, changed, {}))
+            found.append(_tried(table, replace(options, mapping=mapping, preset=None)))
     found = [offered for offered in found if offered]
     return found[0] if len(found) == 1 else {}
 
 
-def _tried(table, options, offered):
-    """Return a mapping, with the options offered and more, that reads a file, or {}."""
+def _tried(table, options):
+    """Return a mapping, and options it needs, that reads a file; or {}."""
+    columns = ",".join(f"{key}={x}" for key, x in options.mapping.items())
     try:
         rows = rows_of(table, options)
-    except ValueError as error:
-        unit = getattr(error, "options", {}).get("time_unit", options.time_unit)
-        if unit == options.time_unit:
+    except RecordingRefused as error:
+        more = error.options if options.time_unit is None else {}
+        if set(more) != {"time_unit"}:
             return {}
-        return _tried(table, replace(options, time_unit=unit), {"time_unit": unit})
-    columns = ",".join(f"{key}={x}" for key, x in options.mapping.items())
-    offered = {"columns": columns} | offered
-    if options.gains is options.drive is None and {*rows.torque_units} - {"N m", "N"}:
-        offered["gains"] = "unknown"
-    return offered
+        found = _tried(table, replace(options, **more))
+        return found and found | more
+    except ValueError:
+        return {}
+    unknown = options.gains is options.drive is None
+    unknown = unknown and {*rows.torque_units} - {"N m", "N"}
+    return {"columns": columns} | ({"gains": "unknown"} if unknown else {})
 
 
 # -- the nearest names -----------------------------------------------------------------
@@ -153,44 +155,41 @@ def is_recording(table, options):
     except RecordingRefused as error:
         return bool(error.options)
     except ValueError:
-        return False
+        # What is wrong with it is said when it is read.
+        return True
     return True
 
 
 def _in_order(table, layout, options, robot, notes):
     """Return the roles of each kind in the order of the joints, and the robot."""
     # Certain names of joints that the robot lacks are no channels of it.
-    names = robot.names or layout.joints
-    roles = [
-        role
-        for role in layout.of(*options.kinds)
-        if isinstance(role.key, int) or role.key in names
-    ]
-    kinds = [kind for kind in options.kinds if kind in {role.kind for role in roles}]
-    missing = [kind for kind in options.kinds[:2] if kind not in kinds]
+    names, by_key = robot.names or layout.joints, {}
+    for role in layout.of(*options.kinds):
+        if isinstance(role.key, int) or role.key in names:
+            other = by_key.setdefault(role.kind, {}).setdefault(role.key, role)
+            refuse_two(table, other.column, role.column)
+    missing = [kind for kind in options.kinds[:2] if kind not in by_key]
     missing += [] if options.dt or layout.of("t") else ["t"]
     if missing:
         raise _refusal(table, layout, options, robot, missing)
-    by_key = {kind: {} for kind in kinds}
-    for role in roles:
-        other = by_key[role.kind].setdefault(role.key, role)
-        refuse_two(table, other.column, role.column)
-    having = {role.key for role in roles}
-    if any(isinstance(key, str) for key in having):
-        others = [x for x in layout.joints if x not in names]
-        if others:
-            notes.append(
-                f"joint(s) {listed(others)} are not joints of the robot and are left "
-                "out."
-            )
-        held = [x for x in names if x not in having]
-        if held and not robot.chosen:
-            notes.append(Loss(f"no columns of joint(s) {listed(held)}: held at zero."))
-            names = tuple(x for x in names if x in having)
-    found = {}
-    for kind, own in by_key.items():
+    having = {key for own in by_key.values() for key in own if isinstance(key, str)}
+    others = [x for x in layout.joints if having and x not in names]
+    if others:
+        notes.append(
+            f"joint(s) {listed(others)} are not joints of the robot and are left out."
+        )
+    held = [x for x in names if having and x not in having]
+    if held and not robot.chosen:
+        notes.append(Loss(f"no columns of joint(s) {listed(held)}: held at zero."))
+        names = tuple(x for x in names if x in having)
+    found, count = {}, max(map(len, by_key.values()))
+    for kind in filter(by_key.get, options.kinds):
+        own = by_key[kind]
         named, first = any(isinstance(key, str) for key in own), 0 if 0 in own else 1
-        keys = names if named else range(first, first + len(own))
+        keys = names if named else range(first, first + count)
+        if kind == "supply" and len(own) == 1:
+            # One for all joints.
+            keys = count * [*own]
         for key in keys:
             if key not in own:
                 raise ValueError(
@@ -218,7 +217,7 @@ def rows_of(table, options) -> FileRows:
     layout = laid_out(table, options, robot)
     table, rows = without_odd_rows(table, layout, options, notes)
     found, robot = _in_order(table, layout, options, robot, notes)
-    names = _check_joints(table, found, robot)
+    names = _names(table, found, robot)
     channels, units = _in_units(table, found, options, notes)
     slides = _check_units(table, found, units, names, robot)
     of_joints = ["N" if slide else "N m" for slide in slides]
@@ -290,9 +289,6 @@ def _in_units(table, found, options, notes):
                 role if role.unit else replace(role, unit=other.unit)
                 for role, other in zip(roles, of)
             ]
-    if len(found.get("supply", ())) == 1:
-        # One for all joints.
-        found["supply"] = found["supply"] * len(found["q"])
     channels, units = {}, {}
     for kind, roles in found.items():
         columns, units[kind] = zip(*(_values(table, role) for role in roles))
@@ -376,18 +372,10 @@ def _refuse_codes(table, column, values):
 # -- joints ----------------------------------------------------------------------------
 
 
-def _check_joints(table, found, robot):
-    """Check the number of joints by the columns of each kind, return their names."""
+def _names(table, found, robot):
+    """Return the names of the joints that have columns; refuse another number."""
     names, nv = robot.names, len(found["q"])
-    for kind, roles in found.items():
-        if len(roles) != nv and (kind, len(roles)) != ("supply", 1):
-            q, other = ([x.column for x in own] for own in (found["q"], roles))
-            raise ValueError(
-                f"{table.path}: {nv} column(s) q ({listed(q)}) and {len(roles)} "
-                f"column(s) {kind} ({listed(other)}); every joint needs one of each."
-            )
-    if not names:
-        return tuple(f"joint_{k + 1}" for k in range(nv))
+    names = names or tuple(f"joint_{k + 1}" for k in range(nv))
     if len(names) != nv:
         fewer = nv < len(names) and not robot.chosen
         raise RecordingRefused(

@@ -6,10 +6,11 @@ import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from os import PathLike
+from typing import Any
 
 import numpy as np
 
-from sklearn_vbjfa.recording._drives import Drive, parse_drive
+from sklearn_vbjfa.recording._drives import parse_drive
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.recording._table import (
     EXPECTED,
@@ -39,7 +40,8 @@ COMMAND_NAMES = {
 }
 # A channel of a mapping, with the number or the name of one joint.
 _KEY = re.compile(
-    rf"({'|'.join((*COMMAND_NAMES, *KINDS))})(\d+|[_.\[(].+)?|t|segment", re.IGNORECASE
+    rf"({'|'.join((*COMMAND_NAMES, *KINDS))}|t$|segment$)(\d+|[_.\[(].+)?",
+    re.IGNORECASE,
 )
 
 
@@ -53,19 +55,44 @@ class Robot:
     slides: tuple[bool, ...] = ()  # which of these are prismatic
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass
 class ReadOptions:
     """The arguments of `read_recording`, see there; they are checked."""
 
-    mapping: dict
+    mapping: Any  # a dict when it is checked, as are the others of their kinds
     preset: str | None
     dt: float | None
-    urdf: str | PathLike | None
-    joint_names: tuple[str, ...]
-    topic: str | None
-    gains: tuple[float, ...] | str | None
+    joint_names: Any
+    gains: Any
     time_unit: str | None
-    drive: Drive | None  # its channels stand in place of torques
+    drive: Any  # its channels stand in place of torques
+    urdf: str | PathLike | None
+    topic: str | None
+
+    def __post_init__(self):
+        if self.dt is not None:
+            check_dt(self.dt)
+        for name, known in (("time_unit", TIME_UNITS), ("preset", PRESETS)):
+            value = getattr(self, name)
+            if value is not None and value not in known:
+                raise ValueError(
+                    f"{name} must be one of {', '.join(known)}; got {value!r}."
+                )
+        if self.preset is not None and self.mapping:
+            raise ValueError(
+                "give columns or a preset, not both: a preset is a mapping."
+            )
+        if self.drive is not None and self.gains is not None:
+            raise ValueError(
+                "gains are factors of columns of torques, and a drive has its own: "
+                "leave gains out (command line: --gain), or the drive."
+            )
+        none = self.mapping in (None, {})
+        self.mapping = {} if none else _parsed_mapping(self.mapping)
+        self.joint_names = _distinct(self.joint_names)
+        self.gains = _checked_gains(self.gains)
+        if isinstance(self.drive, str):
+            self.drive = parse_drive(self.drive)
 
     @functools.cached_property
     def _movable(self):
@@ -82,9 +109,8 @@ class ReadOptions:
 
     def robot(self, table):
         """Return the robot of a file, which may name its joints."""
-        names = self.joint_names
-        if not names and "joint_names" in table.scalars:
-            names = _distinct(np.atleast_1d(table.scalars["joint_names"]))
+        in_file = np.atleast_1d(table.scalars.get("joint_names", ()))
+        names = self.joint_names or _distinct(in_file)
         if self.urdf is None:
             return Robot(names=names, chosen=bool(names))
         from sklearn_vbjfa import model as models
@@ -116,37 +142,6 @@ class ReadOptions:
         return "q", *self.recorded, "v", "a"
 
 
-def checked(columns, preset, dt, joint_names, gains, time_unit, drive, **others):
-    """Return the options of arguments as users give them."""
-    if dt is not None:
-        check_dt(dt)
-    for name, value, known in (
-        ("time_unit", time_unit, TIME_UNITS),
-        ("preset", preset, PRESETS),
-    ):
-        if value is not None and value not in known:
-            raise ValueError(
-                f"{name} must be one of {', '.join(known)}; got {value!r}."
-            )
-    if preset is not None and columns:
-        raise ValueError("give columns or a preset, not both: a preset is a mapping.")
-    if drive is not None and gains is not None:
-        raise ValueError(
-            "gains are factors of columns of torques, and a drive has its own: leave "
-            "gains out (command line: --gain), or the drive."
-        )
-    return ReadOptions(
-        mapping={} if columns is None else parse_mapping(columns),
-        preset=preset,
-        dt=dt,
-        joint_names=_distinct(joint_names),
-        gains=_checked_gains(gains),
-        time_unit=time_unit,
-        drive=parse_drive(drive) if isinstance(drive, str) else drive,
-        **others,
-    )
-
-
 def _distinct(joint_names):
     """Return joint names as a tuple of str, empty for None."""
     if isinstance(joint_names, str):
@@ -172,22 +167,20 @@ def _checked_gains(gains):
     return tuple(map(float, found))
 
 
-def parse_mapping(text) -> dict[str, str]:
+def _parsed_mapping(text) -> dict[str, str]:
     """Return patterns by names of channels, out of "q=actual_q_{i},t=timestamp"."""
-    if isinstance(text, Mapping):
-        pairs = [(str(key), str(value)) for key, value in text.items()]
-    else:
-        parts = [part.partition("=") for part in str(text).split(",")]
-        pairs = [(key.strip(), value.strip()) for key, _, value in parts]
+    parts = [part.partition("=")[::2] for part in str(text).split(",")]
+    parts = text.items() if isinstance(text, Mapping) else parts
+    pairs = [(str(key).strip(), str(value).strip()) for key, value in parts]
     keys = [key for key, _ in pairs]
     wrong = [
         f"{key}={value}"
         for key, value in pairs
         if not value or keys.count(key) > 1 or _KEY.fullmatch(key) is None
     ]
-    if wrong or not pairs:
+    if wrong:
         raise ValueError(
-            f"columns has {wrong[-1] if wrong else 'nothing'!r}; expected "
+            f"columns has {wrong[-1]!r}; expected "
             "CHANNEL=NAME, each channel once, with commas between them, such as "
             '"q=position_{i},tau=effort_{i},t=time". Channels are q, tau, v, a, t, '
             "segment (of one joint: q1, tau_elbow), with a drive also "
@@ -197,32 +190,16 @@ def parse_mapping(text) -> dict[str, str]:
     return dict(pairs)
 
 
-def split_key(key):
-    """Return the kind of a key of a mapping, and the number or joint in it."""
-    match = _KEY.fullmatch(key)
-    kind = (match[1] or key).lower()
-    suffix = key[len(kind) :].strip("_.[]()")
-    return kind, int(suffix) if suffix.isdecimal() else suffix
-
-
-# Columns that can only be time, where none is called t.
-_TIMES = {"t", "time", "timestamp", "stamp", "__time", "%time"}
-# Names without a joint, by kind.
-_ALONE = {**dict.fromkeys(_TIMES, "t"), "segment": "segment"}
+# Names without a joint, by kind; of those of time one called t is preferred.
+_ALONE = dict.fromkeys(("t", "time", "timestamp", "stamp", "__time", "%time"), "t")
+_ALONE["segment"] = "segment"
 # How the parts of a stamp in two columns are called, and the size of the second [s].
 _CLOCK_PARTS = (
     *(("secs", "nsecs", 1e-9), ("sec", "nsec", 1e-9), ("sec", "nanosec", 1e-9)),
     *(("secs", "usecs", 1e-6), ("sec", "usec", 1e-6), ("sec", "microsec", 1e-6)),
 )
-# What stands for others in patterns, as regular expressions escape it.
-_MARKS = (
-    (r"\{i\}", "i", r"\d{1,6}"),
-    (r"\{joint\}", "joint", ".+?"),
-    (r"\*", "any", ".*"),
-    (r"\?", "one", "."),
-)
-# Numbers have so many digits.
-_NUMBER = re.compile(r"0*(\d{1,6})", re.ASCII)
+# Marks in patterns, and what they stand for.
+_MARKS = (("i", r"\d{1,6}"), ("joint", ".+?"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -307,11 +284,16 @@ def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
     begins = {x: kind for kind in kinds for x in (kind, *COMMAND_NAMES.get(kind, ()))}
     if drive is not None:
         begins |= {"dq": "v", **dict.fromkeys(drive.spelled, "tau")}
+    joint = "|".join(map(re.escape, joints)) or "$."
     # The longest first: q_desired is no q.
-    begins = dict(sorted(begins.items(), key=lambda x: -len(x[0])))
+    begin = "|".join(sorted(begins, key=len, reverse=True))
+    name = re.compile(
+        rf"(?i:({begin}))(?:[_.\[(]?(?:(?P<joint>{joint})|0*(?P<i>\d{{1,6}}))[\])]?)?",
+        re.ASCII,
+    )
     clocks = _clocks_of_two(table)
-    parts = {name for clock in clocks for name in clock.columns}
-    found = [_named(x, begins, joints) for x in table.names if x not in parts]
+    parts = {column for clock in clocks for column in clock.columns}
+    found = [_named(x, name, begins) for x in table.names if x not in parts]
     roles = [role for role in found if role is not None]
     times = [role for role in roles if role.kind == "t"]
     exact = [role for role in times if is_exact(role)]
@@ -327,7 +309,7 @@ def is_exact(role):
     return split_unit(role.column)[0].lower() == "t"
 
 
-def _named(column, begins, joints):
+def _named(column, expression, begins):
     """Return the role that the name of a column says, None for none."""
     # begins: kinds by the beginning of a name.
     # Subscripts are digits, and Greek letters are spelled.
@@ -335,24 +317,17 @@ def _named(column, begins, joints):
     bare, unit = split_unit(name)
     # The whole name may end with a joint that is called like a unit.
     for text, in_text in ((name, ""), (bare, unit), split_last_part(bare)):
-        keys = [(kind, _key_of(text, x, joints)) for x, kind in begins.items()]
-        for kind, key in [(_ALONE.get(text.lower(), ""), 1), *keys]:
-            known = in_text in ("", unit) or unit_of(kind, in_text)
-            if kind and key != "" and known:
-                return Role(kind=kind, key=key, column=column, unit=in_text)
+        match = expression.fullmatch(text)
+        kind = begins[match[1].lower()] if match else _ALONE.get(text.lower())
+        if kind and (in_text in ("", unit) or unit_of(kind, in_text)):
+            return Role(kind=kind, key=_key(match), column=column, unit=in_text)
     return None
 
 
-def _key_of(text, begin, joints):
-    """Return the joint or number after the beginning of a name, "" for none."""
-    match = re.fullmatch(
-        rf"{begin}[_.\[(]?(.*?)[\])]?", text, re.IGNORECASE | re.DOTALL
-    )
-    key = match[1] if match else ""
-    number = _NUMBER.fullmatch(key)
-    if key in joints or text.lower() == begin:
-        return key or 1
-    return int(number[1]) if number else ""
+def _key(match):
+    """Return the joint or its number in a name or pattern, 1 without."""
+    found = match.groupdict() if match else {}
+    return found.get("joint") or int(found.get("i") or 1)
 
 
 def _clocks_of_two(table):
@@ -389,22 +364,14 @@ def matches(pattern: str, table: Table, kind: str) -> list[Role]:
     bare, unit = split_unit(pattern)
     if table.nameless:
         return _in_places(bare, unit, table, kind)
-    expression, without = _expression(pattern), _expression(bare)
-    found = []
+    expression, found = _expression(bare), []
     for name in table.names:
-        stripped, in_name = split_unit(name)
-        match = expression.fullmatch(name) or without.fullmatch(stripped)
-        if match is None or (in_name and unit and in_name != unit):
-            continue
-        groups = match.groupdict()
-        found.append(
-            Role(
-                kind=kind,
-                key=groups.get("joint") or int(groups.get("i", 1)),
-                column=name,
-                unit=in_name or unit,
-            )
-        )
+        for text, own in (split_unit(name), (name, "")):
+            match = expression.fullmatch(text)
+            if match and ("" in (own, unit) or own == unit):
+                role = Role(kind=kind, key=_key(match), column=name, unit=own or unit)
+                found.append(role)
+                break
     return found
 
 
@@ -414,7 +381,7 @@ def _in_places(places, unit, table, kind):
     if match is None:
         return []
     columns = [str(k) for k in range(int(match[1]), int(match[2] or match[1]) + 1)]
-    if not all(x in table.frame for x in columns):
+    if not {*columns} <= {*table.names}:
         return []
     return [
         Role(kind=kind, key=k, column=x, unit=unit)
@@ -425,8 +392,9 @@ def _in_places(places, unit, table, kind):
 @functools.cache
 def _expression(pattern):
     """Turn a pattern into a regular expression; equal marks match equal texts."""
-    text = re.escape(pattern)
-    for mark, name, anything in _MARKS:
+    text = re.escape(pattern).replace(r"\*", ".*").replace(r"\?", ".")
+    for name, anything in _MARKS:
+        mark = re.escape(f"{{{name}}}")
         text = text.replace(mark, f"(?P<{name}>{anything})", 1)
         text = text.replace(mark, f"(?P={name})")
     return re.compile(text, re.ASCII)
@@ -436,8 +404,10 @@ def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     """Lay out the columns by a mapping, and the other kinds as in another layout."""
     roles, missing, owner = [], [], {}
     for key, pattern in mapping.items():
-        kind, joint = split_key(key)
-        matched = matches(pattern, table, kind)
+        ((kind, suffix),) = _KEY.findall(key)
+        joint = suffix.strip("_.[]()")
+        joint = int(joint) if joint.isdecimal() else joint
+        matched = matches(pattern, table, kind.lower())
         missing += [] if matched else [pattern]
         for role in matched:
             other = owner.setdefault(role.column, key)
@@ -452,16 +422,10 @@ def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
             f"{table.path}: has no column {', '.join(missing)}, which columns asks "
             f"for; found {listed(table.names)}"
         )
-    kinds = {role.kind for role in roles}
-    taken = {role.kind for role in plain.roles if role.column in owner}
     # Of a channel some of whose columns are another's nothing is left, of times some.
-    roles += [
-        role
-        for role in plain.roles
-        if role.kind not in kinds
-        and (role.kind not in taken or role.kind == "t")
-        and role.column not in owner
-    ]
+    taken = {role.kind for role in plain.roles if role.column in owner} - {"t"}
+    taken |= {role.kind for role in roles}
+    roles += [x for x in plain.roles if x.kind not in taken and x.column not in owner]
     # What nobody has named is no signal.
     others = frozenset(table.names) if table.nameless else plain.no_signals
     return replace(plain, roles=tuple(roles), no_signals=others, certain=True)
@@ -481,55 +445,39 @@ def _by_preset(table: Table, options, robot, plain):
 def _fitted(table, log, plain, robot, recorded):
     """Lay out columns as in a known log; None if they are not those."""
     patterns = {"q": log.q, "tau": log.tau, "v": log.v, **log.commands}
-    found = {
-        kind: matches(patterns[kind], table, kind)
-        for kind in ("q", "v", *recorded)
-        if patterns.get(kind)
-    }
+    patterns = {kind: patterns.get(kind) for kind in ("q", "v", *recorded)}
+    found = {kind: matches(x, table, kind) for kind, x in patterns.items() if x}
     first = recorded[0]
     if log.motors and robot.names:
         # A message has a place for more motors than most robots have.
         n = len(robot.names)
         found = {kind: [x for x in own if x.key < n] for kind, own in found.items()}
-    keys = {kind: [x.key for x in roles] for kind, roles in found.items()}
-    shared = set(keys["q"]) & set(keys.get(first, ()))
-    if not shared or any(len(set(x)) < len(x) for x in keys.values()):
-        return None
-    if "{joint}" in log.q and robot.names and not shared & set(robot.names):
-        return None
-    times = _times(table, log) or plain.of("t")
-    if not times and not log.commands:
+    keys = {kind: {x.key for x in roles} for kind, roles in found.items()}
+    shared = keys["q"] & keys.get(first, set())
+    others = "{joint}" in log.q and robot.names and not shared & set(robot.names)
+    if not shared or others:
         return None
     names = _joint_names(table, log, robot)
-    from_zero = any(x.key == 0 for roles in found.values() for x in roles)
+    from_zero = any(0 in own for own in keys.values())
     names = dict(enumerate(names, start=0 if from_zero else 1))
     roles = [
         replace(role, key=names.get(role.key, role.key))
         for kind, matched in found.items()
-        if kind in ("q", first) or shared <= {*keys[kind]}
+        if kind in ("q", first) or shared <= keys[kind]
         for role in matched
     ]
     if log.segment in table.frame:
         roles.append(Role(kind="segment", column=log.segment))
-    others = re.compile("|".join(log.no_signals) or "$.")
+    clocks = {role.column: [role] for role in _clocks_of_two(table)}
+    times = [clocks.get(name) or matches(name, table, "t") for name in log.times]
+    times = [replace(x[0], unit=x[0].unit or "s") for x in times if len(x) == 1]
+    no_signals = re.compile("|".join(log.no_signals) or "$.")
     return Layout(
-        roles=(*roles, *times),
-        no_signals=frozenset(filter(others.fullmatch, table.names)),
+        roles=(*roles, *(times or plain.of("t"))),
+        no_signals=frozenset(filter(no_signals.fullmatch, table.names)),
         what=log.what,
         certain=True,
     )
-
-
-def _times(table, log):
-    """Return the columns of time that a known log has here."""
-    found = []
-    for name in log.times:
-        seconds, _, rest = name.partition("+")
-        roles = matches(seconds, table, "t")
-        if len(roles) == 1 and (not rest or rest in table.frame):
-            unit = roles[0].unit or "s"
-            found.append(replace(roles[0], unit=unit, fraction=rest))
-    return tuple(found)
 
 
 def _joint_names(table, log, robot):
@@ -540,17 +488,17 @@ def _joint_names(table, log, robot):
         known = len(motors) == len(robot.names) and all(len(x) == 1 for x in motors)
         return [x for (x,) in motors] if known and not robot.chosen else ()
     columns.sort(key=lambda match: int(match[1] or 0))
-    names = table.frame[[match[0] for match in columns]].astype(str)
-    first = list(names.iloc[0])
-    if (names != first).any(axis=None):
+    names = table.frame[[match[0] for match in columns]].astype(str).drop_duplicates()
+    if len(names) > 1:
         raise ValueError(
             f"{table.path}: the names of the joints change from row to row, so that a "
             "column is not one joint; read the bag itself, or write one column for "
             "each joint."
         )
+    if columns[0][1]:
+        return list(names.iloc[0])
     # A list in one cell is as Python writes it.
-    is_list = not columns[0][1]
-    return re.findall(r"[^\s\[\](),'\"]+", first[0]) if is_list else first
+    return re.findall(r"[^\s\[\](),'\"]+", names.iloc[0, 0])
 
 
 def refuse_two(table, one, other):

@@ -1,5 +1,6 @@
 """Recordings out of files and folders, one by one or joined."""
 
+import itertools
 import re
 import time
 import warnings
@@ -17,12 +18,11 @@ from sklearn_vbjfa.recording._clock import GAP_PERIODS, STEADY
 from sklearn_vbjfa.recording._conversion import is_recording, rows_of
 from sklearn_vbjfa.recording._drives import Drive
 from sklearn_vbjfa.recording._grid import on_grid
-from sklearn_vbjfa.recording._layout import Role, by_names, channel_unit, checked
+from sklearn_vbjfa.recording._layout import ReadOptions, Role, by_names, channel_unit
 from sklearn_vbjfa.recording._recording import Recording
 from sklearn_vbjfa.recording._table import (
     Loss,
     NotATable,
-    RecordingRefused,
     Table,
     channels_in,
     imported,
@@ -50,14 +50,11 @@ def joined(tables, joints, path) -> Table:
     """Put tables of one recording side by side, at the stamps of the positions."""
     # joints: names of the robot's, empty if unknown; path: as messages name the whole.
     parts = [x for x in (_part(table, joints) for table in tables) if x is not None]
-    if any(x.time is not None and x.kind != "t" for x in parts):
-        # The others have stamps.
-        parts = [x for x in parts if x.kind != "t"]
-    files = [x.path.name for x in tables]
     if len(parts) < 2:
         raise ValueError(
-            f"{path}: fewer than two of {listed(files)} can be joined; name them after "
-            "what they hold: positions, velocities, torques, currents or time."
+            f"{path}: fewer than two of {listed([x.path.name for x in tables])} can be "
+            "joined; name them after what they hold: positions, velocities, torques, "
+            "currents or time."
         )
     parts.sort(key=lambda x: (x.time is None, "q" not in by_names(x.table).kinds))
     base, *others = parts
@@ -120,49 +117,40 @@ def _columns_beside(path, columns, part, at, joints):
 
 def _part(table: Table, joints):
     """Return a file, its columns called after the file if they have no other names."""
-    kinds = channels_in(table.path.stem)
+    stem, n = table.path.stem, len(table.names)
+    kinds = channels_in(stem)
     kind = kinds.pop() if len(kinds) == 1 else ""
     if kind in ("command", "other") or (table.nameless and not kind):
         return None
-    plain = by_names(table, joints)
+    plain, names = by_names(table, joints), {}
     time = next(iter(plain.of("t")), None)
+    stamps = () if time is None else time.columns
     if table.nameless:
         # Time may stand before the columns of the joints.
-        n = len(table.names)
-        own = _names(["1"], kind, joints, table.path.stem) if n < len(joints) else {}
-        first = kind == "t" or n == (1 if own else len(joints)) + 1
-        time = Role(kind="t", column="t") if first else None
-        names = {str(k + 1): f"{kind}{k + 1 - first}" for k in range(n)}
-        names |= {str(n): x for x in own.values()}
-        names |= {"1": "t"} if first else {}
-    elif kind in ("", "t") or plain.kinds - {"t", "segment"}:
-        return _Part(table=table, kind="", time=time)
-    else:
-        stamps = () if time is None else time.columns
-        channels = [x for x in table.names if x not in stamps]
-        names = _names(channels, kind, joints, table.path.stem)
-    for old, new in names.items():
-        unit = split_unit(old)[1] or ("A" if is_current(table.path.stem) else "")
-        names[old] = f"{new} [{unit}]" if unit and new != "t" else new
-    frame = table.frame.rename(columns=names)
-    table = replace(table, frame=frame, nameless=False)
+        first = n != len(joints) > 0 and n in (2, len(joints) + 1)
+        if kind == "t" or first:
+            time, names, stamps = Role(kind="t", column="t"), {"1": "t"}, ("1",)
+    channels = [x for x in table.names if x not in stamps]
+    if kind not in ("", "t") and not plain.kinds - {"t", "segment"}:
+        for old, new in _names(channels, kind, joints, stem).items():
+            unit = split_unit(old)[1] or ("A" if is_current(stem) else "")
+            names[old] = f"{new} [{unit}]" if unit else new
+    table = replace(table, frame=table.frame.rename(columns=names), nameless=False)
     return _Part(table=table, kind=kind if names else "", time=time)
 
 
 def _names(columns, kind, joints, stem):
-    """Return names of columns that are called after joints, or are as many; or {}."""
+    """Return the names of columns that are called after joints, or else numbered."""
     # A single one may have its joint, or a number, in the name of the file.
-    texts = [stem] if len(columns) == 1 < len(joints) else columns
+    single = len(columns) == 1 < len(joints)
     number = re.search(r"\d+$", stem)
     # The longest name in a column is that of its joint.
+    texts = [stem] if single else columns
     found = [max((j for j in joints if j in x), key=len, default="") for x in texts]
     if all(found) and len(set(found)) == len(found):
         return {x: f"{kind}_{joint}" for x, joint in zip(columns, found)}
-    if texts != columns and number:
-        return {columns[0]: f"{kind}{int(number[0])}"}
-    if len(columns) == (len(joints) or len(columns)):
-        return {x: f"{kind}{k}" for k, x in enumerate(columns, start=1)}
-    return {}
+    first = int(number[0]) if single and number else 1
+    return {x: f"{kind}{k}" for k, x in enumerate(columns, start=first)}
 
 
 # -- which rows go together ------------------------------------------------------------
@@ -327,8 +315,8 @@ def read_recording(
     ...     read_recording(file, columns="q=angle,tau=torque,t=clock")
     Recording 'hinge': 20 samples, 1 joint, dt = 0.01 s
     """
-    given = columns, preset, dt, joint_names, gains, time_unit, drive
-    options = checked(*given, urdf=urdf, topic=topic)
+    given = columns, preset, dt, joint_names, gains, time_unit, drive, urdf, topic
+    options = ReadOptions(*given)
     paths: list = [path]
     if not isinstance(path, (str, PathLike)):
         paths = list(dict.fromkeys(Path(x) for x in path))
@@ -339,13 +327,7 @@ def read_recording(
         tables = [one for path in paths for one in tables_in(path) or [Path(path)]]
         files = [_joined([_table(one, options) for one in tables], options)]
     else:
-        try:
-            files = _read(paths, options, notes)
-        except RecordingRefused as error:
-            if len(paths) < 2:
-                raise
-            reason = f"{error.reason}; files of one recording need join=True"
-            raise RecordingRefused(reason, error.options) from None
+        files = _read(paths, options, notes)
     several = len(files) > 1 or not (join or isinstance(path, (str, PathLike)))
     recording = _recording(files, several, options.urdf, notes)
     if options.drive is not None:
@@ -392,30 +374,27 @@ def _of_folder(folder, paths, options, notes):
     """Read the tables of a folder: one recording each, or one in all."""
     others = [x.name for x in sorted(folder.iterdir()) if x.is_file()]
     others = [x for x in others if not x.startswith(".") and folder / x not in paths]
-    files, parts, whole = [], [], 0
+    tables = []
     for path in paths:
         try:
-            table = _table(path, options)
-            if not any(kind.kind in "iuf" for kind in table.frame.dtypes):
-                raise NotATable(f"{path}: has no column of numbers.")
+            tables.append(_table(path, options))
+            if not tables[-1].frame.select_dtypes("number").size:
+                raise NotATable(f"{tables.pop().path}: has no column of numbers.")
         except NotATable as error:
             others.append(path.name)
             reason = error
-            continue
-        parts.append(table)
-        whole += is_recording(table, options)
-        if whole > 1:
-            files += [rows_of(one, options) for one in parts]
-            parts = []
-    if not (files or parts):
+    if not tables:
         raise reason
     if others:
         notes.append(f"{folder}: no tables of numbers in {listed(others)}: left out.")
-    if files:
-        notes.append(
-            f"{folder} is taken as a folder of {len(files)} recordings, one a file."
-        )
-    return files or [_joined(parts, options)]
+    whole = (table for table in tables if is_recording(table, options))
+    if len([*itertools.islice(whole, 2)]) < 2:
+        return [_joined(tables, options)]
+    notes.append(
+        f"{folder} is taken as a folder of {len(tables)} recordings, one a file."
+    )
+    # What was read is held no longer than needed.
+    return [rows_of(tables.pop(0), options) for _ in range(len(tables))]
 
 
 def _joined(tables, options):

@@ -136,14 +136,15 @@ def check_size(path, size):
 
 def no_rows(path):
     """Return the refusal of a file without data."""
-    return ValueError(f"{path}: is empty, no rows of data; expected one per sample.")
+    what = "is empty, no rows of data; expected one per sample"
+    return RecordingRefused(f"{path}: {what}")
 
 
 def check_names(path, names, what):
     """Refuse a name that comes twice."""
     ((first, count),) = Counter(names).most_common(1)
     if count > 1:
-        raise ValueError(
+        raise RecordingRefused(
             f"{path}: {what} column {quoted(first)} twice; each column needs its own "
             "name."
         )

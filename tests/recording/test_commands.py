@@ -350,7 +350,7 @@ def test_bad_files_of_commands(tmp_path):
         read(write(tmp_path / "b.csv", own), drive=TEXT)
     own = columns()
     del own["q_desired2"]
-    with pytest.raises(ValueError, match=r"2 column\(s\) q .* 1 column\(s\) q_desired"):
+    with pytest.raises(ValueError, match="column 'q_desired2' is missing"):
         read(write(tmp_path / "c.csv", own), drive=TEXT)
     t, q, aim = motion()
     np.savez(tmp_path / "e.npz", t=t, q=q, q_desired=aim, kp=np.ones(3), kd=1.0)

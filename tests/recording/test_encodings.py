@@ -52,10 +52,10 @@ def test_excel_in_german(separator, encoding, note, told, tmp_path):
     ("content", "message"),
     [
         # No character of the code page.
-        (b"t,q1\x81\n", "is not UTF-8 (invalid start byte)"),
+        (b"t,q1\x81\n", "can't decode byte 0x81"),
         # Damage to a file in UTF-8, not at the beginning.
-        (b"t,q1\n" + 9 * b"0.1,0.2\n" + b"\x00\xff\n", "is not UTF-8"),
-        ("t,q1\n".encode("utf-16")[:-1], "is not UTF-16 (truncated data"),
+        (b"t,q1\n" + 9 * b"0.1,0.2\n" + b"\x00\xff\n", "is binary"),
+        ("t,q1\n".encode("utf-16")[:-1], "truncated data"),
     ],
 )
 def test_what_is_no_text_is_refused(content, message, tmp_path):

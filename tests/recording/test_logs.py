@@ -167,7 +167,6 @@ def test_a_mapping_by_joints_in_any_order(tmp_path):
         ("q=,t=t", "columns has 'q='"),
         ("q=angle{i}", r"no column angle\{i\}, which columns asks for; found t, q1"),
         ("q1=q1,q2=q1", "columns names 'q1' twice, for q1 and q2"),
-        ({}, "columns has 'nothing'"),
     ],
 )
 def test_mappings_that_cannot_be(tmp_path, mapping, message):

@@ -43,8 +43,7 @@ def read_table(path, options) -> Table:
     """Read a file's columns, at least one and one row."""
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input.
     path = expanded(path)
-    # A name with .gz alone is one of packed text.
-    ending = _ending(path) or (".csv" if path.suffix else "")
+    ending = _ending(path)
     files = bag_files(path) if path.is_dir() else [path] * (ending in BAGS)
     if str(path) == "-":
         stream = getattr(sys.stdin, "buffer", sys.stdin)
@@ -81,8 +80,9 @@ def read_table(path, options) -> Table:
 
 def _ending(path):
     """Return the ending of a file in small letters, that of packed text without .gz."""
-    endings = ["", *(x.lower() for x in path.suffixes[-2:])]
-    return endings[-2 if endings[-1] in _PACKED_ENDINGS else -1]
+    if path.suffix.lower() in _PACKED_ENDINGS:
+        return path.with_suffix("").suffix.lower() or ".csv"
+    return path.suffix.lower()
 
 
 def _read_stream(path, ending, stream):
@@ -90,11 +90,8 @@ def _read_stream(path, ending, stream):
     content = _content(path, stream)
     module = next((x for mark, x in _PACKED.items() if content.startswith(mark)), None)
     if module is not None:
-        with (
-            parsing(path, f"{module.__name__} file", "pack it again."),
-            module.open(io.BytesIO(content), "rb") as unpacked,
-        ):
-            content = _content(path, unpacked)
+        with parsing(path, f"{module.__name__} file", "pack it again."):
+            content = _content(path, module.open(io.BytesIO(content), "rb"))
     return _OF_BYTES[ending](path, content)
 
 
@@ -130,16 +127,15 @@ def recordings_in(path):
     path = expanded(path)
     if any((path / mark).is_file() for mark in _MARKS):
         return [path]
-    folders = [x for x in path.iterdir() if x.is_dir() and _is_one(x)]
-    return sorted([*_tables(path), *folders])
+    return sorted([*_tables(path), *(x for x in path.iterdir() if _is_one(x))])
 
 
 def _is_one(path):
     marks = (*_MARKS, *(f"*{ending}*" for ending in BAGS))
-    return any(next(path.glob(mark), None) for mark in marks)
+    return path.is_dir() and any(next(path.glob(mark), None) for mark in marks)
 
 
 def _tables(path):
     known = {*_OF_BYTES, *_OF_FILES, *BAGS}
-    files = [x for x in sorted(path.iterdir()) if not x.name.startswith(".")]
-    return [x for x in files if _ending(x) in known and x.is_file()]
+    files = [x for x in path.iterdir() if x.is_file() and not x.name.startswith(".")]
+    return sorted(x for x in files if _ending(x) in known)

@@ -43,7 +43,7 @@ def table_of(path, columns, **known) -> Table:
     return Table(path=path, frame=frame, **known)
 
 
-def _flattened(values, keep=lambda value: True, depth=0):
+def _flattened(values, depth=0):
     """Return the content of nested structures, names with points."""
     found = {}
     for name, value in values.items():
@@ -53,10 +53,10 @@ def _flattened(values, keep=lambda value: True, depth=0):
         elif _is_list_of(dict, value):
             # Messages have a list of structures, one for each motor.
             inside = {f"{name}[{k}]": one for k, one in enumerate(value)}
-        if inside is not None and depth < _DEEPEST:
-            found |= _flattened(inside, keep, depth + 1)
-        elif keep(value):
+        if inside is None or depth == _DEEPEST:
             found[name] = value
+        else:
+            found |= _flattened(inside, depth + 1)
     return found
 
 
@@ -84,18 +84,21 @@ def _table_of_arrays(path, arrays) -> Table:
     """Make columns of arrays or lists; a matrix such as q becomes q1, q2, ..."""
     arrays = {name: _array(path, name, x) for name, x in arrays.items()}
     # Messages have empty lists for what is not measured.
-    arrays = _upright({name: x for name, x in arrays.items() if x.size})
+    arrays = {name: x for name, x in arrays.items() if x.size}
     n_rows = _number_of_rows(path, arrays)
-    rows = {
-        name: x for name, x in arrays.items() if x.ndim in (1, 2) and len(x) == n_rows
-    }
-    scalars = {name: x for name, x in arrays.items() if name not in rows}
-    for name, x in scalars.items():
-        if x.ndim in (1, 2) and _CHANNEL.fullmatch(name):
-            raise ValueError(
+    rows, scalars = {}, {}
+    for name, x in arrays.items():
+        # Matrices may have one column per sample.
+        x = x.T if x.ndim == 2 and x.shape[1] == n_rows != len(x) else x
+        if x.ndim in (1, 2) and len(x) == n_rows:
+            rows[name] = x
+        elif x.ndim in (1, 2) and _CHANNEL.fullmatch(name):
+            raise RecordingRefused(
                 f"{path}: array {name!r} has {len(x)} rows, others have {n_rows}; all "
                 "channels need one row per sample."
             )
+        else:
+            scalars[name] = x
     (name, only), *others = rows.items()
     if not (others or only.ndim == 1 or only.shape[1] == 1 or _CHANNEL.fullmatch(name)):
         return table_of(path, only, scalars=scalars)
@@ -108,25 +111,15 @@ def _table_of_arrays(path, arrays) -> Table:
     return table_of(path, dict(columns), scalars=scalars)
 
 
-def _upright(arrays):
-    """Turn matrices that have one column per sample."""
-    # Texts are names of columns, and as many as these.
-    numbers = [x for x in arrays.values() if x.ndim and x.dtype.kind not in "US"]
-    lengths = [max(x.shape) for x in numbers if x.size > 1]
-    n_rows = max(set(lengths), key=lengths.count, default=0)
-    return {
-        name: x.T if x.ndim == 2 and x.shape[1] == n_rows != x.shape[0] else x
-        for name, x in arrays.items()
-    }
-
-
 def _number_of_rows(path, arrays):
     """Return the length of most of the channels, or of all arrays without any."""
-    sized = {name: x for name, x in arrays.items() if x.ndim in (1, 2) and len(x) > 1}
+    # Texts are names of columns, and as many as these.
+    sized = {name: x for name, x in arrays.items() if x.size > 1 and x.ndim in (1, 2)}
+    sized = {name: x for name, x in sized.items() if x.dtype.kind not in "US"}
     named = [x for name, x in sized.items() if _CHANNEL.fullmatch(name)]
     for chosen in (named, [x for x in sized.values() if len(sized) > 1 or x.ndim > 1]):
         if chosen:
-            return Counter(map(len, chosen)).most_common(1)[0][0]
+            return Counter(max(x.shape) for x in chosen).most_common(1)[0][0]
     raise NotATable(
         f"{path}: holds {listed(arrays) or 'nothing'}; expected arrays q and tau of "
         "shape (n_samples, n_joints), or columns q1, ..., tau1, ..."
@@ -144,7 +137,7 @@ def _array(path, name, values):
     try:
         return np.array(values, dtype=str if isinstance(first, str) else float)
     except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(
+        raise RecordingRefused(
             f"{path}: {quoted(name)} holds {quoted(first)} and others that are not "
             "numbers, or lists of other lengths; write one number, or equally long "
             "lists of them, for each sample."
@@ -186,8 +179,8 @@ def read_mat(path) -> Table:
         found = loadmat(path, simplify_cells=True)
     # Tables and time series have no name here, functions no numbers.
     found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
-    usable = _flattened(found, lambda x: np.asarray(x).dtype.kind in "biufU")
-    arrays = {name: np.asarray(x) for name, x in usable.items()}
+    arrays = {name: np.asarray(x) for name, x in _flattened(found).items()}
+    arrays = {name: x for name, x in arrays.items() if x.dtype.kind in "biufU"}
     if not arrays:
         raise NotATable(
             f"{path}: holds no arrays; in MATLAB write those of tables and time "
@@ -202,34 +195,31 @@ def read_mat(path) -> Table:
 def read_json(path, content) -> Table:
     """Read a list of records or rows, one a line or not, or arrays by their names."""
     with parsing(path, "JSON file", "write it again."):
-        found, notes = _parsed(content.decode("utf-8-sig"))
-    rows = found if isinstance(found, list) and found else [found]
+        found, is_cut = _parsed(content.decode("utf-8-sig"))
+    found = found[0] if len(found) == 1 else found
     if isinstance(found, dict):
         table = _table_of_object(path, found)
-    elif _is_list_of(dict, rows):
-        table = _table_of_records(path, rows)
+    elif _is_list_of(dict, found):
+        table = _table_of_records(path, found)
     else:
-        table = table_of(path, _array(path, "the list", rows))
-    return replace(table, notes=(*table.notes, *notes))
+        table = table_of(path, np.atleast_1d(_array(path, "the list", found)))
+    return replace(table, notes=(*table.notes, *[CUT] * is_cut))
 
 
 def _parsed(text):
-    """Return the content of a text, all of it or a list of its lines, and notes."""
-    try:
-        return json.loads(text), ()
-    except json.JSONDecodeError as error:
-        lines = text.strip().split("\n")
-        if error.msg != "Extra data" or len(lines) < 2:
-            raise
-    found = []
-    for k, line in enumerate(lines):
+    """Return the values that follow one another, and whether the last is cut."""
+    found, decode, blank = [], json.JSONDecoder().raw_decode, re.compile(r"\s*")
+    at = blank.match(text).end()
+    while at < len(text):
         try:
-            found += [json.loads(line)] if line.strip() else []
-        except json.JSONDecodeError as error:
-            if k == len(lines) - 1 and not text.endswith("\n"):
-                return found, (CUT,)
-            raise ValueError(f"{error.msg} in line {k + 1}") from error
-    return found, ()
+            value, end = decode(text, at)
+        except json.JSONDecodeError:
+            if len(found) < 2 or "\n" in text[at:]:
+                raise
+            return found, True
+        found.append(value)
+        at = blank.match(text, end).end()
+    return found, False
 
 
 def _table_of_object(path, found):
@@ -281,14 +271,13 @@ def read_parquet(path) -> Table:
     for name, values in arrays.items():
         lists = values.dtype.kind == "O" and values.size and values[0] is not None
         if lists and {np.shape(x) for x in values} == {(np.size(values[0]),)}:
-            matrix = np.stack(list(values))
-            motors = features.get(name, {}).get("names")
+            matrix = np.stack(list(values)).T
+            motors = features.get(name, {}).get("names") or ()
             if isinstance(motors, dict):
                 (motors,) = motors.values()
-            if motors is None or len(motors) != matrix.shape[1]:
-                motors = range(matrix.shape[1])
             motors = [str(motor).removesuffix(".pos") for motor in motors]
-            found |= {f"{name}.{motor}": x for motor, x in zip(motors, matrix.T)}
+            motors = motors if len(motors) == len(matrix) else range(len(matrix))
+            found |= {f"{name}.{motor}": x for motor, x in zip(motors, matrix)}
         else:
             found[name] = values
     return table_of(path, found)
@@ -327,20 +316,40 @@ def read_bag(files, shown, topic, joints) -> Table:
         AnyReader(files, default_typestore=store) as bag,
     ):
         connections = _connections(bag, shown, topic)
-        names, values, times = _messages(bag, shown, connections)
-    return _joint_states(shown, connections[0].topic, names, values, times, joints)
+        names, values, times = _messages(bag, connections)
+        return _joint_states(shown, connections[0].topic, names, values, times, joints)
 
 
-def _messages(bag, shown, connections):
+def _connections(bag, shown, topic):
+    """Return the connections of the topic that was asked for, or of the only one."""
+    states = [x for x in bag.connections if x.msgtype == _TYPE and x.msgcount]
+    topics = sorted({x.topic for x in states})
+    known = ", ".join(sorted({f"{x.topic} ({x.msgtype})" for x in bag.connections}))
+    if not topics:
+        raise RecordingRefused(
+            f"{shown}: holds no joint states: expected a topic of {_TYPE} with "
+            f"positions and efforts, it holds {known or 'no topics'}."
+        )
+    chosen = [x for x in topics if topic in (None, x, x.removeprefix("/"))]
+    if len(chosen) != 1:
+        near = difflib.get_close_matches(topic or "/joint_states", topics, 1)
+        raise RecordingRefused(
+            f"{shown}: give --topic (in Python: topic=...), one of {listed(topics)}; "
+            f"it holds {known}.",
+            {"topic": near[0]} if near else {},
+        )
+    return [x for x in states if x.topic == chosen[0]]
+
+
+def _messages(bag, connections):
     """Return joints, q, v and tau (3, n_messages, n_joints), and times (2, n) [ns]."""
     # What a message lacks is nan; times are those of the header and of the recorder.
     rows, times = [], []
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
         # Without names the numbers of the joints must do.
-        numbers = (str(k + 1) for k in range(len(message.position)))
-        names = tuple(message.name) or tuple(numbers)
-        rows.append((names, message.position, message.velocity, message.effort))
+        names = message.name or map(str, range(1, len(message.position) + 1))
+        rows.append((tuple(names), message.position, message.velocity, message.effort))
         stamp = message.header.stamp
         times.append((stamp.sec * 10**9 + stamp.nanosec, received))
     kinds = dict.fromkeys(names for names, *_ in rows)
@@ -372,6 +381,7 @@ def _joint_states(shown, topic, names, values, times, wanted):
     )
     rows = known[:, best].all(axis=1)
     joints, others = names[best].tolist(), sorted(names[~best])
+    q, v, tau, t = q[:, best], v[:, best], tau[:, best], times[0, rows]
     notes = [
         f"read from {topic}: position [rad or m] as q and effort [N m or N] as tau of "
         f"{', '.join(joints)}."
@@ -383,15 +393,12 @@ def _joint_states(shown, topic, names, values, times, wanted):
         )
         notes.append(Loss(note) if {*others} & {*wanted} else note)
     if not rows.all():
-        # Messages of other joints are no loss.
-        lost = np.isfinite(q[:, best]).any(axis=1).sum() > rows.sum()
         note = (
             f"{(~rows).sum()} of {rows.size} messages of {topic} lack some of the "
             "joints taken, or numbers of theirs, and are left out."
         )
-        notes.append(Loss(note) if lost else note)
-    # Times are those of the headers, unless these stand still.
-    t = times[0, rows]
+        # Messages of other joints are no loss.
+        notes.append(Loss(note) if np.isfinite(q[~rows]).any() else note)
     if np.ptp(t) == 0:
         notes.append(
             "the stamps in the headers stand still; times are those of the recorder."
@@ -400,10 +407,9 @@ def _joint_states(shown, topic, names, values, times, wanted):
     numbered = all(name.isdecimal() for name in joints)
     columns = {"t": (t - t[0]) / 1e9}
     for kind, x in (("q", q), ("tau", tau), ("v", v)):
-        of_kind = x[rows][:, best]
-        if np.isfinite(of_kind).all():
+        if np.isfinite(x[rows]).all():
             heads = [f"{kind}{'' if numbered else '_'}{name}" for name in joints]
-            columns |= dict(zip(heads, of_kind.T))
+            columns |= dict(zip(heads, x[rows].T))
     return Table(
         path=shown,
         frame=imported(shown, "pandas").DataFrame(columns, 1 + np.flatnonzero(rows)),
@@ -411,24 +417,3 @@ def _joint_states(shown, topic, names, values, times, wanted):
         joints=() if numbered else tuple(joints),
         notes=tuple(notes),
     )
-
-
-def _connections(bag, shown, topic):
-    """Return the connections of the topic that was asked for, or of the only one."""
-    states = [x for x in bag.connections if x.msgtype == _TYPE and x.msgcount]
-    topics = sorted({x.topic for x in states})
-    known = ", ".join(sorted({f"{x.topic} ({x.msgtype})" for x in bag.connections}))
-    if not topics:
-        raise RecordingRefused(
-            f"{shown}: holds no joint states: expected a topic of {_TYPE} with "
-            f"positions and efforts, it holds {known or 'no topics'}."
-        )
-    chosen = [x for x in topics if topic in (None, x, x.removeprefix("/"))]
-    if len(chosen) != 1:
-        near = difflib.get_close_matches(topic or "/joint_states", topics, 1)
-        raise RecordingRefused(
-            f"{shown}: give --topic (in Python: topic=...), one of {listed(topics)}; "
-            f"it holds {known}.",
-            {"topic": near[0]} if near else {},
-        )
-    return [x for x in states if x.topic == chosen[0]]

@@ -11,6 +11,7 @@ import numpy as np
 from sklearn_vbjfa.recording._table import (
     EXPECTED,
     NotATable,
+    RecordingRefused,
     Table,
     check_names,
     imported,
@@ -40,66 +41,54 @@ _NO_BRACKETS = bytes.maketrans(b"()[]", b"    ")
 _EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
 # A row of numbers some of which stand in brackets, as YARP prints its ports.
 _BRACKETED = re.compile(r"[-+\d.eE\s,;]*[(\[][-+\d.eE\s,;()\[\]]*")
-# The bytes of code page 1252, in which Excel saves in Western Europe, that are no
-# control characters.
-_WINDOWS = bytes({*b"\t\n\r\f", *range(32, 256)} - {*b"\x7f\x81\x8d\x8f\x90\x9d"})
 
 
 def read_text(path, content) -> Table:
     """Read text with a header line; blank lines and comments (#) are skipped."""
-    content, notes = _decoded(path, content)
-    filled = [line for line in map(_without_comment, _first_lines(content)) if line]
-    if not filled:
-        raise no_rows(path)
-    if _BRACKETED.fullmatch(filled[0]):
-        content = content.translate(_NO_BRACKETS)
-    try:
-        return _read_lines(path, content, notes)
-    except csv.Error as error:
-        raise ValueError(
-            f"{path}: is not a table of numbers ({error}); save it as CSV in UTF-8."
-        ) from error
-    except ValueError as error:
-        # An empty log is one, and broken.
-        rows = (re.split(r"[;,|\s]+", line) for line in filled)
-        if len(filled) < 2 or any(map(_is_data, rows)):
-            raise
-        raise NotATable(str(error)) from error
+    with parsing(path, "table of numbers", "save it as CSV in UTF-8."):
+        content, notes = _decoded(path, content)
+        filled = [line for line in map(_without_comment, _first_lines(content)) if line]
+        if not filled:
+            raise no_rows(path)
+        if _BRACKETED.fullmatch(filled[0]):
+            content = content.translate(_NO_BRACKETS)
+        try:
+            return _read_lines(path, content, notes)
+        except RecordingRefused as error:
+            # An empty log is one, and broken.
+            rows = (re.split(r"[;,|\s]+", line) for line in filled)
+            if len(filled) < 2 or any(map(_is_data, rows)):
+                raise
+            raise NotATable(error.reason) from error
 
 
 def _decoded(path, content):
     """Return text in UTF-8, lines ended as on Unix, and notes."""
     # A mark at the beginning settles the encoding. Text without one is UTF-8, or a CSV
     # file that Excel saved in Western Europe, code page 1252.
-    encoding, notes = "utf-8", ()
+    notes = ()
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        encoding = "utf-16"
+        content = content.decode("utf-16").encode()
     try:
-        text = content.decode(encoding)
-    except UnicodeDecodeError as error:
-        if encoding != "utf-8" or content.translate(None, _WINDOWS):
-            raise ValueError(
-                f"{path}: is not {encoding.upper()} ({error.reason}); save it as CSV "
-                "in UTF-8."
-            ) from error
-        text = content.decode("cp1252")
+        content.decode()
+    except UnicodeDecodeError:
+        content = content.decode("cp1252").encode()
         notes = ("is not UTF-8, read as Windows text (cp1252), as Excel saves CSV.",)
-    if "\0" in text:
-        raise ValueError(f"{path}: is binary, not text; save it as CSV in UTF-8.")
-    if encoding == "utf-16" or notes or ("\r" in text and "\n" not in text):
-        content = text.replace("\r\n", "\n").replace("\r", "\n").encode()
+    if b"\0" in content:
+        raise RecordingRefused(f"{path}: is binary, not text; save it as CSV in UTF-8.")
+    content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     return content.removeprefix(b"\xef\xbb\xbf"), notes
 
 
 def _first_lines(content):
     """Return the lines that may come before the data, without their ends."""
     lines = itertools.islice(io.BytesIO(content), _PREAMBLE)
-    return [line.decode().rstrip("\r\n") for line in lines]
+    return [line.decode().rstrip("\n") for line in lines]
 
 
 def _without_comment(line):
     """Return a line without its comment, "" for one that tells Excel the separator."""
-    line = line.split("#", 1)[0].strip(" \r\n")
+    line = line.split("#", 1)[0].strip(" \n")
     return "" if not line.strip() or _EXCEL_SEPARATOR.fullmatch(line) else line
 
 
@@ -109,21 +98,18 @@ def _read_lines(path, content, notes=()):
     names, start, separator, more = _head(path, lines)
     numbers, is_cut = _checked_rows(path, content, names, start, separator)
     if not numbers:
-        raise ValueError(f"{path}: only a header and no rows of data.")
-    with parsing(path, "table of numbers", "save it as CSV in UTF-8."):
-        frame = imported(path, "pandas").read_csv(
-            io.BytesIO(content),
-            sep=separator or r"\s+",
-            header=None,
-            names=names,
-            index_col=False,
-            skiprows=start,
-            nrows=len(numbers),
-            comment="#",
-            keep_default_na=False,
-            na_values=[y for x in _NOTHING for y in (x, x.upper(), x.capitalize())],
-            decimal="," if separator != "," and "," in lines[start] else ".",
-        )
+        raise RecordingRefused(f"{path}: only a header and no rows of data.")
+    frame = imported(path, "pandas").read_csv(
+        io.BytesIO(content),
+        sep=separator or r"\s+",
+        header=None,
+        names=names,
+        index_col=False,
+        skiprows=start,
+        nrows=len(numbers),
+        comment="#",
+        decimal="," if separator != "," and "," in lines[start] else ".",
+    )
     frame.index = numbers
     table = Table(
         path=path,
@@ -144,55 +130,38 @@ def _head(path, lines):
     # Names are places, from "1" on, if there are none. The separator None is white
     # space.
     content = [(k, x) for k, x in enumerate(map(_without_comment, lines)) if x]
-    first, line = content[0]
-    echo = _echo_names(line)
-    if echo:
-        return echo, first, ",", ()
-    rows = [_without_blank_ends(_cells(x)) for _, x in content]
+    rows = [_cells(x) for _, x in content]
     # Without a row of numbers, as with one column of text, the names come first.
     data = next((k for k, row in enumerate(rows) if _is_data(row)), 1)
-    if data == 0:
-        return _head_of_numbers(path, lines, first, line)
-    at, names = data - 1, rows[data - 1]
-    if at and len(rows[at - 1]) == len(names) and _are_units(names):
-        at, names = at - 1, list(map(_with_unit, rows[at - 1], names))
-    header, found = content[at]
-    _check_header(path, names, header + 1)
-    notes = (f"the names of the columns are in line {header + 1}.",) if at else ()
     # Of a file with a header alone the data begin after it.
     start = content[data][0] if data < len(content) else len(lines)
-    return names, start, _separator_of(found), notes
-
-
-def _head_of_numbers(path, lines, first, line):
-    """Return the head of a text whose first row, without comments, has numbers."""
-    separator = _separator_of(line)
-    cells = _without_blank_ends(_cells(line, separator))
-    places = [str(k + 1) for k in range(len(cells))]
-    if cells == [str(k) for k in range(len(cells))] and len(cells) > 2:
-        # Data frames without names have a header that counts them.
-        return places, first + 1, separator, ()
-    # The header may be the last comment before the numbers.
-    header = max((k for k in range(first) if lines[k].strip()), default=0)
-    found = lines[header].strip().lstrip("#").split("#")[0].strip() if first else ""
-    names = _without_blank_ends(_cells(found))
-    if len(names) != len(places) or any(map(_is_number, names)):
-        return places, first, separator, ()
+    at, notes = max(data - 1, 0), ()
+    (header, line), names = content[at], rows[at]
+    if not data:
+        # The names may be in the last comment before the numbers.
+        header = max((k for k in range(start) if lines[k].strip()), default=0)
+        names = _echo_names(names) or _cells(lines[header].lstrip("# "))
+        if len(names) != len(rows[0]) or any(map(_is_number, names)):
+            names = [str(k + 1) for k in range(len(rows[0]))]
+            # Data frames without names have a header that counts them.
+            start += rows[0] == [str(k) for k in range(max(len(names), 3))]
+    elif at and (with_units := _with_units(rows[at - 1], names)):
+        at, names = at - 1, with_units
+        header, line = content[at]
+    if at:
+        notes = (f"the names of the columns are in line {header + 1}.",)
     _check_header(path, names, header + 1)
-    return names, first, _separator_of(found), ()
+    return names, start, _separator_of(line), notes
 
 
-def _echo_names(line):
+def _echo_names(cells):
     """Return names for the cells of a JointState by ``ros2 topic echo --csv``."""
     # It writes the values of a message one after another and no header (message_to_csv
     # in rosidl_runtime_py/convert.py of github.com/ros2/rosidl_runtime_py): the stamp,
-    # the frame, names, positions, velocities and efforts. [] if the line is not one.
-    cells = _cells(line, ",")
-    n, rest = divmod(len(cells) - 3, 4)
-    if n < 1 or rest or not all(re.fullmatch(r"\d+", x) for x in cells[:2]):
-        return []
-    numbers = [_is_number(x) for x in cells[3:]]
-    if any(numbers[:n]) or not all(numbers[n:]):
+    # the frame, names, positions, velocities and efforts. [] if the cells are others.
+    n = (len(cells) - 3) // 4
+    numbers = [_is_number(cell) for cell in [*cells[:2], *cells[3:]]]
+    if n < 1 or numbers != 2 * [True] + n * [False] + 3 * n * [True]:
         return []
     names = ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id"]
     for what in ("name", "position", "velocity", "effort"):
@@ -205,15 +174,22 @@ def _separator_of(line):
     return next((mark for mark in (";", "\t", ",", "|") if mark in line), None)
 
 
-def _cells(line, *separator):
+def _split(line, separator):
     """Return the cells of a line without a comment; in quotes a separator is none."""
-    (separator,) = separator or [_separator_of(line)]
-    line = line.split("#")[0].strip(" \r\n")
+    line = line.split("#")[0].strip(" \n")
     if separator is None:
         cells = line.split()
     else:
         cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
     return [cell.strip("\"' ") for cell in cells]
+
+
+def _cells(line):
+    """Return the cells of a line, without empty ones at its end."""
+    cells = _split(line, _separator_of(line)) if line else []
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
 
 
 def _is_number(cell: str) -> bool:
@@ -227,28 +203,22 @@ def _is_data(cells):
     return 2 * sum(numbers) > len(cells)
 
 
-def _are_units(cells):
-    """Return whether most cells are units."""
-    units = [any(unit_of(x, cell.strip("[]()")) for x in EXPECTED) for cell in cells]
-    return 2 * sum(units) > len(cells)
-
-
-def _with_unit(name, unit):
-    """Return a name with the unit below it, unless it has one."""
-    unit = unit.strip("[]()- ")
-    return f"{name} [{unit}]" if name and unit and not split_unit(name)[1] else name
-
-
-def _without_blank_ends(cells):
-    """Return cells without empty ones at the end."""
-    return cells[: max((k + 1 for k, cell in enumerate(cells) if cell), default=0)]
+def _with_units(names, cells):
+    """Return names with the units below them, [] if the cells below are others."""
+    cells = [cell.strip("[]()- ") for cell in cells]
+    units = [any(unit_of(kind, cell) for kind in EXPECTED) for cell in cells]
+    if len(names) != len(cells) or 2 * sum(units) <= len(cells):
+        return []
+    bare = [name and not split_unit(name)[1] for name in names]
+    rows = zip(names, cells, bare)
+    return [f"{name} [{unit}]" if own and unit else name for name, unit, own in rows]
 
 
 def _check_header(path, names, line):
     """Refuse names that are missing or come twice; the first may be an index."""
     for k, name in enumerate(names):
         if not name and (k > 0 or len(names) == 1):
-            raise ValueError(
+            raise RecordingRefused(
                 f"{path}: column {k + 1} has no name in line {line}; name it (t, q1, "
                 "tau1, ...) or remove it."
             )
@@ -261,25 +231,21 @@ def _check_header(path, names, line):
 def _checked_rows(path, content, names, start, separator):
     """Return the numbers of the lines with rows, and whether a cut one was left out."""
     # Refuses a row that has not as many cells as there are names.
-    width, numbers = len(names), []
+    numbers, quotes = [], b'"' in content
     mark = None if separator is None else separator.encode()
-    comments, quotes = b"#" in content, b'"' in content or width == 1
-    ended = content.endswith(b"\n")
-    last = content.count(b"\n") + (not ended)
+    last = content.count(b"\n") + (not content.endswith(b"\n"))
     for number, line in enumerate(io.BytesIO(content), start=1):
-        if number <= start:
+        row = line.partition(b"#")[0]
+        if number <= start or not row.strip():
             continue
-        if comments:
-            line = line.partition(b"#")[0]
-        if not line or line.isspace():
-            continue
-        cells, wrong = line.count(mark) + 1 if mark else len(line.split()), ""
-        if cells != width or quotes:
-            wrong = _wrong(line.decode(), names, separator)
-        if number == last and len(numbers) >= _FEWEST and (wrong or not ended):
+        cells, wrong = row.count(mark) + 1 if mark else len(row.split()), ""
+        if cells != len(names) or quotes:
+            wrong = _wrong(row.decode(), names, separator)
+        is_cut = wrong or not line.endswith(b"\n")
+        if number == last and len(numbers) >= _FEWEST and is_cut:
             return numbers, True
         if wrong:
-            raise ValueError(f"{path}: line {number} {wrong}.")
+            raise RecordingRefused(f"{path}: line {number} {wrong}.")
         numbers.append(number)
     return numbers, False
 
@@ -288,10 +254,8 @@ def _wrong(line, names, separator):
     """Say why a row has not one cell for each name, "" if it has."""
     if line.count('"') % 2:
         return "has a quotation mark without a second one; correct or remove that line"
-    cells = _cells(line, separator)
-    while len(cells) > len(names) and not cells[-1]:
-        cells.pop()
-    if len(cells) == len(names):
+    cells = _split(line, separator)
+    if len(cells) >= len(names) and not any(cells[len(names) :]):
         return ""
     remedy = "correct or remove that line"
     if separator == "," and len(cells) > len(names):
@@ -330,26 +294,24 @@ def _column(table, name, comma):
     if values.dtype.kind in "iuf":
         return values.to_numpy(dtype=float)
     text = values.astype(str).str.strip("\"' ")
-    blank = (values.isna() | text.str.lower().isin(_NOTHING)).to_numpy()
-    if blank.all():
-        return np.full(len(values), np.nan)
-    numbers = text
+    filled = values.notna() & ~text.str.lower().isin(_NOTHING)
+    plain = text.where(filled)
     if comma:
         points = text.str.contains(".", regex=False)
-        numbers = text.where(points, text.str.replace(",", ".", n=1, regex=False))
-    if not _is_number(numbers.iloc[int(np.argmin(blank))]):
-        return text.mask(blank, "").to_numpy(dtype=object)
-    wrong = np.flatnonzero(~numbers.str.fullmatch(_NUMBER).to_numpy(bool) & ~blank)
-    if wrong.size:
-        cell = text.iloc[wrong[0]]
-        remedy = "correct or remove that line"
-        if _is_number(cell.replace(",", "")):
-            remedy = "write numbers without separators of thousands"
-        raise ValueError(
-            f"{table.path}: {quoted(cell)} in {table.where(wrong[0])}, column "
-            f"{quoted(name)} is not a number; {remedy}."
-        )
-    return numbers.mask(blank, "nan").to_numpy(dtype=object).astype(float)
+        plain = plain.where(points, plain.str.replace(",", ".", n=1, regex=False))
+    numbers = imported(table.path, "pandas").to_numeric(plain, errors="coerce")
+    wrong = np.flatnonzero(filled & numbers.isna())
+    if not wrong.size:
+        return numbers.to_numpy(dtype=float)
+    if wrong[0] == np.argmax(filled):
+        return text.where(filled, "").to_numpy(dtype=object)
+    cell, remedy = text.iloc[wrong[0]], "correct or remove that line"
+    if _is_number(cell.replace(",", "")):
+        remedy = "write numbers without separators of thousands"
+    raise RecordingRefused(
+        f"{table.path}: {quoted(cell)} in {table.where(wrong[0])}, column "
+        f"{quoted(name)} is not a number; {remedy}."
+    )
 
 
 def _spread(table, name, values):
@@ -363,7 +325,7 @@ def _spread(table, name, values):
     try:
         matrix = np.array(rows, dtype=float)
     except ValueError as error:
-        raise ValueError(
+        raise RecordingRefused(
             f"{table.path}: the cells of column {quoted(name)} are not lists of as "
             "many numbers; correct or remove those rows."
         ) from error
@@ -387,20 +349,20 @@ def read_sheet(path) -> Table:
             keep_default_na=False,
             na_values=[],
         )
-    texts = [(name, lines) for name, x in sheets.items() if (lines := _lines_of(x))]
-    if not texts:
-        raise no_rows(path)
-    # The first with numbers.
-    texts.sort(key=lambda x: not any(_is_data(line.split("\t")) for line in x[1]))
-    name, lines = texts[0]
-    table = _read_lines(path, "\n".join([*lines, ""]).encode())
+        texts = {name: _lines_of(cells) for name, cells in sheets.items()}
+        filled = [name for name, lines in texts.items() if any(lines)]
+        if not filled:
+            raise no_rows(path)
+        of_numbers = [x for x in filled if any(_is_data(_cells(y)) for y in texts[x])]
+        name = [*of_numbers, *filled][0]
+        table = _read_lines(path, "\n".join([*texts[name], ""]).encode())
     place = "line {} of sheet " + repr(name).replace("{", "{{").replace("}", "}}")
     return replace(table, place=place)
 
 
-def _lines_of(frame):
+def _lines_of(sheet):
     """Return the rows of a sheet as lines with tabs, without columns that are empty."""
-    cells = frame.astype(str).replace(r'[\s"#;]+', " ", regex=True)
+    cells = sheet.astype(str).replace(r'[\s"#;]+', " ", regex=True)
     cells = cells.loc[:, (cells != "").any()]
-    lines = ["\t".join(row) for row in cells.itertuples(index=False)]
-    return [x if x.strip() else "" for x in lines] if any(map(str.strip, lines)) else []
+    lines = ("\t".join(row) for row in cells.itertuples(index=False))
+    return [line if line.strip() else "" for line in lines]

@@ -23,14 +23,14 @@ def correct(arguments, folder):
     loaded = _input.load(arguments, folder)
     with _input.blaming(loaded.source, loaded.gains):
         found = correct_gravity(loaded.recording, str(loaded.urdf))
+    robot, enough = found.identifier, found.poses_enough
     words = ["design", "--urdf", arguments.urdf, "--report", str(out)]
     words += ["--for", "gravity"]
-    if found.poses_enough is not None:
-        words += ["--poses", str(max(found.poses_enough, 1))]
+    words += [] if enough is None else ["--poses", str(max(enough, 1))]
     friction = np.where(found.friction_known, "known", "assumed (one direction)")
     joints = pd.DataFrame(
         {
-            "joint": found.identifier.joint_names_,
+            "joint": robot.joint_names_,
             "gravity described": found.gravity_before,
             "gravity corrected": found.gravity,
             "interval": found.interval,
@@ -44,34 +44,31 @@ def correct(arguments, folder):
         "samples": found.n_samples,
         # Numbers that are not known are null.
         "joints": json.loads(joints.to_json(orient="records", double_precision=15)),
-        "links": [asdict(one) for one in found.identifier.mass_deviations_],
+        "links": [asdict(one) for one in robot.mass_deviations_],
         "payload": found.payload,
-        "poses_enough": found.poses_enough,
+        "poses_enough": enough,
         "command": shlex.join(["python", "-m", "sklearn_vbjfa", *words]),
     }
-    table = joints.to_string(index=False, float_format="{:.3g}".format)
+    doubts = []
+    if not np.nansum(found.error_after**2) < np.nansum(found.error_before**2):
+        doubts.append(
+            "the correction does not improve held-out samples: use the description"
+        )
+    failed = (found.gravity > 0) & (found.error_after >= found.gravity)
+    if failed.any():
+        names = ", ".join(joints["joint"][failed])
+        doubts.append(f"error above the gravity torque: {names}")
 
     def write(folder, notes):
-        lacking = write_robot(found.identifier, folder)
-        text = json.dumps(data | {"warnings": [*notes, *lacking]}, indent=1)
+        report = data | {"warnings": [*notes, *write_robot(robot, folder)]}
+        text = json.dumps(report, indent=1)
         folder.joinpath("report.json").write_text(text, encoding="utf-8")
         return []
 
-    too_large = (found.gravity > 0) & (found.error_after >= found.gravity)
-    failed = np.array(found.identifier.joint_names_)[too_large].tolist()
-    improves = np.nansum(found.error_after**2) < np.nansum(found.error_before**2)
-    doubts = ["the correction does not improve held-out samples: use the description"]
-    doubts = [] if improves else doubts
-    if failed:
-        doubts.append(f"error above the gravity torque: {', '.join(failed)}")
+    table = joints.to_string(index=False, float_format="{:.3g}".format)
+    facts = data | {"recording": loaded.recording, "rows": table, "reasons": doubts}
     return Done(
-        text=rendered(
-            "gravity.txt.j2",
-            recording=loaded.recording,
-            rows=table,
-            reasons=doubts,
-            **data,
-        ),
+        text=rendered("gravity.txt.j2", **facts),
         doubts=doubts,
         data=data,
         folder=out,
@@ -95,9 +92,9 @@ def design_poses(arguments, folder):
     urdf, _ = _input.robot(arguments, _input.expanded(arguments.urdf), joints, folder)
     n, seed = arguments.poses, arguments.seed
     q, hold = gravity_poses(str(urdf), n, fitted=fitted, random_state=seed)
-    names = [f"q_{name}" for name in joint_names(load_model(str(urdf)))]
 
     def write(folder, notes):
+        names = [f"q_{name}" for name in joint_names(load_model(str(urdf)))]
         heads, table = ",".join([*names, "hold"]), np.c_[q, hold]
         np.savetxt(folder / out.name, table, "%.9g", ",", header=heads, comments="")
         return []

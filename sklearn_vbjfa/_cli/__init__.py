@@ -7,18 +7,7 @@ from sklearn_vbjfa._cli._run import REFUSED, one_line, run, say
 
 
 def main(argv=None):
-    """Run the command line.
-
-    Parameters
-    ----------
-    argv : list of str, default=None
-        Words after the name of the program; None takes those of the process.
-
-    Returns
-    -------
-    int
-        Exit code: 0 success, 2 nothing was done, 3 finished with warnings.
-    """
+    """Run the command line, by default that of the process; return the exit code."""
     arguments = None
     try:
         arguments = parse(list(map(str, sys.argv[1:] if argv is None else argv)))

@@ -1,7 +1,8 @@
 """The command ``design``: the motion to record next."""
 
 import argparse
-from dataclasses import dataclass, replace
+from collections import namedtuple
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,17 +24,9 @@ from sklearn_vbjfa.design import (
 _OF_ROBOT = ("joints", "base_orientation", "gain", "known_mass", "drive", "friction")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Robot:
-    """The robot that is to move."""
-
-    known: KnownRobot
-    model: object  # its description, joints in its own order
-    file: str  # description that was given, or that a report names
-    is_reduced: bool = False  # whether further joints are held
-    dt: float = 0.01  # sample period of its recordings so far [s]
-    # whether its torques are in units of a channel, not in N m or N
-    is_relative: bool = False
+# A `KnownRobot` that is to move; the model with its limits; the description that was
+# given, or that a report names; whether further joints are held; and the sample period.
+_Robot = namedtuple("_Robot", "known model file held dt")
 
 
 def design(arguments, folder):
@@ -82,11 +75,6 @@ def design(arguments, folder):
 def _motion(arguments, robot, found):
     """Design the motion, refused if it goes beyond the limits."""
     names = robot.known.joint_names
-    if robot.is_relative and arguments.acceleration is arguments.torque is None:
-        raise ValueError(
-            "torque gains are relative, so the torque limits of the description do not "
-            "apply; give --acceleration, or --torque in units of the channels."
-        )
     say(f"designing {arguments.duration:g} s for {len(names)} joints")
     motion = design_motion(
         robot.known,
@@ -115,8 +103,7 @@ def _described(arguments, folder):
     given = _input.expanded(arguments.urdf)
     urdf, held = _input.robot(arguments, given, arguments.joints, folder)
     known = replace(KnownRobot.of(str(urdf)), description=str(given))
-    model = known.features.model_
-    return _Robot(known=known, model=model, file=str(given), is_reduced=bool(held))
+    return _Robot(known, known.features.model_, str(given), held, 0.01)
 
 
 def _identified(arguments, found, folder):
@@ -133,18 +120,16 @@ def _identified(arguments, found, folder):
     if file != str(path) and Path(file).is_file():
         # Paths of meshes are relative to the file.
         description = Path(file)
-    is_relative = robot.gains_ is not None and not robot.gains_.absolute
-    if is_relative:
+    if robot.gains_ is not None and not robot.gains_.absolute:
+        if arguments.acceleration is arguments.torque is None:
+            raise ValueError(
+                "torque gains are relative, so the torque limits of the description do "
+                "not apply; give --acceleration, or --torque in units of the channels."
+            )
         model = model.copy()
         model.effortLimit = np.full(model.nv, np.inf)
-    return _Robot(
-        known=replace(KnownRobot.of(robot), description=str(description)),
-        model=model,
-        file=file,
-        is_reduced=bool(provenance.get("held")),
-        dt=robot.dt,
-        is_relative=is_relative,
-    )
+    known = replace(KnownRobot.of(robot), description=str(description))
+    return _Robot(known, model, file, provenance.get("held"), robot.dt)
 
 
 def _next_command(arguments, robot, options):
@@ -152,7 +137,7 @@ def _next_command(arguments, robot, options):
     # options: those that a report was made with.
     typed = {name: options[name] for name in _OF_ROBOT if name in options}
     typed |= {x: arguments.typed[x] for x in _OF_ROBOT[:2] if x in arguments.typed}
-    if robot.is_reduced:
+    if robot.held:
         typed["joints"] = ",".join(robot.known.joint_names)
     typed["urdf"] = "ROBOT.urdf" if robot.file.endswith(".json") else robot.file
     words = argparse.Namespace(

@@ -15,16 +15,7 @@ EXIT_CODES = (
 
 
 class Refused(ValueError):
-    """Input that is refused.
-
-    Parameters
-    ----------
-    reason : str
-        What is wrong, and what to do.
-    **options : str, float, tuple, True or None
-        Options that would be accepted in place of those given, by their names; None
-        for one to leave out.
-    """
+    """Input that is refused, with options that would be accepted, None to omit one."""
 
     def __init__(self, reason, **options):
         super().__init__(reason)
@@ -94,8 +85,8 @@ def _known(text, known):
 
 _CONVERSIONS = {
     one.__name__: one
-    for one in (float, int, numbers, names, factors, mass, drive, effects)
-} | {"friction": friction}
+    for one in (float, int, numbers, names, factors, mass, drive, effects, friction)
+}
 
 
 # -- options and commands --------------------------------------------------------------
@@ -127,9 +118,7 @@ class _Parser(argparse.ArgumentParser):
                 f"{found[1]!r} is not a command{_suggestion(found[1], _tables()[1])}"
             )
         message = re.sub(r"^argument (?:-\w/)?(--[\w-]+): ", r"\1 ", message)
-        message = re.sub(
-            " invalid (choice|.* value): ", " has an invalid value: ", message
-        )
+        message = message.replace(" invalid choice: ", " has an invalid value: ")
         raise Refused(f"{message.rstrip('.')}; see {self.prog} -h")
 
 
@@ -138,8 +127,7 @@ def _suggestion(word, known):
     return f"; did you mean {near[0]}?" if near else ""
 
 
-def _parser(*, raw=False):
-    # raw: whether values stay texts, None for those that are not given
+def _parser():
     from sklearn_vbjfa import __version__
 
     parser = _Parser(
@@ -161,11 +149,11 @@ def _parser(*, raw=False):
             epilog=EXIT_CODES,
         )
         added.set_defaults(run=command["run"], command=name, parser=added)
-        _add_options(added, command, raw)
+        _add_options(added, command)
     return parser
 
 
-def _add_options(parser, command, raw):
+def _add_options(parser, command):
     """Add the options of a command in their groups."""
     from sklearn_vbjfa.recording.formats import TABLES
 
@@ -185,55 +173,59 @@ def _add_options(parser, command, raw):
             option = _tables()[0][name]
             kind = {"action": "store_true"}
             if "metavar" in option:
-                default = option.get("default")
-                kind = {
-                    "action": "append" if name == "known-mass" else "store",
-                    "metavar": option["metavar"],
-                    "choices": option.get("choices"),
-                    "type": str if raw else _CONVERSIONS.get(option.get("value"), str),
-                    "default": tuple(default) if isinstance(default, list) else default,
-                }
-                kind |= {"default": None} if raw else {}
+                kind = {key: option.get(key) for key in ("metavar", "choices")}
+                kind["action"] = option.get("action", "store")
             flags = [x for x in (_SHORT.get(name), f"--{name}") if x]
-            dest = _DEST.get(name, name.replace("-", "_"))
             text = command.get("texts", {}).get(name, option["help"])
-            group.add_argument(*flags, dest=dest, help=text, **kind)
+            group.add_argument(*flags, dest=_dest(name), help=text, **kind)
+
+
+def _dest(name):
+    """Return the name of the value of an option."""
+    return _DEST.get(name, name.replace("-", "_"))
 
 
 def parse(words):
-    """Parse the words of a command line.
-
-    Parameters
-    ----------
-    words : list of str
-        Command line without the name of the program.
-
-    Returns
-    -------
-    argparse.Namespace
-        Values by name; ``typed`` has the texts of the options that were given.
-    """
+    """Return the values of a command line; ``typed`` has the texts that were given."""
     # argparse takes a list that begins with a minus, -1,1, for an option.
     text = re.sub("\0(--[a-z-]+)\0(?=-[.\\d])", "\0\\1=", "\0".join(["", *words]))
-    words = text.split("\0")[1:]
-    arguments, more = _parser().parse_known_args(words)
+    parser = _parser()
+    arguments, more = parser.parse_known_args(text.split("\0")[1:])
+    parser = getattr(arguments, "parser", parser)
+    groups = _tables()[1].get(arguments.command, {"groups": {}})["groups"]
+    names = " ".join(groups.values()).split()
     unknown = [word for word in more if word.startswith("-") and word != "-"]
     if hasattr(arguments, "recording") and not unknown:
         # argparse leaves files over that follow an option.
         arguments.recording += more
     elif more:
-        parser = getattr(arguments, "parser", None) or _parser()
-        groups = _tables()[1].get(arguments.command, {"groups": {}})["groups"]
-        known = [f"--{name}" for name in " ".join(groups.values()).split()]
         option = (unknown or more)[0].partition("=")[0]
         parser.error(
             f"unrecognized arguments: {' '.join(unknown or more)}"
-            f"{_suggestion(option, known)}"
+            f"{_suggestion(option, [f'--{name}' for name in names])}"
         )
-    texts = vars(_parser(raw=True).parse_known_args(words)[0])
-    others = {"recording", "run", "command", "parser"}
-    arguments.typed = {k: x for k, x in texts.items() if x and k not in others}
+    texts = {_dest(name): getattr(arguments, _dest(name)) for name in names}
+    arguments.typed = {dest: text for dest, text in texts.items() if text}
+    for name, text in zip(names, texts.values()):
+        setattr(arguments, _dest(name), _value(parser, name, text))
     return arguments
+
+
+def _value(parser, name, text):
+    """Return the value of an option by its text, or its default."""
+    option = _tables()[0][name]
+    if text is None:
+        default = option.get("default")
+        return tuple(default) if isinstance(default, list) else default
+    if "value" not in option:
+        return text
+    convert = _CONVERSIONS[option["value"]]
+    try:
+        return list(map(convert, text)) if isinstance(text, list) else convert(text)
+    except argparse.ArgumentTypeError as error:
+        parser.error(f"--{name} {error}")
+    except ValueError:
+        parser.error(f"--{name} has an invalid value: {text!r}")
 
 
 def spelled(name):

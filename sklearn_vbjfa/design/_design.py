@@ -20,6 +20,7 @@ from sklearn_vbjfa.design._motion import (
 from sklearn_vbjfa.design._optimise import (
     DECIDED,
     INSIDE,
+    ROOM,
     Problem,
     Questions,
     information_of,
@@ -29,6 +30,7 @@ from sklearn_vbjfa.design._optimise import (
 )
 from sklearn_vbjfa.design._robot import IN_SPAN, EquationModel, KnownRobot
 from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.equations._plan import STANDSTILL_SHARE
 from sklearn_vbjfa.recording import check_dt
 
 # Harmonics: few keep the motion smooth, many give it slow and fast parts.
@@ -45,22 +47,13 @@ _DRAWN, _STARTS, _DRAWN_INSIDE, _REFERENCE = 40, 3, 0.95, 600
 _HELD = 0.85
 # Margin to all limits at ten times the sampling of the design.
 MARGIN, _FINER = 0.02, 10
-# Smallest distance between bodies of a motion [m].
-ROOM = 0.01
 # Why no motion shows an effect.
 SAME_COLUMNS = "absorbed by other parameters"
 # How much what the report names counts, and all else that a joint might have.
 _ASKED, _POSSIBLE = 1.0, 0.2
 # Effects whose columns follow the robot's geometry or what lies in time: the motion is
 # not bent for them, and what it shows of them is reported afterwards.
-_NOT_STEERED: tuple[str, ...] = (
-    "base_tilt",
-    "joint_zero",
-    "joint_axis",
-    "payload",
-    "drift",
-    "signal",
-)
+_NOT_STEERED = ("base_tilt", "joint_zero", "joint_axis", "payload", "drift", "signal")
 _NOT_STEERED += ("torque_gain", "delay", "torque_filter", "jerk", "elastic")
 # Effects that any joint may have, in forms that a motion can tell apart.
 _COMMON = (
@@ -211,7 +204,7 @@ def pose(model, duration, dt, limits, effects, report, rng):
     if report is not None:
         asked += open_effects(read_report(report), names)
     members, candidates = _parted(robot, asked)
-    band, still = robot.band(curve.highest, dt), robot.still(limits)
+    band, still = robot.band(curve.highest, dt), STANDSTILL_SHARE * limits.velocity
     equations = EquationModel(
         robot.features,
         robot.inertial,
@@ -239,7 +232,6 @@ def pose(model, duration, dt, limits, effects, report, rng):
         still=still,
         clearance=clearance,
         no_clearance=why,
-        room=ROOM,
     )
     _check_held(problem, names, rng)
     return problem
@@ -276,7 +268,8 @@ def _parted(robot, asked):
     members = [
         (effect, np.atleast_1d(coef))
         for effect, coef in zip(robot.effects, robot.coefficients)
-        if (effect.name, effect.joint) not in doubted and is_steered(effect)
+        if (effect.name, effect.joint) not in doubted
+        and effect.name not in _NOT_STEERED
     ]
     taken = {effect.key() for effect, _ in members}
     candidates = []
@@ -394,7 +387,7 @@ def _strain(problem, poses):
     strain = np.abs(problem.torques(problem.model(states))) / problem.limits.torque
     held = (strain < _HELD).all(axis=1)
     if problem.clearance is not None:
-        room = problem.room / INSIDE
+        room = ROOM / INSIDE
         held &= (problem.clearance(poses, within=room)[0] >= room).all(axis=1)
     return held, strain
 
@@ -413,7 +406,7 @@ def _check_held(problem, names, rng):
         raise ValueError(
             f"Infeasible position limits: self-collision in all {POSES} random poses; "
             f"{' and '.join(links)} are {1e3 * distance:.0f} mm apart "
-            f"({1e3 * problem.room:.0f} mm required). Change the position limits."
+            f"({1e3 * ROOM:.0f} mm required). Change the position limits."
         )
     needed = best[j] * limits.torque[j]
     raise ValueError(
@@ -469,7 +462,7 @@ def _margins(problem, states, t):
     if problem.clearance is not None:
         nearest = problem.clearance.nearest(states[:, : problem.model.nv])[0]
         margins["clearance"] = nearest
-        within &= nearest >= problem.room - 1e-6
+        within &= nearest >= ROOM - 1e-6
     return margins, within
 
 
@@ -527,29 +520,19 @@ class OpenEffect:
     doubted: bool = False
 
 
-def is_steered(effect):
-    """Whether a motion is bent for an effect: it is one of the joint's own torque."""
-    return effect.name not in _NOT_STEERED
-
-
 def read_report(report):
     """Return a report, its search or what its file holds as a dict of `to_dict`."""
-    if isinstance(report, (str, os.PathLike)):
-        return _read_folder(Path(report))
     report = getattr(report, "report_", report)
     if hasattr(report, "to_dict"):
         return report.to_dict()
     if isinstance(report, dict) and "effects" in report:
         return report
-    raise TypeError(
-        "report must be a fitted EffectDiscovery, its report_, or the folder that "
-        f"identify wrote; got {type(report).__name__}."
-    )
-
-
-def _read_folder(path):
-    """Read report.json of a folder."""
-    file = path / "report.json" if path.is_dir() else path
+    if not isinstance(report, (str, os.PathLike)):
+        raise TypeError(
+            "report must be a fitted EffectDiscovery, its report_, or the folder that "
+            f"identify wrote; got {type(report).__name__}."
+        )
+    file = Path(report) / "report.json" if Path(report).is_dir() else Path(report)
     if not file.is_file():
         raise FileNotFoundError(
             f"No report at {str(file)!r}; expected the folder that identify wrote, "
@@ -574,7 +557,7 @@ def asked_effects(effects, nv):
         effects = (effects,)
     for one in effects:
         (effect,) = resolve((one,))
-        if not is_steered(effect):
+        if effect.name in _NOT_STEERED:
             raise ValueError(
                 f"No motion is designed for {effect.name!r}: it follows the robot's "
                 "geometry, the time or the whole torque, and shows in any motion that "

@@ -1,14 +1,6 @@
 """Objective and optimisation of trajectories.
 
-With rows x_tj, weights w_tj and noise sigma_j the information on all coefficients is M
-= sum_tj w_tj x_tj x_tj' / sigma_j^2, that on the model alone its block M_AA, of n
-columns over their sizes at random states. It is worth log det M_AA / 2 - 2 n log
-kappa(M_AA^(1/2)), the D-criterion less a smooth condition number kappa, which keeps one
-direction from being seen badly for many that are seen well. Of columns C that the model
-lacks, it cannot imitate S = M_CC - M_CA M_AA^-1 M_AC: a coefficient c of one effect i
-leaves c' S_ii c, in squared standard errors, given the model, and c' (S_ii - S_ik
-S_kk^-1 S_ki) c given the model with a rival k, the largest difference of the two.
-
+``docs/design.rst`` states the objective with the names that are used here.
 Limits at every sample of every joint make some ten thousand constraints. An augmented
 Lagrangian (Nocedal and Wright, Numerical optimization, 2006, chapter 17) needs one
 number for each, and unconstrained steps, which L-BFGS-B does.
@@ -41,6 +33,8 @@ _ROUNDS, _STEPS, _HARDER = 7, 45, 3.0
 _GAPS = 1e-4 * 1.6 ** np.arange(20)
 # Penalty at first: an excess of one per cent at one sample costs this much [nats].
 _FIRST_COST = 0.02
+# Smallest distance between bodies of a motion [m].
+ROOM = 0.01
 # Distances between bodies are looked at in every so many samples.
 _SKIPPED = 2
 # Excess over a limit that is left to the last shrinking, relative.
@@ -189,7 +183,6 @@ class Problem:
     still: np.ndarray  # (nv,): speeds below which a joint may be standing
     clearance: object
     no_clearance: str  # why nothing is known of the distance between bodies
-    room: float  # smallest distance that is allowed [m]
 
     def times(self):
         """Return samples [s], 16 in the shortest period."""
@@ -242,7 +235,7 @@ class Problem:
             return False
         if not apart or self.clearance is None:
             return True
-        return self.clearance.nearest(states[:, : self.model.nv])[0] >= self.room
+        return self.clearance.nearest(states[:, : self.model.nv])[0] >= ROOM
 
 
 class Lagrangian:
@@ -293,7 +286,7 @@ class Lagrangian:
         """Cost of bodies that come too near each other, and its derivative by q."""
         clearance = self.problem.clearance
         rows = slice(None, None, _SKIPPED)
-        room = self.problem.room / INSIDE
+        room = ROOM / INSIDE
         distance, gradient = clearance(q[rows], within=room + clearance.near)
         g = np.maximum(room - distance, 0.0) / clearance.near
         weight = _SKIPPED * self.penalty

@@ -6,7 +6,8 @@ by the states, contracted with what a criterion says of each entry, are its grad
 """
 
 import os
-from dataclasses import dataclass, field, replace
+from collections import namedtuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import qr
@@ -15,7 +16,7 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.effects import Motion, Rest, RotorInertia, Stateful, resolve
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
-from sklearn_vbjfa.equations._plan import STANDSTILL_SHARE, cutoff_of
+from sklearn_vbjfa.equations._plan import cutoff_of
 from sklearn_vbjfa.model import is_prismatic, joint_names, nominal_parameters
 
 # Friction of a robot of which only the description is known.
@@ -115,10 +116,6 @@ class KnownRobot:
         """Band of a fit to a motion up to a frequency [Hz]; see `resolve_cutoff`."""
         return min(cutoff_of(highest, dt), 0.4 / dt)
 
-    def still(self, limits):
-        """Speeds below which joints count as standing (nv,)."""
-        return STANDSTILL_SHARE * limits.velocity
-
     def noise(self, limits, reference, highest, dt):
         """Deviation of the noise of each joint's equations in the band (nv,)."""
         # Torque noise is taken as white, and so is that of the encoders, which enters
@@ -208,13 +205,9 @@ def _moved(motion, name, joint, step):
     return replace(motion, **{name: values}, _speeds={})
 
 
-@dataclass(frozen=True, eq=False)
-class MotionEquations:
-    """Rows of all joints for the states of a motion."""
-
-    states: np.ndarray  # (n, 3 nv)
-    rows: tuple  # (k_j, n): columns that act on each joint, samples last
-    motion: Motion = field(repr=False)  # what effects were computed from
+# Of the states (n, 3 nv) of a motion the columns (k_j, n) that act on each joint, a
+# tuple, and the `Motion` that effects were computed from.
+MotionEquations = namedtuple("MotionEquations", "states rows motion")
 
 
 class EquationModel:

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa.design._design import MARGIN, ROOM, SAME_COLUMNS
+from sklearn_vbjfa.design._design import MARGIN, SAME_COLUMNS
+from sklearn_vbjfa.design._optimise import ROOM
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import resolve
 

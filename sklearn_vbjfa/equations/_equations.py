@@ -591,7 +591,7 @@ def numbered(recording, plan):
     """Divide filtered rows into blocks of time, or of phases, see `BlockAssignment`."""
     sizes = [part.stop - part.start for part in recording.segments]
     centres = [plan.lowpass.centres(n) for n in sizes]
-    lengths, clock = [own.size for own in centres], recording.clock()
+    lengths, clock = [own.size for own in centres], recording.clock
     if clock is None or not sum(lengths):
         return BlockAssignment.of(lengths)
     repetition = find_repetition(recording.q, clock, recording.segments)

@@ -25,7 +25,12 @@ from sklearn_vbjfa.equations._states import (
     smooth_segment,
 )
 from sklearn_vbjfa.model import is_prismatic, joint_names
-from sklearn_vbjfa.recording import check_cutoff, check_dt, with_torques_shifted
+from sklearn_vbjfa.recording import (
+    check_clock,
+    check_cutoff,
+    check_dt,
+    with_torques_shifted,
+)
 
 
 def in_parallel(function, tasks, n_jobs):
@@ -97,7 +102,8 @@ class Plan:
 
     def clock(self, recording):
         """Return the time of each row [s]; stamped only if effects need it."""
-        return recording.clock(stamped=self.timed)
+        t = recording.t if self.timed else None
+        return check_clock(t, recording.n_samples, recording.dt)
 
     @property
     def delay(self):

@@ -745,7 +745,7 @@ def without_steps(robot, source):
     size = (third + losses / inertia * fourth) / inertia
     if (stiffness * np.abs(size) < _LEAST_RIPPLE * dt).all():
         return None
-    parts, clock = recording.segments, recording.clock()
+    parts, clock = recording.segments, recording.clock
     position, speed = (
         size
         * _smoothing.interpolate(recording.command, parts, clock, robot.plan.delay, k)

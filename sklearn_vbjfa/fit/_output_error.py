@@ -148,7 +148,7 @@ def run_windows(predictor, windows, starts):
     robot = predictor.torque_model()
     nv = robot.n_joints
     recording, L = windows.recording, windows.measured.shape[1]
-    clock = recording.clock(stamped=predictor.plan.timed)
+    clock = predictor.plan.clock(recording)
     out = np.empty((windows.count, L, 3 * nv))
     for w, start in enumerate(starts):
         rows = slice(w * L, (w + 1) * L)

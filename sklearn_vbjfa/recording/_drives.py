@@ -226,7 +226,7 @@ class PDDrive(Drive):
             self.commands(recording),
             self.law(recording.joint_names, recording),
         )
-        parts, clock = recording.segments, recording.clock()
+        parts, clock = recording.segments, recording.clock
         if _changes(recording.q, parts) and not _changes(command, parts):
             raise ValueError(
                 "The commands are constant while joints move: they are not those that "
@@ -429,7 +429,7 @@ def velocities(recording):
     # what they log has noise of the whole band: only its lag is taken.
     if recording.states is not None:
         return recording.states[:, recording.nv : 2 * recording.nv]
-    q, known = recording.q, (recording.segments, recording.clock())
+    q, known = recording.q, (recording.segments, recording.clock)
     lags = velocity_lags(recording).tolist()
     return np.column_stack(
         [interpolate(q[:, j], *known, lag, order=1) for j, lag in enumerate(lags)]
@@ -441,7 +441,7 @@ def velocity_lags(recording):
     # By least squares on accelerations, where the motion is.
     if recording.states is not None or recording.v is None:
         return np.zeros(recording.nv)
-    q, parts, clock = recording.q, recording.segments, recording.clock()
+    q, parts, clock = recording.q, recording.segments, recording.clock
     lowpass = _lowpass.design(recording.dt, min(_SLOW, 0.2 / recording.dt))
     long = [part for part in parts if part.stop - part.start > 2 * lowpass.half]
     if not long:

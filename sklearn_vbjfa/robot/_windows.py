@@ -364,7 +364,7 @@ def follow(robot, drive, recording, window=None):
     """Simulate a robot from its commands, from the states of a recording on."""
     # robot: `IdentifiedRobot`; window: length [s] after which it starts from the
     # recorded state again, None for whole recordings. Returns states (n, 3 nv).
-    follower, clock = CommandFollower(robot, drive, recording), recording.clock()
+    follower, clock = CommandFollower(robot, drive, recording), recording.clock
     follower.warn_left_out(stacklevel=3)
     measured = robot.states(recording.inputs, recording.groups)
     length = recording.n_samples

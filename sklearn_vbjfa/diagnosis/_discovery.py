@@ -41,9 +41,8 @@ from sklearn_vbjfa.recording import (
     carries_names,
     check_clock,
     check_dt,
-    columns_beside,
     find_repetition,
-    positions_in_order,
+    positions_and_signals,
     survey,
     take_arrays,
     take_rows,
@@ -262,7 +261,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if drive is not None:
             commanded, signals = drive.taken(whole.tau, signals)
             whole = drive.driven(replace(whole, signals=commanded))
-        beside = columns_beside(X, self.joint_names_)
+        _, beside = positions_and_signals(X, self.joint_names_)
         whole = replace(whole, joints_named=carries_names(X, self.joint_names_))
         self._fit(whole, library, signals, beside, _names(whole, groups))
         for found in self.report_.outcome.findings["channels"]:
@@ -349,7 +348,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     def _recording(self, X, y, groups, sample_weight, t):
         """Make a `Recording` of the arguments of a fit, with weights and a clock."""
         self.joint_names_ = names = joint_names(load_model(self.identifier.model))
-        X, y = positions_in_order(X, names), torques_in_order(y, names)
+        (X, _), y = positions_and_signals(X, names), torques_in_order(y, names)
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
         )
@@ -520,8 +519,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """
         predicted = self.predict(X, groups, t, signals)
         robot, spread = self.identifier_, self.torque_std_
-        states = robot.robot_.states(positions_in_order(X, self.joint_names_), groups)
-        states = np.asarray(states)
+        X, _ = positions_and_signals(X, self.joint_names_)
+        states = np.asarray(robot.robot_.states(X, groups))
         speeds = np.abs(np.split(states, 3, axis=1)[1])
         moving = (speeds > np.maximum(robot.standstill_, 0.0)).astype(float)
         motion = motions_of(robot, states, predicted, moving, spread)

@@ -399,7 +399,7 @@ def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
     if not isinstance(cutoff, str):
         if cutoff is None:
             return np.inf
-        return check_cutoff(cutoff, check_dt(dt), "cutoff")
+        return check_cutoff(cutoff, check_dt(dt))
     if cutoff != "auto":
         raise ValueError(
             f"cutoff must be 'auto', a frequency in Hz, or None; got {cutoff!r}."

@@ -146,7 +146,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                     f"got an array of shape {asked.shape}."
                 )
             asked = np.broadcast_to(asked, (nv,))
-            chosen = np.array([check_cutoff(c, dt, "cutoff") for c in asked])
+            chosen = np.array([check_cutoff(c, dt) for c in asked])
         self.cutoff_ = chosen
         return self
 

@@ -16,9 +16,8 @@ from sklearn_vbjfa.recording import (
     OfferedSignals,
     check_time_stamps,
     check_useful,
-    columns_beside,
     contiguous_groups,
-    positions_in_order,
+    positions_and_signals,
     signals_for,
     take_arrays,
     torques_in_order,
@@ -65,10 +64,10 @@ class FitOptions:
 
 def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
     """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
-    columns = columns_beside(X, identifier.joint_names_)
+    X, columns = positions_and_signals(X, identifier.joint_names_)
     X, y = validate_data(
         identifier,
-        positions_in_order(X, identifier.joint_names_),
+        X,
         torques_in_order(y, identifier.joint_names_),
         dtype=np.float64,
         multi_output=True,

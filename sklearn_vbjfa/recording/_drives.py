@@ -39,6 +39,7 @@ class Drive(BaseEstimator):
     of_positions = False  # whether torques are made of measured positions
     waits: float | None = 0.0  # delay of its commands [s]; None if it is to be found
     unsigned = False  # whether only sizes of torques are known
+    factor = ""  # setting by which its channel is multiplied
     gains: str | None = None  # "unknown" where torques are known up to factors
     # names of its channel in files that have it in place of torques
     spelled: tuple[str, ...] = ()
@@ -74,7 +75,7 @@ class Drive(BaseEstimator):
         """
         tau, names = self._channel(recording, self.told), recording.joint_names
         tau = recording.tau if tau is None else tau
-        factor = self._factor(names, recording)
+        factor = self._setting(self.factor, names, recording)
         tau = tau if factor is None else tau * factor
         below = np.flatnonzero((tau < 0).any(axis=0)) if self.unsigned else ()
         if len(below):
@@ -84,11 +85,13 @@ class Drive(BaseEstimator):
             )
         return replace(recording, tau=tau, command=None if self.unsigned else tau)
 
-    def _setting(self, name, joints, recording=None, least=0.0):
+    def _setting(self, name, joints, recording=None):
         """Return a setting (nv,), or the channel (n, nv) of a recording, or None."""
         given, what = getattr(self, name), f"{type(self).__name__}: {name}"
         if given is None and recording is not None:
             return self._channel(recording, name)
+        if isinstance(given, str) and given == "unknown":
+            return None
         if isinstance(given, Mapping):
             given = [_of_joint(what, given, joint) for joint in joints]
         try:
@@ -100,7 +103,7 @@ class Drive(BaseEstimator):
                 f"{what} must be one number, or one for each joint in the order "
                 f"{', '.join(joints)}; got {given!r}."
             )
-        if (values < least).any():
+        if name != "torque_constant" and (values < 0).any():
             raise ValueError(f"{what} must not be negative; got {given!r}.")
         return values
 
@@ -339,6 +342,7 @@ class CurrentDrive(Drive):
     """
 
     told = "current"
+    factor = "torque_constant"
     spelled = ("current", "motor_current", "present_current")
 
     def __init__(self, torque_constant="unknown", *, signed=True):
@@ -348,20 +352,12 @@ class CurrentDrive(Drive):
     @property
     def gains(self):
         """Unknown, if the torque constant is."""
-        constant = self.torque_constant
-        is_unknown = isinstance(constant, str) and constant == "unknown"
-        return "unknown" if is_unknown else None
+        return "unknown" if isinstance(self.torque_constant, str | None) else None
 
     @property
     def unsigned(self):
         """Whether only sizes of torques are known."""
         return not self.signed
-
-    def _factor(self, names, recording):
-        unknown = self.gains is not None
-        return (
-            None if unknown else self._setting("torque_constant", names, least=-np.inf)
-        )
 
 
 class VoltageDrive(Drive):
@@ -396,15 +392,13 @@ class VoltageDrive(Drive):
     """
 
     told = "voltage"
+    factor = "supply"
     gains = "unknown"
     beside = ("supply",)
     spelled = ("voltage", "duty", "pwm", "pwm_duty", "present_pwm")
 
     def __init__(self, *, supply=None):
         self.supply = supply
-
-    def _factor(self, names, recording):
-        return self._setting("supply", names, recording)
 
 
 def _changes(values, parts):

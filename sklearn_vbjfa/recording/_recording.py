@@ -31,17 +31,17 @@ def check_dt(dt):
     return value
 
 
-def check_cutoff(cutoff, dt, name):
+def check_cutoff(cutoff, dt):
     """Return a cut-off in Hz as a float; infinity for None."""
     value = np.inf if cutoff is None else _number(cutoff)
     if not value > 0:
         raise ValueError(
-            f"{name} must be a positive frequency in Hz, 'auto', or None for no "
+            "cutoff must be a positive frequency in Hz, 'auto', or None for no "
             f"low-pass; got {cutoff!r}."
         )
     if np.isfinite(value) and value >= 0.5 / dt:
         raise ValueError(
-            f"{name} must lie below the Nyquist frequency {0.5 / dt:.6g} Hz of "
+            f"cutoff must lie below the Nyquist frequency {0.5 / dt:.6g} Hz of "
             f"dt={dt:.6g} s; got {value:.6g} Hz. Give None for no low-pass."
         )
     return value

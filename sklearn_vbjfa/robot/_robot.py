@@ -34,8 +34,7 @@ from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.model._mjcf import Servo
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.recording import (
-    columns_beside,
-    positions_in_order,
+    positions_and_signals,
     signals_for,
     torques_in_order,
 )
@@ -764,9 +763,9 @@ class IdentifiedRobot:
 
     def checked(self, X, signals):
         """Return positions or states, and the signals that effects vary with."""
-        beside = columns_beside(X, self.joint_names_)
+        X, beside = positions_and_signals(X, self.joint_names_)
         # Positions and states are both accepted, whichever were fitted.
-        X = check_array(positions_in_order(X, self.joint_names_), dtype=np.float64)
+        X = check_array(X, dtype=np.float64)
         check_widths(self.joint_names_, X)
         return X, signals_for(self.effects_, signals, beside, X.shape[0])
 

@@ -225,10 +225,8 @@ class PDDrive(Drive):
 
     def driven(self, recording):
         """Return a recording of the torques that the law asks for; see `Drive`."""
-        command, (kp, kd) = (
-            self.commands(recording),
-            self.law(recording.joint_names, recording),
-        )
+        command = self.commands(recording)
+        kp, kd = self.law(recording.joint_names, recording)
         parts, clock = recording.segments, recording.clock
         if _changes(recording.q, parts) and not _changes(command, parts):
             raise ValueError(

@@ -468,21 +468,23 @@ def parse_drive(text):
                 f"drive has {part!r}; expected, each once, NAME=VALUE without blanks, "
                 f"of {', '.join(known)}."
             )
-        given[name] = _WORDS[value] if value in _WORDS else _numbers(part)
+        given[name] = _SWITCHES[value] if value in _SWITCHES else _numbers(part, value)
     return DRIVES[kind](**given)
 
 
 _SWITCHES = {"none": None, "true": True, "yes": True, "false": False, "no": False}
-_WORDS: dict[str, object] = {**_SWITCHES, "auto": "auto", "unknown": "unknown"}
 
 
-def _numbers(part):
-    """Return the number of NAME=VALUE, several, or several by joints' names."""
-    pairs = [x.rpartition(":")[::2] for x in part.partition("=")[2].split(",")]
+def _numbers(part, text):
+    """Return the number of NAME=VALUE, several, several by joints' names, or a word."""
+    pairs = [x.rpartition(":")[::2] for x in text.split(",")]
     joints, values = {joint for joint, _ in pairs}, [value for _, value in pairs]
     try:
         values = np.array(values, dtype=float).tolist()
     except ValueError:
+        if len(pairs) == 1 and joints == {""}:
+            # The drive knows the word or refuses it.
+            return text
         values = [np.nan]
     by_joint = "" not in joints and len(joints) == len(pairs)
     if not np.isfinite(values).all() or not (by_joint or joints == {""}):

@@ -2,7 +2,6 @@
 
 import copy
 import re
-from typing import NamedTuple
 
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
@@ -25,34 +24,16 @@ from sklearn_vbjfa.model import (
     load_folded,
 )
 from sklearn_vbjfa.model._dynamics import last_body_columns
-from sklearn_vbjfa.model._loading import import_pinocchio
 from sklearn_vbjfa.model._mjcf import FollowingJoint
-from sklearn_vbjfa.model._trees import Tree
+from sklearn_vbjfa.model._trees import ChainJoint, Tree
 from sklearn_vbjfa.physical import INERTIAL_NAMES
 
 _MASS, _MOMENT = ("kg", "kg"), ("kg m", "kg m")
 _INERTIA = ("kg m^2", "kg m^2")
 
 
-class ChainJoint(NamedTuple):
-    """One joint between the base and a body."""
-
-    joint: int  # joint of the robot that moves it, from zero: itself or its leader
-    # its position is rate times that of `joint` plus offset [rad or m]
-    rate: float
-    offset: float
-    slides: bool  # whether it is prismatic
-    place: tuple  # its origin in the frame of the joint before it [m]
-    frame: tuple  # its axes there, by rows of the rotation matrix
-    axis: tuple  # direction about or along which it moves, in its own frame
-
-
 class Follower(Effect):
-    """The body of a joint that follows another joint (mimic).
-
-    It is declared automatically for descriptions with such joints, see
-    `RobotIdentifier`; it is not searched for.
-    """
+    """The body of a joint that follows another one (mimic), declared automatically."""
 
     # joint: that leads; all joints that carry the body feel it. of: name of the joint
     # that follows. chain: joints from the base to the body, each as a `ChainJoint`, of
@@ -63,7 +44,6 @@ class Follower(Effect):
     formula = r"A^{\mathsf T}\Phi_f(Aq + b, A\dot q, A\ddot q)\,\pi_f"
     coefficients = INERTIAL_NAMES
     units = (_MASS,) + (_MOMENT,) * 3 + (_INERTIA,) * 6
-    visible = "the joint that leads moves"
     whole_robot = True
     files = InFiles(urdf="", mjcf="")
 
@@ -415,8 +395,12 @@ def check_as_computed(X):
 def with_followers(effects, features):
     """Return the bodies of a robot's followers, and behind them declared effects."""
     # Followers among the declared ones are taken from the robot instead.
-    declared = tuple(one for one in effects if not _follows(one))
-    return (*map(_follower, features.followers_), *declared)
+    declared = tuple(one for one in effects if not isinstance(one, Follower))
+    followers = [
+        Follower(joint=one.leader, of=one.name, chain=one.chain, gravity=one.gravity)
+        for one in features.followers_
+    ]
+    return (*followers, *declared)
 
 
 def follower_parameters(effects, coefficients):
@@ -425,7 +409,7 @@ def follower_parameters(effects, coefficients):
     return {
         effect.of: np.asarray(own)
         for effect, own in zip(effects, coefficients)
-        if _follows(effect)
+        if isinstance(effect, Follower)
     }
 
 
@@ -433,8 +417,9 @@ def following_joints(effects, coefficients, names):
     """Return the followers as MJCF has them, a tuple of `FollowingJoint`."""
     # effects, coefficients: all effects of a robot and what each was found to be;
     # names: joints of the robot.
-    pin = import_pinocchio()
-    found = [pair for pair in zip(effects, coefficients) if _follows(pair[0])]
+    found = [
+        pair for pair in zip(effects, coefficients) if isinstance(pair[0], Follower)
+    ]
     # What carries others has a shorter way to the base.
     found.sort(key=lambda pair: len(pair[0].chain))
     ways = {tuple(effect.chain): effect.of for effect, _ in found}
@@ -446,15 +431,7 @@ def following_joints(effects, coefficients, names):
             carrier = names[above[-1].joint]
         joints.append(
             FollowingJoint(
-                name=effect.of,
-                carrier=carrier,
-                leader=last.joint,
-                rate=last.rate,
-                offset=last.offset,
-                slides=last.slides,
-                placement=pin.SE3(np.reshape(last.frame, (3, 3)), np.array(last.place)),
-                axis=np.asarray(last.axis),
-                body=np.asarray(own),
+                name=effect.of, carrier=carrier, link=last, body=np.asarray(own)
             )
         )
     return tuple(joints)
@@ -463,7 +440,7 @@ def following_joints(effects, coefficients, names):
 def refuse_followers(effects, what, remedy):
     """Refuse something that cannot be done with joints that follow others."""
     # effects: all effects of a robot; what: what cannot be done; remedy: what can.
-    names = [effect.of for effect in effects if _follows(effect)]
+    names = [effect.of for effect in effects if isinstance(effect, Follower)]
     if names:
         raise ValueError(
             f"{what} does not support joints that follow others, {', '.join(names)}: "
@@ -471,32 +448,7 @@ def refuse_followers(effects, what, remedy):
         )
 
 
-def _follows(effect):
-    return isinstance(effect, Follower)
-
-
 def nominal_followers(features):
     """Inertial parameters of the followers in the description, (n, 10)."""
     found = [body.parameters for body in features.followers_]
     return np.reshape(found, (-1, 10))
-
-
-def _follower(body):
-    chain = tuple(
-        ChainJoint(
-            joint=link.joint,
-            rate=link.rate,
-            offset=link.offset,
-            slides=link.slides,
-            place=tuple(link.placement.translation.tolist()),
-            frame=tuple(link.placement.rotation.ravel().tolist()),
-            axis=tuple(np.asarray(link.axis, dtype=float).tolist()),
-        )
-        for link in body.chain
-    )
-    return Follower(
-        joint=body.leader,
-        of=body.name,
-        chain=chain,
-        gravity=tuple(map(float, body.gravity)),
-    )

@@ -21,8 +21,6 @@ from sklearn_vbjfa.effects import (
 from sklearn_vbjfa.equations._states import (
     RecordingStates,
     StateEstimator,
-    smooth_halves,
-    smooth_segment,
 )
 from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording import (
@@ -357,8 +355,8 @@ def smooth(recording, estimator, halves, keep, n_jobs):
 
 
 def smooth_with_facts(x, start, estimator, halves, keep):
-    states = smooth_segment(x, start, estimator)
-    both = smooth_halves(x, start, estimator) if halves else None
+    states = estimator.smooth(x, start)
+    both = estimator.smooth_halves(x, start) if halves else None
     positions, speeds = (states.derivative(slice(None), order) for order in range(2))
     return states, both, MotionFacts.of(positions, speeds, keep)
 

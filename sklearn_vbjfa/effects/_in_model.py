@@ -274,12 +274,12 @@ class JointAxis(InModel):
 
     def correct(self, robot):
         robot.turn(
-            self.joint, rotation(self.values @ cross_axes(robot.axis(self.joint)))
+            self.joint, rotation(self.values @ cross_axes(robot.axes[self.joint]))
         )
 
     def columns(self, motion):
         made = motion.derivatives
-        axes = cross_axes(made.axis(self.joint))
+        axes = cross_axes(made.axes[self.joint])
         vector = self.values @ axes
         # A zero that was moved comes behind the turn, with axes of its own.
         behind = made.nominal_rotation(self.joint) @ rotation(vector)

@@ -22,7 +22,7 @@ from sklearn_vbjfa.equations._joint_moments import (
 )
 from sklearn_vbjfa.equations._plan import effect_places, in_parallel
 from sklearn_vbjfa.equations._ranges import SignalRanges
-from sklearn_vbjfa.model import is_prismatic, rounding_entries
+from sklearn_vbjfa.model import TorqueDerivatives, is_prismatic, rounding_entries
 from sklearn_vbjfa.recording import find_repetition
 
 # Periods of the state cut-off at each end in which the smoother sees one side only.
@@ -105,7 +105,8 @@ def make_motion(
         friction = declared_columns(features.friction_, v, a, rest)
         torque = load + np.einsum("njk,jk->nj", friction, parameters[:, 10:])
 
-        derivatives = features.derivatives(q, v, a, inertial)
+        given = q, v, a, inertial, features.nominal_
+        derivatives = TorqueDerivatives(features.model_, *given)
 
         def rigid(q, v, a):
             return features.torques(q, v, a, inertial)

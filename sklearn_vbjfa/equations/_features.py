@@ -16,7 +16,6 @@ from sklearn_vbjfa.effects import (
 )
 from sklearn_vbjfa.model import (
     CorrectedModel,
-    TorqueDerivatives,
     TreeRegressor,
     description_text,
     is_prismatic,
@@ -225,10 +224,6 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
     def description(self):
         """URDF of the robot before it was corrected."""
         return description_text(self._folded)
-
-    def derivatives(self, q, v, a, inertial):
-        """Differentiate the torques of bodies (nv, 10) by the robot's geometry."""
-        return TorqueDerivatives(self.model_, q, v, a, inertial, self.nominal_)
 
     def _set_regressor(self):
         self._regressor = TreeRegressor(self.model_)

@@ -1,17 +1,15 @@
 """Settings for experts, and the recording that arguments of a fit make."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from sklearn.utils.validation import validate_data
 
-from sklearn_vbjfa.equations._recording_checks import (
-    check_motion,
-    check_weight,
-    check_widths,
-    warn_of_disorder,
-)
+from sklearn_vbjfa.equations._recording_checks import check_weight, check_widths
+from sklearn_vbjfa.inspection import at_rest, disorder
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import (
     OfferedSignals,
     check_time_stamps,
@@ -119,7 +117,9 @@ def checked_recording(identifier, recording):
 
 def _check_rows(identifier, X, t, parts):
     nv = identifier.features_.n_joints_
-    if X.shape[1] == nv:
-        check_motion(identifier.joint_names_, X, parts)
-    warn_of_disorder(identifier.joint_names_, X[:, :nv], parts)
+    q = identifier.joint_names_, X[:, :nv], parts
+    if X.shape[1] == nv and (noise := at_rest(*q)) is not None:
+        raise ValueError(noise.message)
+    for finding in disorder(*q):
+        warnings.warn(finding.message, DoubtWarning, stacklevel=4)
     check_time_stamps(t, identifier.dt, parts)

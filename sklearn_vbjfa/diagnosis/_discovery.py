@@ -34,6 +34,7 @@ from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
 from sklearn_vbjfa.equations._plan import check_effects
 from sklearn_vbjfa.equations._recording_checks import check_weight, check_widths
 from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
+from sklearn_vbjfa.fit._signs import signed
 from sklearn_vbjfa.inspection import refusal
 from sklearn_vbjfa.model import DoubtWarning, joint_names, load_model
 from sklearn_vbjfa.recording import (
@@ -305,7 +306,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             # Signs of rows that are not fitted follow from what was.
             split = split_in_time(self.identifier, whole, self.test_size)
             part = split.searched(whole)
-            whole = clone(self.identifier).fit_inspected(part).signed(whole)
+            fitted = clone(self.identifier).fit_inspected(part)
+            whole = signed(fitted.robot_, whole)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
@@ -453,8 +455,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             names = plain.joint_names_
             settings["gains"] = tuple(names[j] for j in plain.gains_.references)
         again = clone(plain).set_params(**settings)
-        again.begin_with(begin)
-        return again.fit_inspected(recording, compare=False)
+        return again.fit_inspected(recording, compare=False, before=begin.robot_)
 
     def _unnamed(self, found, named):
         """Find the joint torque beyond the effects; none where few were looked for."""

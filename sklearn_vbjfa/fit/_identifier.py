@@ -42,7 +42,7 @@ from sklearn_vbjfa.fit._bodies import described_bodies
 from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems_late
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.fit._output_error import check_criterion
-from sklearn_vbjfa.fit._signs import signed, with_signs
+from sklearn_vbjfa.fit._signs import with_signs
 from sklearn_vbjfa.inspection import contradicted, inspect_channels
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
@@ -234,8 +234,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.drive = drive
         self.options = options
 
-    # Robot whose load the next fit begins with, in place of a first pass.
-    _before = None
     # Mean gains of position and velocity of the fitted recording, (2, nv), if any.
     _feedback = None
 
@@ -352,7 +350,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         )
 
     @one_blas_thread()
-    def _fit(self, recording, look=False, compare=True):
+    def _fit(self, recording, look=False, compare=True, before=None):
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)
         robot = self._declared_robot(plan)
@@ -362,7 +360,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             numbering=numbered(recording, plan),
             n_jobs=self.n_jobs,
         )
-        recipe, before, self._before = self._recipe(), self._before, None
+        recipe = self._recipe()
         if self.drive is not None and self.drive.unsigned and recording.command is None:
             source = with_signs(recipe, robot, source, before)
             recording = source.recording
@@ -406,13 +404,15 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     # -- for other rooms -------------------------------------------------------------
 
-    def fit_inspected(self, recording, lag=0.0, compare=True):
+    def fit_inspected(self, recording, lag=0.0, compare=True, before=None):
         """Identify the robot from a recording whose channels were inspected."""
         # lag: about the time [s] by which all torques are late; not zero if it is to be
         # found, as `torque_lag_`; compare: whether deviations of predictions are to
-        # include how recordings differ.
+        # include how recordings differ; before: an `IdentifiedRobot` whose load the fit
+        # begins with, in place of a first pass.
         self._declare(*([TorqueLag(lag=lag)] if lag else []))
-        return self._fit(checked_recording(self, recording), compare=compare)
+        recording = checked_recording(self, recording)
+        return self._fit(recording, compare=compare, before=before)
 
     def build_model(self):
         """Load the model without data: names, `effects_` and `features_`."""
@@ -433,15 +433,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if self.fit_options.torque_noise is None:
             fit = fit.with_noise_facts(facts(fit.robot))
         return self._set(fit)
-
-    def signed(self, recording):
-        """Give sizes of torques the signs that the fitted robot predicts."""
-        return signed(self.robot_, recording)
-
-    def begin_with(self, fitted):
-        """Begin the next fit with the load of a fitted identifier, where it has one."""
-        self._before = fitted.robot_
-        return self
 
     def beside(self, effects):
         """Return a copy whose robot has further effects, with coefficients of one."""
@@ -532,15 +523,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         """The identified robot without data, an `IdentifiedRobot`."""
         check_is_fitted(self, "_robot")
         return self._robot
-
-    @property
-    def theta_(self):
-        """Parameters (p,), see `IdentifiedRobot`."""
-        return self.robot_.theta_
-
-    @theta_.setter
-    def theta_(self, theta):
-        self._robot = replace(self.robot_, theta_=theta)
 
     def __getattr__(self, name):
         """Return an attribute or a method of `robot_`."""

@@ -280,7 +280,8 @@ class IdentifiedRobot:
         robot = self.robot_  # also of a fitted identifier
         X, signals = robot.checked(X, signals)
         asked = robot.prepare(X, groups, t, signals=signals)
-        if text := robot.outside_text(asked):
+        joints = robot.joint_names_, is_prismatic(robot.features_.model_)
+        if text := outside_text(robot.outside(asked), *joints):
             message = f"Prediction outside the range of the fit. {text}."
             warnings.warn(message, UserWarning, stacklevel=2)
         return robot.torques(asked)
@@ -860,11 +861,6 @@ class IdentifiedRobot:
         held = [one is not None for one in self.held]
         held = [False] * (len(self.effect_ranges_) - len(held)) + held
         return outside(self.effect_ranges_, judged, held)
-
-    def outside_text(self, asked):
-        """Say where `Inputs` leaves what was fitted; empty if it does not."""
-        joints = self.joint_names_, is_prismatic(self.features_.model_)
-        return outside_text(self.outside(asked), *joints)
 
     # -- for other fits, and for simulation -------------------------------------------
 

@@ -33,8 +33,6 @@ _SPAN_ROWS = 4096
 _MANY_ROWS = 50_000
 # Memory for filtered rows of the regressor.
 CHUNK_BYTES = 4 << 20
-# Memory for rows of the regressor while loads are computed.
-_LOAD_BYTES = 64 << 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,16 +109,6 @@ def make_motion(
         def rigid(q, v, a):
             return features.torques(q, v, a, inertial)
 
-    @functools.cache
-    def last_body():
-        out = np.empty((states.shape[0], nv, 10))
-        rows = max(1, _LOAD_BYTES // (8 * nv * features.n_parameters_))
-        for i in range(0, states.shape[0], rows):
-            piece = slice(i, i + rows)
-            Phi = features.matrices(states[piece])
-            out[piece] = Phi.reshape(*Phi.shape[:2], nv, -1)[:, :, -1, :10]
-        return out
-
     motion = Motion(
         q=states[:, :nv],
         v=states[:, nv : 2 * nv],
@@ -131,7 +119,7 @@ def make_motion(
         parts=tuple(parts),
         prismatic=np.asarray(is_prismatic(features.model_), dtype=bool),
         rigid=rigid,
-        last_body=last_body,
+        last_body=functools.cache(lambda: features.last_body(states)),
         derivatives=derivatives,
         bandwidth=float(bandwidth),
         rest=rest,

@@ -17,6 +17,7 @@ from sklearn_vbjfa.effects import (
 from sklearn_vbjfa.model import (
     CorrectedModel,
     TreeRegressor,
+    describe,
     description_text,
     is_prismatic,
     joint_names,
@@ -267,11 +268,10 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         X = validate_data(self, X, dtype=np.float64, reset=False)
         return self.matrices(X).reshape(X.shape[0], -1)
 
-    def matrices(self, X, rest=None):
+    def matrices(self, X):
         """Regressor matrices (n, nv, p) of validated states (n, 3 nv)."""
-        # rest: `Rest`, by which velocity signs are replaced by their means.
         out = np.zeros((X.shape[0], self.n_joints_ * self.n_parameters_))
-        out[:, np.flatnonzero(self.support_)] = self.entries(X, rest)
+        out[:, np.flatnonzero(self.support_)] = self.entries(X)
         return out.reshape(X.shape[0], self.n_joints_, -1)
 
     def declared(self, X, rest=None):
@@ -281,14 +281,21 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
 
     def entries(self, X, rest=None, declared=None, out=None):
         """Entries of ``np.nonzero(support_)`` alone, (n, n_entries)."""
-        # declared: friction columns, where they are known; out: rows that are filled
-        # instead of new ones, which may be longer.
+        # rest: `Rest`, by which velocity signs are replaced by their means; declared:
+        # friction columns, where they are known; out: rows that are filled instead of
+        # new ones, which may be longer.
         if out is None:
             out = np.empty((X.shape[0], self.n_entries_))
         self._regressor.entries(X, self._body_places, out)
         declared = self.declared(X, rest) if declared is None else declared
         out[:, self.declared_places_.ravel()] = declared.reshape(len(out), -1)
         return out
+
+    def last_body(self, X):
+        """Columns of the last body, (n, nv, 10), of states (n, 3 nv)."""
+        tree, states = describe(self.model_), np.split(X, 3, axis=1)
+        columns = np.stack(last_body_columns(tree, *states), axis=1)
+        return columns * self._regressor.support[:, -1]
 
     def torques(self, q, v, a, inertial):
         """Rigid-body torques (n, nv) of bodies (nv, 10), without friction."""
@@ -345,24 +352,18 @@ def parameter_names_of(names, nv):
         return None
     # The first column is the mass of the first joint's own body.
     first = re.fullmatch(r"((?:.*__)?tau_(.+)/)\2:m", names[0])
-    blocks = np.array(names, dtype=object).reshape(nv, -1)
     if first is not None:
+        blocks = np.array(names, dtype=object).reshape(nv, -1)
         parameters = [name[len(first[1]) :] for name in blocks[0]]
-        if all(_one_joint(block, parameters) for block in blocks):
+        heads = [block[0].removesuffix(parameters[0]) for block in blocks]
+        of_joints = all(re.fullmatch("(.*__)?tau_.+/", head) for head in heads)
+        if of_joints and names == [x + name for x in heads for name in parameters]:
             return tuple(parameters)
     raise ValueError(
         "Columns of RigidBodyFeatures were removed, renamed or reordered before this "
         f"regressor ({len(names)} for {nv} joints). Select columns inside the "
         "regressor: make_pipeline(SelectFromModel(...), Lasso())."
     )
-
-
-def _one_joint(block, parameters):
-    before = {
-        name[: len(name) - len(parameter)] if name.endswith(parameter) else None
-        for name, parameter in zip(block, parameters)
-    }
-    return len(before) == 1 and re.fullmatch("(.*__)?tau_.+/", before.pop() or "")
 
 
 def check_as_computed(X):

@@ -124,13 +124,6 @@ class Plan:
         """Whether effects need the clock."""
         return any("time" in effect.needs for effect in self.effects)
 
-    def set_to(self, recording):
-        # Rejects stamps that the effects cannot use.
-        clock = self.clock(recording)
-        if not self.timed or clock is None:
-            return self
-        return replace(self, time=(float(clock[0]), float(clock[-1])))
-
     def passes(self):
         # Those in the model have no columns in a fit; their values are corrected after.
         if not needs_load(e for e in self.effects if not e.in_model):

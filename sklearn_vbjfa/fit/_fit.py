@@ -599,7 +599,8 @@ class ModelValues:
         within = self.estimate.covariance[np.ix_(own, own)]
         inverse = self.estimate.eigen.inverse()[:, own]
         slope = np.linalg.solve(inverse[own], inverse[rest].T).T
-        std[rest] = np.hypot(std[rest], np.sqrt(_squares(slope, within)))
+        moved = np.einsum("ik,kl,il->i", slope, within, slope)
+        std[rest] = np.hypot(std[rest], np.sqrt(moved))
         if covariance is not None:
             covariance = covariance.copy()
             covariance[np.ix_(rest, rest)] += slope @ within @ slope.T
@@ -629,11 +630,6 @@ class ModelValues:
                 effect = effect.linearised_at(_within(effect, step))
             found.append(effect)
         return tuple(found)
-
-
-def _squares(rows, matrix):
-    """Return r M r' (n,) of rows (n, k) and a matrix (k, k)."""
-    return np.einsum("ik,kl,il->i", rows, matrix, rows)
 
 
 def _at_bounds(effect):

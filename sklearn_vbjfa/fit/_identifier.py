@@ -498,7 +498,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         check_channels(self.joint_names_, ranges, np.concatenate(ends))
         lengths = [rows.stop - rows.start for rows in parts]
         plan = make_plan(self, self.effects_, lengths, estimator, facts)
-        plan = plan.set_to(recording)
+        # Rejects stamps that the effects cannot use.
+        clock = plan.clock(recording)
+        if plan.timed and clock is not None:
+            plan = replace(plan, time=(float(clock[0]), float(clock[-1])))
         check_length(parts, plan.lowpass, plan.cutoff)
         return plan, recording, states
 

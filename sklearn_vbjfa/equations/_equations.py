@@ -105,9 +105,7 @@ def make_motion(
 
         given = q, v, a, inertial, features.nominal_
         derivatives = TorqueDerivatives(features.model_, *given)
-
-        def rigid(q, v, a):
-            return features.torques(q, v, a, inertial)
+        rigid = functools.partial(features.torques, inertial=inertial)
 
     motion = Motion(
         q=states[:, :nv],
@@ -676,13 +674,6 @@ class TorqueResiduals:
     def residual(self):
         """Measured minus predicted torque [N m or N], ndarray of shape (m, nv)."""
         return self.torque - self.predicted
-
-    def filled(self, other):
-        """Take the predictions of the other comparison where the weight is zero."""
-        counts = self.weight > 0
-        return replace(
-            self, predicted=np.where(counts, self.predicted, other.predicted)
-        )
 
     def rms(self):
         """Root mean square of the residual of each joint [N m or N]."""

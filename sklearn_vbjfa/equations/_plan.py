@@ -162,11 +162,11 @@ class Plan:
         rounding = estimator.rounding()
         return {"corner": self.corners, "rounding": rounding, "span": self.dt}
 
-    def rest(self, noise, estimator=None):
-        """Return the `Rest`, for mean velocity signs, of velocity noise (nv,)."""
-        # estimator: of the velocities, None for those that are known.
-        # Negative speeds mask nothing.
+    def rest(self, estimator=None):
+        """Return the `Rest`, for mean velocity signs, of an estimator's velocities."""
+        # None for velocities that are known. Negative speeds mask nothing.
         speed, own = np.maximum(self.standstill, 0.0), self._reversals(estimator)
+        noise = 0.0 * speed if estimator is None else estimator.velocity_noise()
         return Rest(speed=speed, time=self._stands, noise=noise, **own)
 
     @property

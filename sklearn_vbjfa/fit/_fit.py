@@ -173,10 +173,7 @@ class RobotFit:
         if not robot.effects_:
             return self
         inertial = robot.inertial()
-
-        def torques(q, v, a):
-            return robot.features_.torques(q, v, a, inertial)
-
+        torques = functools.partial(robot.features_.torques, inertial=inertial)
         load = sum_ranges([one.loads(robot.plan.lowpass, torques) for one in self.made])
         ranges = effect_ranges(
             robot.features_.friction_,

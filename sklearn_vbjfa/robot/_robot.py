@@ -82,8 +82,7 @@ class Inputs:
     smoother: object = None  # what the states come from; None if they were given
 
     def noiseless(self, plan):
-        nothing = np.zeros(self.recording.nv)
-        return replace(self, rest=plan.rest(nothing))
+        return replace(self, rest=plan.rest())
 
     def counts(self, standstill):
         """Rows in which each signal can be judged, (n, nv), bool, by its name."""
@@ -330,7 +329,7 @@ class IdentifiedRobot:
         check_length(recording.segments, lowpass, self.plan.cutoff)
         recording = self._on_clock(recording)
         smoother = self.smoother(recording.inputs, recording.groups)
-        states, rest = RecordingStates.of(recording, smoother), self._rest(smoother)
+        states, rest = RecordingStates.of(recording, smoother), self.plan.rest(smoother)
 
         def compared(rest):
             made = build_segments(
@@ -346,7 +345,9 @@ class IdentifiedRobot:
         found = compared(None)
         if predicts and not (found.weight > 0).all():
             # Weighted rows have the columns of the fit; rows at rest are predicted.
-            found = found.filled(compared(rest))
+            weighted, others = found.weight > 0, compared(rest).predicted
+            predicted = np.where(weighted, found.predicted, others)
+            found = replace(found, predicted=predicted)
         return found
 
     def step(self, q, v, a, t=None, signals=None):
@@ -789,11 +790,6 @@ class IdentifiedRobot:
             estimator = fit_states(check_dt(self.plan.dt), "auto", X, groups)
         return smooth_to(estimator, self.plan.cutoff) if in_band else estimator
 
-    def _rest(self, estimator):
-        if estimator is None:
-            return self.plan.rest(np.zeros(self.features_.n_joints_))
-        return self.plan.rest(estimator.velocity_noise(), estimator)
-
     def states(self, X, groups):
         """States (n, 3 nv) of positions, smoothed as in the fit; given ones stay."""
         estimator = self.smoother(X, groups)
@@ -819,7 +815,7 @@ class IdentifiedRobot:
         return Inputs(
             recording=self._on_clock(recording),
             states=states,
-            rest=self._rest(smoother),
+            rest=self.plan.rest(smoother),
             smoother=smoother,
         )
 
@@ -866,7 +862,7 @@ class IdentifiedRobot:
 
     def torque_model(self):
         """Return the `TorqueModel` of the robot, its states taken as noiseless."""
-        bodies, nv = self.bodies(self.theta_), self.features_.n_joints_
+        bodies = self.bodies(self.theta_)
         return TorqueModel(
             model=self.features_.model_,
             bodies=np.ascontiguousarray(bodies[:, :10]),
@@ -877,7 +873,7 @@ class IdentifiedRobot:
             ranges=self.held,
             gains=self.features_.gains_.copy(),
             load=self._load(),
-            rest=self.plan.rest(np.zeros(nv)),
+            rest=self.plan.rest(),
             since=None if self.plan.time is None else self.plan.time[0],
             dt=self.plan.dt,
         )
@@ -939,11 +935,9 @@ class IdentifiedRobot:
         return np.where(of_the_model(self), 0.0, theta)
 
     def equations(self, recording, states=None):
-        """Return the filtered `Equations` of a recording, as in the fit.
-
-        Columns of effects in the model are the derivatives by their values, for other
-        fits to correct them; they have no part in what is predicted.
-        """
+        """Return the filtered `Equations` of a recording, as in the fit."""
+        # Columns of effects in the model are the derivatives by their values, for other
+        # fits to correct them; they have no part in what is predicted.
         if states is None:
             states = self.states(recording.inputs, recording.groups)
         plan = replace(self.plan, tangents=True)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -376,7 +377,9 @@ class _ByMotion:
         self._columns, self._model, self._effect = effect.columns, model, effect
         self._prismatic = is_prismatic(model.model)
         self._tree = TreeRegressor(model.model)
-        self._bodies = model.load.bodies if load else None
+        self._rigid = None
+        if load:
+            self._rigid = partial(self._tree.torques, inertial=model.load.bodies)
 
     def __call__(self, row):
         """Columns (k,) or (nv, k) of a row."""
@@ -389,7 +392,7 @@ class _ByMotion:
             load=None if row.load is None else np.array([row.load]),
             torque=None if row.torque is None else np.array([row.torque]),
             prismatic=self._prismatic,
-            rigid=None if self._bodies is None else self._rigid,
+            rigid=self._rigid,
             last_body=lambda: self._tree(q, v, a)[:, :, -1],
             rest=self._model.rest,
             since=self._model.since,
@@ -397,7 +400,3 @@ class _ByMotion:
         )
         columns = self._columns(motion)[0]
         return columns if self._effect.whole_robot else columns.tolist()
-
-    def _rigid(self, q, v, a):
-        """Torques of the rigid bodies, (n, nv)."""
-        return self._tree.torques(q, v, a, self._bodies)

@@ -213,13 +213,7 @@ def check_effects(effects, nv):
     found = tuple(resolve([effect])[0] for effect in effects)
     for effect in found:
         effect.check()
-        partners = (getattr(effect, name) for name in effect.partners)
-        for joint in (effect.joint, *partners):
-            if not 0 <= joint < nv:
-                raise ValueError(
-                    f"effects names joint {joint} for {effect.name}; expected 0 to "
-                    f"{nv - 1}, for {nv} joint(s)."
-                )
+        effect.check_joints(nv)
     keys = [(effect.key(), tuple(sorted(effect.shape().items()))) for effect in found]
     for key in keys:
         if keys.count(key) > 1:

@@ -371,8 +371,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             or seems_late(recipe, fit, source)
         )
         if self.fit_options.torque_noise is None:
-            clock = plan.clock(recording)
-            facts = fit.robot.noise_facts(recording, clock, self.n_jobs)
+            facts = fit.robot.noise_facts(recording, self.n_jobs)
             fit = fit.with_noise_facts(facts)
         if self.criterion == "simulation":
             fit = refine_fit(recipe, fit, source, self.fit_options.window)

@@ -78,16 +78,6 @@ class Servo:
     most: np.ndarray
     delay: float = 0.0  # from a command to its effect [s], not negative
 
-    def attributes(self, j, step):
-        """Attributes of joint j's actuator; step [s] is that of the file."""
-        found = {"gainprm": number(self.kp[j] or 1.0)}
-        if self.delay > 0:
-            # Commands between two steps go straight.
-            kept = int(np.ceil(self.delay / step)) + 2
-            found |= {"delay": number(self.delay), "nsample": str(kept)}
-            found["interp"] = "linear"
-        return found
-
 
 def write_mjcf(
     path,
@@ -259,8 +249,12 @@ class _Tree:
             if servo is None:
                 motor.set("gainprm", number(1.0 / dynamics.gain[j]))
             else:
-                for key, value in servo.attributes(j, step).items():
-                    motor.set(key, value)
+                motor.set("gainprm", number(servo.kp[j] or 1.0))
+                if servo.delay > 0:
+                    # Commands between two steps go straight.
+                    kept = int(np.ceil(servo.delay / step)) + 2
+                    motor.attrib |= {"delay": number(servo.delay), "nsample": str(kept)}
+                    motor.set("interp", "linear")
                 stiffness, damping = stiffness - servo.kp[j], -servo.kd[j]
                 if np.isfinite(servo.most[j]):
                     # The limit is that of the loop, without the constant.

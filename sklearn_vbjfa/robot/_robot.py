@@ -947,12 +947,13 @@ class IdentifiedRobot:
         )
         return joined(equations(made, plan.lowpass))
 
-    def noise_facts(self, recording, clock=None, n_jobs=None):
+    def noise_facts(self, recording, n_jobs=None):
         """Measure the torque noise of a recording; `NoiseFacts` of each segment."""
         band = self.plan.dt, self.plan.cutoff
         if not seen(*band):
             return []
         found, torques = [], self.plan.applied(recording).tau
+        clock = self.plan.clock(recording)
         for rows in map(rows_looked_at, recording.segments):
             t = None if clock is None else clock[rows]
             own = {name: values[rows] for name, values in recording.signals.items()}

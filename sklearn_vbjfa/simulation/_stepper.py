@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,9 +24,6 @@ from sklearn_vbjfa.model import (
     joint_names,
 )
 
-if TYPE_CHECKING:
-    import pinocchio as pin
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Load:
@@ -45,7 +41,7 @@ class TorqueModel:
     """An identified robot: bodies, friction, effects, and what its channels read."""
 
     # Geometry and gravity, as the effects in the model correct them, without inertias.
-    model: "pin.Model"
+    model: object  # of Pinocchio
     bodies: np.ndarray  # (nv, 10): inertial parameters in Pinocchio's order
     friction_names: tuple  # declared columns, such as ("viscous", "coulomb")
     friction: np.ndarray  # (nv, n_friction): their coefficients
@@ -80,11 +76,6 @@ class TorqueModel:
                 j = effect.joint
                 out[:, j] = effect.taken_back(coef, out[:, j], t)
         return out
-
-    def own_effects(self):
-        """Effects that are not in the model, with coefficients and what holds them."""
-        every = zip(self.effects, self.coefficients, self.held, strict=True)
-        return [one for one in every if not one[0].in_model]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,9 +262,7 @@ class Stepper:
 
 def _held(columns, held):
     """Return columns of a `State` in which an `EffectRange` holds the signals."""
-    if held is None:
-        return columns
-    for quantity, name in HELD.items():
+    for quantity, name in HELD.items() if held is not None else ():
         ends = held.ends(quantity)
         if np.isfinite(ends).any():
             columns = _holding(columns, name, held.joint, *ends)

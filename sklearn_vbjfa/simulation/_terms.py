@@ -86,8 +86,11 @@ class TermTable:
             ("rotor_inertia", self.armature),
         ):
             add += declared.get(name, 0.0)
-        for effect, coef, held in robot.own_effects():
-            if isinstance(effect, OfChannel) or effect.not_simulated:
+        every = zip(robot.effects, robot.coefficients, robot.held, strict=True)
+        for effect, coef, held in every:
+            # Those in the model act through it.
+            beside = effect.in_model or isinstance(effect, OfChannel)
+            if beside or effect.not_simulated:
                 continue
             effect.check()
             self._ends = _ends(held)

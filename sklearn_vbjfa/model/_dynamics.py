@@ -75,7 +75,7 @@ class TorqueDerivatives:
         still[:, nv:] = 0.0
         root = 1.0 * (self._tree.parents < 0)[:, None]
         for axis in np.eye(3):
-            tree = self._tree._replace(base=-root * axis, base_angular=np.zeros(3))
+            tree = self._tree.changed(base=-root * axis, base_angular=np.zeros(3))
             found.append(torques_of(tree, still, self._inertial))
         return np.stack(found, axis=2)
 
@@ -104,7 +104,7 @@ class TorqueDerivatives:
         """Torques (n, nv) with another value of a joint in the tree."""
         values = getattr(self._tree, name).copy()
         values[joint] = value
-        tree = self._tree._replace(**{name: values})
+        tree = self._tree.changed(**{name: values})
         return torques_of(tree, self._states, self._inertial)
 
     def rotation(self, joint):

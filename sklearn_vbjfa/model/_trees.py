@@ -157,6 +157,10 @@ class Tree(NamedTuple):
     base: np.ndarray
     base_angular: np.ndarray  # (3,): its angular part [rad/s^2]
 
+    def changed(self, **values):
+        """Return the tree with some other values."""
+        return self._replace(**values)
+
 
 def describe(model):
     """Return the `Tree` of a model, from how Pinocchio moves its joints."""

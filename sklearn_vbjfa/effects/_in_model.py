@@ -95,7 +95,6 @@ class InModel(Effect):
         return bool((self.values != self.nominal).any())
 
     def check(self):
-        """Raise ValueError for values that are not finite numbers, too."""
         super().check()
         for name in self.coefficients:
             value = getattr(self, name)
@@ -319,7 +318,6 @@ class TorqueGain(InModel):
         self.limit = limit
 
     def check(self):
-        """Raise ValueError for a gain that is not positive, too."""
         super().check()
         if not self.gain > 0:
             raise ValueError(f"gain of {self.name} must be positive; got {self.gain}.")

@@ -58,7 +58,6 @@ class Equations:
 
 
 def joined(pieces):
-    """Concatenate the equations of a recording."""
     names, pieces = ("Phi", "tau", "weight", "index"), list(pieces)
     if len(pieces) == 1:
         return pieces[0]
@@ -185,7 +184,6 @@ class RegressorRows:
 
     @property
     def n_rows(self):
-        """Number of rows."""
         return self.states.shape[0]
 
     def spans(self, rows, length, some=1):
@@ -250,14 +248,7 @@ class RegressorRows:
     def spread(self, rows):
         """Put rows (n, n_entries) of entries back into matrices (n, nv, p)."""
         out = np.zeros((rows.shape[0], self.n_joints * self.n_parameters))
-        # Slices of adjacent places are copied faster than places one by one.
-        breaks = np.flatnonzero(np.diff(self.used) != 1) + 1
-        at = 0
-        for places in np.split(self.used, breaks):
-            if places.size:
-                stop = at + places.size
-                out[:, places[0] : places[-1] + 1] = rows[:, at:stop]
-                at = stop
+        out[:, self.used] = rows
         return out.reshape(-1, self.n_joints, self.n_parameters)
 
     def predict(self, theta):
@@ -420,6 +411,7 @@ class Segment:
             index=self.first + lowpass.centres(self.n_rows, outputs),
         )
 
+    @one_blas_thread()
     def moments(self, lowpass, outputs, numbering=None):
         """Return the second moments of these equations, whose matrices are not made."""
         seen, tau, weight, ranges = self._measured(lowpass, outputs)
@@ -605,13 +597,8 @@ def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
         for segment in made
         for outputs in segment.pieces(lowpass)
     ]
-    done = in_parallel(_piece_moments, tasks, n_jobs)
+    done = in_parallel(Segment.moments, tasks, n_jobs)
     return sum_moments(counted(done, "equations", len(tasks)))
-
-
-def _piece_moments(segment, lowpass, outputs, numbering):
-    with one_blas_thread():
-        return segment.moments(lowpass, outputs, numbering)
 
 
 def held_columns(features, effects):

@@ -385,7 +385,7 @@ def changed_motion(robot, model, other):
     length = min(max(round(_SECONDS / dt), _LEAST), _ROWS)
     count = min(_WINDOWS, _ROWS // length)
     starts = np.linspace(0, _ROWS - length, count).astype(int)
-    tau = robot.torques(robot.prepare(states).noiseless(robot.plan))
+    tau = robot.torques(robot.prepare(states))
     changes, spread = [], states[:, :nv].std(axis=0)
     for rows in (slice(start, start + length) for start in starts):
         q, v, _ = np.split(states[rows.start], 3)

@@ -701,7 +701,7 @@ class IdentifiedRobot:
 
     def columns_of(self, states):
         """Return effects with their columns in states (n, 3 nv), a list of pairs."""
-        (rows,) = self._rows(self.prepare(states).noiseless(self.plan))
+        (rows,) = self._rows(self.prepare(states))
         return rows.columns
 
     def _servo(self, drive):

@@ -57,7 +57,6 @@ class TorqueModel:
 
     @property
     def held(self):
-        """Range of each effect, a tuple of EffectRange or None."""
         return self.ranges or (None,) * len(self.effects)
 
     @property
@@ -88,7 +87,6 @@ class LeftOut:
     reason: str  # why it has no place, or what of it is missing
 
     def __str__(self):
-        """One line."""
         return f"{self.name} on {self.joint_name}: {self.reason}"
 
 

@@ -142,13 +142,11 @@ class TermTable:
 
     @property
     def of_load(self):
-        """Whether friction depends on the load."""
         elements = self._numbers[np.isin(self.kinds, _ELEMENTS)]
         return bool(self.load_dry.any() or elements[:, _OF_LOAD].any())
 
     @property
     def is_timed(self):
-        """Whether anything changes with time or a signal."""
         return bool(self._levels)
 
     def table(self, q):

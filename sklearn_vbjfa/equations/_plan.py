@@ -221,14 +221,6 @@ def check_effects(effects, nv):
     return found
 
 
-def delay_of(drive, declared):
-    """Return the delay of a drive's commands as declared effects, a tuple."""
-    if drive is None or drive.waits is not None:
-        return ()
-    own = [effect for effect in declared if isinstance(effect, CommandDelay)]
-    return () if own else (CommandDelay(),)
-
-
 def needs_load(effects):
     """Whether effects depend on the parameters, through the load."""
     return any("load" in effect.needs for effect in effects)

@@ -188,18 +188,6 @@ class StateEstimator(TransformerMixin, BaseEstimator):
             states[part] = self.smooth(X[part], part.start)[:]
         return states
 
-    def split_transform(self, X, groups=None):
-        """Estimate states (n, 3 nv) from the even and from the odd samples, a pair."""
-        # Their encoder noise is independent (white noise assumed) while the motion is
-        # the same: their regressors differ by noise alone.
-        check_is_fitted(self)
-        X = validate_data(self, X, dtype=np.float64, reset=False)
-        halves = np.empty((2, len(X), 3 * X.shape[1]))
-        for part in contiguous_groups(groups, len(X)):
-            for half, own in zip(halves, self.smooth_halves(X[part], part.start)):
-                half[part] = own[:]
-        return tuple(halves)
-
     def velocity_noise(self):
         """Estimate deviations (nv,) of velocities [rad/s or m/s]; zero if unknown."""
         # By white encoder noise, behind the smoother.
@@ -232,6 +220,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
 
     def smooth_halves(self, x, start):
         """Return `SplineStates` of the even and of the odd samples, a pair."""
+        # Their encoder noise is independent (white noise assumed) while the motion is
+        # the same: their regressors differ by noise alone.
         if x.shape[0] < 2 * _MIN_SAMPLES:
             raise ValueError(
                 f"A recording must have at least {2 * _MIN_SAMPLES} samples to be "

@@ -10,7 +10,7 @@ from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_vbjfa._core._threads import one_blas_thread
-from sklearn_vbjfa.effects import TorqueLag
+from sklearn_vbjfa.effects import CommandDelay, TorqueLag
 from sklearn_vbjfa.equations._equations import numbered
 from sklearn_vbjfa.equations._features import (
     RigidBodyFeatures,
@@ -19,7 +19,6 @@ from sklearn_vbjfa.equations._features import (
 )
 from sklearn_vbjfa.equations._plan import (
     check_effects,
-    delay_of,
     make_plan,
     observe,
 )
@@ -470,7 +469,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self._masses = check_masses(self.fit_options.known_masses, gains, model)
         if gains is not None:
             declared = declared_gains(declared, model.nv)
-        declared += (*delay_of(self.drive, declared), *further)
+        waits = self.drive is None or self.drive.waits is not None
+        if not (waits or any(isinstance(one, CommandDelay) for one in declared)):
+            declared += (CommandDelay(),)
+        declared += further
         self.effects_ = with_followers(declared, self.features_)
         self.features_ = self.features_.corrected(self.effects_)
         if self.criterion == "simulation":

@@ -131,11 +131,8 @@ class _Account:
     def __init__(self, robot, added=None):
         # added (nv, 3): to `TERMS`, see `refitted`.
         self.robot, self.left = robot, []
+        self.uses = list(zip(robot.effects, robot.coefficients))
         self._added = np.zeros((robot.n_joints, 3)) if added is None else added
-
-    @property
-    def uses(self):
-        return list(zip(self.robot.effects, self.robot.coefficients))
 
     def leave(self, name, joint, reason):
         names = self.robot.joint_names

@@ -29,7 +29,7 @@ from sklearn_vbjfa.equations._recording_checks import (
     check_widths,
 )
 from sklearn_vbjfa.equations._states import RecordingStates, fit_states, smooth_to
-from sklearn_vbjfa.equations._torque_noise import noise_facts, rows_looked_at, seen
+from sklearn_vbjfa.equations._torque_noise import ROWS, noise_facts, seen
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.model._mjcf import Servo
 from sklearn_vbjfa.model._trees import is_prismatic
@@ -954,7 +954,8 @@ class IdentifiedRobot:
             return []
         found, torques = [], self.plan.applied(recording).tau
         clock = self.plan.clock(recording)
-        for rows in map(rows_looked_at, recording.segments):
+        for part in recording.segments:
+            rows = slice(part.start, min(part.stop, part.start + ROWS))
             t = None if clock is None else clock[rows]
             own = {name: values[rows] for name, values in recording.signals.items()}
             asked = self.prepare(recording.inputs[rows], t=t, signals=own)

@@ -15,11 +15,11 @@ import numpy as np
 from sklearn_vbjfa.effects import HELD, OfChannel
 
 # Kinds of terms in the table, by the names that effects enter them with.
-_NAMES: tuple[str, ...] = ("stribeck", "quadratic", "absolute")
-_NAMES += ("harmonics", "linkage", "ripple", "stop", "backlash")
-_NAMES += ("coupled_dry", "level", "level_dry", "viscous", "spring")
-_NAMES += ("coupled_spring", "bristle", "dry_ripple")
-KINDS = {name: kind for kind, name in enumerate(_NAMES)}
+_NAMES = (
+    "stribeck quadratic absolute harmonics linkage ripple stop backlash coupled_dry "
+    "level level_dry viscous spring coupled_spring bristle dry_ripple"
+)
+KINDS = {name: kind for kind, name in enumerate(_NAMES.split())}
 _STRIBECK, _QUADRATIC, _ABSOLUTE = range(3)
 _HARMONICS, _LINKAGE, _RIPPLE, _STOP, _BACKLASH = range(3, 8)
 _COUPLED_DRY, _LEVEL, _LEVEL_DRY, _VISCOUS, _SPRING = range(8, 13)

@@ -17,29 +17,18 @@ def main(argv=None):
         with one_blas_thread():
             return run(arguments)
     except KeyboardInterrupt:
-        _refuse("interrupted")
+        say("sklearn-vbjfa: interrupted")
         return 130
     except MemoryError:
-        _refuse("not enough memory; give a shorter log or fewer effects (--effects)")
+        reason = "not enough memory; give a shorter log or fewer effects (--effects)"
+        options = {}
     except (ValueError, OSError, ImportError) as error:
-        _refuse(_reason(error), _remedy(error, arguments))
+        reason = getattr(error, "reason", error)
+        if isinstance(error, OSError) and error.strerror:
+            reason = f"{error.filename or 'output'}: {error.strerror}"
+        options = getattr(error, "options", {})
+    line = f"sklearn-vbjfa: {one_line(reason)}"
+    if options:
+        line += f"; this would work: {command_line(arguments, options)}"
+    say(line)
     return REFUSED
-
-
-def _reason(error):
-    """Return the message of an exception."""
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename or 'output'}: {error.strerror}"
-    return getattr(error, "reason", error)
-
-
-def _remedy(error, arguments):
-    """Return the command with the options that an exception offers, if any."""
-    options = getattr(error, "options", {})
-    return command_line(arguments, options) if options else ""
-
-
-def _refuse(reason, remedy=""):
-    """Print a refusal in one line, with the command that would work."""
-    more = f"; this would work: {remedy}" if remedy else ""
-    say(f"sklearn-vbjfa: {one_line(reason)}{more}")

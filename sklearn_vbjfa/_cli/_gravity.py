@@ -20,9 +20,9 @@ def correct(arguments, folder):
     from sklearn_vbjfa.gravity import correct_gravity
 
     out = _input.output_folder(arguments, "report")
-    loaded = _input.load(arguments, folder)
-    with _input.blaming(loaded.source, loaded.gains):
-        found = correct_gravity(loaded.recording, str(loaded.urdf))
+    recording, urdf, _ = _input.load(arguments, folder)
+    with _input.blaming(arguments):
+        found = correct_gravity(recording, str(urdf))
     robot, enough = found.identifier, found.poses_enough
     words = ["design", "--urdf", arguments.urdf, "--report", str(out)]
     words += ["--for", "gravity"]
@@ -66,7 +66,7 @@ def correct(arguments, folder):
         return []
 
     table = joints.to_string(index=False, float_format="{:.3g}".format)
-    facts = data | {"recording": loaded.recording, "rows": table, "reasons": doubts}
+    facts = data | {"recording": recording, "rows": table, "reasons": doubts}
     return Done(
         text=rendered("gravity.txt.j2", **facts),
         doubts=doubts,

@@ -33,11 +33,11 @@ def identify(arguments, folder):
     if ranges:
         _input.check_file(ranges, "--ranges", arguments.force)
     settings = _input.settings(arguments)
-    loaded = _input.load(arguments, folder)
+    recording, urdf, held = _input.load(arguments, folder)
     files = tuple(dict.fromkeys(map(str, _input.paths(arguments))))
-    with _input.blaming(loaded.source, loaded.gains):
+    with _input.blaming(arguments):
         effects = "all" if library is None else library
-        loop = search(loaded.recording, str(loaded.urdf), effects=effects, **settings)
+        loop = search(recording, str(urdf), effects=effects, **settings)
     robot = folder / "robot"
     robot.mkdir()
     lacking, export = _exported(loop.identifier_, robot)
@@ -48,7 +48,7 @@ def identify(arguments, folder):
             "file": files[0] if len(files) == 1 else files,
             "description": str(_input.expanded(arguments.urdf)),
             "options": dict(arguments.typed),
-            "held": loaded.held,
+            "held": held,
             "files": _FILES[1:],
             "date": time.strftime("%Y-%m-%d"),
         },
@@ -89,9 +89,9 @@ def identify(arguments, folder):
         return lines
 
     # Joints that are named by the user leave the others out on purpose.
-    others = [] if arguments.joints else loaded.other_joints()
+    others = [] if arguments.joints else _input.other_joints(urdf, held)
     return Done(
-        text="\n".join([str(loaded.recording), *others, str(printed)]),
+        text="\n".join([str(recording), *others, str(printed)]),
         doubts=printed.warnings,
         data="report.json",
         folder=out,

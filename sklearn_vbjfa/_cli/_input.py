@@ -3,7 +3,6 @@
 import contextlib
 import itertools
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 
 from sklearn_vbjfa import datasets
@@ -27,49 +26,10 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # -- recordings ------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LoadedRecording:
-    """A recording, of one file or several, and its robot."""
-
-    recording: object
-    urdf: Path | str  # description in which the joints that were not recorded are fixed
-    source: str  # name of the files in messages
-    held: tuple = ()  # joints that are fixed
-    gains: object = None  # given factors of the torque channels
-    drive: object = None  # `Drive` that the robot follows
-    bodies: str = "prior"
-
-    def findings(self):
-        """Return the faults of the channels; unknown factors are none."""
-        one, gains = self.recording, None
-        if self.drive is not None:
-            gains = self.drive.gains
-        elif self.gains == "unknown" or motor_units(one):
-            gains = "unknown"
-        return inspect_channels(
-            str(self.urdf),
-            one.q,
-            one.tau,
-            one.dt,
-            one.groups,
-            drive=self.drive,
-            gains=gains,
-            bodies=self.bodies,
-            named=one.joints_named,
-        )
-
-    def other_joints(self):
-        """Return lines on joints that are held, and on those that follow others."""
-        lines = [f"held at zero: {', '.join(self.held)}"] if self.held else []
-        follow = [body.name for body in load_folded(self.urdf).followers]
-        if follow:
-            lines.append(f"follow other joints, without columns: {', '.join(follow)}")
-        return lines
-
-
 def load(arguments, folder, *, assumed=None):
-    """Read a recording and its robot; derived descriptions go to a folder."""
-    # assumed: gains of the torque channels if none are given.
+    """Return a recording, its robot, and joints that are held without columns."""
+    # folder: for derived descriptions; assumed: gains of the torque channels if none
+    # are given.
     if arguments.urdf is None:
         raise ValueError("give --urdf FILE, the robot description (URDF or MJCF).")
     urdf, held = robot(arguments, expanded(arguments.urdf), arguments.joints, folder)
@@ -79,15 +39,35 @@ def load(arguments, folder, *, assumed=None):
         # Joints without columns.
         urdf, more = _reduced(urdf, recording.joint_names, folder)
         held = (*held, *more)
-    return LoadedRecording(
-        recording=recording,
-        urdf=urdf,
-        source=named(arguments),
-        held=held,
-        gains=arguments.gain,
-        drive=arguments.drive,
-        bodies=getattr(arguments, "bodies", "prior"),
+    return recording, urdf, held
+
+
+def findings(arguments, recording, urdf, gains):
+    """Return the faults of the channels; unknown factors are none."""
+    drive = arguments.drive
+    if drive is not None:
+        gains = drive.gains
+    elif gains != "unknown":
+        gains = "unknown" if motor_units(recording) else None
+    return inspect_channels(
+        str(urdf),
+        recording.q,
+        recording.tau,
+        recording.dt,
+        recording.groups,
+        drive=drive,
+        gains=gains,
+        named=recording.joints_named,
     )
+
+
+def other_joints(urdf, held):
+    """Return lines on joints that are held, and on those that follow others."""
+    lines = [f"held at zero: {', '.join(held)}"] if held else []
+    follow = [body.name for body in load_folded(urdf).followers]
+    if follow:
+        lines.append(f"follow other joints, without columns: {', '.join(follow)}")
+    return lines
 
 
 def settings(arguments):
@@ -127,16 +107,16 @@ def motor_units(recording):
 
 
 @contextlib.contextmanager
-def blaming(source, gains=None):
+def blaming(arguments):
     """Name what was read in a refusal: the options are valid, so it is at fault."""
-    # gains: factors that its torques have already, which signs are multiplied with.
     try:
         yield
     except (ValueError, ProjectionError) as error:
         options = dict(getattr(error, "options", {}))
-        if isinstance(options.get("gains"), tuple) and gains is not None:
-            options["gains"] = tuple(a * b for a, b in zip(options["gains"], gains))
-        reason = f"{source}: {getattr(error, 'reason', error)}"
+        signs, gains = options.get("gains"), arguments.gain
+        if isinstance(signs, tuple) and gains is not None:
+            options["gains"] = tuple(a * b for a, b in zip(signs, gains))
+        reason = f"{named(arguments)}: {getattr(error, 'reason', error)}"
         raise Refused(reason, **options) from error
 
 
@@ -167,11 +147,6 @@ def read(arguments, urdf, joints, gains):
             **({"gains": "unknown"} if several else {}),
         )
     return recording
-
-
-def channel_warnings(findings):
-    """Return the messages of errors and warnings among findings."""
-    return [one.message for one in findings if one.severity != "note"]
 
 
 # -- robots ----------------------------------------------------------------------------

@@ -45,9 +45,9 @@ def _title(effect):
 def inspect(arguments, folder):
     """Read a recording and describe it."""
     # A current is as good as a torque here: nothing is identified.
-    loaded = _input.load(arguments, folder, assumed="unknown")
-    recording, findings = loaded.recording, loaded.findings()
-    motions = motion_of(recording, str(loaded.urdf))
+    recording, urdf, held = _input.load(arguments, folder, assumed="unknown")
+    findings = _input.findings(arguments, recording, urdf, arguments.gain)
+    motions = motion_of(recording, str(urdf))
     faults = [f"{one.severity}: {in_options(one.message)}" for one in findings]
     units = _input.motor_units(recording)
     if units and arguments.drive is None:
@@ -62,7 +62,7 @@ def inspect(arguments, folder):
         recording=recording,
         duration=f"{sum(lengths):.4g} s at {1 / recording.dt:.6g} Hz",
         parts=[f"{x} {s:.4g} s" for x, s in zip(names, lengths)] * (len(names) > 1),
-        others=loaded.other_joints(),
+        others=_input.other_joints(urdf, held),
         motion=_columns(motions, recording.torque_units),
         too_short=_TOO_SHORT,
         faults=faults,
@@ -74,13 +74,13 @@ def inspect(arguments, folder):
         "dt": recording.dt,
         "joint_names": list(recording.joint_names),
         "recordings": list(map(str, names)),
-        "held": list(loaded.held),
+        "held": list(held),
         "faults": faults,
         "identifiable": {one.name: list(one.shows) for one in motions},
         "not_identifiable": {one.name: list(one.hides) for one in motions},
     }
-    doubts = [] if motions else [_TOO_SHORT]
-    return Done(text=text, data=data, doubts=doubts + _input.channel_warnings(findings))
+    doubts = [one.message for one in findings if one.severity != "note"]
+    return Done(text=text, data=data, doubts=[_TOO_SHORT] * (not motions) + doubts)
 
 
 def _columns(motions, units):

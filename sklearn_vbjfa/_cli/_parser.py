@@ -219,9 +219,10 @@ def _value(parser, name, text):
         return tuple(default) if isinstance(default, list) else default
     if "value" not in option:
         return text
-    convert = _CONVERSIONS[option["value"]]
+    if isinstance(text, list):
+        return [_value(parser, name, one) for one in text]
     try:
-        return list(map(convert, text)) if isinstance(text, list) else convert(text)
+        return _CONVERSIONS[option["value"]](text)
     except argparse.ArgumentTypeError as error:
         parser.error(f"--{name} {error}")
     except ValueError:

@@ -29,7 +29,7 @@ def simulate(arguments, folder):
     path = _input.expanded(arguments.model)
     robot = load_identified(path / "identified.json" if path.is_dir() else path)
     recording = _recording(arguments, robot, folder)
-    with _input.blaming(_input.named(arguments)):
+    with _input.blaming(arguments):
         windows = _windows(arguments, robot, recording)
     places = [_place(recording, windows, k) for k in range(windows.n_windows)]
     count, failures, verdict = windows.n_windows, windows.failures, windows.verdict()
@@ -89,21 +89,15 @@ def _recording(arguments, robot, folder):
             f"was identified at {robot.dt:.6g} s; resample the recording to that "
             "period, or identify from this one."
         )
-    loaded = _input.LoadedRecording(
-        recording=recording,
-        urdf=urdf,
-        source=source,
-        gains=gains,
-        drive=arguments.drive,
-    )
-    findings = loaded.findings()
+    findings = _input.findings(arguments, recording, urdf, gains)
     measured = arguments.drive is None and not has_gains
     wrong = refusal(findings, recording.torque_units if measured else ())
     if wrong is not None:
-        with _input.blaming(source, gains):
+        with _input.blaming(arguments):
             raise wrong
-    for message in _input.channel_warnings(findings):
-        warnings.warn(f"{source}: {message}", DoubtWarning, stacklevel=2)
+    for one in findings:
+        if one.severity != "note":
+            warnings.warn(f"{source}: {one.message}", DoubtWarning, stacklevel=2)
     return recording
 
 

@@ -14,7 +14,6 @@ from sklearn_vbjfa.model import (
     NoShapes,
     import_coal,
     import_pinocchio,
-    load_model,
     load_shapes,
     position_range,
 )
@@ -58,16 +57,14 @@ class Clearance:
         self._look_at([x for x, drawn in zip(self._shapes, often) if not drawn])
 
     @classmethod
-    def of(cls, robot, *, model=None, margin=0.0):
+    def of(cls, robot, model, margin=0.0):
         """Take the shapes from a URDF; None if there are none, and why in words."""
-        # model: with the joints that move, by default all.
+        # model: with the joints that move.
         if not isinstance(robot, (str, os.PathLike)):
             return None, (
                 "A robot that is given as a model has no collision geometry; give the "
                 "path of its URDF to keep its links apart."
             )
-        if model is None:
-            model = load_model(robot)
         try:
             return cls(model, load_shapes(robot, model), margin), ""
         except NoShapes as reason:

@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections import namedtuple
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -53,21 +54,15 @@ SAME_COLUMNS = "absorbed by other parameters"
 _ASKED, _POSSIBLE = 1.0, 0.2
 # Effects whose columns follow the robot's geometry or what lies in time: the motion is
 # not bent for them, and what it shows of them is reported afterwards.
-_NOT_STEERED = ("base_tilt", "joint_zero", "joint_axis", "payload", "drift", "signal")
-_NOT_STEERED += ("torque_gain", "delay", "torque_filter", "jerk", "elastic")
+_NOT_STEERED = (
+    "base_tilt joint_zero joint_axis payload drift signal torque_gain delay "
+    "torque_filter jerk elastic"
+).split()
 # Effects that any joint may have, in forms that a motion can tell apart.
 _COMMON = (
-    "viscous",
-    "coulomb",
-    "asymmetric_friction",
-    "stribeck",
-    "viscous_quadratic",
-    "load_friction",
-    "spring",
-    "ripple",
-    "rotor_inertia",
-    "offset",
-)
+    "viscous coulomb asymmetric_friction stribeck viscous_quadratic load_friction "
+    "spring ripple rotor_inertia offset"
+).split()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,12 +190,10 @@ def pose(model, duration, dt, limits, effects, report, rng):
     elif not isinstance(limits, MotionLimits):
         raise TypeError(f"limits must be MotionLimits; got {type(limits).__name__}.")
     limits.check_for(names, duration)
-    curve = FourierCurve(
-        duration, _harmonics(robot, limits, duration, dt), robot.n_joints
-    )
+    curve = FourierCurve(duration, _harmonics(robot, limits, duration, dt))
     reference = _reference(limits, curve.highest, rng)
     noise = robot.noise(limits, reference, curve.highest, dt)
-    asked = asked_effects(effects, robot.n_joints)
+    asked = asked_effects(effects, len(names))
     if report is not None:
         asked += open_effects(read_report(report), names)
     members, candidates = _parted(robot, asked)
@@ -215,10 +208,7 @@ def pose(model, duration, dt, limits, effects, report, rng):
         bandwidth=band,
     )
     rows = equations(reference)
-    clearance, why = None, "no URDF file was given: shapes are unknown"
-    if robot.description is not None:
-        shaped = robot.features.model_
-        clearance, why = Clearance.of(robot.description, model=shaped, margin=ROOM)
+    clearance, why = Clearance.of(robot.description, robot.features.model_, ROOM)
     problem = Problem(
         curve=curve,
         model=equations,
@@ -240,7 +230,7 @@ def pose(model, duration, dt, limits, effects, report, rng):
 def _harmonics(robot, limits, duration, dt):
     """Return the number of harmonics that limits and sampling allow."""
     low, high = limits.position.T
-    poses = np.random.default_rng(0).uniform(low, high, size=(100, robot.n_joints))
+    poses = np.random.default_rng(0).uniform(low, high, size=(100, low.size))
     inertia = np.maximum(np.diag(robot.inertia(poses)), 1e-12)
     reach = np.minimum(limits.acceleration, limits.torque / inertia)
     turn = np.median(reach / (2 * np.pi * limits.velocity))
@@ -276,7 +266,7 @@ def _parted(robot, asked):
     for one in asked:
         if one.doubted:
             key = one.effect.name, one.effect.joint
-            one = replace(one, effect=found.get(key, one.effect))
+            one = OpenEffect(found.get(key, one.effect), one.weight, doubted=True)
         if one.effect.key() not in taken:
             taken.add(one.effect.key())
             candidates.append(one)
@@ -300,7 +290,8 @@ def _questions(equations, rows, candidates, noise):
     shown = seen.alone > IN_SPAN
     apart = (seen.beside > IN_SPAN) & (joint[:, None] == joint) & shown & shown[:, None]
     np.fill_diagonal(apart, False)
-    return replace(blank, alone=weight * shown, beside=np.outer(weight, weight) * apart)
+    beside = np.outer(weight, weight) * apart
+    return Questions(*blank[:3], weight * shown, beside)
 
 
 def _coefficients(robot, equations, rows, members):
@@ -361,10 +352,8 @@ def _drawn(problem, rng, basis, t):
     q, v, a = basis @ z.T
     sizes = np.ptp(q, axis=0), np.abs(v).max(axis=0), np.abs(a).max(axis=0)
     largest = high - low, limits.velocity, limits.acceleration
-    z *= (
-        0.9
-        * np.min([x / np.maximum(y, 1e-12) for x, y in zip(largest, sizes)], 0)[:, None]
-    )
+    ratios = [x / np.maximum(y, 1e-12) for x, y in zip(largest, sizes)]
+    z *= 0.9 * np.min(ratios, axis=0)[:, None]
     q = basis[0] @ z.T
     z[:, -1] = _held_pose(problem, low - q.min(axis=0), high - q.max(axis=0), rng)
     return shrunk(problem, z, t, _DRAWN_INSIDE, apart=False)
@@ -482,8 +471,6 @@ def _condition_number(problem, states):
 def _shown(problem, states, step):
     """Effects that a motion shows, and those that no motion does."""
     questions, noise = problem.questions, problem.noise
-    if not questions.effects:
-        return (), ()
     judged = worth(problem.information(states, step), questions)
     effects = [one.effect for one in problem.model.effects[problem.model.n_members :]]
     shows, invisible = [], []
@@ -510,14 +497,9 @@ def _shown(problem, states, step):
 # -- what a report leaves open ---------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class OpenEffect:
-    """An effect that the robot may have."""
-
-    effect: object  # at its joint
-    weight: float = _ASKED  # how much it matters whether it is there
-    # whether the model has it, and the next recording has to confirm it
-    doubted: bool = False
+# An effect that the robot may have, at its joint; how much it matters whether it is
+# there; and whether the model has it, and the next recording has to confirm it.
+OpenEffect = namedtuple("OpenEffect", "effect weight doubted")
 
 
 def read_report(report):
@@ -571,7 +553,7 @@ def asked_effects(effects, nv):
                     f"has {nv} joints."
                 )
             placed = clone(effect).set_params(joint=joint)
-            found.append(OpenEffect(placed))
+            found.append(OpenEffect(placed, _ASKED, doubted=False))
     return found
 
 

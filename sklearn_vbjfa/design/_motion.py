@@ -135,7 +135,6 @@ class FourierCurve:
 
     period: float
     n_harmonics: int
-    n_joints: int
 
     @cached_property
     def _free(self):

@@ -41,25 +41,14 @@ _SKIPPED = 2
 _TOLERATED = 2e-3
 
 
-@dataclass(frozen=True, eq=False)
-class Questions:
-    """What a motion is to decide."""
-
-    n_model: int  # the first columns are those of the model
-    # (n_columns,): sizes of coefficients in which columns are compared
-    scale: np.ndarray
-    effects: tuple = ()  # columns of effects that the model may lack
-    # (n_effects,): how much it counts that each shows beside the model
-    alone: np.ndarray | None = None
-    # (n_effects, n_effects): the same for the row beside the model with the column
-    beside: np.ndarray | None = None
-
-    @property
-    def weight(self):
-        """All weights together."""
-        return float(self.alone.sum() + self.beside.sum()) if self.effects else 0.0
-
-
+# What a motion is to decide: the number of columns of the model, which are the first;
+# sizes of coefficients (n_columns,) in which columns are compared; columns of effects
+# that the model may lack; how much it counts that each shows beside the model
+# (n_effects,); the same for the row beside the model with the column, (n_effects,
+# n_effects).
+Questions = namedtuple(
+    "Questions", "n_model scale effects alone beside", defaults=((), 0.0, 0.0)
+)
 # Value of a criterion, to be made large [nats]; its derivative by the information
 # (n_columns, n_columns); and the evidence, in squared standard errors, the mean over
 # coefficients at random, for each effect beside the model (n_effects,), and beside the
@@ -73,26 +62,26 @@ def worth(information, questions):
     M = information * np.outer(D, D)
     # A motion that hardly moves has next to no information, which is still a number.
     M[np.diag_indices_from(M)] += _LEAST
-    a = slice(0, questions.n_model)
     n = questions.n_model
-    A = M[a, a]
+    A = M[:n, :n]
     size = np.sqrt(np.diag(A))
     factor = cho_factor(A / np.outer(size, size) + _RIDGE * np.eye(n), lower=True)
     value = float(np.log(np.diag(factor[0])).sum() + np.log(size).sum())
     inverse = cho_solve(factor, np.eye(n)) / np.outer(size, size)
     by = np.zeros_like(M)
-    by[a, a] = 0.5 * inverse
+    by[:n, :n] = 0.5 * inverse
     balance, by_model = _balance(A)
     value += n * BALANCE * balance
-    by[a, a] += n * BALANCE * by_model
+    by[:n, :n] += n * BALANCE * by_model
     alone, beside = np.zeros(0), np.zeros((0, 0))
     if questions.effects:
         C = M[n:, :n]
         S = M[n:, n:] - C @ inverse @ C.T
         decided, by_left, alone, beside = _decisions(S, questions)
-        if questions.weight > 0:
+        weight = np.sum(questions.alone) + np.sum(questions.beside)
+        if weight > 0:
             # Together they count as much as the parameters of the model.
-            share = n / questions.weight
+            share = n / weight
             value += share * decided
             L = np.hstack([-C @ inverse, np.eye(len(S))])
             by += share * (L.T @ by_left @ L)
@@ -134,8 +123,6 @@ def _decisions(S, questions):
         left = np.diag(S) - np.einsum("kc,kc->c", S[span], W)
         beside[:, k] = mean @ np.maximum(left, 0.0)
         weight = questions.beside[:, k]
-        if not weight.any():
-            continue
         value, slope = _value_of(beside[:, k])
         total += float(weight @ value)
         each = (weight * slope) @ mean

@@ -5,7 +5,6 @@ model has and those that it may lack. All are functions of the states; their der
 by the states, contracted with what a criterion says of each entry, are its gradient.
 """
 
-import os
 from collections import namedtuple
 from dataclasses import dataclass, replace
 
@@ -52,7 +51,7 @@ class KnownRobot:
     cutoff: float  # that band [Hz]
     # (nv,): deviation of one sample of the positions [rad or m]; 0 if unknown
     encoder_noise: np.ndarray
-    description: object = None  # URDF file, for the geometry
+    description: object = None  # with the geometry, if it is a URDF file
 
     @classmethod
     def of(cls, model):
@@ -73,7 +72,7 @@ class KnownRobot:
             torque_noise=np.full(nv, np.nan),
             cutoff=np.inf,
             encoder_noise=np.zeros(nv),
-            description=_path_or_none(model),
+            description=model,
         )
 
     @classmethod
@@ -104,13 +103,8 @@ class KnownRobot:
             torque_noise=np.where(np.isfinite(noise), noise, left),
             cutoff=float(robot.cutoff_),
             encoder_noise=np.where(np.isnan(encoder), 0.0, encoder),
-            description=_path_or_none(robot.source),
+            description=robot.source,
         )
-
-    @property
-    def n_joints(self):
-        """Number of joints."""
-        return self.features.n_joints_
 
     def band(self, highest, dt):
         """Band of a fit to a motion up to a frequency [Hz]; see `resolve_cutoff`."""
@@ -130,12 +124,12 @@ class KnownRobot:
         states = min(_STATE_BAND * highest, band)
         acceleration = 2 * dt * self.encoder_noise**2 * (2 * np.pi) ** 4
         acceleration = acceleration * states**5 / 5
-        inertia = self.inertia(reference[:100, : self.n_joints])
+        inertia = self.inertia(reference[:100, : largest.size])
         return np.sqrt(torque**2 + inertia**2 @ acceleration)
 
     def inertia(self, q):
         """Root mean squares of the mass matrix over poses (nv, nv), rotors included."""
-        nv = self.n_joints
+        nv = q.shape[1]
         still, inertial = np.zeros_like(q), np.ascontiguousarray(self.inertial)
         at_rest = self.features.torques(q, still, still, inertial)
         mass = np.empty((len(q), nv, nv))
@@ -146,10 +140,6 @@ class KnownRobot:
             if isinstance(effect, RotorInertia):
                 mass[:, effect.joint, effect.joint] += values[0]
         return np.sqrt((mass**2).mean(axis=0))
-
-
-def _path_or_none(model):
-    return model if isinstance(model, (str, os.PathLike)) else None
 
 
 def _on_all_joints(names, nv):

@@ -25,14 +25,15 @@ _MODULES = {
     """,
     "_in_model": """
         BaseTilt CommandDelay InModel JointAxis JointZero TorqueGain TorqueLag
-        cross_axes rotation
+        cross_axes rotation turned_by without_rounding
     """,
     "_library": """
         available check_declared closure declarable declared declared_columns resolve
     """,
     "_memory": "Backlash MaxwellSlip elements play",
     "_motion": """
-        HELD EffectRange Floats Motion OutsideRange Rest State outside own_motions
+        FAST HELD MARGIN OUTLIERS ROUNDING EffectRange Floats Motion OutsideRange Rest
+        State outside own_motions
     """,
     "_position": "Counterbalance FrictionByPosition Offset Ripple Spring",
     "_unnamed": "UnnamedTorque",

@@ -125,6 +125,7 @@ class Motion:
 
     @property
     def n_joints(self):
+        """Number of joints."""
         return self.q.shape[1]
 
     @property

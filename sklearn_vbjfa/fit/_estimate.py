@@ -120,6 +120,7 @@ class PlainEstimate:
 
     @property
     def std(self):
+        """Standard deviations (p,)."""
         return np.sqrt(np.diagonal(self.covariance))
 
 

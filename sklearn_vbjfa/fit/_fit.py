@@ -87,17 +87,18 @@ class FitData:
                 "odd samples are two measurements; got states. Pass positions, or "
                 "another regressor."
             )
-        feedback, parts = recording.feedback, recording.segments
+        feedback, groups = recording.feedback, recording.groups
         if feedback is None or not (feedback[0] > 0).all():
-            q = recording.q
-            both = zip(*[estimator.smooth_halves(q[x], x.start) for x in parts])
+            both = estimator.split_transform(recording.q, groups)
         else:
+            own = np.concatenate([one[:] for one in self.states.own])
             command = recording.command / feedback[0]
-            both = self.states.own, [estimator.smooth(command[x], 0) for x in parts]
+            both = own, estimator.transform(command, groups=groups)
         pieces = []
-        for own in both:
-            made = replace(self, states=RecordingStates(own=list(own)))
-            pieces.append(equations(made.segments(robot), robot.plan.lowpass))
+        for states in both:
+            states = RecordingStates.of_rows(recording.segments, states)
+            made = replace(self, states=states).segments(robot)
+            pieces.append(equations(made, robot.plan.lowpass))
         # An equation counts only where the joint moves in both.
         return [
             replace(x, weight=np.minimum(x.weight, z.weight), instruments=z.Phi)
@@ -172,7 +173,10 @@ class RobotFit:
         if not robot.effects_:
             return self
         inertial = robot.inertial()
-        torques = functools.partial(robot.features_.torques, inertial=inertial)
+
+        def torques(q, v, a):
+            return robot.features_.torques(q, v, a, inertial)
+
         load = sum_ranges([one.loads(robot.plan.lowpass, torques) for one in self.made])
         ranges = effect_ranges(
             robot.features_.friction_,
@@ -595,8 +599,7 @@ class ModelValues:
         within = self.estimate.covariance[np.ix_(own, own)]
         inverse = self.estimate.eigen.inverse()[:, own]
         slope = np.linalg.solve(inverse[own], inverse[rest].T).T
-        moved = np.einsum("ik,kl,il->i", slope, within, slope)
-        std[rest] = np.hypot(std[rest], np.sqrt(moved))
+        std[rest] = np.hypot(std[rest], np.sqrt(_squares(slope, within)))
         if covariance is not None:
             covariance = covariance.copy()
             covariance[np.ix_(rest, rest)] += slope @ within @ slope.T
@@ -626,6 +629,11 @@ class ModelValues:
                 effect = effect.linearised_at(_within(effect, step))
             found.append(effect)
         return tuple(found)
+
+
+def _squares(rows, matrix):
+    """Return r M r' (n,) of rows (n, k) and a matrix (k, k)."""
+    return np.einsum("ik,kl,il->i", rows, matrix, rows)
 
 
 def _at_bounds(effect):
@@ -704,9 +712,7 @@ def with_corners(robot, source):
     terms, inertia = _joints_of(robot, source)
     recording = source.recording
     command = recording.command + recording.torques(plan.delay) - recording.tau
-    own = source.states.own, plan, robot.features_
-    rows = regressor_rows(recording, *own, theta=robot.load_parameters)
-    torques = [np.concatenate([x.effects(robot.theta_) for x in rows]), command]
+    torques = [_of_effects(robot, source), command]
     further, commanded = _jumps_of(torques, robot, source)
     dry = terms["coulomb"] + further
     if not dry.any():
@@ -739,7 +745,7 @@ def without_steps(robot, source):
     size = (third + losses / inertia * fourth) / inertia
     if (stiffness * np.abs(size) < _LEAST_RIPPLE * dt).all():
         return None
-    parts, clock = recording.segments, recording.clock
+    parts, clock = recording.segments, recording.clock()
     position, speed = (
         size
         * _smoothing.interpolate(recording.command, parts, clock, robot.plan.delay, k)
@@ -765,6 +771,18 @@ def jump(dry, inertia, damping, stiffness, cutoff):
     answer = 1.0 / (inertia * omega**2 - stiffness - 1j * damping * omega)
     late = 2 * dry / np.pi * np.trapezoid(lost * answer.real, omega)
     return max(late, 0.0) / _smoothing.rounding(cutoff)
+
+
+def _of_effects(robot, source):
+    """Torques (n, nv) of the effects of a fitted robot along its motion."""
+    made = regressor_rows(
+        source.recording,
+        source.states.own,
+        robot.plan,
+        robot.features_,
+        theta=robot.load_parameters,
+    )
+    return np.concatenate([rows.effects(robot.theta_) for rows in made])
 
 
 def _jumps_of(torques, robot, source):

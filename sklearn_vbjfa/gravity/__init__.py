@@ -228,7 +228,7 @@ def _random_poses(robot, random_state=0):
     random = np.random.default_rng(random_state)
     shape = 2 * _CANDIDATES, model.nv
     q = random.uniform(low + _APPROACH, high - _APPROACH, shape)
-    clearance, _ = Clearance.of(robot, model=model)
+    clearance, _ = Clearance.of(robot, model)
     if clearance is not None:
         way = _APPROACH * np.array([[-1.0], [0.0], [1.0]])
         q = q[[clearance.nearest(one + way)[0] > 0 for one in q]]
@@ -375,8 +375,8 @@ def _keep_inertias(found):
     model, known = robot.features_.nominal_, np.array(robot.known_, dtype=object)
     at = np.arange(robot.features_.n_parameters_).reshape(model.nv, -1)[:, :10]
     for j in np.flatnonzero(solid_bodies(nominal_parameters(model))):
-        mass, first = theta[at[j, 0]], theta[at[j, 1:4]]
-        body = pin.Inertia(mass, first / mass, model.inertias[int(j) + 1].inertia)
+        body = pin.Inertia.FromDynamicParameters(theta[at[j]])
+        body.inertia = model.inertias[int(j) + 1].inertia
         theta[at[j]] = body.toDynamicParameters()
         known[at[j, 4:]] = "from the description"
     found.set_parameters(theta, tuple(known))

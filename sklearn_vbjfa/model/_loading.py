@@ -6,8 +6,10 @@ What of a description does not enter the model is said in one warning.
 import os
 import warnings
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,6 +37,9 @@ from sklearn_vbjfa.model._urdf import (
     text_of_tree,
     write_tree,
 )
+
+if TYPE_CHECKING:
+    import pinocchio as pin
 
 # A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
 # below which a warning says so. (What was identified and projected lies between it and
@@ -258,7 +263,7 @@ def _left_out(mimics, model):
 # -- nominal models of the measured sets -----------------------------------------------
 
 
-def build_model(name, urdf, joint_names):
+def build_model(name: str, urdf: str | None, joint_names: Sequence[str]) -> "pin.Model":
     """Build the model of a recording; see `Recording.robot_model`."""
     import_pinocchio()
     if urdf is None and name in _BUILT:
@@ -282,7 +287,7 @@ def build_model(name, urdf, joint_names):
     return model
 
 
-def _built(name):
+def _built(name: str) -> "pin.Model":
     """Build a serial chain from the table of its links."""
     import pinocchio as pin
 

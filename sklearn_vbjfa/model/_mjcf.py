@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.model._trees import (
-    ChainJoint,
     body_names,
     check_kinds,
     describe,
@@ -45,7 +44,13 @@ class FollowingJoint:
     name: str
     # joint that carries it, which may follow as well; None for the base
     carrier: str | None
-    link: ChainJoint  # place in its carrier, and joint that it follows
+    leader: int  # joint that it follows, from zero
+    # its position is rate times that of the leader plus offset
+    rate: float
+    offset: float
+    slides: bool  # whether it is prismatic
+    placement: object  # where it is in the frame of its carrier
+    axis: np.ndarray  # (3,): its direction in its own frame
     body: np.ndarray  # (10,): inertial parameters
 
 
@@ -77,6 +82,16 @@ class Servo:
     kd: np.ndarray
     most: np.ndarray
     delay: float = 0.0  # from a command to its effect [s], not negative
+
+    def attributes(self, j, step):
+        """Attributes of joint j's actuator; step [s] is that of the file."""
+        found = {"gainprm": number(self.kp[j] or 1.0)}
+        if self.delay > 0:
+            # Commands between two steps go straight.
+            kept = int(np.ceil(self.delay / step)) + 2
+            found |= {"delay": number(self.delay), "nsample": str(kept)}
+            found["interp"] = "linear"
+        return found
 
 
 def write_mjcf(
@@ -185,16 +200,14 @@ class _Tree:
         named = {name: elements[j] for j, name in enumerate(self._names)}
         for one in self._followers:
             carrier = world if one.carrier is None else named[one.carrier]
-            frame, place = np.reshape(one.link.frame, (3, 3)), np.array(one.link.place)
-            placed = import_pinocchio().SE3(frame, place)
-            body = _body(carrier, f"{one.name} body", placed, one.body)
+            body = _body(carrier, f"{one.name} body", one.placement, one.body)
             named[one.name] = body
             ElementTree.SubElement(
                 body,
                 "joint",
                 name=one.name,
-                type="slide" if one.link.slides else "hinge",
-                axis=numbers(one.link.axis),
+                type="slide" if one.slides else "hinge",
+                axis=numbers(one.axis),
             )
 
     def add_equalities(self, parent):
@@ -202,15 +215,14 @@ class _Tree:
         ref = self._dynamics.ref
         for one in self._followers:
             # MuJoCo counts positions of both from where the file puts them.
-            link, leader = one.link, self._names[one.link.joint]
-            shift = link.offset + link.rate * ref[link.joint]
+            shift = one.offset + one.rate * ref[one.leader]
             ElementTree.SubElement(
                 parent,
                 "joint",
-                name=f"{one.name} follows {leader}",
+                name=f"{one.name} follows {self._names[one.leader]}",
                 joint1=one.name,
-                joint2=leader,
-                polycoef=numbers([shift, link.rate, 0.0, 0.0, 0.0]),
+                joint2=self._names[one.leader],
+                polycoef=numbers([shift, one.rate, 0.0, 0.0, 0.0]),
             )
 
     def _add_body(self, carrier, j):
@@ -249,12 +261,8 @@ class _Tree:
             if servo is None:
                 motor.set("gainprm", number(1.0 / dynamics.gain[j]))
             else:
-                motor.set("gainprm", number(servo.kp[j] or 1.0))
-                if servo.delay > 0:
-                    # Commands between two steps go straight.
-                    kept = int(np.ceil(servo.delay / step)) + 2
-                    motor.attrib |= {"delay": number(servo.delay), "nsample": str(kept)}
-                    motor.set("interp", "linear")
+                for key, value in servo.attributes(j, step).items():
+                    motor.set(key, value)
                 stiffness, damping = stiffness - servo.kp[j], -servo.kd[j]
                 if np.isfinite(servo.most[j]):
                     # The limit is that of the loop, without the constant.

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from sklearn_vbjfa.model import (
     joint_names,
 )
 
+if TYPE_CHECKING:
+    import pinocchio as pin
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Load:
@@ -41,7 +44,7 @@ class TorqueModel:
     """An identified robot: bodies, friction, effects, and what its channels read."""
 
     # Geometry and gravity, as the effects in the model correct them, without inertias.
-    model: object  # of Pinocchio
+    model: "pin.Model"
     bodies: np.ndarray  # (nv, 10): inertial parameters in Pinocchio's order
     friction_names: tuple  # declared columns, such as ("viscous", "coulomb")
     friction: np.ndarray  # (nv, n_friction): their coefficients
@@ -57,6 +60,7 @@ class TorqueModel:
 
     @property
     def held(self):
+        """Range of each effect, a tuple of EffectRange or None."""
         return self.ranges or (None,) * len(self.effects)
 
     @property
@@ -76,6 +80,11 @@ class TorqueModel:
                 out[:, j] = effect.taken_back(coef, out[:, j], t)
         return out
 
+    def own_effects(self):
+        """Effects that are not in the model, with coefficients and what holds them."""
+        every = zip(self.effects, self.coefficients, self.held, strict=True)
+        return [one for one in every if not one[0].in_model]
+
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOut:
@@ -87,6 +96,7 @@ class LeftOut:
     reason: str  # why it has no place, or what of it is missing
 
     def __str__(self):
+        """One line."""
         return f"{self.name} on {self.joint_name}: {self.reason}"
 
 
@@ -260,7 +270,9 @@ class Stepper:
 
 def _held(columns, held):
     """Return columns of a `State` in which an `EffectRange` holds the signals."""
-    for quantity, name in HELD.items() if held is not None else ():
+    if held is None:
+        return columns
+    for quantity, name in HELD.items():
         ends = held.ends(quantity)
         if np.isfinite(ends).any():
             columns = _holding(columns, name, held.joint, *ends)
@@ -364,9 +376,7 @@ class _ByMotion:
         self._columns, self._model, self._effect = effect.columns, model, effect
         self._prismatic = is_prismatic(model.model)
         self._tree = TreeRegressor(model.model)
-        self._rigid = None
-        if load:
-            self._rigid = partial(self._tree.torques, inertial=model.load.bodies)
+        self._bodies = model.load.bodies if load else None
 
     def __call__(self, row):
         """Columns (k,) or (nv, k) of a row."""
@@ -379,7 +389,7 @@ class _ByMotion:
             load=None if row.load is None else np.array([row.load]),
             torque=None if row.torque is None else np.array([row.torque]),
             prismatic=self._prismatic,
-            rigid=self._rigid,
+            rigid=None if self._bodies is None else self._rigid,
             last_body=lambda: self._tree(q, v, a)[:, :, -1],
             rest=self._model.rest,
             since=self._model.since,
@@ -387,3 +397,7 @@ class _ByMotion:
         )
         columns = self._columns(motion)[0]
         return columns if self._effect.whole_robot else columns.tolist()
+
+    def _rigid(self, q, v, a):
+        """Torques of the rigid bodies, (n, nv)."""
+        return self._tree.torques(q, v, a, self._bodies)

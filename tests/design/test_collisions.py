@@ -20,7 +20,7 @@ from tests.model._shaped import (
 
 
 def clearance_of(path, **kwargs):
-    found, reason = Clearance.of(path, **kwargs)
+    found, reason = Clearance.of(path, load_model(path), **kwargs)
     assert reason == ""
     return found
 
@@ -127,13 +127,15 @@ def test_links_drawn_into_each_other_are_ignored(tmp_path):
 
 
 def test_without_shapes_there_is_a_reason(tmp_path):
-    found, reason = Clearance.of(load_model(two_bars(tmp_path)))
+    model = load_model(two_bars(tmp_path))
+    found, reason = Clearance.of(model, model)
     assert found is None
     assert "path of its URDF" in reason
     path = write(tmp_path, link("a"), link("b"), joint("j", "a", "b"))
-    found, reason = Clearance.of(path)
+    found, reason = Clearance.of(path, load_model(path))
     assert found is None
     assert "no collision geometry" in reason
-    found, reason = Clearance.of(arm(tmp_path, mesh="package://arm/hand.stl"))
+    path = arm(tmp_path, mesh="package://arm/hand.stl")
+    found, reason = Clearance.of(path, load_model(path))
     assert found is None
     assert "'package://arm/hand.stl' of link 'hand'" in reason

@@ -9,7 +9,7 @@ PERIOD = 7.0
 
 
 def drawn(n_harmonics=6, n_joints=3):
-    curve = FourierCurve(PERIOD, n_harmonics, n_joints)
+    curve = FourierCurve(PERIOD, n_harmonics)
     return curve, np.random.default_rng(0).normal(size=(n_joints, curve.size))
 
 

@@ -201,7 +201,7 @@ def test_designed_poses_are_reached_from_both_sides(world):
 def test_links_do_not_touch_on_the_way_to_designed_poses(tmp_path):
     path = arm(tmp_path)
     q, _ = gravity_poses(path, 40)
-    clearance, _ = Clearance.of(path, model=load_model(path))
+    clearance, _ = Clearance.of(path, load_model(path))
     assert clearance.nearest(q)[0] > 0
 
 

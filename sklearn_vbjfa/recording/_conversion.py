@@ -329,44 +329,35 @@ def _values(table, role):
     return values, None if unit is None else unit.base
 
 
-# Integers whose sign was lost: of two's complement, or with a bit for the sign. Values
-# of either sign fill no more than the share of their range, and begin near its ends;
-# registers have so many bits, in a unit that all values are multiples of.
-_FILLED, _NEAR_END, _BITS = 0.45, 0.1, range(8, 33)
-# Sizes with a bit for the sign.
-_SIGNED = (11, 12, 16)
+# Sizes of registers, and of those with a bit for the sign. With their signs, values
+# step by less than this share of the largest step without.
+_BITS, _WITH_BIT, _SMOOTHER = range(8, 33), (11, 12, 16), 0.45
 
 
 def _refuse_codes(table, column, values):
+    """Refuse integers whose sign was lost, in a unit that all are multiples of."""
     levels = np.unique(values)
     if levels.size < 2 or levels[0] < 0:
         return
     unit = 1.0 if (levels == np.round(levels)).all() else np.diff(levels).min()
-    if levels[-1] >= unit * 2.0**_BITS.stop:
-        return
-    codes = np.round(values / unit)
-    bits = int(codes.max()).bit_length()
-    if np.abs(values / unit - codes).max() > _NEAR_END or bits not in _BITS:
+    with np.errstate(over="ignore"):
+        codes = values / unit
+    bits = int(np.frexp(codes.max())[1])
+    if bits not in _BITS or np.abs(codes - np.round(codes)).max() > 0.1:
         return
     half = 2.0 ** (bits - 1)
-    high, low = codes[codes >= half], codes[codes < half]
-    if not low.size:
-        return
-    # Values step from near zero to near the end of the register.
-    ends = max(low.min(), 2 * half - high.max()) < _NEAR_END * half
-    jumps = ends and (np.abs(np.diff(codes)) > half).any()
     remedy = f"subtract {2 * half * unit:.9g} from those from {half * unit:.9g} on"
-    if not jumps or max(low.max(), 2 * half - high.min()) >= 2 * _FILLED * half:
-        jumps = 0 < low.max() < _FILLED * half and high.max() < (1 + _FILLED) * half
-        jumps = jumps and bits in _SIGNED and unit == 1
+    signed = {remedy: np.where(codes < half, codes, codes - 2 * half)}
+    if bits in _WITH_BIT and unit == 1:
         remedy = f"replace those from {half:.0f} on by {half:.0f} - x"
-    if jumps:
-        low, high = low * unit, high * unit
-        raise ValueError(
-            f"{table.path}: the values of column {column!r} lie from 0 to "
-            f"{low.max():.9g} and from {high.min():.9g} to {high.max():.9g}: integers "
-            f"whose sign was lost; {remedy}."
-        )
+        signed[remedy] = np.where(codes < half, codes, half - codes)
+    most = np.abs(np.diff(codes)).max()
+    for remedy, x in signed.items():
+        if x.min() < 0 < x.max() and np.abs(np.diff(x)).max() < _SMOOTHER * most:
+            raise ValueError(
+                f"{table.path}: the values of column {column!r} are integers whose "
+                f"sign was lost; {remedy}."
+            )
 
 
 # -- joints ----------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import numpy as np
 from sklearn_vbjfa.recording._drives import parse_drive
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.recording._table import (
+    COMMAND_NAMES,
     EXPECTED,
     KINDS,
     MEASURED,
@@ -27,17 +28,6 @@ from sklearn_vbjfa.recording._table import (
     unit_of,
 )
 
-# Commands of joints, and further names that logs have for them. qd is in neither list:
-# some mean a desired position, others a velocity.
-COMMAND_NAMES = {
-    "q_desired": ("q_des", "q_cmd", "q_target", "q_ref")
-    + ("target_position", "goal_position", "position_command"),
-    "v_desired": ("v_des", "dq_des", "dq_cmd", "target_velocity"),
-    "tau_ff": ("tau_feedforward",),
-    "kp": (),
-    "kd": (),
-    "supply": (),
-}
 # A channel of a mapping, with the number or the name of one joint.
 _KEY = re.compile(
     rf"({'|'.join((*COMMAND_NAMES, *KINDS))}|t$|segment$)(\d+|[_.\[(].+)?",
@@ -169,8 +159,10 @@ def _checked_gains(gains):
 
 def _parsed_mapping(text) -> dict[str, str]:
     """Return patterns by names of channels, out of "q=actual_q_{i},t=timestamp"."""
-    parts = [part.partition("=")[::2] for part in str(text).split(",")]
-    parts = text.items() if isinstance(text, Mapping) else parts
+    if isinstance(text, Mapping):
+        parts = list(text.items())
+    else:
+        parts = [part.partition("=")[::2] for part in str(text).split(",")]
     pairs = [(str(key).strip(), str(value).strip()) for key, value in parts]
     keys = [key for key, _ in pairs]
     wrong = [
@@ -238,6 +230,11 @@ class Layout:
     def kinds(self):
         """All kinds that there are, a set."""
         return {role.kind for role in self.roles}
+
+    @property
+    def stamps(self):
+        """Names of the columns of the best time, list of str."""
+        return [x for role in self.of("t")[:1] for x in role.columns]
 
     @property
     def joints(self):
@@ -364,7 +361,13 @@ def matches(pattern: str, table: Table, kind: str) -> list[Role]:
     bare, unit = split_unit(pattern)
     if table.nameless:
         return _in_places(bare, unit, table, kind)
-    expression, found = _expression(bare), []
+    # Equal marks match equal texts.
+    text, found = re.escape(bare).replace(r"\*", ".*").replace(r"\?", "."), []
+    for name, anything in _MARKS:
+        mark = re.escape(f"{{{name}}}")
+        text = text.replace(mark, f"(?P<{name}>{anything})", 1)
+        text = text.replace(mark, f"(?P={name})")
+    expression = re.compile(text, re.ASCII)
     for name in table.names:
         for text, own in (split_unit(name), (name, "")):
             match = expression.fullmatch(text)
@@ -387,17 +390,6 @@ def _in_places(places, unit, table, kind):
         Role(kind=kind, key=k, column=x, unit=unit)
         for k, x in enumerate(columns, start=1)
     ]
-
-
-@functools.cache
-def _expression(pattern):
-    """Turn a pattern into a regular expression; equal marks match equal texts."""
-    text = re.escape(pattern).replace(r"\*", ".*").replace(r"\?", ".")
-    for name, anything in _MARKS:
-        mark = re.escape(f"{{{name}}}")
-        text = text.replace(mark, f"(?P<{name}>{anything})", 1)
-        text = text.replace(mark, f"(?P={name})")
-    return re.compile(text, re.ASCII)
 
 
 def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from sklearn_vbjfa.recording._clock import GAP_PERIODS, STEADY
 from sklearn_vbjfa.recording._conversion import is_recording, rows_of
 from sklearn_vbjfa.recording._drives import Drive
 from sklearn_vbjfa.recording._grid import on_grid
-from sklearn_vbjfa.recording._layout import ReadOptions, Role, by_names, channel_unit
+from sklearn_vbjfa.recording._layout import ReadOptions, by_names, channel_unit
 from sklearn_vbjfa.recording._recording import Recording
 from sklearn_vbjfa.recording._table import (
     Loss,
@@ -33,81 +32,76 @@ from sklearn_vbjfa.recording._table import (
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
 
-class _Part(NamedTuple):
-    """A file that is joined with others."""
-
-    table: Table
-    kind: str  # of its columns, by the name of the file; "" for none
-    time: Role | None  # of its stamps
-
-    @property
-    def name(self):
-        """Name of the file."""
-        return self.table.path.name
-
-
 def joined(tables, joints, path) -> Table:
     """Put tables of one recording side by side, at the stamps of the positions."""
     # joints: names of the robot's, empty if unknown; path: as messages name the whole.
-    parts = [x for x in (_part(table, joints) for table in tables) if x is not None]
+    parts = [x for x in (_named_after_file(x, joints) for x in tables) if x is not None]
     if len(parts) < 2:
         raise ValueError(
             f"{path}: fewer than two of {listed([x.path.name for x in tables])} can be "
             "joined; name them after what they hold: positions, velocities, torques, "
             "currents or time."
         )
-    parts.sort(key=lambda x: (x.time is None, "q" not in by_names(x.table).kinds))
-    base, *others = parts
-    used = [x.table for x in parts]
-    rows = np.array([_rows(part, base) for part in others])
+    # Each with its stamps, that of the positions first.
+    found = [(x, by_names(x, joints)) for x in parts]
+    found.sort(key=lambda x: (not x[1].of("t"), "q" not in x[1].kinds))
+    (base, layout), *others = found
+    at = _seconds(base, layout)
+    rows = np.array(
+        [_rows(part, base, _seconds(part, own), at) for part, own in others]
+    )
     keep = np.flatnonzero(np.isfinite(rows).all(axis=0))
     if not keep.size:
         raise ValueError(
             f"{path}: the files have no time in common; expected one clock in one unit."
         )
-    names = [x.name + f" ({x.kind})" * bool(x.kind) for x in parts]
-    notes, lost = [], base.table.n_rows - keep.size
+    notes = [f"{x.path.name}: {y}" for x in parts for y in x.notes]
+    kinds = {x.path.name: ", ".join(sorted(own.kinds)) or "signals" for x, own in found}
     notes.append(
-        f"{len(parts)} files joined to one recording, by the rows of {base.name}: "
-        f"{listed(sorted(names))}."
+        f"{len(parts)} files joined to one recording, by the rows of {base.path.name}: "
+        f"{listed(f'{name} ({kinds[name]})' for name in sorted(kinds))}."
     )
+    lost = base.n_rows - keep.size
     if lost:
-        notes.append(f"{lost} row(s) of {base.name} are not in all files: left out.")
-    left_out = [x.path.name for x in tables if x.path not in {y.path for y in used}]
+        notes.append(
+            f"{lost} row(s) of {base.path.name} are not in all files: left out."
+        )
+    left_out = {x.path.name for x in tables} - {x.path.name for x in parts}
     if left_out:
-        notes.append(f"{listed(left_out)}: not needed, left out.")
-    frame = base.table.frame.iloc[keep]
+        notes.append(f"{listed(sorted(left_out))}: not needed, left out.")
+    frame = base.frame.iloc[keep]
     columns = {x: frame[x] for x in frame}
-    for part, at in zip(others, rows):
-        columns |= _columns_beside(path, columns, part, at[keep], joints)
+    for (part, own), places in zip(others, rows[:, keep]):
+        part = replace(part, frame=part.frame.drop(columns=own.stamps))
+        columns |= _columns_beside(path, columns, part, places, joints)
     return Table(
         path=path,
         frame=imported(path, "pandas").DataFrame(columns, index=frame.index),
-        place=f"{base.table.place} of {base.name}",
-        scalars={key: x for one in used for key, x in one.scalars.items()},
-        joints=next((x.joints for x in used if x.joints), ()),
-        notes=(*(f"{x.path.name}: {y}" for x in used for y in x.notes), *notes),
+        place=f"{base.place} of {base.path.name}",
+        scalars={key: x for one in parts for key, x in one.scalars.items()},
+        joints=next((x.joints for x in parts if x.joints), ()),
+        notes=tuple(notes),
     )
 
 
 def _columns_beside(path, columns, part, at, joints):
     """Return the columns of a file at some rows, numbers on lines between them."""
-    found, stamps = {}, () if part.time is None else part.time.columns
-    for name in (x for x in part.table.names if x not in stamps):
-        values = part.table.values(name)
+    found = {}
+    for name in part.names:
+        values = part.values(name)
         if values.dtype.kind in "iuf" and (at % 1).any():
             values = np.interp(at, np.arange(len(values)), values)
         else:
             values = values[at.astype(int)]
         if name in columns and not np.array_equal(columns[name], values):
-            one = replace(part.table, frame=part.table.frame[[name]])
+            one = replace(part, frame=part.frame[[name]])
             if by_names(one, joints).kinds - {"t", "segment"}:
                 raise ValueError(
-                    f"{path}: column {name!r} is in {part.name} and in another file, "
-                    "with other values; leave one of the files out, or rename the "
-                    "column."
+                    f"{path}: column {name!r} is in {part.path.name} and in another "
+                    "file, with other values; leave one of the files out, or rename "
+                    "the column."
                 )
-            name = f"{part.table.path.stem}.{name}"
+            name = f"{part.path.stem}.{name}"
         found[name] = values
     return found
 
@@ -115,28 +109,26 @@ def _columns_beside(path, columns, part, at, joints):
 # -- the content of a file -------------------------------------------------------------
 
 
-def _part(table: Table, joints):
-    """Return a file, its columns called after the file if they have no other names."""
+def _named_after_file(table: Table, joints):
+    """Return a file, its columns called after it if nothing else says what they are."""
     stem, n = table.path.stem, len(table.names)
     kinds = channels_in(stem)
     kind = kinds.pop() if len(kinds) == 1 else ""
     if kind in ("command", "other") or (table.nameless and not kind):
         return None
-    plain, names = by_names(table, joints), {}
-    time = next(iter(plain.of("t")), None)
-    stamps = () if time is None else time.columns
-    if table.nameless:
-        # Time may stand before the columns of the joints.
-        first = n != len(joints) > 0 and n in (2, len(joints) + 1)
-        if kind == "t" or first:
-            time, names, stamps = Role(kind="t", column="t"), {"1": "t"}, ("1",)
-    channels = [x for x in table.names if x not in stamps]
-    if kind not in ("", "t") and not plain.kinds - {"t", "segment"}:
-        for old, new in _names(channels, kind, joints, stem).items():
-            unit = split_unit(old)[1] or ("A" if is_current(stem) else "")
-            names[old] = f"{new} [{unit}]" if unit else new
-    table = replace(table, frame=table.frame.rename(columns=names), nameless=False)
-    return _Part(table=table, kind=kind if names else "", time=time)
+    # Of columns without names, time may stand before those of the joints.
+    first = n != len(joints) > 0 and n in (2, len(joints) + 1)
+    if table.nameless and (kind == "t" or first):
+        table = replace(table, frame=table.frame.rename(columns={"1": "t"}))
+    plain = by_names(table, joints)
+    if kind in ("", "t") or plain.kinds - {"t", "segment"}:
+        return table
+    columns = [x for x in table.names if x not in plain.stamps]
+    names = _names(columns, kind, joints, stem)
+    for old, new in names.items():
+        unit = split_unit(old)[1] or ("A" if is_current(stem) else "")
+        names[old] = f"{new} [{unit}]" if unit else new
+    return replace(table, frame=table.frame.rename(columns=names))
 
 
 def _names(columns, kind, joints, stem):
@@ -156,34 +148,51 @@ def _names(columns, kind, joints, stem):
 # -- which rows go together ------------------------------------------------------------
 
 
-def _rows(part, base):
+def _seconds(table, layout):
+    """Return the stamps of a file [s] or dates as they are, None if it has none."""
+    for role in layout.of("t"):
+        stamps, unit = table.values(role.column), channel_unit(table, role)
+        if stamps.dtype.kind not in "biuf":
+            return stamps
+        seconds = stamps * (1.0 if unit is None else unit.factor)
+        if role.fraction:
+            seconds = seconds + role.part * table.values(role.fraction)
+        return seconds
+    return None
+
+
+def _rows(part, base, t, at):
     """Return where the rows of the base lie in a file, nan for nowhere."""
-    n, n_base = part.table.n_rows, base.table.n_rows
-    if part.time is None or base.time is None:
-        if n != n_base:
+    # t, at: stamps of the file and of the base.
+    n, name = part.n_rows, base.path.name
+    if t is None or at is None:
+        if n != base.n_rows:
             todo = "cut both to the same rows, or give each a column t"
-            if n % n_base == 0:
-                todo = f"save the matrix in one column as {n // n_base} columns"
+            if n % base.n_rows == 0:
+                todo = f"save the matrix in one column as {n // base.n_rows} columns"
             raise ValueError(
-                f"{part.table.path}: has {n} rows and {base.name} has {n_base}; files "
+                f"{part.path}: has {n} rows and {name} has {base.n_rows}; files "
                 f"without time stamps are joined row by row: {todo}."
             )
         return np.arange(float(n))
-    same_column = (x.table.values(x.time.column) for x in (part, base))
-    if np.array_equal(*same_column) and not part.time.fraction:
+    if np.array_equal(t, at):
         return np.arange(float(n))
-    t, at = _seconds(part), _seconds(base)
+    if not {t.dtype.kind, at.dtype.kind} <= {*"iuf"}:
+        raise ValueError(
+            f"{part.path}: has other dates than {name}; write the time of all in "
+            "seconds."
+        )
     step = np.diff(t)
     if (step <= 0).any():
         raise ValueError(
-            f"{part.table.path}: time must increase from row to row to join it with "
-            f"{base.name}; sort it, and remove duplicates."
+            f"{part.path}: time must increase from row to row to join it with {name}; "
+            "sort it, and remove duplicates."
         )
     if not 0.01 < np.ptp(t) / max(np.ptp(at), 1e-300) < 100.0:
         raise ValueError(
-            f"{part.table.path}: the times span {np.ptp(t):.4g} and those of "
-            f"{base.name} {np.ptp(at):.4g}; write both in one unit, or the unit into "
-            "the name of the column (t_ms)."
+            f"{part.path}: the times span {np.ptp(t):.4g} and those of {name} "
+            f"{np.ptp(at):.4g}; write both in one unit, or the unit into the name of "
+            "the column (t_ms)."
         )
     period = np.median(step)
     rows = np.interp(at, t, np.arange(n))
@@ -195,21 +204,6 @@ def _rows(part, base):
     far = step[np.minimum(rows.astype(int), n - 2)] > GAP_PERIODS * period
     rows[outside | (far & (rows % 1 != 0))] = np.nan
     return rows
-
-
-def _seconds(part):
-    """Return the stamps of a file [s]."""
-    stamps = part.table.values(part.time.column)
-    if stamps.dtype.kind not in "biuf":
-        raise ValueError(
-            f"{part.table.path}: has other dates than the other files; write the time "
-            "of all in seconds."
-        )
-    unit = channel_unit(part.table, part.time)
-    seconds = stamps.astype(float) * (1.0 if unit is None else unit.factor)
-    if part.time.fraction:
-        seconds += part.time.part * part.table.values(part.time.fraction)
-    return seconds
 
 
 # Time in which a file that is being written changes [s].
@@ -237,13 +231,11 @@ def read_recording(
     Parameters
     ----------
     path : str, os.PathLike or sequence of these
-        One row per sample, as CSV (also packed), Excel, npz, npy, MATLAB, parquet or
-        JSON; a bag of ROS 1 or 2 or an MCAP file with JointState; the folder of a
-        LeRobot data set; "-" for standard input. Columns: positions q1 ... qn [rad or
-        m], torques tau1 ... taun [N m or N]; optionally v1 ... vn, a1 ... an, t [s or
-        dates] and segment, the label of separate recordings. Numbers may count from 0
-        or be joint names (q_shoulder), and a unit may follow (q1 [deg], t_ms). Several
-        files, or a folder of them, are several recordings of one robot.
+        One row per sample, in a format of ``docs/log_formats.rst``; "-" for standard
+        input. Columns: positions q1 ... qn [rad or m], torques tau1 ... taun [N m or
+        N]; optionally v1 ... vn, a1 ... an, t [s or dates] and segment. Numbers may be
+        joint names (q_shoulder), and a unit may follow (q1 [deg], t_ms). Several files,
+        or a folder of them, are several recordings of one robot.
     dt : float, default=None
         Sample period [s]; required if there is no time.
     urdf : str or os.PathLike, default=None
@@ -285,15 +277,12 @@ def read_recording(
 
     Raises
     ------
-    FileNotFoundError
-        If the file does not exist.
-    ImportError
-        If pandas, or a package that the format needs, is missing (python-calamine,
-        pyarrow or rosbags), or Pinocchio for `urdf`.
     OSError
-        If the file cannot be read.
+        If a file does not exist or cannot be read.
+    ImportError
+        If pandas, or a package that the format needs, is missing.
     ValueError
-        If the file is damaged or written to while it is read, channels are missing or
+        If a file is damaged or written to while it is read, channels are missing or
         ambiguous, a value is not finite, time is missing or contradicts `dt`, or
         several files do not agree. Where other options would read the file, the
         attribute ``options`` has them.
@@ -340,14 +329,15 @@ def read_recording(
 
 def _driven(recording, drive, files):
     """Return a recording with the torques that a drive makes of its channels."""
-    # The noise of a torque is that of the positions that it is made of.
+    units, signals = recording.torque_units, recording.signals
     if drive.gains is None:
-        units = ["N" if unit == "m" else "N m" for unit in recording.position_units]
-        recording = replace(recording, torque_units=tuple(units))
-    recording = replace(recording, torque_noise=None)
+        units = tuple("N" if x == "m" else "N m" for x in recording.position_units)
     if drive.spelled:
-        channels = {**recording.signals, drive.told: recording.tau}
-        recording = replace(recording, signals=channels)
+        signals = {**signals, drive.told: recording.tau}
+    # The noise of a torque is that of the positions that it is made of.
+    recording = replace(
+        recording, torque_units=units, signals=signals, torque_noise=None
+    )
     try:
         return drive.driven(recording)
     except ValueError as error:

@@ -65,7 +65,6 @@ class Table:
     scalars: Mapping[str, np.ndarray] = field(default_factory=dict)
     # joints whose columns are called q_<joint> and tau_<joint> for certain
     joints: tuple[str, ...] = ()
-    nameless: bool = False  # columns are called by their places, from "1" on
     notes: tuple[str, ...] = ()
 
     @property
@@ -77,6 +76,11 @@ class Table:
     def names(self) -> list[str]:
         """Names of the columns."""
         return list(self.frame)
+
+    @property
+    def nameless(self) -> bool:
+        """Whether columns are called by their places, from "1" on."""
+        return all(name.isdecimal() for name in self.names)
 
     def values(self, name) -> np.ndarray:
         """Return a column: numbers, dates, or text as objects."""
@@ -223,14 +227,7 @@ _UNITS = {
 }
 # How units of derivatives of positions end.
 _RATES = {"v": ("/s", "/sec", "ps"), "a": ("/s^2", "/s2", "/s²", "/s/s", "ps2")}
-# What refusals expect.
-EXPECTED = {
-    "q": "rad, deg, m or mm",
-    "v": "rad/s, deg/s, m/s or mm/s",
-    "a": "rad/s^2, deg/s^2 or m/s^2",
-    "tau": "Nm, N, A, V or %",
-    "t": "s, ms, us or ns",
-}
+EXPECTED = _NAMES["expected"]
 _IN_BRACKETS = re.compile(r"(.*?)\s*(?:\[([^][]*)\]|\(([^()]*)\)|\s/\s*(\S+))")
 _LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
 
@@ -290,6 +287,7 @@ def is_of_a_robot(period):
 
 # -- words -----------------------------------------------------------------------------
 
+COMMAND_NAMES = {kind: words.split() for kind, words in _NAMES["commands"].items()}
 _KIND_OF = {word: x for x, words in _NAMES["words"].items() for word in words.split()}
 # The least similarity of a word to one of these.
 _SIMILAR = 0.85

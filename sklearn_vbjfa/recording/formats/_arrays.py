@@ -38,7 +38,6 @@ def table_of(path, columns, **known) -> Table:
     frame = imported(path, "pandas").DataFrame(columns)
     if isinstance(columns, np.ndarray):
         frame.columns = [str(k + 1) for k in frame]
-        known["nameless"] = True
     frame.index += 1
     return Table(path=path, frame=frame, **known)
 
@@ -50,7 +49,7 @@ def _flattened(values, depth=0):
         inside = None
         if isinstance(value, dict):
             inside = {f"{name}.{key}": one for key, one in value.items()}
-        elif _is_list_of(dict, value):
+        elif _are_records(value):
             # Messages have a list of structures, one for each motor.
             inside = {f"{name}[{k}]": one for k, one in enumerate(value)}
         if inside is None or depth == _DEEPEST:
@@ -67,9 +66,9 @@ def _without_common_part(found):
     return found
 
 
-def _is_list_of(kind, value):
+def _are_records(value):
     is_list = isinstance(value, list) and len(value) > 0
-    return is_list and all(isinstance(x, kind) for x in value)
+    return is_list and all(isinstance(x, dict) for x in value)
 
 
 def _table_of_records(path, records) -> Table:
@@ -199,7 +198,7 @@ def read_json(path, content) -> Table:
     found = found[0] if len(found) == 1 else found
     if isinstance(found, dict):
         table = _table_of_object(path, found)
-    elif _is_list_of(dict, found):
+    elif _are_records(found):
         table = _table_of_records(path, found)
     else:
         table = table_of(path, np.atleast_1d(_array(path, "the list", found)))
@@ -224,7 +223,7 @@ def _parsed(text):
 
 def _table_of_object(path, found):
     """Return the table of an object: records in it, recordings, or arrays."""
-    lists = [x for x, one in found.items() if _is_list_of(dict, one)]
+    lists = [x for x, one in found.items() if _are_records(one)]
     # The records are those of the only list, unless they have arrays, as joints do.
     if len(lists) == 1 and _longest(found[lists[0]][0]) <= len(found[lists[0]]):
         table = _table_of_records(path, found[lists[0]])

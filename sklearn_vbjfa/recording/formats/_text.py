@@ -52,11 +52,11 @@ def read_text(path, content) -> Table:
             raise no_rows(path)
         if _BRACKETED.fullmatch(filled[0]):
             content = content.translate(_NO_BRACKETS)
+        rows = (re.split(r"[;,|\s]+", line) for line in filled)
         try:
             return _read_lines(path, content, notes)
         except RecordingRefused as error:
-            # An empty log is one, and broken.
-            rows = (re.split(r"[;,|\s]+", line) for line in filled)
+            # A log with a header alone is one.
             if len(filled) < 2 or any(map(_is_data, rows)):
                 raise
             raise NotATable(error.reason) from error
@@ -115,8 +115,6 @@ def _read_lines(path, content, notes=()):
         path=path,
         frame=frame,
         place="line {}",
-        # Names are not all numbers.
-        nameless=all(map(_is_number, names)),
         notes=(*more, *[CUT] * is_cut, *notes),
     )
     return _with_cells_read(table, comma=separator != ",")

@@ -32,14 +32,12 @@ SETS = tomllib.loads(_PACKAGE.joinpath("measured.toml").read_text("utf-8"))
 @functools.cache
 def remote_files(name):
     """Return path -> (address, SHA-256) of the public files of a set."""
-    files, section = {}, ()
-    for line in _PACKAGE.joinpath("remote_files.txt").read_text("utf-8").splitlines():
-        if line.startswith("["):
-            section = line.replace("[", "").replace("]", "").split()
-        elif line and not line.startswith("#") and section[0] == name:
-            sha256, _, path = line.split(maxsplit=2)
-            files[path] = quote("/".join((*section[1:], path))), sha256
-    return files
+    text = _PACKAGE.joinpath("remote_files.txt").read_text("utf-8")
+    of_set = text.partition(f"[{name}] ")[2].partition("\n[")[0]
+    source, *rows = of_set.splitlines() or [""]
+    files = (row.split(maxsplit=2) for row in rows)
+    folder = source.replace(" ", "/")
+    return {path: (quote(f"{folder}/{path}"), sha256) for sha256, _, path in files}
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
 from sklearn_vbjfa.equations._plan import check_effects
 from sklearn_vbjfa.equations._recording_checks import check_weight, check_widths
 from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
+from sklearn_vbjfa.fit._signs import signed
 from sklearn_vbjfa.inspection import refusal
 from sklearn_vbjfa.model import DoubtWarning, joint_names, load_model
 from sklearn_vbjfa.recording import (
@@ -41,9 +42,8 @@ from sklearn_vbjfa.recording import (
     carries_names,
     check_clock,
     check_dt,
-    columns_beside,
     find_repetition,
-    positions_in_order,
+    positions_and_signals,
     survey,
     take_arrays,
     take_rows,
@@ -262,7 +262,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if drive is not None:
             commanded, signals = drive.taken(whole.tau, signals)
             whole = drive.driven(replace(whole, signals=commanded))
-        beside = columns_beside(X, self.joint_names_)
+        _, beside = positions_and_signals(X, self.joint_names_)
         whole = replace(whole, joints_named=carries_names(X, self.joint_names_))
         self._fit(whole, library, signals, beside, _names(whole, groups))
         for found in self.report_.outcome.findings["channels"]:
@@ -306,7 +306,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             # Signs of rows that are not fitted follow from what was.
             split = split_in_time(self.identifier, whole, self.test_size)
             part = split.searched(whole)
-            whole = clone(self.identifier).fit_inspected(part).signed(whole)
+            fitted = clone(self.identifier).fit_inspected(part)
+            whole = signed(fitted.robot_, whole)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
@@ -349,7 +350,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     def _recording(self, X, y, groups, sample_weight, t):
         """Make a `Recording` of the arguments of a fit, with weights and a clock."""
         self.joint_names_ = names = joint_names(load_model(self.identifier.model))
-        X, y = positions_in_order(X, names), torques_in_order(y, names)
+        (X, _), y = positions_and_signals(X, names), torques_in_order(y, names)
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
         )
@@ -454,8 +455,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             names = plain.joint_names_
             settings["gains"] = tuple(names[j] for j in plain.gains_.references)
         again = clone(plain).set_params(**settings)
-        again.begin_with(begin)
-        return again.fit_inspected(recording, compare=False)
+        return again.fit_inspected(recording, compare=False, before=begin.robot_)
 
     def _unnamed(self, found, named):
         """Find the joint torque beyond the effects; none where few were looked for."""
@@ -520,8 +520,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """
         predicted = self.predict(X, groups, t, signals)
         robot, spread = self.identifier_, self.torque_std_
-        states = robot.robot_.states(positions_in_order(X, self.joint_names_), groups)
-        states = np.asarray(states)
+        X, _ = positions_and_signals(X, self.joint_names_)
+        states = np.asarray(robot.robot_.states(X, groups))
         speeds = np.abs(np.split(states, 3, axis=1)[1])
         moving = (speeds > np.maximum(robot.standstill_, 0.0)).astype(float)
         motion = motions_of(robot, states, predicted, moving, spread)

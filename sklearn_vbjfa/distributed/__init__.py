@@ -7,7 +7,6 @@ alone. Requires Dask (``pip install "sklearn-vbjfa[dask]"``).
 
 import contextvars
 import functools
-import operator
 import warnings
 from functools import partial
 from os import PathLike, fspath
@@ -18,11 +17,10 @@ from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._progress import counted, show_progress
 from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa.equations._equations import accumulate, build_segments
-from sklearn_vbjfa.equations._joint_moments import BlockAssignment
+from sklearn_vbjfa.equations._joint_moments import BlockAssignment, sum_moments
 from sklearn_vbjfa.equations._plan import MotionFacts, make_plan, n_fastest, smooth
 from sklearn_vbjfa.equations._recording_checks import (
     check_channels,
-    check_input_noise,
     check_length,
     check_widths,
 )
@@ -95,7 +93,6 @@ def fit_recordings(identifier, source):
 def _identify(identifier, paths):
     """Fit an identifier to sums over files."""
     dt = check_dt(identifier.dt)
-    check_input_noise(identifier.input_noise)
     identifier.build_model()
     _check_settings(identifier)
     names = identifier.joint_names_
@@ -132,7 +129,7 @@ def _identify(identifier, paths):
     def noise(robot):
         return [one for facts in every("noise", _noise, robot) for one in facts]
 
-    return identifier.fit_moments(plan, functools.reduce(operator.add, found), noise)
+    return identifier.fit_moments(plan, sum_moments(found), noise)
 
 
 def _choose_states(identifier, every, extents, lengths):

@@ -25,15 +25,14 @@ _MODULES = {
     """,
     "_in_model": """
         BaseTilt CommandDelay InModel JointAxis JointZero TorqueGain TorqueLag
-        cross_axes rotation turned_by without_rounding
+        cross_axes rotation
     """,
     "_library": """
         available check_declared closure declarable declared declared_columns resolve
     """,
     "_memory": "Backlash MaxwellSlip elements play",
     "_motion": """
-        FAST HELD MARGIN OUTLIERS ROUNDING EffectRange Floats Motion OutsideRange Rest
-        State outside own_motions
+        HELD EffectRange Floats Motion OutsideRange Rest State outside own_motions
     """,
     "_position": "Counterbalance FrictionByPosition Offset Ripple Spring",
     "_unnamed": "UnnamedTorque",

@@ -316,6 +316,15 @@ class Effect(TransformerMixin, BaseEstimator):
                     f"{getattr(self, name)!r}."
                 )
 
+    def check_joints(self, nv):
+        """Raise ValueError for joints that a robot with `nv` of them has not."""
+        for joint in (self.joint, *(getattr(self, name) for name in self.partners)):
+            if not 0 <= joint < nv:
+                raise ValueError(
+                    f"effects names joint {joint} for {self.name}; expected 0 to "
+                    f"{nv - 1}, for {nv} joint(s)."
+                )
+
     def key(self):
         """Tell two uses of the effect apart: all but what is `tuned`."""
         fixed = {k: v for k, v in self.shape().items() if k not in self.tuned}
@@ -363,12 +372,7 @@ class Effect(TransformerMixin, BaseEstimator):
                 f"X must hold states [q | v | a], three columns a joint; got "
                 f"{X.shape[1]} columns."
             )
-        for joint in (self.joint, *(getattr(self, name) for name in self.partners)):
-            if not 0 <= joint < nv:
-                raise ValueError(
-                    f"{self.name} is on joint {joint!r}; expected 0 to {nv - 1}, for "
-                    f"{nv} joint(s)."
-                )
+        self.check_joints(nv)
         q, v, a = np.split(X, 3, axis=1)
         return Motion(
             q=q,

@@ -65,7 +65,6 @@ class _ToAnother(Shaped):
         return super().applies(motion)
 
     def check(self):
-        """Raise ValueError for a second joint that is the first, too."""
         super().check()
         if self.other == self.joint:
             raise ValueError(
@@ -110,7 +109,6 @@ class Coupling(_ToAnother):
 
     @property
     def continuous(self):
-        """Whether a search refines the ratio."""
         return () if self.ratio in _PLAIN else ("ratio",)
 
     def excludes(self):

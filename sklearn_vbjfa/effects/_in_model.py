@@ -95,7 +95,6 @@ class InModel(Effect):
         return bool((self.values != self.nominal).any())
 
     def check(self):
-        """Raise ValueError for values that are not finite numbers, too."""
         super().check()
         for name in self.coefficients:
             value = getattr(self, name)
@@ -274,12 +273,12 @@ class JointAxis(InModel):
 
     def correct(self, robot):
         robot.turn(
-            self.joint, rotation(self.values @ cross_axes(robot.axis(self.joint)))
+            self.joint, rotation(self.values @ cross_axes(robot.axes[self.joint]))
         )
 
     def columns(self, motion):
         made = motion.derivatives
-        axes = cross_axes(made.axis(self.joint))
+        axes = cross_axes(made.axes[self.joint])
         vector = self.values @ axes
         # A zero that was moved comes behind the turn, with axes of its own.
         behind = made.nominal_rotation(self.joint) @ rotation(vector)
@@ -319,7 +318,6 @@ class TorqueGain(InModel):
         self.limit = limit
 
     def check(self):
-        """Raise ValueError for a gain that is not positive, too."""
         super().check()
         if not self.gain > 0:
             raise ValueError(f"gain of {self.name} must be positive; got {self.gain}.")

@@ -192,34 +192,28 @@ class MaxwellSlip(Shaped, Stateful):
 
     @property
     def units(self):
-        """Units of the coefficients."""
         pairs = zip(_BANKS.values(), self._banks)
         return tuple(unit for (_, unit), bank in pairs for _ in bank)
 
     @property
     def continuous(self):
-        """Whether a search refines the Stribeck speed."""
         return ("vs",) if self.falling else ()
 
     @property
     def needs(self):
-        """Whether some elements need the load."""
         return ("load",) if self.loaded else ()
 
     @property
     def depends(self):
-        """Quantities with which the columns grow."""
         return ("direction", *self.needs)
 
     @property
     def named_units(self):
-        """Units of what `parameters` returns."""
         named = {"Fc": TORQUE, "half": POSITION, "mu": RATIO, "Fs": TORQUE}
         found = self.parameters(np.ones(len(self.coefficients)))
         return tuple((name, named[name]) for name in found)
 
     def check(self):
-        """Raise ValueError for an effect without elements, too."""
         super().check()
         if not self.coefficients:
             raise ValueError(

@@ -125,7 +125,6 @@ class Motion:
 
     @property
     def n_joints(self):
-        """Number of joints."""
         return self.q.shape[1]
 
     @property

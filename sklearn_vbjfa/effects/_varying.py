@@ -79,7 +79,6 @@ class Drift(_Varied, OfTime):
 
     @property
     def units(self):
-        """Units of D, for a revolute and for a prismatic joint."""
         return (_VARIED[self.of],)
 
     def _factor(self, maths):
@@ -140,7 +139,6 @@ class Signal(_Varied):
 
     @property
     def units(self):
-        """Units of k, for a revolute and for a prismatic joint."""
         of = self.signal or "the signal"
         return (tuple(f"{unit} per unit of {of}" for unit in _VARIED[self.of]),)
 

@@ -22,7 +22,7 @@ from sklearn_vbjfa.equations._joint_moments import (
 )
 from sklearn_vbjfa.equations._plan import effect_places, in_parallel
 from sklearn_vbjfa.equations._ranges import SignalRanges
-from sklearn_vbjfa.model import is_prismatic, rounding_entries
+from sklearn_vbjfa.model import TorqueDerivatives, is_prismatic, rounding_entries
 from sklearn_vbjfa.recording import find_repetition
 
 # Periods of the state cut-off at each end in which the smoother sees one side only.
@@ -33,8 +33,6 @@ _SPAN_ROWS = 4096
 _MANY_ROWS = 50_000
 # Memory for filtered rows of the regressor.
 CHUNK_BYTES = 4 << 20
-# Memory for rows of the regressor while loads are computed.
-_LOAD_BYTES = 64 << 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,7 +58,6 @@ class Equations:
 
 
 def joined(pieces):
-    """Concatenate the equations of a recording."""
     names, pieces = ("Phi", "tau", "weight", "index"), list(pieces)
     if len(pieces) == 1:
         return pieces[0]
@@ -105,20 +102,9 @@ def make_motion(
         friction = declared_columns(features.friction_, v, a, rest)
         torque = load + np.einsum("njk,jk->nj", friction, parameters[:, 10:])
 
-        derivatives = features.derivatives(q, v, a, inertial)
-
-        def rigid(q, v, a):
-            return features.torques(q, v, a, inertial)
-
-    @functools.cache
-    def last_body():
-        out = np.empty((states.shape[0], nv, 10))
-        rows = max(1, _LOAD_BYTES // (8 * nv * features.n_parameters_))
-        for i in range(0, states.shape[0], rows):
-            piece = slice(i, i + rows)
-            Phi = features.matrices(states[piece])
-            out[piece] = Phi.reshape(*Phi.shape[:2], nv, -1)[:, :, -1, :10]
-        return out
+        given = q, v, a, inertial, features.nominal_
+        derivatives = TorqueDerivatives(features.model_, *given)
+        rigid = functools.partial(features.torques, inertial=inertial)
 
     motion = Motion(
         q=states[:, :nv],
@@ -130,7 +116,7 @@ def make_motion(
         parts=tuple(parts),
         prismatic=np.asarray(is_prismatic(features.model_), dtype=bool),
         rigid=rigid,
-        last_body=last_body,
+        last_body=functools.cache(lambda: features.last_body(states)),
         derivatives=derivatives,
         bandwidth=float(bandwidth),
         rest=rest,
@@ -198,7 +184,6 @@ class RegressorRows:
 
     @property
     def n_rows(self):
-        """Number of rows."""
         return self.states.shape[0]
 
     def spans(self, rows, length, some=1):
@@ -263,14 +248,7 @@ class RegressorRows:
     def spread(self, rows):
         """Put rows (n, n_entries) of entries back into matrices (n, nv, p)."""
         out = np.zeros((rows.shape[0], self.n_joints * self.n_parameters))
-        # Slices of adjacent places are copied faster than places one by one.
-        breaks = np.flatnonzero(np.diff(self.used) != 1) + 1
-        at = 0
-        for places in np.split(self.used, breaks):
-            if places.size:
-                stop = at + places.size
-                out[:, places[0] : places[-1] + 1] = rows[:, at:stop]
-                at = stop
+        out[:, self.used] = rows
         return out.reshape(-1, self.n_joints, self.n_parameters)
 
     def predict(self, theta):
@@ -433,6 +411,7 @@ class Segment:
             index=self.first + lowpass.centres(self.n_rows, outputs),
         )
 
+    @one_blas_thread()
     def moments(self, lowpass, outputs, numbering=None):
         """Return the second moments of these equations, whose matrices are not made."""
         seen, tau, weight, ranges = self._measured(lowpass, outputs)
@@ -591,7 +570,7 @@ def numbered(recording, plan):
     """Divide filtered rows into blocks of time, or of phases, see `BlockAssignment`."""
     sizes = [part.stop - part.start for part in recording.segments]
     centres = [plan.lowpass.centres(n) for n in sizes]
-    lengths, clock = [own.size for own in centres], recording.clock()
+    lengths, clock = [own.size for own in centres], recording.clock
     if clock is None or not sum(lengths):
         return BlockAssignment.of(lengths)
     repetition = find_repetition(recording.q, clock, recording.segments)
@@ -618,13 +597,8 @@ def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
         for segment in made
         for outputs in segment.pieces(lowpass)
     ]
-    done = in_parallel(_piece_moments, tasks, n_jobs)
+    done = in_parallel(Segment.moments, tasks, n_jobs)
     return sum_moments(counted(done, "equations", len(tasks)))
-
-
-def _piece_moments(segment, lowpass, outputs, numbering):
-    with one_blas_thread():
-        return segment.moments(lowpass, outputs, numbering)
 
 
 def held_columns(features, effects):
@@ -687,13 +661,6 @@ class TorqueResiduals:
     def residual(self):
         """Measured minus predicted torque [N m or N], ndarray of shape (m, nv)."""
         return self.torque - self.predicted
-
-    def filled(self, other):
-        """Take the predictions of the other comparison where the weight is zero."""
-        counts = self.weight > 0
-        return replace(
-            self, predicted=np.where(counts, self.predicted, other.predicted)
-        )
 
     def rms(self):
         """Root mean square of the residual of each joint [N m or N]."""

@@ -2,7 +2,6 @@
 
 import copy
 import re
-from typing import NamedTuple
 
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
@@ -17,42 +16,24 @@ from sklearn_vbjfa.effects import (
 )
 from sklearn_vbjfa.model import (
     CorrectedModel,
-    TorqueDerivatives,
     TreeRegressor,
+    describe,
     description_text,
     is_prismatic,
     joint_names,
     load_folded,
 )
 from sklearn_vbjfa.model._dynamics import last_body_columns
-from sklearn_vbjfa.model._loading import import_pinocchio
 from sklearn_vbjfa.model._mjcf import FollowingJoint
-from sklearn_vbjfa.model._trees import Tree
+from sklearn_vbjfa.model._trees import ChainJoint, Tree
 from sklearn_vbjfa.physical import INERTIAL_NAMES
 
 _MASS, _MOMENT = ("kg", "kg"), ("kg m", "kg m")
 _INERTIA = ("kg m^2", "kg m^2")
 
 
-class ChainJoint(NamedTuple):
-    """One joint between the base and a body."""
-
-    joint: int  # joint of the robot that moves it, from zero: itself or its leader
-    # its position is rate times that of `joint` plus offset [rad or m]
-    rate: float
-    offset: float
-    slides: bool  # whether it is prismatic
-    place: tuple  # its origin in the frame of the joint before it [m]
-    frame: tuple  # its axes there, by rows of the rotation matrix
-    axis: tuple  # direction about or along which it moves, in its own frame
-
-
 class Follower(Effect):
-    """The body of a joint that follows another joint (mimic).
-
-    It is declared automatically for descriptions with such joints, see
-    `RobotIdentifier`; it is not searched for.
-    """
+    """The body of a joint that follows another one (mimic), declared automatically."""
 
     # joint: that leads; all joints that carry the body feel it. of: name of the joint
     # that follows. chain: joints from the base to the body, each as a `ChainJoint`, of
@@ -63,7 +44,6 @@ class Follower(Effect):
     formula = r"A^{\mathsf T}\Phi_f(Aq + b, A\dot q, A\ddot q)\,\pi_f"
     coefficients = INERTIAL_NAMES
     units = (_MASS,) + (_MOMENT,) * 3 + (_INERTIA,) * 6
-    visible = "the joint that leads moves"
     whole_robot = True
     files = InFiles(urdf="", mjcf="")
 
@@ -246,10 +226,6 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         """URDF of the robot before it was corrected."""
         return description_text(self._folded)
 
-    def derivatives(self, q, v, a, inertial):
-        """Differentiate the torques of bodies (nv, 10) by the robot's geometry."""
-        return TorqueDerivatives(self.model_, q, v, a, inertial, self.nominal_)
-
     def _set_regressor(self):
         self._regressor = TreeRegressor(self.model_)
         # Which of the entries is which.
@@ -292,11 +268,10 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         X = validate_data(self, X, dtype=np.float64, reset=False)
         return self.matrices(X).reshape(X.shape[0], -1)
 
-    def matrices(self, X, rest=None):
+    def matrices(self, X):
         """Regressor matrices (n, nv, p) of validated states (n, 3 nv)."""
-        # rest: `Rest`, by which velocity signs are replaced by their means.
         out = np.zeros((X.shape[0], self.n_joints_ * self.n_parameters_))
-        out[:, np.flatnonzero(self.support_)] = self.entries(X, rest)
+        out[:, np.flatnonzero(self.support_)] = self.entries(X)
         return out.reshape(X.shape[0], self.n_joints_, -1)
 
     def declared(self, X, rest=None):
@@ -306,14 +281,21 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
 
     def entries(self, X, rest=None, declared=None, out=None):
         """Entries of ``np.nonzero(support_)`` alone, (n, n_entries)."""
-        # declared: friction columns, where they are known; out: rows that are filled
-        # instead of new ones, which may be longer.
+        # rest: `Rest`, by which velocity signs are replaced by their means; declared:
+        # friction columns, where they are known; out: rows that are filled instead of
+        # new ones, which may be longer.
         if out is None:
             out = np.empty((X.shape[0], self.n_entries_))
         self._regressor.entries(X, self._body_places, out)
         declared = self.declared(X, rest) if declared is None else declared
         out[:, self.declared_places_.ravel()] = declared.reshape(len(out), -1)
         return out
+
+    def last_body(self, X):
+        """Columns of the last body, (n, nv, 10), of states (n, 3 nv)."""
+        tree, states = describe(self.model_), np.split(X, 3, axis=1)
+        columns = np.stack(last_body_columns(tree, *states), axis=1)
+        return columns * self._regressor.support[:, -1]
 
     def torques(self, q, v, a, inertial):
         """Rigid-body torques (n, nv) of bodies (nv, 10), without friction."""
@@ -370,24 +352,18 @@ def parameter_names_of(names, nv):
         return None
     # The first column is the mass of the first joint's own body.
     first = re.fullmatch(r"((?:.*__)?tau_(.+)/)\2:m", names[0])
-    blocks = np.array(names, dtype=object).reshape(nv, -1)
     if first is not None:
+        blocks = np.array(names, dtype=object).reshape(nv, -1)
         parameters = [name[len(first[1]) :] for name in blocks[0]]
-        if all(_one_joint(block, parameters) for block in blocks):
+        heads = [block[0].removesuffix(parameters[0]) for block in blocks]
+        of_joints = all(re.fullmatch("(.*__)?tau_.+/", head) for head in heads)
+        if of_joints and names == [x + name for x in heads for name in parameters]:
             return tuple(parameters)
     raise ValueError(
         "Columns of RigidBodyFeatures were removed, renamed or reordered before this "
         f"regressor ({len(names)} for {nv} joints). Select columns inside the "
         "regressor: make_pipeline(SelectFromModel(...), Lasso())."
     )
-
-
-def _one_joint(block, parameters):
-    before = {
-        name[: len(name) - len(parameter)] if name.endswith(parameter) else None
-        for name, parameter in zip(block, parameters)
-    }
-    return len(before) == 1 and re.fullmatch("(.*__)?tau_.+/", before.pop() or "")
 
 
 def check_as_computed(X):
@@ -415,8 +391,12 @@ def check_as_computed(X):
 def with_followers(effects, features):
     """Return the bodies of a robot's followers, and behind them declared effects."""
     # Followers among the declared ones are taken from the robot instead.
-    declared = tuple(one for one in effects if not _follows(one))
-    return (*map(_follower, features.followers_), *declared)
+    declared = tuple(one for one in effects if not isinstance(one, Follower))
+    followers = [
+        Follower(joint=one.leader, of=one.name, chain=one.chain, gravity=one.gravity)
+        for one in features.followers_
+    ]
+    return (*followers, *declared)
 
 
 def follower_parameters(effects, coefficients):
@@ -425,7 +405,7 @@ def follower_parameters(effects, coefficients):
     return {
         effect.of: np.asarray(own)
         for effect, own in zip(effects, coefficients)
-        if _follows(effect)
+        if isinstance(effect, Follower)
     }
 
 
@@ -433,8 +413,9 @@ def following_joints(effects, coefficients, names):
     """Return the followers as MJCF has them, a tuple of `FollowingJoint`."""
     # effects, coefficients: all effects of a robot and what each was found to be;
     # names: joints of the robot.
-    pin = import_pinocchio()
-    found = [pair for pair in zip(effects, coefficients) if _follows(pair[0])]
+    found = [
+        pair for pair in zip(effects, coefficients) if isinstance(pair[0], Follower)
+    ]
     # What carries others has a shorter way to the base.
     found.sort(key=lambda pair: len(pair[0].chain))
     ways = {tuple(effect.chain): effect.of for effect, _ in found}
@@ -446,15 +427,7 @@ def following_joints(effects, coefficients, names):
             carrier = names[above[-1].joint]
         joints.append(
             FollowingJoint(
-                name=effect.of,
-                carrier=carrier,
-                leader=last.joint,
-                rate=last.rate,
-                offset=last.offset,
-                slides=last.slides,
-                placement=pin.SE3(np.reshape(last.frame, (3, 3)), np.array(last.place)),
-                axis=np.asarray(last.axis),
-                body=np.asarray(own),
+                name=effect.of, carrier=carrier, link=last, body=np.asarray(own)
             )
         )
     return tuple(joints)
@@ -463,7 +436,7 @@ def following_joints(effects, coefficients, names):
 def refuse_followers(effects, what, remedy):
     """Refuse something that cannot be done with joints that follow others."""
     # effects: all effects of a robot; what: what cannot be done; remedy: what can.
-    names = [effect.of for effect in effects if _follows(effect)]
+    names = [effect.of for effect in effects if isinstance(effect, Follower)]
     if names:
         raise ValueError(
             f"{what} does not support joints that follow others, {', '.join(names)}: "
@@ -471,32 +444,7 @@ def refuse_followers(effects, what, remedy):
         )
 
 
-def _follows(effect):
-    return isinstance(effect, Follower)
-
-
 def nominal_followers(features):
     """Inertial parameters of the followers in the description, (n, 10)."""
     found = [body.parameters for body in features.followers_]
     return np.reshape(found, (-1, 10))
-
-
-def _follower(body):
-    chain = tuple(
-        ChainJoint(
-            joint=link.joint,
-            rate=link.rate,
-            offset=link.offset,
-            slides=link.slides,
-            place=tuple(link.placement.translation.tolist()),
-            frame=tuple(link.placement.rotation.ravel().tolist()),
-            axis=tuple(np.asarray(link.axis, dtype=float).tolist()),
-        )
-        for link in body.chain
-    )
-    return Follower(
-        joint=body.leader,
-        of=body.name,
-        chain=chain,
-        gravity=tuple(map(float, body.gravity)),
-    )

@@ -121,40 +121,32 @@ def block_scatter(stats, weight, theta):
     """Compare an estimate's scatter between blocks with that of white residuals."""
     # weight (nv,): weights of the joints; theta (p,): estimate. Entries that are zero
     # in the total moments count as zero in the blocks. Returns a `BlockVariance`.
-    keys = np.concatenate([moments.keys for moments in stats.blocks])
-    if np.unique(keys, axis=0).shape[0] < keys.shape[0]:
-        return block_scatter(
-            replace(stats, blocks=(_join(stats.blocks),)), weight, theta
-        )
-    found, scores = _weighted_parts(stats, stats.blocks, weight, theta)
-    order = np.lexsort(keys.T[::-1])
+    blocks = _join(stats.blocks)
+    found, scores = _weighted_parts(stats, blocks, weight, theta)
     squares = stats.yy - 2 * stats.g @ theta + stats.products(theta) @ theta
     noise = weight @ np.maximum(squares, 0.0) / stats.n[weight > 0].sum()
-    if (np.diff(order) != 1).any():
-        found = [(columns, grams[order]) for columns, grams in found]
-        scores, keys = scores[order], keys[order]
-    return block_variance(found, scores, keys, float(noise))
+    return block_variance(found, scores, blocks.keys, float(noise))
 
 
 def weighted_parts(stats, parts, weight, theta):
     """Keys (n, 2), weighted Gram matrices (n, p, p), scores (n, p) of joined parts."""
     joined = _join(parts)
-    found, scores = _weighted_parts(stats, (joined,), weight, theta)
+    found, scores = _weighted_parts(stats, joined, weight, theta)
     whole = np.zeros((*scores.shape, theta.size))
     for columns, grams in found:
         whole[:, columns[:, None], columns] = grams
     return joined.keys, whole, scores
 
 
-def _weighted_parts(stats, parts, weight, theta):
-    """Weighted Gram matrices (n, k, k) and scores (n, p) of parts of the moments."""
+def _weighted_parts(stats, blocks, weight, theta):
+    """Weighted Gram matrices (n, k, k) and scores (n, p) of `BlockMoments`."""
     # The former for each branch, joints that share columns, with these (k,).
-    count = sum(moments.keys.shape[0] for moments in parts)
+    count = blocks.keys.shape[0]
     scores = np.zeros((count, theta.size))
     # The scores do not sum to zero with input noise or a prior: shared by all rows.
     excess = weight[:, None] * (stats.g - stats.products(theta))
     excess /= np.where(stats.n > 0, stats.n, 1.0)[:, None]
-    scores -= np.concatenate([moments.n for moments in parts]) @ excess
+    scores -= blocks.n @ excess
     found, support = [], np.zeros(stats.g.shape, dtype=bool)
     for j in np.flatnonzero(weight):
         support[j, stats.parts[j][0]] = True
@@ -162,15 +154,12 @@ def _weighted_parts(stats, parts, weight, theta):
         grams = np.zeros((count, columns.size, columns.size))
         found.append((columns, grams))
         for j in joints:
-            own, first = stats.parts[j][0], 0
-            at = np.searchsorted(columns, own)
-            for moments in parts:
-                rows = slice(first, first + moments.keys.shape[0])
-                first, here = rows.stop, own - moments.columns[j].start
-                G = moments.G[j][:, here[:, None], here]
-                grams[rows, at[:, None], at] += weight[j] * G
-                left = moments.g[j][:, here] - G @ theta[own]
-                scores[rows, own] += weight[j] * left
+            own = stats.parts[j][0]
+            at, here = np.searchsorted(columns, own), own - blocks.columns[j].start
+            G = blocks.G[j][:, here[:, None], here]
+            grams[:, at[:, None], at] += weight[j] * G
+            left = blocks.g[j][:, here] - G @ theta[own]
+            scores[:, own] += weight[j] * left
     return found, scores
 
 
@@ -195,10 +184,6 @@ class JointMoments:
     # ranges of positions, speeds and directions in the joint's rows with weight, where
     # the states are known
     ranges: SignalRanges | None = None
-
-    def __add__(self, other):
-        """Merge the moments of disjoint rows."""
-        return sum_moments([self, other])
 
     def in_stretches(self):
         if self.recordings or self.blocks is None:
@@ -314,16 +299,12 @@ def _without(matrices, parts, entries):
     return out
 
 
-def piece_moments(Phi, tau, weight, difference=None):
+def piece_moments(Phi, tau, weight):
     """Moments of rows Phi (n, nv, p), tau (n, nv) with weights (n, nv)."""
-    # difference (n, nv, p): of two regressors from separate halves of the samples; it
-    # has the noise of both, their mean a quarter of its square.
     n, nv, p = Phi.shape
     every = joint_entries(np.ones((nv, p), dtype=bool), np.arange(nv * p))
-    sums = MomentSums(every, p, tau, weight, noise=difference is not None)
-    if difference is not None:
-        difference = difference.reshape(n, -1).copy()
-    sums.add(0, Phi.reshape(n, -1).copy(), difference)
+    sums = MomentSums(every, p, tau, weight)
+    sums.add(0, Phi.reshape(n, -1).copy())
     return sums.moments()
 
 
@@ -360,7 +341,9 @@ class MomentSums:
 
     def add(self, first, rows, difference=None):
         """Add entries (n, n_entries) of rows from the piece's row `first` on."""
-        # Rows that do not count are set to zero.
+        # Rows that do not count are set to zero. difference: of two regressors from
+        # separate halves of the samples; it has the noise of both, their mean a quarter
+        # of its square.
         stop = first + rows.shape[0]
         for i, (start, end) in enumerate(zip(self._starts.tolist(), self._ends)):
             own = slice(max(start, first), min(end, stop))

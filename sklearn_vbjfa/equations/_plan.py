@@ -21,11 +21,14 @@ from sklearn_vbjfa.effects import (
 from sklearn_vbjfa.equations._states import (
     RecordingStates,
     StateEstimator,
-    smooth_halves,
-    smooth_segment,
 )
 from sklearn_vbjfa.model import is_prismatic, joint_names
-from sklearn_vbjfa.recording import check_cutoff, check_dt, with_torques_shifted
+from sklearn_vbjfa.recording import (
+    check_clock,
+    check_cutoff,
+    check_dt,
+    with_torques_shifted,
+)
 
 
 def in_parallel(function, tasks, n_jobs):
@@ -97,7 +100,8 @@ class Plan:
 
     def clock(self, recording):
         """Return the time of each row [s]; stamped only if effects need it."""
-        return recording.clock(stamped=self.timed)
+        t = recording.t if self.timed else None
+        return check_clock(t, recording.n_samples, recording.dt)
 
     @property
     def delay(self):
@@ -119,13 +123,6 @@ class Plan:
     def timed(self):
         """Whether effects need the clock."""
         return any("time" in effect.needs for effect in self.effects)
-
-    def set_to(self, recording):
-        # Rejects stamps that the effects cannot use.
-        clock = self.clock(recording)
-        if not self.timed or clock is None:
-            return self
-        return replace(self, time=(float(clock[0]), float(clock[-1])))
 
     def passes(self):
         # Those in the model have no columns in a fit; their values are corrected after.
@@ -165,11 +162,11 @@ class Plan:
         rounding = estimator.rounding()
         return {"corner": self.corners, "rounding": rounding, "span": self.dt}
 
-    def rest(self, noise, estimator=None):
-        """Return the `Rest`, for mean velocity signs, of velocity noise (nv,)."""
-        # estimator: of the velocities, None for those that are known.
-        # Negative speeds mask nothing.
+    def rest(self, estimator=None):
+        """Return the `Rest`, for mean velocity signs, of an estimator's velocities."""
+        # None for velocities that are known. Negative speeds mask nothing.
         speed, own = np.maximum(self.standstill, 0.0), self._reversals(estimator)
+        noise = 0.0 * speed if estimator is None else estimator.velocity_noise()
         return Rest(speed=speed, time=self._stands, noise=noise, **own)
 
     @property
@@ -216,26 +213,12 @@ def check_effects(effects, nv):
     found = tuple(resolve([effect])[0] for effect in effects)
     for effect in found:
         effect.check()
-        partners = (getattr(effect, name) for name in effect.partners)
-        for joint in (effect.joint, *partners):
-            if not 0 <= joint < nv:
-                raise ValueError(
-                    f"effects names joint {joint} for {effect.name}; expected 0 to "
-                    f"{nv - 1}, for {nv} joint(s)."
-                )
+        effect.check_joints(nv)
     keys = [(effect.key(), tuple(sorted(effect.shape().items()))) for effect in found]
     for key in keys:
         if keys.count(key) > 1:
             raise ValueError(f"effects holds {key[0][0]} on joint {key[0][1]} twice.")
     return found
-
-
-def delay_of(drive, declared):
-    """Return the delay of a drive's commands as declared effects, a tuple."""
-    if drive is None or drive.waits is not None:
-        return ()
-    own = [effect for effect in declared if isinstance(effect, CommandDelay)]
-    return () if own else (CommandDelay(),)
 
 
 def needs_load(effects):
@@ -351,8 +334,8 @@ def smooth(recording, estimator, halves, keep, n_jobs):
 
 
 def smooth_with_facts(x, start, estimator, halves, keep):
-    states = smooth_segment(x, start, estimator)
-    both = smooth_halves(x, start, estimator) if halves else None
+    states = estimator.smooth(x, start)
+    both = estimator.smooth_halves(x, start) if halves else None
     positions, speeds = (states.derivative(slice(None), order) for order in range(2))
     return states, both, MotionFacts.of(positions, speeds, keep)
 
@@ -393,7 +376,7 @@ def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
     if not isinstance(cutoff, str):
         if cutoff is None:
             return np.inf
-        return check_cutoff(cutoff, check_dt(dt), "cutoff")
+        return check_cutoff(cutoff, check_dt(dt))
     if cutoff != "auto":
         raise ValueError(
             f"cutoff must be 'auto', a frequency in Hz, or None; got {cutoff!r}."

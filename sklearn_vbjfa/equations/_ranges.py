@@ -1,7 +1,5 @@
 """Ranges of signals in the rows that were fitted, and of the effects made of them."""
 
-import functools
-import operator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,13 +21,6 @@ class SignalRanges:
         return cls(
             lowest=-np.array([_highest(-x, counts) for x in signals]),
             highest=np.array([_highest(x, counts) for x in signals]),
-        )
-
-    def __add__(self, other):
-        """Merge the ranges of disjoint rows."""
-        return SignalRanges(
-            lowest=np.minimum(self.lowest, other.lowest),
-            highest=np.maximum(self.highest, other.highest),
         )
 
     def pairs(self):
@@ -54,10 +45,12 @@ def _highest(values, counts):
 
 def sum_ranges(several):
     """Merge `SignalRanges`; None if one of them is not known."""
-    several = list(several)
     if any(one is None for one in several):
         return None
-    return functools.reduce(operator.add, several)
+    return SignalRanges(
+        lowest=np.min([one.lowest for one in several], axis=0),
+        highest=np.max([one.highest for one in several], axis=0),
+    )
 
 
 def effect_ranges(friction, effects, motion, load=None):

@@ -4,7 +4,6 @@ import warnings
 
 import numpy as np
 
-from sklearn_vbjfa.inspection import at_rest, disorder
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import Drive
 
@@ -87,20 +86,6 @@ def check_channels(names, positions, torques):
             DoubtWarning,
             stacklevel=5,
         )
-
-
-def check_motion(names, positions, parts):
-    """Reject positions (n, nv) that are nothing but noise, in slices `parts`."""
-    found = at_rest(names, positions, parts)
-    if found is not None:
-        raise ValueError(found.message)
-
-
-def warn_of_disorder(names, positions, parts):
-    """Warn of rows out of time order, and of unlabelled borders of recordings."""
-    # positions (n, nv); parts: slices of the recordings.
-    for finding in disorder(names, positions, parts):
-        warnings.warn(finding.message, DoubtWarning, stacklevel=5)
 
 
 def check_length(parts, lowpass, cutoff):

@@ -146,7 +146,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                     f"got an array of shape {asked.shape}."
                 )
             asked = np.broadcast_to(asked, (nv,))
-            chosen = np.array([check_cutoff(c, dt, "cutoff") for c in asked])
+            chosen = np.array([check_cutoff(c, dt) for c in asked])
         self.cutoff_ = chosen
         return self
 
@@ -185,20 +185,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         X = validate_data(self, X, dtype=np.float64, reset=False)
         states = np.empty((len(X), 3 * X.shape[1]))
         for part in contiguous_groups(groups, len(X)):
-            states[part] = smooth_segment(X[part], part.start, self)[:]
+            states[part] = self.smooth(X[part], part.start)[:]
         return states
-
-    def split_transform(self, X, groups=None):
-        """Estimate states (n, 3 nv) from the even and from the odd samples, a pair."""
-        # Their encoder noise is independent (white noise assumed) while the motion is
-        # the same: their regressors differ by noise alone.
-        check_is_fitted(self)
-        X = validate_data(self, X, dtype=np.float64, reset=False)
-        halves = np.empty((2, len(X), 3 * X.shape[1]))
-        for part in contiguous_groups(groups, len(X)):
-            for half, own in zip(halves, smooth_halves(X[part], part.start, self)):
-                half[part] = own[:]
-        return tuple(halves)
 
     def velocity_noise(self):
         """Estimate deviations (nv,) of velocities [rad/s or m/s]; zero if unknown."""
@@ -219,19 +207,21 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         # By half of it times the jump of a velocity's slope, the corner is rounded.
         return np.array([_smoothing.rounding(cutoff) for cutoff in self.cutoff_])
 
-    def splines(self, x, start):
+    def smooth(self, x, start):
+        """Return `SplineStates` of the positions (n, nv) of a segment."""
         if x.shape[0] < _MIN_SAMPLES:
             raise ValueError(
                 f"A recording must have at least {_MIN_SAMPLES} samples to be "
                 f"differentiated; the one at row {start} has {x.shape[0]}. "
                 "Leave it out, or check groups."
             )
-        return [
-            _smoothing.fit(column, self.dt, cutoff)
-            for column, cutoff in zip(np.ascontiguousarray(x.T), self.cutoff_)
-        ]
+        columns = zip(np.ascontiguousarray(x.T), self.cutoff_)
+        return SplineStates([_smoothing.fit(q, self.dt, c) for q, c in columns], len(x))
 
-    def half_splines(self, x, start):
+    def smooth_halves(self, x, start):
+        """Return `SplineStates` of the even and of the odd samples, a pair."""
+        # Their encoder noise is independent (white noise assumed) while the motion is
+        # the same: their regressors differ by noise alone.
         if x.shape[0] < 2 * _MIN_SAMPLES:
             raise ValueError(
                 f"A recording must have at least {2 * _MIN_SAMPLES} samples to be "
@@ -241,13 +231,13 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         lower = np.where(
             np.isfinite(self.cutoff_), np.minimum(self.cutoff_, highest), np.inf
         )
-        return tuple(
-            [
-                _smoothing.fit(column, 2 * self.dt, cutoff, every=2, shift=k)
-                for column, cutoff in zip(np.ascontiguousarray(x[k::2].T), lower)
-            ]
-            for k in range(2)
-        )
+        columns = (zip(np.ascontiguousarray(x[k::2].T), lower) for k in range(2))
+        dt = 2 * self.dt
+        halves = [
+            [_smoothing.fit(q, dt, c, every=2, shift=k) for q, c in half]
+            for k, half in enumerate(columns)
+        ]
+        return tuple(SplineStates(half, len(x)) for half in halves)
 
     def fit_transform(self, X, y=None, groups=None):
         """Choose the cut-offs and estimate the states.
@@ -352,19 +342,7 @@ class RecordingStates:
         if estimator is None:
             return cls.of_rows(recording.segments, recording.inputs)
         parts = recording.segments
-        own = [smooth_segment(recording.q[x], x.start, estimator) for x in parts]
-        return cls(own=own)
-
-
-def smooth_segment(x, start, estimator):
-    """Return `SplineStates` of positions (n, nv) of a segment that begins at a row."""
-    return SplineStates(estimator.splines(x, start), len(x))
-
-
-def smooth_halves(x, start, estimator):
-    """Return `SplineStates` of the even and of the odd samples of a segment, a pair."""
-    both = estimator.half_splines(x, start)
-    return tuple(SplineStates(half, len(x)) for half in both)
+        return cls(own=[estimator.smooth(recording.q[x], x.start) for x in parts])
 
 
 def fit_states(dt, cutoff, X, groups):

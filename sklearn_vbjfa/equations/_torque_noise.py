@@ -48,7 +48,7 @@ _CONSISTENT, _ALIKE = 3.0, 30.0
 # Share of the times between changes of a torque that are alike if it is held.
 _HELD = 0.8
 # Rows of a recording that are looked at.
-_ROWS = 100_000
+ROWS = 100_000
 _SHORTEST = 64
 
 
@@ -346,7 +346,3 @@ def _gain(dt, cutoff, frequency):
     n = 1 << int(np.ceil(np.log2(16 * taps.size)))
     gain = np.abs(np.fft.rfft(taps, n))
     return np.interp(frequency, np.fft.rfftfreq(n, dt), gain)
-
-
-def rows_looked_at(part):
-    return slice(part.start, min(part.stop, part.start + _ROWS))

@@ -6,10 +6,9 @@ from sklearn_vbjfa import _lazily
 _MODULES = {
     "_alike": ("AlikeValue", "WIDTH", "most_probable"),
     "_arguments": ("FitOptions",),
-    "_bodies": ("BodyPrior", "DESCRIBED", "Departure", "SCALES", "Site", "around")
+    "_bodies": ("BodyPrior", "DESCRIBED", "Departure", "SCALES", "around")
     + ("little_learned",),
     "_fit": ("ModelValues", "jump"),
-    "_gains": ("relative_gains",),
     "_identifier": ("RobotIdentifier",),
     "_joint_torque": ("JointTorqueRegressor",),
     "_output_error": (

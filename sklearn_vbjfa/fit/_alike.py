@@ -127,17 +127,9 @@ def _listed(names):
 # -- which values ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Shared:
-    """A value of alike joints: where it is among all parameters, joint by joint."""
-
-    group: str
-    parameter: str
-    places: np.ndarray
-
-
 def _shared_values(groups, robot, std):
-    """Values of the drives of alike joints, which have neither sign nor place."""
+    """Values of alike joints: group, parameter, and where it is joint by joint."""
+    # Those of drives, which have neither sign nor place.
     # Without those of which deviations (p,) say that nothing tells: what a joint stood
     # still for is not shared.
     features, joints = robot.features_, {}
@@ -162,7 +154,7 @@ def _shared_values(groups, robot, std):
             own = own[known]
             own = own[std[own] < _SILENT * std[own].min(initial=np.inf)]
             if own.size > 1:
-                found.append(_Shared(name, key[0], own))
+                found.append((name, key[0], own))
     return found
 
 
@@ -244,9 +236,9 @@ def beside_each_other(found, groups, robot):
         return found
     C, ratio = widening(found)
     wide, theta = C * np.outer(ratio, ratio), found.theta_unconstrained
-    at = np.concatenate([one.places for one in shared])
-    ends = np.cumsum([one.places.size for one in shared])
-    parts = tuple(np.arange(e - x.places.size, e) for e, x in zip(ends, shared))
+    at = np.concatenate([places for *_, places in shared])
+    ends = np.cumsum([places.size for *_, places in shared])
+    parts = tuple(np.split(np.arange(at.size), ends[:-1]))
     # In units of the mean of their part, as well known as their deviations say.
     unit = np.empty(at.size)
     for part in parts:
@@ -269,14 +261,14 @@ def beside_each_other(found, groups, robot):
     labels = [robot.parameter_names_[i].partition(":")[0] for i in at]
     values = tuple(
         AlikeValue(
-            group=one.group,
-            parameter=one.parameter,
+            group=group,
+            parameter=parameter,
             joints=tuple(labels[i] for i in part),
             places=tuple(at[part].tolist()),
             **_spread(mean[part], covariance[np.ix_(part, part)], unit[part]),
-            unit=robot.parameter_units_[one.places[0]],
+            unit=robot.parameter_units_[places[0]],
         )
-        for one, part in zip(shared, parts)
+        for (group, parameter, places), part in zip(shared, parts)
     )
     return replace(beside, alike=values)
 

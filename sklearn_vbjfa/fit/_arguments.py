@@ -1,24 +1,21 @@
 """Settings for experts, and the recording that arguments of a fit make."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from sklearn.utils.validation import validate_data
 
-from sklearn_vbjfa.equations._recording_checks import (
-    check_motion,
-    check_weight,
-    check_widths,
-    warn_of_disorder,
-)
+from sklearn_vbjfa.equations._recording_checks import check_weight, check_widths
+from sklearn_vbjfa.inspection import at_rest, disorder
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import (
     OfferedSignals,
     check_time_stamps,
     check_useful,
-    columns_beside,
     contiguous_groups,
-    positions_in_order,
+    positions_and_signals,
     signals_for,
     take_arrays,
     torques_in_order,
@@ -65,10 +62,10 @@ class FitOptions:
 
 def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
     """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
-    columns = columns_beside(X, identifier.joint_names_)
+    X, columns = positions_and_signals(X, identifier.joint_names_)
     X, y = validate_data(
         identifier,
-        positions_in_order(X, identifier.joint_names_),
+        X,
         torques_in_order(y, identifier.joint_names_),
         dtype=np.float64,
         multi_output=True,
@@ -120,7 +117,9 @@ def checked_recording(identifier, recording):
 
 def _check_rows(identifier, X, t, parts):
     nv = identifier.features_.n_joints_
-    if X.shape[1] == nv:
-        check_motion(identifier.joint_names_, X, parts)
-    warn_of_disorder(identifier.joint_names_, X[:, :nv], parts)
+    q = identifier.joint_names_, X[:, :nv], parts
+    if X.shape[1] == nv and (noise := at_rest(*q)) is not None:
+        raise ValueError(noise.message)
+    for finding in disorder(*q):
+        warnings.warn(finding.message, DoubtWarning, stacklevel=4)
     check_time_stamps(t, identifier.dt, parts)

@@ -120,7 +120,6 @@ class PlainEstimate:
 
     @property
     def std(self):
-        """Standard deviations (p,)."""
         return np.sqrt(np.diagonal(self.covariance))
 
 

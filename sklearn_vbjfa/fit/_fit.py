@@ -87,18 +87,17 @@ class FitData:
                 "odd samples are two measurements; got states. Pass positions, or "
                 "another regressor."
             )
-        feedback, groups = recording.feedback, recording.groups
+        feedback, parts = recording.feedback, recording.segments
         if feedback is None or not (feedback[0] > 0).all():
-            both = estimator.split_transform(recording.q, groups)
+            q = recording.q
+            both = zip(*[estimator.smooth_halves(q[x], x.start) for x in parts])
         else:
-            own = np.concatenate([one[:] for one in self.states.own])
             command = recording.command / feedback[0]
-            both = own, estimator.transform(command, groups=groups)
+            both = self.states.own, [estimator.smooth(command[x], 0) for x in parts]
         pieces = []
-        for states in both:
-            states = RecordingStates.of_rows(recording.segments, states)
-            made = replace(self, states=states).segments(robot)
-            pieces.append(equations(made, robot.plan.lowpass))
+        for own in both:
+            made = replace(self, states=RecordingStates(own=list(own)))
+            pieces.append(equations(made.segments(robot), robot.plan.lowpass))
         # An equation counts only where the joint moves in both.
         return [
             replace(x, weight=np.minimum(x.weight, z.weight), instruments=z.Phi)
@@ -173,10 +172,7 @@ class RobotFit:
         if not robot.effects_:
             return self
         inertial = robot.inertial()
-
-        def torques(q, v, a):
-            return robot.features_.torques(q, v, a, inertial)
-
+        torques = functools.partial(robot.features_.torques, inertial=inertial)
         load = sum_ranges([one.loads(robot.plan.lowpass, torques) for one in self.made])
         ranges = effect_ranges(
             robot.features_.friction_,
@@ -599,7 +595,8 @@ class ModelValues:
         within = self.estimate.covariance[np.ix_(own, own)]
         inverse = self.estimate.eigen.inverse()[:, own]
         slope = np.linalg.solve(inverse[own], inverse[rest].T).T
-        std[rest] = np.hypot(std[rest], np.sqrt(_squares(slope, within)))
+        moved = np.einsum("ik,kl,il->i", slope, within, slope)
+        std[rest] = np.hypot(std[rest], np.sqrt(moved))
         if covariance is not None:
             covariance = covariance.copy()
             covariance[np.ix_(rest, rest)] += slope @ within @ slope.T
@@ -629,11 +626,6 @@ class ModelValues:
                 effect = effect.linearised_at(_within(effect, step))
             found.append(effect)
         return tuple(found)
-
-
-def _squares(rows, matrix):
-    """Return r M r' (n,) of rows (n, k) and a matrix (k, k)."""
-    return np.einsum("ik,kl,il->i", rows, matrix, rows)
 
 
 def _at_bounds(effect):
@@ -712,7 +704,9 @@ def with_corners(robot, source):
     terms, inertia = _joints_of(robot, source)
     recording = source.recording
     command = recording.command + recording.torques(plan.delay) - recording.tau
-    torques = [_of_effects(robot, source), command]
+    own = source.states.own, plan, robot.features_
+    rows = regressor_rows(recording, *own, theta=robot.load_parameters)
+    torques = [np.concatenate([x.effects(robot.theta_) for x in rows]), command]
     further, commanded = _jumps_of(torques, robot, source)
     dry = terms["coulomb"] + further
     if not dry.any():
@@ -745,7 +739,7 @@ def without_steps(robot, source):
     size = (third + losses / inertia * fourth) / inertia
     if (stiffness * np.abs(size) < _LEAST_RIPPLE * dt).all():
         return None
-    parts, clock = recording.segments, recording.clock()
+    parts, clock = recording.segments, recording.clock
     position, speed = (
         size
         * _smoothing.interpolate(recording.command, parts, clock, robot.plan.delay, k)
@@ -771,18 +765,6 @@ def jump(dry, inertia, damping, stiffness, cutoff):
     answer = 1.0 / (inertia * omega**2 - stiffness - 1j * damping * omega)
     late = 2 * dry / np.pi * np.trapezoid(lost * answer.real, omega)
     return max(late, 0.0) / _smoothing.rounding(cutoff)
-
-
-def _of_effects(robot, source):
-    """Torques (n, nv) of the effects of a fitted robot along its motion."""
-    made = regressor_rows(
-        source.recording,
-        source.states.own,
-        robot.plan,
-        robot.features_,
-        theta=robot.load_parameters,
-    )
-    return np.concatenate([rows.effects(robot.theta_) for rows in made])
 
 
 def _jumps_of(torques, robot, source):

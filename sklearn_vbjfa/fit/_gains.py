@@ -40,7 +40,6 @@ class RelativeGains:
     # (nv,): joint whose channel is the unit of each: itself for a reference, and for a
     # joint whose gain is not seen relative to any other
     reference: np.ndarray
-    std: np.ndarray  # (nv,): of the logarithms, for residuals independent in time
 
     @property
     def held(self):
@@ -68,7 +67,6 @@ def relative_gains(moments, references=()):
     return RelativeGains(
         gains=np.clip(own, 1.01 / _WIDEST, 0.99 * _WIDEST),
         reference=reference,
-        std=np.sqrt(spread[np.arange(nv), reference]),
     )
 
 

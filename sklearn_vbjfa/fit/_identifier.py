@@ -10,7 +10,7 @@ from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_vbjfa._core._threads import one_blas_thread
-from sklearn_vbjfa.effects import TorqueLag
+from sklearn_vbjfa.effects import CommandDelay, TorqueLag
 from sklearn_vbjfa.equations._equations import numbered
 from sklearn_vbjfa.equations._features import (
     RigidBodyFeatures,
@@ -19,7 +19,6 @@ from sklearn_vbjfa.equations._features import (
 )
 from sklearn_vbjfa.equations._plan import (
     check_effects,
-    delay_of,
     make_plan,
     observe,
 )
@@ -42,7 +41,7 @@ from sklearn_vbjfa.fit._bodies import described_bodies
 from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems_late
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.fit._output_error import check_criterion
-from sklearn_vbjfa.fit._signs import signed, with_signs
+from sklearn_vbjfa.fit._signs import with_signs
 from sklearn_vbjfa.inspection import contradicted, inspect_channels
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
@@ -234,8 +233,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.drive = drive
         self.options = options
 
-    # Robot whose load the next fit begins with, in place of a first pass.
-    _before = None
     # Mean gains of position and velocity of the fitted recording, (2, nv), if any.
     _feedback = None
 
@@ -352,7 +349,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         )
 
     @one_blas_thread()
-    def _fit(self, recording, look=False, compare=True):
+    def _fit(self, recording, look=False, compare=True, before=None):
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)
         robot = self._declared_robot(plan)
@@ -362,7 +359,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             numbering=numbered(recording, plan),
             n_jobs=self.n_jobs,
         )
-        recipe, before, self._before = self._recipe(), self._before, None
+        recipe = self._recipe()
         if self.drive is not None and self.drive.unsigned and recording.command is None:
             source = with_signs(recipe, robot, source, before)
             recording = source.recording
@@ -373,8 +370,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             or seems_late(recipe, fit, source)
         )
         if self.fit_options.torque_noise is None:
-            clock = plan.clock(recording)
-            facts = fit.robot.noise_facts(recording, clock, self.n_jobs)
+            facts = fit.robot.noise_facts(recording, self.n_jobs)
             fit = fit.with_noise_facts(facts)
         if self.criterion == "simulation":
             fit = refine_fit(recipe, fit, source, self.fit_options.window)
@@ -406,13 +402,15 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     # -- for other rooms -------------------------------------------------------------
 
-    def fit_inspected(self, recording, lag=0.0, compare=True):
+    def fit_inspected(self, recording, lag=0.0, compare=True, before=None):
         """Identify the robot from a recording whose channels were inspected."""
         # lag: about the time [s] by which all torques are late; not zero if it is to be
         # found, as `torque_lag_`; compare: whether deviations of predictions are to
-        # include how recordings differ.
+        # include how recordings differ; before: an `IdentifiedRobot` whose load the fit
+        # begins with, in place of a first pass.
         self._declare(*([TorqueLag(lag=lag)] if lag else []))
-        return self._fit(checked_recording(self, recording), compare=compare)
+        recording = checked_recording(self, recording)
+        return self._fit(recording, compare=compare, before=before)
 
     def build_model(self):
         """Load the model without data: names, `effects_` and `features_`."""
@@ -433,15 +431,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if self.fit_options.torque_noise is None:
             fit = fit.with_noise_facts(facts(fit.robot))
         return self._set(fit)
-
-    def signed(self, recording):
-        """Give sizes of torques the signs that the fitted robot predicts."""
-        return signed(self.robot_, recording)
-
-    def begin_with(self, fitted):
-        """Begin the next fit with the load of a fitted identifier, where it has one."""
-        self._before = fitted.robot_
-        return self
 
     def beside(self, effects):
         """Return a copy whose robot has further effects, with coefficients of one."""
@@ -480,7 +469,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self._masses = check_masses(self.fit_options.known_masses, gains, model)
         if gains is not None:
             declared = declared_gains(declared, model.nv)
-        declared += (*delay_of(self.drive, declared), *further)
+        waits = self.drive is None or self.drive.waits is not None
+        if not (waits or any(isinstance(one, CommandDelay) for one in declared)):
+            declared += (CommandDelay(),)
+        declared += further
         self.effects_ = with_followers(declared, self.features_)
         self.features_ = self.features_.corrected(self.effects_)
         if self.criterion == "simulation":
@@ -507,7 +499,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         check_channels(self.joint_names_, ranges, np.concatenate(ends))
         lengths = [rows.stop - rows.start for rows in parts]
         plan = make_plan(self, self.effects_, lengths, estimator, facts)
-        plan = plan.set_to(recording)
+        # Rejects stamps that the effects cannot use.
+        clock = plan.clock(recording)
+        if plan.timed and clock is not None:
+            plan = replace(plan, time=(float(clock[0]), float(clock[-1])))
         check_length(parts, plan.lowpass, plan.cutoff)
         return plan, recording, states
 
@@ -532,15 +527,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         """The identified robot without data, an `IdentifiedRobot`."""
         check_is_fitted(self, "_robot")
         return self._robot
-
-    @property
-    def theta_(self):
-        """Parameters (p,), see `IdentifiedRobot`."""
-        return self.robot_.theta_
-
-    @theta_.setter
-    def theta_(self, theta):
-        self._robot = replace(self.robot_, theta_=theta)
 
     def __getattr__(self, name):
         """Return an attribute or a method of `robot_`."""

@@ -148,7 +148,7 @@ def run_windows(predictor, windows, starts):
     robot = predictor.torque_model()
     nv = robot.n_joints
     recording, L = windows.recording, windows.measured.shape[1]
-    clock = recording.clock(stamped=predictor.plan.timed)
+    clock = predictor.plan.clock(recording)
     out = np.empty((windows.count, L, 3 * nv))
     for w, start in enumerate(starts):
         rows = slice(w * L, (w + 1) * L)
@@ -381,22 +381,12 @@ def deviations(normal, metric, damping, before):
 _SHARE = 1e-6
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Slopes:
-    """Derivatives of the torques along a motion."""
-
-    # (n, nv, nv): by accelerations, velocities and positions
-    mass: np.ndarray
-    damping: np.ndarray
-    stiffness: np.ndarray
-    # (n, nv): rise of the torque of a joint where its velocity passes through zero
-    jump: np.ndarray
-    Phi: np.ndarray  # (n, nv, p): by parameters
-
-
 def slopes(predictor, recording, states):
     # predictor: `IdentifiedRobot`; recording: `Recording` with the segments and clock
-    # of the motions; states (n, 3 nv). Returns `Slopes`, of true torques.
+    # of the motions; states (n, 3 nv). Returns the derivatives of true torques by
+    # positions, velocities and accelerations (3, n, nv, nv), their rise where the
+    # velocity of the joint passes through zero (n, nv), and those by parameters Phi (n,
+    # nv, p).
     features, held = predictor.features_, held_parameters(predictor)
 
     def rows_of(states):
@@ -433,8 +423,7 @@ def slopes(predictor, recording, states):
             found[kind, np.abs(here) <= step, :, k] = 0.0
             both = np.full(n, step), np.full(n, -step)
             jump[:, k] = (torque(column, both[0]) - torque(column, both[1]))[:, k]
-    stiffness, damping, mass = found
-    return Slopes(mass=mass, damping=damping, stiffness=stiffness, jump=jump, Phi=Phi)
+    return found, jump, Phi
 
 
 def held_parameters(predictor):
@@ -445,11 +434,12 @@ def held_parameters(predictor):
 
 def propagate(found, states, dt):
     """Sensitivities of positions (L, W, nv, p + 2 nv) along W motions of L rows."""
-    # By parameters, start positions and velocities. found: along one motion after the
-    # other (n = W L); states (W, L, 3 nv); dt [s].
+    # By parameters, start positions and velocities. found: `slopes` along one motion
+    # after the other (n = W L); states (W, L, 3 nv); dt [s].
+    (stiffness, damping, mass), jump, Phi = found
     W, L = states.shape[:2]
     nv = states.shape[2] // 3
-    p = found.Phi.shape[2]
+    p = Phi.shape[2]
     shape = (W, L, nv, -1)
     v, a = states[:, :, nv : 2 * nv], states[:, :, 2 * nv :]
     stuck = (v == 0) & (a == 0)
@@ -463,13 +453,13 @@ def propagate(found, states, dt):
         # Friction of a joint that sticks balances every change.
         return middle(np.where(free, values.reshape(shape), 0.0))
 
-    M, D, K = middle(found.mass), moved(found.damping), moved(found.stiffness)
+    M, D, K = middle(mass), moved(damping), moved(stiffness)
     # One that turns round in a row moves the new way there.
     way = np.where(v != 0, np.sign(v), np.sign(a))
     turns = way[:, :-1] * way[:, 1:] < 0
     if turns.any():
         mean = 0.5 * np.abs(a[:, :-1] + a[:, 1:])
-        jump = middle(found.jump[..., None])[..., 0]
+        jump = middle(jump[..., None])[..., 0]
         own = np.einsum("wljj->wlj", M)
         # Its friction cannot send a joint back the way that it came.
         most = 2.0 * own / dt
@@ -483,7 +473,7 @@ def propagate(found, states, dt):
     drive = np.concatenate(
         [np.where(ends, 0.0, right), np.where(ends, 0.0, -dt * K)], axis=-1
     )
-    push = np.where(stuck[:, 1:, :, None], 0.0, -dt * moved(found.Phi))
+    push = np.where(stuck[:, 1:, :, None], 0.0, -dt * moved(Phi))
     drive, push = np.linalg.solve(left, drive), np.linalg.solve(left, push)
     out = np.zeros((L, W, nv, p + 2 * nv))
     position, velocity = np.zeros((2, W, nv, p + 2 * nv))

@@ -20,7 +20,7 @@ _MODULES = {
         "movable_joints",
         "write_reduced",
     ),
-    "_mjcf": ("FollowingJoint", "JointDynamics", "write_mjcf"),
+    "_mjcf": ("JointDynamics", "write_mjcf"),
     "_shapes": ("NoShapes", "import_coal", "load_shapes"),
     "_trees": (
         "body_names",
@@ -35,7 +35,7 @@ _MODULES = {
         "solid_bodies",
         "with_bodies",
     ),
-    "_urdf": ("check_possible", "write_urdf"),
+    "_urdf": ("write_urdf",),
 }
 __all__: list[str] = []
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -31,11 +31,14 @@ class TorqueDerivatives:
     """Derivatives of a robot's torques by its joints' placements, and by gravity."""
 
     # q, v, a (n, nv); inertial (nv, 10); nominal: the robot before it was corrected, if
-    # it was.
+    # it was, of which `nominal_gravity` (3,) is. axes (nv, 3): directions of the joints
+    # in their own frames.
 
     def __init__(self, model, q, v, a, inertial, nominal=None):
         self._model, self._nominal = model, model if nominal is None else nominal
         self._tree, self._inertial = describe(model), inertial
+        self.axes = self._tree.axes
+        self.nominal_gravity = self._nominal.gravity.linear.copy()
         self._states = np.hstack([q, v, a])
 
     def by_turn(self, joint, turns):
@@ -56,7 +59,7 @@ class TorqueDerivatives:
 
     def by_position(self, joint):
         """Differentiate by the position of a joint, ndarray of shape (n, nv)."""
-        axis, moved = self.axis(joint), 0.0
+        axis, moved = self.axes[joint], 0.0
         turns, slides = self._tree.turns[joint], self._tree.slides[joint]
         if turns:
             moved = moved + turns * self._by_angle(joint, axis)
@@ -104,10 +107,6 @@ class TorqueDerivatives:
         tree = self._tree.changed(**{name: values})
         return torques_of(tree, self._states, self._inertial)
 
-    def axis(self, joint):
-        """Direction of a joint in its own frame, ndarray of shape (3,)."""
-        return self._tree.axes[joint]
-
     def rotation(self, joint):
         """Axes of a joint's placement in what carries it, ndarray of shape (3, 3)."""
         return self._model.jointPlacements[joint + 1].rotation
@@ -115,11 +114,6 @@ class TorqueDerivatives:
     def nominal_rotation(self, joint):
         """Return the same before the robot was corrected."""
         return self._nominal.jointPlacements[joint + 1].rotation
-
-    @property
-    def nominal_gravity(self):
-        """Gravity before the robot was corrected, ndarray of shape (3,)."""
-        return self._nominal.gravity.linear
 
 
 def _combined(torques, weights):
@@ -136,7 +130,8 @@ class CorrectedModel:
     """A robot model that takes corrections, in any order; `nominal` is left alone."""
 
     # gains (nv,): what each torque channel reads, over the torque; base (3, 3), turns:
-    # by which gravity and, by joint, placements were turned.
+    # by which gravity and, by joint, placements were turned; axes (nv, 3): directions
+    # of the joints in their own frames; nominal_gravity (3,): of the description.
 
     def __init__(self, nominal):
         self._nominal = nominal
@@ -144,15 +139,8 @@ class CorrectedModel:
         self.gains = np.ones(nominal.nv)
         self.base, self.turns = np.eye(3), {}
         self._tree = describe(nominal)
-
-    @property
-    def nominal_gravity(self):
-        """Gravity of the description, ndarray (3,) [m/s^2]."""
-        return self._nominal.gravity.linear.copy()
-
-    def axis(self, joint):
-        """Direction of a joint in its own frame, ndarray (3,)."""
-        return self._tree.axes[joint]
+        self.axes = self._tree.axes
+        self.nominal_gravity = nominal.gravity.linear.copy()
 
     def tilt(self, rotation):
         """Turn gravity by a matrix (3, 3)."""
@@ -176,7 +164,7 @@ class CorrectedModel:
         """Put a joint's zero where its encoder reads `zero` [rad or m]."""
         pin, tree = import_pinocchio(), self._tree
         placement = self.model.jointPlacements[joint + 1]
-        axis = tree.axes[joint]
+        axis = self.axes[joint]
         shift = -zero * tree.slides[joint] * (placement.rotation @ axis)
         placement.translation = placement.translation + shift
         turn = pin.exp3(-zero * tree.turns[joint] * axis)

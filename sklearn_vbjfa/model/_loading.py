@@ -6,10 +6,8 @@ What of a description does not enter the model is said in one warning.
 import os
 import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -37,9 +35,6 @@ from sklearn_vbjfa.model._urdf import (
     text_of_tree,
     write_tree,
 )
-
-if TYPE_CHECKING:
-    import pinocchio as pin
 
 # A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
 # below which a warning says so. (What was identified and projected lies between it and
@@ -263,7 +258,7 @@ def _left_out(mimics, model):
 # -- nominal models of the measured sets -----------------------------------------------
 
 
-def build_model(name: str, urdf: str | None, joint_names: Sequence[str]) -> "pin.Model":
+def build_model(name, urdf, joint_names):
     """Build the model of a recording; see `Recording.robot_model`."""
     import_pinocchio()
     if urdf is None and name in _BUILT:
@@ -287,7 +282,7 @@ def build_model(name: str, urdf: str | None, joint_names: Sequence[str]) -> "pin
     return model
 
 
-def _built(name: str) -> "pin.Model":
+def _built(name):
     """Build a serial chain from the table of its links."""
     import pinocchio as pin
 

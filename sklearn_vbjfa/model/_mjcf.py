@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.model._trees import (
+    ChainJoint,
     body_names,
     check_kinds,
     describe,
@@ -44,13 +45,7 @@ class FollowingJoint:
     name: str
     # joint that carries it, which may follow as well; None for the base
     carrier: str | None
-    leader: int  # joint that it follows, from zero
-    # its position is rate times that of the leader plus offset
-    rate: float
-    offset: float
-    slides: bool  # whether it is prismatic
-    placement: object  # where it is in the frame of its carrier
-    axis: np.ndarray  # (3,): its direction in its own frame
+    link: ChainJoint  # place in its carrier, and joint that it follows
     body: np.ndarray  # (10,): inertial parameters
 
 
@@ -82,16 +77,6 @@ class Servo:
     kd: np.ndarray
     most: np.ndarray
     delay: float = 0.0  # from a command to its effect [s], not negative
-
-    def attributes(self, j, step):
-        """Attributes of joint j's actuator; step [s] is that of the file."""
-        found = {"gainprm": number(self.kp[j] or 1.0)}
-        if self.delay > 0:
-            # Commands between two steps go straight.
-            kept = int(np.ceil(self.delay / step)) + 2
-            found |= {"delay": number(self.delay), "nsample": str(kept)}
-            found["interp"] = "linear"
-        return found
 
 
 def write_mjcf(
@@ -200,14 +185,16 @@ class _Tree:
         named = {name: elements[j] for j, name in enumerate(self._names)}
         for one in self._followers:
             carrier = world if one.carrier is None else named[one.carrier]
-            body = _body(carrier, f"{one.name} body", one.placement, one.body)
+            frame, place = np.reshape(one.link.frame, (3, 3)), np.array(one.link.place)
+            placed = import_pinocchio().SE3(frame, place)
+            body = _body(carrier, f"{one.name} body", placed, one.body)
             named[one.name] = body
             ElementTree.SubElement(
                 body,
                 "joint",
                 name=one.name,
-                type="slide" if one.slides else "hinge",
-                axis=numbers(one.axis),
+                type="slide" if one.link.slides else "hinge",
+                axis=numbers(one.link.axis),
             )
 
     def add_equalities(self, parent):
@@ -215,14 +202,15 @@ class _Tree:
         ref = self._dynamics.ref
         for one in self._followers:
             # MuJoCo counts positions of both from where the file puts them.
-            shift = one.offset + one.rate * ref[one.leader]
+            link, leader = one.link, self._names[one.link.joint]
+            shift = link.offset + link.rate * ref[link.joint]
             ElementTree.SubElement(
                 parent,
                 "joint",
-                name=f"{one.name} follows {self._names[one.leader]}",
+                name=f"{one.name} follows {leader}",
                 joint1=one.name,
-                joint2=self._names[one.leader],
-                polycoef=numbers([shift, one.rate, 0.0, 0.0, 0.0]),
+                joint2=leader,
+                polycoef=numbers([shift, link.rate, 0.0, 0.0, 0.0]),
             )
 
     def _add_body(self, carrier, j):
@@ -261,8 +249,12 @@ class _Tree:
             if servo is None:
                 motor.set("gainprm", number(1.0 / dynamics.gain[j]))
             else:
-                for key, value in servo.attributes(j, step).items():
-                    motor.set(key, value)
+                motor.set("gainprm", number(servo.kp[j] or 1.0))
+                if servo.delay > 0:
+                    # Commands between two steps go straight.
+                    kept = int(np.ceil(servo.delay / step)) + 2
+                    motor.attrib |= {"delay": number(servo.delay), "nsample": str(kept)}
+                    motor.set("interp", "linear")
                 stiffness, damping = stiffness - servo.kp[j], -servo.kd[j]
                 if np.isfinite(servo.most[j]):
                     # The limit is that of the loop, without the constant.

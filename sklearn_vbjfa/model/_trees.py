@@ -471,17 +471,17 @@ class Link:
     offset: float  # [rad or m]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ChainLink:
+class ChainJoint(NamedTuple):
     """One joint between the base and the body of a follower."""
 
     joint: int  # joint of the folded robot that moves it, from zero
-    # its position is rate times that of `joint` plus offset
+    # its position is rate times that of `joint` plus offset [rad or m]
     rate: float
     offset: float
     slides: bool  # whether it is prismatic
-    placement: object  # where it is in the frame of the joint before it
-    axis: np.ndarray  # (3,): its direction in its own frame
+    place: tuple  # its origin in the frame of the joint before it [m]
+    frame: tuple  # its axes there, by rows of the rotation matrix
+    axis: tuple  # direction about or along which it moves, in its own frame
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -491,7 +491,7 @@ class FollowingBody:
     name: str
     leader: int  # joint of the folded robot that moves it, from zero
     chain: tuple  # joints from the base to the body
-    gravity: np.ndarray  # (3,) [m/s^2]
+    gravity: tuple  # (3,) [m/s^2]
     parameters: np.ndarray  # (10,): of the description, in Pinocchio's order
 
 
@@ -604,13 +604,15 @@ def fold(full, links):
     steps, tree = {}, describe(full)
     for at, name in enumerate(names[1:], 1):
         link = links.get(name, Link(leader=name, multiplier=1.0, offset=0.0))
-        steps[at] = ChainLink(
+        placed = full.jointPlacements[at]
+        steps[at] = ChainJoint(
             joint=left.index(link.leader),
             rate=link.multiplier,
             offset=link.offset,
             slides=not tree.turns[at - 1],
-            placement=full.jointPlacements[at].copy(),
-            axis=tree.axes[at - 1],
+            place=tuple(placed.translation.tolist()),
+            frame=tuple(placed.rotation.ravel().tolist()),
+            axis=tuple(tree.axes[at - 1].tolist()),
         )
     followers = []
     for name in names[1:]:
@@ -626,7 +628,7 @@ def fold(full, links):
                 name=name,
                 leader=left.index(links[name].leader),
                 chain=tuple(chain),
-                gravity=full.gravity.linear.copy(),
+                gravity=tuple(full.gravity.linear.tolist()),
                 parameters=parameters,
             )
         )

@@ -130,14 +130,14 @@ def _followers(root, called):
             continue
         name, values = joint.get("name"), []
         for key, otherwise in (("multiplier", "1"), ("offset", "0")):
-            value = _floats(mimic.get(key, otherwise), 1)
+            value = _float(mimic.get(key, otherwise))
             if value is None:
                 raise ValueError(
                     f"{called}: joint {name!r} follows another joint with the {key} "
                     f"{mimic.get(key)[:40]!r}, which is not a number; correct the "
                     "description."
                 )
-            values.append(value[0])
+            values.append(value)
         leader, joints[name] = mimic.get("joint", ""), joint
         found[name] = Link(leader=leader, multiplier=values[0], offset=values[1])
     while follow := [name for name, link in found.items() if link.leader in still]:
@@ -238,11 +238,11 @@ def _parents_first(names, carriers):
 def _check_masses(root, called):
     for link in root.findall("link"):
         for mass in link.findall("inertial/mass"):
-            value = _floats(mass.get("value", "nan"), 1)
+            value = _float(mass.get("value", "nan"))
             # Of what is not a number the parser says what is wrong.
-            if value is not None and value[0] < 0:
+            if value is not None and value < 0:
                 raise ValueError(
-                    f"{called}: link {link.get('name')!r} has the mass {value[0]:g} "
+                    f"{called}: link {link.get('name')!r} has the mass {value:g} "
                     "kg; correct the description."
                 )
 
@@ -268,10 +268,12 @@ def _check_tree(root, called):
     """Refuse links on two joints, or in a ring."""
     above = {}
     for joint in _joints(root):
-        parent, child = (_link(joint.find(tag)) for tag in ("parent", "child"))
-        if parent is None or child is None:
+        found = [joint.find(tag) for tag in ("parent", "child")]
+        ends = [one.get("link") for one in found if one is not None]
+        if len(ends) < 2 or None in ends:
             # The parser says what is missing.
             return
+        parent, child = ends
         if child in above:
             raise ValueError(
                 f"{called}: link {child!r} has two parent joints, "
@@ -330,18 +332,13 @@ def _fix(joint):
             joint.remove(child)
 
 
-def _floats(text, size):
-    """Return so many finite numbers of a text, or None where it has others."""
+def _float(text):
+    """Return the finite number that a text holds, or None."""
     try:
-        found = np.array([float(x) for x in text.split()])
+        found = float(text)
     except ValueError:
         return None
-    return found if found.shape == (size,) and np.isfinite(found).all() else None
-
-
-def _link(element):
-    """Name of the link that a <parent> or <child> names."""
-    return None if element is None else element.get("link")
+    return found if np.isfinite(found) else None
 
 
 def _check_ring(link, above, called):

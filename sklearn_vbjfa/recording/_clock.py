@@ -50,10 +50,10 @@ class TimeStamps:
     """Sample times of one recording, as its stamps and positions show them."""
 
     dt: float  # sample period [s]
-    sampled: bool  # True if the stamps are the times of sampling, False if it is steady
-    late: bool  # True if stamps are irregular although the sampling was steady
+    # "" for regular stamps; "sampled" at irregular ones, or steadily but stamped "late"
+    irregular: str
     # period in which each row was sampled, from 0 on in each piece between gaps;
-    # without meaning if `sampled`
+    # without meaning if "sampled"
     slots: np.ndarray
     steps: np.ndarray  # between stamps, gaps left out [s]
     gaps: np.ndarray  # rows after which more than five periods are missing
@@ -83,10 +83,9 @@ def inspect_time_stamps(
     for piece in pieces:
         slots[piece] -= slots[piece.start]
     found = float(step[~is_gap].sum() / counts[~is_gap].sum())
-    irregular = max(np.ptp((t - found * slots)[x]) for x in pieces) > 2 * STEADY * found
-    sampled = irregular and _is_sampled(t, found * slots, pieces, positions)
-    if irregular and not sampled:
-        _check_far(t, found * slots, pieces, found)
+    irregular, grid = "", found * slots
+    if max(np.ptp((t - grid)[x]) for x in pieces) > 2 * STEADY * found:
+        irregular = _kind_of_irregularity(t, grid, pieces, positions, found)
     if dt is not None and abs(found - dt) > tolerance * dt:
         raise ValueError(
             f"time steps by {found:.6g} s but dt = {dt:.6g} s; correct one of them, or "
@@ -94,8 +93,7 @@ def inspect_time_stamps(
         )
     return TimeStamps(
         dt=float(f"{found:.7g}") if dt is None else float(dt),
-        sampled=bool(sampled),
-        late=bool(irregular and not sampled),
+        irregular=irregular,
         slots=slots,
         steps=step[~is_gap],
         gaps=np.flatnonzero(is_gap),
@@ -143,8 +141,19 @@ def _lateness(step, period, counts):
     return np.std(away - uniform_filter1d(away, _LONG)) / found
 
 
-def _check_far(t, grid, pieces, period):
-    """Refuse stamps that leave the grid for longer than late ones do."""
+def _kind_of_irregularity(t, grid, pieces, positions, period):
+    """Return whether rows were "sampled" at their stamps, or stamped "late"."""
+    if positions is not None:
+        # Positions are smoother over times of sampling.
+        stamped, steady = (
+            sum(
+                (prediction_errors(x[y], positions[y]) ** 2).sum(axis=0) for y in pieces
+            )
+            for x in (t, grid)
+        )
+        moves = (np.ptp(positions, axis=0) > 0) & (stamped > 0) & (steady > 0)
+        if np.log(stamped[moves] / steady[moves]).sum() < -_CLEARLY:
+            return "sampled"
     for piece in pieces:
         away = t[piece] - grid[piece]
         # A clock may drift.
@@ -157,18 +166,7 @@ def _check_far(t, grid, pieces, period):
                 "Correct t, mark recordings of other periods in a column segment, or "
                 "leave t out and give dt if rows are equidistant."
             )
-
-
-def _is_sampled(t, grid, pieces, positions):
-    """Return whether positions are smoother over the stamps than over the grid."""
-    if positions is None:
-        return False
-    stamped, steady = (
-        sum((prediction_errors(x[y], positions[y]) ** 2).sum(axis=0) for y in pieces)
-        for x in (t, grid)
-    )
-    moves = (np.ptp(positions, axis=0) > 0) & (stamped > 0) & (steady > 0)
-    return np.log(stamped[moves] / steady[moves]).sum() < -_CLEARLY
+    return "late"
 
 
 def prediction_errors(t, values):

@@ -39,6 +39,7 @@ class Drive(BaseEstimator):
     of_positions = False  # whether torques are made of measured positions
     waits: float | None = 0.0  # delay of its commands [s]; None if it is to be found
     unsigned = False  # whether only sizes of torques are known
+    factor = ""  # setting by which its channel is multiplied
     gains: str | None = None  # "unknown" where torques are known up to factors
     # names of its channel in files that have it in place of torques
     spelled: tuple[str, ...] = ()
@@ -74,7 +75,7 @@ class Drive(BaseEstimator):
         """
         tau, names = self._channel(recording, self.told), recording.joint_names
         tau = recording.tau if tau is None else tau
-        factor = self._factor(names, recording)
+        factor = self._setting(self.factor, names, recording)
         tau = tau if factor is None else tau * factor
         below = np.flatnonzero((tau < 0).any(axis=0)) if self.unsigned else ()
         if len(below):
@@ -84,11 +85,13 @@ class Drive(BaseEstimator):
             )
         return replace(recording, tau=tau, command=None if self.unsigned else tau)
 
-    def _setting(self, name, joints, recording=None, least=0.0):
+    def _setting(self, name, joints, recording=None):
         """Return a setting (nv,), or the channel (n, nv) of a recording, or None."""
         given, what = getattr(self, name), f"{type(self).__name__}: {name}"
         if given is None and recording is not None:
             return self._channel(recording, name)
+        if isinstance(given, str) and given == "unknown":
+            return None
         if isinstance(given, Mapping):
             given = [_of_joint(what, given, joint) for joint in joints]
         try:
@@ -100,7 +103,7 @@ class Drive(BaseEstimator):
                 f"{what} must be one number, or one for each joint in the order "
                 f"{', '.join(joints)}; got {given!r}."
             )
-        if (values < least).any():
+        if name != "torque_constant" and (values < 0).any():
             raise ValueError(f"{what} must not be negative; got {given!r}.")
         return values
 
@@ -222,11 +225,9 @@ class PDDrive(Drive):
 
     def driven(self, recording):
         """Return a recording of the torques that the law asks for; see `Drive`."""
-        command, (kp, kd) = (
-            self.commands(recording),
-            self.law(recording.joint_names, recording),
-        )
-        parts, clock = recording.segments, recording.clock()
+        command = self.commands(recording)
+        kp, kd = self.law(recording.joint_names, recording)
+        parts, clock = recording.segments, recording.clock
         if _changes(recording.q, parts) and not _changes(command, parts):
             raise ValueError(
                 "The commands are constant while joints move: they are not those that "
@@ -339,6 +340,7 @@ class CurrentDrive(Drive):
     """
 
     told = "current"
+    factor = "torque_constant"
     spelled = ("current", "motor_current", "present_current")
 
     def __init__(self, torque_constant="unknown", *, signed=True):
@@ -348,20 +350,12 @@ class CurrentDrive(Drive):
     @property
     def gains(self):
         """Unknown, if the torque constant is."""
-        constant = self.torque_constant
-        is_unknown = isinstance(constant, str) and constant == "unknown"
-        return "unknown" if is_unknown else None
+        return "unknown" if isinstance(self.torque_constant, str | None) else None
 
     @property
     def unsigned(self):
         """Whether only sizes of torques are known."""
         return not self.signed
-
-    def _factor(self, names, recording):
-        unknown = self.gains is not None
-        return (
-            None if unknown else self._setting("torque_constant", names, least=-np.inf)
-        )
 
 
 class VoltageDrive(Drive):
@@ -396,15 +390,13 @@ class VoltageDrive(Drive):
     """
 
     told = "voltage"
+    factor = "supply"
     gains = "unknown"
     beside = ("supply",)
     spelled = ("voltage", "duty", "pwm", "pwm_duty", "present_pwm")
 
     def __init__(self, *, supply=None):
         self.supply = supply
-
-    def _factor(self, names, recording):
-        return self._setting("supply", names, recording)
 
 
 def _changes(values, parts):
@@ -429,7 +421,7 @@ def velocities(recording):
     # what they log has noise of the whole band: only its lag is taken.
     if recording.states is not None:
         return recording.states[:, recording.nv : 2 * recording.nv]
-    q, known = recording.q, (recording.segments, recording.clock())
+    q, known = recording.q, (recording.segments, recording.clock)
     lags = velocity_lags(recording).tolist()
     return np.column_stack(
         [interpolate(q[:, j], *known, lag, order=1) for j, lag in enumerate(lags)]
@@ -441,7 +433,7 @@ def velocity_lags(recording):
     # By least squares on accelerations, where the motion is.
     if recording.states is not None or recording.v is None:
         return np.zeros(recording.nv)
-    q, parts, clock = recording.q, recording.segments, recording.clock()
+    q, parts, clock = recording.q, recording.segments, recording.clock
     lowpass = _lowpass.design(recording.dt, min(_SLOW, 0.2 / recording.dt))
     long = [part for part in parts if part.stop - part.start > 2 * lowpass.half]
     if not long:
@@ -476,21 +468,23 @@ def parse_drive(text):
                 f"drive has {part!r}; expected, each once, NAME=VALUE without blanks, "
                 f"of {', '.join(known)}."
             )
-        given[name] = _WORDS[value] if value in _WORDS else _numbers(part)
+        given[name] = _SWITCHES[value] if value in _SWITCHES else _numbers(part, value)
     return DRIVES[kind](**given)
 
 
 _SWITCHES = {"none": None, "true": True, "yes": True, "false": False, "no": False}
-_WORDS: dict[str, object] = {**_SWITCHES, "auto": "auto", "unknown": "unknown"}
 
 
-def _numbers(part):
-    """Return the number of NAME=VALUE, several, or several by joints' names."""
-    pairs = [x.rpartition(":")[::2] for x in part.partition("=")[2].split(",")]
+def _numbers(part, text):
+    """Return the number of NAME=VALUE, several, several by joints' names, or a word."""
+    pairs = [x.rpartition(":")[::2] for x in text.split(",")]
     joints, values = {joint for joint, _ in pairs}, [value for _, value in pairs]
     try:
         values = np.array(values, dtype=float).tolist()
     except ValueError:
+        if len(pairs) == 1 and joints == {""}:
+            # The drive knows the word or refuses it.
+            return text
         values = [np.nan]
     by_joint = "" not in joints and len(joints) == len(pairs)
     if not np.isfinite(values).all() or not (by_joint or joints == {""}):

@@ -221,12 +221,16 @@ def _common_period(runs):
 def _of_file(runs, dt):
     """Return the pieces of a file on the grid; note what they lack."""
     file, pieces, short = runs[0].file, [], 0
-    for run in runs:
-        channels, ends = file.channels, run.stamps.gaps + 1
-        if run.rows.size < file.t.size:
-            channels = {key: x[run.rows] for key, x in channels.items()}
-        made = _pieces(Log(run.name, _times(run, dt), channels), dt, ends)
-        short += ends.size + 1 - len(made)
+    for _, name, rows, found in runs:
+        # Late stamps alone do not make another period.
+        unsure = max(SAME_DT * dt, 3 * np.std(found.steps) / rows.size)
+        period = dt if abs(found.dt - dt) < unsure else found.dt
+        t = file.t[rows] if found.irregular == "sampled" else period * found.slots
+        channels = file.channels
+        if rows.size < file.t.size:
+            channels = {key: x[rows] for key, x in channels.items()}
+        made = _pieces(Log(name, t, channels), dt, found.gaps + 1)
+        short += found.gaps.size + 1 - len(made)
         pieces += made
     file.notes.extend(_irregularities(file, runs, dt, short))
     if not pieces:
@@ -237,18 +241,7 @@ def _of_file(runs, dt):
     return pieces
 
 
-def _times(run, dt):
-    """Return the times (n,) [s] at which the rows of a segment were sampled."""
-    found = run.stamps
-    if found.sampled:
-        return run.file.t[run.rows]
-    # Late stamps alone do not make another period.
-    unsure = 3 * np.std(found.steps) / run.rows.size
-    same = abs(found.dt - dt) < max(SAME_DT * dt, unsure)
-    return (dt if same else found.dt) * found.slots
-
-
-# What irregular stamps mean, by the attribute of `TimeStamps`.
+# What irregular stamps mean, by their kind.
 _IRREGULAR = {
     "sampled": "the positions say that the robot was sampled at these times; all is "
     "interpolated on a uniform grid",
@@ -259,7 +252,7 @@ _IRREGULAR = {
 def _irregularities(file, runs, dt, short):
     """Yield notes on irregular stamps, gaps and missing rows."""
     for what, meaning in _IRREGULAR.items():
-        odd = [run.stamps.steps for run in runs if getattr(run.stamps, what)]
+        odd = [run.stamps.steps for run in runs if run.stamps.irregular == what]
         if odd:
             steps = np.concatenate(odd)
             yield (
@@ -277,7 +270,7 @@ def _irregularities(file, runs, dt, short):
             f"{short} piece(s) of fewer than {_MIN_SAMPLES} samples between gaps are "
             "left out."
         )
-    slots = [run.stamps.slots for run in runs if not run.stamps.sampled]
+    slots = [run.stamps.slots for run in runs if run.stamps.irregular != "sampled"]
     missing = sum(int((np.diff(x).clip(1) - 1).sum()) for x in slots)
     if missing:
         yield f"{missing} single sample(s) are missing and were interpolated."

@@ -31,17 +31,17 @@ def check_dt(dt):
     return value
 
 
-def check_cutoff(cutoff, dt, name):
+def check_cutoff(cutoff, dt):
     """Return a cut-off in Hz as a float; infinity for None."""
     value = np.inf if cutoff is None else _number(cutoff)
     if not value > 0:
         raise ValueError(
-            f"{name} must be a positive frequency in Hz, 'auto', or None for no "
+            "cutoff must be a positive frequency in Hz, 'auto', or None for no "
             f"low-pass; got {cutoff!r}."
         )
     if np.isfinite(value) and value >= 0.5 / dt:
         raise ValueError(
-            f"{name} must lie below the Nyquist frequency {0.5 / dt:.6g} Hz of "
+            f"cutoff must lie below the Nyquist frequency {0.5 / dt:.6g} Hz of "
             f"dt={dt:.6g} s; got {value:.6g} Hz. Give None for no low-pass."
         )
     return value
@@ -68,7 +68,7 @@ def check_clock(t, n_samples, dt):
     bad = np.flatnonzero(np.diff(time) <= 0)
     if bad.size:
         raise ValueError(
-            f"t must rise from row to row, over all recordings; it does not at row "
+            "t must rise from row to row, over all recordings; it does not at row "
             f"{bad[0] + 1} ({time[bad[0]]:.6g} s, then {time[bad[0] + 1]:.6g} s)."
         )
     return time
@@ -189,9 +189,12 @@ class Recording:
                 raise ValueError(f"{key} must have {nv} entries, as q has columns.")
         _check("groups", self.groups, (n_samples,))
         labels = self.groups[[part.start for part in self.segments]]
-        count, is_int = len(set(self.group_names)), self.groups.dtype.kind in "iu"
-        blocks = [*range(len(self.group_names))] if is_int else None
-        if labels.tolist() != blocks or count != len(blocks):
+        names, is_int = (
+            [*dict.fromkeys(self.group_names)],
+            self.groups.dtype.kind in "iu",
+        )
+        whole = len(names) == len(self.group_names) and is_int
+        if not whole or labels.tolist() != [*range(len(names))]:
             raise ValueError(
                 "groups must hold the integers from 0 on in contiguous blocks, one for "
                 f"each of the different group_names {self.group_names}; got blocks "
@@ -199,14 +202,11 @@ class Recording:
             )
 
     def __repr__(self) -> str:
-        joints = "joint" if self.nv == 1 else "joints"
-        period = "unknown" if self.dt is None else f"{self.dt:.6g} s"
-        n_groups = len(self.group_names)
-        recordings = f", {n_groups} recordings" if n_groups > 1 else ""
-        return (
-            f"Recording {self.name!r}: {self.n_samples} samples, {self.nv} {joints}, "
-            f"dt = {period}{recordings}"
-        )
+        facts = [f"{self.n_samples} samples", f"{self.nv} joint{'s' * (self.nv > 1)}"]
+        facts.append(f"dt = {'unknown' if self.dt is None else f'{self.dt:.6g} s'}")
+        if len(self.group_names) > 1:
+            facts.append(f"{len(self.group_names)} recordings")
+        return f"Recording {self.name!r}: {', '.join(facts)}"
 
     @property
     def n_samples(self) -> int:
@@ -228,25 +228,10 @@ class Recording:
         """Rows of each recording; nothing is filtered across their boundaries."""
         return tuple(contiguous_groups(self.groups, self.n_samples))
 
-    def clock(self, *, stamped: bool = False) -> np.ndarray | None:
-        """Return the time of each row [s], rising over all recordings.
-
-        Parameters
-        ----------
-        stamped : bool, default=False
-            Whether to use time stamps, if any, instead of multiples of `dt`.
-
-        Returns
-        -------
-        ndarray of shape (n_samples,) or None
-            None if neither stamps nor a period are known.
-
-        Raises
-        ------
-        ValueError
-            If the stamps do not rise over all recordings.
-        """
-        return check_clock(self.t if stamped else None, self.n_samples, self.dt)
+    @property
+    def clock(self) -> np.ndarray | None:
+        """Time of each row [s], multiples of `dt`, rising over all recordings."""
+        return check_clock(None, self.n_samples, self.dt)
 
     def torques(self, delay: float = 0.0) -> np.ndarray:
         """Return the torques if commands act later than assumed in `tau`.
@@ -274,7 +259,7 @@ class Recording:
                 "has no commands: give them as in the fit (drive=PDDrive(...)), or "
                 "predict torques without measured ones."
             )
-        late = interpolate(self.command, self.segments, self.clock(), delay)
+        late = interpolate(self.command, self.segments, self.clock, delay)
         return self.tau + (late - self.command)
 
     def select(self, *names_or_labels: str | int) -> "Recording":
@@ -295,24 +280,16 @@ class Recording:
         ValueError
             If a name or label does not exist, or none is given.
         """
-        labels = set()
-        for entry in names_or_labels:
-            choices = [*self.group_names]
-            if isinstance(entry, (int, np.integer)) and not isinstance(entry, bool):
-                choices = [*range(len(self.group_names))]
-            if entry not in choices:
-                raise ValueError(
-                    f"No recording {entry!r} in {self.name!r}; choose from the names "
-                    f"{self.group_names} or the labels 0 to {len(choices) - 1}."
-                )
-            labels.add(choices.index(entry))
-        if not labels:
+        names = self.group_names
+        labels = {x: k for k, name in enumerate(names) for x in (k, name)}
+        if not names_or_labels or not labels.keys() >= {*names_or_labels}:
             raise ValueError(
-                f"Name at least one recording to keep, out of {self.group_names}."
+                f"No recordings {names_or_labels} in {self.name!r}; choose from the "
+                f"names {names} or the labels 0 to {len(names) - 1}."
             )
-        kept = sorted(labels)
+        kept = sorted({labels[x] for x in names_or_labels})
         made = take_rows(self, [self.segments[label] for label in kept], kept)
-        return replace(made, group_names=tuple(self.group_names[x] for x in kept))
+        return replace(made, group_names=tuple(names[label] for label in kept))
 
     def robot_model(self) -> "pin.Model":
         """Nominal model of the robot, with one degree of freedom per joint.
@@ -344,7 +321,7 @@ def with_torques_shifted(recording, lag):
     # Torques between rows are interpolated; rows at the ends of recordings whose
     # torques lie outside have no weight.
     parts, weight = recording.segments, recording.weight
-    tau = interpolate(recording.tau, parts, recording.clock(), -lag)
+    tau = interpolate(recording.tau, parts, recording.clock, -lag)
     weight = np.ones(tau.shape) if weight is None else weight.copy()
     for part in parts:
         at = np.arange(part.stop - part.start) + lag / recording.dt

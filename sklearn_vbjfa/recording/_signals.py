@@ -283,34 +283,26 @@ _NUMBERED = re.compile(r"([a-z]+?)_?(\d+)")
 _NOT_HERE = ("t", "time", "segment", "group", "groups")
 
 
-def positions_in_order(X, names):
-    """Put a data frame of positions or states into the model's order of joints."""
-    # Columns are ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0 if there is a
-    # ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``, ``a1``. What
-    # has no names comes back as it is; other columns are `columns_beside` them.
-    found = _by_kind(_columns_of(X), names, "q")
+def positions_and_signals(X, names):
+    """Return positions or states in the model's order of joints, and other columns."""
+    # Columns of a data frame are ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0
+    # if there is a ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``,
+    # ``a1``. Time, labels of recordings and other channels of joints are no signals.
+    # What has no names comes back as it is.
+    columns = _columns_of(X)
+    found = _by_kind(columns, names, "q")
     if "q" not in found:
-        return _foreign(X, names, "X", "qva")
+        return _foreign(X, names, "X", "qva"), OfferedSignals()
     kinds = "qva" if {"v", "a"} <= found.keys() else "q"
-    return X[[column for kind in kinds for column in found[kind]]]
+    channels = {column for group in found.values() for column in group}
+    rest = [x for x in columns if x not in channels and x.lower() not in _NOT_HERE]
+    signals = OfferedSignals({name: X[name].to_numpy() for name in rest})
+    return X[[column for kind in kinds for column in found[kind]]], signals
 
 
 def carries_names(X, names):
     """Return whether columns of a data frame carry the names of joints."""
     return any(x in _columns_of(X) for name in names for x in (name, f"q_{name}"))
-
-
-def columns_beside(X, names):
-    """Return the other columns of a data frame X, `OfferedSignals`."""
-    # Time, labels of recordings and other channels of joints are no signals. Empty for
-    # what has no names.
-    columns = _columns_of(X)
-    found = _by_kind(columns, names, "q")
-    if "q" not in found:
-        return OfferedSignals()
-    apart = {*_NOT_HERE, *(x for group in found.values() for x in group)}
-    rest = [x for x in columns if x not in apart and x.lower() not in apart]
-    return OfferedSignals({name: X[name].to_numpy() for name in rest})
 
 
 def torques_in_order(y, names):

@@ -93,7 +93,7 @@ def _axis(robot, turned, joint, values):
     origin = joint_origin(robot.features_.nominal_, joint)
     return {
         "turns": tuple(np.degrees(values).tolist()),
-        "about": tuple(map(_axis_name, cross_axes(turned.axis(joint)))),
+        "about": tuple(map(_axis_name, cross_axes(turned.axes[joint]))),
         "old_rpy": _floats(rpy(origin)),
         "new_rpy": _floats(rpy(origin @ turned.turns[joint])),
     }

@@ -131,11 +131,8 @@ class _Account:
     def __init__(self, robot, added=None):
         # added (nv, 3): to `TERMS`, see `refitted`.
         self.robot, self.left = robot, []
+        self.uses = list(zip(robot.effects, robot.coefficients))
         self._added = np.zeros((robot.n_joints, 3)) if added is None else added
-
-    @property
-    def uses(self):
-        return list(zip(self.robot.effects, self.robot.coefficients))
 
     def leave(self, name, joint, reason):
         names = self.robot.joint_names
@@ -385,7 +382,7 @@ def changed_motion(robot, model, other):
     length = min(max(round(_SECONDS / dt), _LEAST), _ROWS)
     count = min(_WINDOWS, _ROWS // length)
     starts = np.linspace(0, _ROWS - length, count).astype(int)
-    tau = robot.torques(robot.prepare(states).noiseless(robot.plan))
+    tau = robot.torques(robot.prepare(states))
     changes, spread = [], states[:, :nv].std(axis=0)
     for rows in (slice(start, start + length) for start in starts):
         q, v, _ = np.split(states[rows.start], 3)

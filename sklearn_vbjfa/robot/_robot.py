@@ -29,13 +29,12 @@ from sklearn_vbjfa.equations._recording_checks import (
     check_widths,
 )
 from sklearn_vbjfa.equations._states import RecordingStates, fit_states, smooth_to
-from sklearn_vbjfa.equations._torque_noise import noise_facts, rows_looked_at, seen
+from sklearn_vbjfa.equations._torque_noise import ROWS, noise_facts, seen
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.model._mjcf import Servo
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.recording import (
-    columns_beside,
-    positions_in_order,
+    positions_and_signals,
     signals_for,
     torques_in_order,
 )
@@ -83,8 +82,7 @@ class Inputs:
     smoother: object = None  # what the states come from; None if they were given
 
     def noiseless(self, plan):
-        nothing = np.zeros(self.recording.nv)
-        return replace(self, rest=plan.rest(nothing))
+        return replace(self, rest=plan.rest())
 
     def counts(self, standstill):
         """Rows in which each signal can be judged, (n, nv), bool, by its name."""
@@ -281,7 +279,8 @@ class IdentifiedRobot:
         robot = self.robot_  # also of a fitted identifier
         X, signals = robot.checked(X, signals)
         asked = robot.prepare(X, groups, t, signals=signals)
-        if text := robot.outside_text(asked):
+        joints = robot.joint_names_, is_prismatic(robot.features_.model_)
+        if text := outside_text(robot.outside(asked), *joints):
             message = f"Prediction outside the range of the fit. {text}."
             warnings.warn(message, UserWarning, stacklevel=2)
         return robot.torques(asked)
@@ -330,7 +329,7 @@ class IdentifiedRobot:
         check_length(recording.segments, lowpass, self.plan.cutoff)
         recording = self._on_clock(recording)
         smoother = self.smoother(recording.inputs, recording.groups)
-        states, rest = RecordingStates.of(recording, smoother), self._rest(smoother)
+        states, rest = RecordingStates.of(recording, smoother), self.plan.rest(smoother)
 
         def compared(rest):
             made = build_segments(
@@ -346,7 +345,9 @@ class IdentifiedRobot:
         found = compared(None)
         if predicts and not (found.weight > 0).all():
             # Weighted rows have the columns of the fit; rows at rest are predicted.
-            found = found.filled(compared(rest))
+            weighted, others = found.weight > 0, compared(rest).predicted
+            predicted = np.where(weighted, found.predicted, others)
+            found = replace(found, predicted=predicted)
         return found
 
     def step(self, q, v, a, t=None, signals=None):
@@ -700,7 +701,7 @@ class IdentifiedRobot:
 
     def columns_of(self, states):
         """Return effects with their columns in states (n, 3 nv), a list of pairs."""
-        (rows,) = self._rows(self.prepare(states).noiseless(self.plan))
+        (rows,) = self._rows(self.prepare(states))
         return rows.columns
 
     def _servo(self, drive):
@@ -764,9 +765,9 @@ class IdentifiedRobot:
 
     def checked(self, X, signals):
         """Return positions or states, and the signals that effects vary with."""
-        beside = columns_beside(X, self.joint_names_)
+        X, beside = positions_and_signals(X, self.joint_names_)
         # Positions and states are both accepted, whichever were fitted.
-        X = check_array(positions_in_order(X, self.joint_names_), dtype=np.float64)
+        X = check_array(X, dtype=np.float64)
         check_widths(self.joint_names_, X)
         return X, signals_for(self.effects_, signals, beside, X.shape[0])
 
@@ -788,11 +789,6 @@ class IdentifiedRobot:
         if estimator is None:
             estimator = fit_states(check_dt(self.plan.dt), "auto", X, groups)
         return smooth_to(estimator, self.plan.cutoff) if in_band else estimator
-
-    def _rest(self, estimator):
-        if estimator is None:
-            return self.plan.rest(np.zeros(self.features_.n_joints_))
-        return self.plan.rest(estimator.velocity_noise(), estimator)
 
     def states(self, X, groups):
         """States (n, 3 nv) of positions, smoothed as in the fit; given ones stay."""
@@ -819,7 +815,7 @@ class IdentifiedRobot:
         return Inputs(
             recording=self._on_clock(recording),
             states=states,
-            rest=self._rest(smoother),
+            rest=self.plan.rest(smoother),
             smoother=smoother,
         )
 
@@ -862,16 +858,11 @@ class IdentifiedRobot:
         held = [False] * (len(self.effect_ranges_) - len(held)) + held
         return outside(self.effect_ranges_, judged, held)
 
-    def outside_text(self, asked):
-        """Say where `Inputs` leaves what was fitted; empty if it does not."""
-        joints = self.joint_names_, is_prismatic(self.features_.model_)
-        return outside_text(self.outside(asked), *joints)
-
     # -- for other fits, and for simulation -------------------------------------------
 
     def torque_model(self):
         """Return the `TorqueModel` of the robot, its states taken as noiseless."""
-        bodies, nv = self.bodies(self.theta_), self.features_.n_joints_
+        bodies = self.bodies(self.theta_)
         return TorqueModel(
             model=self.features_.model_,
             bodies=np.ascontiguousarray(bodies[:, :10]),
@@ -882,7 +873,7 @@ class IdentifiedRobot:
             ranges=self.held,
             gains=self.features_.gains_.copy(),
             load=self._load(),
-            rest=self.plan.rest(np.zeros(nv)),
+            rest=self.plan.rest(),
             since=None if self.plan.time is None else self.plan.time[0],
             dt=self.plan.dt,
         )
@@ -944,11 +935,9 @@ class IdentifiedRobot:
         return np.where(of_the_model(self), 0.0, theta)
 
     def equations(self, recording, states=None):
-        """Return the filtered `Equations` of a recording, as in the fit.
-
-        Columns of effects in the model are the derivatives by their values, for other
-        fits to correct them; they have no part in what is predicted.
-        """
+        """Return the filtered `Equations` of a recording, as in the fit."""
+        # Columns of effects in the model are the derivatives by their values, for other
+        # fits to correct them; they have no part in what is predicted.
         if states is None:
             states = self.states(recording.inputs, recording.groups)
         plan = replace(self.plan, tangents=True)
@@ -958,13 +947,15 @@ class IdentifiedRobot:
         )
         return joined(equations(made, plan.lowpass))
 
-    def noise_facts(self, recording, clock=None, n_jobs=None):
+    def noise_facts(self, recording, n_jobs=None):
         """Measure the torque noise of a recording; `NoiseFacts` of each segment."""
         band = self.plan.dt, self.plan.cutoff
         if not seen(*band):
             return []
         found, torques = [], self.plan.applied(recording).tau
-        for rows in map(rows_looked_at, recording.segments):
+        clock = self.plan.clock(recording)
+        for part in recording.segments:
+            rows = slice(part.start, min(part.stop, part.start + ROWS))
             t = None if clock is None else clock[rows]
             own = {name: values[rows] for name, values in recording.signals.items()}
             asked = self.prepare(recording.inputs[rows], t=t, signals=own)

@@ -5,6 +5,7 @@ import numpy as np
 from sklearn_vbjfa.effects import POSITION, SPEED, TORQUE
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.physical import body_scales, min_eigenvalue
+from sklearn_vbjfa.robot._posterior import body_places
 
 # -- which parameters are measured -----------------------------------------------------
 
@@ -31,7 +32,7 @@ def known_parameters(robot, found):
     seen = (np.diagonal(found.metric) > 0) | robot.identifiable_
     state = np.where(robot.identifiable_, "yes", "in combination").astype(object)
     state[~seen] = "no"
-    masses = mass_places(robot)
+    masses = body_places(robot)[: robot.features_.n_joints_, 0]
     moved = robot.theta_ - robot.theta_unconstrained_
     doubt = np.hypot(np.nan_to_num(robot.theta_std_, posinf=np.inf), moved)
     with np.errstate(invalid="ignore"):
@@ -43,23 +44,16 @@ def known_parameters(robot, found):
     return tuple(state)
 
 
-def mass_places(robot):
-    """Return where the masses are among the parameters, (nv,)."""
-    nv = robot.features_.n_joints_
-    return np.arange(nv) * (robot.features_.n_parameters_ // nv)
-
-
 def note_of_masses(robot):
     """Name the bodies whose mass, or whose inertia, is not identified."""
-    bodies, known = body_names(robot.features_.model_), robot.robot_.known_
-    masses, lines = mass_places(robot), []
-    if names := [name for name, at in zip(bodies, masses) if known[at] != "yes"]:
+    bodies, lines = body_names(robot.features_.model_), []
+    known = np.array(robot.robot_.known_)[body_places(robot)[: len(bodies)]]
+    if names := [name for name, own in zip(bodies, known) if own[0] != "yes"]:
         lines.append(
             f"Masses that are not individually identifiable: {', '.join(names)}; the "
             "values of all bodies together reproduce the torques."
         )
-    inertias = np.array(known)[masses[:, None] + np.arange(4, 10)]
-    described = (inertias == "from the description").all(axis=1)
+    described = (known[:, 4:] == "from the description").all(axis=1)
     if described.any():
         names = [name for name, one in zip(bodies, described) if one]
         lines.append(f"Inertias from the description: {', '.join(names)}.")

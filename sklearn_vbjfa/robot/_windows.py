@@ -364,7 +364,7 @@ def follow(robot, drive, recording, window=None):
     """Simulate a robot from its commands, from the states of a recording on."""
     # robot: `IdentifiedRobot`; window: length [s] after which it starts from the
     # recorded state again, None for whole recordings. Returns states (n, 3 nv).
-    follower, clock = CommandFollower(robot, drive, recording), recording.clock()
+    follower, clock = CommandFollower(robot, drive, recording), recording.clock
     follower.warn_left_out(stacklevel=3)
     measured = robot.states(recording.inputs, recording.groups)
     length = recording.n_samples
@@ -400,9 +400,8 @@ def _seen_late(control, lags, dt, updates):
 
 def law_of(command, kp, kd, most, first=0, late=0.0):
     """Let a drive follow commands (n, nv), each held until the next one."""
-    # first: row that the simulation begins with; late: delay of the commands, in rows.
-    kp, kd = (np.broadcast_to(x, command.shape) for x in (kp, kd))
 
+    # first: row that the simulation begins with; late: delay of the commands, in rows.
     def control(row, q, v):
         i = min(int(first + row), len(command) - 1)
         k = min(max(int(np.floor(first + row - late + _JITTER)), 0), len(command) - 1)

@@ -35,7 +35,10 @@ def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
     nothing = np.zeros(robot.n_joints)
     q0 = _checked(robot, "q0", q0, nothing.shape)
     v0 = _checked(robot, "v0", nothing if v0 is None else v0, nothing.shape)
-    tau = _torques(robot, tau)
+    tau = np.array(tau, dtype=float)
+    if tau.ndim == 1 and robot.n_joints == 1:
+        tau = tau[:, None]
+    tau = _checked(robot, "tau", tau, (max(len(tau), 1), robot.n_joints))
     t = _times(robot, t, len(tau))
     signals = recorded(_signals(signals, len(tau)), t)
     dynamics = ForwardDynamics(robot, signals)
@@ -148,14 +151,6 @@ def _checked(robot, name, values, shape):
             "all. Cut the recording there, or fill the gap."
         )
     return values
-
-
-def _torques(robot, tau):
-    """Check the torques, (n, nv)."""
-    tau = np.array(tau, dtype=float)
-    if tau.ndim == 1 and robot.n_joints == 1:
-        tau = tau[:, None]
-    return _checked(robot, "tau", tau, (max(len(tau), 1), robot.n_joints))
 
 
 def _times(robot, t, n):

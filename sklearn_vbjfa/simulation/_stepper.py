@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
 
 import numpy as np
 
@@ -24,9 +24,6 @@ from sklearn_vbjfa.model import (
     joint_names,
 )
 
-if TYPE_CHECKING:
-    import pinocchio as pin
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Load:
@@ -44,7 +41,7 @@ class TorqueModel:
     """An identified robot: bodies, friction, effects, and what its channels read."""
 
     # Geometry and gravity, as the effects in the model correct them, without inertias.
-    model: "pin.Model"
+    model: object  # of Pinocchio
     bodies: np.ndarray  # (nv, 10): inertial parameters in Pinocchio's order
     friction_names: tuple  # declared columns, such as ("viscous", "coulomb")
     friction: np.ndarray  # (nv, n_friction): their coefficients
@@ -60,7 +57,6 @@ class TorqueModel:
 
     @property
     def held(self):
-        """Range of each effect, a tuple of EffectRange or None."""
         return self.ranges or (None,) * len(self.effects)
 
     @property
@@ -80,11 +76,6 @@ class TorqueModel:
                 out[:, j] = effect.taken_back(coef, out[:, j], t)
         return out
 
-    def own_effects(self):
-        """Effects that are not in the model, with coefficients and what holds them."""
-        every = zip(self.effects, self.coefficients, self.held, strict=True)
-        return [one for one in every if not one[0].in_model]
-
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOut:
@@ -96,7 +87,6 @@ class LeftOut:
     reason: str  # why it has no place, or what of it is missing
 
     def __str__(self):
-        """One line."""
         return f"{self.name} on {self.joint_name}: {self.reason}"
 
 
@@ -270,9 +260,7 @@ class Stepper:
 
 def _held(columns, held):
     """Return columns of a `State` in which an `EffectRange` holds the signals."""
-    if held is None:
-        return columns
-    for quantity, name in HELD.items():
+    for quantity, name in HELD.items() if held is not None else ():
         ends = held.ends(quantity)
         if np.isfinite(ends).any():
             columns = _holding(columns, name, held.joint, *ends)
@@ -376,7 +364,9 @@ class _ByMotion:
         self._columns, self._model, self._effect = effect.columns, model, effect
         self._prismatic = is_prismatic(model.model)
         self._tree = TreeRegressor(model.model)
-        self._bodies = model.load.bodies if load else None
+        self._rigid = None
+        if load:
+            self._rigid = partial(self._tree.torques, inertial=model.load.bodies)
 
     def __call__(self, row):
         """Columns (k,) or (nv, k) of a row."""
@@ -389,7 +379,7 @@ class _ByMotion:
             load=None if row.load is None else np.array([row.load]),
             torque=None if row.torque is None else np.array([row.torque]),
             prismatic=self._prismatic,
-            rigid=None if self._bodies is None else self._rigid,
+            rigid=self._rigid,
             last_body=lambda: self._tree(q, v, a)[:, :, -1],
             rest=self._model.rest,
             since=self._model.since,
@@ -397,7 +387,3 @@ class _ByMotion:
         )
         columns = self._columns(motion)[0]
         return columns if self._effect.whole_robot else columns.tolist()
-
-    def _rigid(self, q, v, a):
-        """Torques of the rigid bodies, (n, nv)."""
-        return self._tree.torques(q, v, a, self._bodies)

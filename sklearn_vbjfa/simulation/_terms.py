@@ -15,11 +15,11 @@ import numpy as np
 from sklearn_vbjfa.effects import HELD, OfChannel
 
 # Kinds of terms in the table, by the names that effects enter them with.
-_NAMES: tuple[str, ...] = ("stribeck", "quadratic", "absolute")
-_NAMES += ("harmonics", "linkage", "ripple", "stop", "backlash")
-_NAMES += ("coupled_dry", "level", "level_dry", "viscous", "spring")
-_NAMES += ("coupled_spring", "bristle", "dry_ripple")
-KINDS = {name: kind for kind, name in enumerate(_NAMES)}
+_NAMES = (
+    "stribeck quadratic absolute harmonics linkage ripple stop backlash coupled_dry "
+    "level level_dry viscous spring coupled_spring bristle dry_ripple"
+)
+KINDS = {name: kind for kind, name in enumerate(_NAMES.split())}
 _STRIBECK, _QUADRATIC, _ABSOLUTE = range(3)
 _HARMONICS, _LINKAGE, _RIPPLE, _STOP, _BACKLASH = range(3, 8)
 _COUPLED_DRY, _LEVEL, _LEVEL_DRY, _VISCOUS, _SPRING = range(8, 13)
@@ -86,8 +86,11 @@ class TermTable:
             ("rotor_inertia", self.armature),
         ):
             add += declared.get(name, 0.0)
-        for effect, coef, held in robot.own_effects():
-            if isinstance(effect, OfChannel) or effect.not_simulated:
+        every = zip(robot.effects, robot.coefficients, robot.held, strict=True)
+        for effect, coef, held in every:
+            # Those in the model act through it.
+            beside = effect.in_model or isinstance(effect, OfChannel)
+            if beside or effect.not_simulated:
                 continue
             effect.check()
             self._ends = _ends(held)
@@ -139,13 +142,11 @@ class TermTable:
 
     @property
     def of_load(self):
-        """Whether friction depends on the load."""
         elements = self._numbers[np.isin(self.kinds, _ELEMENTS)]
         return bool(self.load_dry.any() or elements[:, _OF_LOAD].any())
 
     @property
     def is_timed(self):
-        """Whether anything changes with time or a signal."""
         return bool(self._levels)
 
     def table(self, q):

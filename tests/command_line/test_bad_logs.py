@@ -26,7 +26,7 @@ def arm_in(folder):
     """Return twenty seconds of an arm with six joints, for files in a folder."""
     recording = load_demo_recording().select(0)
     urdf = Path(shutil.copy(recording.urdf, folder / "arm.urdf"))
-    columns = (recording.clock(), recording.q, recording.tau)
+    columns = (recording.clock, recording.q, recording.tau)
     return _bad_logs.Arm(folder, urdf, *(x[::2] for x in columns))
 
 

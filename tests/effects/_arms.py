@@ -101,9 +101,11 @@ class Derivatives:
 
         return np.stack([along(axis) for axis in np.eye(3)], axis=2)
 
-    def axis(self, joint):
-        """Direction of a joint in its own frame, (3,); of `arm` only."""
-        return np.eye(3)["XYZ".index(self._model.joints[joint + 1].shortname()[-1])]
+    @property
+    def axes(self):
+        """Directions of the joints in their own frames, (nv, 3); of `arm` only."""
+        names = [joint.shortname() for joint in self._model.joints[1:]]
+        return np.eye(3)[["XYZ".index(name[-1]) for name in names]]
 
     def rotation(self, joint):
         """Axes of a joint's placement, (3, 3)."""

@@ -8,7 +8,7 @@ import pytest
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.inspection import inspect_channels
-from sklearn_vbjfa.recording import positions_in_order, torques_in_order
+from sklearn_vbjfa.recording import positions_and_signals, torques_in_order
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 ORDER = [3, 0, 5, 1, 4, 2]
@@ -27,7 +27,7 @@ def identify(simulated, X, y):
 @pytest.mark.parametrize("names", ["q_joint_{}", "joint_{}", "q{}"])
 def test_positions_in_any_order(simulated, names):
     X = frame(simulated.q, [names.format(j + 1) for j in range(6)])
-    np.testing.assert_array_equal(positions_in_order(X, NAMES), simulated.q)
+    np.testing.assert_array_equal(positions_and_signals(X, NAMES)[0], simulated.q)
 
 
 @pytest.mark.parametrize("names", ["tau_joint_{}", "joint_{}", "tau{}", "tau_{}"])
@@ -55,10 +55,10 @@ def test_states_by_name():
     values = np.arange(36.0).reshape(2, 18)
     names = [f"{kind}_{name}" for kind in "qva" for name in NAMES]
     shuffled = pandas.DataFrame(values, columns=names)[names[::-1]]
-    np.testing.assert_array_equal(positions_in_order(shuffled, NAMES), values)
+    np.testing.assert_array_equal(positions_and_signals(shuffled, NAMES)[0], values)
     counted = [f"{kind}{j}" for kind in "qva" for j in range(6)]
     shuffled = pandas.DataFrame(values, columns=counted)[counted[::-1]]
-    np.testing.assert_array_equal(positions_in_order(shuffled, NAMES), values)
+    np.testing.assert_array_equal(positions_and_signals(shuffled, NAMES)[0], values)
 
 
 def test_foreign_names_are_refused(simulated):

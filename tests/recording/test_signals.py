@@ -6,9 +6,8 @@ import pytest
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import (
     OfferedSignals,
-    columns_beside,
     fault,
-    positions_in_order,
+    positions_and_signals,
     survey,
     take_arrays,
 )
@@ -154,14 +153,15 @@ def test_columns_of_a_frame_are_divided():
     names = ("hip", "knee")
     columns = {"q_knee": Q[:, 1], "warm": WARM, "q_hip": Q[:, 0], "t": T}
     X = pandas.DataFrame({**columns, "tau_hip": T, "tau_knee": T, "v_hip": T})
-    np.testing.assert_array_equal(positions_in_order(X, names), Q)
-    beside = columns_beside(X, names)
+    found, beside = positions_and_signals(X, names)
+    np.testing.assert_array_equal(found, Q)
     assert list(beside) == ["warm", "v_hip"]
     states = pandas.DataFrame(
         {f"{kind}{j}": x[:, j] for kind, x in zip("qva", (Q, V, A)) for j in (0, 1)}
     ).assign(warm=WARM)
-    assert list(columns_beside(states, names)) == ["warm"]
-    np.testing.assert_array_equal(positions_in_order(states, names), STATES.states)
+    found, beside = positions_and_signals(states, names)
+    assert list(beside) == ["warm"]
+    np.testing.assert_array_equal(found, STATES.states)
 
 
 @pytest.mark.parametrize("kind", ["csv", "npz", "parquet"])

@@ -407,7 +407,7 @@ def test_a_robot_follows_its_commands_as_it_did():
     windows = robot.follow(recording, window=1.0)
     rows = np.arange(0, len(windows), 200)
     assert_array_equal(windows[rows, :6], recording.states[rows, :6])
-    late = replace(recording, signals={"q_desired": command(recording.clock(), 0.0)})
+    late = replace(recording, signals={"q_desired": command(recording.clock, 0.0)})
     other = robot.follow(late)
     assert np.abs(other - whole)[:, :3].max() > 10 * np.abs(left).max()
 

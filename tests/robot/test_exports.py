@@ -116,7 +116,7 @@ def without(robot, names):
     """Copy of a fitted identifier without coefficients of effects."""
     other = RobotIdentifier(robot.model, friction=("viscous",))
     other.__dict__.update(robot.__dict__)
-    other.theta_ = robot.theta_.copy()
+    other.set_parameters(robot.theta_.copy(), robot.known_)
     for k, parameter in enumerate(robot.parameter_names_):
         if any(f":{name}:" in parameter for name in names):
             other.theta_[k] = 0.0

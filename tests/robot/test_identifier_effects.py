@@ -10,6 +10,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa.equations import _plan
+from sklearn_vbjfa.recording import take_arrays
 from tests.effects._arms import (
     arm,
     inverse_dynamics,
@@ -171,7 +172,9 @@ def test_a_fit_after_another_has_its_load():
     late = RobotIdentifier(MODEL, effects=(effects.LoadFriction(1),), **EXACT)
 
     def after(fitted):
-        return clone(late).begin_with(fitted).fit(STATES, DECLARED + OF_LOAD)
+        names, load = alone.joint_names_, fitted.robot_
+        recording = take_arrays(STATES, DECLARED + OF_LOAD, dt=DT, joint_names=names)
+        return clone(late).fit_inspected(recording, before=load)
 
     alone = clone(late).fit(STATES, DECLARED + OF_LOAD)
     # The fit without it is the first pass, that with another plain effect nearly.

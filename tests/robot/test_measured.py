@@ -47,7 +47,7 @@ def evaluate(measured_data_home):
         robot.fit(recording.q[train], recording.tau[train], recording.groups[train])
         # what projector=None would have left
         plain = copy.copy(robot)
-        plain.theta_ = robot.theta_unconstrained_
+        plain.set_parameters(robot.theta_unconstrained_, robot.known_)
         held_out = recording.q[test], recording.tau[test], recording.groups[test]
         ours, unprojected = (
             model.residuals(*held_out).normalised_error() for model in (robot, plain)

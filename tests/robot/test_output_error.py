@@ -88,7 +88,7 @@ def test_sensitivities_are_derivatives_of_the_simulation(case):
     # The medians of few windows scatter where a joint sticks.
     seconds = 3.0 if case == "pendulum" else 6.0
     robot, states, tau = identified(model, effects, duration=seconds)
-    robot.theta_ = robot.theta_.copy()
+    robot.set_parameters(robot.theta_.copy(), robot.known_)
     # Effects of some size, which the torques did not have.
     robot.theta_[robot.features_.n_parameters_ :] = 0.4
     predictor, windows, _, S, positions = sensitivities(robot, states, tau)
@@ -137,7 +137,7 @@ def test_a_turn_multiplies_the_sensitivity_by_the_accelerations_after_and_before
     C, push, v0, n = 1.0, -3.0, 0.5, 200
     theta = np.zeros_like(robot.theta_)
     theta[:10], theta[11] = robot.theta_[:10], C
-    robot.theta_ = theta
+    robot.set_parameters(theta, robot.known_)
     states = np.tile([0.0, v0, 0.0], (n, 1))
     *_, made, S, _ = sensitivities(robot, states, np.full((n, 1), push), rows=n)
     # v0 / (before) is the time until it turns, in which a velocity grows the way by t.

@@ -59,9 +59,9 @@ def matrix_statistics(robot, simulated):
     lowpass = robot.robot_.plan.lowpass
     features = RigidBodyFeatures(simulated.urdf, friction=FRICTION)
     states = robot.state_estimator_.transform(simulated.q, groups=simulated.groups)
-    halves = robot.state_estimator_.split_transform(
-        simulated.q, groups=simulated.groups
-    )
+    parts = [simulated.q[simulated.groups == k] for k in np.unique(simulated.groups)]
+    halves = zip(*[robot.state_estimator_.smooth_halves(q, 0) for q in parts])
+    halves = [np.concatenate([own[:] for own in half]) for half in halves]
     even, odd = (features.fit_transform(half).reshape(-1, nv, 72) for half in halves)
     moves = np.abs(states[:, nv : 2 * nv]) > robot.standstill_
     rows = []

@@ -27,7 +27,7 @@ from sklearn_vbjfa.model import body_names, import_pinocchio, is_prismatic
 from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._corrections import corrections_of
-from sklearn_vbjfa.robot._spreads import mass_places
+from sklearn_vbjfa.robot._posterior import body_places
 
 # Position or velocity that is no limit of a joint.
 _UNLIMITED = 1e3
@@ -332,7 +332,8 @@ def _masses(robot):
     """Yield the masses of bodies as facts."""
     model, known = robot.features_.model_, robot.robot_.known_
     nominal = nominal_parameters(model)[:, 0].tolist()
-    for joint, (name, at) in enumerate(zip(body_names(model), mass_places(robot))):
+    places = zip(body_names(model), body_places(robot)[:, 0])
+    for joint, (name, at) in enumerate(places):
         mass, std = float(robot.theta_[at]), float(robot.theta_std_[at])
         yield Fact(
             kind="mass",

@@ -7,7 +7,7 @@ from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import BaseEstimator, clone
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
 from sklearn_vbjfa._core._progress import say, show_progress
 from sklearn_vbjfa._core._threads import one_blas_thread
@@ -32,7 +32,8 @@ from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
 from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
 from sklearn_vbjfa.equations._plan import check_effects
-from sklearn_vbjfa.equations._recording_checks import check_weight, check_widths
+from sklearn_vbjfa.equations._recording_checks import check_weight
+from sklearn_vbjfa.fit._arguments import checked_arrays
 from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.fit._signs import signed
 from sklearn_vbjfa.inspection import refusal
@@ -47,7 +48,6 @@ from sklearn_vbjfa.recording import (
     survey,
     take_arrays,
     take_rows,
-    torques_in_order,
     with_torques_shifted,
 )
 from sklearn_vbjfa.regression._base import Interval
@@ -257,12 +257,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             If a channel may be wrong, such as torques in an unexpected unit.
         """
         library = self._check_parameters()
-        whole = self._recording(X, y, groups, sample_weight, t)
+        whole, beside = self._recording(X, y, groups, sample_weight, t)
         drive = self.identifier.drive
         if drive is not None:
             commanded, signals = drive.taken(whole.tau, signals)
             whole = drive.driven(replace(whole, signals=commanded))
-        _, beside = positions_and_signals(X, self.joint_names_)
         whole = replace(whole, joints_named=carries_names(X, self.joint_names_))
         self._fit(whole, library, signals, beside, _names(whole, groups))
         for found in self.report_.outcome.findings["channels"]:
@@ -348,18 +347,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         return [one for one in library if one.name not in left]
 
     def _recording(self, X, y, groups, sample_weight, t):
-        """Make a `Recording` of the arguments of a fit, with weights and a clock."""
+        """Make a `Recording` with a clock of the arguments of a fit; other columns."""
         self.joint_names_ = names = joint_names(load_model(self.identifier.model))
-        (X, _), y = positions_and_signals(X, names), torques_in_order(y, names)
-        X, y = validate_data(
-            self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
-        )
-        y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
+        X, y, columns = checked_arrays(self, names, X, y)
         weight = check_weight(sample_weight, y.shape)
         dt = check_dt(self.identifier.dt)
         clock = check_clock(t, X.shape[0], dt)
-        check_widths(names, X, y)
-        return take_arrays(X, y, groups, weight, clock, dt=dt, joint_names=names)
+        given = {"dt": dt, "joint_names": names}
+        return take_arrays(X, y, groups, weight, clock, **given), columns
 
     # -- stages ------------------------------------------------------------------------
 

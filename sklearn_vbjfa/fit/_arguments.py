@@ -14,7 +14,6 @@ from sklearn_vbjfa.recording import (
     OfferedSignals,
     check_time_stamps,
     check_useful,
-    contiguous_groups,
     positions_and_signals,
     signals_for,
     take_arrays,
@@ -60,20 +59,25 @@ class FitOptions:
     alike: str | None = "auto"
 
 
-def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
-    """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
-    X, columns = positions_and_signals(X, identifier.joint_names_)
+def checked_arrays(estimator, names, X, y):
+    """Return X and y of a fit in the order of the joints, and other columns of X."""
+    X, columns = positions_and_signals(X, names)
     X, y = validate_data(
-        identifier,
+        estimator,
         X,
-        torques_in_order(y, identifier.joint_names_),
+        torques_in_order(y, names),
         dtype=np.float64,
         multi_output=True,
         y_numeric=True,
     )
     y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
-    check_widths(identifier.joint_names_, X, y)
-    _check_rows(identifier, X, t, contiguous_groups(groups, X.shape[0]))
+    check_widths(names, X, y)
+    return X, y, columns
+
+
+def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
+    """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
+    X, y, columns = checked_arrays(identifier, identifier.joint_names_, X, y)
     channels = {}
     if identifier.drive is not None:
         channels, signals = identifier.drive.taken(y, signals)
@@ -88,6 +92,7 @@ def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
         joint_names=identifier.joint_names_,
         signals=used,
     )
+    _check_rows(identifier, recording)
     check_useful(signals, recording)
     if identifier.drive is None:
         return recording
@@ -105,7 +110,7 @@ def checked_recording(identifier, recording):
             f"{', '.join(recording.joint_names)} and {recording.dt} s."
         )
     validate_data(identifier, X, skip_check_array=True)
-    _check_rows(identifier, X, recording.t, recording.segments)
+    _check_rows(identifier, recording)
     offered = OfferedSignals(recording.signals)
     used = signals_for(identifier.effects_, None, offered, recording.n_samples)
     weight = recording.weight
@@ -115,11 +120,10 @@ def checked_recording(identifier, recording):
     return replace(recording, signals=used, weight=weight)
 
 
-def _check_rows(identifier, X, t, parts):
-    nv = identifier.features_.n_joints_
-    q = identifier.joint_names_, X[:, :nv], parts
-    if X.shape[1] == nv and (noise := at_rest(*q)) is not None:
+def _check_rows(identifier, recording):
+    own = recording.joint_names, recording.q, recording.segments
+    if recording.states is None and (noise := at_rest(*own)) is not None:
         raise ValueError(noise.message)
-    for finding in disorder(*q):
+    for finding in disorder(*own):
         warnings.warn(finding.message, DoubtWarning, stacklevel=4)
-    check_time_stamps(t, identifier.dt, parts)
+    check_time_stamps(recording.t, identifier.dt, recording.segments)

@@ -7,11 +7,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from sklearn_vbjfa.recording._layout import channel_unit, is_exact, refuse_two
-from sklearn_vbjfa.recording._recording import (
-    check_dt,
-    check_rows_of_time,
-    contiguous_groups,
-)
+from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
 from sklearn_vbjfa.recording._table import (
     TIME_UNITS,
     RecordingRefused,
@@ -197,11 +193,8 @@ def check_time_stamps(t, dt, parts):
     """Refuse stamps t (n,) [s] that contradict dt [s], warn of irregular ones."""
     # Nothing is asked of the step from one of the slices `parts` to the next; without
     # dt (rows need not be equidistant) only that the stamps rise.
-    if t is None:
-        return
-    time = check_rows_of_time(t, parts[-1].stop)
-    for part in parts:
-        stamps, first = time[part], part.start
+    for part in parts if t is not None else ():
+        stamps, first = np.asarray(t[part], dtype=float), part.start
         _check_rise(stamps, lambda k, first=first: f"row {first + k}")
         if dt is None or stamps.size < 2:
             continue

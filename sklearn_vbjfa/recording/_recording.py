@@ -47,25 +47,16 @@ def check_cutoff(cutoff, dt):
     return value
 
 
-def check_rows_of_time(t, n_samples):
-    """Return the time of each row, finite floats (n_samples,) [s]."""
+def check_clock(t, n_samples, dt):
+    """Return the time of each row [s], rising over all; multiples of dt without t."""
+    if t is None:
+        return None if dt is None else np.arange(n_samples) * check_dt(dt)
     time = np.asarray(t, dtype=float)
     if time.shape != (n_samples,):
         raise ValueError(
             f"t must hold one time per row, shape ({n_samples},); got {time.shape}."
         )
-    if not np.isfinite(time).all():
-        row = np.flatnonzero(~np.isfinite(time))[0]
-        raise ValueError(f"t must be finite; row {row} is not.")
-    return time
-
-
-def check_clock(t, n_samples, dt):
-    """Return the time of each row [s], rising over all; multiples of dt without t."""
-    if t is None:
-        return None if dt is None else np.arange(n_samples) * check_dt(dt)
-    time = check_rows_of_time(t, n_samples)
-    bad = np.flatnonzero(np.diff(time) <= 0)
+    bad = np.flatnonzero(~(np.diff(time) > 0))
     if bad.size:
         raise ValueError(
             "t must rise from row to row, over all recordings; it does not at row "

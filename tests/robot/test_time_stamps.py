@@ -5,6 +5,8 @@ import warnings
 import numpy as np
 import pytest
 
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.recording import check_time_stamps
 
 DT = 0.01
@@ -23,7 +25,7 @@ def test_regular_stamps_pass():
         warnings.simplefilter("error")
         check_time_stamps(None, DT, PARTS)
         check_time_stamps(stamps(), DT, PARTS)
-        check_time_stamps(list(stamps()), DT * (1 + 1e-5), PARTS)
+        check_time_stamps(stamps(), DT * (1 + 1e-5), PARTS)
         check_time_stamps(rounded, DT, PARTS)
         check_time_stamps(stamps() + 2e-4 * rng.normal(size=100), DT, PARTS)
         # Rows that nothing differentiates may stand at any time.
@@ -68,10 +70,18 @@ def test_another_sample_period(factor):
         check_time_stamps(t, DT, [slice(0, 1000)])
 
 
-def test_what_is_no_time():
-    with pytest.raises(
-        ValueError, match=r"t must hold one time per row, shape \(100,\)"
-    ):
-        check_time_stamps(stamps()[:-1], DT, PARTS)
-    with pytest.raises(ValueError, match=r"t must be finite; row 5 is not"):
-        check_time_stamps(np.where(np.arange(100) == 5, np.nan, stamps()), DT, PARTS)
+@pytest.mark.parametrize(
+    ("t", "message"),
+    [
+        (stamps()[:-1], r"t must have shape \(100,\)"),
+        (
+            np.where(np.arange(100) == 5, np.nan, stamps()),
+            "t must be .* finite numbers",
+        ),
+    ],
+)
+def test_what_is_no_time(t, message):
+    arm = make_robot_recording(duration=1.0, dt=DT, random_state=0)
+    robot = RobotIdentifier(arm.urdf, dt=DT)
+    with pytest.raises(ValueError, match=message):
+        robot.fit(arm.q, arm.tau, t=t)

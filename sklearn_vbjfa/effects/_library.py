@@ -119,7 +119,6 @@ def declarable():
 
 
 def declared(name):
-    """Return the effect that is declared by a name."""
     return _DECLARED[name]
 
 

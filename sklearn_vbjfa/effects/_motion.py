@@ -178,7 +178,6 @@ class Floats:
 
     @staticmethod
     def sign_of(x):
-        """Sign of a number."""
         return (x > 0) - (x < 0)
 
     def __init__(self, rest):

@@ -54,7 +54,6 @@ def check_speed(dt, fast, model):
 
 
 def check_input_noise(input_noise):
-    """Reject values of `input_noise` other than 'auto' and None."""
     if input_noise not in ("auto", None):
         raise ValueError(
             "input_noise must be 'auto' (measured from the recording) or None "

@@ -27,10 +27,11 @@ _EXACT = 1e-12
 _ROUNDING = 1e-14
 
 
-def between_recordings(found, places, values):
+def between_recordings(found, robot):
     """Estimate it from the moments of recordings; None where there are not two."""
-    # found: `Estimate`, in which a value in the model is the correction to it;
-    # places (k,): parameters that may differ; values (p,): their sizes.
+    # found: `Estimate`, in which a value in the model is the correction to it; robot:
+    # its parameters are the sizes of the values.
+    places, values = _places(robot), robot.theta_
     stats, weight = found.moments, found.joint_weights
     if not stats.recordings or found.covariance is None:
         return None
@@ -151,7 +152,7 @@ class _RecordingEffects:
         return Groups(H=np.array(H), q=np.array(q), own=self._power.T, unit=unit)
 
 
-def places_between(robot):
+def _places(robot):
     """Parameters that may differ between recordings of the same robot, (k,)."""
 
     # Values of drives. Bodies do not, nor what may stand for them, and effects of time

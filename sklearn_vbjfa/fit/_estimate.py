@@ -95,15 +95,6 @@ class Estimate:
         """Parameters (p,), bool, that the data determine less than the description."""
         return little_learned(self.std, self.prior_std)
 
-    def of_moments(self, moments):
-        total = moments.total(self.joint_weights)
-        noise = moments.total_noise(self.joint_weights)
-        return replace(
-            self,
-            metric=denoised(total, noise),
-            moments=moments.in_stretches(),
-        )
-
     def noise(self):
         """Residual deviations (nv,) due to input noise, and the rest [N m or N]."""
         return self.moments.split_residual(self.theta)
@@ -429,7 +420,13 @@ def project(found, projector, features, effects=()):
     if projector is None:
         return found
     theta, metric = found.theta_unconstrained, found.posterior_metric
-    positive = _sizes(features, effects)
+    # Coefficients of effects that physics requires to be positive.
+    positive = [
+        places[k]
+        for effect, places in effect_places(effects, features.n_parameters_)
+        for k, name in enumerate(effect.coefficients)
+        if name in effect.nonnegative
+    ]
     if positive:
         theta, metric = _without_negative(theta, metric, np.array(positive))
     fitted = _fit_projector(projector, features, theta, metric)
@@ -443,16 +440,6 @@ def project(found, projector, features, effects=()):
         # What is held has not moved but for the accuracy of the solver.
         theta = kept
     return replace(found, theta=theta, projector=fitted)
-
-
-def _sizes(features, effects):
-    """Places of the coefficients of effects that physics requires to be positive."""
-    return [
-        places[k]
-        for effect, places in effect_places(effects, features.n_parameters_)
-        for k, name in enumerate(effect.coefficients)
-        if name in effect.nonnegative
-    ]
 
 
 def consistent_anchor(model, theta, metric, per_joint, followers):

@@ -26,12 +26,12 @@ from sklearn_vbjfa.equations._recording_checks import check_count
 from sklearn_vbjfa.equations._states import RecordingStates
 from sklearn_vbjfa.equations._torque_noise import filtered_noise
 from sklearn_vbjfa.fit._alike import beside_each_other, with_positive_rotors
-from sklearn_vbjfa.fit._between import between_recordings, places_between
 from sklearn_vbjfa.fit._bodies import DESCRIBED
 from sklearn_vbjfa.fit._estimate import (
     Estimate,
     PlainEstimate,
     beside_description,
+    denoised,
     estimate,
     from_moments,
     identifiable,
@@ -181,14 +181,6 @@ class RobotFit:
             load=load,
         )
         return replace(self, robot=replace(robot, effect_ranges_=ranges))
-
-    def between(self):
-        """Return how far values are off between recordings; None if unknown."""
-        return between_recordings(
-            self.tangents or self.found,
-            places=places_between(self.robot),
-            values=self.robot.theta_,
-        )
 
     def with_noise_facts(self, facts):
         """Return the fit with the torque noise by `NoiseFacts` of all recordings."""
@@ -433,7 +425,9 @@ def iterate_corrections(recipe, fit, source, relative):
         covariance=covariance_of_all,
     )
     fit = fit.with_estimate(corrected, identifiable_=shown, gains_=gains)
-    tangents = found.of_moments(values.moments)
+    moments, weight = values.moments, found.joint_weights
+    metric = denoised(moments.total(weight), moments.total_noise(weight))
+    tangents = replace(found, metric=metric, moments=moments.in_stretches())
     return replace(fit, made=source.segments(fit.robot), tangents=tangents)
 
 

@@ -37,6 +37,7 @@ from sklearn_vbjfa.fit._arguments import (
     checked_recording,
     recording_of_arguments,
 )
+from sklearn_vbjfa.fit._between import between_recordings
 from sklearn_vbjfa.fit._bodies import described_bodies
 from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems_late
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
@@ -511,7 +512,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def _set(self, fit, compare=True):
         found, self._robot = fit.found, fit.robot
         if compare:
-            self._robot = replace(fit.robot, recording_variance=fit.between())
+            differ = between_recordings(fit.tangents or found, fit.robot)
+            self._robot = replace(fit.robot, recording_variance=differ)
         self.effects_, self.features_ = fit.robot.effects_, fit.robot.features_
         moments = replace(found.moments, blocks=None, recordings=None)
         self.estimate_ = replace(found, moments=moments)

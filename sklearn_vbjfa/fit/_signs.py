@@ -47,10 +47,9 @@ def with_signs(recipe, robot, source, before):
 
 def signed(robot, recording):
     """Give sizes of torques their mean sign beside what a fitted robot predicts."""
-    asked = robot.prepare_recording(replace(recording, weight=None)).noiseless(
-        robot.plan
-    )
-    tau = expected(recording.tau, robot.torques(asked))
+    asked = robot.prepare_recording(replace(recording, weight=None))
+    predicted = robot.torques(replace(asked, rest=robot.plan.rest()))
+    tau = expected(recording.tau, predicted)
     return replace(recording, tau=tau, command=tau)
 
 

@@ -200,7 +200,6 @@ def _is_mjcf(tree, path):
 
 
 def _read(tree, path):
-    """Return what a description says, `Description`."""
     if _is_mjcf(tree, path):
         return read_mjcf(path, tree.getroot().get("model", "robot"))
     return read_urdf(tree, path)

@@ -198,7 +198,6 @@ class _Tree:
             )
 
     def add_equalities(self, parent):
-        """Add what makes joints follow others."""
         ref = self._dynamics.ref
         for one in self._followers:
             # MuJoCo counts positions of both from where the file puts them.

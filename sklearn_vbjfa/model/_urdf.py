@@ -248,7 +248,6 @@ def _check_masses(root, called):
 
 
 def _check_axes(root, called):
-    """Refuse joints without direction."""
     for joint in _joints(root, *_AXIAL):
         axis = joint.find("axis")
         text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
@@ -265,7 +264,6 @@ def _check_axes(root, called):
 
 
 def _check_tree(root, called):
-    """Refuse links on two joints, or in a ring."""
     above = {}
     for joint in _joints(root):
         found = [joint.find(tag) for tag in ("parent", "child")]
@@ -342,7 +340,6 @@ def _float(text):
 
 
 def _check_ring(link, above, called):
-    """Refuse links that hang on each other."""
     seen = [link]
     while link in above:
         link = above[link][0]

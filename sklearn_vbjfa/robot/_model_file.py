@@ -52,7 +52,6 @@ class _Wrong(ValueError):
 
 
 def write(path, robot):
-    """Write an `IdentifiedRobot` as JSON."""
     from sklearn_vbjfa import __version__
 
     robot = replace(robot, text=robot.description_)

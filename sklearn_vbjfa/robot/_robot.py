@@ -81,9 +81,6 @@ class Inputs:
     rest: Rest  # velocity signs at rest
     smoother: object = None  # what the states come from; None if they were given
 
-    def noiseless(self, plan):
-        return replace(self, rest=plan.rest())
-
     def counts(self, standstill):
         """Rows in which each signal can be judged, (n, nv), bool, by its name."""
         # Not those in which the smoother sees one side only, nor those without weight;
@@ -959,7 +956,7 @@ class IdentifiedRobot:
             t = None if clock is None else clock[rows]
             own = {name: values[rows] for name, values in recording.signals.items()}
             asked = self.prepare(recording.inputs[rows], t=t, signals=own)
-            asked, y = asked.noiseless(self.plan), torques[rows]
+            asked, y = replace(asked, rest=self.plan.rest()), torques[rows]
             residual = y - self.torques(asked)
             found.append(noise_facts(residual, y, asked.states, *band, n_jobs))
         return found

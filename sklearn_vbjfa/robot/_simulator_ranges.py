@@ -102,7 +102,6 @@ class Ranges:
 
 
 def ranges_of(robot, level):
-    """Return the `Ranges` of an `IdentifiedRobot`."""
     is_number = isinstance(level, Real) and not isinstance(level, bool)
     if not (is_number and 0 < level < 1):
         raise ValueError(

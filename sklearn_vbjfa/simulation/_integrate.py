@@ -71,11 +71,7 @@ _MOST_TRIES, _MOST_PIVOTS = 12, 100
 
 
 class Diverged(ArithmeticError):
-    """The motion cannot be followed; `time` [s] after the last sample, `joint`."""
-
-    def __init__(self, time, joint):
-        super().__init__("the motion diverges")
-        self.time, self.joint = time, joint
+    """The motion cannot be followed: time [s] after the last sample, joint."""
 
 
 class _End(NamedTuple):

@@ -104,8 +104,8 @@ def _advance(robot, dynamics, motion, ends, since, until, row, updates):
         try:
             motion.advance(torque, then, instant - now)
         except Diverged as found:
-            time, joint = now + found.time, found.joint
-            raise _diverged(robot, motion, time, row, joint, updates) from None
+            late, joint = found.args
+            raise _diverged(robot, motion, now + late, row, joint, updates) from None
         if instant in between:
             dynamics.set_bodies(instant)
             motion.settle(then)

@@ -15,7 +15,6 @@ from sklearn_vbjfa.effects import (
     Rest,
     State,
     Stateful,
-    declarable,
 )
 from sklearn_vbjfa.model import (
     TreeRegressor,
@@ -315,7 +314,7 @@ class _JointFriction:
     """Declared friction of all joints."""
 
     def __init__(self, names, coefficients, signs):
-        terms = declarable()
+        terms = "viscous", "coulomb", "offset", "rotor_inertia"
         table = dict(zip(names, np.asarray(coefficients, dtype=float).T.tolist()))
         none = [0.0] * len(signs)
         rows = [table.get(name, none) for name in terms]

@@ -35,6 +35,9 @@ def weightless(reading):
     # Together joints show more, since they carry the same bodies.
     if len(loaded) > 1 and (whole := gain(loaded)) > odds:
         lost, odds = loaded, whole
+    if lost == loaded:
+        # Other joints agree, as with any other hypothesis on all torques.
+        odds = max(odds, gain(robot.joints.tolist()))
     # Slides hold a weight in whatever direction gravity pulls.
     pull = np.linalg.norm(robot.by_gravity, axis=-1)
     held, weight = (

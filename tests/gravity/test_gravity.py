@@ -122,11 +122,15 @@ def test_poses_from_one_side_leave_friction_unknown(world):
     assert left < np.sqrt((found.error_before**2).mean())
 
 
-def test_torques_without_weight_are_refused(world):
-    weight = gravity(world.true, world.recording.q)
+@pytest.mark.parametrize("masses", [[1.0, 1.0, 1.0], [1.0, 1.0, 1.4]])
+def test_torques_without_weight_are_refused(world, tmp_path, masses):
+    # A controller takes off the described weight.
+    urdf = tmp_path / "described.urdf"
+    described = replace(ARM, masses=ARM.masses * masses).write(urdf)
+    weight = gravity(described, world.recording.q)
     none = replace(world.recording, tau=world.recording.tau - weight)
     with pytest.raises(ValueError, match="no weight"):
-        correct_gravity(none, world.described)
+        correct_gravity(none, urdf)
 
 
 def test_one_joint_with_a_counterbalance_is_not_refused(world):

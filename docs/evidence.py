@@ -277,7 +277,9 @@ def false_alarms():
         f"gain have a reported effect ({data.cell(rows[4], 'recordings')} recordings "
         "each), and the payload is found "
         "in "
-        f"{data.cell('payload', 'found, %', 2)} % only."
+        f"{data.cell('payload', 'found, %', 2)} % only. Of the reported effects "
+        f"{data.cell('named', 'right, %', 3)} % are right, of those that are listed as "
+        f"possible {data.cell('perhaps, all', 'right, %', 3)} %."
     )
     table = data.table(columns=columns, rows=rows, names=names)
     return (

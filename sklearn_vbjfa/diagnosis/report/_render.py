@@ -78,7 +78,6 @@ _FUNCTIONS = {
         "parameter_text",
         "percent",
         "plural",
-        "probability_text",
         "whole_percent",
         "with_error",
     )

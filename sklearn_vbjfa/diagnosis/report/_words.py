@@ -138,11 +138,6 @@ def odds_text(log_odds):
     return f"{odds} : 1" if log_odds >= 0 else f"1 : {odds}"
 
 
-def probability_text(value):
-    """Write a probability in whole per cent, never as certain."""
-    return f"{min(max(round(100 * value), 1), 99)} %"
-
-
 def with_error(value, interval=None, unit=""):
     """Write a value with half its 90 % interval, rounded to what the latter means."""
     unit = f" {unit}" if unit else ""

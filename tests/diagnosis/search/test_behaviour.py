@@ -118,14 +118,14 @@ def test_alpha_is_the_probability_that_a_name_needs():
 
     found = close(torque, ["ripple"], alpha=0.4)
     (effect,) = (*found.effects_, *found.possible_)
-    assert 0.5 < effect.probability < 0.9999
-    doubt = 1 - effect.probability
+    assert 0.5 < effect.evidence.probability < 0.9999
+    doubt = 1 - effect.evidence.probability
     sure = close(torque, ["ripple"], alpha=min(2 * doubt, 0.45))
     unsure = close(torque, ["ripple"], alpha=doubt / 2)
     assert names(sure) == ["ripple"]
     assert names(unsure) == []
     (possible,) = unsure.possible_
-    assert possible.probability == pytest.approx(effect.probability)
+    assert possible.evidence.probability == pytest.approx(effect.evidence.probability)
     # By its odds, or by what it saves elsewhere.
     assert possible.warning
     # The model that is handed over is the same.

@@ -22,6 +22,7 @@ from sklearn_vbjfa.recording._table import (
     RecordingRefused,
     Table,
     Unit,
+    check_names,
     listed,
     split_last_part,
     split_unit,
@@ -394,30 +395,25 @@ def _in_places(places, unit, table, kind):
 
 def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     """Lay out the columns by a mapping, and the other kinds as in another layout."""
-    roles, missing, owner = [], [], {}
+    roles, missing = [], []
     for key, pattern in mapping.items():
         ((kind, suffix),) = _KEY.findall(key)
         joint = suffix.strip("_.[]()")
         joint = int(joint) if joint.isdecimal() else joint
         matched = matches(pattern, table, kind.lower())
         missing += [] if matched else [pattern]
-        for role in matched:
-            other = owner.setdefault(role.column, key)
-            if other != key:
-                raise RecordingRefused(
-                    f"{table.path}: columns names {role.column!r} twice, for {other} "
-                    f"and {key}; each column is one channel"
-                )
-            roles.append(replace(role, key=joint or role.key))
+        roles += [replace(role, key=joint or role.key) for role in matched]
     if missing:
         raise RecordingRefused(
             f"{table.path}: has no column {', '.join(missing)}, which columns asks "
             f"for; found {listed(table.names)}"
         )
+    mapped = [role.column for role in roles]
+    check_names(table.path, mapped, "columns names")
     # Of a channel some of whose columns are another's nothing is left, of times some.
-    taken = {role.kind for role in plain.roles if role.column in owner} - {"t"}
+    taken = {role.kind for role in plain.roles if role.column in mapped} - {"t"}
     taken |= {role.kind for role in roles}
-    roles += [x for x in plain.roles if x.kind not in taken and x.column not in owner]
+    roles += [x for x in plain.roles if x.kind not in taken and x.column not in mapped]
     # What nobody has named is no signal.
     others = frozenset(table.names) if table.nameless else plain.no_signals
     return replace(plain, roles=tuple(roles), no_signals=others, certain=True)

@@ -402,30 +402,27 @@ def _joined(tables, options):
 
 def _table(path, options):
     """Read the table of a file that nobody writes to meanwhile."""
-    before, broken, table = _version(path), None, None
+    before = _version(path)
     try:
-        table = read_table(path, options)
-    except ValueError as error:
-        broken = error
+        return read_table(path, options)
+    except ValueError:
         # What is being written shows it within a moment.
         time.sleep(_MOMENT)
-    if _version(path) != before:
-        raise ValueError(
-            f"{path} was written to while it was read; wait until the recording has "
-            "ended, then read it again."
-        ) from broken
-    if broken is not None:
-        raise broken
-    return table
+        raise
+    finally:
+        if _version(path) != before:
+            raise ValueError(
+                f"{path} was written to while it was read; wait until the recording "
+                "has ended, then read it again."
+            )
 
 
 def _version(path):
-    """Return size and time of a file, or of all in a folder; None for what is none."""
+    """Return sizes and times of a file, or of all in a folder; [] for what is none."""
     path = expanded(path)
     found = [path] if path.is_file() else path.rglob("*") if path.is_dir() else []
     stats = [file.stat() for file in found if file.is_file()]
-    size = sum(one.st_size for one in stats)
-    return len(stats), size, max((one.st_mtime_ns for one in stats), default=0)
+    return sorted((one.st_size, one.st_mtime_ns) for one in stats)
 
 
 # -- several files of one robot --------------------------------------------------------

@@ -149,8 +149,8 @@ def check_names(path, names, what):
     ((first, count),) = Counter(names).most_common(1)
     if count > 1:
         raise RecordingRefused(
-            f"{path}: {what} column {quoted(first)} twice; each column needs its own "
-            "name."
+            f"{path}: {what} column {quoted(first)} twice; rename or remove one of "
+            "them."
         )
 
 
@@ -180,17 +180,14 @@ def imported(path, module):
 
 def quoted(value):
     """Write a value as Python does; of a long one the beginning."""
-    is_text = isinstance(value, str)
-    text = value if is_text else repr(value)
+    text = repr(value)
     left = len(text) - _CHARACTERS
-    shown = repr(text[:_CHARACTERS]) if is_text else text[:_CHARACTERS]
-    return f"{shown} and {left} characters more" if left > 0 else shown
+    return f"{text[:_CHARACTERS]} and {left} characters more" if left > 0 else text
 
 
 def listed(names):
     """List names with commas; of many the first."""
-    names = [str(name) for name in names]
-    names = [name if len(name) <= _CHARACTERS else quoted(name) for name in names]
+    names = [x if len(x) <= _CHARACTERS else quoted(x) for x in map(str, names)]
     if len(names) > _ENTRIES:
         names[_ENTRIES - 1 :] = [f"and {len(names) - _ENTRIES + 1} more"]
     return ", ".join(names)

@@ -381,10 +381,8 @@ def _joint_states(shown, topic, names, values, times, wanted):
     rows = known[:, best].all(axis=1)
     joints, others = names[best].tolist(), sorted(names[~best])
     q, v, tau, t = q[:, best], v[:, best], tau[:, best], times[0, rows]
-    notes = [
-        f"read from {topic}: position [rad or m] as q and effort [N m or N] as tau of "
-        f"{', '.join(joints)}."
-    ]
+    taken = "position [rad or m] as q and effort [N m or N] as tau"
+    notes = [f"read from {topic}: {taken} of {', '.join(joints)}."]
     if others:
         note = (
             f"joint(s) {listed(others)} of {topic} left out: the robot has none of "
@@ -399,10 +397,8 @@ def _joint_states(shown, topic, names, values, times, wanted):
         # Messages of other joints are no loss.
         notes.append(Loss(note) if np.isfinite(q[~rows]).any() else note)
     if np.ptp(t) == 0:
-        notes.append(
-            "the stamps in the headers stand still; times are those of the recorder."
-        )
         t = times[1, rows]
+        notes.append("the stamps in the headers stand still: times are the recorder's.")
     numbered = all(name.isdecimal() for name in joints)
     columns = {"t": (t - t[0]) / 1e9}
     for kind, x in (("q", q), ("tau", tau), ("v", v)):

@@ -147,21 +147,18 @@ _LARGEST = 1e12
 
 def is_recording(table, options):
     """Return whether a table has all channels, or would have with other options."""
+    # Without time it is one, too, and refused for that.
+    options, robot = replace(options, dt=1.0), options.robot(table)
     try:
-        robot = options.robot(table)
-        # Without time it is one, too, and refused for that.
-        options = replace(options, dt=1.0)
-        _in_order(table, laid_out(table, options, robot), options, robot, [])
-    except RecordingRefused as error:
-        return bool(error.options)
-    except ValueError:
-        # What is wrong with it is said when it is read.
-        return True
-    return True
+        layout = laid_out(table, options, robot)
+    except RecordingRefused:
+        return False
+    missing = [kind for kind in options.kinds[:2] if kind not in layout.kinds]
+    return not missing or _refusal(table, layout, options, robot, missing).options != {}
 
 
 def _in_order(table, layout, options, robot, notes):
-    """Return the roles of each kind in the order of the joints, and the robot."""
+    """Return the roles of each kind in the order of the joints, and their names."""
     # Certain names of joints that the robot lacks are no channels of it.
     names, by_key = robot.names or layout.joints, {}
     for role in layout.of(*options.kinds):
@@ -198,7 +195,17 @@ def _in_order(table, layout, options, robot, notes):
                     "joint needs one, in order."
                 )
         found[kind] = [own[key] for key in keys]
-    return found, replace(robot, names=names)
+    names = names or tuple(f"joint_{k + 1}" for k in range(count))
+    if len(names) != count:
+        fewer = count < len(names) and not robot.chosen
+        raise RecordingRefused(
+            f"{table.path}: {count} column(s) q for {len(names)} joint(s) "
+            f"({listed(names)}); leave out surplus columns, or name the joints "
+            "recorded, in the order of the columns, in joint_names (command line: "
+            "--joints): the others are held at zero.",
+            {"joint_names": names[:count]} if fewer else {},
+        )
+    return found, names
 
 
 def rows_of(table, options) -> FileRows:
@@ -216,8 +223,7 @@ def rows_of(table, options) -> FileRows:
         options = replace(options, dt=options.dt or dt)
     layout = laid_out(table, options, robot)
     table, rows = without_odd_rows(table, layout, options, notes)
-    found, robot = _in_order(table, layout, options, robot, notes)
-    names = _names(table, found, robot)
+    found, names = _in_order(table, layout, options, robot, notes)
     channels, units = _in_units(table, found, options, notes)
     slides = _check_units(table, found, units, names, robot)
     of_joints = ["N" if slide else "N m" for slide in slides]
@@ -361,22 +367,6 @@ def _refuse_codes(table, column, values):
 
 
 # -- joints ----------------------------------------------------------------------------
-
-
-def _names(table, found, robot):
-    """Return the names of the joints that have columns; refuse another number."""
-    names, nv = robot.names, len(found["q"])
-    names = names or tuple(f"joint_{k + 1}" for k in range(nv))
-    if len(names) != nv:
-        fewer = nv < len(names) and not robot.chosen
-        raise RecordingRefused(
-            f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "
-            f"({listed(names)}); leave out surplus columns, or name the joints "
-            "recorded, in the order of the columns, in joint_names (command line: "
-            "--joints): the others are held at zero.",
-            {"joint_names": names[:nv]} if fewer else {},
-        )
-    return names
 
 
 def _check_units(table, found, units, names, robot):

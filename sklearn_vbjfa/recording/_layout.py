@@ -13,6 +13,7 @@ import numpy as np
 from sklearn_vbjfa.recording._drives import parse_drive
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.recording._table import (
+    CLOCKS,
     COMMAND_NAMES,
     EXPECTED,
     KINDS,
@@ -186,11 +187,6 @@ def _parsed_mapping(text) -> dict[str, str]:
 # Names without a joint, by kind; of those of time one called t is preferred.
 _ALONE = dict.fromkeys(("t", "time", "timestamp", "stamp", "__time", "%time"), "t")
 _ALONE["segment"] = "segment"
-# How the parts of a stamp in two columns are called, and the size of the second [s].
-_CLOCK_PARTS = (
-    *(("secs", "nsecs", 1e-9), ("sec", "nsec", 1e-9), ("sec", "nanosec", 1e-9)),
-    *(("secs", "usecs", 1e-6), ("sec", "usec", 1e-6), ("sec", "microsec", 1e-6)),
-)
 # Marks in patterns, and what they stand for.
 _MARKS = (("i", r"\d{1,6}"), ("joint", ".+?"))
 
@@ -333,7 +329,8 @@ def _clocks_of_two(table):
     return [
         Role(kind="t", column=name, unit="s", fraction=other, part=part)
         for name in table.names
-        for seconds, rest, part in _CLOCK_PARTS
+        for seconds, rests in CLOCKS.items()
+        for rest, part in rests.items()
         if name.lower().endswith(seconds)
         and (other := name[: -len(seconds)] + rest) in table.frame
     ]

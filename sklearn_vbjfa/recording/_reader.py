@@ -106,9 +106,6 @@ def _columns_beside(path, columns, part, at, joints):
     return found
 
 
-# -- the content of a file -------------------------------------------------------------
-
-
 def _named_after_file(table: Table, joints):
     """Return a file, its columns called after it if nothing else says what they are."""
     stem, n = table.path.stem, len(table.names)
@@ -143,9 +140,6 @@ def _names(columns, kind, joints, stem):
         return {x: f"{kind}_{joint}" for x, joint in zip(columns, found)}
     first = int(number[0]) if single and number else 1
     return {x: f"{kind}{k}" for k, x in enumerate(columns, start=first)}
-
-
-# -- which rows go together ------------------------------------------------------------
 
 
 def _seconds(table, layout):

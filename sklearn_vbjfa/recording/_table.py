@@ -154,15 +154,6 @@ def check_names(path, names, what):
         )
 
 
-# Packages that read files, and the extras that install them.
-_EXTRAS = {
-    "pandas": "robot",
-    "pyarrow": "parquet",
-    "python-calamine": "excel",
-    "rosbags": "bags",
-}
-
-
 def imported(path, module):
     """Import a module that a file needs, or say how to install it."""
     try:
@@ -171,7 +162,7 @@ def imported(path, module):
         package = module.partition(".")[0].replace("_", "-")
         raise ImportError(
             f"{path}: reading it needs {package}: pip install "
-            f'"sklearn-vbjfa[{_EXTRAS[package]}]"'
+            f'"sklearn-vbjfa[{_NAMES["extras"][package]}]"'
         ) from error
 
 
@@ -284,6 +275,7 @@ def is_of_a_robot(period):
 
 # -- words -----------------------------------------------------------------------------
 
+CLOCKS = _NAMES["clocks"]
 COMMAND_NAMES = {kind: words.split() for kind, words in _NAMES["commands"].items()}
 _KIND_OF = {word: x for x, words in _NAMES["words"].items() for word in words.split()}
 # The least similarity of a word to one of these.

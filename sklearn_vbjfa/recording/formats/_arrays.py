@@ -143,9 +143,6 @@ def _array(path, name, values):
         ) from error
 
 
-# -- NumPy -----------------------------------------------------------------------------
-
-
 def read_npz(path) -> Table:
     """Read arrays; a matrix such as q becomes the columns q1, q2, ..."""
     with parsing(path, "npz file", "save it again with numpy.savez."):
@@ -163,8 +160,6 @@ def read_npy(path) -> Table:
     names = array.dtype.names or ()
     return _table_of_arrays(path, {x: array[x] for x in names} or {"": array})
 
-
-# -- MATLAB ----------------------------------------------------------------------------
 
 _SAVE = "save(FILE, 't', 'q', 'tau', '-v7')"
 

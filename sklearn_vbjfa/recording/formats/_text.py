@@ -223,9 +223,6 @@ def _check_header(path, names, line):
     check_names(path, names, f"line {line} names")
 
 
-# -- cells of each row -----------------------------------------------------------------
-
-
 def _checked_rows(path, content, names, start, separator):
     """Return the numbers of the lines with rows, and whether a cut one was left out."""
     # Refuses a row that has not as many cells as there are names.

@@ -226,7 +226,7 @@ _LACKING = 0.1
 # in runs no longer than this in the median.
 _LEAST_SHARE, _PLACES, _RUN = 0.02, 10, 3
 # A value but zero that comes so often, and is this many ranges of the others away from
-# them, stands for a missing one; a channel has more values than the last number.
+# them, means that none was measured; a channel has more values than the last number.
 _OFTEN, _AWAY, _LEVELS = 3, 3.0, 16
 
 
@@ -286,7 +286,7 @@ def without_odd_rows(table, layout, options, notes):
 
 
 def _without_fillers(x):
-    """Yield the values of a column that stand for a missing one, replaced by nan."""
+    """Yield the values of a column that mean a missing one, replaced by nan."""
     known = x[~np.isnan(x)]
     ends = known.min(initial=np.inf), known.max(initial=-np.inf)
     others = known[(known > ends[0]) & (known < ends[1])]

@@ -156,8 +156,8 @@ class PDDrive(Drive):
     -----
     Commands are steps: a row acts from its time to that of the next one, a delay later.
     Torques at rows are the mean of the last sample period, within the band of the rows.
-    The velocity is the slope of the positions, as late as `Recording.v` where there is
-    one. The noise of positions is noise of the torque, K_p and K_d times, and of the
+    The velocity is the slope of the positions, with the delay of `Recording.v` if there
+    is one. The noise of positions is noise of the torque, K_p and K_d times, and of the
     regressor; their common part is measured from the even and the odd samples and
     subtracted from their products. Commands count as exact.
 

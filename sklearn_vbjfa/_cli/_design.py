@@ -49,8 +49,7 @@ def design(arguments, folder):
     motion = _motion(arguments, robot, found)
     noise = np.array(robot.known.torque_noise)
     measured = np.isfinite(noise) & (noise > 0)
-
-    facts = _summary.facts(motion, found) | {"unchecked": _summary.unchecked(motion)}
+    facts = _summary.facts(motion, found)
 
     def write(folder, notes):
         motion.to_csv(folder / out.name)
@@ -65,7 +64,7 @@ def design(arguments, folder):
     facts |= {"robot": name, "motion": motion, "measured": measured.all()}
     return Done(
         text=rendered("motion.txt.j2", **facts),
-        doubts=_summary.doubts(motion, arguments.effects or ()),
+        doubts=_summary.doubts(motion, facts, arguments.effects or ()),
         folder=out.parent,
         files=(out.name,),
         write=write,

@@ -27,7 +27,8 @@ def identify(arguments, folder):
 
     if arguments.no_search and arguments.effects:
         raise Refused("--no-search and --effects exclude each other", effects=None)
-    library = () if arguments.no_search else arguments.effects
+    effects = () if arguments.no_search else arguments.effects
+    effects = "all" if effects is None else effects
     out = _input.output_folder(arguments, "report")
     ranges = arguments.ranges and _input.expanded(arguments.ranges)
     if ranges:
@@ -36,23 +37,20 @@ def identify(arguments, folder):
     recording, urdf, held = _input.load(arguments, folder)
     files = tuple(dict.fromkeys(map(str, _input.paths(arguments))))
     with _input.blaming(arguments):
-        effects = "all" if library is None else library
         loop = search(recording, str(urdf), effects=effects, **settings)
     robot = folder / "robot"
     robot.mkdir()
     lacking, export = _exported(loop.identifier_, robot)
-    outcome, provenance = (
-        loop.report_.outcome,
-        {
-            "export": export,
-            "file": files[0] if len(files) == 1 else files,
-            "description": str(_input.expanded(arguments.urdf)),
-            "options": dict(arguments.typed),
-            "held": held,
-            "files": _FILES[1:],
-            "date": time.strftime("%Y-%m-%d"),
-        },
-    )
+    outcome = loop.report_.outcome
+    provenance = {
+        "export": export,
+        "file": files[0] if len(files) == 1 else files,
+        "description": str(_input.expanded(arguments.urdf)),
+        "options": dict(arguments.typed),
+        "held": held,
+        "files": _FILES[1:],
+        "date": time.strftime("%Y-%m-%d"),
+    }
     if loop.report_.has_open_questions:
         words = ["python", "-m", "sklearn_vbjfa", "design", "--report", str(out)]
         provenance["command"] = shlex.join([*words, "--duration", str(SECONDS)])

@@ -35,7 +35,10 @@ def facts(motion, found):
     for one in motion.shows:
         torques.setdefault(one.joint, []).append(one.least)
     decided, open_pairs = _pairs(motion)
+    why = motion.no_clearance.rstrip(".")
     return {
+        # Links may meet where their distances are not known.
+        "unchecked": why and f"SELF-COLLISION WAS NOT CHECKED. {why}.",
         "shares": shares,
         "decided": decided,
         "open_pairs": open_pairs,
@@ -51,16 +54,9 @@ def facts(motion, found):
     }
 
 
-def unchecked(motion):
-    """Warn that links may meet; empty where their distances are kept."""
-    if "clearance" in motion.margins:
-        return ""
-    return f"SELF-COLLISION WAS NOT CHECKED. {motion.no_clearance.rstrip('.')}."
-
-
-def doubts(motion, effects=()):
+def doubts(motion, facts, effects):
     """List what a motion leaves open: clearance, rivals, effects that were named."""
-    found = [text for text in [unchecked(motion)] if text] + _pairs(motion)[1]
+    found = [text for text in (facts["unchecked"], *facts["open_pairs"]) if text]
     for one in motion.invisible:
         if one.name in effects:
             joint = words.joint_label(motion.joint_names, one.joint)

@@ -287,8 +287,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """
         library = self._check_parameters()
         known = recording.groups, recording.weight, None
+        whole, _ = self._recording(recording.inputs, recording.tau, *known)
         whole = replace(
-            self._recording(recording.inputs, recording.tau, *known),
+            whole,
             command=recording.command,
             feedback=recording.feedback,
             torque_units=recording.torque_units,

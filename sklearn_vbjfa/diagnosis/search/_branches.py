@@ -17,8 +17,8 @@ from sklearn_vbjfa.model import import_pinocchio
 _TOGETHER = 7
 # Fields of a fitted robot that have a value for each joint.
 _OF_ROBOT = ("noise_floor_", "torque_noise_", "output_noise_", "joint_weights")
-# Fields of a recording that have a column for each joint.
-_COLUMNS = ("q", "tau", "v", "weight", "torque_noise", "command", "feedback")
+# Fields of a recording, beside those with rows, that have a column for each joint.
+_COLUMNS = ("torque_noise", "feedback")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +51,8 @@ class Branch:
 
     def recording(self, recording):
         """Return the columns of a recording that belong to the branch."""
-        given = {name: getattr(recording, name) for name in _COLUMNS}
+        rows = [name for name, width in recording.WIDTHS.items() if width == 1]
+        given = {name: getattr(recording, name) for name in (*_COLUMNS, *rows)}
         columns = {
             name: value[..., self.joints]
             for name, value in given.items()

@@ -35,7 +35,11 @@ from sklearn_vbjfa._core._updates import LOG_2PI, precision_bound
 Latent = namedtuple("Latent", "H P Sigma_t exact")
 
 
-def infer_latent(S, n, psi, floor=1e-12):
+# Share of the largest eigenvalue below which data do not reach in a direction.
+_SPAN = 1e-12
+
+
+def infer_latent(S, n, psi):
     """Split the scatter (d, d) of x into latent and noise, [C1] to [C3]."""
     # No latent signal is left in directions where psi exceeds S.
     covariance = S / n
@@ -47,7 +51,7 @@ def infer_latent(S, n, psi, floor=1e-12):
     total = Sigma_t + psi
     # Exactly redundant columns make `total` singular; the pseudo-inverse is restricted
     # to the span of the data, which always contains x.
-    H = Sigma_t @ scaled_eigen(total, floor, scale=1.0).inverse()  # [C2]
+    H = Sigma_t @ scaled_eigen(total, _SPAN, scale=1.0).inverse()  # [C2]
     P = Sigma_t - H @ Sigma_t  # [C3]
     P = 0.5 * (P + P.T)
     return Latent(H=H, P=P, Sigma_t=Sigma_t, exact=False)
@@ -390,12 +394,10 @@ class FixedPointSteps(PlainSteps):
         return image - further
 
     def propose(self, point, budget):
-        """Return a step from the extrapolated point."""
         self.start = point if self.at is None else self.problem.moved(point, self.at)
         return self.problem.step(self.start), 1
 
     def judge(self, point, new):
-        """Whether the bound fell, and whether its gain was negligible."""
         slack = {} if self.at is None else {"relative": _OVERSHOT}
         return self.problem.judge(point, new, self.tol, **slack)
 
@@ -407,7 +409,6 @@ class FixedPointSteps(PlainSteps):
         return extrapolated
 
     def accept(self, point, new, quiet):
-        """Take a step; return whether it is the last."""
         # An extrapolated point may happen to gain nothing on the way.
         self.converged = quiet
         here = self.problem.coordinates(self.start)

@@ -1,44 +1,24 @@
-"""Linear systems in scaled columns: eigenvalues, least squares, dependent columns.
+"""Linear systems in scaled columns: eigenvalues, least squares, block variances.
 
 Columns of data, or of a Gram or covariance matrix, may have any unit. Scaled to unit
 length, or to a unit diagonal, a direction counts as known if its singular value exceeds
 rounding: rank, pseudo-inverse and null space then do not depend on the choice of units.
-
-Independent noise cannot be subtracted from inputs that are sums of each other. Second
-moments do not determine which generate the rest, but two unit-free rules do. If all
-dependent inputs are sums with non-negative weights of as few of them as the span has
-dimensions, it is these, the extreme rays of the cone of all. Otherwise it is, one by
-one, the standardised column farthest from the span of those before.
-
-Where residuals are correlated in time, a block sandwich estimator gives the variance of
-least squares from second moments and scores of blocks of time. Residuals are smaller
-than the noise, as the fit absorbs part of it in each block; the correction is exact for
-white noise.
 """
 
 from collections import namedtuple
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg, optimize
-from scipy.linalg import lapack
+from scipy import linalg
 from scipy.sparse import csgraph
 
 # Rounding of a constant column is a few units in the last place of its values; a
 # spread below this fraction of its mean carries no data.
 CONSTANT_COLUMN = 32 * float(np.finfo(float).eps)
-# Relative distance of squared singular values below which total least squares is
-# nongeneric: nearer than this, half of the solution's digits are rounding.
-NONGENERIC = np.sqrt(np.finfo(np.float64).eps)
 # Rounding of a zero eigenvalue, as a share of the largest one, per row.
 ROUNDING = 4 * float(np.finfo(float).eps)
-# Share of a standardised column's variance below which a dependency counts as exact:
-# a generous bound on the rounding of second moments.
-DEPENDENCY_TOLERANCE = 1e-9
 # Matrices of at least so many rows are taken apart into what has nothing in common.
 _LARGE = 100
-# Beyond this many dependent columns the search for extreme rays is not worth its cost.
-_MOST_RAYS = 500
 
 
 def is_constant(spread, mean):
@@ -119,43 +99,6 @@ def scaled_lstsq(matrix, target):
     inverse = basis @ basis.T / np.outer(length, length)
     identified = np.linalg.norm(Vt[rank:], axis=0) <= np.sqrt(np.finfo(float).eps)
     return ScaledSolution(coef, inverse, identified, rank)
-
-
-def mixed_tls(columns, target, exact):
-    """Mixed least squares - total least squares; coefficients (d,)."""
-    # All columns (n, d) but the `exact` ones (d,) have noise of the same variance as
-    # the target (n,). Golub, Hoffman & Stewart (1987): the exact columns are eliminated
-    # by orthogonal projection, the rest is a classical problem, and back-substitution
-    # gives their coefficients.
-    coef = np.zeros(columns.shape[1])
-    basis = orthonormal_basis(columns[:, exact])
-    noisy = columns[:, ~exact]
-    # What elimination leaves of a column in the span of the exact ones is rounding
-    # of the column itself, not of its remainder.
-    floor = rank_tolerance(columns) * np.linalg.norm(noisy)
-    coef[~exact] = _classical_tls(
-        noisy - basis @ (basis.T @ noisy),
-        target - basis @ (basis.T @ target),
-        floor,
-    )
-    rest = target - noisy @ coef[~exact]
-    coef[exact] = scaled_lstsq(columns[:, exact], rest).coef
-    return coef
-
-
-def _classical_tls(columns, target, floor):
-    """Minimum-norm total least squares; singular values below `floor` are zero."""
-    # With sigma_k(X) = sigma_{k+1}([X y]) there is no finite solution, or many: then,
-    # following Van Huffel & Vandewalle (1991), the last direction of V is dropped.
-    U, s, Vt = svd(columns, full_matrices=False)
-    for rank in range(int(np.sum(s > floor)), 0, -1):
-        seen = np.column_stack([U[:, :rank] * s[:rank], target])
-        # The normal of the fitted hyperplane.
-        normal = svd(seen)[2][-1]
-        smallest = np.linalg.norm(seen @ normal)
-        if 1 - (smallest / s[rank - 1]) ** 2 > NONGENERIC:
-            return Vt[:rank].T @ (-normal[:rank] / normal[rank])
-    return np.zeros(columns.shape[1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -260,62 +203,6 @@ def _eigen(A):
     return values[order], vectors[:, order]
 
 
-# Columns that generate all others, ascending, and each with its exact copies.
-Dependencies = namedtuple("Dependencies", "basis copies")
-
-
-def find_dependencies(R):
-    """Find the generating columns from the correlation matrix R (d, d)."""
-    d = R.shape[0]
-    eigen = scaled_eigen(R, DEPENDENCY_TOLERANCE, scale=1.0)
-    if eigen.rank == d:
-        return Dependencies(np.arange(d), tuple(np.arange(d)[:, None]))
-    involved = eigen.lost(1e-6)
-    groups, free = _copies(R, np.flatnonzero(involved)), np.flatnonzero(~involved)
-    first = np.array([group[0] for group in groups])
-    rank = eigen.rank - free.size
-    # Columns as points: F'F = R without the null space.
-    rays = _extreme_rays(eigen.root(), first) if first.size <= _MOST_RAYS else None
-    chosen = rays
-    if rays is None or rays.size != rank:
-        chosen = _largest_volume(R, first, rank)
-    members = {int(group[0]): group for group in [*groups, *free[:, None]]}
-    basis = np.sort(np.concatenate([free, chosen]))
-    return Dependencies(basis, tuple(members[int(j)] for j in basis))
-
-
-def _copies(R, columns):
-    """Group columns that are multiples of each other."""
-    waiting, groups = list(columns), []
-    while waiting:
-        j = waiting[0]
-        same = [k for k in waiting if abs(R[j, k]) > 1 - DEPENDENCY_TOLERANCE]
-        groups.append(np.array(same))
-        waiting = [k for k in waiting if k not in same]
-    return groups
-
-
-def _extreme_rays(F, columns):
-    """Columns that are not non-negative combinations of the others."""
-    kept = list(columns)
-    for j in columns:
-        others = [k for k in kept if k != j]
-        if not others:
-            break
-        _, distance = optimize.nnls(F[:, others], F[:, j])
-        if distance < np.sqrt(DEPENDENCY_TOLERANCE):
-            kept.remove(j)
-    return np.array(kept)
-
-
-def _largest_volume(R, columns, rank):
-    """Columns that pivoting takes first, each the farthest from those before."""
-    # Rounded: the first of those that rounding does not tell apart.
-    S = np.round(R[np.ix_(columns, columns)] / DEPENDENCY_TOLERANCE)
-    pivots = lapack.dpstrf(S * DEPENDENCY_TOLERANCE, tol=0.0)[1]
-    return columns[pivots[:rank] - 1]
-
-
 # -- residuals that are correlated in time ---------------------------------------------
 
 # Directions of the scaled Gram matrix below this count as undetermined.
@@ -348,6 +235,9 @@ class BlockVariance:
 
 def block_variance(parts, scores, place, noise=1.0):
     """Compare the scatter of scores between blocks with that of white residuals."""
+    # A block sandwich estimator of the variance of least squares. Residuals are smaller
+    # than the noise, as the fit absorbs part of it in each block; the correction is
+    # exact for white noise.
     # parts: places (k,) of parameters that have nothing in common with others, and
     # weighted second moments (n_blocks, k, k) of each block's rows; scores (n_blocks,
     # p): rows times residuals, weighted alike; place (n_blocks, 2): the recording of a

@@ -160,10 +160,6 @@ class SecondMoments:
         """S_yy, float."""
         return float(self.z @ self.z) + self.rest
 
-    def dot(self, v):
-        """Return S_xx v."""
-        return self.R.T @ (self.R @ v)
-
     def residual(self, c):
         """Return S_xe and S_ee for e = y - c'x."""
         left = self.z - self.R @ c

@@ -328,9 +328,14 @@ def fit(x, dt, cutoff, *, every=1, shift=0):
     n_intervals = max(1, -(-(n - 1) // step))
     n_coef = n_intervals + _DEGREE
     offset = x.mean()
+    whole, rest = divmod(n, step)
+    basis, stencil = _basis(step, 0, step - 1, 0), np.poly(np.ones(_ORDER))
+    bands, penalty = np.zeros((2, _WIDTH, n_coef))
     # The sums of small numbers first: the penalty is many times larger.
-    bands = _gram_bands(n, step, n_coef)
-    bands += lam * _penalty_bands(n_coef)
+    _overlay(bands, basis.T @ basis, 0, whole)
+    _overlay(bands, basis[:rest].T @ basis[:rest], whole, 1)
+    _overlay(penalty, np.outer(stencil, stencil), 0, n_coef - _ORDER)
+    bands += lam * penalty
     factor = linalg.cholesky_banded(bands, overwrite_ab=True, check_finite=False)
     coef = np.zeros(n_coef)
     for _ in range(1 + _CORRECTIONS):
@@ -364,33 +369,12 @@ def _slope(x, coef, step, lam):
     return slope[:-1] - lam * sign * pull
 
 
-def _gram_bands(n, step, n_coef):
-    """Upper bands of the Gram matrix of the basis at n samples."""
-    bands = np.zeros((_WIDTH, n_coef))
-    basis = _basis(step, 0, step - 1, 0)
-    whole, rest = divmod(n, step)
-    full, partial = basis.T @ basis, basis[:rest].T @ basis[:rest]
-    for i in range(_WIDTH):
-        for j in range(i, _WIDTH):
-            # band j - i, at column: interval + j
-            row = bands[_DEGREE - (j - i)]
-            row[j : j + whole] += full[i, j]
-            # A last interval that only begins has functions beyond the last knot,
-            # which are zero there.
-            if rest and j + whole < row.size:
-                row[j + whole] += partial[i, j]
-    return bands
-
-
-def _penalty_bands(n_coef):
-    """Upper bands of the penalty on the differences of n_coef coefficients."""
-    stencil = np.poly(np.ones(_ORDER))
-    bands = np.zeros((_WIDTH, n_coef))
-    for i in range(_WIDTH):
-        for j in range(i, _WIDTH):
-            product = stencil[i] * stencil[j]
-            bands[_DEGREE - (j - i), j : j + n_coef - _ORDER] += product
-    return bands
+def _overlay(bands, block, first, count):
+    """Add a block (6, 6) at each of some intervals to the upper bands of a matrix."""
+    # A last interval that only begins has functions beyond the last knot, which are
+    # zero there.
+    for i, j in itertools.combinations_with_replacement(range(_WIDTH), 2):
+        bands[_DEGREE - (j - i), first + j : first + j + count] += block[i, j]
 
 
 def contiguous_groups(groups, n_samples):

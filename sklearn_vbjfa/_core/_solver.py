@@ -1,10 +1,4 @@
-"""The loop of all models, and the steps of the independent-latent one.
-
-`climb` requests points, monitors the bound, and stops. The caller supplies the steps:
-the plain updates as printed (`PlainSteps`), quasi-Newton steps (`QuasiNewtonSteps`), or
-joint maxima (`_correlated`). Without priors the maximum is explicit
-(`at_highest_likelihood`).
-"""
+"""The loop of all models, and the steps of the independent-latent one."""
 
 from collections import deque, namedtuple
 from dataclasses import dataclass, replace
@@ -64,7 +58,7 @@ def climb(steps, point, max_iter):
     # ``accept(point, new, quiet)`` takes the step and returns whether it is the last;
     # ``converged`` is whether that met the tolerance. Each evaluation of the bound
     # counts, that of the start included.
-    history, used = [point.value], 1
+    history, used, fall = [point.value], 1, 0.0
     while used < max_iter:
         new, spent = steps.propose(point, max_iter - used)
         used += spent
@@ -74,23 +68,20 @@ def climb(steps, point, max_iter):
         if fell:
             if steps.retry():
                 continue
-            return Solution(
-                state=point.state,
-                history=np.array(history),
-                n_iter=used,
-                status="bound_decreased",
-                fall=point.value - new.value,
-            )
+            fall = point.value - new.value
+            break
         last = steps.accept(point, new, quiet)
         point = new
         history.append(point.value)
         if last:
             break
+    status = "converged" if steps.converged else "max_iter"
     return Solution(
         state=point.state,
         history=np.array(history),
         n_iter=used,
-        status="converged" if steps.converged else "max_iter",
+        status="bound_decreased" if fall else status,
+        fall=fall,
     )
 
 
@@ -163,7 +154,7 @@ def start(moments, prior, input_noise):
     psi_x = input_noise if prior.psi_x_fixed is None else prior.psi_x_fixed
     w_x = np.sqrt(np.maximum(1.0 - psi_x, VARIANCE_FLOOR))
     direction = moments.xy
-    curvature = direction @ moments.dot(direction)
+    curvature = ((moments.R @ direction) ** 2).sum()
     step = (direction @ direction) / curvature if curvature > 0 else 0.0
     w_z = step * direction / w_x
     explained = step * (direction @ direction)
@@ -314,7 +305,6 @@ class QuasiNewtonSteps(PlainSteps):
         self.here, self.quiet = None, 0
 
     def propose(self, point, budget):
-        """Return a point that gains enough, or None when the budget is spent."""
         prior, spent = self.problem.prior, 0
         # Near an exact fit gradients are rounding, more than the grid absorbs.
         if self.here is not None and rounding_of_fit(point.hidden.y_var) <= _GRID:
@@ -378,7 +368,6 @@ class QuasiNewtonSteps(PlainSteps):
         return None, trials
 
     def judge(self, point, new):
-        """Whether the bound fell, and whether its gain was negligible."""
         fell, _ = self.problem.judge(point, new, self.tol)
         return fell, new.value - point.value <= self.tol * self.problem.moments.n
 

@@ -176,13 +176,9 @@ def update_loadings(state, hidden, prior):
     w_z_scale = 1.0 / (S_tt + alpha * state.psi_z)
     w_z_var = state.psi_z * w_z_scale  # [eq. 8]
     w_z_mean = w_z_scale * hidden.S_zt  # [eq. 9]
-    if prior.coupled:
-        w_x_scale = 1.0 / (S_tt + alpha * state.psi_x)
-        w_x_var = state.psi_x * w_x_scale  # [eq. 10]
-        w_x_mean = w_x_scale * hidden.S_xt  # [eq. 11]
-    else:
-        w_x_var = state.w_x_var
-        w_x_mean = hidden.S_xt / S_tt
+    w_x_scale = 1.0 / (S_tt + prior.coupled * alpha * state.psi_x)
+    w_x_var = prior.coupled * state.psi_x * w_x_scale  # [eq. 10]
+    w_x_mean = w_x_scale * hidden.S_xt  # [eq. 11]
     w_z_mean = np.where(np.abs(w_z_mean) < _NEGLIGIBLE_LOADING, 0.0, w_z_mean)
     w_x_mean = np.where(np.abs(w_x_mean) < _NEGLIGIBLE_LOADING, 0.0, w_x_mean)
     return replace(

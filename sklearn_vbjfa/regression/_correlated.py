@@ -3,10 +3,12 @@
 Tags such as [C15] are equations of the guide.
 """
 
+from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, optimize
+from scipy.linalg import lapack
 from scipy.special import expit
 
 from sklearn_vbjfa._core._correlated import (
@@ -14,7 +16,7 @@ from sklearn_vbjfa._core._correlated import (
     posterior_covariance,
     solve_correlated,
 )
-from sklearn_vbjfa._core._linear_systems import find_dependencies
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._updates import LinearModel
 from sklearn_vbjfa.regression._base import standard_noise, warn_of_excess
 
@@ -268,3 +270,72 @@ def _spread(R, at, copies):
         sign = np.ones(1) if group.size == 1 else np.sign(R[j, group])
         spread[group, k] = sign / group.size
     return spread
+
+
+# -- exactly dependent inputs ----------------------------------------------------------
+
+# Share of a standardised column's variance below which a dependency counts as exact:
+# a generous bound on the rounding of second moments.
+_DEPENDENT = 1e-9
+# Beyond this many dependent columns the search for extreme rays is not worth its cost.
+_MOST_RAYS = 500
+
+
+# Columns that generate all others, ascending, and each with its exact copies.
+Dependencies = namedtuple("Dependencies", "basis copies")
+
+
+def find_dependencies(R):
+    """Find the generating columns from the correlation matrix R (d, d)."""
+    # Second moments do not determine which columns generate the rest, but two unit-free
+    # rules do: the extreme rays of the cone of all, if these are as few as the span has
+    # dimensions; otherwise, one by one, the column farthest from the span of those
+    # before.
+    d = R.shape[0]
+    eigen = scaled_eigen(R, _DEPENDENT, scale=1.0)
+    if eigen.rank == d:
+        return Dependencies(np.arange(d), tuple(np.arange(d)[:, None]))
+    involved = eigen.lost(1e-6)
+    groups, free = _copies(R, np.flatnonzero(involved)), np.flatnonzero(~involved)
+    first = np.array([group[0] for group in groups])
+    rank = eigen.rank - free.size
+    # Columns as points: F'F = R without the null space.
+    rays = _extreme_rays(eigen.root(), first) if first.size <= _MOST_RAYS else None
+    chosen = rays
+    if rays is None or rays.size != rank:
+        chosen = _largest_volume(R, first, rank)
+    members = {int(group[0]): group for group in [*groups, *free[:, None]]}
+    basis = np.sort(np.concatenate([free, chosen]))
+    return Dependencies(basis, tuple(members[int(j)] for j in basis))
+
+
+def _copies(R, columns):
+    """Group columns that are multiples of each other."""
+    waiting, groups = list(columns), []
+    while waiting:
+        j = waiting[0]
+        same = [k for k in waiting if abs(R[j, k]) > 1 - _DEPENDENT]
+        groups.append(np.array(same))
+        waiting = [k for k in waiting if k not in same]
+    return groups
+
+
+def _extreme_rays(F, columns):
+    """Columns that are not non-negative combinations of the others."""
+    kept = list(columns)
+    for j in columns:
+        others = [k for k in kept if k != j]
+        if not others:
+            break
+        _, distance = optimize.nnls(F[:, others], F[:, j])
+        if distance < np.sqrt(_DEPENDENT):
+            kept.remove(j)
+    return np.array(kept)
+
+
+def _largest_volume(R, columns, rank):
+    """Columns that pivoting takes first, each the farthest from those before."""
+    # Rounded: the first of those that rounding does not tell apart.
+    S = np.round(R[np.ix_(columns, columns)] / _DEPENDENT)
+    pivots = lapack.dpstrf(S * _DEPENDENT, tol=0.0)[1]
+    return columns[pivots[:rank] - 1]

@@ -6,7 +6,13 @@ from numbers import Real
 import numpy as np
 from sklearn.utils.validation import check_array, check_consistent_length, column_or_1d
 
-from sklearn_vbjfa._core._linear_systems import mixed_tls, scaled_eigen
+from sklearn_vbjfa._core._linear_systems import (
+    orthonormal_basis,
+    rank_tolerance,
+    scaled_eigen,
+    scaled_lstsq,
+    svd,
+)
 from sklearn_vbjfa.regression._base import (
     Interval,
     LinearRegressor,
@@ -123,7 +129,7 @@ class TotalLeastSquares(LinearRegressor):
         # Column scales commute with the orthogonal factor; with them taken out the
         # reduction is as accurate for small columns as for large ones.
         factor = np.linalg.qr(columns.values, mode="r") * columns.scale
-        coef = mixed_tls(factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact)
+        coef = _mixed_tls(factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact)
         self._set_coefficients(output_std * (whiten @ coef), columns.mean)
 
     def _noise_coordinates(self, n_features):
@@ -158,6 +164,48 @@ class TotalLeastSquares(LinearRegressor):
         exact = ~eigen.known
         whiten = eigen.vectors / np.sqrt(np.where(exact, 1.0, eigen.values))
         return whiten / std[:, np.newaxis], exact, output_std
+
+
+# Relative distance of squared singular values below which total least squares is
+# nongeneric: nearer than this, half of the solution's digits are rounding.
+_NONGENERIC = np.sqrt(np.finfo(np.float64).eps)
+
+
+def _mixed_tls(columns, target, exact):
+    """Mixed least squares - total least squares; coefficients (d,)."""
+    # All columns (n, d) but the `exact` ones (d,) have noise of the same variance as
+    # the target (n,). Golub, Hoffman & Stewart (1987): the exact columns are eliminated
+    # by orthogonal projection, the rest is a classical problem, and back-substitution
+    # gives their coefficients.
+    coef = np.zeros(columns.shape[1])
+    basis = orthonormal_basis(columns[:, exact])
+    noisy = columns[:, ~exact]
+    # What elimination leaves of a column in the span of the exact ones is rounding
+    # of the column itself, not of its remainder.
+    floor = rank_tolerance(columns) * np.linalg.norm(noisy)
+    coef[~exact] = _classical_tls(
+        noisy - basis @ (basis.T @ noisy),
+        target - basis @ (basis.T @ target),
+        floor,
+    )
+    rest = target - noisy @ coef[~exact]
+    coef[exact] = scaled_lstsq(columns[:, exact], rest).coef
+    return coef
+
+
+def _classical_tls(columns, target, floor):
+    """Minimum-norm total least squares; singular values below `floor` are zero."""
+    # With sigma_k(X) = sigma_{k+1}([X y]) there is no finite solution, or many: then,
+    # following Van Huffel & Vandewalle (1991), the last direction of V is dropped.
+    U, s, Vt = svd(columns, full_matrices=False)
+    for rank in range(int(np.sum(s > floor)), 0, -1):
+        seen = np.column_stack([U[:, :rank] * s[:rank], target])
+        # The normal of the fitted hyperplane.
+        normal = svd(seen)[2][-1]
+        smallest = np.linalg.norm(seen @ normal)
+        if 1 - (smallest / s[rank - 1]) ** 2 > _NONGENERIC:
+            return Vt[:rank].T @ (-normal[:rank] / normal[rank])
+    return np.zeros(columns.shape[1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

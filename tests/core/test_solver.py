@@ -46,7 +46,7 @@ class FailingMoments:
         self.left -= 1
         wrong = 0.0 if self.left >= 0 else 2.0
         S_xe, S_ee = self.moments.residual(c)
-        S_c = self.moments.dot(c)
+        S_c = self.moments.S @ c
         return S_xe - wrong * S_c, S_ee + wrong * c @ S_c
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from sklearn_vbjfa._core._linear_systems import find_dependencies
+from sklearn_vbjfa.regression._correlated import find_dependencies
 
 
 def correlation(X):

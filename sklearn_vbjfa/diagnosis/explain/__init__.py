@@ -10,7 +10,7 @@ _MODULES = {
     "_final": "EffectEstimate FinalFit",
     "_gaps": """
         ABOVE_FLOOR Dependence NO_INFORMATION NotIdentifiable Unexplained dependences
-        motion_signals p_value
+        motion_signals
     """,
     "_next": "Expectation Motions motions_of",
     "_outcome": "Fact JointErrors Outcome make_outcome parameter_values",

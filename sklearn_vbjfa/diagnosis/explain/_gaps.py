@@ -3,10 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._blocks import memory_time
+from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain
 from sklearn_vbjfa.effects import closure
 from sklearn_vbjfa.equations._equations import make_motion
 
@@ -38,19 +38,7 @@ class Dependence:
 
     signal: str  # such as "speed of joint 2" or "time"
     share: float  # of the mean square, by a step function fitted to other blocks
-    p_value: float  # from the blocks of time, see `p_value`
-
-
-def p_value(before, after):
-    """One-sided t test over blocks that the second squared errors are smaller."""
-    if before.size < 3:
-        return 1.0
-    # A block that is fitted exactly would decide alone.
-    tiny = 1e-6 * before.mean()
-    ratio = np.log((before + tiny) / (after + tiny))
-    error = ratio.std(ddof=1) / np.sqrt(ratio.size)
-    t = ratio.mean() / error if error > 0 else np.copysign(np.inf, ratio.mean())
-    return float(special.stdtr(ratio.size - 1, -t))
+    p_value: float  # from the blocks of time, see `CrossValidatedGain`
 
 
 def dependences(residual, weight, signals, blocks):
@@ -67,12 +55,10 @@ def dependences(residual, weight, signals, blocks):
             total = np.bincount(bins, kept * residual, _BINS)
             count = np.bincount(bins, kept, _BINS)
             left[own] -= (total / np.where(count > 0, count, np.inf))[known]
-        before, after = (blocks.sums(weight * x**2) for x in (residual, left))
-        changed = before != after
-        p = p_value(before[changed], after[changed])
-        if after.sum() < before.sum() and p < _LEVEL / len(signals):
-            share = float(1.0 - after.sum() / before.sum())
-            found.append(Dependence(signal=name, share=share, p_value=p))
+        errors = (blocks.sums(weight * x**2) for x in (residual, left))
+        own = CrossValidatedGain.of(*errors)
+        if own.gain > 0 and own.p_value < _LEVEL / len(signals):
+            found.append(Dependence(signal=name, share=own.gain, p_value=own.p_value))
     return tuple(sorted(found, key=lambda d: -d.share))
 
 
@@ -217,7 +203,7 @@ def _is_hidden(effect, found, missing):
     """Whether no shape of an effect is visible beyond those that it contains."""
     # missing: effects by name that the joint has not.
     fit, motion = found.fit, found.motion
-    shapes = fit.problem.first_shapes(effect)
+    shapes = fit.problem.shapes(effect, first=True)
     if not shapes:
         return False
     columns = fit.problem.shaped(shapes)
@@ -228,7 +214,7 @@ def _is_hidden(effect, found, missing):
         needed = found.needed + np.log(max(found.n_candidates, 1))
         return bool(not (worth > needed + _OCCAM).any())
     for name in missing.keys() & set(effect.contains):
-        simpler = fit.problem.first_shapes(missing[name])
+        simpler = fit.problem.shapes(missing[name], first=True)
         if simpler and not missing[name].applies(motion):
             simplest = fit.problem.shaped(simpler[:1])
             fit = fit.beside(simplest.member(scale=_LOOSE))

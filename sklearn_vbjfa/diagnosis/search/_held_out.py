@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, special
 
 from sklearn_vbjfa.diagnosis.search._problem import precision_at_zero
 
@@ -32,6 +32,11 @@ class CrossValidatedGain:
     # error: a few blocks do not decide alone
     errors: float
     n_blocks: int  # blocks in which it changes anything
+
+    @property
+    def p_value(self):
+        """One-sided t test over blocks that the second errors are smaller."""
+        return float(special.stdtr(max(self.n_blocks - 1, 1), -self.errors))
 
     @classmethod
     def of(cls, before, after):

@@ -8,11 +8,7 @@ import numpy as np
 from scipy import special
 from sklearn.base import clone
 
-from sklearn_vbjfa._core._linear_systems import (
-    block_variance,
-    branches,
-    scaled_eigen,
-)
+from sklearn_vbjfa._core._linear_systems import block_variance, branches, scaled_eigen
 from sklearn_vbjfa.equations._equations import held_columns
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 

@@ -90,11 +90,9 @@ class Expectation:
         return "partly measured" if self.recordings == 2 else "assumed"
 
     def of(self, motion=None):
-        """Expect errors for a motion, by default one like the fitted, (3, nv + 1).
-
-        Median and ends in nine of ten recordings of the error of each joint, nan for
-        one that was not judged, and of the mean of the joints.
-        """
+        """Expect errors for a motion, by default one like the fitted, (3, nv + 1)."""
+        # Median and ends in nine of ten recordings of the error of each joint, nan for
+        # one that was not judged, and of the mean of the joints.
         motion, count = motion or self._motion, max(self.recordings, 1)
         differ, again, motions = _robots(count)
         lacks = self._lacks * self._motion.distance(motion)

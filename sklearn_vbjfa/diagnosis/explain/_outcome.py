@@ -33,8 +33,6 @@ from sklearn_vbjfa.robot._posterior import body_places
 _UNLIMITED = 1e3
 # Inertial parameters of a body, Pinocchio's.
 _INERTIAL = 10
-# What of `Outcome.robot` is no data: classes, for their words.
-_CLASSES = "library"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +121,8 @@ class Outcome:
             "errors": self.errors,
             **self.findings,
             "facts": self.facts,
-            "robot": {k: x for k, x in self.robot.items() if k != _CLASSES},
+            # The library is no data: classes, for their words.
+            "robot": {k: x for k, x in self.robot.items() if k != "library"},
             "provenance": self.provenance,
         }
         data = _json(data)

@@ -146,11 +146,9 @@ class Parts:
         return out
 
     def suffering(self, spread):
-        """Joints of recordings that a fit to these alone predicts much better.
-
-        A dict of recording and joint to the errors of the fits to the rest of the
-        recording and to the rest of all, on its parts, each left out in turn.
-        """
+        """Joints of recordings that a fit to these alone predicts better, a dict."""
+        # Errors of fits to the rest of the recording and to the rest of all, on its
+        # parts, each left out in turn.
         found = {}
         for r in range(self.count):
             here = self.recording == r
@@ -211,16 +209,12 @@ def contradictions(parts, spread, alpha):
 
 
 class _Deviations:
-    """Deviations of recordings from one robot, on a joint each.
+    """Deviations of recordings from one robot, on a joint each."""
 
-    tau_r = Phi theta + E_j u_rj + noise: deviations u_rj of a recording r in four
-    columns E_j of a joint. They are compared with those of parts of single recordings
-    in the same columns, as in a nested analysis of variance (H. Scheffe, "The Analysis
-    of Variance", 1959, section 5.3): F = (explained by recordings) / (explained by
-    parts).
-    """
-
-    # Deviations are named by their recording and joint.
+    # tau_r = Phi theta + E_j u_rj + noise: deviations u_rj of a recording r in four
+    # columns E_j of a joint, named by both. F = (explained by recordings) / (explained
+    # by parts of single recordings) in the same columns, as in a nested analysis of
+    # variance (H. Scheffe, "The Analysis of Variance", 1959, section 5.3).
 
     def __init__(self, parts):
         self._parts, count = parts, parts.count

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.diagnosis.search._view import counted_rows, even_weight
+from sklearn_vbjfa.diagnosis.search._view import even_weight
 from sklearn_vbjfa.equations._equations import derivative
 from sklearn_vbjfa.equations._plan import observe, resolve_cutoff, resolve_standstill
 from sklearn_vbjfa.equations._states import fit_states
@@ -62,7 +62,7 @@ class Split:
         count = np.zeros(self.moving.shape[1])
         for s in slices:
             inner = slice(s.start + self.half, max(s.stop - self.half, s.start))
-            count += counted_rows(self.moving[inner])
+            count += self.moving[inner].sum(axis=0)
         return count
 
     def narrowed(self, kept, pieces):
@@ -138,7 +138,7 @@ def _bare(identifier, recording, parts):
 def _best_count(bare, parts, share):
     """Return the stretches by which all joints are judged best, and if well enough."""
     moving = bare.moving
-    total, weight = counted_rows(moving), even_weight(moving)
+    total, weight = moving.sum(axis=0), even_weight(moving)
     if not total.any():
         weight = np.ones(weight.shape)
     done = [_progress(weight[part]) for part in parts]
@@ -148,7 +148,7 @@ def _best_count(bare, parts, share):
     best, chosen = (False, -1.0), None
     for count in (*range(wanted, _MOST_STRETCHES + 1), *range(wanted - 1, 0, -1)):
         stretches = _place(done, parts, count, share, *lengths)
-        kept = sum(counted_rows(moving[stretch]) for stretch in stretches)
+        kept = sum(moving[stretch].sum(axis=0) for stretch in stretches)
         # A joint that never moves has nothing due.
         due = (kept / np.maximum(total, 1) / share)[total > 0]
         least = min(float(np.min(due, initial=_DUE)), _DUE)

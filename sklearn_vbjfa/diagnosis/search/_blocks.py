@@ -89,23 +89,17 @@ class Bridge:
     @classmethod
     def of(cls, used, starts):
         """Bridge rows (m,) that are not used, in each part; None if none is missing."""
-        # A part without any stays as it is at its first row.
         if used.all() or not used.any():
             return None
         m = used.size
-        low, high = np.empty(m, int), np.empty(m, int)
+        low, high, share = np.empty(m, int), np.empty(m, int), np.empty(m)
         for a, b in itertools.pairwise([*starts, m]):
-            there = a + np.flatnonzero(used[a:b])
-            if there.size == 0:
-                low[a:b] = high[a:b] = a
-                continue
-            rows = np.arange(a, b)
-            at = np.searchsorted(there, rows, side="right") - 1
-            low[a:b] = there[np.maximum(at, 0)]
-            after = np.searchsorted(there, rows, side="left")
-            high[a:b] = there[np.minimum(after, there.size - 1)]
-        width = high - low
-        share = np.where(width > 0, (np.arange(m) - low) / np.maximum(width, 1), 0.0)
+            # A part without any stays as it is at its first row.
+            there = a + np.flatnonzero(used[a:b]) if used[a:b].any() else np.array([a])
+            at = np.interp(np.arange(a, b), there, np.arange(there.size))
+            low[a:b] = there[np.floor(at).astype(int)]
+            high[a:b] = there[np.ceil(at).astype(int)]
+            share[a:b] = at % 1.0
         return cls(low=low, high=high, share=share)
 
     def __call__(self, x):

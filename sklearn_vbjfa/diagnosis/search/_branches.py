@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
-from sklearn_vbjfa.diagnosis.search._posterior import Found, in_order
+from sklearn_vbjfa.diagnosis.search._posterior import in_order
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
 from sklearn_vbjfa.equations._states import of_joints
@@ -140,27 +140,25 @@ def _alone(model, joints):
 
 def put_together(view, motion, branches, found):
     """Put what was `Found` on the branches of a robot together."""
-    findings = []
-    residual = np.zeros_like(view.target)
+    findings, residual = {}, np.zeros_like(view.target)
     for branch, own in zip(branches, found):
         residual[branch.joints] = own.residual
-        known = {one.effect.key() for one in findings}
-        # What belongs to the whole robot several branches may have found.
-        findings += [
-            one
-            for one in (_on_robot(finding, branch) for finding in own.findings)
-            if one.effect.key() not in known
-        ]
-    first = found[0]
-    return Found(
-        findings=in_order(findings),
+        for one in own.findings:
+            effect, rivals = (
+                branch.on_robot(one.effect),
+                map(branch.on_robot, one.rivals),
+            )
+            one = replace(one, effect=effect, rivals=tuple(rivals))
+            # What belongs to the whole robot several branches may have found.
+            findings.setdefault(effect.key(), one)
+    return replace(
+        found[0],
+        findings=in_order(findings.values()),
         view=view,
         motion=motion,
         residual=residual,
         n_candidates=sum(own.n_candidates for own in found),
-        needed=first.needed,
-        settings=first.settings,
-        library=first.library,
+        fit=None,
         branches=tuple(zip(branches, found)),
     )
 
@@ -175,12 +173,3 @@ def tuned_apart(found, view_of):
             for before, after in zip(own.effects, tuned):
                 known.setdefault(branch.on_robot(before).key(), branch.on_robot(after))
     return tuple(known[effect.key()] for effect in found.effects)
-
-
-def _on_robot(finding, branch):
-    """Return a finding on a branch as one on the robot."""
-    return replace(
-        finding,
-        effect=branch.on_robot(finding.effect),
-        rivals=tuple(map(branch.on_robot, finding.rivals)),
-    )

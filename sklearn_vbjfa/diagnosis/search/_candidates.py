@@ -52,14 +52,6 @@ class Family:
         """Second moments beside a model, `Groups`."""
         return fit.groups(self.columns).part(self.at)
 
-    def evidence(self, fit, scale):
-        """Log evidence (c,) beside a model; of a bank, at the most."""
-        return fit.evidence(self.columns, scale)[self.at]
-
-    def excess(self, fit, c, coef, noise):
-        """Overdispersion of the score of a shape, see `Fit.excess`."""
-        return fit.excess(self.columns, self.at.start + c, coef, noise)
-
     def member(self, c, scale):
         """Return the effect with one of the shapes as a `Member`."""
         return self.columns.member(self.at.start + c, scale)
@@ -140,14 +132,12 @@ class Candidates:
             one = clone(effect).set_params(joint=j)
             if one.name in problem.view.declared or one.applies(problem.motion):
                 continue
-            if shapes := problem.first_shapes(one):
+            if shapes := problem.shapes(one, first=True):
                 found[j].append(problem.shaped(shapes))
         self.families = {}
         for j in list(found):
             # Cosines are there once: those that are side by side.
             self.families[j] = families_of(found.pop(j))
-            for columns in dict.fromkeys(one.columns for one in self.families[j]):
-                problem.view.keep(columns)
         self.count = sum(map(len, self.families.values()))
         self.log_prior = np.log(settings.expected / max(self.count, 1))
         # Log odds above which an effect is in the model.
@@ -160,7 +150,7 @@ class Candidates:
         """Return the best shape of a family given a fit as a `Candidate`, or None."""
         scale, least = self.settings.scale, self._no_chance(family)
         if excess is None:
-            evidence = family.evidence(fit, scale)
+            evidence = fit.evidence(family.columns, scale)[family.at]
             if not evidence.max() > least:
                 return None
         groups, taken = family.groups(fit), self.rejected | fit.excluded
@@ -169,13 +159,11 @@ class Candidates:
             evidence = groups.evidence(scale)
         free = groups.shown() & [key not in taken for key in family.keys]
         free &= evidence > least
-        if not free.any():
-            return None
         coefs = groups.coefficients()
         for c in np.flatnonzero(free):
             effect = family.effects[c]
             free[c] = effect.plausible(coefs[c, : len(effect.coefficients)])
-        if free.any() and family.opposite_keys:
+        if family.opposite_keys:
             free &= _one_sided(family, groups.gain(), free)
         if not free.any():
             return None
@@ -195,7 +183,7 @@ class Candidates:
         """Discount the evidence of a candidate by its scatter in time; or None."""
         if candidate.tempered:
             return candidate
-        family, best, coef = candidate.family, candidate.best, candidate.coef
+        family, coef = candidate.family, candidate.coef
         if candidate.effect.jumping:
             # Beside its instant a jump leaves a residual of its own size.
             scale = self.settings.scale
@@ -203,7 +191,8 @@ class Candidates:
             coef = fit.groups(near).coefficients()[0]
             excess = fit.excess(near, 0, coef, self.noise)
         else:
-            excess = family.excess(fit, best, coef, self.noise)
+            place = family.at.start + candidate.best
+            excess = fit.excess(family.columns, place, coef, self.noise)
         usual = self.candidate(fit, candidate.family, excess.as_usual())
         if usual is None or not np.isfinite(excess.freedom):
             return usual and replace(usual, tempered=True)
@@ -353,7 +342,7 @@ class Candidates:
         """Posterior log odds of each member given the others."""
         # As `usual` those by which they compare, see `Overdispersion.as_usual`.
         found, scale = [], self.settings.scale
-        both = zip(fit.members, fit.own_groups(), fit.excesses(self.noise))
+        both = zip(fit.members, fit.own_groups, fit.excesses(self.noise))
         for member, groups, excess in both:
             tempered = groups.discounted(excess.as_usual() if usual else excess)
             evidence = float(tempered.evidence(scale)[0])

@@ -349,7 +349,7 @@ class Path:
         # known: those of members among the same others of their joints, which stay.
         fit, scale = spectrum_of(fit, self.settings), self.settings.scale
         whole, share, found = fit.log_evidence(), fit.base.share, []
-        both = zip(fit.members, fit.own_groups(), fit.excesses(fit))
+        both = zip(fit.members, fit.own_groups, fit.excesses(fit))
         for i, (member, groups, excess) in enumerate(both):
             among = among_others(fit, i)
             if among in known:

@@ -3,6 +3,7 @@
 import copy
 import functools
 import itertools
+from collections import namedtuple
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
@@ -13,7 +14,6 @@ from scipy.linalg import lapack
 from sklearn_vbjfa._core._groups import Groups, Overdispersion
 from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
-from sklearn_vbjfa.diagnosis.search._view import variants
 
 
 def products(edges, one, other):
@@ -25,8 +25,6 @@ def products(edges, one, other):
 # One in so many cosines of the scores is slow; and the slowest of them.
 _SLOW, _SLOWEST = 4, 4
 _TINY = np.finfo(float).tiny
-# Columns of a shape above which products of matrices are faster than those of pairs.
-_NARROW = 4
 # Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
 _RIDGE = 1e-9
 # How much better than by the data a term is known that is held at zero.
@@ -54,17 +52,9 @@ class Columns:
     @functools.cached_property
     def gram(self):
         """Products with themselves by band, shape by shape, (nj, n_bands, c, k, k)."""
-        k = self.shape[1]
-        if k > _NARROW:
-            X = np.ascontiguousarray(self.values.swapaxes(1, 2))
-            bands = [X[:, :, a:b] for a, b in itertools.pairwise(self.edges)]
-            return np.stack([x.swapaxes(-1, -2) @ x for x in bands], axis=1)
-        found = np.empty((len(self.joints), self.edges.size - 1, *self.shape, k))
-        for a, b in itertools.combinations_with_replacement(range(k), 2):
-            square = self.values[..., a] * self.values[..., b]
-            found[..., a, b] = np.add.reduceat(square, self.edges[:-1], axis=1)
-            found[..., b, a] = found[..., a, b]
-        return found
+        X = np.ascontiguousarray(self.values.swapaxes(1, 2))
+        bands = [X[:, :, a:b] for a, b in itertools.pairwise(self.edges)]
+        return np.stack([x.swapaxes(-1, -2) @ x for x in bands], axis=1)
 
     def declared(self, Z):
         """Products with columns Z (nv, n, r) by band, (nj, n_bands, r, c * k)."""
@@ -193,13 +183,11 @@ class Problem:
         unit = (largest > 0) / or_one(largest)
         return Columns(effects, joints, values, unit, self.edges)
 
-    def first_shapes(self, effect):
-        """Return an effect with the shapes to begin with, list of Effect."""
-        return variants(effect, effect.first_shapes(self.motion))
-
-    def shapes(self, effect):
-        """Return an effect with all shapes of its grid, list of Effect."""
-        return variants(effect, effect.shapes(self.motion))
+    def shapes(self, effect, first=False):
+        """Return an effect with all shapes of its grid, or those to begin with."""
+        shapes = effect.first_shapes if first else effect.shapes
+        kind, known = type(effect), effect.get_params(deep=False)
+        return [kind(**known | shape) for shape in shapes(self.motion)]
 
 
 def _lower(L, right, turned=False):
@@ -236,7 +224,7 @@ class Base:
         if problem.held.any():
             G += precision_at_zero(G, problem.view.one_sided[problem.held])
         self.L = linalg.cholesky(G, lower=True)
-        self.t = self.solved(np.tensordot(density, problem.right, 2))
+        self.t = _lower(self.L, np.tensordot(density, problem.right, 2))
         self._known = WeakKeyDictionary()
 
     @property
@@ -266,10 +254,6 @@ class Base:
         noise = self.spectrum.noise(cosines)[:, cosines.band]
         return (power * self.weights * noise).sum() / power.sum()
 
-    def solved(self, right):
-        """L^-1 times a right-hand side (r, ...)."""
-        return _lower(self.L, right)
-
     def undone(self, member):
         """Return the same before a member's corrections, as far as these are linear."""
         done = member.done
@@ -293,7 +277,7 @@ class Base:
         """Moments of `Columns` and the declared ones, `Beside`."""
         if columns not in self._known:
             own, (c, k) = columns.joints, columns.shape
-            T = self.solved(self.over(own, columns.declared(self.problem.Z)))
+            T = _lower(self.L, self.over(own, columns.declared(self.problem.Z)))
             right = self.over(own, columns.right(self.problem.y))
             gram = self.over(own, columns.gram)
             H, q = gram - _blocks(T, c, k), (right - self.t @ T).reshape(c, k)
@@ -301,15 +285,10 @@ class Base:
         return self._known[columns]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Beside:
-    """Moments of c groups of k columns and the declared ones."""
-
-    T: np.ndarray  # (r, c * k): L^-1 times their products with these
-    # (c, k, k): their Gram matrices, and what is left of them
-    gram: np.ndarray
-    H: np.ndarray
-    q: np.ndarray  # (c, k): their products with what is left of the torques
+# Moments of c groups of k columns and the declared ones: T (r, c * k), L^-1 times their
+# products; the groups' Gram matrices, and H, what is left of them, (c, k, k); q (c, k),
+# products with what is left of the torques.
+Beside = namedtuple("Beside", "T gram H q")
 
 
 def _blocks(T, c, k):
@@ -344,7 +323,7 @@ class Fit:
         right = self._q - self.prior * self.done
         S = self._H + np.diag(self.prior)
         self._factor = linalg.cholesky(S, lower=True) if right.size else S
-        self._t = self._reduced(right)
+        self._t = _lower(self._factor, right)
         self._coef = _lower(self._factor, self._t, turned=True)
         self.theta = _lower(base.L, base.t - self._B @ self._coef, turned=True)
         self._beside, self._evidence = WeakKeyDictionary(), WeakKeyDictionary()
@@ -391,10 +370,6 @@ class Fit:
         """Number of the members' coefficients."""
         return self._coef.size
 
-    def _reduced(self, right):
-        """Solve the members' factor for a right-hand side (p, ...)."""
-        return _lower(self._factor, right)
-
     @functools.cached_property
     def residual(self):
         """Residuals of the cosines, (nv, n)."""
@@ -435,7 +410,7 @@ class Fit:
         """Second moments of the shapes of `Columns` beside this model, `Groups`."""
         if columns not in self._beside:
             own, (c, k) = self.base.beside(columns), columns.shape
-            D = self._reduced(self._cross(columns) - self._B.T @ own.T)
+            D = _lower(self._factor, self._cross(columns) - self._B.T @ own.T)
             groups = Groups(
                 H=own.H - _blocks(D, c, k),
                 q=own.q - (self._t @ D).reshape(c, k),
@@ -479,11 +454,9 @@ class Fit:
         return np.where(used.reshape(*used.shape, *(1,) * (found.ndim - 2)), found, 0.0)
 
     def excess(self, columns, c, coef, noise):
-        """Overdispersion of one shape's score beside this model.
-
-        `coef` (k,) is the direction of its coefficients that counts, `noise` the fit
-        under the same weights that leaves the noise.
-        """
+        """Overdispersion of one shape's score beside this model."""
+        # coef (k,): direction of its coefficients that counts; noise: the fit under the
+        # same weights that leaves the noise.
         self.groups(columns)
         k = columns.shape[1]
         place = slice(c * k, (c + 1) * k)
@@ -571,8 +544,8 @@ class Fit:
         # errors: standard errors by which it is negative before it is held; once held,
         # what is left of it says which sign it would have.
         held, rows = self.problem.held, self.problem.view.one_sided
-        ways = self.base.solved(rows.reshape(held.size, -1).T)
-        ties = self._reduced(self._B.T @ ways)
+        ways = _lower(self.base.L, rows.reshape(held.size, -1).T)
+        ties = _lower(self._factor, self._B.T @ ways)
         variance = (ways**2).sum(axis=0) + (ties**2).sum(axis=0)
         least = errors * np.sqrt(variance).reshape(held.shape)
         wrong = rows @ self.theta < np.where(held, 0.0, -least)
@@ -587,41 +560,26 @@ class Fit:
         return half.T @ half
 
     @functools.cached_property
-    def _by_width(self):
-        """Second moments of members given the others: numbers, `Groups`, by width."""
-        # By the block inverse, without another fit.
-        widths, found = np.array([m.width for m in self.members]), []
-        for k in np.unique(widths):
-            numbers = np.flatnonzero(widths == k)
-            places = [self.places[i] for i in numbers]
-            members = [self.members[i] for i in numbers]
-            inverse = np.linalg.inv([self.covariance[p, p] for p in places])
-            values = np.array([self._coef[p] for p in places])
-            values += [m.done for m in members]
-            gram = [self.base.beside(m.columns).gram[0] for m in members]
-            groups = Groups(
-                H=inverse - [np.diag(self.prior[p]) for p in places],
-                q=(inverse @ values[:, :, None])[:, :, 0],
-                own=np.diagonal(gram, axis1=1, axis2=2),
-                unit=np.array([m.unit for m in members]),
-            )
-            found.append((numbers, groups))
-        return found
-
     def own_groups(self):
         """Second moments of each member given the others, list of `Groups`."""
-        found = [None] * len(self.members)
-        for numbers, groups in self._by_width:
-            for at, i in enumerate(numbers):
-                found[i] = groups.part(slice(at, at + 1))
+        # By the block inverse, without another fit.
+        found = []
+        for member, place in zip(self.members, self.places):
+            inverse = np.linalg.inv(self.covariance[place, place])
+            gram = self.base.beside(member.columns).gram
+            groups = Groups(
+                H=inverse[None] - np.diag(self.prior[place]),
+                q=(inverse @ (self._coef[place] + member.done))[None],
+                own=np.diagonal(gram, axis1=1, axis2=2),
+                unit=member.unit[None],
+            )
+            found.append(groups)
         return found
 
     def rescaled(self, scale):
         """Return the same with the most probable scale of each member."""
-        members = list(self.members)
-        for numbers, groups in self._by_width:
-            for i, own in zip(numbers, groups.best_scale(scale)):
-                members[i] = replace(members[i], scale=float(own))
+        scales = [float(own.best_scale(scale)[0]) for own in self.own_groups]
+        members = [replace(m, scale=own) for m, own in zip(self.members, scales)]
         return Fit(self.base, members, (self._B, self._H, self._q))
 
     def log_evidence(self):

@@ -30,10 +30,8 @@ _TURN = 2 * np.pi
 
 
 def _bracket(effect, name, motion):
-    """Place of a shape parameter, its bounds and those of its grid.
-
-    Last comes whether these are logarithms. None where the grid has no neighbours.
-    """
+    """Place of a shape parameter, its bounds, those of its grid, whether logarithms."""
+    # None where the grid has no neighbours.
     value, searched_on = getattr(effect, name), {*effect.continuous}
     grid = np.unique(
         [
@@ -118,10 +116,8 @@ class Place:
         return replace(self, effect=self.at(values), values=values)
 
     def with_derivatives(self, member, around, coef):
-        """Return a member whose columns (k,) the derivatives (d,) by its shape follow.
-
-        `around` are the `Columns` of the shapes of that name.
-        """
+        """Return a member whose columns are followed by their derivatives (d,)."""
+        # around: `Columns` of the shapes of that name.
         change = around.values[:, :, 1:] - around.values[:, :, :1]
         slopes = change @ coef / self.steps
         values = np.concatenate([around.values[:, :, 0], slopes], axis=2)
@@ -272,10 +268,7 @@ def _instants(fit, effect, scale):
 
 
 def instant(effects, evidence, motion):
-    """Search the instant of a jump on, around the best of some.
-
-    `evidence(effects)` are the log evidences (c,) of several.
-    """
+    """Search the instant of a jump on, around the best of some."""
     known = evidence(effects)
     found, most = effects[int(np.argmax(known))], float(known.max())
     (name,) = found.jumping

@@ -57,7 +57,7 @@ def stretches(parts, moving, lowpass):
         kept, due = [], 0.0
         # Short recordings come in turns, which do not know the order of these.
         for part in sorted(
-            parts, key=lambda p: (p.stop - p.start, *counted_rows(moving[p]))
+            parts, key=lambda p: (p.stop - p.start, *moving[p].sum(axis=0))
         ):
             due += share * (part.stop - part.start)
             found = _within(part, weight[part], int(due), length)
@@ -68,14 +68,9 @@ def stretches(parts, moving, lowpass):
     return np.concatenate(rows), np.repeat(np.arange(len(kept)), list(map(len, rows)))
 
 
-def counted_rows(moving):
-    """Count the rows (n, nv) in which each joint moves, (nv,)."""
-    return np.sum(moving, axis=0, dtype=int)
-
-
 def even_weight(moving):
     """Motion in each row, all joints counting the same, however little they do."""
-    return (moving / np.maximum(counted_rows(moving), 1)).sum(axis=1)
+    return (moving / np.maximum(moving.sum(axis=0), 1)).sum(axis=1)
 
 
 def _within(part, weight, most, length):
@@ -104,10 +99,10 @@ _RANK = 1e-12
 _DETERMINED = 1e-6
 # Numbers of the columns that are filtered together.
 _AT_ONCE = 1 << 20
+# Numbers of the cosines of shapes that are kept.
+_KEPT_NUMBERS = 1 << 24
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
-# Numbers of the columns of single shapes that are kept, those that were asked for last.
-_KEPT_NUMBERS = 1 << 25
 # Rests of a joint from which on its torque at rest is looked at.
 _RESTS = 10
 
@@ -155,11 +150,11 @@ class RecordingView:
         self._lowpass = robot.plan.lowpass
         self.step = (robot.dt or 1.0) * self._lowpass.step
         self._begins, self.repetition = begins, repetition
-        self._shapes = _Shapes()
         weight = recording.weight.astype(float)
         weight[:, list(leave_out)] = 0.0
         self._given = replace(recording, weight=weight, t=clock), states
-        self._root, self._corrections, self._corrected = self, frozenset(), {}
+        self._root, self._corrections = self, frozenset()
+        self._corrected, self._shapes = {}, {}
         self._set_equations()
         self.moving = self.equations.weight
         self.recorded = self.equations.index
@@ -215,8 +210,7 @@ class RecordingView:
         other = copy.copy(self._root)
         plan = replace(other.robot.plan, resting=joints)
         other.robot = replace(other.robot, plan=plan)
-        other._root, other._corrected = other, {}
-        other._shapes = _Shapes()
+        other._root, other._corrected, other._shapes = other, {}, {}
         other._set_equations()
         other._set_coordinates()
         return other
@@ -314,11 +308,6 @@ class RecordingView:
         self.one_sided = rows[:, 10:][:, one_sided]
 
     @property
-    def n_rows(self):
-        """Number of rows of the recording."""
-        return self._given[0].n_samples
-
-    @property
     def rows(self):
         """Weight of each joint's rows together, (nv,)."""
         return (self.root.T**2).sum(axis=1)
@@ -361,95 +350,56 @@ class RecordingView:
 
     def columns(self, effects, motion):
         """Columns (nj, m, c, k) of an effect with several shape parameters."""
-        joints = self.joints_of(effects[0])
-        k = _width(effects)
-        out = np.zeros((len(joints), self.index.size, len(effects), k))
-        n = motion.q.shape[0]
-        at_once = max(1, _AT_ONCE // (n * k * len(joints)))
+        joints, n = self.joints_of(effects[0]), motion.q.shape[0]
+        most = max(len(effect.coefficients) for effect in effects)
+        out = np.empty((len(joints), self.index.size, len(effects), most))
+        scale = (self.gains * self.root)[:, joints, None, None]
+        at_once = max(1, _AT_ONCE // (n * most * len(joints)))
         for first in range(0, len(effects), at_once):
             some = effects[first : first + at_once]
-            # Beside each other (nj, c, k, n), those with fewer columns with zeros.
-            made = np.zeros((len(joints), len(some), k, n))
+            # Side by side, with zeros where a shape has fewer columns than others.
+            made = np.zeros((len(joints), len(some), most, n))
             for c, effect in enumerate(some):
                 own = self._made(effect, motion).reshape(n, len(joints), -1)
                 made[:, c, : own.shape[2]] = own.transpose(1, 2, 0)
-            filtered = self.filtered(made.reshape(-1, n).T)
-            filtered = filtered.reshape(-1, *made.shape[:3])
-            for i, j in enumerate(joints):
-                scale = self.gains[j] * self.root[:, j]
-                own = out[i, :, first : first + at_once]
-                np.multiply(filtered[:, i], scale[:, None, None], out=own)
+            rows = self.filtered(made.reshape(-1, n).T).reshape(-1, *made.shape[:3])
+            out[:, :, first : first + at_once] = np.moveaxis(rows * scale, 1, 0)
         return out
 
     def shaped(self, effects, motion, cosines):
-        """Cosines and sizes of an effect's columns, kept until their load changes.
-
-        The former (nj, n, c, k) by `cosines`, with zeros behind those of a shape that
-        has fewer, and root mean squares (nj, c, k) of rows.
-        """
-        joints = self.joints_of(effects[0])
-        keys = self._keys(effects, joints)
-        loads = [motion if "load" in effect.needs else None for effect in effects]
-        known = [self._shapes.take(key) for key in keys]
-        missing = [
-            i
-            for i, (load, values, _) in enumerate(known)
-            if values is None or load is not loads[i]
-        ]
-        if missing:
-            rows = self.columns([effects[i] for i in missing], motion)
-            made = cosines(rows, joints), np.sqrt((rows**2).mean(axis=1))
-            for at, i in enumerate(missing):
-                k = len(effects[i].coefficients)
-                own = made[0][:, :, at, :k], made[1][:, at, :k]
-                known[i] = loads[i], *own
-        for key, own in zip(keys, known):
-            self._shapes.put(key, own)
-        if len(missing) == len(effects):
-            return made
-        shape = len(effects), _width(effects)
-        values = np.zeros((len(joints), *known[0][1].shape[1:2], *shape))
-        size = np.zeros((len(joints), *shape))
-        for c, (_, own, own_size) in enumerate(known):
-            values[:, :, c, : own.shape[2]] = own
-            size[:, c, : own.shape[2]] = own_size
-        return values, size
-
-    def keep(self, columns):
-        """Let kept cosines of shapes be those of `Columns` that hold the same."""
-        for c, key in enumerate(self._keys(columns.effects, list(columns.joints))):
-            load, values, size = self._shapes.take(key)
-            if values is not None:
-                values = columns.values[:, :, c, : values.shape[2]]
-                self._shapes.put(key, (load, values, size))
-
-    def _keys(self, effects, joints):
-        """Return by what cosines of effects on joints are kept, a list."""
-        gains = self.gains[joints]
-        return [(type(e), e.joint, *gains, *sorted(e.shape().items())) for e in effects]
+        """Cosines (nj, n, c, k) of an effect's columns, and their sizes (nj, c, k)."""
+        # Kept, those that were asked for last, until their load changes.
+        joints, known = self.joints_of(effects[0]), self._shapes
+        uses = ((type(e), e.joint, *sorted(e.shape().items())) for e in effects)
+        key = *self.gains[joints], *uses
+        load = motion if any("load" in e.needs for e in effects) else None
+        before, found = known.pop(key, (None, None))
+        if found is None or before is not load:
+            rows = self.columns(effects, motion)
+            found = cosines(rows, joints), np.sqrt((rows**2).mean(axis=1))
+        known[key] = load, found
+        while sum(values.size for _, (values, _) in known.values()) > _KEPT_NUMBERS:
+            known.pop(next(iter(known)))
+        return found
 
     def _made(self, effect, motion):
         """Columns of an effect at the samples, checked for custom effects."""
         columns = np.asarray(effect.columns(motion))
         n, k = motion.q.shape[0], len(effect.coefficients)
+        name = f"Effect {effect.name!r} on {self.robot.joint_names_[effect.joint]}"
         expected = (n, self.nv, k) if effect.whole_robot else (n, k)
         if columns.shape != expected:
             raise ValueError(
-                f"{self._named(effect)} must have columns of shape {expected}, a row "
+                f"{name} must have columns of shape {expected}, a row "
                 "for each sample and a column for each coefficient; got "
                 f"{columns.shape}."
             )
         if not np.isfinite(columns).all():
             rows = int((~np.isfinite(columns.reshape(n, -1))).any(axis=1).sum())
             raise ValueError(
-                f"{self._named(effect)} has columns that are not finite in {rows} of "
-                f"{n} samples."
+                f"{name} has columns that are not finite in {rows} of {n} samples."
             )
         return columns
-
-    def _named(self, effect):
-        """Effect and its joint, in words."""
-        return f"Effect {effect.name!r} on {self.robot.joint_names_[effect.joint]}"
 
     def in_equations(self, effect, motion):
         """Columns of an effect in all joints' equations, (m, nv, k), not weighted."""
@@ -459,39 +409,6 @@ class RecordingView:
         out = np.zeros((columns.shape[0], self.nv, columns.shape[-1]))
         out[:, effect.joint] = columns * self.gains[effect.joint]
         return out
-
-
-class _Shapes:
-    """Cosines and sizes of single shapes with their load, as many as are kept."""
-
-    def __init__(self):
-        # Those that were asked for last are the last.
-        self._known, self._numbers = {}, 0
-
-    def take(self, key):
-        """Return what is known of a shape, which is forgotten until it is put back."""
-        found = self._known.pop(key, (None, None, None))
-        self._numbers -= np.size(found[1])
-        return found
-
-    def put(self, key, found):
-        """Keep what is known of a shape; forget others where there are too many."""
-        self.take(key)
-        self._known[key] = found
-        self._numbers += np.size(found[1])
-        while self._numbers > _KEPT_NUMBERS:
-            self.take(next(iter(self._known)))
-
-
-def _width(effects):
-    """Most coefficients of any of some effects."""
-    return max((len(effect.coefficients) for effect in effects), default=0)
-
-
-def variants(effect, shapes):
-    """Return an effect with each of some shapes, list of Effect."""
-    kind, known = type(effect), effect.get_params(deep=False)
-    return [kind(**known | shape) for shape in shapes]
 
 
 def reduced(equations, precision):

@@ -204,7 +204,7 @@ def test_columns_of_a_thousand_times_the_weight_make_the_ridge_no_prior():
 def test_a_member_beside_the_others_is_a_group_beside_a_fit_without_it(i):
     """The third is in the equations already, which its absence must undo."""
     fit = of(MEMBERS)
-    own, refit = fit.own_groups()[i], fit.without(i).groups(MEMBERS[i].columns)
+    own, refit = fit.own_groups[i], fit.without(i).groups(MEMBERS[i].columns)
     assert_allclose(own.H, refit.H, rtol=1e-6)
     assert_allclose(own.q, refit.q, rtol=1e-6)
     assert_allclose(own.evidence(0.1), refit.evidence(0.1), rtol=1e-6)

@@ -33,7 +33,7 @@ _INERTIA = ("kg m^2", "kg m^2")
 
 
 class Follower(Effect):
-    """The body of a joint that follows another one (mimic), declared automatically."""
+    """Body of a joint that follows another joint (mimic), declared automatically."""
 
     # joint: that leads; all joints that carry the body feel it. of: name of the joint
     # that follows. chain: joints from the base to the body, each as a `ChainJoint`, of

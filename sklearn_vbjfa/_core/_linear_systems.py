@@ -267,10 +267,9 @@ def block_variance(parts, scores, place, noise=1.0):
     seen = expected > _OWN * noise * white
     reach = max(1.0 + 2.0 * neighbours, _LEAST_REACH)
     with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.where(seen, (d**2).sum(axis=0) / expected, pooled)
+        factor = reach * np.where(seen, (d**2).sum(axis=0) / expected, pooled)
         count = np.maximum(left, 0.0)
         freedom = count.sum(axis=0) ** 2 / (count**2).sum(axis=0)
-        factor = factor * reach
         variance = factor * noise * white
         scale = np.sqrt(variance / (d**2).sum(axis=0))
     # Scores of zero cannot be scaled to a variance: it is not known how the error goes
@@ -289,11 +288,9 @@ def _inverse_roots(matrices):
     """Return L (k, r) of each matrix (k, k), whose inverse is L L', as far as known."""
     every = [scaled_eigen(H, 0.0, relative=False) for H in matrices]
     limit = _RANK * max((one.values[-1] for one in every if one.values.size), default=0)
-    every = [replace(one, known=one.values > limit) for one in every]
-    roots = [one.inverse_root() for one in every]
-    return [
-        np.where(np.diagonal(H)[:, None] > 0, L, 0.0) for H, L in zip(matrices, roots)
-    ]
+    roots = (replace(one, known=one.values > limit).inverse_root() for one in every)
+    seen = (np.diagonal(H)[:, None] > 0 for H in matrices)
+    return [np.where(own, L, 0.0) for own, L in zip(seen, roots)]
 
 
 def _pooled(K, s, noise):

@@ -28,40 +28,6 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.recording._reader import read_recording
     from sklearn_vbjfa.recording._recording import Recording
 
-# A name is imported when it is asked for: the demonstration needs no loader of others.
-# What is not in __all__ is for tests and benchmarks.
-_MODULES = {
-    ".inspection": ("inspect_recording",),
-    ".recording._reader": ("read_recording",),
-    ".recording._recording": ("Recording",),
-    "_measured": (
-        "SETS",
-        "fetch_bam_xl330",
-        "fetch_dfki_double_pendulum",
-        "fetch_emps",
-        "fetch_franka_panda",
-        "fetch_kuka_kr300",
-        "fetch_kuka_lbr_med7",
-        "fetch_staubli_tx40",
-        "fetch_tflex_1dof",
-        "fetch_tiago",
-        "fetch_unitree_go2",
-        "fetch_ur5",
-        "remote_files",
-    ),
-    "_simulated": (
-        "SimulatedRecording",
-        "demo_arm_urdf",
-        "joint_range",
-        "load_demo_recording",
-        "make_noisy_regression",
-        "make_robot_recording",
-        "recording_fields",
-        "rigid_torques",
-        "speed_limit",
-        "true_inertias",
-    ),
-}
 __all__ = [
     "Recording",
     "fetch_bam_xl330",
@@ -81,4 +47,28 @@ __all__ = [
     "make_robot_recording",
     "read_recording",
 ]
+# A name is imported when it is asked for: the demonstration needs no loader of others.
+# What is not in __all__ is for tests and benchmarks.
+_MODULES = {
+    ".inspection": ("inspect_recording",),
+    ".recording._reader": ("read_recording",),
+    ".recording._recording": ("Recording",),
+    "_measured": (
+        *(x for x in __all__ if x.startswith("fetch_")),
+        "SETS",
+        "remote_files",
+    ),
+    "_simulated": (
+        "SimulatedRecording",
+        "demo_arm_urdf",
+        "joint_range",
+        "load_demo_recording",
+        "make_noisy_regression",
+        "make_robot_recording",
+        "recording_fields",
+        "rigid_torques",
+        "speed_limit",
+        "true_inertias",
+    ),
+}
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -209,30 +209,14 @@ def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
 
 
 @compiled
-def explicit_step(
-    q,
-    v,
-    a,
-    tau,
-    rate,
-    h,
-    mode,
-    stuck,
-    fast,
-    tolerance,
-    tree,
-    bodies,
-    armature,
-    loaded,
-    table,
-):
+def explicit_step(q, v, a, tau, rate, h, mode, stuck, fast, tolerance, robot):
     # q, v, a: at the beginning; tau, rate (nv,): torques there, and what they
     # change by in a second; h: length of the step [s]; fast (nv,): fastest speeds, in
-    # units of which `tolerance` is; loaded (nv, 10): bodies that load the joints; the
-    # rest as `bodies_at` and `accelerate`.
+    # units of which `tolerance` is; robot: tree, bodies, armature, bodies that load the
+    # joints (nv, 10) and table, as of `bodies_at` and `accelerate`.
     # Returns q, v at the end, error in units of what is allowed, what
     # `accelerate` writes (5, nv), and M there.
-    nv = q.size
+    nv, (tree, bodies, armature, loaded, table) = q.size, robot
     M, ML, before = np.empty((nv, nv)), np.empty((nv, nv)), a
     effects, load = np.empty(nv), np.empty(nv)
     none = np.zeros(nv)
@@ -255,19 +239,9 @@ def explicit_step(
         bodies_at(new_q, new_v, tree, bodies, armature, M, effects)
         if table.of_load:
             bodies_at(new_q, new_v, tree, loaded, none, ML, load)
+        now, out = tau + step * rate, found[k]
         accelerate(
-            M,
-            effects,
-            ML,
-            load,
-            tau + step * rate,
-            new_q,
-            new_v,
-            mode,
-            stuck,
-            table,
-            before,
-            found[k],
+            M, effects, ML, load, now, new_q, new_v, mode, stuck, table, before, out
         )
         before, speeds[k] = found[k, 0], new_v
     error = step_error(h, a, found[3, 0], found[4, 0], fast, tolerance)
@@ -306,7 +280,8 @@ def smooth_steps(
     # of the steps. Where a step would be stiff, or pass an event, it is left to others.
     # Returns the state and what was found there, time, next step, and their number.
     # tree, table: tuples, as named ones take longer to pass.
-    tree, table = Tree(*tree), _terms.Table(*table)
+    table = _terms.Table(*table)
+    robot = Tree(*tree), bodies, armature, loaded, table
     stiff, tolerance, reserve, shrink, grow, holds, loose = rules
     done, end, least = span
     count = 0
@@ -315,22 +290,9 @@ def smooth_steps(
         h = max(left if step >= left else min(step, 0.5 * left), least)
         if is_stiff(h, M, found[3], found[4], stuck, stiff):
             break
+        now = tau + done * rate
         new_q, new_v, error, new_found, new_M = explicit_step(
-            q,
-            v,
-            found[0],
-            tau + done * rate,
-            rate,
-            h,
-            mode,
-            stuck,
-            fast,
-            tolerance,
-            tree,
-            bodies,
-            armature,
-            loaded,
-            table,
+            q, v, found[0], now, rate, h, mode, stuck, fast, tolerance, robot
         )
         grown = reserve * max(error, 1e-12) ** -0.25
         if not error <= 1:

@@ -103,7 +103,7 @@ class ForwardDynamics:
     def explicit_step(self, q, v, a, *step):
         """Do a compiled step; (q, v, a, error) at its end."""
         # Arguments are those of `explicit_step` in `_compiled`, but the robot.
-        own = *step, *self._robot, self._table
+        own = *step, (*self._robot, self._table)
         q, v, error, found, mass = self.compiled.explicit_step(q, v, a, *own)
         self._set(found, mass)
         return q, v, self.found.a, error

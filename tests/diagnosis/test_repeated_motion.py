@@ -52,8 +52,8 @@ def test_a_curve_of_the_phase_has_no_name(case):
     loop = closed(q, tau, groups)
     assert loop.effects_ == ()
     (motion,) = loop.report_.outcome.findings["repeated"]
-    assert motion.seconds == pytest.approx(PERIOD, abs=0.05)
-    assert motion.count == pytest.approx(TIMES, rel=0.01)
+    assert motion["seconds"] == pytest.approx(PERIOD, abs=0.05)
+    assert motion["count"] == pytest.approx(TIMES, rel=0.01)
     assert "Repeated motion: " in text_of(loop.report_)
     assert loop.report_.has_open_questions
     assert "a longer motion that does not repeat" in text_of(loop.report_)

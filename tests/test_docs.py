@@ -14,27 +14,11 @@ from pathlib import Path
 import pytest
 
 import sklearn_vbjfa
-from sklearn_vbjfa import (
-    datasets,
-    design,
-    diagnosis,
-    distributed,
-    effects,
-    gravity,
-    robot,
-)
 from tests.test_imports import APART, ROOMS
 
-PUBLIC_MODULES = (
-    sklearn_vbjfa,
-    datasets,
-    design,
-    diagnosis,
-    distributed,
-    effects,
-    gravity,
-)
-PUBLIC_MODULES += (robot,)
+PUBLIC_ROOMS = "datasets design diagnosis distributed effects gravity robot".split()
+PUBLIC_MODULES = [importlib.import_module(f"sklearn_vbjfa.{x}") for x in PUBLIC_ROOMS]
+PUBLIC_MODULES.insert(0, sklearn_vbjfa)
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 

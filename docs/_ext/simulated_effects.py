@@ -476,7 +476,7 @@ def _urdf(path, robot):
     """Write a robot as URDF, with its axes."""
     turned = {
         robot.joint_names[effect.joint]: rotation(
-            effect.values @ cross_axes(CorrectedModel(robot.model).axis(effect.joint))
+            effect.values @ cross_axes(CorrectedModel(robot.model).axes[effect.joint])
         )
         for effect in robot.effects
         if isinstance(effect, effects.JointAxis)

@@ -7,7 +7,7 @@ from effect_curves import STYLE
 from simulated_effects import step_reasons
 
 from sklearn_vbjfa.diagnosis.report import style as sheet_of_reports
-from sklearn_vbjfa.effects import Shaped, Stateful
+from sklearn_vbjfa.effects import InModel, Shaped, Stateful
 
 # Attributes of a written file that only accompany others.
 _WITH_OTHERS = {
@@ -65,7 +65,7 @@ def parameters_of(use):
                 how = "derived from the others"
             if isinstance(effect, Shaped) and name in effect.continuous:
                 how = "searched" if name not in fitted else "fitted and searched"
-            if effect.in_model and name in effect.coefficients:
+            if isinstance(effect, InModel) and name in effect.coefficients:
                 how = "fitted iteratively"
             kinds.setdefault(name, (units.replace("^3", "³"), how))
     return kinds

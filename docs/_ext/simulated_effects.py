@@ -262,7 +262,7 @@ def columns_of(effect, motion):
 def torque_of(use, motion):
     """Torque of an effect in use, (n, nv)."""
     coef = np.asarray(use.coef)
-    if use.effect.in_model:
+    if isinstance(use.effect, effects.InModel):
         # Columns are derivatives by the values, of which these are small changes.
         coef = coef - use.effect.nominal
     return columns_of(use.effect, motion) @ coef
@@ -294,7 +294,8 @@ def figure_of(use):
     if with_motion is None:
         others = {"load", "position"} & set(use.effect.depends)
         with_motion = bool(others) and "direction" in use.effect.depends
-        with_motion |= use.effect.with_motion
+        if isinstance(use.effect, effects.Varied):
+            with_motion |= use.effect.with_motion
     way = np.sign(motion.v[:, joint]) if with_motion else 1.0
     drawn = np.flatnonzero(np.isfinite(x))
     # The motion of a short stretch is repeated until there are rows enough.
@@ -407,7 +408,9 @@ def _candidates(joint):
     """Every effect that a search would try on a joint: pairs of name and columns."""
     motion, found = scene().motion, []
     for effect in effects.resolve("all"):
-        places = range(motion.n_joints) if effect.in_model else (joint,)
+        places = (
+            range(motion.n_joints) if isinstance(effect, effects.InModel) else (joint,)
+        )
         for place in places:
             placed = clone(effect).set_params(joint=place)
             if placed.applies(motion):
@@ -447,7 +450,7 @@ def destinations(use):
         # A tendon needs both joints to have it of each other.
         j, k = use.effect.joint, use.effect.other
         used.append((clone(use.effect).set_params(joint=k, other=j), used[0][1]))
-    if use.effect.in_model:
+    if isinstance(use.effect, effects.InModel):
         used = [(use.effect.with_values(use.coef), used[0][1])]
     plain, robot = (_robot(pairs) for pairs in ((), used))
     return tuple(_written(format_, plain, robot) for format_ in (_urdf, _mjcf))
@@ -458,7 +461,7 @@ def _robot(used):
     at = scene()
     corrected = CorrectedModel(at.features.nominal_)
     for effect, _ in used:
-        if effect.in_model:
+        if isinstance(effect, effects.InModel):
             effect.correct(corrected)
     return TorqueModel(
         model=corrected.model,
@@ -523,7 +526,7 @@ def _attributes(path):
 
 def step_reasons(use):
     """Say why `step` leaves an effect out, pairs of a shape and the reason or ""."""
-    if use.effect.in_model:
+    if isinstance(use.effect, effects.InModel):
         return (({}, ""),)
     shapes = use.effect.shapes(scene().motion)
     return tuple(

@@ -21,7 +21,7 @@ import numpy as np
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.effects import available, resolve
+from sklearn_vbjfa.effects import InModel, available, resolve
 
 roll, pitch, gain = np.deg2rad(4.0), np.deg2rad(2.0), 1.15
 recording = make_robot_recording(
@@ -66,7 +66,7 @@ print(search.report_)
 # Without these effects the search explains the torques joint by joint, by effects that
 # the arm does not have, and the error remains above the noise floor.
 
-plain = [effect.name for effect in resolve() if not effect.in_model]
+plain = [effect.name for effect in resolve() if not isinstance(effect, InModel)]
 print(f"left out: {sorted(set(available()) - set(plain))}")
 misled = EffectDiscovery(declared, effects=plain, random_state=0)
 misled.fit(*data, groups=groups)

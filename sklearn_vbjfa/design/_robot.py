@@ -13,7 +13,14 @@ from scipy.linalg import qr
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import or_one
-from sklearn_vbjfa.effects import Motion, Rest, RotorInertia, Stateful, resolve
+from sklearn_vbjfa.effects import (
+    InModel,
+    Motion,
+    Rest,
+    RotorInertia,
+    Stateful,
+    resolve,
+)
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
 from sklearn_vbjfa.equations._plan import cutoff_of
 from sklearn_vbjfa.model import is_prismatic, joint_names, nominal_parameters
@@ -84,7 +91,7 @@ class KnownRobot:
         coefficients = list(friction.reshape(-1, 1))
         for effect, values in zip(robot.effects_, robot.split(robot.theta_)):
             # The model itself holds those that are in it.
-            if not effect.in_model:
+            if not isinstance(effect, InModel):
                 effects.append(effect)
                 coefficients.append(np.atleast_1d(values))
         variance = getattr(robot.plan.state_estimator, "noise_variance_", np.zeros(nv))
@@ -174,12 +181,7 @@ class EffectColumns:
 
     def everywhere(self, motion):
         """Columns on all joints (n, nv, k)."""
-        columns = self.effect.columns(motion)
-        if self.effect.whole_robot:
-            return columns
-        spread = np.zeros((len(columns), motion.n_joints, columns.shape[1]))
-        spread[:, self.effect.joint] = columns
-        return spread
+        return self.effect.in_all(self.effect.columns(motion), motion.n_joints)
 
     def contracted(self, motion, slopes):
         """Sum of the columns times derivatives by rows (n_joints, k, n), (n,)."""
@@ -259,15 +261,12 @@ class EquationModel:
         for one in self.effects:
             span = range(first, first + len(one.effect.coefficients))
             self.spans.append(slice(span.start, span.stop))
-            for j in self._joints_of(one):
+            for j in one.effect.acts_on(self.nv):
                 places[j] += span
             first = span.stop
         ends = [self.base.size, *(span.stop for span in self.spans)]
         self.n_model, self.n_columns = ends[self.n_members], ends[-1]
         self.places = tuple(np.array(columns, dtype=int) for columns in places)
-
-    def _joints_of(self, one):
-        return range(self.nv) if one.effect.whole_robot else [one.effect.joint]
 
     def _motion(self, states, entries, t=None):
         """Signals of states, with the load of the bodies."""
@@ -295,10 +294,9 @@ class EquationModel:
         motion = self._motion(states, entries, t)
         rows = [[entries[kept]] for kept in self._kept_of]
         for one in self.effects:
-            columns = one.effect.columns(motion)
-            columns = columns if one.effect.whole_robot else columns[:, None]
-            for k, j in enumerate(self._joints_of(one)):
-                rows[j].append(columns[:, k].T)
+            columns = one.everywhere(motion)
+            for j in one.effect.acts_on(self.nv):
+                rows[j].append(columns[:, j].T)
         return MotionEquations(states, tuple(map(np.concatenate, rows)), motion)
 
     def pulled_back(self, equations, by_rows, z, basis):
@@ -311,7 +309,7 @@ class EquationModel:
         by_load = np.zeros((len(motion.q), self.nv))
         row = [len(kept) for kept in self._kept_of]
         for one in self.effects:
-            joints, width = self._joints_of(one), len(one.effect.coefficients)
+            joints, width = one.effect.acts_on(self.nv), len(one.effect.coefficients)
             slopes = np.array([by_rows[j][row[j] : row[j] + width] for j in joints])
             for j in joints:
                 row[j] += width

@@ -16,9 +16,12 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.effects._position import Spring
 
 _MODULES = {
-    "_base": "POSITION SPEED TORQUE Effect InFiles OfTime Shaped Stateful",
+    "_base": """
+        POSITION SPEED TORQUE Bank Converted Effect InFiles OfRobot OfSignals OfTime
+        OnAllJoints Shaped Stateful Sudden
+    """,
     "_channels": "Delay Jerk OfChannel TorqueFilter low_pass smooth",
-    "_drive": "Coupling CouplingSpring Elastic RotorInertia",
+    "_drive": "Coupling CouplingSpring Elastic RotorInertia ToAnother",
     "_friction": """
         AsymmetricFriction Coulomb GearLoss LoadFriction Stribeck Viscous
         ViscousQuadratic
@@ -36,7 +39,7 @@ _MODULES = {
     """,
     "_position": "Counterbalance FrictionByPosition Offset Ripple Spring",
     "_unnamed": "UnnamedTorque",
-    "_varying": "Drift Payload Signal",
+    "_varying": "Drift Payload Signal Varied",
 }
 __all__ = [
     "BaseTilt",

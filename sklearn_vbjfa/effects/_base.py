@@ -21,7 +21,7 @@ ANGLE, RATIO = ("rad", "rad"), ("", "")
 # A subclass with one of these has another torque than its base: what its base says of
 # that torque elsewhere does not hold for it.
 _TORQUE = frozenset({"law", "columns"})
-_OF_TORQUE = frozenset({"law", "terms", "simulated", "not_simulated", "files", "alike"})
+_OF_TORQUE = frozenset({"law", "terms", "simulated", "files", "alike"})
 # Signals of a `Motion` that an effect may need, in words.
 _BODIES = "the rigid-body dynamics"
 _NEEDS = {
@@ -37,8 +37,9 @@ _NONE = "the format has no such torque"
 
 @dataclass(frozen=True, kw_only=True)
 class InFiles:
-    """What files of other programs have of an effect."""
+    """What simulations and files of other programs have of an effect."""
 
+    simulation: str = ""  # why a simulation leaves it out, if it does
     urdf: str = _NONE  # what URDF lacks of it; empty if all of it is there
     mjcf: str = _NONE  # what MJCF lacks of it
     # what MJCF has: "constant", "spring" or "ref", with the coefficient
@@ -56,9 +57,12 @@ class Effect(TransformerMixin, BaseEstimator):
     """Base class of joint torques that are linear in their coefficients.
 
     A subclass needs `name`, `coefficients`, `units`, and its torque as `law` or
-    `columns`; all other attributes have defaults. Further base classes: `Shaped` has
-    shape parameters, `Stateful` has memory, `OfTime` changes with time, `InModel`
-    corrects the rigid-body model. Instances are passed to
+    `columns`; all other attributes have defaults. Its base classes say of what kind it
+    is: `Shaped` has shape parameters, `Converted` has other parameters than its
+    coefficients, `Stateful` has memory, as a `Bank` of elements, `OfTime` changes with
+    time, at an instant if it is `Sudden`, `OfSignals` with recorded signals, `InModel`
+    corrects the rigid-body model, `OnAllJoints` acts on other joints, and `OfRobot`
+    belongs to none. Instances are passed to
     ``EffectDiscovery(effects=[...])`` and ``RobotIdentifier(effects=[...])``.
 
     Parameters
@@ -74,8 +78,6 @@ class Effect(TransformerMixin, BaseEstimator):
     coefficients, units : tuple
         Symbols of the linear coefficients, one for each column, and their units, each
         for a revolute and for a prismatic joint.
-    named_units : tuple of (str, (str, str))
-        Symbols and units of what `parameters` returns, if not the coefficients.
     nonnegative : tuple of str
         Coefficients that physics requires to be nonnegative: a search rejects others.
     contains : tuple of str
@@ -84,25 +86,18 @@ class Effect(TransformerMixin, BaseEstimator):
         What it requires besides the states.
     depends : tuple of {"position", "speed", "load", "direction"}
         Quantities of its joint with which its columns grow: beyond a margin outside the
-        range of the fit, predictions hold the torque constant, unless it is `bounded`.
+        range of the fit, predictions hold the torque constant.
+    bounded : bool
+        Whether they do not, since the torque is bounded by itself.
     record : str
         What a recording must contain for the effect to be identifiable, and to be
         distinguished from its rivals.
-    with_motion : bool
-        Whether it is friction although it does not depend on speed or direction.
     terms : tuple of (str, str, ...)
         Terms of the compiled forward dynamics, with coefficients and shape parameters.
-        Without them a simulation leaves it out, for the reason `not_simulated`.
     files : InFiles
-        What URDF and MJCF files hold of it.
+        What simulations, URDF and MJCF files have of it.
     alike : bool
         Whether a mirrored joint has the same coefficients.
-    bank : bool
-        Whether its columns are elements of positive size in place of Coulomb friction:
-        a search leaves out the others, and rows at rest are fitted.
-    whole_robot, scope : bool, {"joint", "robot"}
-        Whether it acts on all joints, with columns of shape (n, nv, k), and belongs to
-        none.
 
     Examples
     --------
@@ -124,36 +119,15 @@ class Effect(TransformerMixin, BaseEstimator):
     formula = ""
     coefficients: tuple[str, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
-    named_units: tuple = ()
     record = "motion of the joint"
-    # In a search.
     contains: tuple[str, ...] = ()
     nonnegative: tuple[str, ...] = ()
-    bank = False
-    # Shape parameters, see `Shaped`.
-    continuous: tuple[str, ...] = ()
-    averaged: tuple = ()
-    jumping: tuple[str, ...] = ()
-    split_by: tuple[str, ...] = ()
-    # What its columns are made from, and where predictions follow them.
     needs: tuple[str, ...] = ()
-    recorded: tuple[str, ...] = ()  # names of the recorded signals that it uses
     depends: tuple[str, ...] = ()
     bounded = False
-    with_motion = False
-    # In simulations and in files of other programs.
     terms: tuple = ()
-    not_simulated = ""
     files = InFiles()
-    # Kinds.
-    partners: tuple[str, ...] = ()  # parameters that are numbers of other joints
-    choices: tuple = ()  # parameters with few values, and these
     alike = False
-    whole_robot = False
-    scope = "joint"
-    tuned: tuple[str, ...] = ()  # parameters that do not make it another use
-    in_model = False  # see `InModel`
-    slow = False  # it could imitate whatever changes slowly, see `OfTime`
 
     def __init_subclass__(cls, **kwargs):
         super().__init_subclass__(**kwargs)
@@ -179,7 +153,7 @@ class Effect(TransformerMixin, BaseEstimator):
     def columns(self, motion):
         """Return one column for each coefficient (n, k); by default those of the `law`.
 
-        Those of a `whole_robot` effect are of shape (n, nv, k).
+        Those of an effect `OnAllJoints` are of shape (n, nv, k).
         """
         law = self.law(Arrays(motion.rest))
         if law is None:
@@ -204,11 +178,6 @@ class Effect(TransformerMixin, BaseEstimator):
     def shapes(self, motion):
         """Shape parameters to search, a list of dicts for `set_params`."""
         return [{}]
-
-    def forms(self):
-        """Return the effect with each value of what is `averaged`, a list."""
-        name, values = self.averaged or ("", ())
-        return [clone(self).set_params(**{name: value}) for value in values]
 
     def first_shapes(self, motion):
         """Those of `shapes` that a search compares with other effects."""
@@ -263,12 +232,11 @@ class Effect(TransformerMixin, BaseEstimator):
 
     def parameter_units(self, prismatic=False):
         """Units of `parameters` and of the shape parameters, symbol -> unit."""
-        named = self.named_units or zip(self.coefficients, self.units)
-        return {name: units[int(bool(prismatic))] for name, units in named}
+        return _of_kind(zip(self.coefficients, self.units), prismatic)
 
     def prefix(self, joint_name):
         """Return the beginning of the names of its parameters."""
-        return self.name if self.scope == "robot" else f"{joint_name}:{self.name}"
+        return f"{joint_name}:{self.name}"
 
     @property
     def constant(self):
@@ -282,10 +250,7 @@ class Effect(TransformerMixin, BaseEstimator):
 
         ``joint_label`` turns a joint, counted from zero, into its label.
         """
-        chosen = [joint_label(shape[name]) for name in cls.partners if name in shape]
-        chosen += [
-            value for value in shape.values() if isinstance(value, str) and value
-        ]
+        chosen = [value for value in shape.values() if isinstance(value, str) and value]
         label = cls.label or cls.name.replace("_", " ")
         return f"{label} ({', '.join(chosen)})" if chosen else label
 
@@ -304,26 +269,45 @@ class Effect(TransformerMixin, BaseEstimator):
         return shape
 
     def check(self):
-        """Raise ValueError for a joint that is not an integer, or a bad choice."""
+        """Raise ValueError for a joint that is not an integer."""
         if isinstance(self.joint, bool) or not isinstance(self.joint, Integral):
             raise ValueError(
                 f"joint must be an integer, counted from zero; got {self.joint!r}."
             )
-        for name, known in self.choices:
-            if getattr(self, name) not in known:
-                raise ValueError(
-                    f"{name} of {self.name} must be one of {list(known)}; got "
-                    f"{getattr(self, name)!r}."
-                )
+
+    @property
+    def joints(self):
+        """Joints that it names, a tuple."""
+        return (self.joint,)
+
+    def acts_on(self, nv):
+        """Return the joints whose torque it changes, a list."""
+        return [self.joint]
+
+    def in_all(self, columns, nv):
+        """Return its columns in the torques of all joints, (n, nv, k)."""
+        out = np.zeros((len(columns), nv, columns.shape[-1]))
+        out[:, self.joint] = columns
+        return out
 
     def check_joints(self, nv):
         """Raise ValueError for joints that a robot with `nv` of them has not."""
-        for joint in (self.joint, *(getattr(self, name) for name in self.partners)):
+        for joint in self.joints:
             if not 0 <= joint < nv:
                 raise ValueError(
                     f"effects names joint {joint} for {self.name}; expected 0 to "
                     f"{nv - 1}, for {nv} joint(s)."
                 )
+
+    @property
+    def tuned(self):
+        """Parameters that do not make it another use, a tuple."""
+        return ()
+
+    @property
+    def slow(self):
+        """Whether it could imitate whatever changes slowly."""
+        return isinstance(self, OfTime)
 
     def key(self):
         """Tell two uses of the effect apart: all but what is `tuned`."""
@@ -413,21 +397,36 @@ class Shaped(Effect):
         Continuous ones with which the torque changes in single rows.
     cyclic : tuple of str
         Angles [rad], the same again after a turn.
-    jumping : tuple of str
-        Instants at which the torque jumps: they get no interval.
+    choices : tuple of (str, tuple)
+        Those with few values, and these.
     split_by : tuple of str
         Those that make it another effect to an engineer (which signal): where several
         explain as much as the best, a search reports them as its rivals.
     """
 
     shape_units: tuple = ()
+    continuous: tuple[str, ...] = ()
     positive: tuple[str, ...] = ()
+    averaged: tuple = ()
     coarse: tuple[str, ...] = ()
     cyclic: tuple[str, ...] = ()
+    choices: tuple = ()
+    split_by: tuple[str, ...] = ()
+
+    def forms(self):
+        """Return the effect with each value of what is `averaged`, a list."""
+        name, values = self.averaged or ("", ())
+        return [clone(self).set_params(**{name: value}) for value in values]
 
     def check(self):
-        """Raise ValueError for shape parameters out of range, too."""
+        """Raise ValueError for bad choices and shape parameters out of range, too."""
         super().check()
+        for name, known in self.choices:
+            if getattr(self, name) not in known:
+                raise ValueError(
+                    f"{name} of {self.name} must be one of {list(known)}; got "
+                    f"{getattr(self, name)!r}."
+                )
         for name in self.positive:
             found = getattr(self, name)
             for value in found if isinstance(found, (tuple, list)) else [found]:
@@ -442,8 +441,23 @@ class Shaped(Effect):
         return self.continuous
 
     def parameter_units(self, prismatic=False):
-        units = {name: both[int(bool(prismatic))] for name, both in self.shape_units}
-        return super().parameter_units(prismatic) | units
+        own = _of_kind(self.shape_units, prismatic)
+        return super().parameter_units(prismatic) | own
+
+
+class Converted(Effect):
+    """An effect whose `parameters` are others than its coefficients.
+
+    Attributes
+    ----------
+    named_units : tuple of (str, (str, str))
+        Their symbols and units.
+    """
+
+    named_units: tuple = ()
+
+    def parameter_units(self, prismatic=False):
+        return _of_kind(self.named_units, prismatic)
 
 
 class Stateful(Effect):
@@ -454,11 +468,52 @@ class Stateful(Effect):
     """
 
 
+class Bank(Stateful):
+    """Elements of positive size in place of Coulomb friction, one for each column.
+
+    A search leaves out the others, and rows at rest are fitted.
+    """
+
+
 class OfTime(Effect):
     """An effect that changes with time: a search counts its slow changes alone."""
 
-    slow = True
     needs: tuple[str, ...] = ("time",)
+
+
+class Sudden(Shaped, OfTime):
+    """An effect that begins at its shape parameter `instant`, which has no interval."""
+
+    shape_units = (("instant", TIME),)
+    continuous = ("instant",)
+
+
+class OfSignals(Effect):
+    """An effect of recorded signals, with the names of those that it uses."""
+
+    needs = ("signals",)
+    recorded: tuple[str, ...] = ()
+
+
+class OnAllJoints(Effect):
+    """An effect that acts on all joints, with columns of shape (n, nv, k)."""
+
+    def acts_on(self, nv):
+        return list(range(nv))
+
+    def in_all(self, columns, nv):
+        return columns
+
+
+class OfRobot(OnAllJoints):
+    """An effect that belongs to no joint."""
+
+    def prefix(self, joint_name):
+        return self.name
+
+
+def _of_kind(units, prismatic):
+    return {name: both[int(bool(prismatic))] for name, both in units}
 
 
 def _checked(name, values, shape):

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 from sklearn.base import clone
 
-from sklearn_vbjfa.effects._base import TIME, InFiles, Shaped, Stateful
+from sklearn_vbjfa.effects._base import TIME, Converted, InFiles, Shaped, Stateful
 
 # Delays to try [s].
 _DELAYS = (0.001, 0.002, 0.004, 0.008, 0.016, 0.03)
@@ -50,7 +50,7 @@ def smooth(x, dt, time_constant):
     return scipy.signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
 
 
-class OfChannel(Shaped, Stateful):
+class OfChannel(Shaped, Converted, Stateful):
     """What a torque channel reads of another torque than that of the robot.
 
     The column is its change of the model's torque over its shape parameter, a time [s],
@@ -262,7 +262,7 @@ class Jerk(Stateful):
     units = (("N m s^3/rad", "N s^3/m"),)
     needs = ("time",)
     record = "fast changes of the acceleration"
-    not_simulated = "it represents a lag of a channel or flexibility"
+    files = InFiles(simulation="it represents a lag of a channel or flexibility")
 
     def columns(self, motion):
         return motion.derivative(motion.a[:, [self.joint]])

@@ -10,8 +10,10 @@ from sklearn_vbjfa.effects._base import (
     STIFFNESS,
     TORQUE,
     VISCOSITY,
+    Converted,
     Effect,
     InFiles,
+    OnAllJoints,
     Shaped,
     Stateful,
 )
@@ -50,14 +52,21 @@ class RotorInertia(Effect):
         return lambda state: (state.a[j],)
 
 
-class _ToAnother(Shaped):
+class ToAnother(Shaped):
     """An effect of the motion of a second joint."""
-
-    partners = ("other",)
 
     def __init__(self, joint=0, other=1):
         super().__init__(joint)
         self.other = other
+
+    @property
+    def joints(self):
+        return self.joint, self.other
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        named = {name: joint_label(shape[name]) for name in {"other"} & shape.keys()}
+        return super().describe({**shape, **named}, joint_label)
 
     def applies(self, motion):
         if motion.n_joints < 2:
@@ -77,7 +86,7 @@ class _ToAnother(Shaped):
         return [{"other": other} for other in others if other != self.joint]
 
 
-class Coupling(_ToAnother):
+class Coupling(ToAnother):
     """Friction and inertia due to the motion of a second joint.
 
     tau = Fvm w + Fcm sign(w) + Iam dw/dt, where w is the other joint's velocity plus
@@ -146,7 +155,7 @@ class Coupling(_ToAnother):
         ]
 
 
-class CouplingSpring(_ToAnother):
+class CouplingSpring(ToAnother, Converted, OnAllJoints):
     """Spring over two joints, such as a tendon, tau = k (q - ratio q_other - q0).
 
     It acts on the other joint with -ratio times that torque, as its energy is that of
@@ -169,7 +178,6 @@ class CouplingSpring(_ToAnother):
     shape_units = (("ratio", RATIO),)
     contains = ("offset",)
     continuous = ("ratio",)
-    whole_robot = True
     record = "each joint moving alone through a wide range"
 
     def __init__(self, joint=0, other=1, ratio=1.0):
@@ -203,7 +211,7 @@ class CouplingSpring(_ToAnother):
     parameters = Spring.parameters
 
 
-class Elastic(Stateful):
+class Elastic(Converted, Stateful, OnAllJoints):
     """Elastic joint seen from the motor, with the compliance 1/k as coefficient.
 
     Positions are measured at the motor and the link lags by tau / k, so that to first
@@ -224,10 +232,9 @@ class Elastic(Stateful):
     named_units = (("k", STIFFNESS),)
     needs = ("bodies", "load", "time")
     record = "fast motion, from a tenth of the elastic frequency"
-    not_simulated = (
-        "a first-order correction of the torque, which has no forward dynamics"
+    files = InFiles(
+        simulation="a first-order correction of the torque, without forward dynamics"
     )
-    whole_robot = True
 
     def columns(self, motion):
         j = self.joint

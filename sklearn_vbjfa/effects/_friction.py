@@ -213,7 +213,7 @@ class GearLoss(LoadFriction):
     coefficients = nonnegative = ("mud", "mub")
     units = (RATIO, RATIO)
     contains = ("load_friction", "coulomb", "viscous")
-    not_simulated = "its direction of power depends on the accelerations"
+    files = InFiles(simulation="its direction of power depends on the accelerations")
     record = "reversals at loads of both signs"
 
     def law(self, maths):

@@ -13,7 +13,15 @@ from scipy.spatial.transform import Rotation
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._smoothing import interpolate
-from sklearn_vbjfa.effects._base import ANGLE, POSITION, TIME, Effect, InFiles
+from sklearn_vbjfa.effects._base import (
+    ANGLE,
+    POSITION,
+    TIME,
+    Effect,
+    InFiles,
+    OfRobot,
+    OnAllJoints,
+)
 from sklearn_vbjfa.effects._channels import model_torque
 
 # Size of a column beside the largest of its effect below which it is rounding.
@@ -77,7 +85,6 @@ class InModel(Effect):
         Among effects with equal columns the lowest gives its name to all.
     """
 
-    in_model = True
     needs: tuple[str, ...] = ("geometry", "load")
     nominal: tuple[float, ...] = ()
     limit = 0.0
@@ -132,7 +139,7 @@ class InModel(Effect):
         )
 
 
-class BaseTilt(InModel):
+class BaseTilt(InModel, OfRobot):
     r"""The base is not level: gravity points elsewhere in its frame.
 
     Gravity in the frame of the base is g = R_y(pitch) R_x(roll) g_0, with g_0 that of
@@ -158,8 +165,6 @@ class BaseTilt(InModel):
     units = (ANGLE, ANGLE)
     nominal = (0.0, 0.0)
     limit = np.deg2rad(15.0)
-    whole_robot = True
-    scope = "robot"
     record = "the base measured with a level, or moves of the first joint"
 
     def __init__(self, joint=0, roll=0.0, pitch=0.0):
@@ -195,7 +200,7 @@ class BaseTilt(InModel):
         return without_rounding(motion.derivatives.by_gravity() @ np.transpose(changes))
 
 
-class JointZero(InModel):
+class JointZero(InModel, OnAllJoints):
     r"""The zero of an encoder is off: it reads the position plus a constant.
 
     q = q_measured - zero, in everything that the rigid bodies do; velocity and
@@ -219,7 +224,6 @@ class JointZero(InModel):
     units = (POSITION,)
     nominal = (0.0,)
     limit = np.deg2rad(15.0)  # [rad], or as many metres
-    whole_robot = True
     precedence = 1
     record = "the joint at a mechanical reference, or moves of its neighbours"
 
@@ -234,7 +238,7 @@ class JointZero(InModel):
         return -motion.derivatives.by_position(self.joint)[:, :, None]
 
 
-class JointAxis(InModel):
+class JointAxis(InModel, OnAllJoints):
     r"""The axis of a joint is not where the robot description has it.
 
     The placement M of the joint, in what carries it, is M exp(w) with the rotation
@@ -262,7 +266,6 @@ class JointAxis(InModel):
     units = (ANGLE, ANGLE)
     nominal = (0.0, 0.0)
     limit = np.deg2rad(10.0)
-    whole_robot = True
     precedence = 2
     record = "moves of the joints before it, in several poses of the joint"
 
@@ -342,7 +345,7 @@ class TorqueGain(InModel):
         return model_torque(motion, self.joint)[:, None] / self.gain
 
 
-class _OfTheClock(InModel):
+class _OfTheClock(InModel, OfRobot):
     """A delay of all channels [s]: it corrects times, and not the robot model."""
 
     units = (TIME,)
@@ -350,8 +353,6 @@ class _OfTheClock(InModel):
     limit = 0.1
     of_bodies = False
     needs = ("command",)
-    whole_robot = True
-    scope = "robot"
     beginning = ""  # of the names of its parameters
     way = 1.0  # whether the torques by commands act later or earlier
 

@@ -11,6 +11,8 @@ from sklearn_vbjfa.effects._base import (
     SPEED,
     STIFFNESS,
     TORQUE,
+    Bank,
+    Converted,
     InFiles,
     Shaped,
     Stateful,
@@ -102,7 +104,7 @@ def _play(q, half):
         q[i] = min(max(q[i - 1], q[i] - half), q[i] + half)
 
 
-class MaxwellSlip(Shaped, Stateful):
+class MaxwellSlip(Shaped, Converted, Bank):
     """Dry friction with memory, tau = sum_k F_k z_k of elements that stick and slip.
 
     Moving forward each element sticks up to a displacement d_k and then slips at its
@@ -145,7 +147,6 @@ class MaxwellSlip(Shaped, Stateful):
     positive = (*_BANKS, "vs")
     tuned = (*positive, "element")
     choices = (("element", ("stop", "bristle")),)
-    bank = True
     record = "many reversals, after short and long moves"
     files = InFiles(
         parameter="coulomb",

@@ -9,6 +9,7 @@ from sklearn_vbjfa.effects._base import (
     RATIO,
     STIFFNESS,
     TORQUE,
+    Converted,
     Effect,
     InFiles,
     Shaped,
@@ -45,7 +46,7 @@ class Offset(Effect):
         return lambda state: (1.0,)
 
 
-class Spring(Effect):
+class Spring(Converted):
     """Linear spring, tau = k (q - q0): balancing springs, hoses, cables, flexures.
 
     It is the torque that the drive must produce; the spring's is -k (q - q0). Source:
@@ -181,7 +182,7 @@ class Counterbalance(Shaped):
         return [{"form": "harmonics"}, *linkages]
 
 
-class Ripple(Shaped):
+class Ripple(Shaped, Converted):
     """Periodic torque, tau = A cos(2 pi q / period - phase).
 
     Cogging of motors, teeth of gears, the waves of a harmonic drive. A joint may have

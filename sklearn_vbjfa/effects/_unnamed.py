@@ -41,7 +41,6 @@ class UnnamedTorque(Stateful):
     coefficients = nonnegative = ("share",)
     units = (RATIO,)
     kinds = ("speed", "load", "memory", "position")
-    choices = (("of", kinds),)
 
     def __init__(self, joint=0, of="speed", weights=(), reach=1.0, fast=1.0):
         super().__init__(joint)

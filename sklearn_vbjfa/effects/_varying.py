@@ -2,7 +2,17 @@
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import TIME, TORQUE, VISCOSITY, InFiles, OfTime, Shaped
+from sklearn_vbjfa.effects._base import (
+    TIME,
+    TORQUE,
+    VISCOSITY,
+    InFiles,
+    OfSignals,
+    OfTime,
+    OnAllJoints,
+    Shaped,
+    Sudden,
+)
 from sklearn_vbjfa.effects._motion import Floats, State
 
 # What may vary, and the units of its coefficient.
@@ -15,7 +25,7 @@ _INSTANTS = 24
 _FARTHEST = 1.0
 
 
-class _Varied(Shaped):
+class Varied(Shaped):
     """Friction or offset times a `_factor`, a function of a `State`."""
 
     contains = ("offset", "coulomb", "viscous")
@@ -23,6 +33,7 @@ class _Varied(Shaped):
 
     @property
     def with_motion(self):
+        """Whether it is friction."""
         return self.of != "offset"
 
     def law(self, maths):
@@ -38,13 +49,13 @@ class _Varied(Shaped):
 
         def level(t, signals):
             known = t if table.since is None else max(t, table.since)
-            own = {name: signals(name, t) for name in self.recorded}
+            own = {name: signals(name, t) for name in getattr(self, "recorded", ())}
             return size * factor(State(known_t=known, signals=own))
 
         return table.add_level(self.joint, self.of, level)
 
 
-class Drift(_Varied, OfTime):
+class Drift(Varied, OfTime):
     """Friction or offset that changes while the robot warms up.
 
     tau = D exp(-t / T) times 1, sign(v) or v: the grease gets thinner, the strain gauge
@@ -95,7 +106,7 @@ class Drift(_Varied, OfTime):
         ]
 
 
-class Signal(_Varied):
+class Signal(Varied, OfSignals):
     """Friction or offset that varies with a recorded signal.
 
     tau = k (s - reference) times 1, sign(v) or v: s is a recorded column, such as the
@@ -123,7 +134,6 @@ class Signal(_Varied):
         r" f = \mathrm{sign}(v),\ 1\ \text{or}\ v"
     )
     coefficients = ("k",)
-    needs = ("signals",)
     split_by = ("signal", "of")
     tuned = ("reference",)  # another one is the same but for the plainer effect
     record = "the same motion at several values of the signal, rising and falling"
@@ -176,7 +186,7 @@ class Signal(_Varied):
         ]
 
 
-class Payload(Shaped, OfTime):
+class Payload(Sudden, OnAllJoints):
     """The last body's mass and first moments change at an instant.
 
     tau = Phi_n(q, v, a) (dm, dmcx, dmcy, dmcz, dI) for t >= instant, with the columns
@@ -203,12 +213,9 @@ class Payload(Shaped, OfTime):
     )
     coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
-    shape_units = (("instant", TIME),)
-    continuous = jumping = ("instant",)
     needs = ("last_body", "time")
     record = "motion against gravity with and without payload"
     files = InFiles.nowhere("a change at an instant; the file has the robot before it")
-    whole_robot = True
 
     def __init__(self, joint=0, instant=0.0, centre=(0.0, 0.0, 0.0)):
         super().__init__(joint)

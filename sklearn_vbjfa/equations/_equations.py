@@ -13,7 +13,14 @@ from sklearn_vbjfa._core._lowpass import (
 )
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa._core._threads import one_blas_thread
-from sklearn_vbjfa.effects import Motion, declared_columns, own_motions
+from sklearn_vbjfa.effects import (
+    Bank,
+    InModel,
+    Motion,
+    OnAllJoints,
+    declared_columns,
+    own_motions,
+)
 from sklearn_vbjfa.equations._joint_moments import (
     BlockAssignment,
     MomentSums,
@@ -130,14 +137,14 @@ def make_motion(
         for effect, held in zip(effects, own_motions(effects, ranges, motion)):
             if is_plain(effect):
                 own, coefs = np.split(coefs, [len(effect.coefficients)])
-                which = slice(None) if effect.whole_robot else effect.joint
+                which = slice(None) if isinstance(effect, OnAllJoints) else effect.joint
                 torque[:, which] += effect.columns(held) @ own
     return motion
 
 
 def is_plain(effect):
     """Whether an effect needs no load, so that its torque is part of the load's."""
-    return "load" not in effect.needs and not effect.in_model
+    return "load" not in effect.needs and not isinstance(effect, InModel)
 
 
 def plain_coefficients(effects, coefs):
@@ -170,8 +177,7 @@ class RegressorRows:
         used = [np.flatnonzero(self.support)]
         for effect, values in self.columns:
             stop = at + values.shape[-1]
-            joints = np.arange(self.n_joints) if effect.whole_robot else [effect.joint]
-            own = np.ix_(joints, np.arange(at, stop))
+            own = np.ix_(effect.acts_on(self.n_joints), np.arange(at, stop))
             self.support[own] = True
             used.append(np.ravel_multi_index(own, self.support.shape).ravel())
             at = stop
@@ -276,7 +282,7 @@ class RegressorRows:
         at = 0
         for effect, columns in self.columns:
             stop = at + columns.shape[-1]
-            which = slice(None) if effect.whole_robot else effect.joint
+            which = slice(None) if isinstance(effect, OnAllJoints) else effect.joint
             torque[:, which] += columns[rows] @ coefs[at:stop]
             at = stop
 
@@ -329,10 +335,12 @@ def _effect_columns(plan, motion, kept):
     found, rest = [], tuple(np.asarray(own, dtype=float).tobytes() for own in rest)
     own_motion = own_motions(plan.effects, plan.ranges, motion)
     for effect, own in zip(plan.effects, own_motion):
-        shape = motion.q.shape if effect.whole_robot else motion.q.shape[:1]
+        shape = (
+            motion.q.shape if isinstance(effect, OnAllJoints) else motion.q.shape[:1]
+        )
         # The values of effects that are in the model are held by it.
         columns = np.broadcast_to(0.0, (*shape, len(effect.coefficients)))
-        if plan.tangents or not effect.in_model:
+        if plan.tangents or not isinstance(effect, InModel):
             reason = effect.applies(motion)
             if reason:
                 raise ValueError(
@@ -616,7 +624,7 @@ def held_columns(features, effects):
                 term = features.friction_.index("offset")
                 found.append(effect.joint * per_joint + first + term)
             taken.add(effect.joint)
-        if effect.bank and "coulomb" in features.friction_:
+        if isinstance(effect, Bank) and "coulomb" in features.friction_:
             term = features.friction_.index("coulomb")
             found.append(effect.joint * per_joint + first + term)
     return found

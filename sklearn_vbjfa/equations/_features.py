@@ -8,8 +8,9 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa.effects import (
-    Effect,
     InFiles,
+    InModel,
+    OnAllJoints,
     check_declared,
     declared,
     declared_columns,
@@ -32,7 +33,7 @@ _MASS, _MOMENT = ("kg", "kg"), ("kg m", "kg m")
 _INERTIA = ("kg m^2", "kg m^2")
 
 
-class Follower(Effect):
+class Follower(OnAllJoints):
     """Body of a joint that follows another joint (mimic), declared automatically."""
 
     # joint: that leads; all joints that carry the body feel it. of: name of the joint
@@ -44,7 +45,6 @@ class Follower(Effect):
     formula = r"A^{\mathsf T}\Phi_f(Aq + b, A\dot q, A\ddot q)\,\pi_f"
     coefficients = INERTIAL_NAMES
     units = (_MASS,) + (_MOMENT,) * 3 + (_INERTIA,) * 6
-    whole_robot = True
     files = InFiles(urdf="", mjcf="")
 
     def __init__(self, joint=0, of="", chain=(), gravity=(0.0, 0.0, -9.81)):
@@ -210,7 +210,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
     def corrected(self, effects):
         """Return features of the robot as some effects correct it."""
         # What channels read is in `gains_`, and not yet in the matrices.
-        corrections = [effect for effect in effects if effect.in_model]
+        corrections = [effect for effect in effects if isinstance(effect, InModel)]
         if not corrections and self.model_ is self.nominal_:
             return self
         robot = CorrectedModel(self.nominal_)

@@ -11,9 +11,11 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa.effects import (
+    Bank,
     CommandDelay,
     Effect,
     EffectRange,
+    InModel,
     Rest,
     TorqueLag,
     resolve,
@@ -126,7 +128,7 @@ class Plan:
 
     def passes(self):
         # Those in the model have no columns in a fit; their values are corrected after.
-        if not needs_load(e for e in self.effects if not e.in_model):
+        if not needs_load(e for e in self.effects if not isinstance(e, InModel)):
             return [self]
         plain = tuple(e for e in self.effects if "load" not in e.needs)
         return [replace(self, effects=plain)] + (_LOAD_PASSES - 1) * [self]
@@ -141,7 +143,7 @@ class Plan:
     def _remembered(self):
         """Joints (nv,), bool, with an effect in place of Coulomb friction."""
         out = np.zeros(self.standstill.size, dtype=bool)
-        out[[e.joint for e in self.effects if e.bank]] = True
+        out[[e.joint for e in self.effects if isinstance(e, Bank)]] = True
         out[list(self.resting)] = True
         return out
 

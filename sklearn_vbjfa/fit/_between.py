@@ -4,7 +4,7 @@ import numpy as np
 
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import block_variance, scaled_eigen
-from sklearn_vbjfa.effects import OfTime
+from sklearn_vbjfa.effects import InModel, OfTime
 from sklearn_vbjfa.equations._joint_moments import weighted_parts
 from sklearn_vbjfa.fit._bodies import DESCRIBED
 from sklearn_vbjfa.fit._estimate import IDENTIFIABLE, noise_variance
@@ -158,7 +158,9 @@ def _places(robot):
     # Values of drives. Bodies do not, nor what may stand for them, and effects of time
     # say themselves how they do.
     def stays(effect):
-        return isinstance(effect, OfTime) or (effect.in_model and effect.of_bodies)
+        return isinstance(effect, OfTime) or (
+            isinstance(effect, InModel) and effect.of_bodies
+        )
 
     rest = ~of_effects(robot, stays)
     rest[body_places(robot)] = False

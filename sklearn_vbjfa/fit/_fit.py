@@ -10,7 +10,7 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._progress import say
-from sklearn_vbjfa.effects import CommandDelay, TorqueLag
+from sklearn_vbjfa.effects import CommandDelay, InModel, TorqueLag
 from sklearn_vbjfa.equations._equations import (
     accumulate,
     build_segments,
@@ -334,7 +334,7 @@ def run_passes(recipe, robot, source, relative, passes, load):
         own = replace(robot, plan=plan, load_parameters=load)
         fit = recipe.of_source(own, source)
         load = fit.robot.parameters_of_load()
-    if any(effect.in_model for effect in robot.effects_):
+    if any(isinstance(effect, InModel) for effect in robot.effects_):
         fit = iterate_corrections(recipe, fit, source, relative)
     return fit
 
@@ -348,7 +348,7 @@ def _load_of(before, robot):
     """Load of a robot fitted before, also beside other effects; None if unknown."""
     if before is None or not needs_load(robot.effects_):
         return None
-    if any(effect.in_model for effect in robot.effects_):
+    if any(isinstance(effect, InModel) for effect in robot.effects_):
         return None
     if before.features_.friction_ != robot.features_.friction_:
         return None
@@ -392,7 +392,7 @@ def iterate_corrections(recipe, fit, source, relative):
         for one in (found.theta, found.theta_unconstrained, found.std)
         + (robot.identifiable_,)
     )
-    held = [one.values for one in robot.effects_ if one.in_model]
+    held = [one.values for one in robot.effects_ if isinstance(one, InModel)]
     theta[own] = unconstrained[own] = np.concatenate(held)
     covariance_of_all = found.covariance
     if not _of_bodies(robot):
@@ -432,7 +432,9 @@ def iterate_corrections(recipe, fit, source, relative):
 
 
 def _of_bodies(robot):
-    return any(effect.in_model and effect.of_bodies for effect in robot.effects_)
+    return any(
+        isinstance(effect, InModel) and effect.of_bodies for effect in robot.effects_
+    )
 
 
 def _corrected(recipe, fit, source, relative):
@@ -467,7 +469,9 @@ def _corrected(recipe, fit, source, relative):
         factor, before = values.longer(factor, before), values.step
         corrected = _at(robot, values.corrected(factor))
     else:
-        names = [effect.name for effect in values.effects if effect.in_model]
+        names = [
+            effect.name for effect in values.effects if isinstance(effect, InModel)
+        ]
         warnings.warn(
             f"The values of {', '.join(dict.fromkeys(names))} did not converge in "
             f"{MOST_CORRECTIONS} corrections (nearly equal columns). Declare fewer.",
@@ -554,7 +558,9 @@ class ModelValues:
         # those of the effects, with derivatives by the values; bodies: as for
         # `plain_estimate`.
         every = effect_places(effects, n_rigid)
-        places = [place for effect, at in every if effect.in_model for place in at]
+        places = [
+            place for effect, at in every if isinstance(effect, InModel) for place in at
+        ]
         found = plain_estimate(moments, joint_weights, bodies)
         shown = found.known[places]
         return cls(
@@ -569,7 +575,7 @@ class ModelValues:
     def stay(self):
         """Whether no value moves by more than a tenth of its standard error."""
         # One at the end of what is plausible stays where it would go on outwards.
-        own = [effect for effect in self.effects if effect.in_model]
+        own = [effect for effect in self.effects if isinstance(effect, InModel)]
         low, high = (np.concatenate(x) for x in zip(*[e.bounds() for e in own]))
         with np.errstate(invalid="ignore"):
             least = np.maximum(STAYS * self.std, _ROUNDING * (high - low))
@@ -613,7 +619,7 @@ class ModelValues:
         """Return the effects with corrected values, within those that are plausible."""
         found, at = [], 0
         for effect in self.effects:
-            if effect.in_model:
+            if isinstance(effect, InModel):
                 own = slice(at, at + len(effect.coefficients))
                 step = (factor * self.step)[own]
                 at += len(effect.coefficients)

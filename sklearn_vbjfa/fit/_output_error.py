@@ -20,7 +20,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
-from sklearn_vbjfa.effects import OfChannel
+from sklearn_vbjfa.effects import InModel, OfChannel
 from sklearn_vbjfa.equations._equations import regressor_rows
 from sklearn_vbjfa.fit._estimate import project
 from sklearn_vbjfa.recording import take_rows
@@ -429,7 +429,9 @@ def slopes(predictor, recording, states):
 def held_parameters(predictor):
     """Return which parameters (p,) a simulation does not depend on as columns."""
     # Values of effects in the model, and effects that a simulation leaves out.
-    return of_effects(predictor, lambda e: e.in_model or bool(e.not_simulated))
+    return of_effects(
+        predictor, lambda e: isinstance(e, InModel) or bool(e.files.simulation)
+    )
 
 
 def propagate(found, states, dt):

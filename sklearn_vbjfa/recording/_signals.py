@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sklearn_vbjfa.effects import OfSignals
 from sklearn_vbjfa.recording._drives import COMMANDS, OF_MOTORS
 from sklearn_vbjfa.recording._table import quoted
 
@@ -158,7 +159,7 @@ def _asked_for(effects, given, offered, n_samples):
 
 
 def _users(effects):
-    return [effect for effect in effects if "signals" in effect.needs]
+    return [effect for effect in effects if isinstance(effect, OfSignals)]
 
 
 def signals_for(effects, given, offered, n_samples):

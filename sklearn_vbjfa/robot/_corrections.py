@@ -4,7 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain, cross_axes
+from sklearn_vbjfa.effects import (
+    BaseTilt,
+    InModel,
+    JointAxis,
+    JointZero,
+    TorqueGain,
+    cross_axes,
+)
 from sklearn_vbjfa.model import (
     CorrectedModel,
     import_pinocchio,
@@ -36,7 +43,7 @@ def _corrected(robot):
     """Return the `CorrectedModel` of a fitted robot, with the turns it has."""
     made = CorrectedModel(robot.features_.nominal_)
     for effect in robot.effects_:
-        if effect.in_model:
+        if isinstance(effect, InModel):
             effect.correct(made)
     return made
 

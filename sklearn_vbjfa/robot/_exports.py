@@ -6,7 +6,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from sklearn_vbjfa.effects import CommandDelay, OfChannel, OfTime
+from sklearn_vbjfa.effects import (
+    CommandDelay,
+    InModel,
+    OfChannel,
+    OfSignals,
+    OfTime,
+    OnAllJoints,
+    ToAnother,
+)
 from sklearn_vbjfa.equations._features import follower_parameters, following_joints
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._dynamics import CorrectedModel
@@ -193,7 +201,7 @@ def _left_of_urdf(account):
     for effect, coef in account.uses:
         if not effect.files.urdf:
             continue
-        if effect.in_model:
+        if isinstance(effect, InModel):
             coef = effect.values - effect.nominal
         account.leave_effect(effect, coef, effect.files.urdf)
 
@@ -214,7 +222,7 @@ def _mjcf_dynamics(account, servo=None):
         # In the sums; in the model, in the gains, or a body of its own.
         if not (effect.files.mjcf or effect.files.places):
             continue
-        if effect.in_model:
+        if isinstance(effect, InModel):
             coef = effect.values - effect.nominal
         if isinstance(effect, CommandDelay) and servo is not None:
             if effect.delay < 0:
@@ -259,7 +267,7 @@ _ROUNDING = 1e-9
 
 def without_place(effect, coef):
     """Coefficients (k,) of a law of motion that MJCF lacks, zero elsewhere."""
-    others = effect.in_model or effect.whole_robot or "signals" in effect.needs
+    others = isinstance(effect, (InModel, OnAllJoints, OfSignals))
     if others or isinstance(effect, (OfChannel, OfTime)) or not effect.files.mjcf:
         return np.zeros(len(coef))
     held = [name for _, name in effect.files.places]
@@ -295,7 +303,9 @@ def refitted(robot, totals):
     # What another joint does to one is no friction of its own.
     nv, added = len(totals), np.zeros(totals.shape)
     pairs = list(zip(robot.effects_, robot.split(robot.theta_)))
-    left = [without_place(*pair) * (not pair[0].partners) for pair in pairs]
+    left = [
+        without_place(*pair) * (not isinstance(pair[0], ToAnother)) for pair in pairs
+    ]
     if not _is_known(robot) or not any(coef.any() for coef in left):
         return added
     states, moves = typical_motion(robot.effect_ranges_, nv, robot.plan.dt)
@@ -332,7 +342,7 @@ def warn_of_motion(robot, joints, file_name):
     if not _is_known(robot) or not any(coef.any() for coef in left):
         return
     plain = [
-        not (isinstance(effect, (OfChannel, OfTime)) or "signals" in effect.needs)
+        not (isinstance(effect, (OfChannel, OfTime, OfSignals)))
         for effect in model.effects
     ]
     model = replace(

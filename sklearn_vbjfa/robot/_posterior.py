@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 from sklearn.utils import check_random_state
 
-from sklearn_vbjfa.effects import declared
+from sklearn_vbjfa.effects import InModel, declared
 from sklearn_vbjfa.equations._features import Follower
 from sklearn_vbjfa.equations._plan import effect_places
 from sklearn_vbjfa.physical import Options, PhysicalProjector
@@ -218,7 +218,7 @@ class Posterior:
 
 def of_the_model(robot):
     """Parameters (p,), bool, that are values of effects in the model."""
-    return of_effects(robot, lambda effect: effect.in_model)
+    return of_effects(robot, lambda effect: isinstance(effect, InModel))
 
 
 def body_places(robot):

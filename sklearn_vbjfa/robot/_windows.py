@@ -307,7 +307,7 @@ _JITTER = 1e-9
 
 def unfollowed(effect):
     """Why a simulation under a drive goes without an effect; "" if it does not."""
-    return effect.not_simulated or (_AT_ONCE if isinstance(effect, OfChannel) else "")
+    return effect.files.simulation or _AT_ONCE * isinstance(effect, OfChannel)
 
 
 class CommandFollower:

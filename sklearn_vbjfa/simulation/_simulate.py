@@ -196,7 +196,7 @@ def _check_inertia(robot, dynamics, q0):
 
 def _warn_left_out(robot, dynamics):
     names, nothing = robot.joint_names, "it has no terms of a simulation"
-    left = [(e, e.not_simulated) for e in robot.effects if e.not_simulated]
+    left = [(e, e.files.simulation) for e in robot.effects if e.files.simulation]
     left += [(effect, nothing) for effect in dynamics.terms.left_out]
     if left:
         left = [f"{e.name} on {names[e.joint]} ({reason})" for e, reason in left]

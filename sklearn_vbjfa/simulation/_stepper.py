@@ -9,8 +9,11 @@ import numpy as np
 from sklearn_vbjfa.effects import (
     HELD,
     Floats,
+    InModel,
     Motion,
     OfChannel,
+    OfSignals,
+    OnAllJoints,
     Payload,
     Rest,
     State,
@@ -44,7 +47,7 @@ class TorqueModel:
     bodies: np.ndarray  # (nv, 10): inertial parameters in Pinocchio's order
     friction_names: tuple  # declared columns, such as ("viscous", "coulomb")
     friction: np.ndarray  # (nv, n_friction): their coefficients
-    effects: tuple = ()  # those in the model (`in_model`) among them
+    effects: tuple = ()  # those in the model (`InModel`) among them
     # Of each effect; those of one in the model act through `model` and `gains` alone.
     coefficients: tuple = ()
     ranges: tuple = ()  # `EffectRange` of each effect or None; empty holds none
@@ -103,7 +106,8 @@ def why_left_out(effect):
 def causal(model):
     """Return a `TorqueModel` without effects that look ahead of a state, and those."""
     reasons = [
-        "" if effect.in_model else why_left_out(effect) for effect in model.effects
+        "" if isinstance(effect, InModel) else why_left_out(effect)
+        for effect in model.effects
     ]
     kept = [k for k, reason in enumerate(reasons) if not reason]
     load = model.load
@@ -147,11 +151,12 @@ class Stepper:
             for effect, coefs, own, held in zip(
                 model.effects, model.coefficients, loads, model.held, strict=True
             )
-            if not effect.in_model
+            if not isinstance(effect, InModel)
         ]
         own = [effect for effect, *_ in pairs]
         self._timed = any("time" in effect.needs for effect in own)
-        self._signals = {name for effect in own for name in effect.recorded}
+        recorded = [one.recorded for one in own if isinstance(one, OfSignals)]
+        self._signals = set().union(*recorded)
         self._payloads = [one for one in pairs if isinstance(one[0], Payload)]
         self._pairs = [one for one in pairs if not isinstance(one[0], Payload)]
         self._needs_load = any("load" in effect.needs for effect in own)
@@ -288,7 +293,7 @@ class _Term:
 
     def __init__(self, columns, effect, coefs, own):
         self._columns, self._joint = columns, effect.joint
-        self._everywhere = effect.whole_robot
+        self._everywhere = isinstance(effect, OnAllJoints)
         self._coefs, self._own = coefs, own
 
     def add(self, row, torque, read):
@@ -385,4 +390,4 @@ class _ByMotion:
             signals={name: np.array([x]) for name, x in row.signals.items()},
         )
         columns = self._columns(motion)[0]
-        return columns if self._effect.whole_robot else columns.tolist()
+        return columns if isinstance(self._effect, OnAllJoints) else columns.tolist()

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_vbjfa.effects import HELD, OfChannel
+from sklearn_vbjfa.effects import HELD, InModel, OfChannel
 
 # Kinds of terms in the table, by the names that effects enter them with.
 _NAMES = (
@@ -89,8 +89,8 @@ class TermTable:
         every = zip(robot.effects, robot.coefficients, robot.held, strict=True)
         for effect, coef, held in every:
             # Those in the model act through it.
-            beside = effect.in_model or isinstance(effect, OfChannel)
-            if beside or effect.not_simulated:
+            beside = isinstance(effect, (InModel, OfChannel))
+            if beside or effect.files.simulation:
                 continue
             effect.check()
             self._ends = _ends(held)

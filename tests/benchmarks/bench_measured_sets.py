@@ -39,7 +39,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.diagnosis.explain import split_in_time
-from sklearn_vbjfa.effects import Shaped
+from sklearn_vbjfa.effects import Shaped, Sudden
 from sklearn_vbjfa.recording import take_arrays, with_torques_shifted
 from sklearn_vbjfa.robot import FitOptions
 
@@ -95,7 +95,7 @@ def split_of(loop, q, tau, groups):
     split = split_in_time(loop.identifier, whole, loop.test_size)
     effects = loop.validation_model_.effects_
     shaped = [e for e in effects if isinstance(e, Shaped)]
-    instants = [getattr(e, name) for e in shaped for name in e.jumping]
+    instants = [e.instant for e in shaped if isinstance(e, Sudden)]
     guard = round(loop.report_.outcome.provenance["settings"]["guard_seconds"] / dt)
     split = split.decided(whole.t, instants).guarded(guard)
     parts = (split.searched(whole), split.held_out(whole))

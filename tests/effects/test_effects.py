@@ -83,7 +83,9 @@ def test_numbers_of_coefficients_units_and_columns_agree(name):
     assert k == len(effect.units) == len(set(effect.coefficients))
     assert all(len(pair) == 2 for pair in effect.units)
     columns = effect.columns(signals())
-    assert columns.shape == ((T.size, 2, k) if effect.whole_robot else (T.size, k))
+    assert columns.shape == (
+        (T.size, 2, k) if isinstance(effect, effects.OnAllJoints) else (T.size, k)
+    )
     assert np.isfinite(columns).all()
     assert list(effect.get_feature_names_out()) == [
         f"joint {effect.joint + 1}:{name}:{c}" for c in effect.coefficients

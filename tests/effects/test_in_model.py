@@ -9,9 +9,11 @@ from sklearn.base import clone
 
 from sklearn_vbjfa.effects import (
     BaseTilt,
+    InModel,
     JointAxis,
     JointZero,
     Motion,
+    OnAllJoints,
     TorqueGain,
 )
 from sklearn_vbjfa.model import (
@@ -44,7 +46,7 @@ def columns(model, states, effects, effect):
             derivatives=TorqueDerivatives(robot.model, q, v, a, inertial, model),
         )
     )
-    if effect.whole_robot:
+    if isinstance(effect, OnAllJoints):
         return found * robot.gains[:, None]
     out = np.zeros((*q.shape, found.shape[1]))
     out[:, effect.joint] = robot.gains[effect.joint] * found
@@ -146,7 +148,7 @@ ALL = [
 @pytest.mark.parametrize("effect", ALL)
 def test_values_are_parameters_that_coefficients_correct(effect):
     k = len(effect.coefficients)
-    assert effect.in_model
+    assert isinstance(effect, InModel)
     assert len(effect.values) == len(effect.nominal) == k
     step = 0.01 * np.arange(1, k + 1)
     further = effect.linearised_at(step)

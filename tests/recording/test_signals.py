@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
+from sklearn_vbjfa.effects import OfSignals
 from sklearn_vbjfa.recording import (
     OfferedSignals,
     fault,
@@ -105,10 +106,8 @@ def test_clocks_are_known(values):
 # -- what is given and what is offered
 
 
-class Uses:
+class Uses(OfSignals):
     """An effect that varies with some signals."""
-
-    needs = ("signals",)
 
     def __init__(self, *recorded):
         self.recorded = recorded

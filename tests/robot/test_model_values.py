@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import optimize
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
+from sklearn_vbjfa.effects import BaseTilt, InModel, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.equations import piece_moments, sum_moments
 from sklearn_vbjfa.fit import ModelValues
 from sklearn_vbjfa.robot import FitOptions
@@ -43,7 +43,7 @@ def fit(model, effects, tau, states=STATES, weight=None, groups=None, **given):
 
 def values(robot):
     """Values of the effects in the model, as the instances hold them."""
-    found = [e.values for e in robot.effects_ if e.in_model]
+    found = [e.values for e in robot.effects_ if isinstance(e, InModel)]
     return np.concatenate(found)
 
 

@@ -48,13 +48,13 @@ def test_columns_are_steps_and_dynamics(name, seed, way):
     if not predictor.effects_:
         return  # Not on a joint that slides.
     (effect,) = predictor.effects_
-    if isinstance(effect, effects.OfChannel) or effect.not_simulated:
+    if isinstance(effect, effects.OfChannel) or effect.files.simulation:
         # Of the dynamics it is no part.
         bare = without(predictor, [0])
     else:
         bare = predictor
     X, t = two_rows(rng, way), np.array([0.9, 0.9 + DT])
-    signals = {own: rng.normal(size=2) for own in effect.recorded}
+    signals = {own: rng.normal(size=2) for own in getattr(effect, "recorded", ())}
     model, tau = bare.torque_model(), 5.0 * rng.normal(size=NV)
     dynamics = ForwardDynamics(model, recorded(signals, t))
     dynamics.start(X[0, :NV])
@@ -86,7 +86,7 @@ def test_torques_after_saving(name, simulated, tmp_path):
     if name == "signal":
         effect.set_params(signal="warmth")
     robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, effects=[effect])
-    signals = {"warmth": np.sin(np.arange(n))} if effect.recorded else None
+    signals = {"warmth": np.sin(np.arange(n))} if name == "signal" else None
     t = simulated.dt * np.arange(n)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
@@ -128,7 +128,7 @@ def alone(effect, coef):
 OF_STATE = [
     name
     for name, effect in zip(LIBRARY, effects.resolve())
-    if not (effect.needs or effect.whole_robot or effect.in_model)
+    if not (effect.needs or isinstance(effect, (effects.OnAllJoints, effects.InModel)))
 ]
 
 

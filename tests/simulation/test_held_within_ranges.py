@@ -22,7 +22,7 @@ DEPENDENT = [
     name
     for name in effects.available()
     if set(effects.resolve([name])[0].depends) - {"direction"}
-    and not effects.resolve([name])[0].not_simulated
+    and not effects.resolve([name])[0].files.simulation
 ]
 
 

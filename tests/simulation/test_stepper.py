@@ -21,7 +21,7 @@ LIBRARY = effects.available()
 
 def asked(predictor, X, t=None, signals=None):
     """Torques of all rows at once."""
-    used = {name for effect in predictor.effects_ for name in effect.recorded}
+    used = {n for one in predictor.effects_ for n in getattr(one, "recorded", ())}
     own = {name: x for name, x in (signals or {}).items() if name in used}
     return predictor.torques(predictor.prepare(X, t=t, signals=own))
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import special
 
 from sklearn_vbjfa.diagnosis.search._posterior import Evidence
+from sklearn_vbjfa.effects import InModel, OfRobot, Shaped
 
 # Why the values of an effect do not let it be reported.
 _UNKNOWN = "no parameter of it is known from zero"
@@ -64,7 +65,7 @@ def discovered_effects(search, final, names, prismatic):
             for key, std in deviations.items()
         }
         warning = finding.warning
-        if not warning and effect.in_model:
+        if not warning and isinstance(effect, InModel):
             nominal = dict(zip(effect.coefficients, effect.nominal))
             least = {k: search.settings.known * x for k, x in deviations.items()}
             away = (abs(values[k] - nominal.get(k, 0.0)) > least[k] for k in least)
@@ -77,7 +78,7 @@ def discovered_effects(search, final, names, prismatic):
             name=effect.name,
             joint=effect.joint,
             joint_name=names[effect.joint],
-            scope=effect.scope,
+            scope="robot" if isinstance(effect, OfRobot) else "joint",
             parameters=values,
             units={key: units.get(key, "") for key in values},
             intervals=intervals,
@@ -95,9 +96,9 @@ def discovered_effects(search, final, names, prismatic):
 def _named(rival, effect, names):
     """Name a rival of an effect, with its joint if that differs."""
     name = rival.name
-    for kind in rival.split_by[:1]:
+    for kind in rival.split_by[:1] if isinstance(rival, Shaped) else ():
         name += f": {getattr(rival, kind)}"
-    if rival.joint == effect.joint or rival.scope == "robot":
+    if rival.joint == effect.joint or isinstance(rival, OfRobot):
         return name
     return f"{name} on {names[rival.joint]}"
 

@@ -8,6 +8,7 @@ from scipy import special
 from sklearn_vbjfa.diagnosis.explain._curves import residual_curves, torque_curves
 from sklearn_vbjfa.diagnosis.explain._gaps import memory_seconds
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
+from sklearn_vbjfa.effects import Sudden
 from sklearn_vbjfa.equations._equations import torque_spread
 
 # Time for which errors are predicted [s].
@@ -93,7 +94,7 @@ def _held_out(found, split, whole):
     memory = max(memory_seconds(found), default=0.0)
     # No guard is long enough for a memory without end.
     guard = int(min(memory / whole.dt, whole.n_samples))
-    instants = [getattr(one, name) for one in found.effects for name in one.jumping]
+    instants = [one.instant for one in found.effects if isinstance(one, Sudden)]
     return split.decided(whole.t, instants).guarded(guard), guard
 
 

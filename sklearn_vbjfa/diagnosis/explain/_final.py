@@ -9,6 +9,7 @@ from scipy import special
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import block_variance, branches, scaled_eigen
+from sklearn_vbjfa.effects import Bank, Shaped, Sudden
 from sklearn_vbjfa.equations._equations import held_columns
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 
@@ -97,13 +98,15 @@ class FinalFit:
             return []
         coefs = self._split(self.identifier.theta_)
         shapes = [
-            tuple(n for n in e.continuous if n not in e.jumping and getattr(e, n))
+            tuple(n for n in e.continuous if getattr(e, n))
+            if isinstance(e, Shaped) and not isinstance(e, Sudden)
+            else ()
             for e in self.effects
         ]
         extra = []
         for effect, own, coef, shape in zip(self.effects, self._columns, coefs, shapes):
             # Elements at the bound of their sizes, zero, do not exist.
-            own = own * (coef > 0) if effect.bank else own
+            own = own * (coef > 0) if isinstance(effect, Bank) else own
             slopes = [self._slope(effect, name, coef) for name in shape]
             extra.append(np.concatenate([own, *slopes], axis=2))
         found = self._variance(np.concatenate(extra, axis=2))
@@ -138,7 +141,7 @@ class FinalFit:
     def _scaled_residual(self):
         """Weighted residuals (m, nv), and one over their scale for each joint (nv,)."""
         # Elements of a bank that are alike cancel in a fit without bounds.
-        bounded = any(effect.bank for effect in self.effects)
+        bounded = any(isinstance(effect, Bank) for effect in self.effects)
         robot, view = self.identifier, self.view
         theta = robot.theta_ if bounded else robot.theta_unconstrained_
         residual = (view.equations.tau - self.predicted(theta)) * view.root
@@ -175,7 +178,8 @@ class FinalFit:
     def _forms(self, i, covariance):
         """Probabilities and parameters of other forms of an effect of one column."""
         effect = self.effects[i]
-        forms = [form for form in effect.forms() if form.shape() != effect.shape()]
+        forms = effect.forms() if isinstance(effect, Shaped) else []
+        forms = [form for form in forms if form.shape() != effect.shape()]
         if not forms:
             return ()
         (name,), j = effect.continuous, effect.joint

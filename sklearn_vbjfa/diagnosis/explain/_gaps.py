@@ -7,7 +7,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._blocks import memory_time
 from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain
-from sklearn_vbjfa.effects import closure
+from sklearn_vbjfa.effects import InModel, OnAllJoints, closure
 from sklearn_vbjfa.equations._equations import make_motion
 
 # A residual this far above its noise floor is unexplained: by the first factor if it
@@ -207,7 +207,7 @@ def _is_hidden(effect, found, missing):
     if not shapes:
         return False
     columns = fit.problem.shaped(shapes)
-    if effect.in_model:
+    if isinstance(effect, InModel):
         # At its largest plausible value it would not be reported.
         away = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
         worth = 0.5 * np.diagonal(fit.groups(columns).H[0]) * away**2
@@ -237,29 +237,20 @@ def _probe(found):
     motion = make_motion(features, states, None, [slice(0, n)], inertial)
     # Corrections of the robot are fitted together with its parameters.
     corrections = [
-        _in_all_joints(effect, motion)
+        effect.in_all(effect.columns(motion), motion.n_joints)
         for effect in (*view.robot.effects_, *found.effects)
-        if effect.in_model and effect.of_bodies
+        if isinstance(effect, InModel) and effect.of_bodies
     ]
     return np.concatenate([features.matrices(states), *corrections], axis=2), motion
 
 
-def _in_all_joints(effect, motion):
-    """Columns of an effect in the torques of all joints, (n, nv, k)."""
-    own = effect.columns(motion)
-    if effect.whole_robot:
-        return own
-    columns = np.zeros((*motion.q.shape, own.shape[-1]))
-    columns[:, effect.joint] = own
-    return columns
-
-
 def _in_span(effect, Phi, motion):
     """Whether columns of the state alone lie in the regressor's span."""
-    linear = not (effect.needs or effect.shape())
-    if not effect.in_model and (effect.whole_robot or not linear):
+    others = isinstance(effect, OnAllJoints) or effect.needs or effect.shape()
+    if others and not isinstance(effect, InModel):
         return False
-    target = _in_all_joints(effect, motion).reshape(-1, len(effect.coefficients))
+    target = effect.in_all(effect.columns(motion), motion.n_joints)
+    target = target.reshape(-1, target.shape[-1])
     flat = Phi.reshape(-1, Phi.shape[2])
     scale = np.sqrt((flat**2).sum(axis=0))
     flat = flat / np.where(scale > 0, scale, 1.0)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import special
 
-from sklearn_vbjfa.effects import RotorInertia
+from sklearn_vbjfa.effects import RotorInertia, Varied
 
 # Share by which parameters differ between recordings of one robot, median over robots.
 # Friction follows the temperature; offsets are shares of the deviation of the torque.
@@ -179,7 +179,8 @@ def motions_of(identifier, states, predicted, weight, spread):
     load = features.torques(*np.split(states, 3, axis=1), theta[:, :10])
     load += plain[:, :, rotor].sum(axis=2)
     for effect in identifier.effects_:
-        if effect.with_motion or not {"speed", "direction"}.isdisjoint(effect.depends):
+        varies = isinstance(effect, Varied) and effect.with_motion
+        if varies or not {"speed", "direction"}.isdisjoint(effect.depends):
             # The torque of the effects of such a joint.
             friction[:, effect.joint] = (predicted[rows] - load)[:, effect.joint]
     _, v, a = np.split(states, 3, axis=1)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.effects import OfRobot
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # One of a SI unit in the unit that is read off an instrument.
@@ -129,7 +130,7 @@ def to_record(outcome, signal_advice, no_period):
 
     def add(advice, joint, name=None):
         joints = wanted.setdefault(advice, []) if advice else []
-        if name is None or library[name].scope == "joint":
+        if name is None or not isinstance(library[name], OfRobot):
             joints.append(joint)
 
     if findings["repeated"]:

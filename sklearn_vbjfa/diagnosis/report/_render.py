@@ -12,6 +12,7 @@ from tabulate import tabulate
 from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import _facts, _pictures
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.effects import InModel
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # Characters of a terminal's line, and of the longest word that a table leaves whole.
@@ -106,7 +107,7 @@ class Voice:
 
     def __init__(self, outcome, verdict):
         self._outcome = outcome
-        names = outcome.robot["joints"]
+        names, library = outcome.robot["joints"], outcome.robot["library"]
         self._values = {
             "o": outcome,
             "findings": outcome.findings,
@@ -126,7 +127,7 @@ class Voice:
             ),
             "effect": partial(words.effect_label, outcome),
             "place": partial(words.place_label, outcome),
-            "in_model": lambda e: outcome.robot["library"][e.name].in_model,
+            "in_model": lambda name: isinstance(library[name], InModel),
         }
         sentences = environment(False).get_template("sentences.j2")
         self._module = sentences.make_module(self._values)

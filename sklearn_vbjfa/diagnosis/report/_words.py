@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 
-from sklearn_vbjfa.effects import available
+from sklearn_vbjfa.effects import OfRobot, available
 
 _TINY = 1e-12
 # Logarithm of the odds of a million to one.
@@ -58,7 +58,7 @@ def effect_label(outcome, name, shape=None):
 
 def place_label(outcome, name, joint):
     """Where an effect is: its joint, or the robot for one that belongs to none."""
-    if outcome.robot["library"][name].scope == "robot":
+    if isinstance(outcome.robot["library"][name], OfRobot):
         return "robot"
     return joint_label(outcome.robot["joints"], joint)
 

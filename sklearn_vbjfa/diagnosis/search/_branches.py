@@ -8,6 +8,7 @@ from sklearn.base import clone
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import in_order
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.effects import OfRobot, ToAnother
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
 from sklearn_vbjfa.equations._states import of_joints
 from sklearn_vbjfa.model import import_pinocchio
@@ -78,10 +79,10 @@ class Branch:
 
     def on_robot(self, effect):
         """Return an effect of the branch as one of the robot."""
-        if effect.scope == "robot":
+        if isinstance(effect, OfRobot):
             return effect
         shape = effect.get_params(deep=False)
-        names = ("joint", *effect.partners)
+        names = {"joint", "other"} if isinstance(effect, ToAnother) else {"joint"}
         moved = {name: self.joints[shape[name]] for name in names}
         return clone(effect).set_params(**moved)
 

@@ -12,7 +12,7 @@ from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.diagnosis.search._problem import Columns
 from sklearn_vbjfa.diagnosis.search._refine import jump
-from sklearn_vbjfa.effects import closure
+from sklearn_vbjfa.effects import Bank, InModel, Shaped, Sudden, closure
 
 # Share of the error that its mirror image saves of what an effect with a direction
 # saves: more is nothing with a direction.
@@ -62,7 +62,7 @@ def families_of(found):
     # Side by side, so that moments beside a model are made at once.
     kinds, families = {}, []
     for columns in found:
-        kind = columns.joints, columns.shape[1], columns.effects[0].bank
+        kind = columns.joints, columns.shape[1], isinstance(columns.effects[0], Bank)
         for shapes in _uses(columns.effects):
             kinds.setdefault(kind, []).append((len(families), columns, shapes))
             families.append(None)
@@ -86,7 +86,8 @@ def _uses(effects):
     """Numbers of the shapes of each separate use, see `Shaped.split_by`, lists."""
     uses = {}
     for c, effect in enumerate(effects):
-        use = tuple(getattr(effect, name) for name in effect.split_by)
+        kinds = effect.split_by if isinstance(effect, Shaped) else ()
+        use = tuple(getattr(effect, name) for name in kinds)
         uses.setdefault(use, []).append(c)
     return list(uses.values())
 
@@ -126,7 +127,7 @@ class Candidates:
             (j, effect)
             for j in found
             for effect in library
-            if not (effect.bank and j in forgetful)
+            if not (isinstance(effect, Bank) and j in forgetful)
         ]
         for j, effect in counted(asked, "candidate", len(asked)):
             one = clone(effect).set_params(joint=j)
@@ -177,14 +178,15 @@ class Candidates:
         """Log evidence of a shape up to which an effect decides nothing."""
         # Rivals are within so many nats of a member, spectra take one of each joint.
         near = -max(self.settings.rivals, np.log(len(self.families)))
-        return (_NO_CHANCE if family.effects[0].in_model else near) - self.log_prior
+        least = _NO_CHANCE if isinstance(family.effects[0], InModel) else near
+        return least - self.log_prior
 
     def tempered(self, fit, candidate):
         """Discount the evidence of a candidate by its scatter in time; or None."""
         if candidate.tempered:
             return candidate
         family, coef = candidate.family, candidate.coef
-        if candidate.effect.jumping:
+        if isinstance(candidate.effect, Sudden):
             # Beside its instant a jump leaves a residual of its own size.
             scale = self.settings.scale
             near = fit.problem.shaped([jump(fit, candidate.effect, scale, near=True)])
@@ -305,7 +307,7 @@ class Candidates:
         for candidate in sorted(candidates, key=lambda o: -o.log_odds):
             if best is not None and candidate.log_odds <= best.log_odds:
                 break
-            if candidate.effect.bank and not candidate.tempered:
+            if isinstance(candidate.effect, Bank) and not candidate.tempered:
                 candidate = self.candidate(fit, candidate.family, Overdispersion())
             if best is None or (candidate and candidate.log_odds > best.log_odds):
                 best = candidate
@@ -319,7 +321,7 @@ class Candidates:
         joints = [j for j in member.joints if j in self.families]
         found = [o for j in joints for o in self.on(base, j)]
         near = self.surest(base, found, self.settings.rivals)
-        if member.effect.in_model:
+        if isinstance(member.effect, InModel):
             # What turns the robot alike with more values than are needed.
             known = {o.effect.key() for o in near}
             as_well = self._as_well(base, found, member)
@@ -328,7 +330,9 @@ class Candidates:
 
     def _as_well(self, base, candidates, member):
         """Effects of the geometry that explain as much as a member does."""
-        candidates = [self.tempered(base, o) for o in candidates if o.effect.in_model]
+        candidates = [
+            self.tempered(base, o) for o in candidates if isinstance(o.effect, InModel)
+        ]
         gains = {
             o: 0.5 * o.family.groups(base).gain()[o.best]
             for o in candidates

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import linalg, special
 
 from sklearn_vbjfa.diagnosis.search._problem import precision_at_zero
+from sklearn_vbjfa.effects import InModel, OnAllJoints
 
 # Folds of a single recording, stretches one after the other.
 _FOLDS = 8
@@ -183,13 +184,13 @@ class HeldOutFit:
 
     def of_member(self, member, squares):
         """Errors of blocks (n_blocks,) of a member's joint; in noise, of the robot."""
-        if member.effect.whole_robot or member.effect.in_model:
+        if isinstance(member.effect, (OnAllJoints, InModel)):
             return squares @ self.weight
         return squares[:, np.searchsorted(self.held.used_joints, member.effect.joint)]
 
     def by_joint(self, member, squares):
         """Errors of the joints that a member acts on, summed over the blocks."""
-        if member.effect.whole_robot or member.effect.in_model:
+        if isinstance(member.effect, (OnAllJoints, InModel)):
             return squares.sum(axis=0)
         return self.of_member(member, squares).sum(keepdims=True)
 

@@ -21,7 +21,7 @@ from sklearn_vbjfa.diagnosis.search._refine import (
     stepped,
     with_shape,
 )
-from sklearn_vbjfa.effects import closure
+from sklearn_vbjfa.effects import Bank, InModel, OnAllJoints, Shaped, Sudden, closure
 
 # Times that load, spectrum and geometry are made anew.
 _TURNS = 2
@@ -103,7 +103,7 @@ class Path:
                 best = candidates.most_probable(fit, near)
                 if best is not None and best.log_odds > least:
                     one = best.family.member(best.best, self.settings.scale)
-                    jumps = best.effect.jumping
+                    jumps = isinstance(best.effect, Sudden)
                     added.append(self._member(fit, best) if jumps else one)
             if not added:
                 break
@@ -179,18 +179,18 @@ class Path:
         first = best[0]
         # What is far less probable may stand for what the first one lacks.
         best = [o for o in best if o.order > _NEAR * first.order]
-        if first.effect.in_model:
+        if isinstance(first.effect, InModel):
             # The first in precedence of those of the geometry that say the same.
             near = [
                 o
                 for o in self.candidates.probable()
-                if o.effect.in_model and o.order > first.order - _EQUAL
+                if isinstance(o.effect, InModel) and o.order > first.order - _EQUAL
             ]
             return [min(near, key=lambda o: (o.effect.precedence, -o.order))]
-        if first.effect.whole_robot:
+        if isinstance(first.effect, OnAllJoints):
             return [first]
         # What acts on the other joints as well comes alone.
-        own = [o for o in best if not (o.effect.in_model or o.effect.whole_robot)]
+        own = [o for o in best if not isinstance(o.effect, (InModel, OnAllJoints))]
         return own[: int(min(most - len(fit.members), len(own)))]
 
     def _added(self, fit, chosen):
@@ -230,9 +230,11 @@ class Path:
         asked = [
             i
             for i, m in enumerate(fit.members[first:], first)
-            if "load" in m.effect.depends or m.effect.in_model
+            if "load" in m.effect.depends or isinstance(m.effect, InModel)
         ]
-        turns = max((1 + fit.members[i].effect.in_model for i in asked), default=0)
+        turns = max(
+            (1 + isinstance(fit.members[i].effect, InModel) for i in asked), default=0
+        )
         for _ in range(turns):
             fit = anew(fit)
             odds = self.candidates.log_odds(fit)
@@ -289,14 +291,15 @@ class Path:
         effect = fit.members[i].effect
         fit = self.scaled(fit.without(i))
         # The robot is not corrected by it any more.
-        return anew(fit) if effect.in_model else fit
+        return anew(fit) if isinstance(effect, InModel) else fit
 
     def refined(self, fit, joints=None):
         """Search the shapes of members again, of all joints or some."""
         shaped = [
             i
             for i, member in enumerate(fit.members)
-            if (member.effect.bank or member.effect.continuous)
+            if isinstance(member.effect, Shaped)
+            and (isinstance(member.effect, Bank) or member.effect.continuous)
             and (joints is None or member.effect.joint in joints)
         ]
         return self.scaled(searched(fit, shaped, self.settings.scale))
@@ -307,7 +310,7 @@ class Path:
         # Banks have no element of negative size.
         for i, member in enumerate(fit.members):
             used = fit.coefficients(i) > 0
-            if member.effect.bank and used.any() and not used.all():
+            if isinstance(member.effect, Bank) and used.any() and not used.all():
                 return self.scaled(with_shape(fit, i, member.effect.only(used)))
         return fit
 
@@ -326,7 +329,7 @@ class Path:
                 for o in candidates.rivals(fit, i)
                 if o.order > odds[i] - self.settings.rivals
                 and o.log_odds > candidates.least
-                and not o.effect.in_model
+                and not isinstance(o.effect, InModel)
                 and o.effect.key() != member.effect.key()
                 and member.effect.name not in closure(o.effect, self.library)
             ]
@@ -412,9 +415,10 @@ def anew(fit):
     if moved:
         problem = Problem(view, problem.cosines)
         base = base.on(problem)
-        theta = Fit(base, [m for m in members if not m.effect.in_model]).theta
+        beside = [m for m in members if not isinstance(m.effect, InModel)]
+        theta = Fit(base, beside).theta
     both = zip(members, coefs)
-    plain = [(m.effect, coef) for m, coef in both if not m.effect.in_model]
+    plain = [(m.effect, coef) for m, coef in both if not isinstance(m.effect, InModel)]
     motion = view.motion(
         theta,
         tuple(effect for effect, _ in plain),
@@ -454,7 +458,7 @@ def tuned_on(view, effects, settings):
 
 def remembering(effects):
     """Return the joints whose dry friction has a memory, a set of int."""
-    return {effect.joint for effect in effects if effect.bank}
+    return {effect.joint for effect in effects if isinstance(effect, Bank)}
 
 
 def among_others(fit, i):

@@ -10,7 +10,7 @@ from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain, HeldOut
 from sklearn_vbjfa.diagnosis.search._path import LEAST, Path, remembering
 from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
-from sklearn_vbjfa.effects import Effect, Motion, OfChannel
+from sklearn_vbjfa.effects import Bank, Effect, InModel, Motion, OfChannel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +161,7 @@ def search(view, library, settings, alpha, max_effects=None):
         rivals = tuple(
             o.effect
             for o in path.candidates.rivals(fit, i)
-            if (o.effect.in_model or o.order > usual[i] - settings.rivals)
+            if (isinstance(o.effect, InModel) or o.order > usual[i] - settings.rivals)
             and o.effect.key() != member.effect.key()
         )
         warning = _warning(fit, member, evidence, needed, path)
@@ -196,7 +196,7 @@ _AT_REST = 0.5
 def _friction_at_rest(view, library, settings):
     """Joints whose torque at rest friction with memory predicts, and does not, sets."""
     # The plain terms predict none there.
-    banks = [effect for effect in library if effect.bank]
+    banks = [effect for effect in library if isinstance(effect, Bank)]
     resting = set(view.at_rest())
     if not banks or not resting:
         return set(), set()

@@ -14,6 +14,7 @@ from scipy.linalg import lapack
 from sklearn_vbjfa._core._groups import Groups, Overdispersion
 from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
+from sklearn_vbjfa.effects import Bank, InModel, Shaped, Sudden
 
 
 def products(edges, one, other):
@@ -114,7 +115,7 @@ class Member:
     @functools.cached_property
     def done(self):
         """What of its coefficients the equations have already, (k,)."""
-        if not self.effect.in_model:
+        if not isinstance(self.effect, InModel):
             return np.zeros(self.width)
         return self.effect.values - np.asarray(self.effect.nominal)
 
@@ -177,7 +178,7 @@ class Problem:
     def shaped(self, effects):
         """Return `Columns` of an effect with some shapes, list of Effect."""
         values, size = self.view.shaped(effects, self.motion, self.cosines)
-        joints = self.view.joints_of(effects[0])
+        joints = effects[0].acts_on(self.view.nv)
         # An effect of all joints has the torque of that which it moves the most.
         largest = (size * self._per_torque[joints][:, None, None]).max(axis=0)
         unit = (largest > 0) / or_one(largest)
@@ -416,7 +417,7 @@ class Fit:
                 q=own.q - (self._t @ D).reshape(c, k),
                 own=np.diagonal(own.gram, axis1=1, axis2=2),
                 unit=columns.unit,
-                positive=columns.effects[0].bank,
+                positive=isinstance(columns.effects[0], Bank),
             )
             self._beside[columns] = groups, D
         return self._beside[columns][0]
@@ -526,7 +527,8 @@ class Fit:
             return Overdispersion(ratio=usual, freedom=freedom, usual=usual)
         # What changes with time is told by slow changes alone, and there are few.
         # Of these the effect has taken one, and one more if its course was searched.
-        taken = 1 + bool({*effect.continuous} - {*effect.jumping})
+        shaped = isinstance(effect, Shaped) and not isinstance(effect, Sudden)
+        taken = 1 + bool(shaped and effect.continuous)
         left = power[:_SLOWEST].sum() / max(_SLOWEST - taken, 1)
         freedom = float(max(slow.size - taken, 1))
         return Overdispersion(
@@ -550,7 +552,8 @@ class Fit:
         least = errors * np.sqrt(variance).reshape(held.shape)
         wrong = rows @ self.theta < np.where(held, 0.0, -least)
         # The elements of a bank stand for dry friction as well.
-        wrong[[m.effect.joint for m in self.members if m.effect.bank]] = False
+        banks = (m.effect for m in self.members if isinstance(m.effect, Bank))
+        wrong[[bank.joint for bank in banks]] = False
         return self if (wrong == held).all() else self.holding(wrong)
 
     @functools.cached_property

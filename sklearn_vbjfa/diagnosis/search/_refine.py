@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._problem import Columns, Fit
-from sklearn_vbjfa.effects import Effect
+from sklearn_vbjfa.effects import Bank, Effect, Shaped, Sudden
 
 # A search ends where a step promises less [nats], or after this many steps; a shape
 # whose own step promises less stays.
@@ -72,7 +72,8 @@ class Place:
     @classmethod
     def of(cls, effect, motion):
         """Return that of an effect; None if its shapes have no neighbours or slopes."""
-        smooth = () if effect.jumping or effect.bank else effect.continuous
+        shaped = isinstance(effect, Shaped) and not isinstance(effect, (Sudden, Bank))
+        smooth = effect.continuous if shaped else ()
         found = {name: _bracket(effect, name, motion) for name in smooth}
         found = {name: one for name, one in found.items() if one is not None}
         if not found:
@@ -174,9 +175,9 @@ def _promised(linear, i, width):
 def best_shape(fit, effect, scale):
     """Return an effect, its shape searched between those of its grid."""
     # Smooth parameters are left to the steps with all that comes beside it.
-    if effect.bank:
+    if isinstance(effect, Bank):
         return bank(fit, effect, fit.problem.shapes(effect), scale)
-    if effect.jumping:
+    if isinstance(effect, Sudden):
         return jump(fit, effect, scale)
     return effect
 
@@ -186,9 +187,9 @@ def searched(fit, numbers, scale):
     fit = stepped(fit, numbers)
     for i in numbers:
         effect, rest = fit.members[i].effect, fit.without(i)
-        if effect.bank:
+        if isinstance(effect, Bank):
             found = bank(rest, effect, fit.problem.shapes(effect), scale)
-        elif effect.jumping:
+        elif isinstance(effect, Sudden):
             found = jump(rest, effect, scale)
         else:
             forms = (with_shape(fit, i, form) for form in effect.forms())
@@ -239,15 +240,14 @@ def _instants(fit, effect, scale):
     """Return an effect that jumps with the most probable instants of all rows."""
     # What its columns have in common with the residual is a sum over the rows after
     # the jump; their Gram matrix hardly changes between two instants of the grid.
-    (name,) = effect.jumping
     view, motion = fit.problem.view, fit.problem.motion
     shapes = [e for e in fit.problem.shapes(effect) if e.key() == effect.key()]
-    shapes.sort(key=lambda e: getattr(e, name))
-    grid = np.array([getattr(e, name) for e in shapes])
+    shapes.sort(key=lambda e: e.instant)
+    grid = np.array([e.instant for e in shapes])
     beside = fit.groups(fit.problem.shaped(shapes))
-    always = clone(effect).set_params(**{name: -np.inf})
+    always = clone(effect).set_params(instant=-np.inf)
     columns = view.columns([always], motion)[:, :, 0]
-    rest = fit.weighted_rows[list(view.joints_of(effect))]
+    rest = fit.weighted_rows[effect.acts_on(view.nv)]
     products = np.einsum("jmk,jm->mk", columns, rest)
     after = np.cumsum(products[::-1], axis=0)[::-1]
     t = motion.t[view.index]
@@ -262,7 +262,7 @@ def _instants(fit, effect, scale):
     found, apart = [], np.diff(grid).max(initial=0.0) / 4
     for _ in range(_JUMPS):
         best = int(np.argmax(evidence))
-        found.append(clone(effect).set_params(**{name: float(t[best])}))
+        found.append(clone(effect).set_params(instant=float(t[best])))
         evidence = np.where(np.abs(t - t[best]) < apart, -np.inf, evidence)
     return found
 
@@ -271,25 +271,24 @@ def instant(effects, evidence, motion):
     """Search the instant of a jump on, around the best of some."""
     known = evidence(effects)
     found, most = effects[int(np.argmax(known))], float(known.max())
-    (name,) = found.jumping
-    grid = np.unique([shape[name] for shape in found.shapes(motion)])
-    between, value = _between(motion), getattr(found, name)
+    grid = np.unique([shape["instant"] for shape in found.shapes(motion)])
+    between, value = _between(motion), found.instant
     if grid.size > 1:
         step = _AROUND * np.diff(grid).max()
         low, high = value - step, value + step
         for _ in range(2):
             places = np.linspace(low, high, _INSTANTS)
             shared = _shared(motion, between, places)
-            tried = [clone(found).set_params(**{name: float(s)}) for s in shared]
+            tried = [clone(found).set_params(instant=float(s)) for s in shared]
             known = evidence(tried)
             best = int(np.argmax(known))
             low, high = places[max(best - 1, 0)], places[min(best + 1, _INSTANTS - 1)]
         if known[best] > most:
             found, most = tried[best], float(known[best])
     # Instants that need no reason, and how good a one others need [nats].
-    at = np.searchsorted([s for _, s, _ in between], getattr(found, name))
+    at = np.searchsorted([s for _, s, _ in between], found.instant)
     plain = between[max(at - 1, 0) : at + 1]
-    others = [clone(found).set_params(**{name: float(s)}) for _, s, _ in plain]
+    others = [clone(found).set_params(instant=float(s)) for _, s, _ in plain]
     if others:
         for other, (_, _, width), own in zip(others, plain, evidence(others)):
             if most - own < np.log(width):

@@ -13,7 +13,7 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
     make_blocks,
     phase_blocks,
 )
-from sklearn_vbjfa.effects import declared
+from sklearn_vbjfa.effects import InModel, OnAllJoints, declared
 from sklearn_vbjfa.equations._equations import make_motion, plain_coefficients
 from sklearn_vbjfa.recording import check_clock
 
@@ -172,7 +172,8 @@ class RecordingView:
         # Itself if they correct what its own robot is corrected by. Rows, blocks and
         # weights are the same; equations and coordinates are another robot's.
         own = {effect.key() for effect in self._root.robot.effects_}
-        wanted = [e for e in effects if e.in_model and (e.corrects or e.key() in own)]
+        wanted = [e for e in effects if isinstance(e, InModel)]
+        wanted = [e for e in wanted if e.corrects or e.key() in own]
         key = frozenset((e.key(), tuple(e.values.tolist())) for e in wanted)
         if key == self._corrections:
             return self
@@ -344,13 +345,9 @@ class RecordingView:
         """Filter columns (n, ...) of the samples as the torques were."""
         return np.concatenate([self._lowpass(columns[part]) for part in self.parts])
 
-    def joints_of(self, effect):
-        """Joints whose torque an effect changes."""
-        return list(range(self.nv)) if effect.whole_robot else [effect.joint]
-
     def columns(self, effects, motion):
         """Columns (nj, m, c, k) of an effect with several shape parameters."""
-        joints, n = self.joints_of(effects[0]), motion.q.shape[0]
+        joints, n = effects[0].acts_on(self.nv), motion.q.shape[0]
         most = max(len(effect.coefficients) for effect in effects)
         out = np.empty((len(joints), self.index.size, len(effects), most))
         scale = (self.gains * self.root)[:, joints, None, None]
@@ -369,7 +366,7 @@ class RecordingView:
     def shaped(self, effects, motion, cosines):
         """Cosines (nj, n, c, k) of an effect's columns, and their sizes (nj, c, k)."""
         # Kept, those that were asked for last, until their load changes.
-        joints, known = self.joints_of(effects[0]), self._shapes
+        joints, known = effects[0].acts_on(self.nv), self._shapes
         uses = ((type(e), e.joint, *sorted(e.shape().items())) for e in effects)
         key = *self.gains[joints], *uses
         load = motion if any("load" in e.needs for e in effects) else None
@@ -387,7 +384,7 @@ class RecordingView:
         columns = np.asarray(effect.columns(motion))
         n, k = motion.q.shape[0], len(effect.coefficients)
         name = f"Effect {effect.name!r} on {self.robot.joint_names_[effect.joint]}"
-        expected = (n, self.nv, k) if effect.whole_robot else (n, k)
+        expected = (n, self.nv, k) if isinstance(effect, OnAllJoints) else (n, k)
         if columns.shape != expected:
             raise ValueError(
                 f"{name} must have columns of shape {expected}, a row "
@@ -404,11 +401,7 @@ class RecordingView:
     def in_equations(self, effect, motion):
         """Columns of an effect in all joints' equations, (m, nv, k), not weighted."""
         columns = self.filtered(effect.columns(motion))
-        if effect.whole_robot:
-            return columns * self.gains[:, None]
-        out = np.zeros((columns.shape[0], self.nv, columns.shape[-1]))
-        out[:, effect.joint] = columns * self.gains[effect.joint]
-        return out
+        return effect.in_all(columns, self.nv) * self.gains[:, None]
 
 
 def reduced(equations, precision):

@@ -3,6 +3,7 @@
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _facts, words
+from sklearn_vbjfa.effects import InModel
 from tests.diagnosis.report._pages import section_of, text_of
 
 
@@ -43,7 +44,7 @@ def _is_known(effect):
     idle, shape = {}, set()
     if effect.effect is not None:
         shape = set(effect.effect.shape())
-        if effect.effect.in_model:
+        if isinstance(effect.effect, InModel):
             idle = dict(zip(effect.effect.coefficients, effect.effect.nominal))
     ends = {k: v for k, v in effect.intervals.items() if k not in shape}
     ends = ends or effect.intervals

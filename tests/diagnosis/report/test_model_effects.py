@@ -7,7 +7,7 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import DiscoveredEffect, Fact, NotIdentifiable
-from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
+from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, OfRobot, TorqueGain
 from sklearn_vbjfa.robot import Correction
 from tests.diagnosis.report._outcomes import EVIDENCE, make_outcome, make_trials
 from tests.diagnosis.report._pages import line_of, section_of, text_of
@@ -23,7 +23,7 @@ def found(effect, values, half, trials=()):
         name=effect.name,
         joint=effect.joint,
         joint_name=NAMES[effect.joint],
-        scope=effect.scope,
+        scope="robot" if isinstance(effect, OfRobot) else "joint",
         parameters=values,
         units={key: units[key] for key in values},
         intervals={key: (x - half, x + half) for key, x in values.items()},

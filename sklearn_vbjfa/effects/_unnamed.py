@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import RATIO, Stateful
+from sklearn_vbjfa.effects._base import RATIO, Shaped, Stateful
 from sklearn_vbjfa.effects._friction import Stribeck, ViscousQuadratic
 from sklearn_vbjfa.effects._memory import MaxwellSlip
 from sklearn_vbjfa.effects._position import Ripple, Spring
@@ -16,7 +16,7 @@ _LOADED, _SLIPS = (1e-4, 0.01, 0.1), (0.001, 0.006, 0.035, 0.2)
 _PERIODS = (2.0, 1.0, 0.5)
 
 
-class UnnamedTorque(Stateful):
+class UnnamedTorque(Shaped, Stateful):
     """A joint torque that is predicted but not named, share * sum_k w_k c_k.
 
     The terms c_k are those of library effects on one quantity. `EffectDiscovery` finds
@@ -41,6 +41,7 @@ class UnnamedTorque(Stateful):
     coefficients = nonnegative = ("share",)
     units = (RATIO,)
     kinds = ("speed", "load", "memory", "position")
+    choices = (("of", kinds),)
 
     def __init__(self, joint=0, of="speed", weights=(), reach=1.0, fast=1.0):
         super().__init__(joint)

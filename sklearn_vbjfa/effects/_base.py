@@ -82,7 +82,7 @@ class Effect(TransformerMixin, BaseEstimator):
         Coefficients that physics requires to be nonnegative: a search rejects others.
     contains : tuple of str
         Simpler effects, which a search tries first.
-    needs : tuple of {"time", "load", "bodies", "signals"}
+    needs : tuple of {"time", "load", "bodies"}
         What it requires besides the states.
     depends : tuple of {"position", "speed", "load", "direction"}
         Quantities of its joint with which its columns grow: beyond a margin outside the

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sklearn_vbjfa.effects import OfSignals
 from sklearn_vbjfa.recording._drives import COMMANDS, OF_MOTORS
 from sklearn_vbjfa.recording._table import quoted
 
@@ -159,7 +158,8 @@ def _asked_for(effects, given, offered, n_samples):
 
 
 def _users(effects):
-    return [effect for effect in effects if isinstance(effect, OfSignals)]
+    """Effects of recorded signals, see `OfSignals`."""
+    return [effect for effect in effects if hasattr(effect, "recorded")]
 
 
 def signals_for(effects, given, offered, n_samples):

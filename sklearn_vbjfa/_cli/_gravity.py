@@ -51,9 +51,7 @@ def correct(arguments, folder):
     }
     doubts = []
     if not np.nansum(found.error_after**2) < np.nansum(found.error_before**2):
-        doubts.append(
-            "the correction does not improve held-out samples: use the description"
-        )
+        doubts.append("held-out samples do not improve: use the description")
     failed = (found.gravity > 0) & (found.error_after >= found.gravity)
     if failed.any():
         names = ", ".join(joints["joint"][failed])

@@ -57,17 +57,16 @@ def errors(model, world):
 
 
 def test_samples_are_the_poses_with_the_side_they_were_reached_from(world):
-    samples = static_samples(
-        world.recording, RigidBodyFeatures(world.described, friction=()).load()
-    )
+    features = RigidBodyFeatures(world.described, friction=()).load()
+    states, tau, _ = static_samples(world.recording, features)
+    q, v, _ = np.split(states, 3, axis=1)
     held = np.repeat(POSES, 2, axis=0)
-    at_pose = np.abs(samples.q[:, None] - held).max(axis=2).min(axis=1) < 1e-3
+    at_pose = np.abs(q[:, None] - held).max(axis=2).min(axis=1) < 1e-3
     assert at_pose.sum() == 16
-    torque = samples.tau - gravity(world.true, samples.q)
-    sides = np.sign(samples.states[:, 3:6])
+    torque = tau - gravity(world.true, q)
     # Each is a mean over at least 40 readings.
     noise = NOISE * np.sqrt((gravity(world.true, world.recording.q) ** 2).mean(axis=0))
-    error = np.abs(torque - sides * FRICTION)[at_pose]
+    error = np.abs(torque - np.sign(v) * FRICTION)[at_pose]
     assert error.max() < 4 * noise.max() / np.sqrt(40) + STEP / 2
 
 

@@ -636,9 +636,10 @@ def unexcited_entries(moments, n_rigid):
     # move in this recording adds more. Only the first `n_rigid` parameters are
     # examined.
     nv, n_all = moments.g.shape
-    power = np.diagonal(moments.G, axis1=1, axis2=2)[:, :n_rigid]
-    rounding = np.zeros((nv, n_all), dtype=bool)
-    rigid = rounding_entries(power.reshape(nv, nv, -1))
+    power, rounding = np.zeros((nv, n_all)), np.zeros((nv, n_all), dtype=bool)
+    for row, (at, one) in zip(power, moments.G):
+        row[at] = one.diagonal()
+    rigid = rounding_entries(power[:, :n_rigid].reshape(nv, nv, -1))
     rounding[:, :n_rigid] = rigid.reshape(nv, -1)
     return rounding
 

@@ -169,12 +169,12 @@ class JointMoments:
 
     n: np.ndarray  # (nv,): sum of the weights of the joint's rows
     n_rows: np.ndarray  # (nv,): number of the joint's rows with positive weight
-    # (nv, p, p): sum of w phi phi' over the rows phi of each joint's regressor
-    G: np.ndarray
+    # sums of w phi phi' over the rows phi of each joint's regressor, nv pairs: range of
+    # its columns and matrix of these, as whole ones are mostly zeros with many joints
+    G: tuple
     g: np.ndarray  # (nv, p): sum of w phi tau
     yy: np.ndarray  # (nv,): sum of w tau^2
-    # (nv, p, p) or None: contribution of input noise to G, if measured
-    noise: np.ndarray | None = None
+    noise: tuple | None = None  # contribution of input noise to G, if measured
     # (nv, p) or None: contribution to g of noise that inputs and torques have in common
     in_common: np.ndarray | None = None
     # G and g by blocks of time, if the time order of the rows is known
@@ -201,11 +201,10 @@ class JointMoments:
         """Return the moments with regressor entries (nv, p), bool, set to zero."""
         keep = ~entries
         common = None if self.in_common is None else self.in_common * keep
-        G, noise = (
-            own if parts is None else _without(own, parts, entries)
-            for own, parts in ((self.G, self.parts), (self.noise, self.noise_parts))
+        noise = None if self.noise is None else _kept(self.noise, keep)
+        return replace(
+            self, G=_kept(self.G, keep), g=self.g * keep, noise=noise, in_common=common
         )
-        return replace(self, G=G, g=self.g * keep, noise=noise, in_common=common)
 
     @functools.cached_property
     def parts(self):
@@ -267,11 +266,11 @@ class JointMoments:
 
 
 def _parts_of(matrices):
-    """Rows that are not zero in matrices (nv, p, p), and these without the others."""
+    """Columns that are not zero in matrices of ranges, and these without the others."""
     found = []
-    for one in matrices:
+    for columns, one in matrices:
         own = np.flatnonzero(one.diagonal())
-        found.append((own, one[np.ix_(own, own)]))
+        found.append((columns.start + own, one[np.ix_(own, own)]))
     return found
 
 
@@ -288,15 +287,10 @@ def squares_of(parts, theta):
     return np.array([theta[own] @ one @ theta[own] for own, one in parts])
 
 
-def _without(matrices, parts, entries):
-    """Return matrices (nv, p, p) with the rows and columns of entries (nv, p) zero."""
-    if not any(gone[own].any() for gone, (own, _) in zip(entries, parts)):
-        return matrices
-    out = np.zeros(matrices.shape)
-    for kept, gone, (own, one) in zip(out, entries, parts):
-        left = ~gone[own]
-        kept[np.ix_(own[left], own[left])] = one[np.ix_(left, left)]
-    return out
+def _kept(matrices, keep):
+    """Return matrices of ranges whose other rows and columns than `keep` are zero."""
+    pairs = zip(keep, matrices)
+    return tuple((at, one * np.outer(own[at], own[at])) for own, (at, one) in pairs)
 
 
 def piece_moments(Phi, tau, weight):
@@ -395,8 +389,6 @@ class MomentSums:
             noise = tuple(zip(self._ranges, wide))
         if self._apart is not None:
             common = self._dense([own[0] for own in self._wide(self._common)])
-        # G and noise hold the range of each joint's columns and the matrix of these: of
-        # many joints whole matrices would be larger than the rows of a piece.
         return JointMoments(
             n=n,
             n_rows=(weight > 0).sum(axis=0),
@@ -469,14 +461,7 @@ def sum_moments(several):
     total = None
     for moments in several:
         if total is None:
-            # What is added to must not be anyone else's.
-            shape = (*moments.g.shape, moments.g.shape[1])
-            noise = moments.noise
-            total = replace(
-                moments,
-                G=_added(np.zeros(shape), moments.G),
-                noise=None if noise is None else _added(np.zeros(shape), noise),
-            )
+            total = moments
             continue
         both = total.in_common, moments.in_common
         total = replace(
@@ -496,8 +481,5 @@ def sum_moments(several):
 
 
 def _added(total, G):
-    """Add matrices (nv, p, p), or ranges and theirs, in place; return the sum."""
-    for own, other in zip(total, G):
-        part, other = other if isinstance(other, tuple) else (slice(None), other)
-        own[part, part] += other
-    return total
+    """Add matrices of the same ranges."""
+    return tuple((part, own + other) for (part, own), (_, other) in zip(total, G))

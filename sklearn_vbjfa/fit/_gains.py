@@ -84,10 +84,9 @@ class _Likelihood:
     def at(cls, moments, logs, used):
         """Evaluate it at logarithms (nv,), for joints `used`, from `JointMoments`."""
         gains = np.exp(logs)
-        square = gains[:, None, None] ** 2
         read = replace(
             moments,
-            G=moments.G * square,
+            G=tuple((at, x**2 * one) for x, (at, one) in zip(gains, moments.G)),
             g=moments.g * gains[:, None],
             noise=None,
             blocks=None,
@@ -96,7 +95,10 @@ class _Likelihood:
         total = read.total(weight)
         metric = scaled_eigen(total.S_xx, IDENTIFIABLE)
         theta = metric.solve(total.S_xy)
-        torque = (weight[:, None] * (read.G @ theta))[used]
+        torque = np.zeros(read.g.shape)
+        for own, (at, one) in zip(torque, read.G):
+            own[at] = one @ theta[at]
+        torque = (weight[:, None] * torque)[used]
         size = torque @ theta
         rest = read.residual_squares(theta)[used] / read.yy[used]
         left = np.diag(size) - torque @ metric.solve(torque.T)

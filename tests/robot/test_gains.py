@@ -83,7 +83,7 @@ def test_gains_begin_at_the_most_likely_ones():
     moments = JointMoments(
         n=np.full(3, 400.0),
         n_rows=np.full(3, 400),
-        G=rows.transpose(0, 2, 1) @ rows,
+        G=tuple((slice(0, 2), own.T @ own) for own in rows),
         g=np.einsum("jnp,jn->jp", rows, tau),
         yy=(tau**2).sum(axis=1),
     )

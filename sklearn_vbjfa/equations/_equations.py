@@ -257,20 +257,22 @@ class RegressorRows:
         out[:, self.used] = rows
         return out.reshape(-1, self.n_joints, self.n_parameters)
 
-    def predict(self, theta):
-        """Torques (n, nv) predicted by parameters (p,), without their columns."""
+    def predict(self, theta, *others):
+        """Torques (k, n, nv) by parameters (p,), own and others', without columns."""
+        # others: `RegressorRows` of the same motion with other velocity signs.
         bodies, coefs = np.split(theta, [self.n_rigid])
-        bodies = bodies.reshape(self.n_joints, -1)
-        torque = np.empty((self.states.shape[0], self.n_joints))
-        for first in range(0, len(torque), _SPAN_ROWS):
-            rows = slice(first, min(first + _SPAN_ROWS, len(torque)))
+        bodies, kinds = bodies.reshape(self.n_joints, -1), (self, *others)
+        found = np.empty((len(kinds), self.states.shape[0], self.n_joints))
+        for first in range(0, found.shape[1], _SPAN_ROWS):
+            rows = slice(first, min(first + _SPAN_ROWS, found.shape[1]))
             states = self.states[rows]
             motion = np.split(states, 3, axis=1)
-            friction = self._features.declared(states, self._rest)
-            torque[rows] = self._features.torques(*motion, bodies[:, :10])
-            torque[rows] += np.einsum("njk,jk->nj", friction, bodies[:, 10:])
-            self._add_effects(torque[rows], rows, coefs)
-        return self._read(torque, np.arange(self.n_joints))
+            found[:, rows] = self._features.torques(*motion, bodies[:, :10])
+            for own, torque in zip(kinds, found[:, rows]):
+                friction = self._features.declared(states, own._rest)
+                torque += np.einsum("njk,jk->nj", friction, bodies[:, 10:])
+                own._add_effects(torque, rows, coefs)
+        return self._read(found, np.arange(self.n_joints))
 
     def effects(self, theta):
         """Torques (n, nv) of the effects alone, before the channels' gains."""
@@ -694,17 +696,20 @@ def torque_spread(*parts):
     return _weighted((torque - mean) ** 2, weight) ** 0.5
 
 
-def compare(segments, lowpass, theta):
+def compare(segments, others, lowpass, theta):
     """Low-pass filtered residuals of `Segment` by parameters (p,); None: torques."""
-    # Torques are predicted before the low-pass, which is linear: a filter of one column
-    # of each joint instead of all columns of the regressor.
+    # others: the same segments with the velocity signs of rows without weight. Torques
+    # are predicted before the low-pass, which is linear: a filter of one column of each
+    # joint instead of all columns of the regressor.
     found, every = [], slice(None)
-    for own in segments:
-        torque = lowpass(np.asarray(own.torque))
-        predicted = torque if theta is None else lowpass(own.rows.predict(theta))
+    for own, other in zip(segments, others):
+        torque = predicted = lowpass(np.asarray(own.torque))
         counts = own.counts(every, derivative(own.states, every, 1))
-        rows = own.first + lowpass.centres(own.n_rows)
-        found.append((rows, torque, predicted, lowpass.samples(counts)))
+        rows, weight = own.first + lowpass.centres(own.n_rows), lowpass.samples(counts)
+        if theta is not None:
+            both = map(lowpass, own.rows.predict(theta, other.rows))
+            predicted = np.where(weight > 0, *both)
+        found.append((rows, torque, predicted, weight))
     index, torque, predicted, weight = (np.concatenate(x) for x in zip(*found))
     return TorqueResiduals(
         index=index, torque=torque, predicted=predicted, weight=weight

@@ -407,7 +407,7 @@ def slopes(predictor, recording, states):
     def torque(column, values):
         other = states.copy()
         other[:, column] = values
-        torques = [one.predict(theta) for one in rows_of(other)]
+        torques = [one.predict(theta)[0] for one in rows_of(other)]
         return np.concatenate(torques) / features.gains_
 
     n, nv = states.shape[0], features.n_joints_

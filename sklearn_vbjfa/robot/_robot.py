@@ -328,24 +328,19 @@ class IdentifiedRobot:
         smoother = self.smoother(recording.inputs, recording.groups)
         states, rest = RecordingStates.of(recording, smoother), self.plan.rest(smoother)
 
-        def compared(rest):
-            made = build_segments(
+        # Weighted rows have the columns of the fit; rows at rest are predicted.
+        made = (
+            build_segments(
                 recording,
                 states,
                 self.prediction_plan,
                 self.features_,
                 theta=self.load_parameters,
-                rest=rest,
+                rest=own,
             )
-            return compare(made, lowpass, self.theta_ if predicts else None)
-
-        found = compared(None)
-        if predicts and not (found.weight > 0).all():
-            # Weighted rows have the columns of the fit; rows at rest are predicted.
-            weighted, others = found.weight > 0, compared(rest).predicted
-            predicted = np.where(weighted, found.predicted, others)
-            found = replace(found, predicted=predicted)
-        return found
+            for own in (None, rest)
+        )
+        return compare(*made, lowpass, self.theta_ if predicts else None)
 
     def step(self, q, v, a, t=None, signals=None):
         """Predict the torques of the next state of a running robot.
@@ -828,7 +823,7 @@ class IdentifiedRobot:
 
     def torques(self, asked):
         """Torques (n, nv) that are predicted for `Inputs`."""
-        return np.concatenate([x.predict(self.theta_) for x in self._rows(asked)])
+        return np.concatenate([x.predict(self.theta_)[0] for x in self._rows(asked)])
 
     def _rows(self, asked):
         recording = asked.recording

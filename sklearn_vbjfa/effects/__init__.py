@@ -33,7 +33,7 @@ _MODULES = {
     "_library": """
         available check_declared closure declarable declared declared_columns resolve
     """,
-    "_memory": "Backlash MaxwellSlip elements play",
+    "_memory": "Backlash MaxwellSlip came_from elements play",
     "_motion": """
         HELD EffectRange Floats Motion OutsideRange Rest State outside own_motions
     """,

@@ -91,6 +91,17 @@ def _turned(q):
     return np.array(found)
 
 
+def came_from(before):
+    """Return a function of a joint for `Motion`, of positions (k, nv) before parts."""
+
+    @functools.cache
+    def ends(joint):
+        ways = (np.ascontiguousarray(q[:, joint]) for q in before)
+        return [_compiled(_turned)(q) if q.size else q for q in ways]
+
+    return ends if before else None
+
+
 def play(q, width):
     """Play operator: the position follows q within half the width."""
     out = np.array(q, dtype=float)
@@ -226,7 +237,7 @@ class MaxwellSlip(Shaped, Converted, Bank):
         plain, loaded, _ = self._split(np.arange(d.size))
         falls = np.arange(d.size) >= plain.size + loaded.size
         level = 1.0 + np.exp(-((motion.v[:, j] / self.vs) ** 2))
-        before = [own[:, j] for own in motion.before] or [()] * len(motion.parts)
+        before = motion.before(j) if motion.before else [()] * len(motion.parts)
         z = np.empty((level.size, d.size))
         for part, known in zip(motion.parts, before, strict=True):
             q, own = motion.q[part, j], level[part]

@@ -114,7 +114,8 @@ class Motion:
     since: float | None = None
     signals: Mapping = field(default_factory=dict)  # (n,) by name, in their own units
     command: np.ndarray | None = None  # (n, nv): torques by commands, `CommandDelay`
-    before: tuple = ()  # positions (k, nv) before each part; empty if unknown
+    # joint -> where it turned before each part, (k,); None if unknown
+    before: Callable | None = None
     _speeds: dict = field(default_factory=dict, repr=False)
 
     def __post_init__(self):

@@ -18,6 +18,7 @@ from sklearn_vbjfa.effects import (
     InModel,
     Motion,
     OnAllJoints,
+    came_from,
     declared_columns,
     own_motions,
 )
@@ -88,7 +89,7 @@ def make_motion(
     signals=None,
     ranges=(),
     command=None,
-    before=(),
+    before=None,
 ):
     """Build the `Motion` that effects are computed from."""
     # states (n, 3 nv); t (n,) [s] or None; parts: slices of the segments; theta:
@@ -319,7 +320,7 @@ def regressor_rows(
         recording.signals,
         plan.ranges,
         recording.command if plan.lag is None else recording.tau,
-        recording.before,
+        came_from(recording.before),
     )
     columns = _effect_columns(plan, motion, {} if kept is None else kept)
     # Splines are a third of the states of all rows, which end here.

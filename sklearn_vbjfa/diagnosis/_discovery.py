@@ -51,7 +51,6 @@ from sklearn_vbjfa.recording import (
     with_torques_shifted,
 )
 from sklearn_vbjfa.regression._base import Interval
-from sklearn_vbjfa.robot._robot import IdentifiedRobot
 from sklearn_vbjfa.robot._windows import unfollowed
 
 
@@ -60,30 +59,25 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     The estimator fits the declared model, adds viscous and Coulomb friction, offset and
     rotor inertia on every joint, and searches for the most probable set of further
-    effects. Effects with sufficient posterior probability that also improve the
-    prediction of held-out motion are reported; less probable ones are listed as
-    possible. The errors of all models are measured on held-out data, and the completed
-    model is then fitted to all data.
+    effects. Errors are measured on held-out data; the completed model is then fitted to
+    all data.
 
     Parameters
     ----------
     identifier : RobotIdentifier
         Declared model: robot, friction and filter settings.
     effects : "all", or list of str or Effect, default="all"
-        Effects to search for: names of the library (see
-        `sklearn_vbjfa.effects.available`), or custom effects.
+        Effects to search for: names as `effects.available` lists them, or custom ones.
     test_size : float, default=0.25
-        Share of the motion that is held out: both ends of each of several recordings,
-        or several intervals of a single one, standstill excluded. It is increased up to
-        0.4 if a joint would move too little in it.
+        Share of the motion that is held out, standstill excluded; up to 0.4 if a joint
+        would move too little in it.
     alpha : float, default=0.05
-        Accepted probability that an effect is reported for a complete model: effects
-        need a posterior probability of ``1 - alpha``. It is also the level of the test
-        for contradicting recordings.
+        Reported effects need a posterior probability of ``1 - alpha``. It is also the
+        level of the test for contradicting recordings.
     max_effects : int or None, default=None
         Maximum number of effects to add.
     settings : SearchSettings or None, default=None
-        Further constants of the search, see `sklearn_vbjfa.diagnosis.SearchSettings`.
+        Further constants of the search.
     random_state : int, RandomState instance or None, default=None
         Without effect: the search is deterministic.
     verbose : int, default=0
@@ -93,32 +87,26 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     ----------
     effects_ : tuple of DiscoveredEffect
         Reported effects, those that reduce the cross-validated error the most first,
-        each with `name`, `joint` (from zero), `log_odds` (natural
-        logarithm of the posterior odds), `probability`, `rivals` (effects that could
-        replace it within three nats), `parameters`, `units` and `intervals` (90 %). The
-        values are those of `identifier_`.
+        each with `name`, `joint` (from zero), natural `log_odds`, `probability`,
+        `rivals` (effects that could replace it within three nats), `parameters`,
+        `units` and `intervals` (90 %). The values are those of `identifier_`.
     possible_ : tuple of DiscoveredEffect
-        Effects that are more probable than not but not reported; `warning` is the
-        reason. They are part of `identifier_` and `validation_model_`.
+        Effects that are more probable than not, part of the completed model; `warning`
+        is the reason why they are not reported.
     error_before_, error_plain_, error_after_ : ndarray of shape (nv,)
-        RMS of the torque residual on the held-out data over `torque_std_`, of the
-        declared model, with the four friction terms, and with the effects. The
-        ``intervals`` of ``report_.outcome.errors`` contain the error over the next
-        50 s of the same motion in 90 % of cases.
+        RMS of the held-out torque residual over `torque_std_`, of the declared model,
+        with the four friction terms, and with the effects; `report_` has intervals.
     torque_std_ : ndarray of shape (nv,)
-        Standard deviation of the low-pass filtered torque of each joint while the robot
-        moves [N m or N].
+        Standard deviation of the filtered torque of each joint in motion [N m or N].
     unexplained_ : tuple of Unexplained
         Joints with a residual above the noise floor, its share of the torque, and the
         signals on which it depends.
     not_identifiable_ : tuple of NotIdentifiable
         Effects that are not identifiable for this robot or from this recording.
     identifier_, validation_model_ : RobotIdentifier
-        Completed model, fitted to all data, and fitted to the search data, whose errors
-        are reported.
+        Completed model, fitted to all data, and to the search data as the next two.
     declared_, baseline_ : RobotIdentifier
-        Declared model, and the same with the four friction terms, fitted to the search
-        data.
+        Declared model, without and with the four friction terms.
     torque_lag_ : float
         Common delay of all torque channels [s], found first and removed; 0 if none.
     joint_names_ : tuple of str
@@ -128,19 +116,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     n_features_in_ : int
         Number of columns of X.
 
-    See Also
-    --------
-    sklearn_vbjfa.effects : The library of effects.
-
     Notes
     -----
-    A candidate is an effect on a joint. Its posterior odds are a Bayes factor, with a
-    half-Cauchy prior for the scale of its coefficients [1]_, times the prior odds (the
-    expected number of effects over the number of candidates); the evidence is
-    discounted by its scatter between blocks of time. Effects are reported if their
-    probability is at least ``1 - alpha``, if they reduce the cross-validated squared
-    error significantly and by at least 2 %, and if the interval of a parameter excludes
-    zero. The documentation describes all rules in "Search for effects".
+    "Search for effects" in the documentation describes the prior [1]_ and all rules.
 
     Robots with more than seven joints are searched branch by branch, without couplings
     between branches, unless `max_effects`, custom effects or declared effects are used.
@@ -157,20 +135,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     >>> from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
     >>> from sklearn_vbjfa.datasets import make_robot_recording
     >>> recording = make_robot_recording(
-    ...     duration=20.0,
-    ...     dt=0.01,
-    ...     undeclared={"load_friction": (1, 0.2)},
-    ...     random_state=0,
+    ...     duration=20, dt=0.01, undeclared={"load_friction": (1, 0.2)}, random_state=0
     ... )
-    >>> robot = RobotIdentifier(
-    ...     recording.robot_model(), dt=recording.dt, friction=("viscous",)
-    ... )
-    >>> loop = EffectDiscovery(robot, effects=["load_friction"], random_state=0)
+    >>> robot = RobotIdentifier(recording.robot_model(), dt=0.01, friction=("viscous",))
+    >>> loop = EffectDiscovery(robot, effects=["load_friction"])
     >>> loop = loop.fit(recording.q, recording.tau)
     >>> [(effect.name, effect.joint) for effect in loop.effects_]
     [('load_friction', 1)]
-    >>> bool((loop.error_after_ < loop.error_before_).all())
-    True
     """
 
     _parameter_constraints = {  # noqa: RUF012
@@ -206,37 +177,21 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.verbose = verbose
 
     @one_blas_thread()
-    def fit(
-        self,
-        X,
-        y,
-        groups=None,
-        sample_weight=None,
-        t=None,
-        signals=None,
-    ):
+    def fit(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
         """Search for effects.
 
         Parameters
         ----------
         X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions [rad or m], uniformly sampled; or states [q | v | a].
-            Columns of a data frame are matched by joint name.
+            Joint positions [rad or m], or states [q | v | a].
         y : array-like of shape (n_samples, nv)
-            Joint torques [N m] or forces [N]; as X.
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
-        sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
-                default=None
-            Weights; zero leaves a sample out.
-        t : array-like of shape (n_samples,), default=None
-            Time [s], rising over all recordings; None counts the identifier's `dt`.
+            Joint torques [N m] or forces [N].
+        groups, sample_weight, t : array-like, default=None
+            Labels of recordings, weights and time [s], as for `RobotIdentifier.fit`.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Recorded signals, such as a temperature, by name (or a
-            data frame): candidates for what friction and offsets vary with
-            (`effects.Signal`). Columns of a data frame X that are not a channel of a
-            joint are candidates as well; of these, the report names those that cannot
-            be used.
+            Recorded signals, such as a temperature, by name (or a data frame):
+            candidates for what friction and offsets vary with (`effects.Signal`), as
+            are columns of a data frame X that are not a channel of a joint.
 
         Returns
         -------
@@ -246,10 +201,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Raises
         ------
         ValueError
-            If a parameter is invalid, the recording is too short for blocks of time,
-            a channel is faulty (constant, of the wrong sign, swapped, in degrees), or
-            one of `signals` is (constant, not finite, a position, velocity, torque or
-            time by another name).
+            If a parameter is invalid, the recording is too short, a channel is faulty
+            (of the wrong sign, for example), or one of `signals` cannot be used.
 
         Warns
         -----
@@ -286,15 +239,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             Fitted estimator.
         """
         library = self._check_parameters()
-        known = recording.groups, recording.weight, None
-        whole, _ = self._recording(recording.inputs, recording.tau, *known)
-        whole = replace(
-            whole,
-            command=recording.command,
-            feedback=recording.feedback,
-            torque_units=recording.torque_units,
-            joints_named=recording.joints_named,
-        )
+        given = recording.inputs, recording.tau, recording.groups, recording.weight
+        whole, _ = self._recording(*given, None)
+        kept = ("command", "feedback", "torque_units", "joints_named")
+        whole = replace(whole, **{name: getattr(recording, name) for name in kept})
         names = tuple(map(str, recording.group_names))
         return self._fit(whole, library, signals, OfferedSignals(), names)
 
@@ -304,8 +252,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         drive = self.identifier.drive
         if drive is not None and drive.unsigned and whole.command is None:
             # Signs of rows that are not fitted follow from what was.
-            split = split_in_time(self.identifier, whole, self.test_size)
-            part = split.searched(whole)
+            part = split_in_time(self.identifier, whole, self.test_size).searched(whole)
             fitted = clone(self.identifier).fit_inspected(part)
             whole = signed(fitted.robot_, whole)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
@@ -320,30 +267,27 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.report_ = Report(outcome)
         return self
 
-    # -- what was given ----------------------------------------------------------------
-
     def _check_parameters(self):
         """Check what was given; return the library to search."""
         self._validate_params()
         given = self.identifier
         if given.criterion != "torque":
             raise ValueError(
-                'identifier must have criterion="torque"; the search needs torque '
-                f"residuals. Got {given.criterion!r}. Refine the result "
-                'afterwards: loop.identifier_.set_params(criterion="simulation").'
+                f'identifier must have criterion="torque"; got {given.criterion!r}. '
+                'Refine later: loop.identifier_.set_params(criterion="simulation").'
             )
         library = resolve(self.effects)
         if given.asked_gains is not None:
             # They are declared on every channel.
             library = [one for one in library if not isinstance(one, TorqueGain)]
-        if given.drive is None or not given.drive.of_positions:
+        drive = given.drive
+        if drive is None or not drive.of_positions:
             return library
         # Effects that its simulation cannot have would change the values of the others.
         left = {one.name: unfollowed(one) for one in library if unfollowed(one)}
         if left and not isinstance(self.effects, str):
             names = "; ".join(f"{name} ({why})" for name, why in left.items())
-            kind = type(given.drive).__name__
-            message = f"Not available with {kind}: {names}."
+            message = f"Not available with {type(drive).__name__}: {names}."
             warnings.warn(message, UserWarning, stacklevel=4)
         return [one for one in library if one.name not in left]
 
@@ -353,16 +297,18 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         X, y, columns = checked_arrays(self, names, X, y)
         weight = check_weight(sample_weight, y.shape)
         dt = check_dt(self.identifier.dt)
-        clock = check_clock(t, X.shape[0], dt)
-        given = {"dt": dt, "joint_names": names}
-        return take_arrays(X, y, groups, weight, clock, **given), columns
-
-    # -- stages ------------------------------------------------------------------------
+        t = check_clock(t, X.shape[0], dt)
+        made = take_arrays(X, y, groups, weight, t, dt=dt, joint_names=names)
+        return made, columns
 
     def _close(self, whole, library, unusable, names):
         """Close the loop on a checked recording; return what `make_outcome` does."""
         say("channels")
-        channels = () if whole.states is not None else self._inspected(whole)
+        channels = self.identifier.findings(whole) if whole.states is None else ()
+        measured = self.identifier.drive is None and self.identifier.gains is None
+        wrong = refusal(channels, whole.torque_units if measured else ())
+        if wrong is not None:
+            raise wrong
         silent = [j for f in channels if f.kind in NO_INFORMATION for j in f.joints]
         self.torque_lag_ = 0.0
         for found in (x.value for x in channels if x.kind == "delay"):
@@ -381,66 +327,53 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 for effect in self.identifier.effects
                 if effect.name not in declarable() or any(effect.shape().values())
             )
-            plain = {"friction": declarable(), "effects": own}
-            plain = clone(self.identifier).set_params(**plain)
-            self.baseline_ = plain.fit_inspected(part, compare=False)
-        known = {
-            "begins": tuple(whole.t[rows.start] for rows in whole.segments),
-            "repetition": find_repetition(whole.q, whole.t, whole.segments),
-        }
-        near = split.narrowed(*self._seen(part, split.moving[split.rows]))
-        seen = part if near is split else near.searched(whole)
+            bare = clone(self.identifier).set_params(friction=declarable(), effects=own)
+            self.baseline_ = bare.fit_inspected(part, compare=False)
+        begins = tuple(whole.t[rows.start] for rows in whole.segments)
+        repetition = find_repetition(whole.q, whole.t, whole.segments)
+        known = {"begins": begins, "repetition": repetition}
+        lowpass = self.baseline_.robot_.plan.lowpass
+        moving = split.moving[split.rows]
+        near = split.narrowed(*stretches(part.segments, moving, lowpass))
         say("search")
         given = {"origin": whole.groups[near.rows], **known}
-        found = self._search(seen, silent, given, library)
+        found = self._search(near.searched(whole), silent, given, library)
         say("held-out judgement")
-        named = self.baseline_
+        named, unnamed = self.baseline_, ()
         if found.effects:
             named = self._with(found.effects, named, part)
-        unnamed = self._unnamed(found, named)
+        if isinstance(self.effects, str) and self.identifier.drive is None:
+            fit = FinalFit(self.baseline_, named, found.view)
+            unnamed = unnamed_torques(fit, found.settings)
         self.validation_model_ = named.beside(unnamed)
-        # Copies of most rows are not needed any more.
-        del part, seen
+        del part  # a copy of most rows
         judged = judge(self, found, split, near, whole)
         say("final model")
-        final = self._hand_over(found, named, whole, split.moving, silent, known)
+        rows, pieces = stretches(whole.segments, split.moving, lowpass)
+        seen = take_rows(whole, rows, pieces)
+        given = {"origin": whole.groups[rows], "all_samples": True, **known}
+        final = self._final(found, named, whole, seen, silent, given)
         self.identifier_ = final.identifier.beside(that_help(final, unnamed))
-        channels = (*channels, *unusable)
         say("explaining")
+        channels = (*channels, *unusable)
         return make_outcome(self, found, final, judged, channels, whole, names)
 
-    def _inspected(self, whole):
-        """Return the findings on the channels; raise if one of them is wrong."""
-        findings = self.identifier.findings(whole)
-        measured = self.identifier.drive is None and self.identifier.gains is None
-        wrong = refusal(findings, whole.torque_units if measured else ())
-        if wrong is not None:
-            raise wrong
-        return findings
-
-    def _seen(self, recording, moving):
-        """Return the rows of a recording that are looked at, and their stretches."""
-        return stretches(recording.segments, moving, self.baseline_.robot_.plan.lowpass)
-
-    def _search(self, part, silent, given, library):
+    def _search(self, part, silent, known, library):
         """Search the robot, or its branches one by one where there are many joints."""
+        robot = self.baseline_.robot_
         settings = SearchSettings() if self.settings is None else self.settings
-        view = RecordingView(self.baseline_, part, silent, **given)
+        view = RecordingView(robot, part, silent, **known)
         branches = branches_of(self.baseline_, library, self.max_effects)
-        if len(branches) == 1 and view.precision.any():
-            return search(view, library, settings, self.alpha, self.max_effects)
         heard = [b for b in branches if view.precision[b.joints].any()]
+        if len(branches) == 1 or not heard:
+            library = library if heard else ()
+            return search(view, library, settings, self.alpha, self.max_effects)
         # As many effects are expected of all branches together as of one robot.
-        share = replace(settings, expected=settings.expected / max(len(heard), 1))
-        found = []
-        for branch in heard:
-            alone = branch.view(self.baseline_.robot_, part, silent, **given)
-            found.append(search(alone, library, share, self.alpha))
-        if not found:
-            return search(view, (), settings, self.alpha)
-        theta = self.baseline_.theta_unconstrained_
-        motion = view.motion_of(self.baseline_.robot_.linear_part(theta))
-        return put_together(view, motion, heard, found)
+        share = replace(settings, expected=settings.expected / len(heard))
+        views = (branch.view(robot, part, silent, **known) for branch in heard)
+        found = [search(alone, library, share, self.alpha) for alone in views]
+        theta = robot.linear_part(self.baseline_.theta_unconstrained_)
+        return put_together(view, view.motion_of(theta), heard, found)
 
     def _with(self, effects, begin, recording, **settings):
         """Fit the model with the plain terms and effects; begin: where values start."""
@@ -453,43 +386,24 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         again = clone(plain).set_params(**settings)
         return again.fit_inspected(recording, compare=False, before=begin.robot_)
 
-    def _unnamed(self, found, named):
-        """Find the joint torque beyond the effects; none where few were looked for."""
-        if not isinstance(self.effects, str) or self.identifier.drive is not None:
-            return ()
-        fit = FinalFit(self.baseline_, named, found.view)
-        return unnamed_torques(fit, found.settings)
-
-    def _hand_over(self, found, begin, whole, moving, silent, known):
+    def _final(self, found, begin, whole, seen, silent, known):
         """Fit the completed model to all data, in the band that was judged."""
-        band = {}
+        band, options, judged = {}, self.identifier.fit_options, self.validation_model_
         if isinstance(self.identifier.cutoff, str):
-            cutoff = self.validation_model_.cutoff_
-            band["cutoff"] = cutoff if np.isfinite(cutoff) else None
-        options = self.identifier.fit_options
+            band["cutoff"] = judged.cutoff_ if np.isfinite(judged.cutoff_) else None
         if isinstance(options.standstill, str):
-            standstill = self.validation_model_.standstill_
-            band["options"] = replace(options, standstill=standstill)
-        rows, pieces = self._seen(whole, moving)
-        seen = whole
-        if rows.size < whole.n_samples:
-            seen = take_rows(whole, rows, pieces)
-        origin = whole.groups[rows]
-        given = {"origin": origin, "all_samples": True, **known}
-        view = RecordingView(self.baseline_, seen, silent, **given)
+            band["options"] = replace(options, standstill=judged.standstill_)
+        view = RecordingView(self.baseline_, seen, silent, **known)
         view = view.with_rest(remembering(found.effects))
         if found.branches:
-            known = self.baseline_.robot_, seen, silent
-            effects = tuned_apart(found, lambda b: b.view(*known, **given))
+            part = self.baseline_.robot_, seen, silent
+            effects = tuned_apart(found, lambda b: b.view(*part, **known))
         else:
             effects = tuned_on(view, found.effects, found.settings)
         named = self._with(effects, begin, whole, **band)
-        share = seen.n_samples / whole.n_samples
-        return FinalFit(self.baseline_, named, view, share)
+        return FinalFit(self.baseline_, named, view, seen.n_samples / whole.n_samples)
 
-    # -- predictions -------------------------------------------------------------------
-
-    @wraps(IdentifiedRobot.predict)
+    @wraps(RobotIdentifier.predict)
     def predict(self, X, groups=None, t=None, signals=None):
         check_is_fitted(self)
         return self.identifier_.predict(X, groups=groups, t=t, signals=signals)
@@ -497,20 +411,18 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     def expected_error(self, X, groups=None, t=None, signals=None):
         """Predict the error of the completed model on another motion.
 
-        It is the error on held-out data, larger for speeds, accelerations and loads
-        beyond those of the fit, and what friction, gains, offsets and the load differ
-        by between recordings. The report has the same for motion like the fitted.
+        It is the error on held-out data, larger for motion beyond that of the fit, and
+        what friction, gains, offsets and the load differ by between recordings.
 
         Parameters
         ----------
         X, groups, t, signals : array-like
-            Positions or states of the motion, as for `predict`.
+            The motion, as for `predict`.
 
         Returns
         -------
         error : ndarray of shape (nv,)
-            Median of the RMS error over `torque_std_`; nan for a joint without an error
-            on held-out data.
+            Median of the RMS error over `torque_std_`; nan without held-out data.
         interval : ndarray of shape (2, nv)
             Ends between which it is in nine of ten recordings.
         """
@@ -527,9 +439,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
 def _names(whole, groups):
     """Return what each recording is called: its label, or its number from 1."""
-    labels = range(1, len(whole.segments) + 1)
-    if groups is not None:
-        given = [np.asarray(groups)[rows.start] for rows in whole.segments]
-        if given != list(range(len(given))):
-            labels = given
-    return tuple(str(label) for label in labels)
+    first = [rows.start for rows in whole.segments]
+    labels = range(len(first)) if groups is None else np.asarray(groups)[first]
+    if list(labels) == list(range(len(first))):
+        labels = range(1, len(first) + 1)
+    return tuple(map(str, labels))

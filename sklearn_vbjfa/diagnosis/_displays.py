@@ -33,10 +33,8 @@ class TorqueDisplay:
 
     Attributes
     ----------
-    figure_, axes_ : matplotlib Figure, and ndarray of Axes (nv,)
-        Those of `plot`.
-    lines_ : list of matplotlib Line2D
-        Curves of each joint: measured, before, after.
+    figure_, axes_, lines_ : Figure, ndarray of Axes (nv,), list of Line2D
+        Those of `plot`; the lines of each joint are measured, before, after.
     """
 
     time: np.ndarray
@@ -45,6 +43,7 @@ class TorqueDisplay:
     after: np.ndarray | None = None
     joint_names: tuple
     units: tuple
+    _style = "-", "time [s]"
 
     @classmethod
     def from_estimator(
@@ -55,11 +54,9 @@ class TorqueDisplay:
         Parameters
         ----------
         estimator : EffectDiscovery or RobotIdentifier
-            Fitted. A discovery shows its declared model before and its completed model
-            after.
+            Fitted. A discovery shows its declared and its completed model.
         X, y, groups, t, signals : array-like
-            Positions or states and torques of the recording, as for
-            `RobotIdentifier.residuals`.
+            Recording, as for `RobotIdentifier.residuals`.
         joints : list of int, default=None
             Joints to show, from zero; None shows all.
 
@@ -69,14 +66,13 @@ class TorqueDisplay:
             Display; call `plot`.
         """
         check_is_fitted(estimator)
-        models = (estimator,)
-        if not isinstance(estimator, RobotIdentifier):
-            models = (estimator.declared_, estimator.identifier_)
-        slides = is_prismatic(models[-1].features_.model_)
-        chosen = list(range(slides.size) if joints is None else joints)
+        alone = isinstance(estimator, RobotIdentifier)
+        models = (estimator,) if alone else (estimator.declared_, estimator.identifier_)
         found = [m.residuals(X, y, groups, t=t, signals=signals) for m in models]
         clock, index = check_clock(t, np.shape(X)[0], models[-1].dt), found[0].index
-        predicted = [r.predicted[:, chosen] for r in found]
+        slides = is_prismatic(models[-1].features_.model_)
+        chosen = list(range(slides.size) if joints is None else joints)
+        predicted = (r.predicted[:, chosen] for r in found)
         return cls(
             time=index if clock is None else clock[index],
             measured=found[0].torque[:, chosen],
@@ -98,49 +94,36 @@ class TorqueDisplay:
         self : object
             With `figure_`, `axes_` and `lines_`.
         """
-        time = np.broadcast_to(self.time[:, None], self.measured.shape)
-        curves = {"measured": self.measured, **self._predicted()}
-        curves = {label: (time, torque) for label, torque in curves.items()}
-        return self._drawn(ax, curves, "-", "time [s]")
-
-    def _predicted(self):
-        """Return the predicted torques by model."""
-        models = {"before": self.before, "after": self.after}
-        return {label: x for label, x in models.items() if x is not None}
-
-    def _drawn(self, ax, curves, marker, x_label):
-        """Draw curves, pairs (m, nv) by label."""
-        self.axes_ = self._axes(ax)
-        self.figure_, self.lines_ = self.axes_[0].figure, []
-        every = slice(None, None, max(1, len(self.time) // _POINTS))
-        for j, axis in enumerate(self.axes_):
-            axis.set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
-            for label, (x, y) in curves.items():
-                style = {"c": _COLOURS[label], "lw": 1.0, "ms": 2.5, "label": label}
-                self.lines_ += axis.plot(x[every, j], y[every, j], marker, **style)
-        self.axes_[0].legend(fontsize="small")
-        self.axes_[-1].set_xlabel(x_label)
-        return self
-
-    def _axes(self, ax):
-        """Return one of some axes for each joint, ndarray; of a new figure if None."""
         count = len(self.joint_names)
         if ax is None:
             try:
                 # By name, so that nothing here imports an optional package.
                 pyplot = importlib.import_module("matplotlib.pyplot")
             except ImportError as error:
-                raise ImportError(
-                    "A display needs matplotlib: pip install matplotlib."
-                ) from error
+                message = "A display needs matplotlib: pip install matplotlib."
+                raise ImportError(message) from error
             size = 8.0, 1.6 * count + 0.7
             _, ax = pyplot.subplots(count, layout="constrained", figsize=size)
-        axes = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
-        if axes.size != count:
-            raise ValueError(
-                f"ax must hold {count} axes, one a joint; got {axes.size}."
-            )
-        return axes
+        self.axes_ = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
+        if (n := self.axes_.size) != count:
+            raise ValueError(f"ax must hold {count} axes, one a joint; got {n}.")
+        self.figure_, self.lines_ = self.axes_[0].figure, []
+        every = slice(None, None, max(1, len(self.time) // _POINTS))
+        marker, x_label = self._style
+        for j, axis in enumerate(self.axes_):
+            axis.set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
+            for label, (x, y) in self._curves().items():
+                style = {"c": _COLOURS[label], "lw": 1.0, "ms": 2.5, "label": label}
+                self.lines_ += axis.plot(x[every, j], y[every, j], marker, **style)
+        self.axes_[0].legend(fontsize="small")
+        self.axes_[-1].set_xlabel(x_label)
+        return self
+
+    def _curves(self):
+        """Return curves by label, pairs of (m, nv)."""
+        time = np.broadcast_to(self.time[:, None], self.measured.shape)
+        torques = {label: getattr(self, label) for label in _COLOURS}
+        return {label: (time, x) for label, x in torques.items() if x is not None}
 
 
 class ResidualDisplay(TorqueDisplay):
@@ -149,8 +132,8 @@ class ResidualDisplay(TorqueDisplay):
     Parameters and attributes are those of `TorqueDisplay`.
     """
 
-    def plot(self, ax=None):
-        """Draw into axes, as `TorqueDisplay.plot` does."""
-        predicted = self._predicted()
-        curves = {label: (x, self.measured - x) for label, x in predicted.items()}
-        return self._drawn(ax, curves, ".", "predicted torque")
+    _style = ".", "predicted torque"
+
+    def _curves(self):
+        curves = super()._curves().items()
+        return {k: (x, self.measured - x) for k, (_, x) in curves if k != "measured"}

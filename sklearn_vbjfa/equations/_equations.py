@@ -1,6 +1,7 @@
 """Low-pass filtered equations of motion of a recording, piece by piece."""
 
 import functools
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,6 +56,10 @@ class Equations:
     # (n, nv, p) or None: regressors of another measurement of the motion
     instruments: np.ndarray | None = None
 
+    def torques(self, theta):
+        """Return the torques (n, nv) of parameters (p,)."""
+        return (theta @ self.Phi.transpose(1, 2, 0)).T
+
     def zeroed(self, entries):
         """Return the same equations with entries (nv, p), bool, set to zero."""
         instruments = self.instruments
@@ -63,14 +68,6 @@ class Equations:
             instruments = np.where(entries, 0.0, instruments)
         Phi = np.where(entries, 0.0, self.Phi)
         return replace(self, Phi=Phi, instruments=instruments)
-
-
-def joined(pieces):
-    names, pieces = ("Phi", "tau", "weight", "index"), list(pieces)
-    if len(pieces) == 1:
-        return pieces[0]
-    columns = zip(*[[getattr(one, name) for name in names] for one in pieces])
-    return Equations(**dict(zip(names, map(np.concatenate, columns))))
 
 
 # -- regressor matrices ----------------------------------------------------------------
@@ -232,7 +229,10 @@ class RegressorRows:
 
     def __call__(self, piece):
         """Regressor matrices (n, nv, p) of a slice of rows."""
-        return self.spread(self.entries(piece))
+        rows = self.entries(piece)
+        out = np.zeros((rows.shape[0], self.support.size))
+        out[:, self.used] = rows
+        return out.reshape(-1, *self.support.shape)
 
     def _read(self, values, joints):
         """Multiply derivatives of the torques of joints with the channels' gains."""
@@ -251,12 +251,6 @@ class RegressorRows:
             out[:, at : at + own.shape[1]] = own
             at += own.shape[1]
         return self._read(out, self.used // self.n_parameters)
-
-    def spread(self, rows):
-        """Put rows (n, n_entries) of entries back into matrices (n, nv, p)."""
-        out = np.zeros((rows.shape[0], self.n_joints * self.n_parameters))
-        out[:, self.used] = rows
-        return out.reshape(-1, self.n_joints, self.n_parameters)
 
     def predict(self, theta, *others):
         """Torques (k, n, nv) by parameters (p,), own and others', without columns."""
@@ -411,16 +405,14 @@ class Segment:
         """Regressors that are computed: of all samples, of the halves, or of both."""
         return (() if self.rows is None else (self.rows,)) + (self.halves or ())
 
-    def equations(self, lowpass, outputs):
-        seen, tau, weight, _ = self._measured(lowpass, outputs)
-        spread = self._made[0].spread
-        found = [spread(rows) for _, rows, _ in self._filtered(lowpass, seen, outputs)]
-        return Equations(
-            Phi=found[0] if len(found) == 1 else np.concatenate(found),
-            tau=tau,
-            weight=weight,
-            index=self.first + lowpass.centres(self.n_rows, outputs),
-        )
+    def equations(self, lowpass, entries):
+        """Torques, weights and rows of these equations, whose entries are set."""
+        # entries (nv * p, n): of the matrices, zeros.
+        every, used = slice(None), self._made[0].used
+        seen, tau, weight, _ = self._measured(lowpass, every)
+        for first, rows, _ in self._filtered(lowpass, seen, every):
+            entries[used, first : first + len(rows)] = rows.T
+        return tau, weight, self.first + lowpass.centres(self.n_rows)
 
     @one_blas_thread()
     def moments(self, lowpass, outputs, numbering=None):
@@ -594,10 +586,19 @@ def numbered(recording, plan):
 
 
 def equations(made, lowpass):
-    """Yield the equations of segments that are as long as the filter."""
-    for segment in made:
-        if lowpass.centres(segment.n_rows).size:
-            yield segment.equations(lowpass, slice(None))
+    """Return the `Equations` of segments that are as long as the filter."""
+    made = [one for one in made if lowpass.centres(one.n_rows).size]
+    edges = np.cumsum([0, *(lowpass.centres(one.n_rows).size for one in made)])
+    # Columns one after another: of many joints most are zero, and take no memory.
+    shape = made[0]._made[0].support.shape
+    entries = np.zeros((shape[0] * shape[1], edges[-1]))
+    found = [
+        one.equations(lowpass, entries[:, first:last])
+        for one, (first, last) in zip(made, itertools.pairwise(edges))
+    ]
+    tau, weight, index = map(np.concatenate, zip(*found))
+    Phi = entries.reshape(*shape, -1).transpose(2, 0, 1)
+    return Equations(Phi=Phi, tau=tau, weight=weight, index=index)
 
 
 def accumulate(made, lowpass, *, n_jobs=None, numbering=None):

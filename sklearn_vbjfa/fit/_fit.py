@@ -99,10 +99,8 @@ class FitData:
             made = replace(self, states=RecordingStates(own=list(own)))
             pieces.append(equations(made.segments(robot), robot.plan.lowpass))
         # An equation counts only where the joint moves in both.
-        return [
-            replace(x, weight=np.minimum(x.weight, z.weight), instruments=z.Phi)
-            for x, z in zip(*pieces)
-        ]
+        x, z = pieces
+        return [replace(x, weight=np.minimum(x.weight, z.weight), instruments=z.Phi)]
 
     def moments(self, made, plan):
         how = {"n_jobs": self.n_jobs, "numbering": self.numbering}
@@ -240,7 +238,7 @@ class Recipe:
             if has_fit_parameter(self.regressor, "instruments"):
                 rows = source.instrumented(robot)
             else:
-                rows = list(equations(made, robot.plan.lowpass))
+                rows = [equations(made, robot.plan.lowpass)]
         return self.of_moments(robot, source.moments(made, robot.plan), rows, made)
 
     def _shown(self, found):

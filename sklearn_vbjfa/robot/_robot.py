@@ -16,7 +16,6 @@ from sklearn_vbjfa.equations._equations import (
     edge_rows,
     equations,
     is_plain,
-    joined,
     make_motion,
     plain_coefficients,
     regressor_rows,
@@ -937,7 +936,7 @@ class IdentifiedRobot:
         made = build_segments(
             recording, made, plan, self.features_, theta=self.load_parameters
         )
-        return joined(equations(made, plan.lowpass))
+        return equations(made, plan.lowpass)
 
     def noise_facts(self, recording, n_jobs=None):
         """Measure the torque noise of a recording; `NoiseFacts` of each segment."""

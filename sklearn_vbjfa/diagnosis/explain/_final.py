@@ -80,8 +80,8 @@ class FinalFit:
 
     def predicted(self, theta):
         """Torques of the completed model with some parameters, (m, nv)."""
-        Phi, theta = self.view.equations.Phi, self.identifier.robot_.linear_part(theta)
-        predicted = Phi @ theta[: Phi.shape[2]]
+        theta = self.identifier.robot_.linear_part(theta)
+        predicted = self.view.equations.torques(theta[: self.declared.theta_.size])
         for own, coef in zip(self._columns, self._split(theta)):
             predicted = predicted + own @ coef
         return predicted
@@ -154,11 +154,12 @@ class FinalFit:
         """Yield joints that share columns, these, and their rows (m, nj, k)."""
         # extra (m, nv, q): further columns; rows are scaled as the residuals are.
         Z, extra = self.view.Z, extra * self.view.root[:, :, None]
-        support = (Z != 0).any(axis=1), (extra != 0).any(axis=0)
+        support = Z.any(axis=1), extra.any(axis=0)
         for joints, columns in branches(np.hstack(support)):
-            rows = [Z[joints].transpose(1, 0, 2), extra[:, joints]]
-            rows = np.concatenate(rows, axis=2)[:, :, columns]
-            yield joints, columns, rows * factor[joints, None]
+            own, further = np.split(columns, np.searchsorted(columns, Z.shape[2:]))
+            rows = [Z[joints[:, None], :, own].transpose(2, 0, 1)]
+            rows.append(extra[:, joints][:, :, further - Z.shape[2]])
+            yield joints, columns, np.concatenate(rows, axis=2) * factor[joints, None]
 
     def _variance(self, extra):
         """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""

@@ -220,7 +220,7 @@ class RecordingView:
         """Return the same view whose equations lack some declared columns."""
         if not columns:
             return self
-        Phi = self.equations.Phi.copy()
+        Phi = self.equations.Phi.copy("K")
         Phi[:, :, columns] = 0.0
         other = copy.copy(self)
         other.equations = replace(self.equations, Phi=Phi)
@@ -262,7 +262,7 @@ class RecordingView:
         weights = robot.joint_weights
         self.precision = np.where(self.root.any(axis=0), weights, 0.0)
         theta = robot.linear_part(robot.theta_unconstrained_)
-        residual = self.equations.tau - self.equations.Phi @ theta
+        residual = self.equations.tau - self.equations.torques(theta)
         correlation = correlation_time(
             residual, self.equations.weight, self.step, self.starts
         )
@@ -411,7 +411,7 @@ def reduced(equations, precision):
     # the data determine (p,).
     weight, Phi = equations.weight, equations.Phi
     # Of each joint the columns that it has alone: a tree has branches.
-    places = [np.flatnonzero(own) for own in (Phi != 0).any(axis=0)]
+    places = [np.flatnonzero(own) for own in Phi.any(axis=0)]
     G, rows = np.zeros((Phi.shape[2], Phi.shape[2])), []
     for j, (own, factor) in enumerate(zip(places, precision)):
         rows.append(Phi[:, j, own] * np.sqrt(weight[:, [j]]))
@@ -419,7 +419,7 @@ def reduced(equations, precision):
     eigen = scaled_eigen(G, _RANK)
     back = eigen.known_vectors / eigen.scale[:, None]
     back *= np.sqrt(max(float((weight * precision).sum()), 1.0))
-    Z = np.zeros((len(rows), Phi.shape[0], back.shape[1]))
+    Z = np.zeros((len(rows), back.shape[1], Phi.shape[0])).transpose(0, 2, 1)
     for own, part, made in zip(places, rows, Z):
         seen = np.flatnonzero(back[own].any(axis=0))
         made[:, seen] = part @ back[np.ix_(own, seen)]

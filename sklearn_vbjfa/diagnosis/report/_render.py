@@ -120,6 +120,7 @@ class Voice:
             "joint": partial(words.joint_label, names),
             "joints": partial(words.joint_list, names),
             "say": self,
+            "recording": lambda k: outcome.provenance["recordings"][k],
             "rivals_of": partial(words.rival_labels, outcome),
             "signal": lambda s, j: words.signal_label(s.signal, names, j),
             "effect_at": lambda e: words.effect_at(

@@ -143,10 +143,9 @@ def with_error(value, interval=None, unit=""):
     unit = f" {unit}" if unit else ""
     if isinstance(value, str):
         return value
-    if interval is None or not all(math.isfinite(x) for x in interval):
-        return number(value) + unit
-    half = 0.5 * (interval[1] - interval[0])
-    if not half > 0 or not math.isfinite(value):
+    known = interval is not None and all(map(math.isfinite, (value, *interval)))
+    half = 0.5 * (interval[1] - interval[0]) if known else 0.0
+    if not half > 0:
         return number(value) + unit
     size = math.floor(math.log10(half))
     # A leading 1 is given a second digit, which rounding would change by up to half.
@@ -178,9 +177,9 @@ def parameter_text(effect):
 
 
 def join(parts, most=3, word="and"):
-    """Write a list as a sentence does; what is beyond the most is counted."""
+    """Write a list as a sentence does; what is beyond the most, if any, is counted."""
     parts = list(parts)
-    if len(parts) > most + 1:
+    if most is not None and len(parts) > most + 1:
         parts = [*parts[:most], f"{len(parts) - most} more"]
     if len(parts) <= 1:
         return "".join(parts)

@@ -202,26 +202,25 @@ def _of_model(found, names):
 def _is_hidden(effect, found, missing):
     """Whether no shape of an effect is visible beyond those that it contains."""
     # missing: effects by name that the joint has not.
-    fit, motion = found.fit, found.motion
-    shapes = fit.problem.shapes(effect, first=True)
-    if not shapes:
-        return False
-    columns = fit.problem.shaped(shapes)
-    if isinstance(effect, InModel):
-        # At its largest plausible value it would not be reported.
-        away = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
-        worth = 0.5 * np.diagonal(fit.groups(columns).H[0]) * away**2
-        needed = found.needed + np.log(max(found.n_candidates, 1))
-        return bool(not (worth > needed + _OCCAM).any())
-    for name in missing.keys() & set(effect.contains):
-        simpler = fit.problem.shapes(missing[name], first=True)
-        if simpler and not missing[name].applies(motion):
-            simplest = fit.problem.shaped(simpler[:1])
-            fit = fit.beside(simplest.member(scale=_LOOSE))
-    groups = fit.groups(columns)
-    left = np.diagonal(groups.H, axis1=1, axis2=2)
-    share = left / np.where(groups.own > 0, groups.own, np.inf)
-    return not share.max() > _UNSEEN
+    fit, families = found.fit, found.families[effect.joint]
+    asked = [own for own in families if own.effects[0].name == effect.name]
+    simpler = missing.keys() & set(effect.contains)
+    for family in families:
+        if family.effects[0].name in simpler:
+            fit = fit.beside(family.member(0, _LOOSE))
+    seen = [np.zeros(0)]
+    for family in asked:
+        groups = fit.groups(family.columns)
+        left = np.diagonal(groups.H, axis1=1, axis2=2)[family.at]
+        if isinstance(effect, InModel):
+            # At its largest plausible value it would not be reported.
+            away = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
+            needed = found.needed + np.log(max(found.n_candidates, 1)) + _OCCAM
+            seen.append(0.5 * left[0] * away**2 > needed)
+        else:
+            own = groups.own[family.at]
+            seen.append((left > _UNSEEN * own).ravel())
+    return bool(asked) and not np.concatenate(seen).any()
 
 
 def _probe(found):

@@ -57,38 +57,13 @@ class Family:
         return self.columns.member(self.at.start + c, scale)
 
 
-def families_of(found):
-    """Return the uses of effects, each with its `Columns`, list of Family."""
-    # Side by side, so that moments beside a model are made at once.
-    kinds, families = {}, []
-    for columns in found:
-        kind = columns.joints, columns.shape[1], isinstance(columns.effects[0], Bank)
-        for shapes in _uses(columns.effects):
-            kinds.setdefault(kind, []).append((len(families), columns, shapes))
-            families.append(None)
-    for (joints, *_), parts in kinds.items():
-        numbers, own, shapes = zip(*parts)
-        values = [x.values.take(some, axis=2) for x, some in zip(own, shapes)]
-        beside = Columns(
-            [x.effects[c] for x, some in zip(own, shapes) for c in some],
-            joints,
-            np.concatenate(values, axis=2),
-            np.concatenate([x.unit[some] for x, some in zip(own, shapes)]),
-            own[0].edges,
-        )
-        ends = np.cumsum([0, *map(len, shapes)]).tolist()
-        for i, (a, b) in zip(numbers, itertools.pairwise(ends)):
-            families[i] = Family(beside, slice(a, b))
-    return families
-
-
 def _uses(effects):
-    """Numbers of the shapes of each separate use, see `Shaped.split_by`, lists."""
+    """Shapes of each separate use, see `Shaped.split_by`, lists."""
     uses = {}
-    for c, effect in enumerate(effects):
+    for effect in effects:
         kinds = effect.split_by if isinstance(effect, Shaped) else ()
         use = tuple(getattr(effect, name) for name in kinds)
-        uses.setdefault(use, []).append(c)
+        uses.setdefault(use, []).append(effect)
     return list(uses.values())
 
 
@@ -122,23 +97,31 @@ class Candidates:
     def __init__(self, problem, library, settings, forgetful=()):
         self.library, self.settings = library, settings
         self.noise, self.rejected = None, set()
-        found = {int(j): [] for j in np.flatnonzero(problem.used_joints)}
+        self.families = {int(j): [] for j in np.flatnonzero(problem.used_joints)}
         asked = [
             (j, effect)
-            for j in found
+            for j in self.families
             for effect in library
             if not (isinstance(effect, Bank) and j in forgetful)
         ]
-        for j, effect in counted(asked, "candidate", len(asked)):
+        kinds = {}
+        for j, effect in asked:
             one = clone(effect).set_params(joint=j)
             if one.name in problem.view.declared or one.applies(problem.motion):
                 continue
             if shapes := problem.shapes(one, first=True):
-                found[j].append(problem.shaped(shapes))
-        self.families = {}
-        for j in list(found):
-            # Cosines are there once: those that are side by side.
-            self.families[j] = families_of(found.pop(j))
+                width = max(len(shape.coefficients) for shape in shapes)
+                loaded = any("load" in shape.needs for shape in shapes)
+                joints = tuple(one.acts_on(problem.view.nv))
+                kind = j, joints, width, isinstance(one, Bank), loaded
+                kinds.setdefault(kind, []).extend(_uses(shapes))
+        # Side by side, so that moments beside a model are made at once; what does not
+        # depend on the load for itself, as it stays.
+        for (j, *_), uses in counted(kinds.items(), "candidate", len(kinds)):
+            columns = problem.shaped(list(itertools.chain(*uses)))
+            ends = np.cumsum([0, *map(len, uses)]).tolist()
+            slices = itertools.starmap(slice, itertools.pairwise(ends))
+            self.families[j] += [Family(columns, at) for at in slices]
         self.count = sum(map(len, self.families.values()))
         self.log_prior = np.log(settings.expected / max(self.count, 1))
         # Log odds above which an effect is in the model.

@@ -1,6 +1,5 @@
 """What each effect is worth on time, or recordings, that were not fitted."""
 
-import functools
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
@@ -122,12 +121,13 @@ class HeldOutFit:
             gram, rows = total[:r, :r] + precision[:r, :r], held.view.one_sided[zero]
             precision[:r, :r] += precision_at_zero(gram, rows)
         self._done = np.r_[np.zeros(r), fit.done]
-        self._factors, self._thetas, self._without = [], [], {}
+        # by the numbers of members that are left out
+        self._factors, self._thetas, self._without = [], {(): []}, {}
         for own in by_fold:
             left = total - own
             self._factors.append(linalg.cho_factor(left[:-1, :-1] + precision))
             right = left[:-1, -1] - prior * self._done
-            self._thetas.append(linalg.cho_solve(self._factors[-1], right))
+            self._thetas[()].append(linalg.cho_solve(self._factors[-1], right))
 
     def _acting(self, j):
         """Places (p_j,) of the coefficients that act on a joint, and columns."""
@@ -153,24 +153,17 @@ class HeldOutFit:
                 own[at[:, None], at] += weight * (X[rows].T @ X[rows])
         return out
 
-    def _residual(self, thetas):
-        """Residuals (nj, m) of each fold with its coefficients, blocks in order."""
-        theta = np.array(thetas)[self.held.of_row]
-        A = self.held.A
-        out = A[:, :, -1] - np.einsum("jmr,mr->jm", A[:, :, :-1], theta[:, : self._r])
-        for own, (at, X) in zip(out, self._columns):
-            own -= (X * theta[:, at]).sum(axis=1)
-        return out
+    def _residual(self, thetas, j):
+        """Residuals (m,) of the j-th joint, with the coefficients of each fold."""
+        theta, (at, X) = np.array(thetas)[self.held.of_row], self._columns[j]
+        A = self.held.A[j]
+        out = A[:, -1] - np.einsum("mr,mr->m", A[:, :-1], theta[:, : self._r])
+        return out - np.einsum("mp,mp->m", X, theta[:, at])
 
-    def _squares(self, thetas):
-        """Squared errors of blocks (n_blocks, nj)."""
-        squares = self._residual(thetas) ** 2
-        return np.add.reduceat(squares, self.held.edges[:-1], axis=1).T
-
-    @functools.cached_property
+    @property
     def squares(self):
         """Squared errors of blocks (n_blocks, nj), of the model."""
-        return self._squares(self._thetas)
+        return self.without((), range(len(self._columns)))
 
     def error(self):
         """Logarithms of the joints' mean squared errors, their rows as weights."""
@@ -180,47 +173,46 @@ class HeldOutFit:
     def error_of(self, joint):
         """Squared error of one joint."""
         own = np.searchsorted(self.held.used_joints, joint)
-        return float(self.squares[:, own].sum())
+        return float(self.without((), [own]).sum())
 
-    def of_member(self, member, squares):
-        """Errors of blocks (n_blocks,) of a member's joint; in noise, of the robot."""
-        if isinstance(member.effect, (OnAllJoints, InModel)):
-            return squares @ self.weight
-        return squares[:, np.searchsorted(self.held.used_joints, member.effect.joint)]
+    def _own(self, i):
+        """Numbers of the joints that count for a member, and what these weigh."""
+        # In noise, of the robot, what acts on all.
+        effect = self.fit.members[i].effect
+        if isinstance(effect, (OnAllJoints, InModel)):
+            return np.arange(self.weight.size), self.weight
+        return np.searchsorted(self.held.used_joints, [effect.joint]), np.ones(1)
 
-    def by_joint(self, member, squares):
-        """Errors of the joints that a member acts on, summed over the blocks."""
-        if isinstance(member.effect, (OnAllJoints, InModel)):
-            return squares.sum(axis=0)
-        return self.of_member(member, squares).sum(keepdims=True)
+    def without(self, numbers, joints):
+        """Squared errors (n_blocks, nj) of joints without members, others refitted."""
+        known, found = self._without.setdefault(tuple(numbers), {}), []
+        for j in joints:
+            if j not in known:
+                squares = self._residual(self._refitted(tuple(numbers)), j) ** 2
+                known[j] = np.add.reduceat(squares, self.held.edges[:-1])
+            found.append(known[j])
+        return np.stack(found, axis=1)
 
-    def without(self, *numbers):
-        """Squared errors (n_blocks, nj) without members, the others refitted."""
-        if not numbers:
-            return self.squares
-        if numbers in self._without:
-            return self._without[numbers]
-        place = np.concatenate([np.r_[self._places[i]] for i in numbers])
-        unit, thetas = np.eye(self._done.size)[:, place], []
-        for factor, theta in zip(self._factors, self._thetas):
-            inverse = linalg.cho_solve(factor, unit)
-            # What leaving columns out does to the others, by the block inverse.
-            away = np.linalg.solve(inverse[place], theta[place] + self._done[place])
-            thetas.append(theta - inverse @ away)
-        self._without[numbers] = found = self._squares(thetas)
-        return found
+    def _refitted(self, numbers):
+        """Coefficients of each fold without members."""
+        if numbers not in self._thetas:
+            place = np.concatenate([np.r_[self._places[i]] for i in numbers])
+            unit, self._thetas[numbers] = np.eye(self._done.size)[:, place], []
+            for factor, theta in zip(self._factors, self._thetas[()]):
+                inverse = linalg.cho_solve(factor, unit)
+                # What leaving columns out does to the others, by the block inverse.
+                away = np.linalg.solve(inverse[place], theta[place] + self._done[place])
+                self._thetas[numbers].append(theta - inverse @ away)
+        return self._thetas[numbers]
 
     def share_of(self, i, absent=(), plain=None):
         """Largest share of a joint's squared error that a member saves."""
-        # Of the error without it, or that of the plain terms if this is larger.
-        member = self.fit.members[i]
-        without, own = (
-            self.by_joint(member, self.without(*absent, *some)) for some in ((i,), ())
-        )
-        size = without
-        if plain is not None:
-            size = np.maximum(without, self.by_joint(member, plain))
-        return float(((without - own) / np.maximum(size, _SMALLEST)).max())
+        # Of the error without it, or without members `plain` if this is larger.
+        joints, _ = self._own(i)
+        asked = (*absent, i), absent, (*absent, i) if plain is None else plain
+        without, own, most = (self.without(x, joints).sum(axis=0) for x in asked)
+        size = np.maximum(np.maximum(without, most), _SMALLEST)
+        return float(((without - own) / size).max())
 
     def helps(self, i, least=0.0):
         """Whether a member saves more than a share, in the mean of the blocks too."""
@@ -229,9 +221,8 @@ class HeldOutFit:
 
     def gain_of(self, i, absent=()):
         """Return what a member saves, others being absent."""
-        both = self.without(*absent, i), self.without(*absent)
-        member = self.fit.members[i]
-        return CrossValidatedGain.of(*(self.of_member(member, x) for x in both))
+        (joints, weight), both = self._own(i), ((*absent, i), absent)
+        return CrossValidatedGain.of(*(self.without(x, joints) @ weight for x in both))
 
     @property
     def residual(self):
@@ -241,7 +232,9 @@ class HeldOutFit:
         held = self.held
         out = np.zeros_like(held.view.target)
         rows = np.arange(out.shape[1])[held.order]
-        found = self._residual(self._thetas)
+        found = np.array(
+            [self._residual(self._thetas[()], j) for j in range(len(self._columns))]
+        )
         for own, weight, A, (at, X) in zip(found, self.weight, held.A, self._columns):
             for factor, fold in zip(self._factors, held.rows):
                 columns = np.zeros((fold.sum(), self._done.size))

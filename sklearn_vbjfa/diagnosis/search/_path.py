@@ -61,8 +61,6 @@ class Path:
         fit, seen = self.begin(), None
         for self.turn in range(_TURNS):
             say(f"round {self.turn + 1}")
-            # Those of the last round take much memory.
-            self.candidates = None
             self.candidates = self._candidates(fit)
             base = self._spectrum(fit.holding(False))
             fit = self._climb(self.scaled(Fit(base, fit.members)))
@@ -311,7 +309,8 @@ class Path:
         for i, member in enumerate(fit.members):
             used = fit.coefficients(i) > 0
             if isinstance(member.effect, Bank) and used.any() and not used.all():
-                return self.scaled(with_shape(fit, i, member.effect.only(used)))
+                less = fit.problem.only(member.columns, used)
+                return self.scaled(with_shape(fit, i, less.effects[0]))
         return fit
 
     def _exchanged(self, fit, been):

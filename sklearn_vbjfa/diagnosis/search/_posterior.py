@@ -123,6 +123,7 @@ class Found:
     settings: SearchSettings
     library: tuple  # effects that were tried on every joint
     fit: Fit | None = None  # None for a robot that was searched branch by branch
+    families: dict | None = None  # of the effects that were tried, by joint
     # what was found on each, of a robot that was searched branch by branch
     branches: tuple = ()
 
@@ -182,6 +183,7 @@ def search(view, library, settings, alpha, max_effects=None):
         # As the held-out part is: stretches between others.
         residual=HeldOut(problem.view, problem.view.blocks.fold).fitted(fit).residual,
         fit=fit,
+        families=path.candidates.families,
         n_candidates=path.candidates.count,
         needed=needed,
         settings=settings,
@@ -255,7 +257,7 @@ def _worthwhile(left_out, worth):
     # The one that saves least goes, and the others are fitted without it, until each
     # saves a share of the error that the plain terms leave, of one joint at least.
     kept, absent = list(range(len(left_out.fit.members))), []
-    plain = left_out.without(*kept)
+    plain = tuple(kept)
     while kept:
         shares = [left_out.share_of(i, absent, plain) for i in kept]
         worst = int(np.argmin(shares))

@@ -26,6 +26,8 @@ def products(edges, one, other):
 # One in so many cosines of the scores is slow; and the slowest of them.
 _SLOW, _SLOWEST = 4, 4
 _TINY = np.finfo(float).tiny
+# Numbers of the cosines that are kept after their use.
+_KEPT_NUMBERS = 1 << 24
 # Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
 _RIDGE = 1e-9
 # How much better than by the data a term is known that is held at zero.
@@ -37,10 +39,11 @@ class Columns:
 
     # effects (c,): one for each shape; joints: those that they act on; values (nj, n,
     # c, k): cosines, sorted by band and not weighted; unit (c, k): see `Groups`, zero
-    # for columns of zeros; edges: see `Problem`.
+    # for columns of zeros; edges: see `Problem`; load: motion with the load that they
+    # depend on, if any.
 
-    def __init__(self, effects, joints, values, unit, edges):
-        self.effects, self.joints = tuple(effects), tuple(joints)
+    def __init__(self, effects, joints, values, unit, edges, load=None):
+        self.effects, self.joints, self.load = tuple(effects), tuple(joints), load
         self.values, self.unit, self.edges = values, unit, edges
         # with which columns and torques products were made last, and these
         self._declared = self._right = None, None
@@ -177,12 +180,39 @@ class Problem:
 
     def shaped(self, effects):
         """Return `Columns` of an effect with some shapes, list of Effect."""
-        values, size = self.view.shaped(effects, self.motion, self.cosines)
+        view, joints = self.view, effects[0].acts_on(self.view.nv)
+        load = self.motion if any("load" in e.needs for e in effects) else None
+        found = view.made.get(self._key(effects))
+        if found is None or found.load is not load:
+            values, size = view.shaped(effects, self.motion, self.cosines)
+            # An effect of all joints has the torque of that which it moves the most.
+            largest = (size * self._per_torque[joints][:, None, None]).max(axis=0)
+            unit = (largest > 0) / or_one(largest)
+            found = Columns(effects, joints, values, unit, self.edges, load)
+        return self._kept(found)
+
+    def only(self, columns, used):
+        """Return `Columns` with some elements (k,) of a bank with one shape."""
+        effects = [columns.effects[0].only(used)]
+        values, unit = columns.values[..., used], columns.unit[:, used]
+        load = self.motion if "load" in effects[0].needs else None
+        own = effects, columns.joints, values, unit, columns.edges, load
+        return self._kept(Columns(*own))
+
+    def _key(self, effects):
+        """Return what columns of effects depend on, but for the load."""
         joints = effects[0].acts_on(self.view.nv)
-        # An effect of all joints has the torque of that which it moves the most.
-        largest = (size * self._per_torque[joints][:, None, None]).max(axis=0)
-        unit = (largest > 0) / or_one(largest)
-        return Columns(effects, joints, values, unit, self.edges)
+        uses = ((type(e), e.joint, *sorted(e.shape().items())) for e in effects)
+        return *self.view.gains[joints], *self.torque[joints], *uses
+
+    def _kept(self, columns):
+        """Keep columns that are in use, or asked for last."""
+        key, made, recent = self._key(columns.effects), self.view.made, self.view.recent
+        recent.pop(key, None)
+        made[key] = recent[key] = columns
+        while sum(x.values.size for x in recent.values()) > _KEPT_NUMBERS:
+            recent.pop(next(iter(recent)))
+        return columns
 
     def shapes(self, effect, first=False):
         """Return an effect with all shapes of its grid, or those to begin with."""

@@ -209,16 +209,22 @@ def with_shape(fit, i, effect):
 
 def bank(fit, effect, shapes, scale):
     """Return the best of banks with the elements of positive size given a fit."""
-    columns = fit.problem.shaped(shapes)
-    groups = fit.groups(columns)
-    best = int(np.argmax(groups.evidence(scale)))
-    found, coef = columns.effects[best], groups.coefficients()[best]
+    # Those that do not depend on the load stay when that changes.
+    problem, most = fit.problem, -np.inf
+    loaded = [bool(shape.loaded) for shape in shapes]
+    for kind in dict.fromkeys(loaded):
+        some = [own for own, is_loaded in zip(shapes, loaded) if is_loaded == kind]
+        groups = fit.groups(problem.shaped(some))
+        evidence = groups.evidence(scale)
+        best = int(np.argmax(evidence))
+        if evidence[best] > most:
+            found, coef = some[best], groups.coefficients()[best]
+            most = evidence[best]
     used = coef[: len(found.coefficients)] > 0
     if not used.any():
         return effect
-    found = found.only(used).finer()
-    coef = fit.groups(fit.problem.shaped([found])).coefficients()[0]
-    return found.only(coef > 0)
+    finer = problem.shaped([found.only(used).finer()])
+    return problem.only(finer, fit.groups(finer).coefficients()[0] > 0).effects[0]
 
 
 # -- instants of jumps

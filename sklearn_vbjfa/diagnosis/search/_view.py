@@ -3,6 +3,7 @@
 import copy
 import itertools
 from dataclasses import replace
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -99,8 +100,6 @@ _RANK = 1e-12
 _DETERMINED = 1e-6
 # Numbers of the columns that are filtered together.
 _AT_ONCE = 1 << 20
-# Numbers of the cosines of shapes that are kept.
-_KEPT_NUMBERS = 1 << 24
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
 # Rests of a joint from which on its torque at rest is looked at.
@@ -131,6 +130,7 @@ class RecordingView:
     # it [s], None where none repeats; repeats: how many times each phase is there;
     # floor (nv,): mean square of the residual from noise alone, nan if unknown;
     # precision (nv,): weights of the joints in the declared model's fit.
+    # made: all `Columns` that are in use, and recent, those that were asked for last.
 
     def __init__(
         self,
@@ -154,7 +154,7 @@ class RecordingView:
         weight[:, list(leave_out)] = 0.0
         self._given = replace(recording, weight=weight, t=clock), states
         self._root, self._corrections = self, frozenset()
-        self._corrected, self._shapes = {}, {}
+        self._corrected, self.made, self.recent = {}, WeakValueDictionary(), {}
         self._set_equations()
         self.moving = self.equations.weight
         self.recorded = self.equations.index
@@ -211,7 +211,8 @@ class RecordingView:
         other = copy.copy(self._root)
         plan = replace(other.robot.plan, resting=joints)
         other.robot = replace(other.robot, plan=plan)
-        other._root, other._corrected, other._shapes = other, {}, {}
+        other._root, other._corrected = other, {}
+        other.made, other.recent = WeakValueDictionary(), {}
         other._set_equations()
         other._set_coordinates()
         return other
@@ -365,19 +366,9 @@ class RecordingView:
 
     def shaped(self, effects, motion, cosines):
         """Cosines (nj, n, c, k) of an effect's columns, and their sizes (nj, c, k)."""
-        # Kept, those that were asked for last, until their load changes.
-        joints, known = effects[0].acts_on(self.nv), self._shapes
-        uses = ((type(e), e.joint, *sorted(e.shape().items())) for e in effects)
-        key = *self.gains[joints], *uses
-        load = motion if any("load" in e.needs for e in effects) else None
-        before, found = known.pop(key, (None, None))
-        if found is None or before is not load:
-            rows = self.columns(effects, motion)
-            found = cosines(rows, joints), np.sqrt((rows**2).mean(axis=1))
-        known[key] = load, found
-        while sum(values.size for _, (values, _) in known.values()) > _KEPT_NUMBERS:
-            known.pop(next(iter(known)))
-        return found
+        rows = self.columns(effects, motion)
+        size = np.sqrt((rows**2).mean(axis=1))
+        return cosines(rows, effects[0].acts_on(self.nv)), size
 
     def _made(self, effect, motion):
         """Columns of an effect at the samples, checked for custom effects."""

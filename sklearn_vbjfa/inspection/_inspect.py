@@ -230,7 +230,9 @@ def inspect_channels(
     # torques is a fault, and with free bodies no factor of all of them. named: whether
     # the channels carry the names of the joints, so that no order is assumed.
     model, dt = load_folded(model).still, check_dt(dt)
-    names, (q, tau) = joint_names(model), (np.asarray(x, dtype=float) for x in (q, tau))
+    # Channels one after another: they are looked at one by one.
+    q, tau = (np.asarray(x, dtype=float, order="F") for x in (q, tau))
+    names = joint_names(model)
     if q.shape != tau.shape or q.shape[1:] != (model.nv,):
         raise ValueError(
             f"q and tau must both have shape (n_samples, {model.nv}), one column for "

@@ -85,8 +85,7 @@ def correct_gravity(recording, model):
         if one.kind == "no_gravity":
             raise ValueError(one.message)
     squares = np.zeros((2, *tau.shape))
-    with warnings.catch_warnings():
-        # Poses are few rows, and nothing is filtered.
+    with warnings.catch_warnings():  # of few rows, and without a filter
         warnings.simplefilter("ignore", UserWarning)
         for kept, fold in KFold(_FOLDS).split(tau):
             for one, fit in zip(squares, _fitted([x[kept] for x in samples], model)):
@@ -167,8 +166,7 @@ def gravity_poses(model, n_poses=20, *, fitted=None, random_state=0):
 
 
 def _described(model, random_state=0):
-    """Return features of a description, and its gravity torque at random poses."""
-    # Poses (n, nv), torques by parameters of bodies (n, nv, 10 nv), and RMS (nv,).
+    """Return features, random poses, their torques by bodies, and the RMS (nv,)."""
     features = RigidBodyFeatures(model, friction=()).load()
     if BodyPrior.of(features.model_, 10) is None:
         raise ValueError("The description has no masses: add <inertial> elements.")
@@ -279,10 +277,12 @@ def _fitted(samples, model):
 def _payload(found, bodies):
     """Mass of a payload and its deviation, if it explains the torques as well."""
     # All bodies are as described but the last.
-    others = replace(bodies, places=bodies.places[:-1], centre=bodies.centre[:-1])
-    fit, mass = found.estimate_, bodies.places[-1, 0]
+    fit, model = found.estimate_, found.features_.nominal_
+    mass = found.parameter_names_.index(f"{found.joint_names_[-1]}:m")
+    held = bodies.places[:, 0] != mass
+    others = replace(bodies, places=bodies.places[held], centre=bodies.centre[held])
     loaded = beside_description(fit, others, "fixed")
-    more, std = loaded.theta[mass] - bodies.centre[-1, 0], loaded.std[mass]
+    more, std = loaded.theta[mass] - model.inertias[model.nv].mass, loaded.std[mass]
     squares = (fit.moments.residual_squares(one.theta) for one in (loaded, fit))
     with_it, without = (fit.joint_weights @ one for one in squares)
     as_well = with_it <= _AS_WELL**2 * without and more > _SURE * std

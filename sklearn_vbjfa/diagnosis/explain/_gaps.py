@@ -204,23 +204,21 @@ def _is_hidden(effect, found, missing):
     # missing: effects by name that the joint has not.
     fit, families = found.fit, found.families[effect.joint]
     asked = [own for own in families if own.effects[0].name == effect.name]
-    simpler = missing.keys() & set(effect.contains)
     for family in families:
-        if family.effects[0].name in simpler:
+        if family.effects[0].name in missing.keys() & set(effect.contains):
             fit = fit.beside(family.member(0, _LOOSE))
-    seen = [np.zeros(0)]
     for family in asked:
         groups = fit.groups(family.columns)
         left = np.diagonal(groups.H, axis1=1, axis2=2)[family.at]
+        least = _UNSEEN * groups.own[family.at]
         if isinstance(effect, InModel):
             # At its largest plausible value it would not be reported.
             away = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
-            needed = found.needed + np.log(max(found.n_candidates, 1)) + _OCCAM
-            seen.append(0.5 * left[0] * away**2 > needed)
-        else:
-            own = groups.own[family.at]
-            seen.append((left > _UNSEEN * own).ravel())
-    return bool(asked) and not np.concatenate(seen).any()
+            needed = found.needed + np.log(max(found.n_candidates, 1))
+            left, least = 0.5 * left[0] * away**2, needed + _OCCAM
+        if (left > least).any():
+            return False
+    return bool(asked)
 
 
 def _probe(found):

@@ -160,7 +160,6 @@ def put_together(view, motion, branches, found):
         residual=residual,
         n_candidates=sum(own.n_candidates for own in found),
         fit=None,
-        families=None,
         branches=tuple(zip(branches, found)),
     )
 

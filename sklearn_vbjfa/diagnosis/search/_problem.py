@@ -26,8 +26,6 @@ def products(edges, one, other):
 # One in so many cosines of the scores is slow; and the slowest of them.
 _SLOW, _SLOWEST = 4, 4
 _TINY = np.finfo(float).tiny
-# Numbers of the cosines that are kept after their use.
-_KEPT_NUMBERS = 1 << 24
 # Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
 _RIDGE = 1e-9
 # How much better than by the data a term is known that is held at zero.
@@ -82,9 +80,8 @@ class Columns:
         if self.shape != (1, k):
             own = np.ascontiguousarray(self.values[:, :, c : c + 1, :k])
             unit = self.unit[c : c + 1, :k]
-            columns = Columns(
-                self.effects[c : c + 1], self.joints, own, unit, self.edges
-            )
+            known = self.joints, own, unit, self.edges, self.load
+            columns = Columns(self.effects[c : c + 1], *known)
         return Member(columns=columns, scale=scale)
 
 
@@ -180,39 +177,30 @@ class Problem:
 
     def shaped(self, effects):
         """Return `Columns` of an effect with some shapes, list of Effect."""
-        view, joints = self.view, effects[0].acts_on(self.view.nv)
+        key, joints = self._key(effects), effects[0].acts_on(self.view.nv)
         load = self.motion if any("load" in e.needs for e in effects) else None
-        found = view.made.get(self._key(effects))
+        found = self.view.made.get(key)
         if found is None or found.load is not load:
-            values, size = view.shaped(effects, self.motion, self.cosines)
+            values, size = self.view.shaped(effects, self.motion, self.cosines)
             # An effect of all joints has the torque of that which it moves the most.
             largest = (size * self._per_torque[joints][:, None, None]).max(axis=0)
             unit = (largest > 0) / or_one(largest)
             found = Columns(effects, joints, values, unit, self.edges, load)
-        return self._kept(found)
+        return self.view.keep(key, found)
 
     def only(self, columns, used):
         """Return `Columns` with some elements (k,) of a bank with one shape."""
         effects = [columns.effects[0].only(used)]
         values, unit = columns.values[..., used], columns.unit[:, used]
-        load = self.motion if "load" in effects[0].needs else None
-        own = effects, columns.joints, values, unit, columns.edges, load
-        return self._kept(Columns(*own))
+        load = columns.load if "load" in effects[0].needs else None
+        found = Columns(effects, columns.joints, values, unit, self.edges, load)
+        return self.view.keep(self._key(effects), found)
 
     def _key(self, effects):
         """Return what columns of effects depend on, but for the load."""
         joints = effects[0].acts_on(self.view.nv)
         uses = ((type(e), e.joint, *sorted(e.shape().items())) for e in effects)
         return *self.view.gains[joints], *self.torque[joints], *uses
-
-    def _kept(self, columns):
-        """Keep columns that are in use, or asked for last."""
-        key, made, recent = self._key(columns.effects), self.view.made, self.view.recent
-        recent.pop(key, None)
-        made[key] = recent[key] = columns
-        while sum(x.values.size for x in recent.values()) > _KEPT_NUMBERS:
-            recent.pop(next(iter(recent)))
-        return columns
 
     def shapes(self, effect, first=False):
         """Return an effect with all shapes of its grid, or those to begin with."""

@@ -210,16 +210,15 @@ def with_shape(fit, i, effect):
 def bank(fit, effect, shapes, scale):
     """Return the best of banks with the elements of positive size given a fit."""
     # Those that do not depend on the load stay when that changes.
-    problem, most = fit.problem, -np.inf
-    loaded = [bool(shape.loaded) for shape in shapes]
-    for kind in dict.fromkeys(loaded):
-        some = [own for own, is_loaded in zip(shapes, loaded) if is_loaded == kind]
+    problem, kinds, best = fit.problem, {}, []
+    for shape in shapes:
+        kinds.setdefault(shape.needs, []).append(shape)
+    for some in kinds.values():
         groups = fit.groups(problem.shaped(some))
         evidence = groups.evidence(scale)
-        best = int(np.argmax(evidence))
-        if evidence[best] > most:
-            found, coef = some[best], groups.coefficients()[best]
-            most = evidence[best]
+        c = int(np.argmax(evidence))
+        best.append((evidence[c], some[c], groups.coefficients()[c]))
+    _, found, coef = max(best, key=lambda one: one[0])
     used = coef[: len(found.coefficients)] > 0
     if not used.any():
         return effect

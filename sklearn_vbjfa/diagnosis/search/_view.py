@@ -100,6 +100,8 @@ _RANK = 1e-12
 _DETERMINED = 1e-6
 # Numbers of the columns that are filtered together.
 _AT_ONCE = 1 << 20
+# Numbers of the cosines of columns that are kept after their use.
+_KEPT_NUMBERS = 1 << 24
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
 # Rests of a joint from which on its torque at rest is looked at.
@@ -130,7 +132,7 @@ class RecordingView:
     # it [s], None where none repeats; repeats: how many times each phase is there;
     # floor (nv,): mean square of the residual from noise alone, nan if unknown;
     # precision (nv,): weights of the joints in the declared model's fit.
-    # made: all `Columns` that are in use, and recent, those that were asked for last.
+    # made: all `Columns` that are in use or were asked for last.
 
     def __init__(
         self,
@@ -154,7 +156,7 @@ class RecordingView:
         weight[:, list(leave_out)] = 0.0
         self._given = replace(recording, weight=weight, t=clock), states
         self._root, self._corrections = self, frozenset()
-        self._corrected, self.made, self.recent = {}, WeakValueDictionary(), {}
+        self._corrected, self.made, self._recent = {}, WeakValueDictionary(), {}
         self._set_equations()
         self.moving = self.equations.weight
         self.recorded = self.equations.index
@@ -212,7 +214,7 @@ class RecordingView:
         plan = replace(other.robot.plan, resting=joints)
         other.robot = replace(other.robot, plan=plan)
         other._root, other._corrected = other, {}
-        other.made, other.recent = WeakValueDictionary(), {}
+        other.made, other._recent = WeakValueDictionary(), {}
         other._set_equations()
         other._set_coordinates()
         return other
@@ -369,6 +371,14 @@ class RecordingView:
         rows = self.columns(effects, motion)
         size = np.sqrt((rows**2).mean(axis=1))
         return cosines(rows, effects[0].acts_on(self.nv)), size
+
+    def keep(self, key, columns):
+        """Keep `Columns` while they are in use, or were asked for last."""
+        self._recent.pop(key, None)
+        self.made[key] = self._recent[key] = columns
+        while sum(x.values.size for x in self._recent.values()) > _KEPT_NUMBERS:
+            self._recent.pop(next(iter(self._recent)))
+        return columns
 
     def _made(self, effect, motion):
         """Columns of an effect at the samples, checked for custom effects."""

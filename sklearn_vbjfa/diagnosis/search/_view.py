@@ -420,6 +420,8 @@ def reduced(equations, precision):
     eigen = scaled_eigen(G, _RANK)
     back = eigen.known_vectors / eigen.scale[:, None]
     back *= np.sqrt(max(float((weight * precision).sum()), 1.0))
+    # Those of a branch together: what is zero between them takes no memory.
+    back = back[:, np.argsort((back != 0).argmax(axis=0), kind="stable")]
     Z = np.zeros((len(rows), back.shape[1], Phi.shape[0])).transpose(0, 2, 1)
     for own, part, made in zip(places, rows, Z):
         seen = np.flatnonzero(back[own].any(axis=0))

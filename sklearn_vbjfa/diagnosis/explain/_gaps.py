@@ -202,11 +202,17 @@ def _of_model(found, names):
 def _is_hidden(effect, found, missing):
     """Whether no shape of an effect is visible beyond those that it contains."""
     # missing: effects by name that the joint has not.
-    fit, families = found.fit, found.families[effect.joint]
-    asked = [own for own in families if own.effects[0].name == effect.name]
-    for family in families:
-        if family.effects[0].name in missing.keys() & set(effect.contains):
-            fit = fit.beside(family.member(0, _LOOSE))
+    fit, simpler, asked = found.fit, missing.keys() & set(effect.contains), []
+    for family in found.families[effect.joint]:
+        name = family.effects[0].name
+        if name == effect.name or name in simpler:
+            if family.columns.load is not None:
+                columns = found.fit.problem.shaped(family.columns.effects)
+                family = replace(family, columns=columns)
+            if name == effect.name:
+                asked.append(family)
+            else:
+                fit = fit.beside(family.member(0, _LOOSE))
     for family in asked:
         groups = fit.groups(family.columns)
         left = np.diagonal(groups.H, axis1=1, axis2=2)[family.at]

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import linalg, special
 
 from sklearn_vbjfa.diagnosis.search._problem import precision_at_zero
-from sklearn_vbjfa.effects import InModel, OnAllJoints
+from sklearn_vbjfa.effects import Bank, InModel, OnAllJoints
 
 # Folds of a single recording, stretches one after the other.
 _FOLDS = 8
@@ -65,7 +65,8 @@ class HeldOut:
     # recording, unless others, `fold` (m,), are given: what is worth its name predicts
     # motion that was not fitted.
     # In the order of the blocks: edges (n_blocks + 1,), first row of each; of_row (m,),
-    # place of the fold of each row's block; A (nj, m, r + 1), declared columns and
+    # place of the fold of each row's block; moves (nj, m), rows in whose whole low-pass
+    # a joint moves; A (nj, m, r + 1), declared columns and
     # torques of the joints that count, and gram (nj, n_folds, r + 1, r + 1), their
     # products by fold.
 
@@ -81,6 +82,7 @@ class HeldOut:
             np.repeat(own, np.diff(self.edges)), return_inverse=True
         )[1]
         self.rows = [self.of_row == k for k in range(self.of_row.max() + 1)]
+        self.moves = view.moves_throughout().T[used][:, order]
         Z, y = view.Z[used][:, order], view.target[used][:, order]
         self.A = np.concatenate([Z, y[:, :, None]], axis=2)
         self.gram = np.array([[A[own].T @ A[own] for own in self.rows] for A in self.A])
@@ -176,21 +178,26 @@ class HeldOutFit:
         return float(self.without((), [own]).sum())
 
     def _own(self, i):
-        """Numbers of the joints that count for a member, and what these weigh."""
-        # In noise, of the robot, what acts on all.
+        """Numbers of the joints that count for a member, their weights, which rows."""
+        # At rest the friction is not known, and near it an effect could imitate its way
+        # from one sign to the other: only friction with memory says what it is there.
         effect = self.fit.members[i].effect
+        rows = int(not isinstance(effect, Bank))
+        # In noise, of the robot, what acts on all.
         if isinstance(effect, (OnAllJoints, InModel)):
-            return np.arange(self.weight.size), self.weight
-        return np.searchsorted(self.held.used_joints, [effect.joint]), np.ones(1)
+            return np.arange(self.weight.size), self.weight, rows
+        return np.searchsorted(self.held.used_joints, [effect.joint]), np.ones(1), rows
 
-    def without(self, numbers, joints):
+    def without(self, numbers, joints, rows=0):
         """Squared errors (n_blocks, nj) of joints without members, others refitted."""
+        # rows: 0 for all, 1 for those in which the joint moves throughout.
         known, found = self._without.setdefault(tuple(numbers), {}), []
         for j in joints:
             if j not in known:
                 squares = self._residual(self._refitted(tuple(numbers)), j) ** 2
-                known[j] = np.add.reduceat(squares, self.held.edges[:-1])
-            found.append(known[j])
+                both = np.array([squares, squares * self.held.moves[j]])
+                known[j] = np.add.reduceat(both, self.held.edges[:-1], axis=1)
+            found.append(known[j][rows])
         return np.stack(found, axis=1)
 
     def _refitted(self, numbers):
@@ -208,9 +215,9 @@ class HeldOutFit:
     def share_of(self, i, absent=(), plain=None):
         """Largest share of a joint's squared error that a member saves."""
         # Of the error without it, or without members `plain` if this is larger.
-        joints, _ = self._own(i)
+        joints, _, rows = self._own(i)
         asked = (*absent, i), absent, (*absent, i) if plain is None else plain
-        without, own, most = (self.without(x, joints).sum(axis=0) for x in asked)
+        without, own, most = (self.without(x, joints, rows).sum(axis=0) for x in asked)
         size = np.maximum(np.maximum(without, most), _SMALLEST)
         return float(((without - own) / size).max())
 
@@ -221,8 +228,9 @@ class HeldOutFit:
 
     def gain_of(self, i, absent=()):
         """Return what a member saves, others being absent."""
-        (joints, weight), both = self._own(i), ((*absent, i), absent)
-        return CrossValidatedGain.of(*(self.without(x, joints) @ weight for x in both))
+        (joints, weight, rows), both = self._own(i), ((*absent, i), absent)
+        errors = (self.without(x, joints, rows) @ weight for x in both)
+        return CrossValidatedGain.of(*errors)
 
     @property
     def residual(self):

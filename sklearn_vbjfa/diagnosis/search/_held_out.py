@@ -240,9 +240,9 @@ class HeldOutFit:
         held = self.held
         out = np.zeros_like(held.view.target)
         rows = np.arange(out.shape[1])[held.order]
-        found = np.array(
-            [self._residual(self._thetas[()], j) for j in range(len(self._columns))]
-        )
+        found = np.zeros((len(self._columns), rows.size))
+        for j, own in enumerate(found):
+            own[:] = self._residual(self._thetas[()], j)
         for own, weight, A, (at, X) in zip(found, self.weight, held.A, self._columns):
             for factor, fold in zip(self._factors, held.rows):
                 columns = np.zeros((fold.sum(), self._done.size))

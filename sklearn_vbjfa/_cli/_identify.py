@@ -7,10 +7,13 @@ import time
 import warnings
 from dataclasses import replace
 
+import numpy as np
+
 from sklearn_vbjfa._cli import _gravity, _input
 from sklearn_vbjfa._cli._parser import Refused, in_options
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done
+from sklearn_vbjfa.design._motion import known_limits
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import OfferedSignals
 
@@ -53,7 +56,8 @@ def identify(arguments, folder):
     }
     if loop.report_.has_open_questions:
         words = ["python", "-m", "sklearn_vbjfa", "design", "--report", str(out)]
-        provenance["command"] = shlex.join([*words, "--duration", str(SECONDS)])
+        words += ["--duration", str(SECONDS), *_limits(loop.identifier_, recording)]
+        provenance["command"] = shlex.join(words)
     channels = [
         replace(one, message=in_options(one.message))
         for one in outcome.findings["channels"]
@@ -97,6 +101,25 @@ def identify(arguments, folder):
         write=write,
         page=True,
     )
+
+
+def _limits(robot, recording):
+    """Options for limits that the description lacks: what was recorded."""
+    model, gains = robot.features_.nominal_, robot.gains_
+    steps = np.abs(np.diff(recording.q, axis=0)) / recording.dt
+    # Steps from one recording to the next are few.
+    speed, torque = (
+        np.quantile(np.abs(x), 0.99, axis=0) for x in (steps, recording.tau)
+    )
+    effort = known_limits(model.effortLimit)
+    if gains is not None and not gains.absolute:
+        effort = np.full(effort.shape, np.inf)
+    both = known_limits(model.velocityLimit), speed
+    for name, (known, seen) in {"velocity": both, "torque": (effort, torque)}.items():
+        if np.isinf(known).any():
+            seen = np.where(seen > 0, seen, seen.max())
+            values = np.where(np.isinf(known), seen, known)
+            yield from (f"--{name}", ",".join(f"{x:.3g}" for x in values))
 
 
 def _exported(robot, folder):

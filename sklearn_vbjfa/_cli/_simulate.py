@@ -8,6 +8,7 @@ from sklearn.base import clone
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._run import Done, rendered
+from sklearn_vbjfa.design import read_report
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.fit import signed
@@ -75,8 +76,16 @@ def _recording(arguments, robot, folder):
         )
     urdf = folder / "robot.urdf"
     urdf.write_text(robot.description_, encoding="utf-8")
-    gains, joints = "unknown" if has_gains else arguments.gain, arguments.joints
-    recording = _input.read(arguments, urdf, joints or names, gains)
+    gains = "unknown" if has_gains else arguments.gain
+    given = arguments, urdf, arguments.joints or names, gains
+    try:
+        recording = _input.read(*given)
+    except ValueError:
+        # Columns may have the names of those that the robot was identified from.
+        arguments.columns = arguments.columns or _columns_of(arguments.model)
+        if not arguments.columns or "columns" in arguments.typed:
+            raise
+        recording = _input.read(*given)
     source = _input.named(arguments)
     if set(recording.joint_names) != set(names):
         raise ValueError(
@@ -99,6 +108,15 @@ def _recording(arguments, robot, folder):
         if one.severity != "note":
             warnings.warn(f"{source}: {one.message}", DoubtWarning, stacklevel=2)
     return recording
+
+
+def _columns_of(model):
+    """Return the option --columns of the report beside a saved robot, or None."""
+    path = _input.expanded(model)
+    path = path if path.is_dir() else path.parent
+    if not (path / "report.json").is_file():
+        return None
+    return read_report(path)["provenance"].get("options", {}).get("columns")
 
 
 def _windows(arguments, robot, recording):

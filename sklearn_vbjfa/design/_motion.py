@@ -275,15 +275,16 @@ class MotionLimits:
         low, high = np.array([model.lowerPositionLimit, model.upperPositionLimit])
         endless = ~np.isfinite(low) | ~np.isfinite(high)
         endless |= (low < -_NO_LIMIT) | (high > _NO_LIMIT) | (low == high)
-        _lacks(names, endless & sliding, "range of positions", "position limits")
+        unknown = {"range of positions": (endless & sliding, "position limits")}
         low = np.where(endless, -_ONE_TURN, low)
         high = np.where(endless, _ONE_TURN, high)
-        velocity = _given("velocity", velocity, _known(model.velocityLimit))
-        _lacks(names, np.isinf(velocity), "velocity limit", "--velocity")
-        effort = _given("torque", torque, _known(model.effortLimit))
+        velocity = _given("velocity", velocity, known_limits(model.velocityLimit))
+        unknown["velocity limit"] = np.isinf(velocity), "--velocity"
+        effort = _given("torque", torque, known_limits(model.effortLimit))
         acceleration = _given("acceleration", acceleration, np.full(len(names), np.inf))
         endless = np.isinf(acceleration) & np.isinf(effort)
-        _lacks(names, endless, "torque limit", "--torque or --acceleration")
+        unknown["torque limit"] = endless, "--torque or --acceleration"
+        _check_known(names, unknown)
         return cls(np.column_stack([low, high]), velocity, acceleration, effort)
 
     def check_for(self, names, duration):
@@ -314,13 +315,18 @@ def _refuse(wrong, reason, values):
         raise ValueError(f"Joint {j + 1} {reason}; got {values[j]}.")
 
 
-def _lacks(names, lacking, what, option):
-    """Refuse a description without some limits of joints (nv,)."""
-    if lacking.any():
-        joints = ", ".join(names[j] for j in np.flatnonzero(lacking))
+def _check_known(names, unknown):
+    """Refuse a description without some limits: masks (nv,) and options, by limit."""
+    found = [
+        (f"{what} of {', '.join(np.array(names)[lacking])}", option)
+        for what, (lacking, option) in unknown.items()
+        if lacking.any()
+    ]
+    if found:
+        limits, options = zip(*found)
         raise ValueError(
-            f"The description gives no {what} of {joints}. Give "
-            f"limits=MotionLimits(...) (command line: {option})."
+            f"The description gives no {' and no '.join(limits)}. Give "
+            f"limits=MotionLimits(...) (command line: {', '.join(options)})."
         )
 
 
@@ -335,7 +341,7 @@ def _given(name, limit, described):
     return np.where(np.isnan(limit), described, limit)
 
 
-def _known(limit):
+def known_limits(limit):
     """Limits of a description, infinite where it has zero or a huge number."""
     limit = np.array(limit, dtype=float)
     return np.where((limit > 0) & (limit < _NO_LIMIT), limit, np.inf)

@@ -122,3 +122,18 @@ def test_held_joints_of_mjcf(write, table, capsys):
             warnings.simplefilter("ignore", UserWarning)
             model = load_model(f"swing-report/{name}")
         assert joint_names(model) == ("shoulder", "elbow")
+
+
+def test_a_robot_without_limits_and_with_columns_of_its_own(write, recording, capsys):
+    """The printed command brings limits, and a second log needs no columns again."""
+    path, names = write(PLAIN), recording.joint_names
+    q, tau = recording.q, recording.tau + [2.0, 0.0] * np.sin(3 * recording.q)
+    head = ",".join([f"{n}_pos" for n in names] + [f"{n}_torque" for n in names])
+    np.savetxt("log.csv", np.hstack([q, tau]), delimiter=",", header=head, comments="")
+    given = ["--columns", "q={joint}_pos,tau={joint}_torque", "--effects", "spring"]
+    own = ["log.csv", "--dt", recording.dt]
+    _, out, _ = run(capsys, "identify", *own, "--urdf", path, *given)
+    (command,) = re.findall("sklearn_vbjfa (design .*)", out)
+    assert command.count(",") == 2
+    assert run(capsys, *command.split(), "--duration", 4)[0] != 2
+    assert run(capsys, "simulate", *own, "--model", "log-report")[0] != 2

@@ -56,9 +56,8 @@ class Derivatives:
     With the names of `TorqueDerivatives`, and none of its mathematics.
     """
 
-    def __init__(self, model, states, nominal=None, step=1e-4):
+    def __init__(self, model, states, step=1e-4):
         self._model, self._states, self._step = model, states, step
-        self._nominal = model if nominal is None else nominal
 
     def _change(self, change):
         """Differentiate by a number that `change` (model, number) puts in."""
@@ -110,15 +109,6 @@ class Derivatives:
     def rotation(self, joint):
         """Axes of a joint's placement, (3, 3)."""
         return self._model.jointPlacements[joint + 1].rotation
-
-    def nominal_rotation(self, joint):
-        """Return those before a correction."""
-        return self._nominal.jointPlacements[joint + 1].rotation
-
-    @property
-    def nominal_gravity(self):
-        """Gravity before a correction, (3,)."""
-        return self._nominal.gravity.linear
 
 
 def with_changed_body(model, delta):

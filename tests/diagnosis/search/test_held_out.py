@@ -77,14 +77,11 @@ def literal(fit, left_out, members, block_fold=None, studentised=False, counted=
 
 def in_motion(view):
     """Rows (nv, m) whose low-pass holds at most a fiftieth of standstill."""
-    plan = view.robot.plan
-    taps = np.abs(plan.lowpass.taps)
-    v = np.abs(view.states[:, view.nv : 2 * view.nv]) > plan.standstill
-    every = round(view.dt / view.robot.dt)
-    taps = taps[plan.lowpass.half % every :: every]
-    windows = [v[k - taps.size // 2 :][: taps.size] for k in view.index]
-    share = [taps @ window / taps.sum() for window in windows]
-    return np.array(share).T > 0.98
+    moves = np.abs(view.states[:, view.nv : 2 * view.nv]) > view.robot.standstill_
+    lowpass, every = view.robot.plan.lowpass, round(view.dt / view.robot.dt)
+    taps = np.abs(lowpass.taps[lowpass.half % every :: every])
+    rows = view.index[:, None] + np.arange(taps.size) - taps.size // 2
+    return np.tensordot(moves[rows], taps / taps.sum(), (1, 0)).T > 0.98
 
 
 def test_squares_are_those_of_refits_without_each_fold(fitted):

@@ -75,9 +75,7 @@ def _compile():
 def measured_data_home() -> Path:
     """Folder of the measured sets, as `data_home` of the loaders expects it.
 
-    The environment variable SKLEARN_VBJFA_DATA names it; without one, the
-    folder ``shared/data`` next to the repository is tried, else the test is
-    skipped.
+    Without SKLEARN_VBJFA_DATA ``shared/data`` next to the repository, or a skip.
     """
     named = os.environ.get("SKLEARN_VBJFA_DATA")
     if named:

@@ -41,10 +41,8 @@ class Case:
     """One input, written when it is run.
 
     ``build(folder, rng)`` writes files into a folder, which has ``arm.urdf``, and
-    returns the arguments of ``close-loop``. ``expect``: ``"refused"`` in one line;
-    ``"read"``; read with the ``"same"`` verdict as the recording without fault; or
-    ``"either"``. ``message`` matches the refusal or a note. ``slow`` cases are left to
-    the full set.
+    returns the arguments. ``expect``: ``"refused"`` in one line; ``"read"``, with the
+    ``"same"`` verdict as without the fault; or ``"either"``.
     """
 
     name: str

@@ -1,8 +1,7 @@
 """Run the command line in processes of their own, with bounded memory and time.
 
-A process is started once, imports what a run needs and forks for every case: a crash of
-a parser, a hang or a full memory ends that fork and no more, and a case costs some
-milliseconds.
+A process is started once, imports what a run needs and forks for every case: a crash, a
+hang or a full memory ends that fork and no more.
 """
 
 import contextlib

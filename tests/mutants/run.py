@@ -2,12 +2,7 @@
 
 Each entry of ``mutants.toml`` changes one line of a file for the worse, and names the
 test that must fail then. This script makes each change in a copy of the package and
-runs that test there::
-
-    python tests/mutants/run.py                  # all, two at a time
-    python tests/mutants/run.py --jobs 1 design  # those with "design" in their names
-
-It prints a table, and ends with 1 if a change survives or no longer applies, or if a
+runs that test there. It ends with 1 if a change survives or no longer applies, or if a
 test that is named fails without the change.
 """
 

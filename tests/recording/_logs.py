@@ -4,21 +4,16 @@ Sources of the names:
 
 - bagpy (rosbag to CSV), ``message_by_topic`` and ``slotvalues``: arrays of numbers get
   a number after an underscore, the list of names stays one cell.
-  https://github.com/jmscslgroup/bagpy/blob/master/bagpy/bagreader.py
 - PlotJuggler: series of a JointState are TOPIC/JOINT/position, velocity, effort
   (jointstates_msg.h of https://github.com/PlotJuggler/plotjuggler-ros-plugins), and
   its CSV exporter puts ``__time`` before them in alphabetical order
   (StatePublisherCSV of https://github.com/PlotJuggler/PlotJuggler).
-- ``rostopic echo -p``: ``%time`` in nanoseconds, then ``field.`` before each name; as
-  in https://github.com/jmscslgroup/catvehicle/issues/9 and
-  https://wiki.ros.org/rostopic
+- ``rostopic echo -p``: ``%time`` in nanoseconds, then ``field.`` before each name.
 - ``ros2 topic echo --csv``: the values of a message without a header, in the order of
-  the message (``message_to_csv`` in rosidl_runtime_py/convert.py of
-  https://github.com/ros2/rosidl_runtime_py).
+  the message (``message_to_csv`` in rosidl_runtime_py/convert.py).
 - RTDE client library of Universal Robots, ``record.py``: blanks between the cells, and
-  the number of the joint after an underscore (rtde/csv_writer.py of
-  https://github.com/UniversalRobots/RTDE_Python_Client_Library); timestamp [s] and
-  actual_current [A] as in the RTDE guide of universal-robots.com.
+  the number of the joint after an underscore (its rtde/csv_writer.py); timestamp [s]
+  and actual_current [A] as in the RTDE guide of universal-robots.com.
 - libfranka, ``logToCSV``: time in milliseconds, state.q[0], state.tau_J[0].
   https://github.com/frankaemika/libfranka/blob/main/src/log.cpp
 - Excel in German: semicolons and decimal commas, here with units.

@@ -102,9 +102,6 @@ def virtual_curvature(virtual, gradient):
 def descend(problem, starts, *, max_steps):
     """Minimise eq. 35 in the virtual parameters of eq. 30 from consistent starts.
 
-    The problem has ``body_columns`` (n_bodies, 10), ``nonnegative`` columns, the
-    ``margin`` by which spatial inertias exceed zero, and the functions ``residual`` and
-    ``distance`` of a vector, of which the former's derivative is ``root``.
     Returned are the best vector, the steps of all starts and the optimiser's message.
     """
     bodies = problem.body_columns

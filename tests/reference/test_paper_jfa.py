@@ -1,8 +1,6 @@
 """The reference against oracles that do not share its formulas, and the misprints.
 
-Every number that the package is compared with comes from ``paper_jfa``; here that
-module itself is held against dense Gaussians, numerical integration and finite
-differences. Each misprint of the paper has a test that the printed form is false.
+Each misprint of the paper has a test that the printed form is false.
 """
 
 from dataclasses import replace

@@ -6,13 +6,9 @@ centre of mass, ``I_c = U' U``, row by row: ``(sqrt(m), c_x, c_y, c_z, U_11, U_1
 U_22, U_23, U_33)``.  Any ten numbers give a positive mass and a positive semidefinite
 ``I_c``.
 
-The paper calls the minimisation convex with a unique minimum.  In the virtual
-parameters it is not: a sign change of any factor gives the same body, so minima come
-in pairs with saddle points between them.  It is convex in the parameters themselves,
+The paper calls the minimisation convex. In the virtual parameters it is not: a sign
+change of any factor gives the same body. It is convex in the parameters themselves,
 which is how the package solves it; this module imports nothing from there.
-
-Source: Ting, D'Souza and Schaal, "Bayesian robot system identification with input and
-output noise", Neural Networks 24(1), 2011, doi:10.1016/j.neunet.2010.08.011.
 """
 
 import numpy as np

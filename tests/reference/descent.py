@@ -169,11 +169,7 @@ def descend(problem, starts, *, max_steps):
 
 
 class DescentProjector(PhysicalProjector):
-    """Project in the virtual parameters of eq. 30, as the paper does.
-
-    Parameters and attributes are those of `PhysicalProjector` with
-    ``constraint="eq30"``.
-    """
+    """`PhysicalProjector` in the virtual parameters of eq. 30, as the paper does."""
 
     def transform(self, X):
         """Project every row by descent."""

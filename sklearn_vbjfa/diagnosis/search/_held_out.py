@@ -7,7 +7,7 @@ import numpy as np
 from scipy import linalg, special
 
 from sklearn_vbjfa.diagnosis.search._problem import precision_at_zero
-from sklearn_vbjfa.effects import Bank, InModel, OnAllJoints
+from sklearn_vbjfa.effects import InModel, OnAllJoints
 
 # Folds of a single recording, stretches one after the other.
 _FOLDS = 8
@@ -180,9 +180,9 @@ class HeldOutFit:
     def _own(self, i):
         """Numbers of the joints that count for a member, their weights, which rows."""
         # At rest the friction is not known, and near it an effect could imitate its way
-        # from one sign to the other: only friction with memory says what it is there.
+        # from one sign to the other: only dry friction itself says what it is there.
         effect = self.fit.members[i].effect
-        rows = int(not isinstance(effect, Bank))
+        rows = int("direction" not in effect.depends)
         # In noise, of the robot, what acts on all.
         if isinstance(effect, (OnAllJoints, InModel)):
             return np.arange(self.weight.size), self.weight, rows

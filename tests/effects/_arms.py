@@ -110,6 +110,10 @@ class Derivatives:
         """Axes of a joint's placement, (3, 3)."""
         return self._model.jointPlacements[joint + 1].rotation
 
+    # Nothing was corrected.
+    nominal_rotation = rotation
+    nominal_gravity = property(lambda self: self._model.gravity.linear)
+
 
 def with_changed_body(model, delta):
     """Copy whose last body has other inertial parameters, by delta (10,)."""

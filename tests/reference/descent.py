@@ -196,6 +196,4 @@ def _solve(programme):
             f"{steps} steps the optimiser reports {message!r}, {excess:.1e} above the "
             "least squared distance (relative)."
         )
-    return _solver.CertifiedVector(
-        vector=vector, gap=max(excess, 0.0), n_iter=steps, status=message
-    )
+    return _solver.CertifiedVector(vector=vector, gap=max(excess, 0.0), status=message)

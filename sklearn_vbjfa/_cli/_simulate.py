@@ -1,5 +1,6 @@
 """The command ``simulate``: a saved robot in motion, and the measured motion."""
 
+import json
 import warnings
 
 import numpy as np
@@ -8,7 +9,6 @@ from sklearn.base import clone
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._run import Done, rendered
-from sklearn_vbjfa.design import read_report
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.fit import signed
@@ -82,9 +82,9 @@ def _recording(arguments, robot, folder):
         recording = _input.read(*given)
     except ValueError:
         # Columns may have the names of those that the robot was identified from.
-        arguments.columns = arguments.columns or _columns_of(arguments.model)
-        if not arguments.columns or "columns" in arguments.typed:
+        if arguments.columns or not (columns := _columns_of(arguments.model)):
             raise
+        arguments.columns = columns
         recording = _input.read(*given)
     source = _input.named(arguments)
     if set(recording.joint_names) != set(names):
@@ -113,10 +113,12 @@ def _recording(arguments, robot, folder):
 def _columns_of(model):
     """Return the option --columns of the report beside a saved robot, or None."""
     path = _input.expanded(model)
-    path = path if path.is_dir() else path.parent
-    if not (path / "report.json").is_file():
+    path = (path if path.is_dir() else path.parent) / "report.json"
+    if not path.is_file():
         return None
-    return read_report(path)["provenance"].get("options", {}).get("columns")
+    # That of gravity compensation has no provenance.
+    provenance = json.loads(path.read_text(encoding="utf-8")).get("provenance", {})
+    return provenance.get("options", {}).get("columns")
 
 
 def _windows(arguments, robot, recording):

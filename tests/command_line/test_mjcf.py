@@ -11,7 +11,7 @@ import pytest
 
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model import joint_names, load_model
-from tests.command_line._running import run, write_csv
+from tests.command_line._running import refused, run, write_csv
 
 # A planar arm with a gripper, whose second finger follows the first, a four-bar linkage
 # at its tip, and a loose object beside it.
@@ -137,3 +137,7 @@ def test_a_robot_without_limits_and_with_columns_of_its_own(write, recording, ca
     assert command.count(",") == 2
     assert run(capsys, *command.split(), "--duration", 4)[0] != 2
     assert run(capsys, "simulate", *own, "--model", "log-report")[0] != 2
+    # Beside a report without columns, that of gravity compensation, they are asked for.
+    Path("log-report/report.json").write_text('{"purpose": "gravity"}')
+    line = refused("simulate", capsys, *own, "--model", "log-report")
+    assert "expected columns q1" in line

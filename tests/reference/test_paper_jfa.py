@@ -1,7 +1,4 @@
-"""The reference against oracles that do not share its formulas, and the misprints.
-
-Each misprint of the paper has a test that the printed form is false.
-"""
+"""The reference against oracles that do not share its formulas, and the misprints."""
 
 from dataclasses import replace
 from functools import partial

@@ -7,7 +7,7 @@ from effect_curves import STYLE
 from simulated_effects import step_reasons
 
 from sklearn_vbjfa.diagnosis.report import style as sheet_of_reports
-from sklearn_vbjfa.effects import InModel, Shaped, Stateful
+from sklearn_vbjfa.effects import InModel, Stateful
 
 # Attributes of a written file that only accompany others.
 _WITH_OTHERS = {
@@ -63,7 +63,7 @@ def parameters_of(use):
             how = "fitted" if name in fitted else "tried on a grid"
             if name in fitted and name not in symbols(effect.formula):
                 how = "derived from the others"
-            if isinstance(effect, Shaped) and name in effect.continuous:
+            if name in effect.continuous or name == "instant":
                 how = "searched" if name not in fitted else "fitted and searched"
             if isinstance(effect, InModel) and name in effect.coefficients:
                 how = "fitted iteratively"

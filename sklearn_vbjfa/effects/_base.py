@@ -87,6 +87,8 @@ class Effect(TransformerMixin, BaseEstimator):
     depends : tuple of {"position", "speed", "load", "direction"}
         Quantities of its joint with which its columns grow: beyond a margin outside the
         range of the fit, predictions hold the torque constant.
+    continuous : tuple of str
+        Shape parameters that are searched between the values of `shapes` as well.
     bounded : bool
         Whether they do not, since the torque is bounded by itself.
     record : str
@@ -124,6 +126,7 @@ class Effect(TransformerMixin, BaseEstimator):
     nonnegative: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     depends: tuple[str, ...] = ()
+    continuous: tuple[str, ...] = ()
     bounded = False
     terms: tuple = ()
     files = InFiles()
@@ -302,7 +305,7 @@ class Effect(TransformerMixin, BaseEstimator):
     @property
     def tuned(self):
         """Parameters that do not make it another use, a tuple."""
-        return ()
+        return self.continuous
 
     @property
     def slow(self):
@@ -386,8 +389,6 @@ class Shaped(Effect):
     ----------
     shape_units : tuple of (str, (str, str))
         Shape parameters and their units.
-    continuous : tuple of str
-        Those that are searched between the values of `shapes` as well.
     positive : tuple of str
         Those that must be greater than zero, or tuples of such.
     averaged : tuple of (str, tuple)
@@ -405,7 +406,6 @@ class Shaped(Effect):
     """
 
     shape_units: tuple = ()
-    continuous: tuple[str, ...] = ()
     positive: tuple[str, ...] = ()
     averaged: tuple = ()
     coarse: tuple[str, ...] = ()
@@ -435,10 +435,6 @@ class Shaped(Effect):
                         f"{name} of {self.name} must be positive and finite; got "
                         f"{value!r}."
                     )
-
-    @property
-    def tuned(self):
-        return self.continuous
 
     def parameter_units(self, prismatic=False):
         own = _of_kind(self.shape_units, prismatic)
@@ -485,7 +481,7 @@ class Sudden(Shaped, OfTime):
     """An effect that begins at its shape parameter `instant`, which has no interval."""
 
     shape_units = (("instant", TIME),)
-    continuous = ("instant",)
+    tuned = ("instant",)
 
 
 class OfSignals(Effect):

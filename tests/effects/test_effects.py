@@ -43,10 +43,6 @@ def library_effect(name, joint=0):
     return effect.set_params(joint=joint)
 
 
-def continuous(effect):
-    return effect.continuous if isinstance(effect, effects.Shaped) else ()
-
-
 def signals(prismatic=(False, False), scale=1.0, **changed):
     """Motion of two joints with all signals."""
     model = arm("ZY")
@@ -90,7 +86,7 @@ def test_numbers_of_coefficients_units_and_columns_agree(name):
     assert list(effect.get_feature_names_out()) == [
         f"joint {effect.joint + 1}:{name}:{c}" for c in effect.coefficients
     ]
-    assert set(continuous(effect)) <= set(effect.get_params())
+    assert set(effect.continuous) <= set(effect.get_params())
     assert effect.record
 
 
@@ -109,7 +105,7 @@ def test_parameters_have_units(name, prismatic):
         return
     units = effect.parameter_units(prismatic)
     assert all(isinstance(value, float) for value in values.values())
-    assert set(values) | set(continuous(effect)) <= set(units)
+    assert set(values) | set(effect.continuous) <= set(units)
     # What turns by an angle does so on a joint that slides as well.
     angles = {"angle", "phase", "roll", "pitch", "about_x", "about_y"}
     assert "rad" not in " ".join(
@@ -447,8 +443,8 @@ def test_nothing_is_remembered_across_recordings(name):
     memory = name in ("delay", "torque_filter", "jerk", "maxwell_slip", "backlash")
     if name == "maxwell_slip":
         effect.set_params(displacements=(0.3,))
-    elif memory and continuous(effect):
-        (shape,) = continuous(effect)
+    elif memory and effect.continuous:
+        (shape,) = effect.continuous
         effect.set_params(**{shape: 0.2})
     together, apart, one = recordings_of(effect)
     assert_array_equal(together, apart)

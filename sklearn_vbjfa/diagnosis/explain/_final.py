@@ -9,7 +9,7 @@ from scipy import special
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import block_variance, branches, scaled_eigen
-from sklearn_vbjfa.effects import Bank, Shaped, Sudden
+from sklearn_vbjfa.effects import Bank, Shaped
 from sklearn_vbjfa.equations._equations import held_columns
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 
@@ -98,10 +98,8 @@ class FinalFit:
             return []
         coefs = self._split(self.identifier.theta_)
         shapes = [
-            tuple(n for n in e.continuous if getattr(e, n))
-            if isinstance(e, Shaped) and not isinstance(e, Sudden)
-            else ()
-            for e in self.effects
+            tuple(n for n in effect.continuous if getattr(effect, n))
+            for effect in self.effects
         ]
         extra = []
         for effect, own, coef, shape in zip(self.effects, self._columns, coefs, shapes):

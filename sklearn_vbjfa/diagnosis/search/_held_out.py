@@ -214,12 +214,15 @@ class HeldOutFit:
 
     def share_of(self, i, absent=(), plain=None):
         """Largest share of a joint's squared error that a member saves."""
-        # Of the error without it, or without members `plain` if this is larger.
-        joints, _, rows = self._own(i)
-        asked = (*absent, i), absent, (*absent, i) if plain is None else plain
-        without, own, most = (self.without(x, joints, rows).sum(axis=0) for x in asked)
-        size = np.maximum(np.maximum(without, most), _SMALLEST)
-        return float(((without - own) / size).max())
+        # Of the error in all rows without it, or without members `plain` if this is
+        # larger.
+        (joints, _, rows), lacking = self._own(i), (*absent, i)
+        before, after = (self.without(x, joints, rows) for x in (lacking, absent))
+        errors = [
+            self.without(x, joints).sum(axis=0) for x in (lacking, plain or lacking)
+        ]
+        size = np.maximum(np.max(errors, axis=0), _SMALLEST)
+        return float(((before - after).sum(axis=0) / size).max())
 
     def helps(self, i, least=0.0):
         """Whether a member saves more than a share, in the mean of the blocks too."""

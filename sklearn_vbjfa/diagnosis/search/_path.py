@@ -21,7 +21,7 @@ from sklearn_vbjfa.diagnosis.search._refine import (
     stepped,
     with_shape,
 )
-from sklearn_vbjfa.effects import Bank, InModel, OnAllJoints, Shaped, Sudden, closure
+from sklearn_vbjfa.effects import Bank, InModel, OnAllJoints, Sudden, closure
 
 # Times that load, spectrum and geometry are made anew.
 _TURNS = 2
@@ -296,8 +296,7 @@ class Path:
         shaped = [
             i
             for i, member in enumerate(fit.members)
-            if isinstance(member.effect, Shaped)
-            and (isinstance(member.effect, Bank) or member.effect.continuous)
+            if (isinstance(member.effect, (Bank, Sudden)) or member.effect.continuous)
             and (joints is None or member.effect.joint in joints)
         ]
         return self.scaled(searched(fit, shaped, self.settings.scale))

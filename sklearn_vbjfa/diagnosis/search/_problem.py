@@ -14,7 +14,7 @@ from scipy.linalg import lapack
 from sklearn_vbjfa._core._groups import Groups, Overdispersion
 from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
-from sklearn_vbjfa.effects import Bank, InModel, Shaped, Sudden
+from sklearn_vbjfa.effects import Bank, InModel
 
 
 def products(edges, one, other):
@@ -545,8 +545,7 @@ class Fit:
             return Overdispersion(ratio=usual, freedom=freedom, usual=usual)
         # What changes with time is told by slow changes alone, and there are few.
         # Of these the effect has taken one, and one more if its course was searched.
-        shaped = isinstance(effect, Shaped) and not isinstance(effect, Sudden)
-        taken = 1 + bool(shaped and effect.continuous)
+        taken = 1 + bool(effect.continuous)
         left = power[:_SLOWEST].sum() / max(_SLOWEST - taken, 1)
         freedom = float(max(slow.size - taken, 1))
         return Overdispersion(

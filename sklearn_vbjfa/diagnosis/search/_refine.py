@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._problem import Columns, Fit
-from sklearn_vbjfa.effects import Bank, Effect, Shaped, Sudden
+from sklearn_vbjfa.effects import Bank, Effect, Sudden
 
 # A search ends where a step promises less [nats], or after this many steps; a shape
 # whose own step promises less stays.
@@ -72,8 +72,7 @@ class Place:
     @classmethod
     def of(cls, effect, motion):
         """Return that of an effect; None if its shapes have no neighbours or slopes."""
-        shaped = isinstance(effect, Shaped) and not isinstance(effect, (Sudden, Bank))
-        smooth = effect.continuous if shaped else ()
+        smooth = () if isinstance(effect, Bank) else effect.continuous
         found = {name: _bracket(effect, name, motion) for name in smooth}
         found = {name: one for name, one in found.items() if one is not None}
         if not found:

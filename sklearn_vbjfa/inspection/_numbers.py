@@ -149,9 +149,9 @@ MANY_CLIPPED = 0.005
 # Torques of zero are dropouts if the values before and after are this many times the
 # usual step and this share of the spread, in at least this many places.
 DROPOUT_STEP, LEAST_DROPOUT, DROPOUT_RUNS = 4.0, 0.05, 3
-# A torque is stuck if it keeps a value for this many samples, and repeats itself no
-# more often than this in the others.
-STUCK_RUN, STUCK_REPEATS = 50, 0.1
+# A torque is stuck if it keeps a value for this many samples, or for this time [s] if
+# its joint was at rest before, and repeats itself no more often than this in the others.
+STUCK_RUN, ARRIVES, STUCK_REPEATS = 50, 0.1, 0.1
 # A position keeps its value over so many samples if it travels less than this share of
 # what it usually does there. Within one sample a joint stops with this many times its
 # usual acceleration; all samples of such stops are this share of the recording.

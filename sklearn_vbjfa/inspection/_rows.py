@@ -366,7 +366,9 @@ def _dropped(log, j, x):
         # Those at an end are of a limit; torques that pass zero slowly stay there, but
         # do not jump there and back.
         if b - a + 2 >= number.STUCK_RUN and x[b] not in (x.min(), x.max()):
-            long.append((a - 1, b))
+            # The value that a joint had at rest may arrive late.
+            if not repeats[a - 1] or (b - a + 2) * log.dt > number.ARRIVES:
+                long.append((a - 1, b))
         elif b > a and jumps[a - 1] and jumps[b + 1]:
             short.append((a - 1, b))
     found = sorted(long + short * (len(short) >= number.DROPOUT_RUNS))

@@ -185,6 +185,15 @@ def test_torques_that_stay_at_a_value_are_no_friction(arm):
     assert "torque_dropouts" not in {one.kind for one in found}
 
 
+def test_a_torque_at_rest_that_arrives_late_is_no_dropout():
+    one = make_robot_recording(random_state=3, duration=4.0, dt=4e-4)
+    rest, late = np.zeros(1000, dtype=int), np.zeros(150, dtype=int)
+    q = one.q[np.r_[rest, : one.n_samples]]
+    tau = one.tau[np.r_[rest, late, : one.n_samples - late.size]]
+    found = inspect_channels(one.robot_model(), q, tau, one.dt)
+    assert "torque_dropouts" not in {one.kind for one in found}
+
+
 def test_frozen_positions(arm):
     q = arm[0].q.copy()
     fast = np.flatnonzero(np.abs(arm[0].states[:, 6 + 2]) > 0.5)

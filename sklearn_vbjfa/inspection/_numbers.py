@@ -150,7 +150,7 @@ MANY_CLIPPED = 0.005
 # usual step and this share of the spread, in at least this many places.
 DROPOUT_STEP, LEAST_DROPOUT, DROPOUT_RUNS = 4.0, 0.05, 3
 # A torque is stuck if it keeps a value for this many samples, or for this time [s] if
-# its joint was at rest before, and repeats itself no more often than this in the others.
+# its joint was at rest before, and repeats itself no more often than this in others.
 STUCK_RUN, ARRIVES, STUCK_REPEATS = 50, 0.1, 0.1
 # A position keeps its value over so many samples if it travels less than this share of
 # what it usually does there. Within one sample a joint stops with this many times its

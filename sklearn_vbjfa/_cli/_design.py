@@ -47,8 +47,7 @@ def design(arguments, folder):
     else:
         robot = _described(arguments, folder)
     motion = _motion(arguments, robot, found)
-    noise = np.array(robot.known.torque_noise)
-    measured = np.isfinite(noise) & (noise > 0)
+    measured = all(0 < x < np.inf for x in robot.known.torque_noise)
     facts = _summary.facts(motion, found)
 
     def write(folder, notes):
@@ -60,8 +59,7 @@ def design(arguments, folder):
         steps = {"out": out, "torque": torque, "command": command}
         return [rendered("next_motion.txt.j2", **steps, **facts)]
 
-    name = Path(robot.file).name
-    facts |= {"robot": name, "motion": motion, "measured": measured.all()}
+    facts |= {"robot": Path(robot.file).name, "motion": motion, "measured": measured}
     return Done(
         text=rendered("motion.txt.j2", **facts),
         doubts=_summary.doubts(motion, facts, arguments.effects or ()),
@@ -99,8 +97,8 @@ def _motion(arguments, robot, found):
 
 def _described(arguments, folder):
     """Take the robot of a description."""
+    urdf, held = _input.robot(arguments, arguments.joints, folder)
     given = _input.expanded(arguments.urdf)
-    urdf, held = _input.robot(arguments, given, arguments.joints, folder)
     known = replace(KnownRobot.of(str(urdf)), description=str(given))
     return _Robot(known, known.features.model_, str(given), held, 0.01)
 

@@ -1,13 +1,13 @@
 """Gravity compensation: ``identify --for gravity`` and ``design --for gravity``."""
 
 import json
-import shlex
 from dataclasses import asdict
 
 import numpy as np
 
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli._parser import command_of
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done, rendered
 from sklearn_vbjfa.model import joint_names, load_model
@@ -24,8 +24,7 @@ def correct(arguments, folder):
     with _input.blaming(arguments):
         found = correct_gravity(recording, str(urdf))
     robot, enough = found.identifier, found.poses_enough
-    words = ["design", "--urdf", arguments.urdf, "--report", str(out)]
-    words += ["--for", "gravity"]
+    words = ["--urdf", arguments.urdf, "--report", str(out), "--for", "gravity"]
     words += [] if enough is None else ["--poses", str(max(enough, 1))]
     friction = np.where(found.friction_known, "known", "assumed (one direction)")
     joints = pd.DataFrame(
@@ -47,7 +46,7 @@ def correct(arguments, folder):
         "links": [asdict(one) for one in robot.mass_deviations_],
         "payload": found.payload,
         "poses_enough": enough,
-        "command": shlex.join(["python", "-m", "sklearn_vbjfa", *words]),
+        "command": command_of("design", *words),
     }
     doubts = []
     if not np.nansum(found.error_after**2) < np.nansum(found.error_before**2):
@@ -79,15 +78,13 @@ def design_poses(arguments, folder):
     """Choose poses for gravity compensation, and write them in their order."""
     from sklearn_vbjfa.gravity import gravity_poses
 
-    if arguments.urdf is None:
-        raise ValueError("--for gravity needs --urdf FILE, the robot description.")
     out = _input.expanded(arguments.out or "poses.csv")
     _input.check_file(out, "--out", arguments.force)
     fitted, joints = None, arguments.joints
     if arguments.report:
         fitted = load_identified(_input.expanded(arguments.report) / "identified.json")
         joints = fitted.joint_names_
-    urdf, _ = _input.robot(arguments, _input.expanded(arguments.urdf), joints, folder)
+    urdf, _ = _input.robot(arguments, joints, folder)
     n, seed = arguments.poses, arguments.seed
     q, hold = gravity_poses(str(urdf), n, fitted=fitted, random_state=seed)
 
@@ -97,11 +94,10 @@ def design_poses(arguments, folder):
         np.savetxt(folder / out.name, table, "%.9g", ",", header=heads, comments="")
         return []
 
-    words = ["identify", "LOG", "--urdf", arguments.urdf, "--for", "gravity"]
     return Done(
         text=f"Poses: {n}, each reached from both sides, with the seconds to stay "
         "there.\nMove slowly from one to the next, record q and tau, then: "
-        + shlex.join(["python", "-m", "sklearn_vbjfa", *words]),
+        + command_of("identify", "LOG", "--urdf", arguments.urdf, "--for", "gravity"),
         folder=out.parent,
         files=(out.name,),
         write=write,

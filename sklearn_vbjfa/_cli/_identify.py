@@ -1,7 +1,6 @@
 """The command ``identify``: the robot, effects missing from its model, the files."""
 
 import json
-import shlex
 import shutil
 import time
 import warnings
@@ -10,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa._cli import _gravity, _input
-from sklearn_vbjfa._cli._parser import Refused, in_options
+from sklearn_vbjfa._cli._parser import Refused, command_of, in_options
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa.design._motion import known_limits
@@ -55,9 +54,9 @@ def identify(arguments, folder):
         "date": time.strftime("%Y-%m-%d"),
     }
     if loop.report_.has_open_questions:
-        words = ["python", "-m", "sklearn_vbjfa", "design", "--report", str(out)]
-        words += ["--duration", str(SECONDS), *_limits(loop.identifier_, recording)]
-        provenance["command"] = shlex.join(words)
+        words = ["--report", str(out), "--duration", str(SECONDS)]
+        words += _limits(loop.identifier_, recording)
+        provenance["command"] = command_of("design", *words)
     channels = [
         replace(one, message=in_options(one.message))
         for one in outcome.findings["channels"]

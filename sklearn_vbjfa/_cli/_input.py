@@ -30,9 +30,7 @@ def load(arguments, folder, *, assumed=None):
     """Return a recording, its robot, and joints that are held without columns."""
     # folder: for derived descriptions; assumed: gains of the torque channels if none
     # are given.
-    if arguments.urdf is None:
-        raise ValueError("give --urdf FILE, the robot description (URDF or MJCF).")
-    urdf, held = robot(arguments, expanded(arguments.urdf), arguments.joints, folder)
+    urdf, held = robot(arguments, arguments.joints, folder)
     gains = arguments.gain or (assumed if arguments.drive is None else None)
     recording = read(arguments, urdf, arguments.joints, gains)
     if set(recording.joint_names) != set(movable_joints(urdf)):
@@ -152,8 +150,11 @@ def read(arguments, urdf, joints, gains):
 # -- robots ----------------------------------------------------------------------------
 
 
-def robot(arguments, urdf, joints, folder):
+def robot(arguments, joints, folder):
     """Check a description; return one in which other joints are fixed, and these."""
+    if arguments.urdf is None:
+        raise ValueError("give --urdf FILE, the robot description (URDF or MJCF).")
+    urdf = expanded(arguments.urdf)
     if not urdf.is_file():
         raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
     base = arguments.base_orientation

@@ -17,7 +17,10 @@ _TOO_SHORT = "too short to examine the motion"
 
 def list_effects(arguments, folder):
     """List the library of effects."""
-    rows = [[one.name, _title(one), one.record] for one in resolve("all")]
+    # Without marks of citations.
+    titles = [re.sub(r" ?\[\d+\]_", "", type(x).__doc__) for x in resolve("all")]
+    titles = [text.splitlines()[0].rstrip(".") for text in titles]
+    rows = [[x.name, text, x.record] for x, text in zip(resolve("all"), titles)]
     heads = ["name", "effect", "what to record"]
     return Done(text=tabulate(rows, headers=heads, maxcolwidths=[None, 46, 34]))
 
@@ -35,11 +38,6 @@ def list_datasets(arguments, folder):
         for name, one in SETS.items()
     ]
     return Done(text=tabulate(rows, headers=heads, maxcolwidths=[None, 30, None, 14]))
-
-
-def _title(effect):
-    """Return what an effect is, without marks of citations."""
-    return re.sub(r" ?\[\d+\]_", "", type(effect).__doc__.splitlines()[0]).rstrip(".")
 
 
 def inspect(arguments, folder):

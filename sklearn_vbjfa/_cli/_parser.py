@@ -37,17 +37,6 @@ def names(text):
     return tuple(name.strip() for name in text.split(","))
 
 
-def factors(text):
-    """Return factors of the torques, or "unknown"."""
-    return text if text == "unknown" else numbers(text)
-
-
-def mass(text):
-    """Return the name of a link and its mass [kg]."""
-    name, _, kilograms = text.rpartition("=")
-    return name, float(kilograms)
-
-
 def drive(text):
     """Return a motor control law."""
     from sklearn_vbjfa.recording import parse_drive
@@ -58,22 +47,11 @@ def drive(text):
         raise argparse.ArgumentTypeError(str(error).removeprefix("drive ")) from None
 
 
-def effects(text):
-    """Return names of effects, or "all"."""
-    from sklearn_vbjfa.effects import available
+def effects(text, kind="available"):
+    """Return names of effects that are available or declarable."""
+    from sklearn_vbjfa import effects as library
 
-    return text if text == "all" else _known(text, available())
-
-
-def friction(text):
-    """Return names of friction terms."""
-    from sklearn_vbjfa.effects import declarable
-
-    return _known(text, declarable())
-
-
-def _known(text, known):
-    found = () if text == "none" else names(text)
+    found, known = () if text == "none" else names(text), getattr(library, kind)()
     for name in found:
         if name not in known:
             raise argparse.ArgumentTypeError(
@@ -83,9 +61,12 @@ def _known(text, known):
     return found
 
 
-_CONVERSIONS = {
-    one.__name__: one
-    for one in (float, int, numbers, names, factors, mass, drive, effects, friction)
+_CONVERSIONS = {x.__name__: x for x in (float, int, numbers, names, drive)} | {
+    "factors": lambda text: text if text == "unknown" else numbers(text),
+    # The name of a link and its mass [kg].
+    "mass": lambda text: (text.rpartition("=")[0], float(text.rpartition("=")[2])),
+    "effects": lambda text: text if text == "all" else effects(text),
+    "friction": lambda text: effects(text, "declarable"),
 }
 
 
@@ -272,6 +253,11 @@ def command_line(arguments, options):
                 words.append(f"{option}={text}")
             elif text:
                 words += [option, text]
+    return command_of(*words)
+
+
+def command_of(*words):
+    """Return a command of the package with the words that follow its name."""
     return shlex.join(["python", "-m", "sklearn_vbjfa", *words])
 
 

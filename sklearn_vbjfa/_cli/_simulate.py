@@ -33,23 +33,19 @@ def simulate(arguments, folder):
     with _input.blaming(arguments):
         windows = _windows(arguments, robot, recording)
     places = [_place(recording, windows, k) for k in range(windows.n_windows)]
-    count, failures, verdict = windows.n_windows, windows.failures, windows.verdict()
-    failed = ""
-    if failures:
-        k, message = next(iter(failures.items()))
+    verdict, failed = windows.verdict(), ""
+    for k, message in [*windows.failures.items()][:1]:
         name, begin, end = places[k]
         failed = (
-            f"{len(failures)} of {count} windows failed, the first at {name}, "
-            f"{begin:.3f} to {end:.3f} s: {message}"
+            f"{len(windows.failures)} of {windows.n_windows} windows failed, the first "
+            f"at {name}, {begin:.3f} to {end:.3f} s: {message}"
         )
     text = rendered(
         "simulation.txt.j2",
         recording=recording,
         seconds=arguments.window,
-        count=count,
-        complete=count - len(failures),
+        windows=windows,
         errors=_error_columns(windows),
-        commanded=windows.commanded is not None,
         verdict=verdict,
         failures=failed,
     )

@@ -90,13 +90,10 @@ def test_cross_validation_of_the_chain(recording, weight, routing):
 
 def test_groups_need_no_ceremony(recording, routing):
     q, tau, groups = recording.q, recording.tau, recording.groups
-    search = GridSearchCV(
-        chain(recording), {"states__cutoff": [6.0, 8.0]}, cv=FOLDS, error_score="raise"
-    )
+    grid = {"states__cutoff": [6.0, 8.0]}
+    search = GridSearchCV(chain(recording), grid, cv=FOLDS, error_score="raise")
     search.fit(q, tau, groups=groups)
-    asked = GridSearchCV(
-        routed_chain(recording), {"states__cutoff": [6.0, 8.0]}, cv=FOLDS
-    )
+    asked = GridSearchCV(routed_chain(recording), grid, cv=FOLDS)
     asked.fit(q, tau, groups=groups)
     scores = (found.cv_results_["mean_test_score"] for found in (search, asked))
     np.testing.assert_array_equal(*scores)
@@ -105,9 +102,6 @@ def test_groups_need_no_ceremony(recording, routing):
     assert best.score(q, tau, groups=groups) > best.score(q, tau)
     expected = r2_score(tau, best.predict(q, groups=groups))
     assert best.score(q, tau, groups=groups) == expected
-
-
-# -- the whole chain ------------------------------------------------------------------
 
 
 def identifier(recording):

@@ -40,7 +40,7 @@ def read_mjcf(path, name):
     mujoco = import_mujoco()
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        n_actuators = len(spec.actuators)
+        n_actuators, motors = len(spec.actuators), _motors(mujoco, spec)
         _drop_what_is_not_read(mujoco, spec)
         model = spec.compile()
         for key in _FINITE:
@@ -52,7 +52,25 @@ def read_mjcf(path, name):
             f"{str(path)!r} is not readable as MJCF: {' '.join(words.split())}; "
             "correct the description."
         ) from error
-    return _robot(mujoco, model, name, path, n_actuators)
+    return _robot(mujoco, model, name, path, n_actuators, motors)
+
+
+def _motors(mujoco, spec):
+    """Return the largest torques of joints that a single actuator moves, by name."""
+    joint, found = mujoco.mjtTrn.mjTRN_JOINT, {}
+    for one in spec.actuators:
+        ends = [(one.forcelimited, one.forcerange, 1.0)]
+        if not any(one.biasprm):
+            # Of a motor, not of a servo, whose controls are positions or velocities.
+            ends.append((one.ctrllimited, one.ctrlrange, abs(one.gainprm[0])))
+        # Limits that are not declared hold where there is a range.
+        most = [
+            k * min(-x[0], x[1]) for on, x, k in ends if int(on) and x[0] < 0 < x[1]
+        ]
+        most = abs(one.gear[0]) * min(most, default=np.inf)
+        if one.trntype == joint:
+            found.setdefault(one.target, []).append(most)
+    return {name: most[0] for name, most in found.items() if len(most) == 1}
 
 
 def _drop_what_is_not_read(mujoco, spec):
@@ -83,12 +101,12 @@ def _drop_what_is_not_read(mujoco, spec):
             spec.delete(one)
 
 
-def _robot(mujoco, model, name, path, n_actuators):
+def _robot(mujoco, model, name, path, n_actuators, motors):
     """Return the `Description` of a model that MuJoCo made."""
     called = repr(str(path))
     names, nameless = _names(model)
     closures, links = _equalities(mujoco, model, names)
-    tree = _tree(mujoco, model, names)
+    tree = _tree(mujoco, model, names, motors)
     tree.name = name
     return Description(
         model=tree,
@@ -121,7 +139,7 @@ def _left_out(model, tree, n_actuators, nameless):
         yield f"joints without a name are called {', '.join(nameless)}"
 
 
-def _tree(mujoco, model, names):
+def _tree(mujoco, model, names, motors):
     """Build Pinocchio's model of all bodies and joints, in MuJoCo's order."""
     pin = import_pinocchio()
     made = pin.Model()
@@ -143,7 +161,7 @@ def _tree(mujoco, model, names):
                 _joint(mujoco, model, j),
                 zero,
                 names["joint"][j],
-                *_limits(model, j),
+                *_limits(model, j, motors),
             )
             dof = made.idx_vs[at]
             made.armature[dof] = model.dof_armature[model.jnt_dofadr[j]]
@@ -185,12 +203,15 @@ def _at_zero(mujoco, model, j):
     return pin.SE3(turn, anchor)
 
 
-def _limits(model, j):
+def _limits(model, j, motors):
     """Limits of a joint of one degree of freedom, as Pinocchio adds them."""
     if model.jnt_type[j] < 2:
         return ()
     low, high = model.jnt_range[j] if model.jnt_limited[j] else (-np.inf, np.inf)
-    return tuple(np.array([x]) for x in (np.inf, np.inf, low, high))
+    most = motors.get(model.joint(j).name, np.inf)
+    if model.jnt_actfrclimited[j] and model.jnt_actfrcrange[j, 0] < 0:
+        most = min(most, np.abs(model.jnt_actfrcrange[j]).min() or np.inf)
+    return tuple(np.array([x]) for x in (most, np.inf, low, high))
 
 
 def _names(model):

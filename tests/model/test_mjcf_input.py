@@ -77,7 +77,7 @@ ODD = """
       <geom size=".1" type="sphere"/>
     </body>
   </worldbody>
-  <actuator><motor joint="s1"/></actuator>
+  <actuator><motor joint="s1" gear="-30" ctrlrange="-1 2"/></actuator>
 </mujoco>
 """
 PART = '<mujocoinclude><compiler angle="degree"/></mujocoinclude>'
@@ -144,6 +144,7 @@ def test_every_way_of_placing_things(write):
     degrees = np.deg2rad(90)
     low = [-degrees, -np.inf, -1.0, -degrees, -1.0, -degrees, -degrees, -1.0]
     np.testing.assert_allclose(model.lowerPositionLimit, low)
+    np.testing.assert_allclose(model.effortLimit, [*[np.inf] * 7, 30.0])
     np.testing.assert_allclose(model.gravity.linear, [1, 2, -9])
 
 

@@ -110,9 +110,7 @@ class Delay(OfChannel):
     named_units = shape_units = (("delay", TIME),)
     continuous = ("delay",)
     record = "fast changes of the torque"
-    files = InFiles.nowhere(
-        "the torque channel is late; it is not a property of the robot"
-    )
+    files = InFiles.nowhere("a channel's time shift; it is not a property of the robot")
 
     def __init__(self, joint=0, delay=0.001):
         super().__init__(joint)

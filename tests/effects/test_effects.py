@@ -478,18 +478,17 @@ def test_millimetres_give_the_same_columns(name):
 def test_parameters_mean_what_they_are_called():
     assert effects.Spring().parameters([4.0, -2.0]) == {"k": 4.0, "q0": 0.5}
     assert np.isnan(effects.Spring().parameters([0.0, 1.0])["q0"])
-    ripple = effects.Ripple(period=0.3).parameters([3 * np.cos(0.7), 3 * np.sin(0.7)])
+    coef = [3 * np.cos(0.7), 3 * np.sin(0.7)]
+    ripple = effects.Ripple(period=0.3).parameters(coef)
     assert ripple["A"] == pytest.approx(3.0)
     assert ripple["phase"] == pytest.approx(0.7)
     q = np.linspace(-1, 1, 50)
     columns = effects.Ripple(period=0.3).fit_transform(np.c_[q, q, q])
-    assert_allclose(
-        columns @ [3 * np.cos(0.7), 3 * np.sin(0.7)],
-        3 * np.cos(2 * np.pi * q / 0.3 - 0.7),
-        atol=1e-12,
-    )
+    expected = 3 * np.cos(2 * np.pi * q / 0.3 - 0.7)
+    assert_allclose(columns @ coef, expected, atol=1e-12)
     assert effects.Elastic().parameters([0.0])["k"] == np.inf
     assert effects.Delay().parameters([0.004]) == {"delay": 0.004}
+    assert "late" not in effects.Delay(delay=-0.004).files.mjcf
     assert effects.Drift(of="viscous").parameter_units()["D"] == "N m s/rad"
     assert effects.Drift(of="viscous").parameter_units(True)["D"] == "N s/m"
     assert effects.Drift().parameter_units()["D"] == "N m"

@@ -41,12 +41,14 @@ def test_an_effect_that_simulations_leave_out_qualifies_them():
 
 def test_a_residual_above_the_noise_forbids_collision_detection_alone():
     report = Report(make_outcome(unexplained=(2,), channels=()))
-    assert of(report) == {
-        "feedforward": True,
-        "simulation": True,
-        "collision detection": False,
-    }
+    assert [*of(report).values()] == [True, True, False]
     assert "joint 3" in report.uses[2].reason
+    known = {"unexplained": (2,), "floor": np.full(6, 0.2)}
+    for after, said in ((0.1, "search data only"), (0.3, "not significant")):
+        ends = np.outer([0.1, 0.4], np.ones(6))
+        ends = {"after": ends, "difference": -ends}
+        found = make_outcome(after=np.full(6, after), intervals=ends, **known)
+        assert f"unexplained ({said})" in Report(found).joints[2].text
 
 
 def test_a_joint_that_got_worse_forbids_feedforward():
@@ -110,12 +112,10 @@ def test_masses_are_split_by_what_the_motion_determines():
     known = enumerate(("yes", "yes", "in combination", "no"), 1)
     masses = tuple(make_mass(f"link{k}", 1.0, 1.0, x, 0.1) for k, x in known)
     report = Report(make_outcome(channels=(), facts=masses))
-    found = {one.name: one for one in report.uses}
-    assert found["link masses of link1 and link2"].allowed
-    other = found["link masses of link3 and link4"]
-    assert not other.allowed
+    assert of(report)["link masses of link1 and link2"]
+    assert not of(report)["link masses of link3 and link4"]
     assert report.to_dict()["uses"][-1]["allowed"] is False
-    assert "not individually identifiable" in report.to_html()
+    assert "(only 2 of 4 are individually identifiable)" in report.to_html()
 
 
 def test_uses_do_not_depend_on_the_size_of_errors():

@@ -18,6 +18,8 @@ NEXT_SECONDS = 50.0
 # (equal-weighted cosines with fixed-b critical values: Lazarus, Lewis, Stock, Watson,
 # "HAR inference: recommendations for practice", J. Bus. Econ. Stat. 36(4), 2018).
 _COSINES = 10
+# Share of the absolute residuals below the threshold of collision detection.
+_BELOW = 0.999
 # Joints whose curves are drawn, those with the largest errors.
 _WORST = 3
 
@@ -61,6 +63,10 @@ def judge(loop, found, split, near, whole):
     full = np.maximum(weight.max(axis=0), np.finfo(float).tiny)
     seconds = (weight / full).sum(axis=0) * view.step
     values = 2.0 * min(completed.cutoff_, 0.5 / dt) * seconds
+    most = np.full(spread.size, np.nan)
+    for j in np.flatnonzero((weight > 0).any(axis=0)):
+        residual = after.residual[weight[:, j] > 0, j]
+        most[j] = np.quantile(np.abs(residual), _BELOW)
     error = after.relative_error(spread)
     order = np.argsort(-np.nan_to_num(error, nan=-1.0), kind="stable")
     worst = order[:_WORST].tolist()
@@ -70,6 +76,7 @@ def judge(loop, found, split, near, whole):
             "plain": held_out[plain].relative_error(spread),
             "after": error,
             "spread": spread,
+            "threshold": most,
             "seconds": seconds,
             "enough": values >= FEWEST_VALUES,
             "searched": used,

@@ -51,6 +51,8 @@ class JointErrors:
     # "after", and of after minus before ("difference") and after minus plain ("added")
     intervals: dict
     spread: float = math.nan  # deviation of the torque while the robot moves [N m or N]
+    # 99.9 % quantile of the absolute residual "after" [N m or N]
+    threshold: float = math.nan
     seconds: float = math.nan  # held-out time in which the joint moves [s]
     enough: bool = True  # whether that is enough for a verdict
     searched: bool = True  # whether its channels show enough to be searched

@@ -76,7 +76,7 @@ def make_possible(i, joint, names, warning=UNDECIDED, evidence=POSSIBLE):
 
 NO_ENDS = dict.fromkeys(("after", "difference", "added"), (np.nan, np.nan))
 COLUMNS = ("before", "plain", "after", "floor", "spread", "seconds", "enough")
-COLUMNS += ("searched",)
+COLUMNS += ("searched", "threshold")
 FINDINGS = ("unnamed", "contradictions", "repeated", "departures", "alike")
 SETTINGS = {
     "test_size": 0.25,

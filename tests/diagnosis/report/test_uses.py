@@ -40,10 +40,12 @@ def test_an_effect_that_simulations_leave_out_qualifies_them():
 
 
 def test_a_residual_above_the_noise_forbids_collision_detection_alone():
-    report = Report(make_outcome(unexplained=(2,), channels=()))
+    known = {"unexplained": (2,), "threshold": np.full(6, 2.5)}
+    report = Report(make_outcome(channels=(), **known))
     assert [*of(report).values()] == [True, True, False]
-    assert "joint 3" in report.uses[2].reason
-    known = {"unexplained": (2,), "floor": np.full(6, 0.2)}
+    said = "joint 3: residual above the noise floor, 99.9 % of residuals below 2.5 N m"
+    assert report.to_dict()["uses"][2]["reason"] == said
+    known["floor"] = np.full(6, 0.2)
     for after, said in ((0.1, "search data only"), (0.3, "not significant")):
         ends = np.outer([0.1, 0.4], np.ones(6))
         ends = {"after": ends, "difference": -ends}

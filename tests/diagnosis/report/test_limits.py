@@ -96,12 +96,11 @@ def test_the_motion_of_each_joint_and_what_it_does_not_show():
     hidden = NotIdentifiable(
         name="spring", joint=0, joint_name="joint1", reason="excitation", remedy="x"
     )
-    given = make_outcome(
-        nv=2, not_identifiable=(hidden,), motion=(one, one), limits=limits
-    )
+    both = (one, one)
+    given = make_outcome(nv=2, not_identifiable=(hidden,), motion=both, limits=limits)
     report = Report(given)
     text = section_of(report, "Excitation")
-    assert_said(text, "all joints", "it reverses 3 times", "-1 to 1.5 rad", "25 %")
+    assert_said(text, "poor on all", "it reverses 3 times", "-1 to 1.5 rad", "25 %")
     steps = section_of(report, "Next steps")
     assert_said(steps, "a wide range of positions (joint 1)", "-2 to 2 rad")
     assert_said(steps, "0.3 to 3 rad/s", "60 s")

@@ -40,15 +40,13 @@ def test_an_effect_that_simulations_leave_out_qualifies_them():
 
 
 def test_a_residual_above_the_noise_forbids_collision_detection_alone():
-    known = {"unexplained": (2,), "threshold": np.full(6, 2.5)}
+    known = {"unexplained": (2,), "threshold": [2.5] * 6, "floor": [0.2] * 6}
     report = Report(make_outcome(channels=(), **known))
     assert [*of(report).values()] == [True, True, False]
     said = "joint 3: residual above the noise floor, 99.9 % of residuals below 2.5 N m"
     assert report.to_dict()["uses"][2]["reason"] == said
-    known["floor"] = np.full(6, 0.2)
     for after, said in ((0.1, "search data only"), (0.3, "not significant")):
-        ends = np.outer([0.1, 0.4], np.ones(6))
-        ends = {"after": ends, "difference": -ends}
+        ends = {"after": [[0.1] * 6, [0.4] * 6], "difference": [[-1] * 6, [0] * 6]}
         found = make_outcome(after=np.full(6, after), intervals=ends, **known)
         assert f"unexplained ({said})" in Report(found).joints[2].text
 
@@ -98,7 +96,9 @@ def test_a_joint_with_an_effect_may_not_rise_at_all_in_silence():
 
 
 def test_a_faulty_channel_forbids_every_use():
-    report = Report(make_outcome(channels=(finding("Wrong sign.", "warning"),)))
+    wrong = replace(finding("Wrong unit.", "warning"), kind="torque_unit")
+    report = Report(make_outcome(channels=(wrong,)))
+    assert "The log contradicts this: Wrong unit." in report.to_html()
     assert report.status == "faulty"
     assert set(of(report).values()) == {False}
 

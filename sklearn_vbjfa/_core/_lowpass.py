@@ -15,6 +15,8 @@ import scipy
 _ATTENUATION = 60.0  # dB
 # A filtered row counts when at least this share of the filter's neighbourhood counts.
 _MASK_SHARE = 0.5
+# ... and all of it but its last ripples if this share does.
+_THROUGHOUT = 0.98
 # Memory of a block's rows, and fewest rows for which a call is worth its overhead.
 _BLOCK_BYTES = 1 << 20
 _MIN_ROWS = 512
@@ -57,6 +59,10 @@ class Lowpass:
         """Average weights (n, ...) over the filter's neighbourhood."""
         taps = np.abs(self.taps)
         return replace(self, taps=taps / taps.sum())(weight)
+
+    def throughout(self, flags):
+        """Return the filtered rows whose whole neighbourhood has flags (n, ...)."""
+        return self.average(flags.astype(float)) > _THROUGHOUT
 
     def samples(self, weight):
         """Count filtered rows as independent samples; zero where too little counts."""

@@ -370,6 +370,7 @@ class Segment:
     torque: np.ndarray
     weight: np.ndarray
     standstill: np.ndarray  # (nv,): speeds at or below which a joint's rows are masked
+    stops: np.ndarray | None  # (nv,): joints that stop where they reverse
     edge: int = 0  # rows at each end that are masked
     every: bool = True  # whether bodies' columns are made of all rows, see `stride`
     # gains (2, nv) by which the torque was made of the positions and their slopes
@@ -390,6 +391,16 @@ class Segment:
         # Sums go through rows of another layout in another order, and are rounded so:
         # the same whether weights take memory or not.
         return np.multiply(self.weight[rows], moves, order="C")
+
+    def filtered_weight(self, lowpass, rows, v):
+        """Return the weights of filtered rows, zero where too little of each counts."""
+        weight = lowpass.samples(self.counts(rows, v))
+        if self.stops is None or not self.stops.any():
+            return weight
+        # The friction of a joint that stops is unknown, and so is what the low-pass
+        # takes of it.
+        moves = lowpass.throughout(np.abs(v) > self.standstill)
+        return np.where(self.stops & ~moves, 0.0, weight)
 
     def pieces(self, lowpass):
         # Neighbouring pieces share input rows over the length of the filter, so none is
@@ -437,7 +448,7 @@ class Segment:
         chosen = lowpass.centres(self.n_rows, outputs)
         seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
         q, v = (derivative(self.states, seen, order) for order in range(2))
-        weight = lowpass.samples(self.counts(seen, v))
+        weight = self.filtered_weight(lowpass, seen, v)
         signals = lowpass(np.stack([self.torque[seen], q, v], axis=1))
         tau, q, v = (np.ascontiguousarray(signals[:, k]) for k in range(3))
         ways = np.sign(v) * (np.abs(v) > self.standstill)
@@ -475,7 +486,7 @@ class Segment:
         for order in range(3):
             signals = np.ascontiguousarray(derivative(self.states, rows, order))
             if order == 1:
-                weight = lowpass.samples(self.counts(rows, signals))
+                weight = self.filtered_weight(lowpass, rows, signals)
             made.append(lowpass(signals))
         return SignalRanges.of([torques(*made)], weight > 0)
 
@@ -557,6 +568,7 @@ def build_segments(
             torque=applied.tau[part],
             weight=weight[part],
             standstill=plan.masked,
+            stops=plan.stops,
             edge=edge_rows(part.stop - part.start, plan.state_estimator),
             every=recording.n_samples <= _MANY_ROWS,
             feedback=recording.feedback,
@@ -706,8 +718,9 @@ def compare(segments, others, lowpass, theta):
     found, every = [], slice(None)
     for own, other in zip(segments, others):
         torque = predicted = lowpass(np.asarray(own.torque))
-        counts = own.counts(every, derivative(own.states, every, 1))
-        rows, weight = own.first + lowpass.centres(own.n_rows), lowpass.samples(counts)
+        v = derivative(own.states, every, 1)
+        weight = own.filtered_weight(lowpass, every, v)
+        rows = own.first + lowpass.centres(own.n_rows)
         if theta is not None:
             both = map(lowpass, own.rows.predict(theta, other.rows))
             predicted = np.where(weight > 0, *both)

@@ -62,6 +62,9 @@ _FAITHFUL = 0.6
 STANDSTILL_SHARE = 0.02
 # ... and below this one of the fastest joint's, whose own speed is rounding.
 _ROUNDING = 1e-9
+# A joint that passes zero without stopping is up to that speed as long as in half of
+# the next two such bands, and up to so many times as long by chance.
+_STOPS = 1.2
 # Fits until the load in the effects' columns agrees with the parameters: the load is
 # mostly gravity and inertia, which a first fit without those effects gets right.
 _LOAD_PASSES = 3
@@ -80,6 +83,8 @@ class Plan:
     effects: tuple[Effect, ...] = ()  # effects that add columns to the regressor
     # whether the regressor accepts a measured covariance of the input noise
     corrects_noise: bool = False
+    # (nv,): whether a joint stops where it reverses: its friction there is unknown
+    stops: np.ndarray | None = None
     # (nv,): period of a sine as fast as the motion [s], if nothing is filtered
     fastest_period: np.ndarray | None = None
     # first and last time of the rows [s], if effects need the clock
@@ -191,6 +196,7 @@ def make_plan(settings, effects, lengths, estimator, facts):
         state_estimator=estimator,
         cutoff=cutoff,
         standstill=resolve_standstill(settings.fit_options.standstill, facts.fast()),
+        stops=facts.stops(),
         effects=effects,
         corrects_noise=corrects_noise(settings.regressor),
         fastest_period=facts.period,
@@ -269,6 +275,8 @@ class MotionFacts:
     highest: np.ndarray
     # (k, nv): largest speeds of each joint [rad/s or m/s], in any order
     fastest: np.ndarray
+    # (2, nv): number of samples up to the speed at standstill, and to three times that
+    slow: np.ndarray
     # (nv,): `_fastest_period` [s], if all states were available together
     period: np.ndarray | None = None
 
@@ -276,11 +284,14 @@ class MotionFacts:
     def of(cls, positions, velocities, keep):
         """Statistics of the positions and velocities (n, nv) of one recording."""
         # `keep` is `n_fastest` of all recordings together.
+        n, fastest = positions.shape[0], _largest(velocities, keep)
+        slow = STANDSTILL_SHARE * _top_quantile(fastest, n)
         return cls(
-            n=positions.shape[0],
+            n=n,
             lowest=positions.min(axis=0),
             highest=positions.max(axis=0),
-            fastest=_largest(velocities, keep),
+            fastest=fastest,
+            slow=np.array([(abs(velocities) <= k * slow).sum(axis=0) for k in (1, 3)]),
         )
 
     def merge(self, other, keep):
@@ -289,7 +300,12 @@ class MotionFacts:
             lowest=np.minimum(self.lowest, other.lowest),
             highest=np.maximum(self.highest, other.highest),
             fastest=_largest(np.concatenate([self.fastest, other.fastest]), keep),
+            slow=self.slow + other.slow,
         )
+
+    def stops(self):
+        """Whether each joint stops where it reverses, (nv,)."""
+        return self.slow[0] > _STOPS / 2 * np.diff(self.slow, axis=0)[0]
 
     def fast(self):
         """Return the 99.5th percentiles of the speeds (nv,) over all samples."""

@@ -180,8 +180,7 @@ def _joint_signals(q, tau, usable, dt, parts, smooth, lowpass):
     for part, (x, v, a) in zip(parts, states):
         torque = tau[part]
         signals = x, v, a, np.sign(v), torque, np.gradient(torque)
-        moves = (np.abs(v) > slow) & usable[part]
-        weight = lowpass.average(moves.astype(float)) > 0.9
+        weight = lowpass.throughout((np.abs(v) > slow) & usable[part])
         pieces.append([*lowpass(np.column_stack(signals)).T, weight])
     return np.concatenate(pieces, axis=1)
 

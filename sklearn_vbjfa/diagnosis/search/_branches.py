@@ -41,7 +41,7 @@ class Branch:
             by_joint = getattr(whole, name).reshape(len(plan.standstill), -1)
             known[name] = by_joint[self.joints].ravel()
         changes = {"standstill": plan.standstill[self.joints]}
-        for name in ("fastest_period", "corners"):
+        for name in ("stops", "fastest_period", "corners"):
             value = getattr(plan, name)
             changes[name] = None if value is None else value[self.joints]
         if plan.state_estimator is not None:

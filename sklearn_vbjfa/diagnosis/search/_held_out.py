@@ -65,8 +65,7 @@ class HeldOut:
     # recording, unless others, `fold` (m,), are given: what is worth its name predicts
     # motion that was not fitted.
     # In the order of the blocks: edges (n_blocks + 1,), first row of each; of_row (m,),
-    # place of the fold of each row's block; moves (nj, m), rows in whose whole low-pass
-    # a joint moves; A (nj, m, r + 1), declared columns and
+    # place of the fold of each row's block; A (nj, m, r + 1), declared columns and
     # torques of the joints that count, and gram (nj, n_folds, r + 1, r + 1), their
     # products by fold.
 
@@ -82,7 +81,6 @@ class HeldOut:
             np.repeat(own, np.diff(self.edges)), return_inverse=True
         )[1]
         self.rows = [self.of_row == k for k in range(self.of_row.max() + 1)]
-        self.moves = view.moves_throughout().T[used][:, order]
         Z, y = view.Z[used][:, order], view.target[used][:, order]
         self.A = np.concatenate([Z, y[:, :, None]], axis=2)
         self.gram = np.array([[A[own].T @ A[own] for own in self.rows] for A in self.A])
@@ -178,27 +176,21 @@ class HeldOutFit:
         return float(self.without((), [own]).sum())
 
     def _own(self, i):
-        """Numbers of the joints that count for a member, their weights, which rows."""
-        # At rest the friction is not known, and near it an effect could imitate its way
-        # from one sign to the other: only dry friction itself says what it is there.
+        """Numbers of the joints that count for a member, and their weights."""
         effect = self.fit.members[i].effect
-        rows = int("direction" not in effect.depends)
         # In noise, of the robot, what acts on all.
         if isinstance(effect, (OnAllJoints, InModel)):
-            return np.arange(self.weight.size), self.weight, rows
-        return np.searchsorted(self.held.used_joints, [effect.joint]), np.ones(1), rows
+            return np.arange(self.weight.size), self.weight
+        return np.searchsorted(self.held.used_joints, [effect.joint]), np.ones(1)
 
-    def without(self, numbers, joints, rows=0):
+    def without(self, numbers, joints):
         """Squared errors (n_blocks, nj) of joints without members, others refitted."""
-        # rows: 0 for all, 1 for those in which the joint moves throughout.
-        known, found = self._without.setdefault(tuple(numbers), {}), []
+        known = self._without.setdefault(tuple(numbers), {})
         for j in joints:
             if j not in known:
                 squares = self._residual(self._refitted(tuple(numbers)), j) ** 2
-                both = np.array([squares, squares * self.held.moves[j]])
-                known[j] = np.add.reduceat(both, self.held.edges[:-1], axis=1)
-            found.append(known[j][rows])
-        return np.stack(found, axis=1)
+                known[j] = np.add.reduceat(squares, self.held.edges[:-1])
+        return np.stack([known[j] for j in joints], axis=1)
 
     def _refitted(self, numbers):
         """Coefficients of each fold without members."""
@@ -214,15 +206,12 @@ class HeldOutFit:
 
     def share_of(self, i, absent=(), plain=None):
         """Largest share of a joint's squared error that a member saves."""
-        # Of the error in all rows without it, or without members `plain` if this is
-        # larger.
-        (joints, _, rows), lacking = self._own(i), (*absent, i)
-        before, after = (self.without(x, joints, rows) for x in (lacking, absent))
-        errors = [
-            self.without(x, joints).sum(axis=0) for x in (lacking, plain or lacking)
-        ]
-        size = np.maximum(np.max(errors, axis=0), _SMALLEST)
-        return float(((before - after).sum(axis=0) / size).max())
+        # Of the error without it, or without members `plain` if this is larger.
+        joints, _ = self._own(i)
+        asked = (*absent, i), absent, (*absent, i) if plain is None else plain
+        without, own, most = (self.without(x, joints).sum(axis=0) for x in asked)
+        size = np.maximum(np.maximum(without, most), _SMALLEST)
+        return float(((without - own) / size).max())
 
     def helps(self, i, least=0.0):
         """Whether a member saves more than a share, in the mean of the blocks too."""
@@ -231,8 +220,8 @@ class HeldOutFit:
 
     def gain_of(self, i, absent=()):
         """Return what a member saves, others being absent."""
-        (joints, weight, rows), both = self._own(i), ((*absent, i), absent)
-        errors = (self.without(x, joints, rows) @ weight for x in both)
+        (joints, weight), both = self._own(i), ((*absent, i), absent)
+        errors = (self.without(x, joints) @ weight for x in both)
         return CrossValidatedGain.of(*errors)
 
     @property

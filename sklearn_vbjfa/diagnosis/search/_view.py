@@ -102,8 +102,6 @@ _DETERMINED = 1e-6
 _AT_ONCE = 1 << 20
 # Numbers of the cosines of columns that are kept after their use.
 _KEPT_NUMBERS = 1 << 24
-# Share of the low-pass in which a joint moves throughout: all but its last ripples.
-_THROUGHOUT = 0.98
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
 # Rests of a joint from which on its torque at rest is looked at.
@@ -206,13 +204,6 @@ class RecordingView:
                 lengths = np.flatnonzero(own < 0) - np.flatnonzero(own > 0)
                 count[j] += (lengths > length).sum()
         return np.flatnonzero((count >= _RESTS) & self.root.any(axis=0)).tolist()
-
-    def moves_throughout(self):
-        """Rows (m, nv) in whose whole low-pass a joint moves."""
-        v = self.states[:, self.nv : 2 * self.nv]
-        moves = (np.abs(v) > self.robot.plan.standstill).astype(float)
-        share = [self._lowpass.average(moves[part]) for part in self.parts]
-        return np.concatenate(share) > _THROUGHOUT
 
     def with_rest(self, joints):
         """Return the view in which rows at rest count on some joints."""

@@ -229,6 +229,14 @@ def contact(reading):
     """Return an interval in which something else acts, with torques that are even."""
     robot, rows = reading.robot, reading.signals.row
     place, inside = _pushed(robot), np.zeros(rows.size, dtype=bool)
+    # Within the recording in which its middle lies.
+    stops = [part.stop for part in reading.parts]
+    k = int(np.searchsorted(stops, rows[sum(place) // 2], side="right"))
+    first, last = reading.parts[k].start, stops[k] - 1
+    step, edges = rows.size // number.CONTACT_ENDS, np.searchsorted(rows, (first, last))
+    # What lasts from the beginning, or to the end, may be a payload, which effects say.
+    if (np.abs(edges - place) <= step).any():
+        return None
     inside[slice(*place)] = True
     # A contact makes what is left correlated for as long as it lasts.
     times = robot.correlation_times(inside[:, None].astype(float))
@@ -246,14 +254,10 @@ def contact(reading):
     if few or fit.fall(now) < number.CLEAR_OF_JOINT or not robot.surpasses(odds):
         return None
     # A force on a link loads most of the joints before it.
-    last = int(robot.joints[felt][-1])
-    before = np.array(reading.model.supports[last + 1])[1:] - 1
+    farthest = int(robot.joints[felt][-1])
+    before = np.array(reading.model.supports[farthest + 1])[1:] - 1
     if felt[np.isin(robot.joints, before)].mean() < 0.5:
         return None
-    # Within the recording in which its middle lies.
-    stops = [part.stop for part in reading.parts]
-    k = int(np.searchsorted(stops, rows[sum(place) // 2], side="right"))
-    first, last = reading.parts[k].start, stops[k] - 1
     ends = np.clip(rows[np.minimum(place, rows.size - 1)], first, last) - first
     begin, end = ends * reading.dt
     where = "after the start" if len(stops) == 1 else f"of recording {k + 1}"

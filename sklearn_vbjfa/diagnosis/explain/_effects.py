@@ -10,6 +10,8 @@ from sklearn_vbjfa.effects import InModel, OfRobot, Shaped
 
 # Why the values of an effect do not let it be reported.
 _UNKNOWN = "no parameter of it is known from zero"
+# Share of a parameter by which rounding changes it.
+_ROUNDING = 1e-10
 _UNSURE = "its value is not known well enough to correct anything"
 
 # Share of effects with a warning that are right, in simulated recordings: the noise is
@@ -70,7 +72,7 @@ def discovered_effects(search, final, names, prismatic):
             least = {k: search.settings.known * x for k, x in deviations.items()}
             away = (abs(values[k] - nominal.get(k, 0.0)) > least[k] for k in least)
             warning = "" if any(away) else _UNSURE
-        elif not warning and not _is_known(effect, estimate.of_shape(), half):
+        elif not warning and not _is_known(effect, estimate, half):
             warning = _UNKNOWN
         units = effect.parameter_units(prismatic[effect.joint])
         rivals = (_named(one, effect, names) for one in finding.rivals)
@@ -126,6 +128,7 @@ def named_values(effect, estimate):
     values, slopes = effect.parameters(x), {}
     for name in values:
         rises = np.array([above[name] - below[name] for above, below in sides])
+        rises[abs(rises) < _ROUNDING * abs(values[name])] = 0.0
         slopes[name] = np.r_[rises / steps, np.zeros(len(covariance) - k)]
     for name, slope in zip(estimate.shape, np.eye(len(covariance))[k:]):
         if name not in values:

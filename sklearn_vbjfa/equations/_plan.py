@@ -2,7 +2,7 @@
 
 import itertools
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 from sklearn.utils.parallel import Parallel, delayed
@@ -330,7 +330,9 @@ def observe(recording, estimator, halves, n_jobs):
     states = RecordingStates.of_rows(recording.segments, recording.states)
     whole = states.own[0] if len(states.own) == 1 else np.concatenate(states.own)
     q, v, a = np.split(whole, 3, axis=1)
-    facts = MotionFacts.of(q, v, n_fastest(whole.shape[0]))
+    keep = n_fastest(whole.shape[0])
+    every = [MotionFacts.of(q[part], v[part], keep) for part in recording.segments]
+    facts = reduce(lambda one, other: one.merge(other, keep), every)
     return states, replace(facts, period=_fastest_period(facts, a))
 
 

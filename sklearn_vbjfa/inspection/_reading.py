@@ -110,6 +110,7 @@ class Signals:
     tau: np.ndarray  # (n, nv)
     slope: np.ndarray  # (n, nv): change of the torques from sample to sample
     weight: np.ndarray  # (n, nv): 1 where the joint moves and no fault is known, else 0
+    throughout: np.ndarray  # (n, nv): 1 where it does so in the whole low-pass, else 0
     row: np.ndarray  # (n,): row of the log in the middle of the filter
 
     def informative(self):
@@ -155,7 +156,7 @@ def filtered(q, tau, dt, parts, usable):
         _joint_signals(*one, dt, inner, smooth, lowpass)
         for one in zip(q.T, tau.T, usable.T)
     ]
-    *states, sign, tau, slope, weight = np.stack(joints, axis=2)
+    *states, sign, tau, slope, weight, throughout = np.stack(joints, axis=2)
     rows = [p.start + lowpass.centres(p.stop - p.start) for p in inner]
     return Signals(
         states=np.concatenate(states, axis=1),
@@ -163,12 +164,13 @@ def filtered(q, tau, dt, parts, usable):
         tau=tau,
         slope=slope,
         weight=weight,
+        throughout=throughout,
         row=np.concatenate(rows),
     )
 
 
 def _joint_signals(q, tau, usable, dt, parts, smooth, lowpass):
-    """Filter q, v, a, the sign of v, torque, its slope and weights, (7, n)."""
+    """Filter q, v, a, the sign of v, torque, its slope and both weights, (8, n)."""
     half, states = smooth.half, []
     for part in parts:
         x = q[part.start - half : part.stop + half]
@@ -180,8 +182,9 @@ def _joint_signals(q, tau, usable, dt, parts, smooth, lowpass):
     for part, (x, v, a) in zip(parts, states):
         torque = tau[part]
         signals = x, v, a, np.sign(v), torque, np.gradient(torque)
-        weight = lowpass.throughout((np.abs(v) > slow) & usable[part])
-        pieces.append([*lowpass(np.column_stack(signals)).T, weight])
+        moves = (np.abs(v) > slow) & usable[part]
+        weight = lowpass.average(moves.astype(float)) > 0.9, lowpass.throughout(moves)
+        pieces.append([*lowpass(np.column_stack(signals)).T, *weight])
     return np.concatenate(pieces, axis=1)
 
 

@@ -1,5 +1,7 @@
 """What acts on the whole robot: weight and its direction, a lag, a contact."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from sklearn_vbjfa._core._linear_systems import orthonormal_basis
@@ -151,10 +153,10 @@ def _loaded(robot, weight):
 
 def late(reading):
     """Return a lag common to all torques, or a low-pass of them."""
-    known, whole, after = (reading.robot.times, reading.robot.entries), 0, reading
+    first, whole, after = _moving(reading, reading), 0, reading
     for _ in range(number.MOVES):
-        signals = after.signals
-        robot = DescribedRobot(reading.bodies, signals, *known)
+        robot = _moving(reading, after)
+        signals = robot.signals
         fit = robot.fit(columns=-signals.slope[:, :, None])
         rest, error = float(fit.factors[0]), float(fit.errors[0])
         samples = whole + rest
@@ -177,7 +179,7 @@ def late(reading):
     if change.size < 2 or (change < 0).mean() <= 0.5 or change.max() >= harm:
         return None
     # Of the two, a lag is what is corrected; a filter has to be the likelier by far.
-    filtered = _lowpass(reading.robot, samples) if samples > 0 else -np.inf
+    filtered = _lowpass(first, samples) if samples > 0 else -np.inf
     lowpass = filtered > gain + number.DECISIVE
     seconds = samples * reading.dt
     facts = {"size": 1e3 * abs(seconds), "late": "late" if seconds > 0 else "early"}
@@ -189,6 +191,17 @@ def late(reading):
         value=seconds,
         facts=facts,
     )
+
+
+def _moving(reading, after):
+    """Return the robot of a shifted reading in rows whose whole low-pass moves."""
+    # Friction turns before or after the velocity where a joint stops.
+    known, signals = (reading.robot.times, reading.robot.entries), after.signals
+    moving = replace(signals, weight=signals.throughout)
+    robot = DescribedRobot(reading.bodies, moving, *known)
+    if robot.joints.size < reading.robot.joints.size:
+        return DescribedRobot(reading.bodies, signals, *known)
+    return robot
 
 
 def _drift(reading, robot, steady):

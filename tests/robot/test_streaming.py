@@ -75,7 +75,8 @@ def matrix_statistics(robot, simulated):
         counts[:short] = counts[len(counts) - short :] = 0.0
         kept = lowpass.average(counts)
         each = lowpass.step * (lowpass.taps @ lowpass.taps)
-        weight = np.where(kept >= 0.5, each * kept, 0.0)
+        whole = lowpass.throughout(moves[own]) | ~robot.robot_.plan.stops
+        weight = np.where((kept >= 0.5) & whole, each * kept, 0.0)
         mean, apart = lowpass(0.5 * (even + odd)[own]), lowpass((even - odd)[own])
         rows.append((mean, apart, lowpass(simulated.tau[own]), weight))
     Phi, apart, tau, w = (np.concatenate(x) for x in zip(*rows))

@@ -172,12 +172,15 @@ def test_another_robot_is_told_of_where_nothing_shows_the_errors(other):
     assert loop.report_.outcome.findings["channels"] == (other,)
 
 
-@pytest.mark.parametrize("lead", [0.02, 0.04])
-def test_friction_that_turns_before_the_velocity_has_no_other_name(lead):
-    """Friction of simulators, and of joints that stick, turns in a short time."""
-    pace = np.ones((3000, 2))
-    t = DT * np.arange(len(pace))
-    _, v, a = np.split(motion(t, pace), 3, axis=1)
-    q, tau = measure(t, pace)
-    tau += COULOMB * (3.0 * np.clip((v + lead * a) / 0.02, -1, 1) - np.sign(v))
-    assert named(close(q, tau, ["delay", "jerk", "torque_filter", "stribeck"])) == []
+@pytest.mark.parametrize("turns", ["before the velocity", "after it"])
+def test_friction_of_joints_that_stop_has_no_other_name(turns):
+    t, rng = DT * np.arange(3000), np.random.default_rng(0)
+    wanted = motion(t, np.ones((t.size, 2)))[:, 2:4]
+    v = np.sign(wanted) * np.maximum(np.abs(wanted) - 0.3, 0.0)
+    q, noise = np.cumsum(v, axis=0) * DT, rng.normal(size=(2, *v.shape))
+    tau = inverse_dynamics(MODEL, np.hstack([q, v, np.gradient(v, DT, axis=0)]))
+    rest = np.sign(np.gradient(wanted, axis=0)) * (-1 if turns == "after it" else 1)
+    direction = np.where(np.abs(wanted) < 0.3, rest, np.sign(wanted))
+    tau += VISCOUS * v + 3.0 * COULOMB * direction
+    effects = ["delay", "jerk", "torque_filter", "stribeck"]
+    assert named(close(q + 2e-5 * noise[0], tau + 0.05 * noise[1], effects)) == []

@@ -75,15 +75,6 @@ def literal(fit, left_out, members, block_fold=None, studentised=False, counted=
     return squares
 
 
-def in_motion(view):
-    """Rows (nv, m) whose low-pass holds at most a fiftieth of standstill."""
-    moves = np.abs(view.states[:, view.nv : 2 * view.nv]) > view.robot.standstill_
-    lowpass, every = view.robot.plan.lowpass, round(view.dt / view.robot.dt)
-    taps = np.abs(lowpass.taps[lowpass.half % every :: every])
-    rows = view.index[:, None] + np.arange(taps.size) - taps.size // 2
-    return np.tensordot(moves[rows], taps / taps.sum(), (1, 0)).T > 0.98
-
-
 def test_squares_are_those_of_refits_without_each_fold(fitted):
     fit, found = fitted
     assert_allclose(found.squares, literal(fit, found, [0, 1, 2]), rtol=3e-4)
@@ -93,10 +84,9 @@ def test_squares_are_those_of_refits_without_each_fold(fitted):
 def test_what_an_effect_is_worth_is_what_refits_without_it_lose(fitted, i):
     fit, found = fitted
     rest = [k for k in range(3) if k != i]
-    joint, dry = fit.members[i].effect.joint, i == 1
-    moving = in_motion(fit.problem.view) | dry
-    before = literal(fit, found, rest, counted=moving)[:, joint]
-    after = literal(fit, found, [0, 1, 2], counted=moving)[:, joint]
+    joint = fit.members[i].effect.joint
+    before = literal(fit, found, rest)[:, joint]
+    after = literal(fit, found, [0, 1, 2])[:, joint]
     expected, worth = CrossValidatedGain.of(before, after), found.gain_of(i)
     assert worth.gain == pytest.approx(expected.gain, rel=3e-4, abs=1e-6)
     assert worth.gain_std == pytest.approx(expected.gain_std, rel=1e-3, abs=1e-6)

@@ -96,7 +96,6 @@ def _motion(arguments, robot, found):
 
 
 def _described(arguments, folder):
-    """Take the robot of a description."""
     urdf, held = _input.robot(arguments, arguments.joints, folder)
     given = _input.expanded(arguments.urdf)
     known = replace(KnownRobot.of(str(urdf)), description=str(given))
@@ -104,7 +103,6 @@ def _described(arguments, folder):
 
 
 def _identified(arguments, found, folder):
-    """Take the robot that identify wrote with a report."""
     for name in {"urdf", "joints", "base_orientation"} & set(arguments.typed):
         raise ValueError(f"{spelled(name)} is taken from the report; leave it out.")
     report = _input.expanded(arguments.report)
@@ -130,7 +128,6 @@ def _identified(arguments, found, folder):
 
 
 def _next_command(arguments, robot, options):
-    """Return the command to type once the motion was recorded."""
     # options: those that a report was made with.
     typed = {name: options[name] for name in _OF_ROBOT if name in options}
     typed |= {x: arguments.typed[x] for x in _OF_ROBOT[:2] if x in arguments.typed}

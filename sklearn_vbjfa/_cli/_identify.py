@@ -143,7 +143,6 @@ def identify_demo(arguments, folder):
 
 
 def search(recording, urdf, *, effects="all", options=None, **settings):
-    """Return the `EffectDiscovery` of a recording, fitted."""
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
     from sklearn_vbjfa.fit import FitOptions
 

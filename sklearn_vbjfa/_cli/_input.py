@@ -69,7 +69,6 @@ def other_joints(urdf, held):
 
 
 def settings(arguments):
-    """Return settings of `RobotIdentifier`."""
     given = arguments.known_mass or ()
     if given and arguments.gain != "unknown":
         raise ValueError(
@@ -89,7 +88,6 @@ def settings(arguments):
 
 
 def paths(arguments):
-    """Return the paths of the files."""
     return tuple(map(expanded, arguments.recording))
 
 
@@ -119,7 +117,6 @@ def blaming(arguments):
 
 
 def read(arguments, urdf, joints, gains):
-    """Read a recording."""
     files = paths(arguments)
     recording = datasets.read_recording(
         files[0] if len(files) == 1 else files,
@@ -216,7 +213,6 @@ def _default_folder(arguments, what):
 
 
 def check_folder(out):
-    """Refuse a folder that cannot be written to."""
     there = next(x for x in (out, *out.parents) if x.exists() or x.is_symlink())
     if not there.is_dir():
         raise ValueError(f"{there} is not a folder; give another --out.")

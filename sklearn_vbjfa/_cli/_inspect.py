@@ -16,7 +16,6 @@ _TOO_SHORT = "too short to examine the motion"
 
 
 def list_effects(arguments, folder):
-    """List the library of effects."""
     # Without marks of citations.
     titles = [re.sub(r" ?\[\d+\]_", "", type(x).__doc__) for x in resolve("all")]
     titles = [text.splitlines()[0].rstrip(".") for text in titles]
@@ -26,7 +25,6 @@ def list_effects(arguments, folder):
 
 
 def list_datasets(arguments, folder):
-    """List the measured data sets."""
     heads = ["function of sklearn_vbjfa.datasets", "content", "joints", "licence"]
     rows = [
         [
@@ -41,7 +39,6 @@ def list_datasets(arguments, folder):
 
 
 def inspect(arguments, folder):
-    """Read a recording and describe it."""
     # A current is as good as a torque here: nothing is identified.
     recording, urdf, held = _input.load(arguments, folder, assumed="unknown")
     findings = _input.findings(arguments, recording, urdf, arguments.gain)
@@ -82,7 +79,6 @@ def inspect(arguments, folder):
 
 
 def _columns(motions, units):
-    """Return the motion of each joint, columns by their heads."""
     columns = {}
     for motion, unit in zip(motions, units):
         scale, name = (1e3, "mm") if motion.slides else (180 / np.pi, "deg")

@@ -45,7 +45,6 @@ class Done:
 
 
 def run(arguments):
-    """Run a command; return the exit code."""
     from sklearn_vbjfa._core._progress import show_progress
     from sklearn_vbjfa.model import DoubtWarning
 
@@ -143,7 +142,6 @@ def _reserved(folder):
 
 
 def rendered(template, **values):
-    """Return the text of a template of the command line."""
     from sklearn_vbjfa.diagnosis.report import environment
 
     made = environment(is_page=False, package=__package__)
@@ -184,7 +182,6 @@ def _print(*lines):
 
 
 def say(text):
-    """Print to stderr."""
     print(in_options(text), file=sys.stderr, flush=True)
 
 

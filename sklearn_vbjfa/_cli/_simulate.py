@@ -61,7 +61,6 @@ def simulate(arguments, folder):
 
 
 def _recording(arguments, robot, folder):
-    """Read the recording; refuse one that does not go with the robot."""
     names, has_gains = robot.joint_names_, robot.gains_ is not None
     given = arguments.gain not in (None, "unknown")
     if given if has_gains else arguments.gain == "unknown":
@@ -144,7 +143,6 @@ def _place(recording, windows, k):
 
 
 def _error_columns(windows):
-    """Return columns of the errors over windows, by their heads."""
     scale, units = windows.scales
     complete = ~windows.failed
     columns = {"": windows.joint_names, "unit": units}
@@ -157,7 +155,6 @@ def _error_columns(windows):
 
 
 def errors_table(windows, places):
-    """Return a table with one row per window and joint, as CSV."""
     import pandas as pd
 
     (n, nv), (scale, units) = windows.errors.shape, windows.scales

@@ -75,7 +75,6 @@ def test_reversals_keep_their_sign(robot, recording):
 
 
 def test_friction_of_a_joint_that_stops_where_it_reverses():
-    """At rest the friction is whatever holds the joint, and no row has a part of it."""
     model = load_model("tests/model/swing.urdf")
     data, dt = model.createData(), 0.005
     t = np.arange(0.0, 60.0, dt)

@@ -51,9 +51,7 @@ def literal(fit, left_out, members, block_fold=None, studentised=False, counted=
     penalty = np.vstack([penalty, zero])
     squares = np.zeros((view.blocks.n_blocks, view.nv))
     if block_fold is None:
-        firsts = [
-            np.flatnonzero(view.blocks.label == b)[0] for b in range(len(squares))
-        ]
+        firsts = [np.argmax(view.blocks.label == b) for b in range(len(squares))]
         block_fold = left_out.held.fold[firsts]
     for fold in np.unique(block_fold):
         out = np.isin(view.blocks.label, np.flatnonzero(block_fold == fold))

@@ -8,16 +8,15 @@ that is not there is left out with a line that says so.
 
 Sets, splits, filters and masks are those of ``_protocols``, but for the Go2:
 runs 0 to 6 are fitted, runs 7 to 9 judged, and all peers are told its commands, not
-torques. The slide EMPS is judged by its authors' rule as well
-(``bench_protocol_emps.py``). Every peer has viscous and Coulomb friction, offset and
-rotor inertia of every joint (on EMPS the rotor is the mass again).
+torques. EMPS is judged by its authors' rule as well (``bench_protocol_emps.py``). Every
+peer has viscous and Coulomb friction, offset and rotor inertia of every joint.
 
 - RobotIdentifier: with its defaults but filter, mask and friction of the set;
   EffectDiscovery: the same with the search for what is missing.
 - scikit-learn's regressors: on the regressor columns of this package, behind its
-  filter, mask, weights of joints, and its delay on the Go2: what is compared is the
-  regressor alone. WLS is least squares with the four plain terms. Ridge,
-  LASSO and PLS choose their strength by cross-validation over blocks of time.
+  filter, mask, weights of joints, and its delay on the Go2. WLS is least squares with
+  the four plain terms. Ridge, LASSO and PLS choose their strength by cross-validation
+  over blocks of time.
 - FIGAROH: the user script and settings of ``side_by_side`` for the UR5, with joints,
   rate and filter (1.5 times the set's) of the set put in; physical fit, base parameters
   where that is refused.
@@ -26,25 +25,21 @@ rotor inertia of every joint (on EMPS the rotor is the mass again).
   on other sets joints and bodies (pseudo-inertias in its default boxes) by the
   positions that torques make, in eight stretches of half a second.
 - CMA-ES: armature, damping, Coulomb friction, offset and delay by the positions that
-  commands make, the bodies as described, as PACE has it; on the servo the model M1 of
-  BAM as BAM fits it. Budget: 16 x 120 simulations of a run, 4000 of the servo's
-  recordings. Other sets have no commands with known gains.
+  commands make, as PACE has it; on the servo the model M1 of BAM as BAM fits it.
+  Budget: 16 x 120 simulations of a run, 4000 of the servo's recordings.
 
-CMA-ES and mujoco.sysid take minutes for a run of the Go2: they are fitted to runs 0 and
-6 alone, and the means of both are judged.
+CMA-ES and mujoco.sysid are fitted to runs 0 and 6 of the Go2 alone, means judged.
 
 - error: of the torque, mean over the joints, `_figaroh.held_out_error`. On the Go2
   the torque is that of the PD law as late as the peer says.
-- scatter: the two halves of the fitted part (of every recording; on the Go2 runs 0 to 3
-  and 4 to 6, or the two runs) are fitted each alone; half the difference of the torques
-  that they predict for the held-out part, over its spread. Coordinates of the
-  parameters do not matter. mujoco.sysid has it on the Go2 alone.
+- scatter: the two halves of the fitted part are fitted each alone; half the difference
+  of the torques that they predict for the held-out part, over its spread.
 - positions: simulated over windows of a second of the held-out part, each from the
-  measured state at its start: by the recorded torques, at most twenty windows evenly
-  over the part; on the Go2 and the servo by commands alone, in all windows (those of
-  the Go2 from the first second on). Mean error over that of a robot that stays where it
-  is, mean over the joints. A window counts on no joint more than the worst that a robot
-  has which stays or goes on at its velocity, and so much if its simulation fails.
+  measured state at its start: by the recorded torques, at most twenty windows; on the
+  Go2 and the servo by commands alone, in all windows (those of the Go2 from the first
+  second on). Mean error over that of a robot that stays where it is, mean over the
+  joints. A window counts on no joint more than the worst that a robot has which stays
+  or goes on at its velocity, and so much if its simulation fails.
 - consistent: whether all bodies are physically consistent (pseudo-inertia).
 - seconds: of one processor (FIGAROH: by the clock, imports not counted).
 - named: what is said to be missing, with a name, and on how many joints.

@@ -4,6 +4,8 @@ Run as ``python tests/benchmarks/bench_friction_memory.py [--laws lugre]``.
 The generator shares no code with the package: rigid bodies are those of Pinocchio, the
 laws of friction are integrated on a grid twenty times finer than the samples. The
 masses of the description are 20 % off. 40 s at 100 Hz; the 40 s after are predicted.
+"stops": both joints stop where they reverse, and their friction turns meanwhile; errors
+are those of rows that count.
 """
 
 import tempfile
@@ -32,6 +34,7 @@ ACCEPTED = {
     "warm_up": {"drift"},
     "two_coggings": {"ripple"},
     "nothing": set(),
+    "stops": set(),
 }
 MEMORY = ("maxwell_slip", "gms", "elasto_plastic", "lugre")
 # Laws between two joints: both may have the name.
@@ -107,6 +110,19 @@ def motion(rng, n):
         states[1, :, j] = np.cos(phase) @ (size * w)
         states[2, :, j] = -np.sin(phase) @ (size * w**2)
     return t, *states
+
+
+def stopping(v):
+    """Motion that stops at reversals, and the direction of its friction."""
+    moves = np.sign(v) * np.maximum(np.abs(v) - 0.1 * np.abs(v).max(axis=0), 0.0)
+    turns = np.sign(np.gradient(v, axis=0))
+    direction = np.where(moves == 0, turns, np.sign(moves))
+    return (
+        np.cumsum(moves, axis=0) * DT,
+        moves,
+        np.gradient(moves, DT, axis=0),
+        direction,
+    )
 
 
 # -- laws, integrated on a fine grid ---------------------------------------------------
@@ -193,8 +209,11 @@ def record(law, seed):
     arm = Arm(rng)
     n = round(2 * SECONDS / DT)
     t, q, v, a = motion(rng, n)
+    direction = np.sign(v)
+    if law == "stops":
+        q, v, a, direction = stopping(v)
     load = arm.rigid(q, v, a)
-    friction = arm.viscous * v + arm.dry * np.sign(v)
+    friction = arm.viscous * v + arm.dry * direction
     j = int(rng.integers(2))
     size, fast, reach = 0.15 * load[:, j].std() + 0.3, np.abs(v[:, j]).max(), None
     reach = np.ptp(q[:, j])
@@ -243,11 +262,13 @@ def judged(task):
         seconds = time.process_time() - start
     robot = loop.identifier_
     # The same rows and filter for the residual and the noise.
-    left = robot.residuals(q, tau).residual
-    quiet = robot.residuals(q, tau - noise).residual
-    later = slice(len(left) // 2, -20)
-    own = (left - quiet)[later]
-    ratio = np.sqrt((left[later] ** 2).mean(axis=0) / (own**2).mean(axis=0))
+    seen, quiet = (robot.residuals(q, y) for y in (tau, tau - noise))
+    later = np.arange(len(seen.residual) // 2, len(seen.residual) - 20)
+    if law == "stops":
+        later = later[(seen.weight[later] > 0).all(axis=1)]
+    left, quiet = seen.residual[later], quiet.residual[later]
+    own = left - quiet
+    ratio = np.sqrt((left**2).mean(axis=0) / (own**2).mean(axis=0))
     names = [(e.name, e.joint) for e in loop.effects_]
     joints = (0, 1) if law in BOTH else (j,)
     wrong = [

@@ -279,14 +279,12 @@ def judged(task):
 
 
 def line(one):
-    """Describe a case."""
     names = ", ".join(f"{name} {joint + 1}" for name, joint in one["names"])
     wrong = f"; {len(one['wrong'])} wrong" if one["wrong"] else ""
     return f"{one['law']} {one['seed']}: {one['ratio']:.2f}; {names}{wrong}"
 
 
 def row(label, found):
-    """Row of the table."""
     ratios = [one["ratio"] for one in found]
     counts = [sum(len(one[key]) for one in found) for key in ("names", "wrong")]
     seconds = np.nanmedian([one["seconds"] for one in found])
@@ -295,7 +293,6 @@ def row(label, found):
 
 
 def main(argv=None):
-    """Run the study and print its table."""
     arguments = parser(__doc__, out=True, jobs=True, seeds=(11, 20))
     arguments.add_argument("--laws", nargs="+", choices=ACCEPTED, default=[*ACCEPTED])
     arguments = arguments.parse_args(argv)

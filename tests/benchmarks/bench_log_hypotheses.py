@@ -92,7 +92,6 @@ def real(model, inertial):
 
 
 def negative(n, rng):
-    """Signs (n,) of which one is negative."""
     return np.where(np.arange(n) == rng.integers(n), -1.0, 1.0)
 
 
@@ -209,7 +208,6 @@ def simulated(seed):
 
 
 def run(task):
-    """Inspect one log."""
     from sklearn_vbjfa.inspection import inspect_channels
 
     seed, what, name = task["seed"], task["what"], task["set"]
@@ -267,7 +265,6 @@ def shown(model, sound, wrong):
 
 
 def fetched(name, data_home):
-    """Load the recording of a measured robot."""
     from sklearn_vbjfa import datasets
 
     fetch = getattr(datasets, f"fetch_{name}")
@@ -293,7 +290,6 @@ def measured(data_home):
 
 
 def report(results):
-    """Return the tables of a study."""
     rows = []
     for what in ["", *DONE]:
         own = [r for r in results if r["what"] == what]
@@ -309,7 +305,6 @@ def report(results):
 
 
 def main(argv=None):
-    """Print the tables."""
     arguments = parser(__doc__, data=True, out=True, seeds=(0, 99)).parse_args(argv)
     first, last = arguments.seeds
     if arguments.quick:

@@ -77,7 +77,6 @@ def simulated(joints, rows, dt, undeclared):
 
 
 def demo(data_home):
-    """Return what closes the loop on the demonstration."""
     from sklearn_vbjfa.datasets import load_demo_recording
 
     one = load_demo_recording()
@@ -86,7 +85,6 @@ def demo(data_home):
 
 
 def go2(data_home):
-    """Return what closes the loop on a run of the quadruped."""
     from sklearn_vbjfa.datasets import fetch_unitree_go2
 
     whole = fetch_unitree_go2(data_home=data_home, download_if_missing=False)
@@ -96,7 +94,6 @@ def go2(data_home):
 
 
 def kr300(data_home):
-    """Return what closes the loop on two motions of the KR300."""
     folder = Path(data_home)
     rows = slice(2 * ROWS_OF_A_MOTION)
     with np.load(folder / "kuka_kr300_benchmark" / "train.npz") as file:
@@ -109,7 +106,6 @@ def kr300(data_home):
 
 
 def command_line(data_home):
-    """Return what closes the loop on a table of six joints."""
     from compare_states import SIX
 
     from sklearn_vbjfa._cli import main
@@ -135,14 +131,12 @@ def command_line(data_home):
 
 
 def seven_joints(data_home):
-    """Return what closes the loop on 28,000 rows of seven joints."""
     model, one = simulated(7, 28_000, 0.005, LACKING)
     given = {"q": one.q, "tau": one.tau, "dt": one.dt}
     return lambda: identified(model, given)
 
 
 def commanded(data_home):
-    """Return what closes the loop on six joints under a PD law."""
     from sklearn_vbjfa.robot import PDDrive
 
     model, one = simulated(6, 20_000, 0.005, LACKING)
@@ -154,7 +148,6 @@ def commanded(data_home):
 
 
 def sixty_joints(data_home):
-    """Return what closes the loop on ten arms on one base."""
     from bench_long_recordings import DT, recording, robot
 
     arms = 10 * (6,)
@@ -164,7 +157,6 @@ def sixty_joints(data_home):
 
 
 def half_an_hour(data_home, joints=7, rows=1_800_000):
-    """Return what closes the loop on half an hour at 1 kHz."""
     from bench_long_recordings import DT, recording, robot
 
     q, tau = recording((joints,), rows)

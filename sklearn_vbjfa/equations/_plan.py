@@ -65,6 +65,11 @@ _ROUNDING = 1e-9
 # A joint that passes zero without stopping is up to that speed as long as in half of
 # the next two such bands, and up to so many times as long by chance.
 _STOPS = 1.2
+# It rests if it is up to three times that speed for so many times as long as it takes
+# from there to three times as much.
+_RESTS = 4.0
+# Of fewer reversals the rows around them cannot be spared.
+_FEWEST = 20
 # Fits until the load in the effects' columns agrees with the parameters: the load is
 # mostly gravity and inertia, which a first fit without those effects gets right.
 _LOAD_PASSES = 3
@@ -275,7 +280,8 @@ class MotionFacts:
     highest: np.ndarray
     # (k, nv): largest speeds of each joint [rad/s or m/s], in any order
     fastest: np.ndarray
-    # (2, nv): number of samples up to the speed at standstill, and to three times that
+    # (3, nv): number of samples up to the speed at standstill, without rests, and
+    # between that and three times it, and of stretches of both together
     slow: np.ndarray
     # (nv,): `_fastest_period` [s], if all states were available together
     period: np.ndarray | None = None
@@ -291,7 +297,7 @@ class MotionFacts:
             lowest=positions.min(axis=0),
             highest=positions.max(axis=0),
             fastest=fastest,
-            slow=np.array([(abs(velocities) <= k * slow).sum(axis=0) for k in (1, 3)]),
+            slow=np.transpose([_slow(*x) for x in zip(np.abs(velocities).T, slow)]),
         )
 
     def merge(self, other, keep):
@@ -305,7 +311,8 @@ class MotionFacts:
 
     def stops(self):
         """Whether each joint stops where it reverses, (nv,)."""
-        return self.slow[0] > _STOPS / 2 * np.diff(self.slow, axis=0)[0]
+        stopping = self.slow[0] > _STOPS / 2 * self.slow[1]
+        return stopping & (self.slow[2] >= _FEWEST)
 
     def fast(self):
         """Return the 99.5th percentiles of the speeds (nv,) over all samples."""
@@ -358,6 +365,17 @@ def smooth_with_facts(x, start, estimator, halves, keep):
     both = estimator.smooth_halves(x, start) if halves else None
     positions, speeds = (states.derivative(slice(None), order) for order in range(2))
     return states, both, MotionFacts.of(positions, speeds, keep)
+
+
+def _slow(speed, slow):
+    """Count samples (n,) up to a speed, without rests, and to three times that."""
+    faster = (speed > 3 * slow) & (speed <= 9 * slow)
+    passes = np.count_nonzero(np.diff(faster, prepend=False) & faster)
+    edges = np.flatnonzero(np.diff(speed <= 3 * slow, prepend=False, append=False))
+    first, last = edges[::2], edges[1::2]
+    brief = last - first <= _RESTS * faster.sum() / max(passes, 1)
+    own = np.diff(np.cumsum(np.r_[0, speed <= slow])[[first, last]], axis=0)[0]
+    return own[brief].sum(), (last - first - own)[brief].sum(), brief.sum()
 
 
 def _largest(values, keep):

@@ -70,7 +70,6 @@ def design(arguments, folder):
 
 
 def _motion(arguments, robot, found):
-    """Design the motion, refused if it goes beyond the limits."""
     names = robot.known.joint_names
     say(f"designing {arguments.duration:g} s for {len(names)} joints")
     motion = design_motion(

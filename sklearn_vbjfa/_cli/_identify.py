@@ -103,7 +103,6 @@ def identify(arguments, folder):
 
 
 def _limits(robot, recording):
-    """Options for limits that the description lacks: what was recorded."""
     model, gains = robot.features_.nominal_, robot.gains_
     steps = np.abs(np.diff(recording.q, axis=0)) / recording.dt
     # Steps from one recording to the next are few.
@@ -122,7 +121,6 @@ def _limits(robot, recording):
 
 
 def _exported(robot, folder):
-    """Write a robot; return lines on what its files lack, and warnings of them."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         lacking = write_robot(robot, folder)

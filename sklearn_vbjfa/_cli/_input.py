@@ -169,7 +169,6 @@ def robot(arguments, joints, folder):
 
 
 def _reduced(urdf, moving, folder, base=None):
-    """Write a description in which some joints move; return it and the others."""
     # With a part of its name for each time.
     reduced = folder / (f"held-{urdf.name}" if urdf.parent == folder else urdf.name)
     return reduced, tuple(write_reduced(urdf, reduced, moving, base))
@@ -200,7 +199,6 @@ def output_folder(arguments, what):
 
 
 def _default_folder(arguments, what):
-    """Return a folder named after the recording, or after the folder of several."""
     files = paths(arguments)
     source, folder = files[0], common_folder(files) if len(files) > 1 else ""
     if folder:

@@ -96,7 +96,6 @@ def _columns(motions, units):
 
 
 def _by_joint(motions, attribute):
-    """Return a line for each effect of an attribute, with its joints."""
     joints = {}
     for motion in motions:
         for effect in getattr(motion, attribute):

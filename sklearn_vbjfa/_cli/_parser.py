@@ -82,7 +82,6 @@ _ALIASES = {"identify": ["close-loop"]}
 
 @lru_cache
 def _tables():
-    """Return the tables of options and of commands, by name."""
     text = files("sklearn_vbjfa._cli").joinpath("commands.toml").read_text("utf-8")
     found = tomllib.loads(text)
     return found["options"], found["commands"]
@@ -135,7 +134,6 @@ def _parser():
 
 
 def _add_options(parser, command):
-    """Add the options of a command in their groups."""
     from sklearn_vbjfa.recording.formats import TABLES
 
     if command["usage"].startswith("LOG"):
@@ -162,7 +160,6 @@ def _add_options(parser, command):
 
 
 def _dest(name):
-    """Return the name of the value of an option."""
     return _DEST.get(name, name.replace("-", "_"))
 
 
@@ -193,7 +190,6 @@ def parse(words):
 
 
 def _value(parser, name, text):
-    """Return the value of an option by its text, or its default."""
     option = _tables()[0][name]
     if text is None:
         default = option.get("default")
@@ -262,7 +258,6 @@ def command_of(*words):
 
 
 def _as_text(value):
-    """Return the spelling of the value of an option."""
     if isinstance(value, tuple):
         return ",".join(map(_as_text, value))
     return value if isinstance(value, str) else f"{value:.15g}"

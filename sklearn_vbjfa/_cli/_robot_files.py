@@ -40,7 +40,6 @@ def write_robot(robot, folder):
 
 
 def _write_parameters(robot, path):
-    """Write one row per parameter, and those of values that joints share."""
     import pandas as pd
 
     rows = [

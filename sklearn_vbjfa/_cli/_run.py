@@ -80,7 +80,6 @@ def run(arguments):
 
 
 def _notes(caught):
-    """Return the texts of the warnings that concern a user, each once."""
     from sklearn.exceptions import ConvergenceWarning
 
     # Convergence concerns rivals of the model that is reported.
@@ -97,7 +96,6 @@ def _notes(caught):
 
 
 def _write(done, arguments, notes):
-    """Write all files or none, each complete; return lines to print."""
     folder = done.folder
     with _reserved(folder) as part:
         there = [name for name in done.files if (folder / name).exists()]
@@ -118,7 +116,6 @@ def _write(done, arguments, notes):
 
 @contextlib.contextmanager
 def _reserved(folder):
-    """Reserve a folder for one run; gives a folder in it for incomplete files."""
     is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
     part = folder / ".writing"
@@ -149,7 +146,6 @@ def rendered(template, **values):
 
 
 def _tabulated(columns):
-    """Return a table of columns by their heads; units next to names are words."""
     from tabulate import tabulate
 
     words = 1 + ("unit" in columns)
@@ -162,7 +158,6 @@ def _tabulated(columns):
 
 
 def _named(doubts, page):
-    """Return the first warnings in one line; in brief if a page has them whole."""
     named = [one.rstrip(".") for one in doubts[:_NAMED]]
     if page:
         named = [_CLAUSE.match(one)[0] for one in named]
@@ -172,7 +167,6 @@ def _named(doubts, page):
 
 
 def _print(*lines):
-    """Print to stdout, which may be closed, as by ``head``, or lack characters."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
     try:

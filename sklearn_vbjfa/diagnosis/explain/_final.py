@@ -2,7 +2,7 @@
 
 import functools
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
@@ -30,6 +30,15 @@ class EffectEstimate:
     freedom: float  # of the covariance
     # probabilities and parameters of other forms of the effect, see `Shaped.averaged`
     forms: tuple = ()
+
+    def of_shape(self):
+        """Return the estimate of the coefficients, were the shape known."""
+        k = len(self.coef)
+        own, shape = self.covariance[:k], self.covariance[k:, k:]
+        seen = np.isfinite(np.diagonal(shape))
+        cross = own[:, k:][:, seen]
+        known = cross @ np.linalg.pinv(shape[np.ix_(seen, seen)]) @ cross.T
+        return replace(self, shape=(), covariance=own[:, :k] - known, forms=())
 
 
 class FinalFit:

@@ -135,7 +135,6 @@ class Clearance:
         return apart - self._radii[self._first] - self._radii[self._second]
 
     def _measure(self, pair):
-        """Have coal find where two shapes are nearest."""
         # Not by Pinocchio, which begins where the nearest points were before.
         places = [self._placed.oMg[shape] for shape in self._shapes[pair]]
         frame, result = self._coal.Transform3s, self._coal.DistanceResult()

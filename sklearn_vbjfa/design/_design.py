@@ -239,7 +239,6 @@ def _harmonics(robot, limits, duration, dt):
 
 
 def _reference(limits, highest, rng):
-    """States as the limits allow them (n, 3 nv)."""
     low, high = limits.position.T
     shape = (_REFERENCE, low.size)
     fastest = np.minimum(limits.velocity, np.pi * highest * (high - low))
@@ -382,7 +381,6 @@ def _strain(problem, poses):
 
 
 def _check_held(problem, names, rng):
-    """Refuse limits that hold the robot in no pose."""
     limits = problem.limits
     poses = rng.uniform(*limits.position.T, size=(POSES, len(names)))
     held, strain = _strain(problem, poses)
@@ -409,7 +407,6 @@ def _check_held(problem, names, rng):
 
 
 def _finished(problem, z, first, fine):
-    """Collect the motion and what it promises."""
     curve, samples, dt = problem.curve, problem.times(), problem.dt
     t = np.arange(round(curve.period / dt)) * dt
     states = curve.states(z, curve.basis(t))
@@ -469,7 +466,6 @@ def _condition_number(problem, states):
 
 
 def _shown(problem, states, step):
-    """Effects that a motion shows, and those that no motion does."""
     questions, noise = problem.questions, problem.noise
     judged = worth(problem.information(states, step), questions)
     effects = [one.effect for one in problem.model.effects[problem.model.n_members :]]

@@ -85,7 +85,6 @@ class DesignedMotion:
     coordinates: np.ndarray | None = None
 
     def __repr__(self):
-        """Tell its size, and whether it keeps its limits."""
         kept = "within limits" if self.within_limits else "NOT within limits"
         return (
             f"<DesignedMotion: {len(self.joint_names)} joints, {self.duration:g} s, "
@@ -310,7 +309,6 @@ class MotionLimits:
 
 
 def _refuse(wrong, reason, values):
-    """Refuse the first joint whose limits are wrong (nv,)."""
     for j in np.flatnonzero(wrong):
         raise ValueError(f"Joint {j + 1} {reason}; got {values[j]}.")
 

@@ -238,7 +238,6 @@ class Lagrangian:
         self.shape = (problem.model.nv, problem.curve.size)
 
     def __call__(self, x):
-        """Return value and gradient of what is to be made small."""
         problem, z, nv = self.problem, x.reshape(self.shape), self.shape[0]
         states = problem.curve.states(z, self.basis)
         equations = problem.model(states, self.t)

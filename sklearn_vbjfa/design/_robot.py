@@ -150,7 +150,6 @@ class KnownRobot:
 
 
 def _on_all_joints(names, nv):
-    """Return effects by their names on every joint."""
     return tuple(
         clone(effect).set_params(joint=j)
         for effect in (resolve(names) if names else ())
@@ -191,7 +190,6 @@ class EffectColumns:
 
 
 def _moved(motion, name, joint, step):
-    """Return the motion with a step added to one signal."""
     values = getattr(motion, name).copy()
     values[:, joint] += step
     return replace(motion, **{name: values}, _speeds={})

@@ -169,7 +169,6 @@ def instruments(described, gains, log, *, rounds=3):
 
 
 def _physical_terms(numbers):
-    """Numbers that can be simulated: none of the terms negative."""
     least = {name: np.maximum(getattr(numbers, name), 1e-4) for name in VALUES}
     return replace(numbers, **least, delay=max(numbers.delay, 0.0))
 

@@ -222,7 +222,6 @@ class ClosedLoop:
         self._data = mujoco.MjData(self._model)
 
     def _of(self, numbers):
-        """Model with a robot's numbers."""
         model = copy.copy(self._model)
         model.dof_armature[:] = numbers.armature
         model.dof_damping[:] = numbers.damping

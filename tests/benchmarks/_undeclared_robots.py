@@ -34,7 +34,6 @@ def _rotation(rng):
 
 
 def _quarter_turn(rng, tilt):
-    """Draw one of the right-angled orientations, tilted a little."""
     import pinocchio as pin
 
     angles = 0.5 * np.pi * rng.integers(0, 4, size=3) + rng.normal(scale=tilt, size=3)

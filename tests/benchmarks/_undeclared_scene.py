@@ -205,7 +205,6 @@ def describe(
 
 
 def _plain(x):
-    """Python's own number, so that a parameter prints as one."""
     return x.item() if isinstance(x, np.generic) else x
 
 

@@ -77,7 +77,6 @@ class Teller:
         self.fixed = np.concatenate(blocks, axis=2) if blocks else None
 
     def _columns(self, faults):
-        """Whitened columns of bodies and friction, (rows nv, p)."""
         model = with_faults(self.nominal, faults)
         q = self.q - zeros_of(faults, self.nv)
         Phi = regressor(model, q, self.v, self.a)
@@ -87,7 +86,6 @@ class Teller:
         return Phi.reshape(-1, Phi.shape[2])
 
     def _fitted(self, Phi):
-        """Basis of the columns, coefficients and rest of the torque."""
         length = np.linalg.norm(Phi, axis=0)
         # a column of rounding errors has no direction
         used = length > RANK * length.max()
@@ -100,7 +98,6 @@ class Teller:
         return U, theta, self.y - U @ along
 
     def _derivatives(self, faults, theta):
-        """Columns of all parameters of the faults, (rows nv, k)."""
         out = []
         for i, fault in enumerate(faults):
             for k in range(len(fault.values)):
@@ -182,7 +179,6 @@ class Teller:
 
 
 def _moved(faults, change):
-    """Faults after a step, within what is possible."""
     moved, at = [], 0
     for fault in faults:
         values = np.array(fault.values) + change[at : at + len(fault.values)]

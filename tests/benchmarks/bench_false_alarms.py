@@ -371,7 +371,6 @@ def run(task):
 
 
 def _of(verdicts, which):
-    """Verdicts of a study that did not end in an error."""
     return [v for v in verdicts if v["study"] == which and "error" not in v]
 
 

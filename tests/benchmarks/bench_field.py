@@ -306,7 +306,6 @@ def judged(case, whole, others):
 
 
 def _spread(torque, part, cutoff):
-    """Deviation of a torque (n, nv) behind the filter."""
     sos = signal.butter(4, cutoff, fs=1 / part["dt"], output="sos")
     smooth = [signal.sosfiltfilt(sos, torque[r], axis=0) for r in recordings(part)]
     return np.concatenate(smooth).std(axis=0)

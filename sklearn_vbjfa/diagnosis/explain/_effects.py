@@ -72,7 +72,7 @@ def discovered_effects(search, final, names, prismatic):
             least = {k: search.settings.known * x for k, x in deviations.items()}
             away = (abs(values[k] - nominal.get(k, 0.0)) > least[k] for k in least)
             warning = "" if any(away) else _UNSURE
-        elif not warning and not _is_known(effect, estimate, half):
+        elif not warning and not _is_known(effect, estimate.of_shape(), half):
             warning = _UNKNOWN
         units = effect.parameter_units(prismatic[effect.joint])
         rivals = (_named(one, effect, names) for one in finding.rivals)

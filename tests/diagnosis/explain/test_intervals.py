@@ -267,3 +267,12 @@ def test_forms_widen_the_interval_by_how_far_their_values_are():
     assert_allclose(alone["Fs"], 0.03, rtol=1e-6)
     assert_allclose(both["Fs"], np.sqrt(0.03**2 + 0.25 * 0.08**2), rtol=1e-6)
     assert_allclose(both["vs"], np.sqrt(0.04**2 + 0.25 * 0.06**2), rtol=1e-6)
+
+
+def test_a_coefficient_is_known_better_at_a_shape():
+    # A deep and narrow dip is as a shallow and wide one: by both, a dip is there.
+    covariance = np.linalg.inv([[900.0, 850.0], [850.0, 900.0]])
+    known = {"coef": np.array([0.15]), "shape": ("vs",), "freedom": 30.0}
+    estimate = EffectEstimate(**known, covariance=covariance)
+    own = named_values(Stribeck(vs=0.2), estimate.of_shape())[1]
+    assert_allclose(own["Fs"], 1 / 30.0, rtol=1e-6)

@@ -69,7 +69,7 @@ _STOPS = 1.2
 # from there to three times as much.
 _RESTS = 4.0
 # Of fewer reversals the rows around them cannot be spared.
-_FEWEST = 12
+_FEWEST = 20
 # Fits until the load in the effects' columns agrees with the parameters: the load is
 # mostly gravity and inertia, which a first fit without those effects gets right.
 _LOAD_PASSES = 3

@@ -106,7 +106,6 @@ def renamed(arm, header):
 
 
 def gripper(arm, names=None):
-    """Put a gripper in the middle of the joints."""
     open_ = 0.02 + 0.02 * np.sign(np.sin(arm.t))
     q = np.insert(arm.q, 3, open_, axis=1)
     tau = np.insert(arm.tau, 3, 0.3 * np.sign(open_ - 0.02), axis=1)
@@ -125,7 +124,6 @@ def quaternion(arm, instead):
 
 
 def times(arm, form):
-    """Write times as texts."""
     if form == "thousands":
         written = [f'"{1000 * x:,.1f}"' for x in arm.t]
     else:
@@ -157,12 +155,10 @@ def pickled(arm):
 
 
 def place(arm, path):
-    """Return a path that is none here."""
     return path
 
 
 def robot(arm, path=None, name="robot.urdf", content=None, scale=None):
-    """Write the log as it is, with another description."""
     log = encoded(arm)
     if scale is not None:
         content = re.sub(
@@ -176,7 +172,6 @@ def robot(arm, path=None, name="robot.urdf", content=None, scale=None):
 
 
 def output(arm, to):
-    """Put a link in place of the output folder."""
     log = encoded(arm)
     if to == "folder":
         (arm.folder / "folder").mkdir()

@@ -50,7 +50,6 @@ def identified(out):
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory):
-    """Return what is identified from the log as it is."""
     arm = arm_in(tmp_path_factory.mktemp("sound"))
     out = arm.folder / "out"
     assert identify(*made(arm, {}), out) == 0

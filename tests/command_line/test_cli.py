@@ -14,7 +14,6 @@ from sklearn_vbjfa._cli import main
 
 
 def run(argv):
-    """Exit code, stdout and stderr of the command line."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main(argv)
@@ -23,7 +22,6 @@ def run(argv):
 
 @pytest.fixture(scope="module")
 def closed():
-    """Output of the command without arguments."""
     return run([])
 
 

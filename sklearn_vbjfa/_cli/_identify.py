@@ -103,6 +103,7 @@ def identify(arguments, folder):
 
 
 def _limits(robot, recording):
+    """Options for limits that the description lacks: what was recorded."""
     model, gains = robot.features_.nominal_, robot.gains_
     steps = np.abs(np.diff(recording.q, axis=0)) / recording.dt
     # Steps from one recording to the next are few.

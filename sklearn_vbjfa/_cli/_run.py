@@ -116,6 +116,7 @@ def _write(done, arguments, notes):
 
 @contextlib.contextmanager
 def _reserved(folder):
+    """Reserve a folder for one run; gives a folder in it for incomplete files."""
     is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
     part = folder / ".writing"
@@ -167,6 +168,7 @@ def _named(doubts, page):
 
 
 def _print(*lines):
+    """Print to stdout, which may be closed, as by ``head``, or lack characters."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
     try:

@@ -297,7 +297,7 @@ class MotionFacts:
             lowest=positions.min(axis=0),
             highest=positions.max(axis=0),
             fastest=fastest,
-            slow=np.transpose([_slow(*x) for x in zip(np.abs(velocities).T, slow)]),
+            slow=np.transpose([_slow(abs(v), x) for v, x in zip(velocities.T, slow)]),
         )
 
     def merge(self, other, keep):

@@ -155,7 +155,7 @@ def late(reading):
     """Return a lag common to all torques, or a low-pass of them."""
     first, whole, after = _moving(reading, reading), 0, reading
     for _ in range(number.MOVES):
-        robot = _moving(reading, after)
+        robot = first if after is reading else _moving(reading, after)
         signals = robot.signals
         fit = robot.fit(columns=-signals.slope[:, :, None])
         rest, error = float(fit.factors[0]), float(fit.errors[0])

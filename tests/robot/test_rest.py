@@ -33,12 +33,8 @@ def standing(recording, n=400):
 
 
 def coulomb(robot):
-    return np.array(
-        [
-            robot.theta_[robot.parameter_names_.index(f"{joint}:coulomb")]
-            for joint in robot.joint_names_
-        ]
-    )
+    names = [f"{joint}:coulomb" for joint in robot.joint_names_]
+    return robot.theta_[[robot.parameter_names_.index(name) for name in names]]
 
 
 def test_prediction_does_not_rattle_at_rest(robot, recording):

@@ -269,10 +269,14 @@ def test_forms_widen_the_interval_by_how_far_their_values_are():
     assert_allclose(both["vs"], np.sqrt(0.04**2 + 0.25 * 0.06**2), rtol=1e-6)
 
 
-def test_a_coefficient_is_known_better_at_a_shape():
+@pytest.mark.parametrize("seen", [True, False])
+def test_a_coefficient_is_known_better_at_a_shape(seen):
     # A deep and narrow dip is as a shallow and wide one: by both, a dip is there.
     covariance = np.linalg.inv([[900.0, 850.0], [850.0, 900.0]])
+    if not seen:
+        covariance[1] = covariance[:, 1] = np.nan
     known = {"coef": np.array([0.15]), "shape": ("vs",), "freedom": 30.0}
-    estimate = EffectEstimate(**known, covariance=covariance)
+    estimate = EffectEstimate(**known, covariance=covariance, forms=((0.5, {}),))
     own = named_values(Stribeck(vs=0.2), estimate.of_shape())[1]
-    assert_allclose(own["Fs"], 1 / 30.0, rtol=1e-6)
+    wanted = 1 / 30.0 if seen else np.sqrt(covariance[0, 0])
+    assert_allclose(own["Fs"], wanted, rtol=1e-6)

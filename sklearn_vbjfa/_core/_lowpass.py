@@ -15,8 +15,8 @@ import scipy
 _ATTENUATION = 60.0  # dB
 # A filtered row counts when at least this share of the filter's neighbourhood counts.
 _MASK_SHARE = 0.5
-# ... and all of it but its last ripples if this share does.
-_THROUGHOUT = 0.98
+# So many times the noise is what the torque of a joint at rest may be off.
+_UNKNOWN = 200.0
 # Memory of a block's rows, and fewest rows for which a call is worth its overhead.
 _BLOCK_BYTES = 1 << 20
 _MIN_ROWS = 512
@@ -60,9 +60,10 @@ class Lowpass:
         taps = np.abs(self.taps)
         return replace(self, taps=taps / taps.sum())(weight)
 
-    def throughout(self, flags):
-        """Return the filtered rows whose whole neighbourhood has flags (n, ...)."""
-        return self.average(flags.astype(float)) > _THROUGHOUT
+    def certainty(self, known):
+        """Weigh filtered rows by their noise and by torques that are not known."""
+        unknown = 1.0 - self.average(known.astype(float))
+        return 1.0 / (1.0 + (_UNKNOWN * unknown) ** 2)
 
     def samples(self, weight):
         """Count filtered rows as independent samples; zero where too little counts."""

@@ -399,8 +399,8 @@ class Segment:
             return weight
         # The friction of a joint that stops is unknown, and so is what the low-pass
         # takes of it.
-        moves = lowpass.throughout(np.abs(v) > self.standstill)
-        return np.where(self.stops & ~moves, 0.0, weight)
+        moves = np.abs(v) > self.standstill
+        return np.where(self.stops, lowpass.certainty(moves), 1.0) * weight
 
     def pieces(self, lowpass):
         # Neighbouring pieces share input rows over the length of the filter, so none is

@@ -62,14 +62,9 @@ _FAITHFUL = 0.6
 STANDSTILL_SHARE = 0.02
 # ... and below this one of the fastest joint's, whose own speed is rounding.
 _ROUNDING = 1e-9
-# A joint that passes zero without stopping is up to that speed as long as in half of
-# the next two such bands, and up to so many times as long by chance.
+# A joint that passes zero without stopping is up to that speed as long as it takes from
+# there to twice of it; one that stops is longer by this factor.
 _STOPS = 1.2
-# It rests if it is up to three times that speed for so many times as long as it takes
-# from there to three times as much.
-_RESTS = 4.0
-# Of fewer reversals the rows around them cannot be spared.
-_FEWEST = 20
 # Fits until the load in the effects' columns agrees with the parameters: the load is
 # mostly gravity and inertia, which a first fit without those effects gets right.
 _LOAD_PASSES = 3
@@ -280,8 +275,7 @@ class MotionFacts:
     highest: np.ndarray
     # (k, nv): largest speeds of each joint [rad/s or m/s], in any order
     fastest: np.ndarray
-    # (3, nv): number of samples up to the speed at standstill, without rests, and
-    # between that and three times it, and of stretches of both together
+    # (2, nv): how often a joint is slow between faster motion, and how often it stops
     slow: np.ndarray
     # (nv,): `_fastest_period` [s], if all states were available together
     period: np.ndarray | None = None
@@ -297,7 +291,7 @@ class MotionFacts:
             lowest=positions.min(axis=0),
             highest=positions.max(axis=0),
             fastest=fastest,
-            slow=np.transpose([_slow(abs(v), x) for v, x in zip(velocities.T, slow)]),
+            slow=np.transpose([_slow(v, x) for v, x in zip(velocities.T, slow)]),
         )
 
     def merge(self, other, keep):
@@ -310,9 +304,8 @@ class MotionFacts:
         )
 
     def stops(self):
-        """Whether each joint stops where it reverses, (nv,)."""
-        stopping = self.slow[0] > _STOPS / 2 * self.slow[1]
-        return stopping & (self.slow[2] >= _FEWEST)
+        """Whether each joint mostly stops where it reverses, (nv,)."""
+        return 2 * self.slow[1] > self.slow[0]
 
     def fast(self):
         """Return the 99.5th percentiles of the speeds (nv,) over all samples."""
@@ -367,15 +360,23 @@ def smooth_with_facts(x, start, estimator, halves, keep):
     return states, both, MotionFacts.of(positions, speeds, keep)
 
 
-def _slow(speed, slow):
-    """Count samples (n,) up to a speed, without rests, and to three times that."""
-    faster = (speed > 3 * slow) & (speed <= 9 * slow)
-    passes = np.count_nonzero(np.diff(faster, prepend=False) & faster)
-    edges = np.flatnonzero(np.diff(speed <= 3 * slow, prepend=False, append=False))
-    first, last = edges[::2], edges[1::2]
-    brief = last - first <= _RESTS * faster.sum() / max(passes, 1)
-    own = np.diff(np.cumsum(np.r_[0, speed <= slow])[[first, last]], axis=0)[0]
-    return own[brief].sum(), (last - first - own)[brief].sum(), brief.sum()
+def _slow(v, limit):
+    """Count how often a joint is slow between faster motion, and how often it stops."""
+    # v (n,); limit: speed at standstill. v is linear between samples.
+    step = np.diff(v)
+    below, slow = (
+        np.divide(
+            np.diff(np.clip(v, -speed, speed)),
+            step,
+            out=(np.abs(v[1:]) <= speed).astype(float),
+            where=step != 0,
+        )
+        for speed in (limit, 3 * limit)
+    )
+    edges = np.flatnonzero(np.diff(slow > 0))[int(slow[:1].any()) :] + 1
+    ends = edges[: edges.size // 2 * 2].reshape(-1, 2).T
+    below, slow = (np.diff(np.cumsum(x)[ends - 1], axis=0)[0] for x in (below, slow))
+    return below.size, np.count_nonzero(2 * below > _STOPS * (slow - below))
 
 
 def _largest(values, keep):

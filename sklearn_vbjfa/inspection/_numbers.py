@@ -112,6 +112,8 @@ MIN_SAMPLES, FEWEST_ROWS, ROWS_PER_PARAMETER, ENOUGH_ROWS = 64, 70, 2, 120
 CUTOFF_PER_BANDWIDTH, CUTOFF_PERIODS, SMOOTH = 9.0, 36.0, 5.5
 # A joint stands below this share of its speed.
 STANDSTILL = 0.02
+# It moves in filtered rows if it does in this share of their low-pass, and throughout.
+MOVING, THROUGHOUT = 0.9, 0.98
 
 # -- rows ------------------------------------------------------------------------------
 

@@ -183,7 +183,8 @@ def _joint_signals(q, tau, usable, dt, parts, smooth, lowpass):
         torque = tau[part]
         signals = x, v, a, np.sign(v), torque, np.gradient(torque)
         moves = (np.abs(v) > slow) & usable[part]
-        weight = lowpass.average(moves.astype(float)) > 0.9, lowpass.throughout(moves)
+        share = lowpass.average(moves.astype(float))
+        weight = share > number.MOVING, share > number.THROUGHOUT
         pieces.append([*lowpass(np.column_stack(signals)).T, *weight])
     return np.concatenate(pieces, axis=1)
 

@@ -75,8 +75,9 @@ def matrix_statistics(robot, simulated):
         counts[:short] = counts[len(counts) - short :] = 0.0
         kept = lowpass.average(counts)
         each = lowpass.step * (lowpass.taps @ lowpass.taps)
-        whole = lowpass.throughout(moves[own]) | ~robot.robot_.plan.stops
-        weight = np.where((kept >= 0.5) & whole, each * kept, 0.0)
+        rest = 200.0 * (1.0 - lowpass.average(moves[own].astype(float)))
+        weight = np.where(kept >= 0.5, each * kept, 0.0)
+        weight /= np.where(robot.robot_.plan.stops, 1.0 + rest**2, 1.0)
         mean, apart = lowpass(0.5 * (even + odd)[own]), lowpass((even - odd)[own])
         rows.append((mean, apart, lowpass(simulated.tau[own]), weight))
     Phi, apart, tau, w = (np.concatenate(x) for x in zip(*rows))

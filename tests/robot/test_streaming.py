@@ -67,6 +67,7 @@ def matrix_statistics(robot, simulated):
     even, odd = (features.fit_transform(half).reshape(-1, nv, 72) for half in halves)
     moves = np.abs(states[:, nv : 2 * nv]) > robot.standstill_
     rows = []
+    assert not robot.robot_.plan.stops.any()
     edge = int(1.0 / (robot.state_estimator_.cutoff_.min() * simulated.dt))
     for label in np.unique(simulated.groups):
         own = simulated.groups == label
@@ -75,9 +76,7 @@ def matrix_statistics(robot, simulated):
         counts[:short] = counts[len(counts) - short :] = 0.0
         kept = lowpass.average(counts)
         each = lowpass.step * (lowpass.taps @ lowpass.taps)
-        rest = 200.0 * (1.0 - lowpass.average(moves[own].astype(float)))
         weight = np.where(kept >= 0.5, each * kept, 0.0)
-        weight /= np.where(robot.robot_.plan.stops, 1.0 + rest**2, 1.0)
         mean, apart = lowpass(0.5 * (even + odd)[own]), lowpass((even - odd)[own])
         rows.append((mean, apart, lowpass(simulated.tau[own]), weight))
     Phi, apart, tau, w = (np.concatenate(x) for x in zip(*rows))

@@ -23,7 +23,6 @@ from sklearn_vbjfa.design import (
 # Options of identify that describe the robot and hold for its next recording.
 _OF_ROBOT = ("joints", "base_orientation", "gain", "known_mass", "drive", "friction")
 
-
 # A `KnownRobot` that is to move; the model with its limits; the description that was
 # given, or that a report names; whether further joints are held; and the sample period.
 _Robot = namedtuple("_Robot", "known model file held dt")
@@ -53,10 +52,8 @@ def design(arguments, folder):
     def write(folder, notes):
         motion.to_csv(folder / out.name)
         options = found.get("provenance", {}).get("options", {})
-        drive = options.get("drive")
-        torque = f"the channels of --drive {drive}" if drive else "tau"
-        command = _next_command(arguments, robot, options)
-        steps = {"out": out, "torque": torque, "command": command}
+        steps = {"out": out, "drive": options.get("drive")}
+        steps["command"] = _next_command(arguments, robot, options)
         return [rendered("next_motion.txt.j2", **steps, **facts)]
 
     facts |= {"robot": Path(robot.file).name, "motion": motion, "measured": measured}
@@ -133,7 +130,5 @@ def _next_command(arguments, robot, options):
     if robot.held:
         typed["joints"] = ",".join(robot.known.joint_names)
     typed["urdf"] = "ROBOT.urdf" if robot.file.endswith(".json") else robot.file
-    words = argparse.Namespace(
-        command="identify", recording=["recording.csv"], typed=typed
-    )
-    return command_line(words, {})
+    given = {"command": "identify", "recording": ["recording.csv"], "typed": typed}
+    return command_line(argparse.Namespace(**given), {})

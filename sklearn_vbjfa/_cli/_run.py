@@ -67,7 +67,7 @@ def run(arguments):
             lines = [(done.folder / done.data).read_text(encoding="utf-8")]
     _print(*lines)
     doubts = [w.message for w in caught if issubclass(w.category, DoubtWarning)]
-    doubts = [" ".join(str(one).split()) for one in (*done.doubts, *doubts)]
+    doubts = (" ".join(str(one).split()) for one in (*done.doubts, *doubts))
     doubts = list(dict.fromkeys(doubts))
     for text in () if done.page else _notes(caught):
         if text not in doubts[:_NAMED]:

@@ -397,8 +397,7 @@ class Segment:
         weight = lowpass.samples(self.counts(rows, v))
         if self.stops is None or not self.stops.any():
             return weight
-        # The friction of a joint that stops is unknown, and so is what the low-pass
-        # takes of it.
+        # What the low-pass takes of a stop holds friction that is not known.
         moves = np.abs(v) > self.standstill
         return np.where(self.stops, lowpass.certainty(moves), 1.0) * weight
 

@@ -236,9 +236,9 @@ def pairs():
         f"{', '.join(key for key, value in worse.items() if value) or 'no set'}."
     )
     limitation = (
-        "On the UR5 the completed model has the larger median error "
-        f"({developed.cell('ur5', columns[3])} against "
-        f"{developed.cell('ur5', columns[2])} %)."
+        "On the UR5 the median error of the completed model is "
+        f"{developed.cell('ur5', columns[3])} %, that of the declared one "
+        f"{developed.cell('ur5', columns[2])} %."
     )
     question = "Does the completed model hold on recordings that were not fitted?"
     return question, verdict, (developed, confirmed), table, limitation

@@ -186,9 +186,8 @@ def test_report_to_click_is_what_the_package_writes(monkeypatch):
 
 def test_first_numbers_of_the_readme_and_the_first_page_are_measured(recorded):
     (models, *_) = recorded.tables_in(recorded.read("protocol_emps"))
-    judged = {
-        tuple(row[:2]): row[-1] for row in models.rows
-    }  # model and states -> error
+    # model and states -> error
+    judged = {tuple(row[:2]): row[-1] for row in models.rows}
     published = judged["published, least squares", "theirs"]
     completed = judged["EffectDiscovery, completed model", "positions"]
     ratios = []

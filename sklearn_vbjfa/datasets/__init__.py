@@ -18,10 +18,10 @@ if TYPE_CHECKING:
         fetch_unitree_go2,
         fetch_ur5,
     )
+    from sklearn_vbjfa.datasets._noisy_regression import make_noisy_regression
     from sklearn_vbjfa.datasets._simulated import (
         SimulatedRecording,
         load_demo_recording,
-        make_noisy_regression,
         make_robot_recording,
     )
     from sklearn_vbjfa.inspection._inspect import inspect_recording
@@ -58,12 +58,12 @@ _MODULES = {
         "SETS",
         "remote_files",
     ),
+    "_noisy_regression": ("make_noisy_regression",),
     "_simulated": (
         "SimulatedRecording",
         "demo_arm_urdf",
         "joint_range",
         "load_demo_recording",
-        "make_noisy_regression",
         "make_robot_recording",
         "recording_fields",
         "rigid_torques",

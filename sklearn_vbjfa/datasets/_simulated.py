@@ -1,11 +1,11 @@
-"""Simulated recordings with their truth, and the regression study of the paper."""
+"""Simulated recordings with their truth."""
 
 from dataclasses import dataclass, replace
 from importlib import resources
 from typing import ClassVar
 
 import numpy as np
-from sklearn.utils import Bunch, check_random_state
+from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.model import (
     import_pinocchio,
@@ -25,8 +25,6 @@ _RANGE_SHARE = 0.8
 # Speed over which friction turns, as a share of the joint's fastest.
 _TURN = 0.005
 _RIPPLE_PERIOD = np.radians(20.0)
-# Of the regression study: variances of signal over noise of the output, and rows.
-_OUTPUT_SNR, _N_TEST = 5.0, 2000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -275,8 +273,7 @@ def _motion(model, n, dt, frequency, n_harmonics, rng):
         size *= min(
             _RANGE_SHARE * reach[j] / largest[0], _RANGE_SHARE * speed[j] / largest[1]
         )
-        moved = centre[j] + s @ size, c @ (size * w), -s @ (size * w**2)
-        states[:, :, j] = moved
+        states[:, :, j] = centre[j] + s @ size, c @ (size * w), -s @ (size * w**2)
     return np.hstack(list(states))
 
 
@@ -289,11 +286,8 @@ def _draw_friction(friction, rigid, v, a, rng):
         "offset": 0.05 * size,
         "rotor_inertia": 0.15 * size / a.std(axis=0),
     }
-    unknown = sorted(set(friction) - share.keys())
-    if unknown:
-        raise ValueError(
-            f"Unknown friction {unknown}; expected some of {sorted(share)}."
-        )
+    if unknown := sorted(set(friction) - share.keys()):
+        raise ValueError(f"Unknown friction {unknown}; expected some of {[*share]}.")
     if isinstance(friction, dict):
         return {
             name: np.broadcast_to(np.asarray(value, dtype=float), size.shape)
@@ -388,102 +382,3 @@ def recording_fields(model, n, n_recordings, dt):
         "torque_units": tuple("N" if slide else "N m" for slide in slides),
         "licence": "BSD-3-Clause",
     }
-
-
-# -- the regression study of the paper, section 5.1 ------------------------------------
-
-
-def make_noisy_regression(
-    n_samples=1000,
-    *,
-    n_relevant=10,
-    n_redundant=0,
-    n_irrelevant=90,
-    input_snr=2.0,
-    random_state=None,
-) -> Bunch:
-    """Generate the data of section 5.1 of the paper.
-
-    The relevant inputs are Gaussian with a random covariance, the output has the
-    coefficients 1, 2, ..., noise is added to both, redundant inputs are random convex
-    combinations of the noisy relevant ones, irrelevant ones are standard normal. Test
-    data are made likewise without any noise.
-
-    Parameters
-    ----------
-    n_samples : int, default=1000
-        Number of training samples (the paper does not say).
-    n_relevant, n_redundant, n_irrelevant : int, default=10, 0, 90
-        Numbers of inputs of each kind.
-    input_snr : float, default=2.0
-        Signal-to-noise ratio: variance of the signal by that of the noise. That of the
-        output is 5.
-    random_state : int, RandomState instance or None, default=None
-        Seed of everything that is drawn.
-
-    Returns
-    -------
-    data : Bunch
-        Data and truth: noisy training data `X` (n_samples, n_features), its columns
-        relevant, redundant and irrelevant, and `y`; noiseless `X_test`, `y_test`; true
-        coefficients `coef` (n_relevant,); which inputs are `relevant` (n_features,);
-        variances `input_noise` (n_features,), `input_noise_covariance`, in which
-        redundant inputs inherit the noise of what they are made of, and `output_noise`.
-
-    Raises
-    ------
-    ValueError
-        If the ratio is not positive, a number of inputs is negative, or none is
-        relevant.
-
-    References
-    ----------
-    .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
-       with input and output noise", Neural Networks 24(1), 2011.
-       :doi:`10.1016/j.neunet.2010.08.011`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.datasets import make_noisy_regression
-    >>> data = make_noisy_regression(n_redundant=30, n_irrelevant=60, random_state=0)
-    >>> data.X.shape, int(data.relevant.sum())
-    ((1000, 100), 10)
-    """
-    if input_snr <= 0:
-        raise ValueError(
-            f"input_snr must be positive, got {input_snr}; infinity means no noise."
-        )
-    if n_relevant < 1 or n_redundant < 0 or n_irrelevant < 0:
-        raise ValueError(
-            "At least one relevant input and no negative numbers are needed, got "
-            f"n_relevant={n_relevant}, n_redundant={n_redundant}, "
-            f"n_irrelevant={n_irrelevant}."
-        )
-    rng = check_random_state(random_state)
-    root = rng.normal(size=(n_relevant, n_relevant)) / np.sqrt(n_relevant)
-    covariance = root @ root.T
-    coef = np.arange(1.0, n_relevant + 1)
-    weights = rng.dirichlet(np.ones(n_relevant), size=n_redundant)
-    noise = np.diagonal(covariance) / input_snr
-    output_noise = float(coef @ covariance @ coef / _OUTPUT_SNR)
-
-    t = rng.normal(size=(n_samples, n_relevant)) @ root.T
-    y = t @ coef + np.sqrt(output_noise) * rng.normal(size=n_samples)
-    x = t + np.sqrt(noise) * rng.normal(size=t.shape)
-    X = np.hstack([x, x @ weights.T, rng.normal(size=(n_samples, n_irrelevant))])
-    x_test = rng.normal(size=(_N_TEST, n_relevant)) @ root.T
-    others = rng.normal(size=(_N_TEST, n_irrelevant))
-    absent = np.zeros((n_irrelevant, n_relevant))
-    made = np.vstack([np.eye(n_relevant), weights, absent])
-    full = made @ np.diag(noise) @ made.T
-    return Bunch(
-        X=X,
-        y=y,
-        X_test=np.hstack([x_test, x_test @ weights.T, others]),
-        y_test=x_test @ coef,
-        coef=coef,
-        relevant=np.arange(len(full)) < n_relevant,
-        input_noise=np.diagonal(full).copy(),
-        input_noise_covariance=full,
-        output_noise=output_noise,
-    )

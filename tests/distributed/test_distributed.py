@@ -9,9 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from sklearn.linear_model import Ridge
 
-from sklearn_vbjfa import (
-    RobotIdentifier,
-)
+from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa import distributed as passes
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.distributed import fit_recordings

@@ -15,7 +15,7 @@ import scipy
 _ATTENUATION = 60.0  # dB
 # A filtered row counts when at least this share of the filter's neighbourhood counts.
 _MASK_SHARE = 0.5
-# So many times the noise is what the torque of a joint at rest may be off.
+# Unknown torque of a joint at rest over the noise.
 _UNKNOWN = 200.0
 # Memory of a block's rows, and fewest rows for which a call is worth its overhead.
 _BLOCK_BYTES = 1 << 20
@@ -61,7 +61,7 @@ class Lowpass:
         return replace(self, taps=taps / taps.sum())(weight)
 
     def certainty(self, known):
-        """Weigh filtered rows by their noise and by torques that are not known."""
+        """Return the weights of filtered rows whose torques are not all known."""
         unknown = 1.0 - self.average(known.astype(float))
         return 1.0 / (1.0 + (_UNKNOWN * unknown) ** 2)
 

@@ -63,7 +63,7 @@ STANDSTILL_SHARE = 0.02
 # ... and below this one of the fastest joint's, whose own speed is rounding.
 _ROUNDING = 1e-9
 # A joint that passes zero without stopping is up to that speed as long as it takes from
-# there to twice of it; one that stops is longer by this factor.
+# there to three times that; one that stops is longer by this factor.
 _STOPS = 1.2
 # Fits until the load in the effects' columns agrees with the parameters: the load is
 # mostly gravity and inertia, which a first fit without those effects gets right.

@@ -263,7 +263,7 @@ def judged(task):
     robot = loop.identifier_
     # The same rows and filter for the residual and the noise.
     seen, quiet = (robot.residuals(q, y) for y in (tau, tau - noise))
-    later = np.arange(len(seen.residual) // 2, len(seen.residual) - 20)
+    later = slice(len(seen.residual) // 2, -20)
     left, quiet = seen.residual[later], quiet.residual[later]
     weight = 1.0 if ACCEPTED[law] else seen.weight[later]
     ratio = np.sqrt((weight * left**2).sum(0) / (weight * (left - quiet) ** 2).sum(0))

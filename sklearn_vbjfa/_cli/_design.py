@@ -52,8 +52,8 @@ def design(arguments, folder):
     def write(folder, notes):
         motion.to_csv(folder / out.name)
         options = found.get("provenance", {}).get("options", {})
-        steps = {"out": out, "drive": options.get("drive")}
-        steps["command"] = _next_command(arguments, robot, options)
+        command = _next_command(arguments, robot, options)
+        steps = {"out": out, "drive": options.get("drive"), "command": command}
         return [rendered("next_motion.txt.j2", **steps, **facts)]
 
     facts |= {"robot": Path(robot.file).name, "motion": motion, "measured": measured}
@@ -130,5 +130,7 @@ def _next_command(arguments, robot, options):
     if robot.held:
         typed["joints"] = ",".join(robot.known.joint_names)
     typed["urdf"] = "ROBOT.urdf" if robot.file.endswith(".json") else robot.file
-    given = {"command": "identify", "recording": ["recording.csv"], "typed": typed}
-    return command_line(argparse.Namespace(**given), {})
+    words = argparse.Namespace(
+        command="identify", recording=["recording.csv"], typed=typed
+    )
+    return command_line(words, {})

@@ -96,6 +96,7 @@ def _notes(caught):
 
 
 def _write(done, arguments, notes):
+    """Write all files or none, each complete; return lines to print."""
     folder = done.folder
     with _reserved(folder) as part:
         there = [name for name in done.files if (folder / name).exists()]

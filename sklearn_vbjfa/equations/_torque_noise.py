@@ -2,11 +2,11 @@
 
 # Noise and what a model lacks are told apart by their spectra. Above the band no motion
 # is: there that of the residual is measured by differences of high order, without
-# reversals, where dry friction jumps. Noise continues it smoothly into the band: known
-# from above where it bends towards a flat one; where it still rises, the residual
-# between the band of the motion and the cut-off says how far, less friction that the
-# model may lack. What no such continuation reaches is what the model lacks: then the
-# noise is what it is from above, or unknown.
+# reversals, where dry friction jumps. Noise continues it smoothly into the band, where
+# it is no more than the fit leaves: known from above where it bends towards a flat one;
+# where it still rises, the residual between the band of the motion and the cut-off says
+# how far, less friction that the model may lack. What no such continuation reaches is
+# what the model lacks: then the noise is what it is from above, or unknown.
 
 import itertools
 from dataclasses import dataclass
@@ -173,13 +173,14 @@ def _gap_shape():
     return np.maximum(np.diff(_GAP) * _WINDOW / 1.5, 1.0)
 
 
-def filtered_noise(facts, dt, cutoff):
+def filtered_noise(facts, dt, cutoff, left=np.inf):
     """Deviations (nv,) [N m or N] of the noise that passes the low-pass."""
+    # left (nv,): deviations that the fit leaves behind the low-pass, noise or not.
     # nan where they cannot be found: without a low-pass, with one too close to the
     # Nyquist frequency, or where the spectrum rises towards the band and what is left
     # there is not its continuation.
     nv = facts[0].hold.size
-    found = np.full(nv, np.nan)
+    found, left = np.full(nv, np.nan), np.where(left > 0, left, np.inf) * np.ones(nv)
     if not seen(dt, cutoff):
         return found
     families = {}
@@ -207,10 +208,11 @@ def filtered_noise(facts, dt, cutoff):
         gap_spread = np.hypot(
             _UNLIKE, 1.25 / np.sqrt(np.maximum(windows, 1.0) * _gap_shape())
         )
+        scales = np.where(seen_scales, scales, np.nan)
         found[j] = families[hold].deviation(
-            np.where(seen_scales, scales, np.nan), scale_spread, gap, gap_spread
+            scales, scale_spread, gap, gap_spread, 2 * np.log(left[j])
         )
-    return found
+    return np.minimum(found, left)
 
 
 def _mean(values, rows):
@@ -282,11 +284,11 @@ class _NoiseFamily:
             band=seen_as[:, -1],
         )
 
-    def deviation(self, scales, scale_spread, gap, gap_spread):
+    def deviation(self, scales, scale_spread, gap, gap_spread, left):
         """Return the low-pass filtered deviation of the measured torque, or nan."""
         # scales (n_strides,): variances of differences, nan where not seen; gap
         # (n_bands,): power per row in the gap; the spreads are deviations of their
-        # logarithms.
+        # logarithms; left: logarithm of the largest variance that it may have.
         with np.errstate(invalid="ignore", divide="ignore"):
             above = (np.log(scales) - self.scales) / scale_spread
             between = (np.log(gap) - self.gap) / gap_spread
@@ -302,7 +304,9 @@ class _NoiseFamily:
             """Sum the squared deviations, those in the gap as far as at most `most`."""
             own = above - amplitude[:, None] / scale_spread * seen_above
             more = between - amplitude[:, None] / gap_spread * seen_between
-            return (own**2).sum(axis=1) + (np.minimum(more, most) ** 2).sum(axis=1)
+            over = np.maximum((self.band + amplitude - left) / _UNLIKE, 0.0)
+            squares = (own**2).sum(axis=1) + (np.minimum(more, most) ** 2).sum(axis=1)
+            return squares + over**2
 
         # From above alone: noise is no more than all that is left in the gap.
         amplitude = (above * scale_spread) @ w_above / w_above.sum()

@@ -184,8 +184,10 @@ class RobotFit:
         """Return the fit with the torque noise by `NoiseFacts` of all recordings."""
         if not facts:
             return self
-        noise = filtered_noise(facts, self.robot.plan.dt, self.robot.plan.cutoff)
-        floor = np.hypot(noise, self.found.noise()[0])
+        plan, (through, rest) = self.robot.plan, self.found.noise()
+        left = np.hypot(through, rest)
+        noise = filtered_noise(facts, plan.dt, plan.cutoff, left)
+        floor = np.hypot(noise, through)
         robot = replace(self.robot, torque_noise_=noise, noise_floor_=floor)
         return replace(self, robot=robot)
 

@@ -1,5 +1,7 @@
 """Noise of torque channels, on residuals of known noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -98,6 +100,26 @@ def test_noise_that_goes_on_rising_below_is_not_made_up():
     white = np.diff(walk, axis=0).std() * truth("white")
     found = told(walk)
     assert np.all(np.isnan(found) | (found > 3 * white))
+
+
+def test_noise_is_no_more_than_the_fit_leaves():
+    """Friction of joints that stick hides how the noise continues into the band."""
+    noise = NOISES["white"](np.random.default_rng(6))
+    facts = noise_facts(noise, noise, STATES, DT, CUTOFF)
+    steps = np.linspace(1.0, 1.3, facts.scales.shape[1]) ** 2
+    facts = replace(facts, scales=steps * facts.scales, gap=50 * facts.gap)
+    white = truth("white")
+    assert np.isnan(filtered_noise([facts], DT, CUTOFF)).all()
+    assert np.isnan(filtered_noise([facts], DT, CUTOFF, 10 * white)).all()
+    for share in (1.02, 1.2):
+        left = share * white * np.ones(2)
+        found = filtered_noise([facts], DT, CUTOFF, left)
+        np.testing.assert_allclose(found, white, rtol=0.2)
+        assert np.all(found <= left)
+    # A joint without counted rows has no bound.
+    np.testing.assert_array_equal(
+        filtered_noise([facts], DT, CUTOFF, np.full(2, np.nan)), np.full(2, np.nan)
+    )
 
 
 def test_nothing_above_the_band_tells_nothing():

@@ -130,7 +130,6 @@ class RecordingView:
     # a motion that repeats, phases; span_order: all of them, parts in an order that
     # does not depend on how they came; phases: motion of each filtered row and time in
     # it [s], None where none repeats; repeats: how many times each phase is there;
-    # floor (nv,): mean square of the residual from noise alone, nan if unknown;
     # precision (nv,): weights of the joints in the declared model's fit.
     # made: all `Columns` that are in use or were asked for last.
 
@@ -146,7 +145,6 @@ class RecordingView:
     ):
         self.robot = robot = robot.robot_
         self.declared = robot.features_.friction_
-        self.floor = robot.noise_floor_**2
         clock = check_clock(recording.t, recording.n_samples, robot.dt)
         states = robot.states(recording.inputs, recording.groups)
         self._lowpass = robot.plan.lowpass

@@ -228,7 +228,7 @@ def in_options(message):
         return " ".join(words[: 1 if text in ("", "True") else 2])
 
     message = str(message).replace("drive=CurrentDrive(", "--drive 'current ")
-    message = message.replace("signed=False)", "signed=no'").replace(" (--join)", "")
+    message = message.replace("signed=False)", "signed=no'")
     return _PARAMETER.sub(option, message)
 
 

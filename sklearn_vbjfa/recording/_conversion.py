@@ -56,7 +56,7 @@ def _refusal(table, layout, options, robot, missing):
         parts.append(
             "rename them in the header, or give "
             f'columns="q=NAME{{i}},{options.kinds[1]}=NAME{{i}},t=NAME"; files of one '
-            "recording need join=True (--join)"
+            "recording need join=True"
         )
     return RecordingRefused(f"{table.path}: {'; '.join(parts)}.", offered)
 
@@ -101,16 +101,19 @@ def _nearest(table, kind, joints):
     if kind == "t":
         return _clocks(table)
     wanted = {"q_desired": {"q", "command"}}.get(kind, {kind})
-    near = {}
+    near, known = {}, set()
     for pattern in dict.fromkeys(_patterns(table, joints)):
-        keys = {role.key for role in matches(pattern, table, kind)}
+        roles = matches(pattern, table, kind)
+        keys = {role.key for role in roles}
         keys = keys & {*joints} if "{joint}" in pattern else keys
         # Numbers count from 0 or 1 without a hole; one alone is that of the only joint.
         count = len(keys)
         fits = keys <= {*joints} or keys in ({*range(count)}, {*range(1, count + 1)})
         fits = fits and (count > 1 or len(joints) == 1 or "{i}" not in pattern)
-        if fits and channels_in(pattern) == wanted:
+        columns = frozenset(role.column for role in roles)
+        if fits and channels_in(pattern) == wanted and columns not in known:
             near[pattern] = count == (len(joints) or count)
+            known.add(columns)
     return [x for x, whole in near.items() if whole] or list(near)
 
 

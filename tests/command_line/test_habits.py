@@ -68,7 +68,7 @@ def test_the_command_that_would_work_replaces_the_option(
     ],
 )
 def test_options_in_a_command(options, command, refused, capsys):
-    refused(Refusal("no join=True (--join)", options))
+    refused(Refusal("no join=True", options))
     argv = ["inspect", "a b.csv", "--urdf", "arm.urdf", "--preset=ur", "--gain", "8"]
     assert main(argv) == 2
     assert capsys.readouterr().err == f"sklearn-vbjfa: no --join{command}\n"

@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -90,6 +91,19 @@ def test_joints_of_other_names_are_offered_in_their_order(made, tmp_path):
     path.write_text(path.read_text().replace("joint_", "axis_"))
     said, recording = follow(path, urdf=made.urdf)
     assert "q=/axis_states/axis_{i}/position" in said
+    np.testing.assert_allclose(recording.q, made.q, atol=2e-9)
+
+
+def test_names_of_joints_that_end_in_numbers_are_offered_once(made, tmp_path):
+    path = KINDS["PlotJuggler"](made, tmp_path)
+    header, rows = path.read_text().split("\n", 1)
+    for old, new in (("/joint_states/joint_", "joint"), ("/", "_of_")):
+        header = header.replace(old, new)
+    path.write_text(f"{header}\n{rows}")
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(Path(made.urdf).read_text().replace("joint_", "joint"))
+    said, recording = follow(path, urdf=urdf)
+    assert "q={joint}" in said
     np.testing.assert_allclose(recording.q, made.q, atol=2e-9)
 
 

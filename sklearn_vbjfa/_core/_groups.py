@@ -108,9 +108,7 @@ class Groups:
         """Return the moments of a likelihood discounted for overdispersion."""
         value, rest, vectors = self._spectral
         known = value / excess.ratio, rest / excess.ratio, vectors
-        moments = {
-            name: getattr(self, name) / excess.ratio for name in ("H", "q", "own")
-        }
+        moments = {x: getattr(self, x) / excess.ratio for x in ("H", "q", "own")}
         return self._with(known, **moments, freedom=excess.freedom)
 
     def part(self, at):

@@ -176,9 +176,8 @@ def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
     limit = p * ROUNDING if tolerance is None else tolerance
     if relative:
         limit = limit * max(values[-1], 0.0) if p else limit
-    return ScaledEigen(
-        scale=scale, values=values, vectors=vectors, known=values > limit
-    )
+    known = values > limit
+    return ScaledEigen(scale=scale, values=values, vectors=vectors, known=known)
 
 
 def branches(support):

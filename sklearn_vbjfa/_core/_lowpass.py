@@ -85,8 +85,7 @@ def design(dt, cutoff, step=None):
     half = int(np.ceil(length / 2))
     k = np.arange(-half, half + 1)
     taps = 2 * relative * np.sinc(2 * relative * k) * np.kaiser(k.size, beta)
-    if step is None:
-        step = max(1, int(0.25 / relative))
+    step = step or max(1, int(0.25 / relative))
     return Lowpass(taps=taps / taps.sum(), step=step)
 
 
@@ -130,16 +129,13 @@ def block_length(lowpass, row_bytes):
     # With a filter half of its length: few zeros in the matrix of taps, and rows that
     # are still in the cache when they are filtered; without one what fits into the
     # cache.
-    rows = _BLOCK_BYTES // row_bytes
-    if lowpass.half:
-        rows = max(_MIN_ROWS, lowpass.half)
+    half = lowpass.half
+    rows = max(_MIN_ROWS, half) if half else _BLOCK_BYTES // row_bytes
     return lowpass.step * max(1, -(-rows // lowpass.step))
 
 
 class BlockFilter:
-    """Filter rows of `width` numbers that come in blocks to `count` outputs."""
-
-    # The window of the first output begins at row 0.
+    """Filter rows of `width` numbers to `count` outputs, the first from row 0 on."""
 
     def __init__(self, lowpass, count, width):
         self._lowpass = lowpass

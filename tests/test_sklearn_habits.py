@@ -4,7 +4,6 @@ import pickle
 import re
 
 import numpy as np
-import pinocchio as pin
 import pytest
 import sklearn
 from sklearn.base import clone
@@ -29,6 +28,7 @@ from sklearn_vbjfa import (
     effects,
 )
 from sklearn_vbjfa.datasets import make_robot_recording
+from tests.effects._arms import arm
 
 BODY = [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3, -0.1]
 
@@ -44,24 +44,11 @@ def fixture_states():
     return np.random.default_rng(0).normal(size=(40, 6))
 
 
-def two_joints():
-    """Model of a planar arm."""
-    model = pin.Model()
-    first = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "shoulder")
-    place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.4]))
-    second = model.addJoint(first, pin.JointModelRY(), place, "elbow")
-    for number in (first, second):
-        model.inertias[number] = pin.Inertia(
-            2.0, np.array([0.1, 0.0, 0.3]), np.diag([0.1, 0.1, 0.05])
-        )
-    return model
-
-
 # -- frames ---------------------------------------------------------------------------
 
 
 def transformers():
-    model = two_joints()
+    model = arm("YY")
     return {
         "features": (RigidBodyFeatures(model, friction=("viscous", "offset")), "qva"),
         "states": (StateEstimator(0.01, cutoff=20.0), "q"),
@@ -136,8 +123,7 @@ def test_names_of_states_are_checked(states):
 
 def estimators():
     """One of each, with models as path and as object."""
-    model = two_joints()
-    robot = RobotIdentifier(model, dt=0.01, friction=("viscous",))
+    robot = RobotIdentifier(arm("YY"), dt=0.01, friction=("viscous",))
     return [
         EffectDiscovery(robot, effects=["coulomb"]),
         InstrumentalVariables(),
@@ -145,7 +131,7 @@ def estimators():
         JointTorqueRegressor(VBJFARegressor(), projector=PhysicalProjector()),
         LocallyWeightedRegressor(LinearRegression()),
         PhysicalProjector(metric=np.eye(22)),
-        RigidBodyFeatures(model),
+        RigidBodyFeatures(arm("YY")),
         robot,
         RobotIdentifier(
             "arm.urdf", effects=(effects.Coulomb(joint=1),), friction=("viscous",)

@@ -96,10 +96,8 @@ def test_joints_of_other_names_are_offered_in_their_order(made, tmp_path):
 
 def test_names_of_joints_that_end_in_numbers_are_offered_once(made, tmp_path):
     path = KINDS["PlotJuggler"](made, tmp_path)
-    header, rows = path.read_text().split("\n", 1)
-    for old, new in (("/joint_states/joint_", "joint"), ("/", "_of_")):
-        header = header.replace(old, new)
-    path.write_text(f"{header}\n{rows}")
+    text = path.read_text().replace("/joint_states/joint_", "joint")
+    path.write_text(text.replace("/", "_of_"))
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(Path(made.urdf).read_text().replace("joint_", "joint"))
     said, recording = follow(path, urdf=urdf)

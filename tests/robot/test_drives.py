@@ -168,11 +168,11 @@ def test_the_delay_is_found(delay):
     assert effect.delay == pytest.approx(delay, abs=1e-5)
 
 
-def wheel():
-    """Describe a body of a third of the joint's moment of 0.03 kg m^2."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "j")
-    model.inertias[joint] = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+def one_joint(joint, height=0.0, moment=1e-6):
+    """Describe a body of 1 kg on a joint, without the joint's rotor."""
+    model, lever = pin.Model(), np.array([0.0, 0.0, height])
+    number = model.addJoint(0, joint, pin.SE3.Identity(), "j")
+    model.inertias[number] = pin.Inertia(1.0, lever, moment * np.eye(3))
     return model
 
 
@@ -200,8 +200,9 @@ def test_the_delay_of_commands_that_are_held_is_found(dt):
     """Within 2 % of the sample period, at most 0.1 ms below 200 Hz."""
     delay, viscous, rotor = 0.0113, 0.3, 0.03
     drive, recording = stepped(dt, delay)
+    wheel = one_joint(pin.JointModelRZ(), moment=0.01)
     robot = RobotIdentifier(
-        wheel(), dt=dt, drive=drive, bodies="fixed", friction=FRICTION
+        wheel, dt=dt, drive=drive, bodies="fixed", friction=FRICTION
     ).fit_recording(recording)
     terms = dict(zip(robot.parameter_names_, robot.theta_))
     assert abs(terms["drive:delay"] - delay) < max(1e-4, 0.02 * dt)
@@ -334,28 +335,18 @@ def pendulum(where, sigma=3e-3, kp=200.0, kd=2.0, seconds=60.0, seed=0):
     return drive, drive.driven(recording)
 
 
-def bob():
-    """Describe the pendulum but for its rotor of 0.05 kg m^2."""
-    model = pin.Model()
-    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "j")
-    lever = np.array([0.0, 0.0, -0.2])
-    model.inertias[joint] = pin.Inertia(1.0, lever, 1e-6 * np.eye(3))
-    return model
+SWUNG = {"dt": DT, "cutoff": 40.0, "options": FitOptions(state_cutoff=70.0)}
+# The pendulum but for its rotor of 0.05 kg m^2.
+BOB = one_joint(pin.JointModelRY(), -0.2)
 
 
 @pytest.mark.parametrize("where", ["log", pytest.param("loop", marks=pytest.mark.slow)])
 def test_noise_in_inputs_and_torques_is_taken_off_both(where):
     """Whether the controller applied the encoder's noise, or the log alone has it."""
     drive, recording = pendulum(where)
-    settings = {
-        "dt": DT,
-        "cutoff": 40.0,
-        "options": FitOptions(state_cutoff=70.0),
-        "bodies": "fixed",
-    }
 
     def rotor(recording, **more):
-        robot = RobotIdentifier(bob(), drive=drive, **settings, **more)
+        robot = RobotIdentifier(BOB, drive=drive, bodies="fixed", **SWUNG, **more)
         robot.fit_recording(recording)
         return robot.theta_[robot.parameter_names_.index("j:rotor_inertia")] / 0.05 - 1
 
@@ -369,16 +360,11 @@ def test_noise_in_inputs_and_torques_is_taken_off_both(where):
 @pytest.mark.parametrize("where", ["log", pytest.param("loop", marks=pytest.mark.slow)])
 def test_commands_are_instruments_of_the_motion(where):
     drive, recording = pendulum(where)
-    settings = {
-        "dt": DT,
-        "cutoff": 40.0,
-        "options": FitOptions(state_cutoff=70.0),
-        "projector": None,
-    }
+    settings = {"drive": drive, "projector": None, **SWUNG}
 
     def off(regressor):
         """How far inertia, damping and dry friction are off, as shares."""
-        robot = RobotIdentifier(bob(), drive=drive, regressor=regressor, **settings)
+        robot = RobotIdentifier(BOB, regressor=regressor, **settings)
         robot.fit_recording(recording)
         asked = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
         pushed, still = robot.features_.matrices(asked)[:, 0] @ robot.theta_

@@ -118,7 +118,8 @@ def stopping(v):
     turns = np.sign(np.gradient(v, axis=0))
     direction = np.where(moves == 0, turns, np.sign(moves))
     return (
-        np.cumsum(moves, axis=0) * DT,
+        # The trapezoidal rule: sums alone are half a sample ahead of the torques.
+        (np.cumsum(moves, axis=0) - 0.5 * moves) * DT,
         moves,
         np.gradient(moves, DT, axis=0),
         direction,

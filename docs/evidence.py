@@ -162,6 +162,9 @@ def field():
         for by in ("RobotIdentifier", "EffectDiscovery", "best rival")
     ]
     lost = [k for k in positions[0] if min(found[k] for found in positions) >= 100]
+    resting = "On every set at least one method"
+    if lost:
+        resting = f"On {', '.join(lost)} no method"
     verdict = (
         "Compared with scikit-learn regressors, FIGAROH, mujoco.sysid and CMA-ES, "
         "`EffectDiscovery` has the lowest torque error on "
@@ -178,8 +181,7 @@ def field():
         f"Without the search, `RobotIdentifier` has the lowest torque error on "
         f"{first['RobotIdentifier', 'torque']} sets only. On "
         f"{', '.join(worse) or 'no set'} the search raises the error by more than 5 %. "
-        f"On {', '.join(lost) or 'no set'} a second of motion is simulated no better "
-        "by any method than by a robot that stays where it is."
+        f"{resting} simulates a second of motion better than a robot at rest."
     )
     return (
         "How does it compare with other programs?",
@@ -269,7 +271,7 @@ def false_alarms():
         f"5 %); with one effect added, it is found in {data.cell('all', 'found, %')} %."
     )
     limitation = (
-        "Slow disturbances of six joints are the worst case: "
+        "Slow disturbances are the worst case. With six joints, "
         f"{data.cell(rows[4], 'false alarms, %')} % of the recordings with a random "
         "walk and "
         f"{data.cell(rows[6], 'false alarms, %')} % of those with a slowly varying "
@@ -279,7 +281,8 @@ def false_alarms():
         "in "
         f"{data.cell('payload', 'found, %', 2)} % only. Of the reported effects "
         f"{data.cell('named', 'right, %', 3)} % are right, of those that are listed as "
-        f"possible {data.cell('perhaps, all', 'right, %', 3)} %."
+        f"possible {data.cell('perhaps, all', 'right, %', 3)} %. The table shows some "
+        "of the disturbances."
     )
     table = data.table(columns=columns, rows=rows, names=names)
     return (
@@ -520,8 +523,8 @@ def quadruped():
     prior, free = rows["prior", "yes"], rows["free", "no"]
     verdict = (
         f"Ten runs of a Unitree Go2, fitted one by one, give masses of {prior[7]} to "
-        f'{prior[8]} kg with `bodies="prior"` (description: 8.3 kg) and {free[7]} to '
-        f"{free[8]} kg from the torques alone."
+        f'{prior[8]} kg with `bodies="prior"` and shared drives (description: 8.3 kg) '
+        f'and {free[7]} to {free[8]} kg with `bodies="free"` and separate drives.'
     )
     limitation = (
         "The true values of this robot are unknown, and all runs repeat one motion."
@@ -559,7 +562,8 @@ def commands():
     limitation = (
         "The gains of the control loop were known exactly; on a measured Go2 the "
         "armatures "
-        f"scatter by {scatter} % between runs that are fitted one by one."
+        f"scatter by {scatter} % between runs that are fitted one by one "
+        "(`docs/tables/commands_measured.rst`)."
     )
     table = data.table(columns=columns, rows=rows, names={"way": "method"})
     question = "How accurate is an identification without torque sensors?"
@@ -627,6 +631,10 @@ def gravity():
     data = Tables("gravity")
     held = data.column("inside 90 % intervals [%]")
     largest = data.column("largest")
+    ratio = data.column("ratio", 2)
+    better = sum(x <= 0.8 for x in ratio.values())
+    slightly = sum(0.8 < x < 1 for x in ratio.values())
+    worse = " and ".join(name for name, x in ratio.items() if x >= 1)
     verdict = (
         "Poses reached from both sides reduce the error of the gravity torque at other "
         f"poses to at most {largest['both sides']:.2f} of the described model's error; "
@@ -636,8 +644,8 @@ def gravity():
     limitation = (
         "The arms of the first table are simulated, with dry friction that does not "
         "vary with the pose. Of the measured sets, whose motions were not made for it, "
-        "three improve by less than 20 %; on `staubli_tx40`, with 35 samples in 9 s of "
-        "fast motion, the correction is no better than the description."
+        f"{better} improve by 20 % or more and {slightly} by less; on {worse} the "
+        "correction is no better than the description."
     )
     question = "Do poses correct a description for gravity compensation?"
     shown = f"{data.table()}\n\n{data.table(2)}"

@@ -104,9 +104,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     not_identifiable_ : tuple of NotIdentifiable
         Effects that are not identifiable for this robot or from this recording.
     identifier_, validation_model_ : RobotIdentifier
-        Completed model, fitted to all data, and to the search data as the next two.
+        Completed model, fitted to all data and to the search data, respectively.
     declared_, baseline_ : RobotIdentifier
-        Declared model, without and with the four friction terms.
+        Declared model without and with the friction terms, fitted to the search data.
     torque_lag_ : float
         Common delay of all torque channels [s], found first and removed; 0 if none.
     joint_names_ : tuple of str

@@ -121,7 +121,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
     followers_ : tuple
         Bodies of the joints that follow others, which are not among the joints.
     gains_ : ndarray of shape (nv,)
-        What each torque channel reads over the torque: 1 unless an effect corrects it.
+        Ratio of channel reading to torque of the joint: 1 unless an effect corrects it.
     friction_ : tuple of str
         Names of the friction columns.
     support_ : ndarray of shape (nv, p), bool

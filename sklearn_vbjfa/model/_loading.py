@@ -84,10 +84,10 @@ def load_model(model, base_orientation=None):
     UserWarning
         If something in the file does not enter the model: a body without mass or with
         an inertia that no solid body has is completed by a ball (see `solid_bodies`),
-        joints have none of the springs, damping, friction and tendons of an MJCF file,
-        and a joint that follows another one and carries joints that do not counts as a
-        separate joint. What other joints that follow move is held where it is while
-        their leaders are at zero. A base that is held is named with its orientation.
+        springs, damping, friction and tendons of an MJCF file are ignored, and a joint
+        that follows another one and carries joints that do not counts as a separate
+        joint. Bodies that other mimic joints move are fixed at the pose where their
+        leaders are at zero. A base that is held is named with its orientation.
 
     See Also
     --------

@@ -144,8 +144,8 @@ class PDDrive(Drive):
         Largest torque of a joint [N m or N]. Samples that reach it are left out.
     period : float, default=None
         Time [s] for which the drive holds a torque, at most the sample period: a loop
-        at 1 kHz has 1e-3. What it makes of positions acts half of it late, which is
-        some per cent of armature and damping. None takes that for nothing.
+        at 1 kHz has 1e-3. The feedback torque acts half a period late, which biases
+        armature and damping by a few per cent. None neglects this.
 
     See Also
     --------

@@ -204,7 +204,7 @@ class IdentifiedRobot:
 
     @property
     def left_out_(self):
-        """Effects that need what comes after a state, for `step`; tuple of LeftOut."""
+        """Effects that need later samples, left out by `step`; tuple of LeftOut."""
         return causal(self.torque_model())[1]
 
     @property

@@ -160,8 +160,8 @@ def test_sound_recordings_need_no_words():
     ("source", "said"),
     [
         ("assumed", "record a second motion"),
-        ("partly measured", "4 recordings partly measured"),
-        ("measured", "4 recordings measured"),
+        ("partly measured", "recordings partly measured, from 4 recordings"),
+        ("measured", "recordings measured, from 4 recordings"),
     ],
 )
 def test_the_next_recording_says_what_it_rests_on(source, said):
@@ -180,7 +180,7 @@ def test_the_worst_joint_is_named_and_gets_a_motion():
     left = outcome.findings["unexplained"]
     left = [replace(one, signals=(), of_torque=0.1 + one.joint) for one in left]
     report = Report(changed(outcome, unexplained=left))
-    facts = "210 % of the torque of joint 3 remains", "and less of that of joint 1."
+    facts = "210 % of the torque of joint 3 remains", "; less on joint 1."
     assert_said(report.headline, *facts)
     text = section_of(report, "Next steps")
     assert_said(text, "slow and fast motion over the whole range (joints 1 and 3)")

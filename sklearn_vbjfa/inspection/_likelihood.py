@@ -227,7 +227,7 @@ class DescribedRobot:
                 used = np.r_[used, first + np.flatnonzero(acts)]
             y = tau[rows, j]
             wide = number.WIDE * max(np.sqrt(np.mean(y**2)), 1e-300)
-            plain = wide * self._plain(j)[rows]
+            plain = wide * self.plain(j)[rows]
             whole = np.column_stack([plain, design * prior[used], y - mean[rows, j]])
             moments = whole.T @ whole / self.times[j]
             made.append((used, moments, rows.size / self.times[j], np.var(y) + 1e-300))
@@ -248,7 +248,7 @@ class DescribedRobot:
         """Columns (n, p) of a joint's bodies and plain terms, zero where it stands."""
         others = [] if columns is None else [columns]
         rigid = self.entries[:, j][:, self.bodies.used[j]]
-        X = np.column_stack([rigid, self._plain(j), *others])
+        X = np.column_stack([rigid, self.plain(j), *others])
         X = X * (self.signals.weight[:, [j]] > 0)
         X = X[:, X.any(axis=0)]
         return X / np.sqrt((X[self.rows[j]] ** 2).mean(axis=0))
@@ -263,7 +263,7 @@ class DescribedRobot:
             errors.append(left[rows, j].var() / free / (now[rows].var() + 1e-300))
         return np.sqrt(errors)
 
-    def _plain(self, j):
+    def plain(self, j):
         """Columns (n, 4) of viscous and Coulomb friction, rotor and offset."""
         q, v, a = self.signals.states[:, j :: self.bodies.nv].T
         columns = np.column_stack([v, self.signals.sign[:, j], a, np.ones(len(q))])

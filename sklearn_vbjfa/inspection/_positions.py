@@ -222,7 +222,10 @@ def units(reading):
             continue
         j = max(one.joints, key=lambda k: np.ptp(q[:, k]))
         whole = len(one.joints) == np.count_nonzero(revolute)
-        facts = {"unit": unit, "short": short, "column": "{i}" if whole else str(j + 1)}
+        given = f'give columns="q=q{{i}} [{short}]" with the names of your columns'
+        if not whole:
+            given = f"add the unit to their names in the header: 'q{j + 1} [{short}]'"
+        facts = {"unit": unit, "given": given}
         facts |= {"name": reading.names[j], "low": q[:, j].min(), "high": q[:, j].max()}
         found.append(replace(one, log_odds=one.log_odds + known, facts=facts))
     best = most_probable(found)

@@ -22,7 +22,7 @@ _SWAPPED = (
 _UNIT = (
     "The positions of {who} look like {unit}: {name} runs from {low:.4g} to "
     "{high:.4g}, and in {unit} they explain the torques better ({evidence}). Convert "
-    'them, or give columns="q=q{column} [{short}]" with the names of your columns.'
+    "them, or {given}."
 )
 _UNVERIFIED = (
     "The size and the signs of the torques, the zeros and the direction of gravity "
@@ -175,7 +175,8 @@ def finding(
     facts = {"who": listed_joints(names, joints), "names": ", ".join(names)} | facts
     message = SENTENCES[kind].format(**facts)
     if rivals:
-        message += f" Nearly as probable by this log: {', '.join(rivals)}."
+        others = ", ".join(rivals).replace("_", " ")
+        message += f" Nearly as probable by this log: {others}."
     kind, _, _ = kind.partition(":")
     return ChannelFinding(
         kind, joints, severity, message, value, remedy or {}, tuple(rivals)

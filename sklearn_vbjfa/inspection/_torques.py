@@ -95,6 +95,11 @@ def torque_factors(robot, alike):
         factors = np.full(nv, np.median(sizes[fine]) if fine.any() else 1.0)
     else:
         columns = columns * np.eye(nv)
+        for j, rows in ((j, robot.rows[j]) for j in robot.joints):
+            # Friction adds to sizes.
+            X = np.column_stack([robot.described[:, j], robot.plain(j)])[rows]
+            load = np.linalg.lstsq(X, robot.signals.tau[rows, j])[0][0]
+            factors[j] = load if load > 0 else factors[j]
     for _ in range(number.PASSES):
         tau = robot.signals.tau / factors
         fit = robot.fit(tau=tau, mean=np.zeros_like(tau), columns=columns)
@@ -102,10 +107,8 @@ def torque_factors(robot, alike):
         # Of joints that the masses barely load, nothing is shown.
         known = (more > 2 * error) & (error < 1.0)
         step = np.where(known | alike, more, 1.0)
-        if step.min() <= 0:
-            return factors * step, error, known, more > error
         factors = factors * step
-        if np.abs(np.log(step)).max() < number.SETTLED:
+        if step.min() <= 0 or np.abs(np.log(step)).max() < number.SETTLED:
             break
     return factors, error, known, more > error
 
@@ -142,12 +145,14 @@ def scaled_each(reading):
     """Return torques of which one has another factor than the rest, or all have."""
     factors, error, known, seen = torque_factors(reading.robot, alike=False)
     # Far from those of others, a factor may be uncertain; what friction or a rotor adds
-    # to a torque does not make it far too small.
+    # to a torque does not make it far too small. A description is wrong by less.
     joints = reading.robot.joints
     logs = np.log(factors[joints])
     others = [np.delete(logs, k) for k in range(logs.size)]
     middle = np.array([np.median(x) if x.size else 0.0 for x in others])
-    far = (logs - middle) / np.log(number.SINGLE)
+    far = (logs - middle) / np.log(
+        np.where(known, number.SCALE**2, number.SINGLE)[joints]
+    )
     away = joints[(far < -1) | (far > 1) & seen[joints]].tolist()
     # What is not shown is as large as others are.
     factors[joints] = np.where(seen[joints], factors[joints], np.exp(logs - middle))

@@ -233,12 +233,13 @@ def rows_of(table, options) -> FileRows:
     torque_units = [x or y for x, y in zip(units.get("tau", of_joints), of_joints)]
     gains, n = options.gains, len(names)
     if isinstance(gains, tuple):
+        gains = gains * n if len(gains) == 1 else gains
         if len(gains) != n:
             raise RecordingRefused(
                 f"{table.path}: {len(gains)} gain(s) for {n} joint(s) "
                 f"({listed(names)}); expected one for each, in this order, or unknown, "
                 "to have them identified.",
-                {"gains": gains * n if len(gains) == 1 else "unknown"},
+                {"gains": "unknown"},
             )
         torque_units = of_joints
         channels["tau"] = channels["tau"] * np.array(gains)

@@ -266,6 +266,16 @@ def test_torques_as_shares_of_what_each_motor_has(log):
     assert 'gains="unknown"' in found[0].message
 
 
+@pytest.mark.parametrize("joint", [2, 4])
+@pytest.mark.parametrize("factor", [0.1, 8.85, 100.0])
+def test_the_torque_of_one_joint_in_another_unit(log, joint, factor):
+    units = np.where(np.arange(6) == joint, factor, 1.0)
+    kinds, found = grave(log, tau=log[0].tau * units)
+    assert (kinds, found[0].joints) == (["gear_factor"], (joint,))
+    ratio = float(found[0].message.split("about ")[1].split()[0])
+    assert ratio * factor == pytest.approx(1, abs=0.15)
+
+
 def assert_contact(kinds, found, times=(6.0, 9.0)):
     assert kinds == ["external_force"]
     told = found[0].message.split("From ")[1].split(" s after")[0].split(" to ")

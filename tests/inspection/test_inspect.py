@@ -10,11 +10,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.inspection import (
-    ChannelFinding,
-    inspect_channels,
-    inspect_recording,
-)
+from sklearn_vbjfa.inspection import ChannelFinding, inspect_channels, inspect_recording
 from tests._quick import one_in
 
 # What the notes on the measured sets say of their channels: the currents of the last

@@ -20,10 +20,7 @@ from sklearn_vbjfa.effects import (
     TorqueLag,
     resolve,
 )
-from sklearn_vbjfa.equations._states import (
-    RecordingStates,
-    StateEstimator,
-)
+from sklearn_vbjfa.equations._states import RecordingStates, StateEstimator
 from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording import (
     check_clock,

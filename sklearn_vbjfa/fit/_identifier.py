@@ -17,11 +17,7 @@ from sklearn_vbjfa.equations._features import (
     refuse_followers,
     with_followers,
 )
-from sklearn_vbjfa.equations._plan import (
-    check_effects,
-    make_plan,
-    observe,
-)
+from sklearn_vbjfa.equations._plan import check_effects, make_plan, observe
 from sklearn_vbjfa.equations._recording_checks import (
     check_channels,
     check_drive,
@@ -549,15 +545,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     predict = IdentifiedRobot.predict
 
     @wraps(IdentifiedRobot.residuals)
-    def residuals(
-        self,
-        X,
-        y,
-        groups=None,
-        sample_weight=None,
-        t=None,
-        signals=None,
-    ):
+    def residuals(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
         robot, arguments = self.robot_, (X, y, groups, sample_weight, t, signals)
         if self.drive is None:
             return robot.residuals(*arguments)

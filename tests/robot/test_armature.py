@@ -10,16 +10,7 @@ from scipy.optimize import minimize
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.fit import WIDTH, most_probable
 from sklearn_vbjfa.robot import FitOptions
-from tests.robot.test_drives import (
-    ARM,
-    ARMATURE,
-    DT,
-    EXACT,
-    KD,
-    KP,
-    PDDrive,
-    told,
-)
+from tests.robot.test_drives import ARM, ARMATURE, DT, EXACT, KD, KP, PDDrive, told
 
 
 def test_the_mode_is_that_of_the_log_normal_density():

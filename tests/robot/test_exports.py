@@ -180,11 +180,7 @@ def test_friction_that_was_found_is_in_the_urdf(moved, tmp_path):
 
 def test_impossible_bodies_are_not_written(moved, tmp_path):
     robot = RobotIdentifier(
-        moved.urdf,
-        dt=moved.dt,
-        projector=None,
-        friction=("viscous",),
-        bodies="free",
+        moved.urdf, dt=moved.dt, projector=None, friction=("viscous",), bodies="free"
     )
     robot.fit(moved.q, moved.tau)
     with pytest.raises(ValueError, match="not physically consistent, and an MJCF file"):

@@ -178,7 +178,8 @@ def _scaled_one(reading, j, factor, error):
     change, _ = stepped(reading, change, step)
     factor = 1 / change.torques[j, j]
     # No error: a description with invented inertias looks the same.
-    units = _units_inside(*factor * np.exp(error * np.array([-1, 1])))
+    ends = factor * np.exp(min(error, 1.0) * np.array([-1, 1]))
+    units = _units_inside(*ends) if error < 1 else ""
     units = units or "torque of the motor, a current, or another unit"
     facts = {"factor": factor, "ratio": 1 / factor, "units": units}
     args = {"variants": reading.nv, "kind": "gear_factor", "facts": facts}

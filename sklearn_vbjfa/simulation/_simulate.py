@@ -10,7 +10,7 @@ from sklearn_vbjfa.simulation._integrate import Diverged, Integrator
 
 
 class SimulationError(ValueError):
-    """The motion of an identified robot diverges; the message says when and where."""
+    """An identified robot diverges, or lacks inertia; the message says where."""
 
 
 def recorded(signals, t):
@@ -188,7 +188,7 @@ def _check_inertia(robot, dynamics, q0):
     values, vectors = np.linalg.eigh(0.5 * (mass + mass.T))
     if not values[0] > 0:
         name = robot.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
-        raise ValueError(
+        raise SimulationError(
             f"The inertia of {name} at q0 is not positive ({values[0]:.3g} kg m^2); "
             'identify with projector="default" and more motion.'
         )

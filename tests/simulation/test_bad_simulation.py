@@ -34,7 +34,8 @@ def test_negative_friction_drives():
 
 def test_negative_inertia():
     robot = Arm().robot({"rotor_inertia": [0.0, -1.0]})
-    refused("inertia of elbow at q0 is not positive", TAU, [0, 0], robot=robot)
+    what = "inertia of elbow at q0 is not positive"
+    refused(what, TAU, [0, 0], robot=robot, error=SimulationError)
 
 
 def test_mass_that_is_not_positive():

@@ -145,19 +145,22 @@ def scaled_each(reading):
     """Return torques of which one has another factor than the rest, or all have."""
     factors, error, known, seen = torque_factors(reading.robot, alike=False)
     # Far from those of others, a factor may be uncertain; what friction or a rotor adds
-    # to a torque does not make it far too small. A description is wrong by less.
+    # to a torque does not make it far too small. A description is wrong by less,
+    # and a joint that it explains badly is no evidence.
     joints = reading.robot.joints
     logs = np.log(factors[joints])
     others = [np.delete(logs, k) for k in range(logs.size)]
     middle = np.array([np.median(x) if x.size else 0.0 for x in others])
-    far = (logs - middle) / np.log(
-        np.where(known, number.SCALE**2, number.SINGLE)[joints]
+    off, limits = logs - middle, np.where(known, number.SCALE**2, number.SINGLE)[joints]
+    away = (off < -np.log(limits)) | (off > np.log(limits)) & seen[joints]
+    least = np.where(
+        np.abs(off) > np.log(number.SINGLE), -np.inf, number.CLEAR_OF_JOINT
     )
-    away = joints[(far < -1) | (far > 1) & seen[joints]].tolist()
+    far = list(zip(joints[away].tolist(), least[away]))
     # What is not shown is as large as others are.
     factors[joints] = np.where(seen[joints], factors[joints], np.exp(logs - middle))
-    found = [_scaled_one(reading, j, factors[j], error[j]) for j in away]
-    rest = known & ~np.isin(np.arange(known.size), away)
+    found = [_scaled_one(reading, j, factors[j], error[j], x) for j, x in far]
+    rest = known & ~np.isin(np.arange(known.size), joints[away])
     logs = np.sort(np.log(factors[rest]))
     # The factors of many hold two that are off by chance.
     most = logs[1:-1] if logs.size > 4 else logs
@@ -167,11 +170,11 @@ def scaled_each(reading):
         each = [f"{reading.names[j]} {factors[j]:.2g}" for j in np.flatnonzero(known)]
         facts = {"each": ", ".join(each)}
         args = {"joints": reading.every, "facts": facts}
-        found.append(judged(reading, change, -np.inf, **args))
+        found.append(judged(reading, change, number.CLEAR * reading.nv, **args))
     return most_probable(found)
 
 
-def _scaled_one(reading, j, factor, error):
+def _scaled_one(reading, j, factor, error, least):
     """Return the torque of a joint over a factor against the described one."""
     change = Change(torques=times(reading.nv, 1 / factor, j))
     step = [lambda x: Change(torques=times(reading.nv, np.exp(x), j))]
@@ -183,7 +186,7 @@ def _scaled_one(reading, j, factor, error):
     units = units or "torque of the motor, a current, or another unit"
     facts = {"factor": factor, "ratio": 1 / factor, "units": units}
     args = {"variants": reading.nv, "kind": "gear_factor", "facts": facts}
-    return judged(reading, change, -np.inf, **args)
+    return judged(reading, change, least, **args)
 
 
 def beyond_limits(reading):

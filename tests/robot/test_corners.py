@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.testing import assert_allclose
 
@@ -11,7 +12,7 @@ from sklearn_vbjfa.effects import Rest
 from sklearn_vbjfa.fit import jump
 from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot import FitOptions, PDDrive
-from tests.robot.test_drives import wheel
+from tests.robot.test_drives import one_joint
 
 DT = 0.005
 KP, KD = 20.0, 1.0
@@ -106,7 +107,8 @@ def fitted(drive, recording, **settings):
         "options": FitOptions(state_cutoff=6.0),
         "bodies": "fixed",
     }
-    robot = RobotIdentifier(wheel(), drive=drive, **{**given, **settings})
+    wheel = one_joint(pin.JointModelRZ(), moment=0.01)
+    robot = RobotIdentifier(wheel, drive=drive, **{**given, **settings})
     if drive is not None:
         recording = drive.driven(recording)
     return robot.fit_recording(recording)

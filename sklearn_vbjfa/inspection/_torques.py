@@ -95,8 +95,9 @@ def torque_factors(robot, alike):
         factors = np.full(nv, np.median(sizes[fine]) if fine.any() else 1.0)
     else:
         columns = columns * np.eye(nv)
-        for j, rows in ((j, robot.rows[j]) for j in robot.joints):
+        for j in robot.joints:
             # Friction adds to sizes.
+            rows = robot.rows[j]
             X = np.column_stack([robot.described[:, j], robot.plain(j)])[rows]
             load = np.linalg.lstsq(X, robot.signals.tau[rows, j])[0][0]
             factors[j] = load if load > 0 else factors[j]
@@ -121,7 +122,7 @@ def scaled(reading):
     if not known or factor <= 0 or 1 / least < factor < least:
         return None
     low, high = factor * np.exp([-error, error])
-    units, robot = _units_inside(low, high), reading.robot
+    units, robot = _units_inside(factor, error), reading.robot
     facts = {"factor": factor, "low": low, "high": high, "gain": 1 / factor}
     facts["inside"] = f" ({units} would be inside)" if units else ""
     facts["unknown"] = ', or gains="unknown"' if reading.nv > 1 else ""
@@ -136,9 +137,10 @@ def scaled(reading):
     )
 
 
-def _units_inside(low, high):
-    """Units of which a factor of torques against N m is in an interval."""
-    return " or ".join(name for name, x in _UNITS.items() if low < 1 / x < high)
+def _units_inside(factor, error):
+    """Units that a factor of torques, with its error [log], may be; none if unknown."""
+    near = (name for name, x in _UNITS.items() if abs(np.log(factor * x)) < error < 1)
+    return " or ".join(near)
 
 
 def scaled_each(reading):
@@ -151,14 +153,13 @@ def scaled_each(reading):
     logs = np.log(factors[joints])
     others = [np.delete(logs, k) for k in range(logs.size)]
     middle = np.array([np.median(x) if x.size else 0.0 for x in others])
-    off, limits = logs - middle, np.where(known, number.SCALE**2, number.SINGLE)[joints]
-    away = (off < -np.log(limits)) | (off > np.log(limits)) & seen[joints]
-    least = np.where(
-        np.abs(off) > np.log(number.SINGLE), -np.inf, number.CLEAR_OF_JOINT
-    )
+    off, single = logs - middle, np.log(number.SINGLE)
+    limits = np.where(known[joints], 2 * np.log(number.SCALE), single)
+    away = (off < -limits) | (off > limits) & seen[joints]
+    least = np.where(np.abs(off) > single, -np.inf, number.CLEAR_OF_JOINT)
     far = list(zip(joints[away].tolist(), least[away]))
     # What is not shown is as large as others are.
-    factors[joints] = np.where(seen[joints], factors[joints], np.exp(logs - middle))
+    factors[joints] = np.where(seen[joints], factors[joints], np.exp(off))
     found = [_scaled_one(reading, j, factors[j], error[j], x) for j, x in far]
     rest = known & ~np.isin(np.arange(known.size), joints[away])
     logs = np.sort(np.log(factors[rest]))
@@ -181,8 +182,7 @@ def _scaled_one(reading, j, factor, error, least):
     change, _ = stepped(reading, change, step)
     factor = 1 / change.torques[j, j]
     # No error: a description with invented inertias looks the same.
-    ends = factor * np.exp(min(error, 1.0) * np.array([-1, 1]))
-    units = _units_inside(*ends) if error < 1 else ""
+    units = _units_inside(factor, error)
     units = units or "torque of the motor, a current, or another unit"
     facts = {"factor": factor, "ratio": 1 / factor, "units": units}
     args = {"variants": reading.nv, "kind": "gear_factor", "facts": facts}

@@ -101,7 +101,7 @@ def _nearest(table, kind, joints):
     if kind == "t":
         return _clocks(table)
     wanted = {"q_desired": {"q", "command"}}.get(kind, {kind})
-    near, known = {}, set()
+    near = {}
     for pattern in dict.fromkeys(_patterns(table, joints)):
         roles = matches(pattern, table, kind)
         keys = {role.key for role in roles}
@@ -110,11 +110,12 @@ def _nearest(table, kind, joints):
         count = len(keys)
         fits = keys <= {*joints} or keys in ({*range(count)}, {*range(1, count + 1)})
         fits = fits and (count > 1 or len(joints) == 1 or "{i}" not in pattern)
-        columns = frozenset(role.column for role in roles)
-        if fits and channels_in(pattern) == wanted and columns not in known:
-            near[pattern] = count == (len(joints) or count)
-            known.add(columns)
-    return [x for x, whole in near.items() if whole] or list(near)
+        if fits and channels_in(pattern) == wanted:
+            # Of patterns of the same columns the first will do.
+            columns = frozenset(role.column for role in roles)
+            near.setdefault(columns, (pattern, count == (len(joints) or count)))
+    found = list(near.values())
+    return [x for x, whole in found if whole] or [x for x, _ in found]
 
 
 def _patterns(table, joints):

@@ -59,6 +59,8 @@ def test_currents_ask_for_gains(made, tmp_path):
     np.testing.assert_allclose(recording.tau, made.tau, atol=1e-7)
     with pytest.raises(ValueError, match=r"2 gain\(s\) for 6 joint\(s\) \(joint_1"):
         read_recording(path, urdf=made.urdf, gains=(8, 8))
+    one, six = (read(path, urdf=made.urdf, gains=n * (8,))[0].tau for n in (1, 6))
+    np.testing.assert_array_equal(one, six)
 
 
 def test_torques_are_preferred_to_currents(made, tmp_path):

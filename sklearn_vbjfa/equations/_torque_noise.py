@@ -209,8 +209,9 @@ def filtered_noise(facts, dt, cutoff, left=np.inf):
             _UNLIKE, 1.25 / np.sqrt(np.maximum(windows, 1.0) * _gap_shape())
         )
         scales = np.where(seen_scales, scales, np.nan)
+        band_spread = np.hypot(_UNLIKE, 1.0 / np.sqrt(rows.sum() * dt * cutoff))
         found[j] = families[hold].deviation(
-            scales, scale_spread, gap, gap_spread, 2 * np.log(left[j])
+            scales, scale_spread, gap, gap_spread, 2 * np.log(left[j]), band_spread
         )
     return np.minimum(found, left)
 
@@ -284,11 +285,11 @@ class _NoiseFamily:
             band=seen_as[:, -1],
         )
 
-    def deviation(self, scales, scale_spread, gap, gap_spread, left):
+    def deviation(self, scales, scale_spread, gap, gap_spread, left, left_spread):
         """Return the low-pass filtered deviation of the measured torque, or nan."""
         # scales (n_strides,): variances of differences, nan where not seen; gap
-        # (n_bands,): power per row in the gap; the spreads are deviations of their
-        # logarithms; left: logarithm of the largest variance that it may have.
+        # (n_bands,): power per row in the gap; left: logarithm of the largest variance
+        # that it may have; the spreads are deviations of their logarithms.
         with np.errstate(invalid="ignore", divide="ignore"):
             above = (np.log(scales) - self.scales) / scale_spread
             between = (np.log(gap) - self.gap) / gap_spread
@@ -304,7 +305,7 @@ class _NoiseFamily:
             """Sum the squared deviations, those in the gap as far as at most `most`."""
             own = above - amplitude[:, None] / scale_spread * seen_above
             more = between - amplitude[:, None] / gap_spread * seen_between
-            over = np.maximum((self.band + amplitude - left) / _UNLIKE, 0.0)
+            over = np.maximum((self.band + amplitude - left) / left_spread, 0.0)
             squares = (own**2).sum(axis=1) + (np.minimum(more, most) ** 2).sum(axis=1)
             return squares + over**2
 

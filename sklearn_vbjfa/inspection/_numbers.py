@@ -53,7 +53,7 @@ OF_ANOTHER, UNFOLLOWED = 0.3, 0.65
 NO_WEIGHT, HELD = 0.5, 0.15
 # A base is mounted otherwise if it is turned by more than this [rad] (less is a tilt,
 # which the search finds among its rivals), and pulls as gravity does to this factor.
-TURNED, AS_HEAVY = np.radians(30.0), 1.5
+TURNED, AS_HEAVY = np.radians(15.0), 1.5
 # Sample periods that are tried, as multiples, but for those at which a joint exceeds
 # its limit by this factor.
 PERIODS, PLAUSIBLE = (1e3, 1e2, 10.0, 2.0, 0.5, 0.1, 1e-2, 1e-3), 2.0

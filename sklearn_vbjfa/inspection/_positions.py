@@ -314,7 +314,7 @@ def counts(reading):
     facts = {"name": names[j], "low": q[:, j].min(), "high": q[:, j].max()}
     facts |= {"numbers": "whole numbers" if whole[j] else "values"}
     # Sines and inertias of such angles are nonsense.
-    turns = "radians or degrees", "encoder counts", "rad"
+    turns = "radians or degrees", "encoder counts, mrad", "rad"
     other = turns if revolute[j] else ("metres", "millimetres or encoder counts", "m")
     facts |= dict(zip(("units", "guess", "unit"), other))
     return Candidate(joints=tuple(joints), log_odds=np.inf, facts=facts)

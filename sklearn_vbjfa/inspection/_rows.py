@@ -371,6 +371,10 @@ def _dropped(log, j, x):
                 long.append((a - 1, b))
         elif b > a and jumps[a - 1] and jumps[b + 1]:
             short.append((a - 1, b))
+    # With the pauses between.
+    long = [
+        (a - 1, b) for a, b in log.runs(repeats) if any(a <= x <= b for _, x in long)
+    ]
     found = sorted(long + short * (len(short) >= number.DROPOUT_RUNS))
     bad = _marked(x, found)
     # What repeats itself everywhere is coarse.

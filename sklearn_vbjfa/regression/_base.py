@@ -112,7 +112,7 @@ class LinearRegressor(BaseRegressor):
 
 def check_sizes(columns, names):
     """Refuse columns (n, d) in units in which their squares overflow."""
-    size = np.abs(columns).max(axis=0)
+    size = np.abs(columns).max(axis=0).astype(float)
     wrong = (size > LARGEST) | ((size > 0) & (size < 1 / LARGEST))
     if wrong.any():
         k = int(np.argmax(wrong))

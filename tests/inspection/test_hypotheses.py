@@ -121,8 +121,8 @@ def test_torques_of_the_weight_alone(log):
 
 @pytest.mark.parametrize(
     "down",
-    [pytest.param((0, 0, 1), marks=pytest.mark.slow), (1, 0, 0)],
-    ids=["ceiling", "wall"],
+    [pytest.param((0, 0, 1), marks=pytest.mark.slow), (1, 0, 0), (0, 0.34, -0.94)],
+    ids=["ceiling", "wall", "tilted"],
 )
 def test_a_base_in_another_orientation(log, down):
     recording, model, weight = log

@@ -96,7 +96,7 @@ TABLE = (
     # A warning: another mounting or tool looks the same, with a wrong geometry only.
     Hypothesis("position_zero", "warning", partial(positions.zeros, few=True),
                when="poor", masses="invented"),
-    Hypothesis("wrong_dt", "error", positions.periods),
+    Hypothesis("wrong_dt", "error", positions.periods, masses="invented"),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),
     Hypothesis("torque_unit", "warning", torques.scaled, masses="loaded"),

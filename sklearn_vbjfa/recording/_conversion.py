@@ -357,7 +357,7 @@ def _refuse_codes(table, column, values):
     if bits not in _BITS or np.abs(codes - np.round(codes)).max() > 0.1:
         return
     half = 2.0 ** (bits - 1)
-    remedy = f"subtract {2 * half * unit:.9g} from those from {half * unit:.9g} on"
+    remedy = f"subtract {2 * half * unit:.10g} from those from {half * unit:.10g} on"
     signed = {remedy: np.where(codes < half, codes, codes - 2 * half)}
     if bits in _WITH_BIT and unit == 1:
         remedy = f"replace those from {half:.0f} on by {half:.0f} - x"

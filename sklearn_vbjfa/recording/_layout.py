@@ -189,6 +189,8 @@ _ALONE = dict.fromkeys(("t", "time", "timestamp", "stamp", "__time", "%time"), "
 _ALONE["segment"] = "segment"
 # Marks in patterns, and what they stand for.
 _MARKS = (("i", r"\d{1,6}"), ("joint", ".+?"))
+# Titles of names of joints, without numbers.
+_TITLE = re.compile(r"(.*[^a-z])?names?[^a-z]*", re.IGNORECASE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,6 +243,53 @@ class Layout:
 
 
 def laid_out(table: Table, options, robot) -> Layout:
+    """Assign columns to channels, of numbered joints by the names in the file."""
+    layout = _assigned(table, options, robot)
+    keys = {x.key for x in layout.of(*options.kinds) if isinstance(x.key, int)}
+    names = _joints_in(table, robot.names, len(keys)) if keys else ()
+    names = dict(enumerate(names, start=0 if 0 in keys else 1))
+    roles = [
+        replace(x, key=names.get(x.key, x.key)) if x.kind in options.kinds else x
+        for x in layout.roles
+    ]
+    return replace(layout, roles=tuple(roles), certain=layout.certain or bool(names))
+
+
+def _joints_in(table, joints, n):
+    """Return the joints, at least n, that text in a file lists, in its order."""
+    # joints: of the robot; if they are not known, only columns called names list them.
+    alike = {}
+    for name in table.names:
+        if table.values(name).dtype.kind in "OU":
+            alike.setdefault(re.sub(r"\d", "", name), []).append(name)
+    for title, columns in alike.items():
+        columns.sort(key=lambda x: [int(k) for k in re.findall(r"\d+", x)])
+        rows = table.frame[columns].astype(str).drop_duplicates()
+        # A list in one cell is as Python writes it.
+        names = re.findall(r"[^\s\[\](),'\"]+", " ".join(rows.iloc[0]))
+        if not _list_joints(title, names, joints, n):
+            continue
+        if len(rows) > 1:
+            raise ValueError(
+                f"{table.path}: the names of the joints change from row to row, so "
+                "that a column is not one joint; read the bag itself, or write one "
+                "column for each joint."
+            )
+        return names
+    texts = {
+        key: np.ravel(x) for key, x in table.scalars.items() if x.dtype.kind == "U"
+    }
+    found = (x.tolist() for key, x in texts.items() if _list_joints(key, x, joints, n))
+    return next(found, [])
+
+
+def _list_joints(title, names, joints, n):
+    """Whether names under a title may be those of at least n joints."""
+    known = {*joints} & {*names} or (not joints and _TITLE.fullmatch(title))
+    return bool(known) and len({*names}) == len(names) >= n
+
+
+def _assigned(table, options, robot):
     """Assign columns to channels: by a mapping, by names, else by a preset."""
     plain = by_names(table, (*robot.names, *table.joints), options.kinds, options.drive)
     if options.mapping:
@@ -442,9 +491,10 @@ def _fitted(table, log, plain, robot, recorded):
     others = "{joint}" in log.q and robot.names and not shared & set(robot.names)
     if not shared or others:
         return None
-    names = _joint_names(table, log, robot)
-    from_zero = any(0 in own for own in keys.values())
-    names = dict(enumerate(names, start=0 if from_zero else 1))
+    motors = [[x for x in robot.names if part in x] for part in log.motors]
+    known = len(motors) == len(robot.names) and all(len(x) == 1 for x in motors)
+    names = [x for (x,) in motors] if known and not robot.chosen else ()
+    names = dict(enumerate(names, start=0 if 0 in keys["q"] else 1))
     roles = [
         replace(role, key=names.get(role.key, role.key))
         for kind, matched in found.items()
@@ -463,27 +513,6 @@ def _fitted(table, log, plain, robot, recorded):
         what=log.what,
         certain=True,
     )
-
-
-def _joint_names(table, log, robot):
-    """Return the names of the numbered joints: in the rows, or of known motors."""
-    columns = [x for x in map(re.compile(log.joints).fullmatch, table.names) if x]
-    if not log.joints or not columns:
-        motors = [[x for x in robot.names if part in x] for part in log.motors]
-        known = len(motors) == len(robot.names) and all(len(x) == 1 for x in motors)
-        return [x for (x,) in motors] if known and not robot.chosen else ()
-    columns.sort(key=lambda match: int(match[1] or 0))
-    names = table.frame[[match[0] for match in columns]].astype(str).drop_duplicates()
-    if len(names) > 1:
-        raise ValueError(
-            f"{table.path}: the names of the joints change from row to row, so that a "
-            "column is not one joint; read the bag itself, or write one column for "
-            "each joint."
-        )
-    if columns[0][1]:
-        return list(names.iloc[0])
-    # A list in one cell is as Python writes it.
-    return re.findall(r"[^\s\[\](),'\"]+", names.iloc[0, 0])
 
 
 def refuse_two(table, one, other):

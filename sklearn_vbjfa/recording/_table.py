@@ -303,7 +303,7 @@ def is_current(name):
 
 
 # What a known log may lack; see ``names.toml``.
-_LACKING = {"v": "", "commands": {}, "joints": "", "motors": [], "segment": ""}
+_LACKING = {"v": "", "commands": {}, "motors": [], "segment": ""}
 PRESETS = {
     name: [SimpleNamespace(**_LACKING | log) for log in logs]
     for name, logs in _NAMES["presets"].items()

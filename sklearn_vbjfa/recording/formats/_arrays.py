@@ -174,13 +174,19 @@ def read_mat(path) -> Table:
     # Tables and time series have no name here, functions no numbers.
     found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
     arrays = {name: np.asarray(x) for name, x in _flattened(found).items()}
-    arrays = {name: x for name, x in arrays.items() if x.dtype.kind in "biufU"}
+    texts = {x: one.astype(str) for x, one in arrays.items() if _are_texts(one)}
+    arrays = {x: y for x, y in (arrays | texts).items() if y.dtype.kind in "biufU"}
     if not arrays:
         raise NotATable(
             f"{path}: holds no arrays; in MATLAB write those of tables and time "
             f"series: t = T.Time; q = T{{:, 2:7}}; ... {_SAVE}."
         )
     return _table_of_arrays(path, _without_common_part(arrays))
+
+
+def _are_texts(array):
+    # Cells are objects.
+    return array.dtype.kind == "O" and all(isinstance(x, str) for x in array.flat)
 
 
 # -- JSON ------------------------------------------------------------------------------
@@ -218,6 +224,10 @@ def _parsed(text):
 
 def _table_of_object(path, found):
     """Return the table of an object: records in it, recordings, or arrays."""
+    rows = found.get("data")
+    if {*found} <= {"columns", "index", "data"} and isinstance(rows, list):
+        # As pandas writes a frame, orient="split".
+        found = dict(zip(found["columns"], map(list, zip(*rows))))
     lists = [x for x, one in found.items() if _are_records(one)]
     # The records are those of the only list, unless they have arrays, as joints do.
     if len(lists) == 1 and _longest(found[lists[0]][0]) <= len(found[lists[0]]):

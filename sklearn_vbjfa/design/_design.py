@@ -81,14 +81,7 @@ class ShownEffect:
 
 
 def design_motion(
-    model,
-    *,
-    duration,
-    dt,
-    limits=None,
-    effects=(),
-    report=None,
-    random_state=None,
+    model, *, duration, dt, limits=None, effects=(), report=None, random_state=None
 ):
     r"""Design an exciting trajectory.
 

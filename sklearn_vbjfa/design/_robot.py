@@ -13,14 +13,7 @@ from scipy.linalg import qr
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import or_one
-from sklearn_vbjfa.effects import (
-    InModel,
-    Motion,
-    Rest,
-    RotorInertia,
-    Stateful,
-    resolve,
-)
+from sklearn_vbjfa.effects import InModel, Motion, Rest, RotorInertia, Stateful, resolve
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
 from sklearn_vbjfa.equations._plan import cutoff_of
 from sklearn_vbjfa.model import is_prismatic, joint_names, nominal_parameters

@@ -120,12 +120,7 @@ def from_moments(regressor):
 
 
 def estimate(
-    moments,
-    regressor=None,
-    *,
-    joint_weights="auto",
-    rows=(),
-    described=False,
+    moments, regressor=None, *, joint_weights="auto", rows=(), described=False
 ):
     """Estimate one parameter vector from the equations of all joints; not projected."""
     # regressor: linear, which is cloned; joint_weights: "auto", None or (nv,); rows:
@@ -503,11 +498,7 @@ def _fit_projector(projector, features, theta, metric):
     per_joint, bodies = 10 + len(friction), p + followers.size
     never = [10 + k for k, name in enumerate(friction) if declared(name).nonnegative]
     anchor = consistent_anchor(
-        features.model_,
-        theta[:bodies],
-        metric[:bodies, :bodies],
-        per_joint,
-        followers,
+        features.model_, theta[:bodies], metric[:bodies, :bodies], per_joint, followers
     )
     fitted = PhysicalProjector() if default else clone(projector)
     options = replace(

@@ -80,15 +80,7 @@ class Servo:
 
 
 def write_mjcf(
-    path,
-    model,
-    bodies,
-    dynamics,
-    *,
-    dt=None,
-    note="",
-    followers=(),
-    servo=None,
+    path, model, bodies, dynamics, *, dt=None, note="", followers=(), servo=None
 ):
     """Write a robot as MJCF."""
     # A body without positive mass and a helical joint are refused. model: its zeros are

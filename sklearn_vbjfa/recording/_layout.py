@@ -257,36 +257,31 @@ def laid_out(table: Table, options, robot) -> Layout:
 
 def _joints_in(table, joints, n):
     """Return the joints, at least n, that text in a file lists, in its order."""
-    # joints: of the robot; if they are not known, only columns called names list them.
-    alike = {}
-    for name in table.names:
-        if table.values(name).dtype.kind in "OU":
-            alike.setdefault(re.sub(r"\d", "", name), []).append(name)
-    for title, columns in alike.items():
-        columns.sort(key=lambda x: [int(k) for k in re.findall(r"\d+", x)])
-        rows = table.frame[columns].astype(str).drop_duplicates()
-        # A list in one cell is as Python writes it.
-        names = re.findall(r"[^\s\[\](),'\"]+", " ".join(rows.iloc[0]))
-        if not _list_joints(title, names, joints, n):
+    # joints: of the robot; if they are not known, only what is called names lists them.
+    texts = {x: table.values(x) for x in table.names} | table.scalars
+    texts = {x: np.ravel(y) for x, y in texts.items() if y.dtype.kind in "OU"}
+    alike, changing = {}, set()
+    for name in sorted(texts, key=lambda x: [int(k) for k in re.findall(r"\d+", x)]):
+        title, rows = re.sub(r"\d", "", name), texts[name].astype(str)
+        once = name in table.scalars
+        alike.setdefault(title, []).extend(rows if once else rows[:1])
+        if not once and (rows != rows[0]).any():
+            changing.add(title)
+    for title, names in alike.items():
+        if len(names) == 1:
+            # A list in one cell is as Python writes it.
+            names = re.findall(r"[^\s\[\](),'\"]+", names[0])
+        known = {*joints} & {*names} if joints else _TITLE.fullmatch(title)
+        if not known or not len({*names}) == len(names) >= n:
             continue
-        if len(rows) > 1:
+        if title in changing:
             raise ValueError(
                 f"{table.path}: the names of the joints change from row to row, so "
                 "that a column is not one joint; read the bag itself, or write one "
                 "column for each joint."
             )
-        return names
-    texts = {
-        key: np.ravel(x) for key, x in table.scalars.items() if x.dtype.kind == "U"
-    }
-    found = (x.tolist() for key, x in texts.items() if _list_joints(key, x, joints, n))
-    return next(found, [])
-
-
-def _list_joints(title, names, joints, n):
-    """Whether names under a title may be those of at least n joints."""
-    known = {*joints} & {*names} or (not joints and _TITLE.fullmatch(title))
-    return bool(known) and len({*names}) == len(names) >= n
+        return [str(name) for name in names]
+    return []
 
 
 def _assigned(table, options, robot):

@@ -32,11 +32,7 @@ from sklearn_vbjfa.equations._torque_noise import ROWS, noise_facts, seen
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.model._mjcf import Servo
 from sklearn_vbjfa.model._trees import is_prismatic
-from sklearn_vbjfa.recording import (
-    positions_and_signals,
-    signals_for,
-    torques_in_order,
-)
+from sklearn_vbjfa.recording import positions_and_signals, signals_for, torques_in_order
 from sklearn_vbjfa.recording._drives import PDDrive
 from sklearn_vbjfa.recording._recording import (
     Recording,
@@ -281,15 +277,7 @@ class IdentifiedRobot:
             warnings.warn(message, UserWarning, stacklevel=2)
         return robot.torques(asked)
 
-    def residuals(
-        self,
-        X,
-        y,
-        groups=None,
-        sample_weight=None,
-        t=None,
-        signals=None,
-    ):
+    def residuals(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
         """Return the torque residuals, filtered and masked as in the fit.
 
         Parameters

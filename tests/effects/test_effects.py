@@ -155,18 +155,12 @@ def closed_forms():
         "coulomb": ({}, [sign]),
         "asymmetric_friction": ({}, [one, v * sign]),
         "stribeck": ({"vs": 0.3}, [sign * np.exp(-v * sign / 0.3)]),
-        "stribeck square": (
-            {"vs": 0.3, "k": 2},
-            [sign * np.exp(-(v**2) / 0.09)],
-        ),
+        "stribeck square": ({"vs": 0.3, "k": 2}, [sign * np.exp(-(v**2) / 0.09)]),
         "viscous_quadratic": ({}, [sign * v**2]),
         "load_friction": ({}, [np.sqrt(load**2) * sign]),
         "gear_loss": (
             {},
-            [
-                np.where(load * v > 0, load, 0.0),
-                np.where(load * v < 0, -load, 0.0),
-            ],
+            [np.where(load * v > 0, load, 0.0), np.where(load * v < 0, -load, 0.0)],
         ),
         "maxwell_slip": (
             {"displacements": (0.02, 0.3), "loaded": (0.1,), "falling": (0.05,)},
@@ -208,10 +202,7 @@ def closed_forms():
         ),
         "ripple": (
             {"period": 0.4},
-            [
-                np.exp(2j * np.pi * q / 0.4).real,
-                np.exp(2j * np.pi * q / 0.4).imag,
-            ],
+            [np.exp(2j * np.pi * q / 0.4).real, np.exp(2j * np.pi * q / 0.4).imag],
         ),
         "friction_by_position": (
             {"period": 1.7},
@@ -230,10 +221,7 @@ def closed_forms():
         "delay": ({"delay": 0.034}, [(lagged - load) / 0.034]),
         "torque_gain": ({"gain": 1.6}, [load / 1.6]),
         "jerk": ({}, [np.r_[a[1] - a[0], (a[2:] - a[:-2]) / 2, a[-1] - a[-2]] / 0.01]),
-        "signal": (
-            {"reference": 25.0},
-            [sign * (5 + 8 * np.sin(0.9 * T))],
-        ),
+        "signal": ({"reference": 25.0}, [sign * (5 + 8 * np.sin(0.9 * T))]),
         "signal offset": (
             {"signal": "tool", "of": "offset"},
             [np.r_[np.zeros(301), np.ones(T.size - 301)]],
@@ -243,10 +231,7 @@ def closed_forms():
             [v * 8 * np.sin(0.9 * T)],
         ),
         "drift": ({"time_constant": 7.0}, [sign * np.exp(-T / 7)]),
-        "drift offset": (
-            {"of": "offset", "time_constant": 7.0},
-            [np.exp(-T / 7)],
-        ),
+        "drift offset": ({"of": "offset", "time_constant": 7.0}, [np.exp(-T / 7)]),
         "drift viscous": (
             {"of": "viscous", "time_constant": 7.0},
             [v * np.exp(-T / 7)],

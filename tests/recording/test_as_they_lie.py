@@ -4,6 +4,7 @@ import json
 import struct
 
 import numpy as np
+import pandas as pd
 import pytest
 from openpyxl import Workbook
 from scipy.io import savemat
@@ -134,16 +135,33 @@ def test_records_inside_of_an_object(made, tmp_path):
     assert any("the records are those of 'entries'" in x for x in notes)
 
 
-def test_arrays_of_each_joint(made, tmp_path):
-    path = tmp_path / "log.json"
-    joints = [
-        {"name": name, "position": made.q[:, j].tolist(), "torque": x}
-        for j, (name, x) in enumerate(zip(made.joint_names, made.tau.T.tolist()))
-    ]
-    path.write_text(json.dumps({"time": made.t.tolist(), "joints": joints}))
+@pytest.mark.parametrize("rows", [True, False])
+def test_joints_are_known_by_the_names_beside_them(rows, made, tmp_path):
+    path, order = tmp_path / "log.json", [3, 0, 5, 1, 4, 2]
+    known = list(zip(np.array(made.joint_names), made.q.T, made.tau.T))
+    known = [known[j] for j in order]
+    if rows:
+        found = [
+            {"t": t, "m": [{"id": x, "pos": q[k], "tau": y[k]} for x, q, y in known]}
+            for k, t in enumerate(made.t)
+        ]
+    else:
+        found = [{"id": x, "pos": [*q], "tau": [*y]} for x, q, y in known]
+        found = {"t": [*made.t], "m": found}
+    path.write_text(json.dumps(found))
     options = refused(path, made).options
-    assert options == {"columns": "q=joints[{i}].position,tau=joints[{i}].torque"}
+    assert options == {"columns": "q=m[{i}].pos,tau=m[{i}].tau"}
     assert_same(read(path, made, **options)[0], made)
+
+
+def test_frames_of_pandas(made, tmp_path):
+    path, frame = tmp_path / "log.json", pd.DataFrame({"t": made.t})
+    for j, (q, tau) in enumerate(zip(made.q.T, made.tau.T), start=1):
+        frame[f"q{j}"], frame[f"tau{j}"] = q, tau
+    for orient in ("split", "records", "list"):
+        made_of = frame.to_dict(orient)
+        path.write_text(json.dumps(made_of))
+        assert_same(read(path, made)[0], made)
 
 
 def assert_cut(path, text, made):

@@ -10,21 +10,11 @@ from sklearn_vbjfa import RobotIdentifier, effects, load_identified
 from sklearn_vbjfa.effects import Motion
 from sklearn_vbjfa.physical import min_eigenvalue
 from sklearn_vbjfa.robot import to_mjcf
-from sklearn_vbjfa.simulation import (
-    ForwardDynamics,
-    Stepper,
-    recorded,
-    why_left_out,
-)
+from sklearn_vbjfa.simulation import ForwardDynamics, Stepper, recorded, why_left_out
 from tests._quick import one_in
 from tests.model._mujoco import drive_torques
 from tests.simulation._machines import machine, point
-from tests.simulation._random_robots import (
-    DT,
-    random_motion,
-    random_predictor,
-    without,
-)
+from tests.simulation._random_robots import DT, random_motion, random_predictor, without
 
 LIBRARY = effects.available()
 NV = 3

@@ -158,9 +158,8 @@ def test_frames_of_pandas(made, tmp_path):
     path, frame = tmp_path / "log.json", pd.DataFrame({"t": made.t})
     for j, (q, tau) in enumerate(zip(made.q.T, made.tau.T), start=1):
         frame[f"q{j}"], frame[f"tau{j}"] = q, tau
-    for orient in ("split", "records", "list"):
-        made_of = frame.to_dict(orient)
-        path.write_text(json.dumps(made_of))
+    for orient in ("split", "records", "columns"):
+        frame.to_json(path, orient=orient, double_precision=15)
         assert_same(read(path, made)[0], made)
 
 

@@ -224,10 +224,14 @@ def _parsed(text):
 
 def _table_of_object(path, found):
     """Return the table of an object: records in it, recordings, or arrays."""
-    rows = found.get("data")
-    if {*found} <= {"columns", "index", "data"} and isinstance(rows, list):
-        # As pandas writes a frame, orient="split".
-        found = dict(zip(found["columns"], map(list, zip(*rows))))
+    if {"columns", "data"} <= {*found} <= {"columns", "index", "data"}:
+        # Frames of pandas, orient="split", or by columns with the numbers of rows.
+        found = dict(zip(found["columns"], map(list, zip(*found["data"]))))
+    elif all(
+        isinstance(x, dict) and {*map(str, range(len(x)))} == {*x}
+        for x in found.values()
+    ):
+        found = {name: [x[str(k)] for k in range(len(x))] for name, x in found.items()}
     lists = [x for x, one in found.items() if _are_records(one)]
     # The records are those of the only list, unless they have arrays, as joints do.
     if len(lists) == 1 and _longest(found[lists[0]][0]) <= len(found[lists[0]]):

@@ -69,9 +69,11 @@ def run(arguments):
     doubts = [w.message for w in caught if issubclass(w.category, DoubtWarning)]
     doubts = (" ".join(str(one).split()) for one in (*done.doubts, *doubts))
     doubts = list(dict.fromkeys(doubts))
-    for text in () if done.page else _notes(caught):
-        if text not in doubts[:_NAMED]:
-            say(f"note: {text}")
+    notes = [text for text in _notes(caught) if text not in doubts[:_NAMED]]
+    if notes and done.page:
+        notes = [one_line(f"{_named(notes, False)} (page)")]
+    for text in notes:
+        say(f"note: {text}")
     if not doubts:
         return USABLE
     line = one_line(f"warning: {_named(doubts, done.page)}")
@@ -110,8 +112,7 @@ def _write(done, arguments, notes):
             (part / name).replace(folder / name)
     paths = [str(folder / name) for name in done.files]
     if done.page:
-        count = f", notes: {len(notes)}" if notes else ""
-        paths = [f"{paths[0]} (all details{count})", *done.files[1:]]
+        paths = [f"{paths[0]} (all details)", *done.files[1:]]
     return [*lines, f"written: {', '.join(paths)}"]
 
 

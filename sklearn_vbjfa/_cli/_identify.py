@@ -81,7 +81,7 @@ def identify(arguments, folder):
         if lacking:
             names = " and ".join(line.partition(" ")[0] for line in lacking)
             lines.append(
-                f"incomplete (see the first lines): {names}; identified.json has all"
+                f"not everything fits into {names}: see its first lines, or identified.json"
             )
         if ranges:
             ranges.parent.mkdir(parents=True, exist_ok=True)

@@ -81,7 +81,7 @@ def identify(arguments, folder):
         if lacking:
             names = " and ".join(line.partition(" ")[0] for line in lacking)
             lines.append(
-                f"not everything fits into {names}: see its first lines, or identified.json"
+                f"{names}: not complete, see the first lines; identified.json is"
             )
         if ranges:
             ranges.parent.mkdir(parents=True, exist_ok=True)

@@ -76,7 +76,7 @@ def test_files_are_written(urdf, recording, tmp_path, monkeypatch, capsys):
     spring = values["shoulder:spring:k"]
     assert spring["lower"] < effect["parameters"]["k"] < spring["upper"]
     # MuJoCo has springs, offsets and the inertia of rotors, URDF has none of them.
-    assert "see its first lines, or identified.json" in told
+    assert "not complete, see the first lines; identified.json is" in told
     (left,) = report["provenance"]["warnings"]
     assert re.match(r"identified.urdf has no place for .*spring on", left)
     assert "identified.xml" not in left

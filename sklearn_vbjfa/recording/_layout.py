@@ -247,12 +247,17 @@ def laid_out(table: Table, options, robot) -> Layout:
     layout = _assigned(table, options, robot)
     keys = {x.key for x in layout.of(*options.kinds) if isinstance(x.key, int)}
     names = _joints_in(table, robot.names, len(keys)) if keys else ()
-    names = dict(enumerate(names, start=0 if 0 in keys else 1))
-    roles = [
-        replace(x, key=names.get(x.key, x.key)) if x.kind in options.kinds else x
-        for x in layout.roles
-    ]
+    roles = _by_joint(layout.roles, names, options.kinds)
     return replace(layout, roles=tuple(roles), certain=layout.certain or bool(names))
+
+
+def _by_joint(roles, names, kinds):
+    """Return roles, those of channels with the names of joints for their numbers."""
+    from_zero = any(x.key == 0 for x in roles if x.kind in kinds)
+    names = dict(enumerate(names, start=0 if from_zero else 1))
+    return [
+        replace(x, key=names.get(x.key, x.key)) if x.kind in kinds else x for x in roles
+    ]
 
 
 def _joints_in(table, joints, n):
@@ -260,27 +265,26 @@ def _joints_in(table, joints, n):
     # joints: of the robot; if they are not known, only what is called names lists them.
     texts = {x: table.values(x) for x in table.names} | table.scalars
     texts = {x: np.ravel(y) for x, y in texts.items() if y.dtype.kind in "OU"}
-    alike, changing = {}, set()
+    alike = {}
     for name in sorted(texts, key=lambda x: [int(k) for k in re.findall(r"\d+", x)]):
-        title, rows = re.sub(r"\d", "", name), texts[name].astype(str)
-        once = name in table.scalars
-        alike.setdefault(title, []).extend(rows if once else rows[:1])
-        if not once and (rows != rows[0]).any():
-            changing.add(title)
-    for title, names in alike.items():
+        alike.setdefault(re.sub(r"\d", "", name), []).append(name)
+    for title, columns in alike.items():
+        lists = [texts[x] if x in table.scalars else texts[x][:1] for x in columns]
+        names = [str(name) for own in lists for name in own]
         if len(names) == 1:
             # A list in one cell is as Python writes it.
             names = re.findall(r"[^\s\[\](),'\"]+", names[0])
         known = {*joints} & {*names} if joints else _TITLE.fullmatch(title)
         if not known or not len({*names}) == len(names) >= n:
             continue
-        if title in changing:
+        rows = [texts[x].astype(str) for x in columns if x not in table.scalars]
+        if any((x != x[0]).any() for x in rows):
             raise ValueError(
                 f"{table.path}: the names of the joints change from row to row, so "
                 "that a column is not one joint; read the bag itself, or write one "
                 "column for each joint."
             )
-        return [str(name) for name in names]
+        return names
     return []
 
 
@@ -489,13 +493,13 @@ def _fitted(table, log, plain, robot, recorded):
     motors = [[x for x in robot.names if part in x] for part in log.motors]
     known = len(motors) == len(robot.names) and all(len(x) == 1 for x in motors)
     names = [x for (x,) in motors] if known and not robot.chosen else ()
-    names = dict(enumerate(names, start=0 if 0 in keys["q"] else 1))
     roles = [
-        replace(role, key=names.get(role.key, role.key))
+        role
         for kind, matched in found.items()
         if kind in ("q", first) or shared <= keys[kind]
         for role in matched
     ]
+    roles = _by_joint(roles, names, found)
     if log.segment in table.frame:
         roles.append(Role(kind="segment", column=log.segment))
     clocks = {role.column: [role] for role in _clocks_of_two(table)}

@@ -161,6 +161,10 @@ def test_frames_of_pandas(made, tmp_path):
     for orient in ("split", "records", "columns"):
         frame.to_json(path, orient=orient, double_precision=15)
         assert_same(read(path, made)[0], made)
+    path.write_text(json.dumps({"columns": ["t", "q1", "q1"], "data": [[0, 1, 2]]}))
+    assert "column 'q1' twice" in str(refusal(path))
+    path.write_text(json.dumps({"columns": ["t", "q1"], "data": [[0.0]]}))
+    assert "is not a complete frame of pandas" in str(refusal(path))
 
 
 def assert_cut(path, text, made):

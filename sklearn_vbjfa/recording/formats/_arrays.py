@@ -173,9 +173,8 @@ def read_mat(path) -> Table:
         found = loadmat(path, simplify_cells=True)
     # Tables and time series have no name here, functions no numbers.
     found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
-    arrays = {name: np.asarray(x) for name, x in _flattened(found).items()}
-    texts = {x: one.astype(str) for x, one in arrays.items() if _are_texts(one)}
-    arrays = {x: y for x, y in (arrays | texts).items() if y.dtype.kind in "biufU"}
+    arrays = {name: _with_texts(x) for name, x in _flattened(found).items()}
+    arrays = {name: x for name, x in arrays.items() if x.dtype.kind in "biufU"}
     if not arrays:
         raise NotATable(
             f"{path}: holds no arrays; in MATLAB write those of tables and time "
@@ -184,9 +183,11 @@ def read_mat(path) -> Table:
     return _table_of_arrays(path, _without_common_part(arrays))
 
 
-def _are_texts(array):
-    # Cells are objects.
-    return array.dtype.kind == "O" and all(isinstance(x, str) for x in array.flat)
+def _with_texts(values):
+    """Return an array; cells with text are text, not objects."""
+    array = np.asarray(values)
+    texts = array.dtype.kind == "O" and all(isinstance(x, str) for x in array.flat)
+    return array.astype(str) if texts else array
 
 
 # -- JSON ------------------------------------------------------------------------------
@@ -224,10 +225,15 @@ def _parsed(text):
 
 def _table_of_object(path, found):
     """Return the table of an object: records in it, recordings, or arrays."""
-    if {"columns", "data"} <= {*found} <= {"columns", "index", "data"}:
-        # Frames of pandas, orient="split", or by columns with the numbers of rows.
-        found = dict(zip(found["columns"], map(list, zip(*found["data"]))))
-    elif all(
+    # Frames of pandas, orient="split", or by columns with the numbers of rows.
+    keys, rows = {"columns", "data"}, found.get("data")
+    if keys <= {*found} <= keys | {"index"} and isinstance(rows, list):
+        with parsing(path, "frame of pandas", "write it again."):
+            names = list(map(str, found["columns"]))
+            check_names(path, names or [""], "has")
+            rows = [dict(zip(names, row, strict=True)) for row in rows]
+        return _table_of_records(path, rows)
+    if all(
         isinstance(x, dict) and {*map(str, range(len(x)))} == {*x}
         for x in found.values()
     ):

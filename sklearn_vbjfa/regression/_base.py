@@ -63,6 +63,8 @@ class BaseRegressor(RegressorMixin, BaseEstimator):
             ensure_min_samples=min_samples or self._min_samples,
             reset=reset,
         )
+        # Outputs keep their precision above, inputs do not.
+        y = y.astype(np.float64, copy=False)
         names = getattr(self, "feature_names_in_", range(X.shape[1]))
         check_sizes(X, [f"column {name} of X" for name in names])
         check_sizes(y[:, None], ["y"])
@@ -112,7 +114,7 @@ class LinearRegressor(BaseRegressor):
 
 def check_sizes(columns, names):
     """Refuse columns (n, d) in units in which their squares overflow."""
-    size = np.abs(columns).max(axis=0).astype(float)
+    size = np.abs(columns).max(axis=0)
     wrong = (size > LARGEST) | ((size > 0) & (size < 1 / LARGEST))
     if wrong.any():
         k = int(np.argmax(wrong))

@@ -209,9 +209,9 @@ def filtered_noise(facts, dt, cutoff, left=np.inf):
             _UNLIKE, 1.25 / np.sqrt(np.maximum(windows, 1.0) * _gap_shape())
         )
         scales = np.where(seen_scales, scales, np.nan)
-        band_spread = np.hypot(_UNLIKE, 1.0 / np.sqrt(rows.sum() * dt * cutoff))
+        left_spread = np.hypot(_UNLIKE, 1.0 / np.sqrt(rows.sum() * dt * cutoff))
         found[j] = families[hold].deviation(
-            scales, scale_spread, gap, gap_spread, 2 * np.log(left[j]), band_spread
+            scales, scale_spread, gap, gap_spread, 2 * np.log(left[j]), left_spread
         )
     return np.minimum(found, left)
 

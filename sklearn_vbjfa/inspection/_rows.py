@@ -373,7 +373,7 @@ def _dropped(log, j, x):
             short.append((a - 1, b))
     # With the pauses between.
     long = [
-        (a - 1, b) for a, b in log.runs(repeats) if any(a <= x <= b for _, x in long)
+        (a - 1, b) for a, b in log.runs(repeats) if any(a <= k <= b for _, k in long)
     ]
     found = sorted(long + short * (len(short) >= number.DROPOUT_RUNS))
     bad = _marked(x, found)

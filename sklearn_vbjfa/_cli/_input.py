@@ -9,12 +9,7 @@ from sklearn_vbjfa import datasets
 from sklearn_vbjfa._cli._parser import Refused
 from sklearn_vbjfa.fit import FitOptions
 from sklearn_vbjfa.inspection import inspect_channels
-from sklearn_vbjfa.model import (
-    load_model,
-    load_reduced,
-    movable_joints,
-    write_reduced,
-)
+from sklearn_vbjfa.model import load_model, load_reduced, movable_joints, write_reduced
 from sklearn_vbjfa.model._loading import load_folded
 from sklearn_vbjfa.physical import ProjectionError
 from sklearn_vbjfa.recording import common_folder, expanded

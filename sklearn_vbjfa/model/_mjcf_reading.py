@@ -9,12 +9,7 @@ import re
 
 import numpy as np
 
-from sklearn_vbjfa.model._trees import (
-    Closure,
-    Description,
-    Link,
-    import_pinocchio,
-)
+from sklearn_vbjfa.model._trees import Closure, Description, Link, import_pinocchio
 
 # Elements that need files or plugins, and that joints have no use for.
 _UNUSED = ("actuators", "hfields", "keys", "materials", "sensors", "skins", "textures")

@@ -19,12 +19,7 @@ from sklearn_vbjfa.effects import (
     State,
     Stateful,
 )
-from sklearn_vbjfa.model import (
-    TreeRegressor,
-    describe,
-    is_prismatic,
-    joint_names,
-)
+from sklearn_vbjfa.model import TreeRegressor, describe, is_prismatic, joint_names
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

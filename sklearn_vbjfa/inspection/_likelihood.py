@@ -264,11 +264,18 @@ class DescribedRobot:
         return np.sqrt(errors)
 
     def plain(self, j):
-        """Columns (n, 4) of viscous and Coulomb friction, rotor and offset."""
+        """Columns (n, k) of viscous and Coulomb friction, rotor and offsets."""
         q, v, a = self.signals.states[:, j :: self.bodies.nv].T
         columns = np.column_stack([v, self.signals.sign[:, j], a, np.ones(len(q))])
         size = np.sqrt((columns**2).mean(axis=0))
-        return columns / np.where(size > 0, size, 1.0)
+        return np.hstack([columns / np.where(size > 0, size, 1.0), self._differ])
+
+    @functools.cached_property
+    def _differ(self):
+        """Columns (n, r) of what the offset of each of some recordings differs by."""
+        own = self.signals.recording[:, None] == np.unique(self.signals.recording)
+        known = number.OFFSETS / number.WIDE * own
+        return known if 1 < own.shape[1] <= number.MANY else known[:, :0]
 
     def correlation_times(self, columns=None):
         """Correlation times [rows] of what free bodies leave of each joint's torque."""
@@ -294,14 +301,15 @@ def correlation_time(x):
 
 def _solve(joints, prior, m):
     """`Fit` of joints, each with its own plain terms and noise; m common factors."""
-    # joints: parameters that each depends on, moments of [4 plain terms | these, of
-    # which the prior is standard normal | torque], number of independent rows and
-    # variance. Noise variances are found by fixed points of the evidence (MacKay,
-    # Bayesian interpolation, Neural Computation 4, 1992).
+    # joints: parameters that each depends on, moments of [plain | these | torque], the
+    # prior of which is standard normal, number of independent rows and variance. Noise
+    # variances are fixed points (MacKay, Bayesian interpolation, Neural Comp. 4, 1992).
     used, moments, rows, size = zip(*joints)
     places = np.unique(np.concatenate(used))
-    rows, size, p = np.array(rows), np.array(size), places.size + 4 * len(joints)
-    plain = [np.arange(k, k + 4) for k in range(places.size, p, 4)]
+    rows, size = np.array(rows), np.array(size)
+    n_plain = len(moments[0]) - 1 - used[0].size
+    p = places.size + n_plain * len(joints)
+    plain = [np.arange(k, k + n_plain) for k in range(places.size, p, n_plain)]
     at = [np.r_[x, np.searchsorted(places, y)] for x, y in zip(plain, used)]
     blocks, noise = [np.ix_(x, x) for x in at], 0.01 * size
     for passed in range(number.ITERATIONS):

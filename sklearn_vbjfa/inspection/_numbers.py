@@ -91,9 +91,9 @@ DRY_STARTS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, np.inf)
 # time without adding evidence.
 MOST_ENTRIES, LEAST_ROWS, MOST_ROWS = 2_000_000, 200, 600
 # Relative error of the described bodies, and by how much it is larger where they were
-# invented; deviation of the prior of friction, rotor and
-# offset, in units of the torque, and of factors that are estimated.
-NOMINAL_ERROR, INVENTED, WIDE, FACTOR = 0.5, 8.0, 10.0, 1e3
+# invented; deviation of the prior of friction, rotor and offset, in units of torque, of
+# what offsets differ by between recordings, if these are not many, and of factors.
+NOMINAL_ERROR, INVENTED, WIDE, OFFSETS, MANY, FACTOR = 0.5, 8.0, 10.0, 0.3, 20, 1e3
 # What friction that feeds the motion costs a joint at most: controllers compensate it.
 FRICTION = 15.0
 # Iterations of the noise, the relative change that ends them, passes of factors, and

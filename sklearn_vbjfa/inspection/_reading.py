@@ -112,6 +112,7 @@ class Signals:
     weight: np.ndarray  # (n, nv): 1 where the joint moves and no fault is known, else 0
     throughout: np.ndarray  # (n, nv): 1 where it does so in the whole low-pass, else 0
     row: np.ndarray  # (n,): row of the log in the middle of the filter
+    recording: np.ndarray  # (n,): which recording it is of
 
     def informative(self):
         """Return which joints have enough rows, ndarray of shape (nv,) of bool."""
@@ -166,6 +167,7 @@ def filtered(q, tau, dt, parts, usable):
         weight=weight,
         throughout=throughout,
         row=np.concatenate(rows),
+        recording=np.repeat(np.arange(len(rows)), [len(x) for x in rows]),
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 from sklearn_vbjfa.datasets import load_demo_recording, make_robot_recording
 from sklearn_vbjfa.inspection import inspect_channels
 from tests._quick import one_in
-from tests.effects._arms import inverse_dynamics
+from tests.effects._arms import arm, inverse_dynamics, motion
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +111,38 @@ def test_a_factor_that_the_motion_does_not_show_is_not_claimed():
     )
     found = inspect_channels(model, np.rad2deg(made.q), made.tau, made.dt)
     assert "torque_unit" not in {x.kind for x in found}
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_offsets_that_differ_between_recordings_are_no_fault(seed):
+    rng, described, true = np.random.default_rng(seed), arm("ZY"), arm("ZY")
+    for i in (1, 2):
+        body = true.inertias[i]
+        mass = body.mass * np.exp(0.25 * rng.normal())
+        lever = body.lever + 0.04 * rng.normal(size=3)
+        true.inertias[i] = pin.Inertia(mass, lever, body.inertia)
+    positions, torques = [], []
+    for k in range(4):
+        _, states = motion(2, duration=25.0, dt=0.02, seed=10 * seed + k, size=1.0)
+        states[:, :2] += rng.uniform(-1, 1, 2)
+        load = inverse_dynamics(true, states)
+        noise = 0.5 * rng.normal(size=2) + 0.02 * rng.normal(size=load.shape)
+        torques.append(
+            load + load.std(axis=0) * (0.15 * np.sign(states[:, 2:4]) + noise)
+        )
+        positions.append(states[:, :2])
+    groups = np.repeat(range(4), [len(x) for x in positions])
+    q, tau = np.concatenate(positions), np.concatenate(torques)
+    found = inspect_channels(described, q, tau, 0.02, groups=groups)
+    assert {one.severity for one in found} <= {"note"}
+
+
+def test_a_counterbalance_of_a_single_joint_is_no_wrong_sign():
+    model, made, weight, _ = built(["RY"], seed=0)
+    kinds, _ = grave((made, model, weight), tau=made.tau - 20 * weight)
+    assert kinds == []
+    kinds, _ = grave((made, model, weight), tau=-made.tau)
+    assert kinds == ["torque_sign"]
 
 
 def test_torques_of_the_weight_alone(log):

@@ -11,8 +11,8 @@ _KINDS = {"friction": 0.03, "gain": 0.003, "offset": 0.004, "load": 0.003}
 # Deviation of its logarithm, and the share of that variance which all kinds have in
 # common.
 _WIDTH, _COMMON = 2.4, 0.5
-# Share that such differences hardly exceed.
-_LARGEST = 0.3
+# Share that such differences hardly exceed, and probability that there are none.
+_LARGEST, _AGREE = 0.3, 0.1
 # Kinds that differ on all joints at once: temperature, and what the robot carries.
 _SHARED = (True, False, False, True)
 # Model errors are larger where the model was not fitted: logarithm of the factor, a
@@ -21,11 +21,11 @@ _SHARED = (True, False, False, True)
 _AGAIN, _FIRST, _DIFFER = (0.1, 0.1), (0.2, 0.2), (0.35, 0.5)
 # Recordings from which on the differences are measured.
 _MEASURED = 3
-_ENDS = (0.5, 0.05, 0.95)
-# Draws of the unknown parameters, and the smallest visible difference over an error.
-_DRAWS, _SLACK = 4000, 0.2
-# Rows of which the size of torques is taken.
-_ROWS = 4000
+# Median, and ends: that nothing differs next time is always possible.
+_ENDS = (0.5, 0.02, 0.95)
+# Draws of the unknown parameters, the smallest visible difference over an error, and
+# rows of which the size of torques is taken.
+_DRAWS, _SLACK, _ROWS = 4000, 0.2, 4000
 
 
 class Expectation:
@@ -40,10 +40,10 @@ class Expectation:
     # left, floor (nv,): error on held-out data and that of the noise alone, over the
     # spread; scatter (nv,): deviation of the logarithm of the first; left_out (r, nv):
     # errors on each recording of a model fitted to the others, nan where there is none;
-    # motion: `Motions` of the fit
+    # motion: `Motions` of the fit; by_time: whether effects change with the time
 
-    def __init__(self, left, floor, scatter, left_out, motion):
-        self._left, self._motion = left, motion
+    def __init__(self, left, floor, scatter, left_out, motion, by_time=False):
+        self._left, self._motion, self._by_time = left, motion, by_time
         self._scatter = np.nan_to_num(scatter)
         self.recordings = len(left_out)
         known = np.where(left_out > 0, left_out, np.nan) ** 2
@@ -52,35 +52,42 @@ class Expectation:
         self._noise = np.where(np.isnan(floor), 0.0, np.fmin(floor, left) ** 2)
         between, self._lacks = self._split(out)
         used = np.isfinite(out) & (left > 0) & (self.recordings > 1)
-        self._weights = special.softmax(self._evidence(between, used))
+        self._weights = special.softmax(self._evidence(between, used), axis=0)
 
     def _split(self, out):
         """Split the squared error: variance between recordings, and model errors."""
         # Squares (n_draws, nv). The model is a mean over r recordings: held-out data of
-        # these have (r - 1) / r of the variance. One that was left out has r / (r - 1)
-        # of it, and larger model errors.
+        # these have (r - 1) / r of the variance, or nothing if it follows the time. One
+        # that was left out has r / (r - 1) of it, and larger model errors.
         r, most = self.recordings, self._left**2 - self._noise
         if r < 2:
             return None, most + np.zeros((_DRAWS, 1))
         more, share = np.exp(2 * _robots(r - 1)[1]), (r - 1) / r
+        held = 0.0 if self._by_time else share
         between = out - self._noise - more * most
         # No variance is visible if model errors grow as much as it does.
-        room = 1 / share - more * share
+        room = 1 / share - more * held
         between = np.where(room > 0, between / np.where(room > 0, room, 1.0), 0.0)
-        between = np.clip(np.nan_to_num(between), 0.0, most / share)
-        return between, most - share * between
+        between = np.clip(np.nan_to_num(between), 0.0, most / held if held else None)
+        return between, most - held * between
 
     def _evidence(self, between, used):
-        """Logarithm of the likelihood of the variance between recordings, (n,)."""
+        """Logarithms of likelihoods of the variance between recordings, (n, nv + 1)."""
+        # Of each joint by its own, and of their mean by all.
+        found = np.zeros((_DRAWS, used.size + 1))
         if not used.any():
-            return np.zeros(_DRAWS)
+            return found
         sizes = self._motion.sizes[:, used] ** 2
         expected = (_robots(1)[0][:, :, None] ** 2 * sizes).sum(axis=1)
+        # More than recordings ever differ by is left where a few do not tell a value.
+        between = np.minimum(between[:, used], np.quantile(expected, 0.99, axis=0))
         # Usually one kind dominates, and the variance is chi-squared.
         least = (_SLACK * self._left[used]) ** 2
-        ratio = (between[:, used] + least) / (expected + least)
-        # Joints differ alike.
-        return (0.5 * (self.recordings - 1) * (np.log(ratio) - ratio)).mean(axis=1)
+        ratio = (between + least) / (expected + least)
+        own = 0.5 * (self.recordings - 1) * (np.log(ratio) - ratio)
+        found[:, np.append(used, False)] = own
+        found[:, np.append(~used, True)] = own.mean(axis=1, keepdims=True)
+        return found
 
     @property
     def source(self):
@@ -109,16 +116,18 @@ class Expectation:
         if judged.any():
             mean = errors[:, judged].mean(axis=1)
             errors = np.column_stack([errors[:, judged], mean])
-            found[:, np.r_[judged, True]] = self._quantiles(errors)
+            judged = np.append(judged, True)
+            found[:, judged] = _quantiles(errors, self._weights[:, judged])
         return found
 
-    def _quantiles(self, draws):
-        """Quantiles of weighted draws (n, k), (3, k)."""
-        order = np.argsort(draws, axis=0)
-        done = np.cumsum(self._weights[order], axis=0)
-        rows = [(done < level).sum(axis=0) for level in _ENDS]
-        ranked = np.take_along_axis(draws, order, axis=0)
-        return np.take_along_axis(ranked, np.minimum(rows, len(draws) - 1), axis=0)
+
+def _quantiles(draws, weights):
+    """Quantiles of weighted draws (n, k), (3, k)."""
+    order = np.argsort(draws, axis=0)
+    done = np.cumsum(np.take_along_axis(weights, order, axis=0), axis=0)
+    rows = [(done < level).sum(axis=0) for level in _ENDS]
+    ranked = np.take_along_axis(draws, order, axis=0)
+    return np.take_along_axis(ranked, np.minimum(rows, len(draws) - 1), axis=0)
 
 
 def _robots(count):
@@ -131,6 +140,7 @@ def _robots(count):
     drawn = drawn + own * rng.standard_normal((_DRAWS, medians.size))
     differ = medians * np.exp(_WIDTH * drawn)
     differ /= 1.0 + differ / _LARGEST
+    differ *= rng.random((_DRAWS, 1)) > _AGREE
     first, other, motions = rng.standard_normal((3, _DRAWS, 1))
     again = _AGAIN[0] + _AGAIN[1] * first + (_FIRST[0] + _FIRST[1] * other) / count
     return differ, again, _DIFFER[0] * np.exp(_DIFFER[1] * motions)

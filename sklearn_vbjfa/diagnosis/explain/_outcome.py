@@ -20,7 +20,7 @@ from sklearn_vbjfa.diagnosis.explain._gaps import (
 )
 from sklearn_vbjfa.diagnosis.explain._next import Expectation, motions_of
 from sklearn_vbjfa.diagnosis.explain._recordings import Parts, contradictions
-from sklearn_vbjfa.effects import UnnamedTorque, declarable, resolve
+from sklearn_vbjfa.effects import OfTime, UnnamedTorque, declarable, resolve
 from sklearn_vbjfa.equations._features import nominal_followers
 from sklearn_vbjfa.inspection import motion_of
 from sklearn_vbjfa.model import body_names, import_pinocchio, is_prismatic
@@ -174,7 +174,8 @@ def make_outcome(loop, search, final, judged, channels, whole, recordings):
     states, weight = final.view.states[final.view.index], final.view.equations.weight
     predicted = final.predicted(identifier.theta_)
     motion = motions_of(identifier, states, predicted, weight, spread)
-    expectation = Expectation(after, columns["floor"], scatter, left_out, motion)
+    timed = any(isinstance(effect, OfTime) for effect in identifier.effects_)
+    expectation = Expectation(after, columns["floor"], scatter, left_out, motion, timed)
     # A robot whose torques are explained to their noise is the described one.
     explained = (low <= ABOVE_FLOOR[0] * columns["floor"])[columns["enough"]]
     if explained.size and explained.all():

@@ -32,11 +32,11 @@ def described(expectation, of=None):
     )
 
 
-def expected(left_out=(), left=LEFT, floor=FLOOR, of=None, friction=0.8):
+def expected(left_out=(), left=LEFT, floor=FLOOR, of=None, friction=0.8, **given):
     left_out = np.reshape(left_out, (-1, 1)).astype(float)
     fitted = motion(friction=friction)
     known = np.array([left]), np.array([floor]), np.array([SCATTER])
-    return described(Expectation(*known, left_out, fitted), of)
+    return described(Expectation(*known, left_out, fitted, **given), of)
 
 
 @pytest.mark.parametrize(
@@ -91,6 +91,12 @@ def test_recordings_that_agree_narrow_it_and_others_widen_it():
     assert alike.interval[1, 0] < apart.error
     # Held-out data of the same recordings have a share of what these differ by.
     assert apart.interval[0, 0] < 0.18
+
+
+def test_effects_that_follow_the_time_hide_no_difference_of_recordings():
+    # A payload that changes between two recordings leaves the noise alone.
+    hidden, seen = (expected([0.3, 0.4], left=FLOOR, by_time=x) for x in (False, True))
+    assert hidden.interval[1, 0] < 0.3 < seen.interval[1, 0]
 
 
 def test_it_grows_with_the_distance_from_what_was_fitted():

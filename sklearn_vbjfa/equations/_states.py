@@ -285,8 +285,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                 f"input_features is not equal to feature_names_in_, {list(seen)}."
             )
         return np.array(
-            [f"{kind}_{name}" for kind in "qva" for name in names],
-            dtype=object,
+            [f"{kind}_{name}" for kind in "qva" for name in names], dtype=object
         )
 
 

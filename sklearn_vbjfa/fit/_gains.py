@@ -65,8 +65,7 @@ def relative_gains(moments, references=()):
     reference = _grouped(spread, strength, references)
     own = np.exp(logs - logs[reference])
     return RelativeGains(
-        gains=np.clip(own, 1.01 / _WIDEST, 0.99 * _WIDEST),
-        reference=reference,
+        gains=np.clip(own, 1.01 / _WIDEST, 0.99 * _WIDEST), reference=reference
     )
 
 

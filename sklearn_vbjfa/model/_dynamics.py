@@ -15,10 +15,7 @@ the exact derivative.
 
 import numpy as np
 
-from sklearn_vbjfa.model._trees import (
-    describe,
-    import_pinocchio,
-)
+from sklearn_vbjfa.model._trees import describe, import_pinocchio
 
 # Root mean square below which an entry of the regressor matrix is the rounding of a
 # zero, relative to the largest of its unit in the same torque.

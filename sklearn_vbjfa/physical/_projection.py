@@ -21,11 +21,7 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
     min_eigenvalue,
     parameter_units,
 )
-from sklearn_vbjfa.physical._solver import (
-    GAP_TARGET,
-    ProjectionError,
-    solve,
-)
+from sklearn_vbjfa.physical._solver import GAP_TARGET, ProjectionError, solve
 
 # How many times longer than the visible part of a vector its hidden part may be before
 # it is taken for rounding; a plausible robot's are of one order.

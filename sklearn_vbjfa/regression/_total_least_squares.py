@@ -184,9 +184,7 @@ def _mixed_tls(columns, target, exact):
     # of the column itself, not of its remainder.
     floor = rank_tolerance(columns) * np.linalg.norm(noisy)
     coef[~exact] = _classical_tls(
-        noisy - basis @ (basis.T @ noisy),
-        target - basis @ (basis.T @ target),
-        floor,
+        noisy - basis @ (basis.T @ noisy), target - basis @ (basis.T @ target), floor
     )
     rest = target - noisy @ coef[~exact]
     coef[exact] = scaled_lstsq(columns[:, exact], rest).coef

@@ -201,7 +201,5 @@ def _warn_left_out(robot, dynamics):
     if left:
         left = [f"{e.name} on {names[e.joint]} ({reason})" for e, reason in left]
         warnings.warn(
-            f"The simulation leaves out {'; '.join(left)}.",
-            DoubtWarning,
-            stacklevel=4,
+            f"The simulation leaves out {'; '.join(left)}.", DoubtWarning, stacklevel=4
         )

@@ -8,15 +8,7 @@ pytest.importorskip("coal")
 
 from sklearn_vbjfa.design import Clearance
 from sklearn_vbjfa.model import load_model
-from tests.model._shaped import (
-    BALL,
-    CUBE,
-    arm,
-    joint,
-    link,
-    two_bars,
-    write,
-)
+from tests.model._shaped import BALL, CUBE, arm, joint, link, two_bars, write
 
 
 def clearance_of(path, **kwargs):

@@ -98,12 +98,7 @@ def test_a_free_base_that_was_held_askew(tmp_path):
     lean = np.deg2rad(3.0)
     askew = load_model(path, [np.cos(lean / 2), np.sin(lean / 2), 0.0, 0.0])
     recording = make_robot_recording(
-        askew,
-        duration=20.0,
-        dt=0.01,
-        frequency=1.0,
-        torque_noise=0.02,
-        random_state=0,
+        askew, duration=20.0, dt=0.01, frequency=1.0, torque_noise=0.02, random_state=0
     )
     data = recording.q, recording.tau
     told = RobotIdentifier(path, dt=recording.dt, effects=[BaseTilt()]).fit(*data)

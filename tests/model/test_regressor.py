@@ -8,13 +8,7 @@ from hypothesis import strategies as st
 
 from sklearn_vbjfa._core._compiler import compiler
 from sklearn_vbjfa.model import TreeRegressor
-from tests.model._trees import (
-    ALIGNED,
-    OBLIQUE,
-    OTHERS,
-    build,
-    by_sample,
-)
+from tests.model._trees import ALIGNED, OBLIQUE, OTHERS, build, by_sample
 
 
 def carried(model):

@@ -8,15 +8,7 @@ import pytest
 pytest.importorskip("coal")
 
 from sklearn_vbjfa.model import NoShapes, load_model, load_reduced, load_shapes
-from tests.model._shaped import (
-    CUBE,
-    MESH,
-    arm,
-    joint,
-    link,
-    two_bars,
-    write,
-)
+from tests.model._shaped import CUBE, MESH, arm, joint, link, two_bars, write
 
 
 def with_mesh(folder, name, scale=1.0):

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
-from tests.recording.test_as_they_lie import (
-    DOF,
-    assert_same,
-    blocks,
-    read,
-    written,
-)
+from tests.recording.test_as_they_lie import DOF, assert_same, blocks, read, written
 
 
 def named(kind, numbers=range(1, DOF + 1)):

@@ -112,10 +112,7 @@ def _read_lines(path, content, notes=()):
     )
     frame.index = numbers
     table = Table(
-        path=path,
-        frame=frame,
-        place="line {}",
-        notes=(*more, *[CUT] * is_cut, *notes),
+        path=path, frame=frame, place="line {}", notes=(*more, *[CUT] * is_cut, *notes)
     )
     return _with_cells_read(table, comma=separator != ",")
 

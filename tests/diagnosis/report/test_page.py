@@ -10,13 +10,7 @@ import pytest
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.report import HEIGHT, WIDTH, documentation_of
 from tests.diagnosis.report._outcomes import finding, make_outcome
-from tests.diagnosis.report._pages import (
-    FILES,
-    figures,
-    made,
-    parsed,
-    section_of,
-)
+from tests.diagnosis.report._pages import FILES, figures, made, parsed, section_of
 
 # Terms of which some are read on any page, and where they come first.
 TERMS = (

@@ -19,14 +19,7 @@ from sklearn_vbjfa.diagnosis.search import (
     spectrum_of,
 )
 from sklearn_vbjfa.diagnosis.search._problem import Base, _by_chance
-from sklearn_vbjfa.effects import (
-    Coulomb,
-    Drift,
-    JointZero,
-    Offset,
-    Payload,
-    Spring,
-)
+from sklearn_vbjfa.effects import Coulomb, Drift, JointZero, Offset, Payload, Spring
 from tests.diagnosis._recordings import record
 from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring
 

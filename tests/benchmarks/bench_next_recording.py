@@ -1,7 +1,7 @@
 """The error that a report promises for the next recording, and what it is.
 
-Run ``python tests/benchmarks/bench_next_recording.py --data-home DIR [--out FILE]
-[--write]``.
+Run ``python tests/benchmarks/bench_next_recording.py --data-home DIR --seeds 30 59
+[--out FILE] [--write]``.
 
 Data: the measured sets with several recordings, cut-offs and masks frozen
 (``_protocol_sets.py``). Each left-out side of the frozen pairs is judged: by a model
@@ -10,14 +10,20 @@ terms; effects are searched where all others are fitted (``--search``), else non
 Promised: median and interval of `NextRecording`; judged: the error of the same model on
 the recording that was left out, over the same spread. Joints whose range of torque or
 speed was not fitted count as well: the promise does not exclude them.
+
+Simulated sets: see ``_differing_sets.py``; the promise of each is judged on one more
+recording. The default search runs; differences between recordings are those that the
+report names.
 """
 
 import time
 import warnings
 
+import _differing_sets as differing
 import numpy as np
 from _protocol_sets import PAIRED_SETS, pairs
 from _report import fixed, parser, publish, rst_table, run_study
+from scipy import stats
 
 from sklearn_vbjfa import EffectDiscovery
 
@@ -138,9 +144,46 @@ def by_case(results):
     return rst_table(rows, heads, n_labels=2)
 
 
+def by_cell(results, by):
+    """One row for the sets of each value of some keys."""
+    rows = []
+    for cell in dict.fromkeys(tuple(r[key] for key in by) for r in results):
+        own = [r for r in results if tuple(r[key] for key in by) == cell]
+        held = [r["interval"][0] <= r["true"] <= r["interval"][1] for r in own]
+        odds = stats.binomtest(sum(held), len(held), 0.9).pvalue
+        width = np.median([r["interval"][1] / r["interval"][0] for r in own])
+        ratio = np.median([r["true"] / r["promised"] for r in own])
+        causes = [set(r["differ"]) for r in own]
+        right = [r["kind"] in one for r, one in zip(own, causes)]
+        others = [bool(one - {r["kind"]}) for r, one in zip(own, causes)]
+        shares = 100 * np.array([held, right, others]).mean(axis=1)
+        label = [f"{x:.0%}" if isinstance(x, float) else str(x) for x in cell]
+        joints = 100 * np.mean([r["joints"] for r in own])
+        row = [*label, str(len(own)), *fixed([shares[0], joints], 0)]
+        rows.append([*row, *fixed([odds], 4), *fixed([width, ratio], 2)])
+        rows[-1] += fixed(shares[1:], 0)
+    heads = ["sets", "in their interval [%]", "joints [%]", "p", "upper / lower end"]
+    heads += ["judged / promised, median", "difference named [%]", "another named [%]"]
+    names = {"kind": "differing", "size": "by", "count": "recordings"}
+    return rst_table(rows, [*(names[key] for key in by), *heads], n_labels=len(by))
+
+
+def simulated(arguments):
+    """Tables of the simulated sets."""
+    first, last = (0, 0) if arguments.quick else arguments.seeds
+    tasks = differing.tasks(range(first, last + 1))
+    ledger = run_study(differing.judge, tasks, differing.KEYS, out=arguments.out)
+    done = [r for r in ledger.of(tasks) if "error" not in r]
+    failed = [r for r in ledger.of(tasks) if "error" in r]
+    keys = ("kind",), ("count",), ("kind", "size", "count")
+    text = [by_cell(done, by) for by in keys]
+    said = {key: [r[key] for r in failed] for key in ("kind", "error")}
+    return "\n\n".join([f"Refused: {len(failed)} {said if failed else ''}", *text])
+
+
 def main(argv=None):
     """Print the tables."""
-    arguments = parser(__doc__, data=True, out=True)
+    arguments = parser(__doc__, data=True, out=True, seeds=[30, 59])
     arguments.add_argument("--sets", nargs="+", choices=PAIRED_SETS)
     arguments.add_argument("--search", action="store_true")
     arguments = arguments.parse_args(argv)
@@ -153,7 +196,8 @@ def main(argv=None):
         out=arguments.out,
         line=str,
     )
-    text = "\n\n".join([summary(ledger.results), by_case(ledger.results)])
+    done = [r for r in ledger.results if "set" in r]
+    text = "\n\n".join([summary(done), simulated(arguments), by_case(done)])
     publish("next_recording", text, arguments, commits=ledger.commits())
 
 

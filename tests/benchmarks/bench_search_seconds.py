@@ -23,6 +23,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -106,14 +107,12 @@ def kr300(data_home):
 
 
 def command_line(data_home):
-    from compare_states import SIX
-
     from sklearn_vbjfa._cli import main
     from sklearn_vbjfa.datasets import make_robot_recording
 
     folder = Path(tempfile.mkdtemp())
-    urdf, table = folder / "six.urdf", folder / "six.csv"
-    urdf.write_text(SIX)
+    table = folder / "six.csv"
+    urdf = resources.files("sklearn_vbjfa.datasets") / "robots" / "demo_arm.urdf"
     lacking = {"load_friction": (1, 0.15), "stribeck": (2, 4.0), "spring": (3, 3.0)}
     made = {"duration": 50.0, "dt": 0.01, "undeclared": lacking, "random_state": 0}
     one = make_robot_recording(str(urdf), **made)

@@ -1,7 +1,7 @@
 """Hypotheses about faults of a log, in one table, compared by likelihood."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -149,8 +149,9 @@ def inspect_recording(recording, model=None):
     offset of each joint. Each hypothesis changes channels, time or gravity, and its
     marginal likelihood gives its odds against the log as it is. The most probable one
     is applied, and the next one is looked for, so that one fault does not look like
-    another. Undetectable are the zero of a joint with a vertical axis or of the last
-    joint, and both signs of a joint that gravity does not load.
+    another. Recordings of which other masses explain far more are looked at alone.
+    Undetectable are the zero of a joint with a vertical axis or of the last joint, and
+    both signs of a joint that gravity does not load.
 
     Examples
     --------
@@ -254,7 +255,8 @@ def inspect_channels(
         rows, parts = thinned(parts, log.every)
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
-    found = _compared(Reading(model, names, q, tau, dt, parts, usable, drive, named))
+    reading = Reading(model, names, q, tau, dt, parts, usable, drive, named)
+    found = _of_recordings(reading)
     unknown = set(_OF_SIZE) if gains is not None else set()
     if bodies == "free":
         unknown.add("torque_unit")
@@ -284,6 +286,27 @@ def _compared(reading):
     others = others or ([] if findings else _proposed(reading, "nothing else"))
     findings += [x.finding(reading, *y) for x, y in others]
     return findings + _unverified(reading)
+
+
+def _of_recordings(reading):
+    """Return what is found in recordings that agree, and in each that does not."""
+    apart = [] if reading.tell_nothing() else reading.apart()
+    rest = sorted(set(range(len(reading.parts))) - set(apart))
+    each = [(k, one) for k in apart for one in _compared(reading.of_recordings([k]))]
+    each = [(k, one) for k, one in each if one.kind != "unverified"]
+    if not apart or (not rest and len({k for k, _ in each}) == len(apart)):
+        return _compared(reading)
+    found = _compared(reading.of_recordings(rest)) if rest else _unverified(reading)
+    # What all have in common a fit may correct, but not what a single one has.
+    return found + [
+        replace(
+            one,
+            severity="error" if one.severity == "error" else "warning",
+            message=f"Recording {k + 1} alone: {one.message}",
+            remedy={},
+        )
+        for k, one in each
+    ]
 
 
 def _examined(reading):

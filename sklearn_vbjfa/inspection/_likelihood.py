@@ -233,6 +233,29 @@ class DescribedRobot:
             made.append((used, moments, rows.size / self.times[j], np.var(y) + 1e-300))
         return _solve(made, prior, m)
 
+    def is_apart(self, own):
+        """Whether some rows agree far worse than others, or with other masses."""
+        few = number.FEWEST_ROWS
+        moves, rest = (self.signals.weight[x].sum(axis=0) for x in (own, ~own))
+        joints = [j for j in self.joints if min(moves[j], rest[j]) > few]
+        if not joints:
+            # Beside positions in degrees those of others stand still.
+            return bool((moves > few).any())
+        both = [self._left_of(joints, rows) for rows in (own, ~own)]
+        (share, one), (usual, other) = both
+        worse = (share - usual)[share > 2 * np.log(number.GOOD_FIT)]
+        apart = np.logaddexp(np.log(own.mean()) + one, np.log((~own).mean()) + other)
+        fall = self._left_of(joints, own | True)[1] - apart
+        return bool(np.r_[fall, worse - number.CLEAR].max() > number.CLEAR)
+
+    def _left_of(self, joints, rows):
+        """Log of the share and of the variance (k,) that bodies of some rows leave."""
+        signals = self.signals.taken(rows)
+        robot = DescribedRobot(self.bodies, signals, self.times, self.entries[rows])
+        left = robot.fit(joints=joints).left
+        size = [signals.tau[robot.rows[j], j].var() for j in joints]
+        return left, left + np.log(size)
+
     def residual(self, columns=None):
         """Return what bodies that are free for each joint leave of torques, (n, nv)."""
         # Zero where a joint stands.

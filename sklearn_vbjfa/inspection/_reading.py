@@ -120,9 +120,11 @@ class Signals:
 
     def thinned(self, most):
         """Return every k-th row, about `most` of them."""
-        k = max(1, len(self.row) // most)
-        names = [one.name for one in fields(self)]
-        return Signals(**{name: getattr(self, name)[::k] for name in names})
+        return self.taken(slice(None, None, max(1, len(self.row) // most)))
+
+    def taken(self, rows):
+        """Return some rows."""
+        return Signals(**{x.name: getattr(self, x.name)[rows] for x in fields(self)})
 
 
 def long_parts(n, groups):
@@ -158,7 +160,7 @@ def filtered(q, tau, dt, parts, usable):
         for one in zip(q.T, tau.T, usable.T)
     ]
     *states, sign, tau, slope, weight, throughout = np.stack(joints, axis=2)
-    rows = [p.start + lowpass.centres(p.stop - p.start) for p in inner]
+    row = np.concatenate([p.start + lowpass.centres(p.stop - p.start) for p in inner])
     return Signals(
         states=np.concatenate(states, axis=1),
         sign=sign,
@@ -166,8 +168,8 @@ def filtered(q, tau, dt, parts, usable):
         slope=slope,
         weight=weight,
         throughout=throughout,
-        row=np.concatenate(rows),
-        recording=np.repeat(np.arange(len(rows)), [len(x) for x in rows]),
+        row=row,
+        recording=np.searchsorted([p.stop for p in parts], row, side="right"),
     )
 
 
@@ -274,6 +276,19 @@ class Reading:
         # A log that begins at the zero of the description looks the same.
         near = np.abs(self.q[0]) <= number.AT_ZERO * np.ptp(self.q, axis=0)
         return self.measured and bool(near.all())
+
+    def of_recordings(self, numbers):
+        """Return some of its recordings."""
+        rows, parts = thinned([self.parts[k] for k in numbers], 1)
+        channels = {x: getattr(self, x)[rows] for x in ("q", "tau", "usable")}
+        return replace(self, **channels, parts=parts)
+
+    def apart(self):
+        """List recordings that agree far worse than others, or with other masses."""
+        recordings = self.robot.signals.recording
+        every = np.unique(recordings).tolist()
+        several = 1 < len(every) <= number.MANY
+        return [k for k in every if several and self.robot.is_apart(recordings == k)]
 
     def tell_nothing(self):
         """Whether torques or description are such that nothing can be compared."""

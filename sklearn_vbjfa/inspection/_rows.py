@@ -372,9 +372,8 @@ def _dropped(log, j, x):
         elif b > a and jumps[a - 1] and jumps[b + 1]:
             short.append((a - 1, b))
     # With the pauses between.
-    long = [
-        (a - 1, b) for a, b in log.runs(repeats) if any(a <= k <= b for _, k in long)
-    ]
+    whole = log.runs(repeats)
+    long = [(a - 1, b) for a, b in whole if any(a <= k <= b for _, k in long)]
     found = sorted(long + short * (len(short) >= number.DROPOUT_RUNS))
     bad = _marked(x, found)
     # What repeats itself everywhere is coarse.
@@ -403,19 +402,22 @@ def _outliers(log, j, x):
 
 def _clipped(log, j, x, moving):
     """Find plateaus at the highest or the lowest torque."""
-    bad, ends = [], []
+    bad, ends, same = [], [], log.steps(x) == 0
     width = number.PLATEAU * np.ptp(x)
-    # If a torque seldom repeats a value, one plateau is proof enough.
-    rare = (log.steps(x) == 0).mean() < 0.25
+    # If a torque seldom repeats a value, one plateau is proof enough; if it often does,
+    # it stays at a limit for longer than elsewhere.
+    rare, between = same.mean() < 0.25, np.minimum(x.max() - x, x - x.min()) > width
+    usual = max((b - a + 2 for a, b in log.runs(same & moving & between)), default=0)
     # No drive has the limit zero: these are sizes, or readings that were lost.
     for level in {x.max(), x.min()} - {0.0}:
         away = np.abs(x - level)
         inside = (away <= width) & moving
         runs = [x for x in log.runs(inside) if x[1] - x[0] + 1 >= number.PLATEAU_RUN]
-        long = max((b - a + 1 for a, b in runs), default=0) >= number.LONG_PLATEAU
+        most = max((b - a + 1 for a, b in runs), default=0)
         near = ((away > width) & (away <= 6 * width) & moving).sum() / 5
         dense = inside.sum() >= number.DENSITY * max(near, 0.5)
-        exact = (x[_marked(x, runs)] == level).all() and long
+        dense &= rare or most >= 5 * usual
+        exact = (x[_marked(x, runs)] == level).all() and most >= number.LONG_PLATEAU
         if dense and (len(runs) >= number.PLATEAU_RUNS or (rare and exact)):
             ends.append(level)
             bad += runs

@@ -152,6 +152,17 @@ def test_clipped_torque(arm):
     assert 0.8 * share < 0.01 * float(told[1]) < 1.01 * share
 
 
+@pytest.mark.parametrize("phase", [0.0, 0.5, 1.0])
+def test_the_peak_of_a_coarse_torque_is_not_clipped(arm, phase):
+    # Of a sine that ends between two steps or on one.
+    tau, rows = arm[0].tau.copy(), np.arange(len(arm[0].tau))
+    whole = (15 + phase) * np.sin(0.01 * rows)
+    tau[:, 1] = 0.3 * np.round(whole)
+    assert "clipped_torque" not in {one.kind for one in inspect(arm, tau=tau)}
+    tau[:, 1] = 0.3 * np.round(np.clip(whole, -9, 9))
+    assert "clipped_torque" in {one.kind for one in inspect(arm, tau=tau)}
+
+
 def test_torques_that_drop_to_zero_are_no_friction(arm):
     tau = arm[0].tau.copy()
     rows = np.concatenate([np.arange(k, k + 30) for k in range(200, 3000, 400)])

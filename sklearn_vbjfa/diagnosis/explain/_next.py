@@ -40,36 +40,28 @@ class Expectation:
     # left, floor (nv,): error on held-out data and that of the noise alone, over the
     # spread; scatter (nv,): deviation of the logarithm of the first; left_out (r, nv):
     # errors on each recording of a model fitted to the others, nan where there is none;
-    # motion: `Motions` of the fit; by_time: whether effects change with the time
+    # alone (nv,): of models fitted to single recordings, on other parts of these;
+    # motion: `Motions` of the fit; timed: whether effects follow the time
 
-    def __init__(self, left, floor, scatter, left_out, motion, by_time=False):
-        self._left, self._motion, self._by_time = left, motion, by_time
+    def __init__(self, left, floor, scatter, left_out, alone, motion, timed=False):
+        self._left, self._motion = left, motion
         self._scatter = np.nan_to_num(scatter)
-        self.recordings = len(left_out)
+        self.recordings = r = len(left_out)
         known = np.where(left_out > 0, left_out, np.nan) ** 2
         out, some = np.full(left.size, np.nan), np.isfinite(known).any(axis=0)
         out[some] = np.nanmean(known[:, some], axis=0)
         self._noise = np.where(np.isnan(floor), 0.0, np.fmin(floor, left) ** 2)
-        between, self._lacks = self._split(out)
-        used = np.isfinite(out) & (left > 0) & (self.recordings > 1)
+        # What a model lacks it lacks within a recording, too.
+        self._lacks = np.maximum(np.fmin(alone, left) ** 2 - self._noise, 0.0)
+        used = np.isfinite(out) & (left > 0) & (r > 1)
+        # Squared errors on a recording that was left out have r / (r - 1) of the
+        # variance between recordings, and larger model errors; held-out data have (r -
+        # 1) / r of it, seldom a quarter of that, unless the model follows the time.
+        share, more = max(r - 1, 1) / max(r, 1), np.exp(2 * _robots(max(r - 1, 1))[1])
+        between = share * np.nan_to_num(out - self._noise - more * self._lacks)
+        most = np.inf if timed else 4.0 * (left**2 - self._noise) / share
+        between = np.clip(between, 0.0, np.nan_to_num(most, posinf=np.inf))
         self._weights = special.softmax(self._evidence(between, used), axis=0)
-
-    def _split(self, out):
-        """Split the squared error: variance between recordings, and model errors."""
-        # Squares (n_draws, nv). The model is a mean over r recordings: held-out data of
-        # these have (r - 1) / r of the variance, or nothing if it follows the time. One
-        # that was left out has r / (r - 1) of it, and larger model errors.
-        r, most = self.recordings, self._left**2 - self._noise
-        if r < 2:
-            return None, most + np.zeros((_DRAWS, 1))
-        more, share = np.exp(2 * _robots(r - 1)[1]), (r - 1) / r
-        held = 0.0 if self._by_time else share
-        between = out - self._noise - more * most
-        # No variance is visible if model errors grow as much as it does.
-        room = 1 / share - more * held
-        between = np.where(room > 0, between / np.where(room > 0, room, 1.0), 0.0)
-        between = np.clip(np.nan_to_num(between), 0.0, most / held if held else None)
-        return between, most - held * between
 
     def _evidence(self, between, used):
         """Logarithms of likelihoods of the variance between recordings, (n, nv + 1)."""
@@ -103,7 +95,7 @@ class Expectation:
         motion, count = motion or self._motion, max(self.recordings, 1)
         differ, again, motions = _robots(count)
         lacks = self._lacks * self._motion.distance(motion)
-        rng, nv = np.random.default_rng(1), lacks.shape[1]
+        rng, nv = np.random.default_rng(1), lacks.size
         values = rng.standard_normal((_DRAWS, len(_KINDS), nv))
         values[:, _SHARED] = values[:, _SHARED, :1]
         change, luck = rng.standard_normal((2, _DRAWS, nv))

@@ -170,12 +170,15 @@ def make_outcome(loop, search, final, judged, channels, whole, recordings):
         low, high = judged["intervals"]["after"]
         scatter = np.log(high / low) / (2 * HALF_WIDTH)
     parts = Parts.of(final)
-    left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
+    left_out, alone = np.empty((0, spread.size)), after
+    if parts is not None:
+        left_out, alone = parts.left_out(spread), parts.alone(spread)
     states, weight = final.view.states[final.view.index], final.view.equations.weight
     predicted = final.predicted(identifier.theta_)
     motion = motions_of(identifier, states, predicted, weight, spread)
     timed = any(isinstance(effect, OfTime) for effect in identifier.effects_)
-    expectation = Expectation(after, columns["floor"], scatter, left_out, motion, timed)
+    known = columns["floor"], scatter, left_out, alone, motion, timed
+    expectation = Expectation(after, *known)
     # A robot whose torques are explained to their noise is the described one.
     explained = (low <= ABOVE_FLOOR[0] * columns["floor"])[columns["enough"]]
     if explained.size and explained.all():

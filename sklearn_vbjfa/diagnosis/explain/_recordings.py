@@ -145,22 +145,33 @@ class Parts:
             row[used] = np.sqrt(squares[used] / weight[used]) / spread[used]
         return out
 
-    def suffering(self, spread):
-        """Joints of recordings that a fit to these alone predicts better, a dict."""
-        # Errors of fits to the rest of the recording and to the rest of all, on its
-        # parts, each left out in turn.
-        found = {}
+    @functools.cached_property
+    def _errors(self):
+        """Squares of errors on the parts of each recording, (r, nv) twice."""
+        # Of fits to the rest of the recording, and to the rest of all.
+        squares = np.zeros((2, self.count, self.nv))
         for r in range(self.count):
             here = self.recording == r
-            if here.sum() < _PARTS:
-                continue
-            alone, together = np.zeros((2, self.nv))
-            for p in np.flatnonzero(here):
+            for p in np.flatnonzero(here) if here.sum() >= _PARTS else ():
                 out = np.arange(here.size) == p
-                alone += self.squares(out, self.solve(here & ~out))
-                together += self.squares(out, self.solve(~out))
-            rows = self.weights[here].sum(axis=0) * self.used
-            for j in np.flatnonzero((rows > 0) & (alone <= _MOST * together)).tolist():
+                squares[0, r] += self.squares(out, self.solve(here & ~out))
+                squares[1, r] += self.squares(out, self.solve(~out))
+        return squares
+
+    def alone(self, spread):
+        """Errors (nv,) on parts of recordings of fits to their rest, nan for none."""
+        whole = self._errors[0].any(axis=1)
+        rows = self.weights[whole[self.recording]].sum(axis=0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.sqrt(self._errors[0].sum(axis=0) / rows) / spread
+
+    def suffering(self, spread):
+        """Joints of recordings that a fit to these alone predicts better, a dict."""
+        found = {}
+        for r, (alone, together) in enumerate(zip(*self._errors)):
+            rows = self.weights[self.recording == r].sum(axis=0) * self.used
+            better = (rows > 0) & (together > 0) & (alone <= _MOST * together)
+            for j in np.flatnonzero(better).tolist():
                 pair = np.sqrt([alone[j], together[j]]) / np.sqrt(rows[j])
                 found[r, j] = tuple((pair / spread[j]).tolist())
         return found

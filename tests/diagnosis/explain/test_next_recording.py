@@ -32,11 +32,20 @@ def described(expectation, of=None):
     )
 
 
-def expected(left_out=(), left=LEFT, floor=FLOOR, of=None, friction=0.8, **given):
+def expected(
+    left_out=(),
+    left=LEFT,
+    floor=FLOOR,
+    of=None,
+    friction=0.8,
+    alone=np.nan,
+    timed=False,
+):
     left_out = np.reshape(left_out, (-1, 1)).astype(float)
     fitted = motion(friction=friction)
     known = np.array([left]), np.array([floor]), np.array([SCATTER])
-    return described(Expectation(*known, left_out, fitted, **given), of)
+    expectation = Expectation(*known, left_out, np.array([alone]), fitted, timed)
+    return described(expectation, of)
 
 
 @pytest.mark.parametrize(
@@ -73,7 +82,7 @@ def test_nine_of_ten_next_recordings_of_robots_like_those_assumed(r):
         mean = fitted.mean(axis=0)
         left = np.sqrt(np.mean([error(x - mean) ** 2 for x in fitted]))
         out = [error((x - mean) * r / (r - 1)) for x in fitted] if r else []
-        low, high = expected(out, left=left).interval[:, 0]
+        low, high = expected(out, left=left, alone=FLOOR).interval[:, 0]
         inside.append(low < error(following - mean) < high)
     # Three deviations of 150 draws.
     assert 0.82 < np.mean(inside) < 0.98
@@ -95,8 +104,16 @@ def test_recordings_that_agree_narrow_it_and_others_widen_it():
 
 def test_effects_that_follow_the_time_hide_no_difference_of_recordings():
     # A payload that changes between two recordings leaves the noise alone.
-    hidden, seen = (expected([0.3, 0.4], left=FLOOR, by_time=x) for x in (False, True))
+    hidden, seen = (expected([0.3, 0.4], left=FLOOR, timed=x) for x in (False, True))
     assert hidden.interval[1, 0] < 0.3 < seen.interval[1, 0]
+
+
+def test_errors_within_recordings_are_those_of_the_model():
+    given = {"left_out": [0.2, 0.25, 0.2, 0.3], "left": 0.18}
+    model, apart = (expected(alone=x, **given) for x in (0.18, FLOOR))
+    widths = [np.divide(*one.interval[::-1, 0]) for one in (model, apart)]
+    assert widths[1] > 1.5 * widths[0]
+    assert apart.interval[0, 0] < 0.5 * model.interval[0, 0]
 
 
 def test_it_grows_with_the_distance_from_what_was_fitted():
@@ -108,7 +125,7 @@ def test_it_grows_with_the_distance_from_what_was_fitted():
 def test_a_joint_that_was_not_judged_has_none():
     known = np.array([0.1, np.nan]), np.array([0.05, 0.05]), np.full(2, SCATTER)
     left_out = np.array([[0.1, np.nan], [0.2, np.nan], [0.1, np.nan]])
-    found = described(Expectation(*known, left_out, motion(nv=2)))
+    found = described(Expectation(*known, left_out, known[0], motion(nv=2)))
     assert np.isnan(found.error[1])
     assert np.isnan(found.interval[:, 1]).all()
     assert found.error[0] == pytest.approx(found.mean)

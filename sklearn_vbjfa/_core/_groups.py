@@ -93,10 +93,9 @@ class Groups:
         """Logarithms of Bayes factors (c,) against the model without the group."""
         # The coefficients are normal, with `unit` times a scale as their deviation, and
         # the scale is half-Cauchy around `scale` (Polson and Scott, doi
-        # 10.1214/12-BA730), summed over a grid of its logarithm. For one scale s the
-        # factor is prod_k (1 + s^2 lambda_k)^(-1/2) exp(q_k^2 s^2 / (2 (1 + s^2
-        # lambda_k))) over the eigenvalues of the group's block (Tipping and Faul,
-        # AISTATS 2003, eq. 18, for a single column).
+        # 10.1214/12-BA730). For one scale s the factor is prod_k (1 + s^2
+        # lambda_k)^(-1/2) exp(q_k^2 s^2 / (2 (1 + s^2 lambda_k))) over the eigenvalues
+        # of the group's block (Tipping and Faul, AISTATS 2003).
         return np.logaddexp.reduce(self._along(scale), axis=0)
 
     def most_evidence(self, scale):

@@ -234,13 +234,10 @@ class BlockVariance:
 
 def block_variance(parts, scores, place, noise=1.0):
     """Compare the scatter of scores between blocks with that of white residuals."""
-    # A block sandwich estimator of the variance of least squares. Residuals are smaller
-    # than the noise, as the fit absorbs part of it in each block; the correction is
-    # exact for white noise.
-    # parts: places (k,) of parameters that have nothing in common with others, and
-    # weighted second moments (n_blocks, k, k) of each block's rows; scores (n_blocks,
-    # p): rows times residuals, weighted alike; place (n_blocks, 2): the recording of a
-    # block and its number there, sorted; noise: weighted mean square of the residuals.
+    # A block sandwich estimator, exact for white noise. parts: places (k,) of
+    # parameters that have nothing in common with others, and weighted second moments
+    # (n_blocks, k, k); scores (n_blocks, p): rows times residuals; place (n_blocks, 2):
+    # recording of a block and its number there; noise: mean square of the residuals.
     # Undetermined parameters come out as nan.
     shape, place = scores.shape, np.array(place)
     white, used = np.zeros(shape[1]), np.zeros(shape[1], dtype=bool)

@@ -389,16 +389,13 @@ class QuasiNewtonSteps(PlainSteps):
 
 def at_highest_likelihood(moments, state, prior):
     """State of highest likelihood that keeps the noise split of `state`, or None."""
-    # With z and t integrated out, x_m ~ N(0, V_m) and y | x ~ N(c'x, s), where
-    # V_m = w_xm^2 + psi_xm, c_m = w_zm w_xm / V_m, o_m = psi_xm / w_xm^2 and
-    # s = psi_y + sum(psi_z) + sum(c_m^2 V_m o_m).
-    # Unless the input noise alone contributes more to s than least squares leaves, the
+    # With z and t integrated out, x_m ~ N(0, V_m) and y | x ~ N(c'x, s), where V_m =
+    # w_xm^2 + psi_xm, c_m = w_zm w_xm / V_m, o_m = psi_xm / w_xm^2 and s = psi_y +
+    # sum(psi_z) + sum(c_m^2 V_m o_m). Unless the input noise alone exceeds s, the
     # maximum has V_m the variance of x_m, c the least-squares solution and s its
-    # residual variance; EM approaches it slowly where inputs are strongly correlated.
-    # Known input noise is kept; if it implies more output noise than there is, the
-    # maximum is not explicit. Unknown noise keeps its ratio to the
-    # signal, or all ratios are lowered by one factor, so that their share of the output
-    # noise is that in `state`.
+    # residual variance; EM approaches it slowly where inputs are correlated. Unknown
+    # noise keeps its ratio to the signal, or all ratios are lowered by one factor, so
+    # that their share of the output noise is that in `state`.
     n, variance = moments.n, moments.xx / moments.n
     if prior.psi_x_fixed is None:
         share = state.psi_x / (state.psi_x + state.w_x_mean**2)

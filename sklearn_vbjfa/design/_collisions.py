@@ -33,12 +33,10 @@ class Clearance:
     """Distances between the links of a robot that may meet."""
 
     # Links next to each other, or fixed together, are not looked at, nor are shapes
-    # that overlap in most positions (or are nearer than `margin` [m], which will be
-    # kept): that is how they were drawn. Meshes stand for their convex hulls; what
-    # stands around the robot is not known. pairs, ignored: links that are looked at
-    # (once for each two shapes), and those that overlap; near: distance [m] up to which
-    # distances are exact by default, the thickness of a typical link, which is how far
-    # ahead a motion has to turn aside.
+    # that overlap in most positions. Meshes stand for their convex hulls; what stands
+    # around the robot is not known. pairs, ignored: links that are looked at (once for
+    # each two shapes), and those that overlap; near: distance [m] up to which distances
+    # are exact, how far ahead a motion has to turn aside.
 
     def __init__(self, model, geometry, margin=0.0):
         self._pin, self._coal = import_pinocchio(), import_coal()

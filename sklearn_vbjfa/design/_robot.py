@@ -196,14 +196,11 @@ MotionEquations = namedtuple("MotionEquations", "states rows motion")
 class EquationModel:
     """Columns of a robot and of effects, for any motion."""
 
-    # features: of the bodies, without friction; inertial (nv, 10): for the load;
-    # effects: at their joints, the n_members of the model first; still (nv,): speeds
-    # below which a joint may be standing; reference (n, 3 nv): states as the limits
-    # allow them, at which columns are compared; bandwidth: of the fit [Hz].
-    # base: bodies' parameters whose columns are kept: with the model's effects they
-    # span all columns of the model in any motion; places: which columns act on each
-    # joint; n_model, n_columns: columns of the model, and with further effects; spans:
-    # columns of each effect.
+    # inertial (nv, 10): for the load; still (nv,): speeds below which a joint may be
+    # standing; reference (n, 3 nv): states at which columns are compared; bandwidth: of
+    # the fit [Hz]; base: bodies' parameters whose columns span all of the model in any
+    # motion; places: which columns act on each joint; n_model, n_columns: columns of
+    # the model, whose n_members effects come first, and with further effects.
 
     def __init__(
         self, features, inertial, effects, *, n_members, still, reference, bandwidth

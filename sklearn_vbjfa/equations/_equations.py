@@ -84,13 +84,11 @@ def make_motion(
     before=None,
 ):
     """Build the `Motion` that effects are computed from."""
-    # states (n, 3 nv); t (n,) [s] or None; parts: slices of the segments; theta:
-    # parameters of the features (p,), for the load, and behind them what
-    # `plain_coefficients` picks of the effects' coefficients, for the whole torque;
-    # bandwidth: cut-off of the low-pass [Hz]; rest: velocity signs at rest; since:
-    # first time of the fit [s]; signals: recorded beside the motion; ranges: what the
-    # effects' motion is held within, see `Plan`; command (n, nv), before: see
-    # `Recording`.
+    # parts: slices of the segments; theta: parameters (p,) of the features, for the
+    # load, and what `plain_coefficients` picks, for the whole torque; bandwidth:
+    # cut-off of the low-pass [Hz]; rest: velocity signs at rest; since: first time of
+    # the fit [s]; ranges: what the motion is held within, see `Plan`; command, before:
+    # see `Recording`.
     nv = features.n_joints_
     load = torque = rigid = derivatives = None
     if theta is not None:

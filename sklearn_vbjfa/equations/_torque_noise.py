@@ -5,8 +5,7 @@
 # reversals, where dry friction jumps. Noise continues it smoothly into the band, where
 # it is no more than the fit leaves: known from above where it bends towards a flat one;
 # where it still rises, the residual between the band of the motion and the cut-off says
-# how far, less friction that the model may lack. What no such continuation reaches is
-# what the model lacks: then the noise is what it is from above, or unknown.
+# how far, less friction that the model may lack; else it is unknown.
 
 import itertools
 from dataclasses import dataclass

@@ -521,10 +521,8 @@ def refine_fit(recipe, fit, source, window):
 
 # The torque is linear in the parameters of the bodies and not in a tilt of the base or
 # the gain of a channel. With the derivatives by these values as columns, all are fitted
-# by least squares and the regressor is made anew of the corrected robot, until no value
-# moves by more than a tenth of its standard error. A prior on the corrections would
-# hold each value where it began; bodies are estimated afterwards, with the values as
-# found.
+# by least squares and the regressor is made anew, until no value moves by more than a
+# tenth of its standard error. A prior would hold each value where it began.
 
 
 # A value stays where a correction is smaller than this share of its standard error.

@@ -259,12 +259,9 @@ def _mass_places(masses, robot):
 
 
 def common_gain(masses, robot, relative, estimate):
-    # Returns a `CommonGain`, and the covariance (p,) of its factor with the parameters
-    # in units of the reference channel, or None if nothing fixes it. Every sum of known
-    # masses that the recording determines is one equation; all of them are weighted by
-    # how well they are known. masses: dict of str to float; robot: as fitted, with the
-    # `RelativeGains`; estimate: `PlainEstimate` of the same, with these beside the
-    # parameters.
+    # Returns a `CommonGain`, and the covariance (p,) of its factor with the parameters,
+    # or None if nothing fixes it. Each sum of known masses that is determined is one
+    # equation. masses: dict of str to float; estimate: `PlainEstimate` with the gains.
     nothing, theta = (CommonGain(masses=masses), None), robot.theta_
     places = _mass_places(masses, robot)
     # Gains of joints that share nothing have no common factor.

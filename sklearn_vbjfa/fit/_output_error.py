@@ -2,15 +2,15 @@
 
 # A recording is divided into windows. In each, the robot is simulated from the measured
 # state of its first row, driven by the measured torques. The errors of a window are
-# integrals of one another, so that it counts as one observation of each joint, of
-# unknown variance. With the mean square e_j of the errors of joint j over all rows of W
-# windows, minus twice the logarithm of the likelihood is, but for a constant,
+# integrals of one another: it counts as one observation of each joint. With the mean
+# square e_j of the errors of joint j over all rows of W windows, minus twice the log
+# likelihood is
 #
 #     J(theta, z) = W sum_j log(e_j(theta, z) + epsilon_j^2) + sum_w z_w' z_w,
 #
-# where epsilon_j is the noise of the encoder, below which no error matters, and z_w
-# what the start of a window is moved by, in units of its measurement noise. Starts are
-# eliminated in every step of Gauss and Newton: each belongs to one window alone.
+# where epsilon_j is the noise of the encoder, and z_w what the start of a window is
+# moved by, in units of its measurement noise. Starts are eliminated in every step of
+# Gauss and Newton: each belongs to one window alone.
 
 import warnings
 from dataclasses import dataclass, replace
@@ -241,11 +241,10 @@ class Normal:
 
 def refine(predictor, found, recording, states, window, projector):
     # Steps of Gauss and Newton, damped after Levenberg and Marquardt in the metric of
-    # the torque fit, each projected onto the physically consistent parameters in its
-    # own metric, and taken only where the criterion falls. predictor: `IdentifiedRobot`
-    # of the torque fit; found: its `Estimate`; recording, states: what was fitted;
-    # window, projector: see `FitOptions` and `RobotIdentifier`. Returns the refined
-    # `Estimate`, and `SimulationCriteria`.
+    # the torque fit, each projected, and taken only where the criterion falls. found:
+    # `Estimate` of the torque fit, predictor: its `IdentifiedRobot`; window, projector:
+    # see `FitOptions` and `RobotIdentifier`. Returns an `Estimate` and
+    # `SimulationCriteria`.
     rows = round(float(window) / recording.dt) + 1
     longest = max(part.stop - part.start for part in recording.segments)
     if rows > longest:
@@ -338,13 +337,11 @@ def deviations(normal, metric, damping, before):
     # mu, the covariance is
     #     A^-1 (W / (nu - 2) sum_w g_w g_w') A^-1 + T C T',
     #     A = H + mu G,  T = 1 - A^-1 H,  nu = max(W - r, 3),
-    # the sandwich of the gradients of the windows, whatever their errors are correlated
-    # like within a window; where the simulation does not determine parameters (T = 1)
-    # they keep the covariance C of the torque fit. r = tr(A^-1 H) counts the directions
-    # that it determines. The fit leaves (W - r) / W of the squares of the gradients, if
-    # each window tells one direction, and Student's t of W - r degrees of freedom has
-    # the variance (W - r) / (W - r - 2). The floor of three degrees is more than enough
-    # where windows tell many directions (tests/robot/test_output_error.py).
+    # the sandwich of the gradients of the windows; what the simulation does not
+    # determine keeps the covariance C of the torque fit. r = tr(A^-1 H) counts the
+    # directions that it determines. Student's t of W - r degrees of freedom has the
+    # variance (W - r) / (W - r - 2); three degrees are more than enough
+    # (tests/robot/test_output_error.py).
     W = normal.g.shape[0]
     A = scaled_eigen(normal.H + damping * metric)
     inverse = A.inverse()
@@ -369,24 +366,20 @@ def deviations(normal, metric, damping, before):
 #     M d2s/dt2 + D ds/dt + K s = -Phi dtheta,
 #     M = dtau/da,  D = dtau/dv,  K = dtau/dq,
 #
-# where Phi is the regressor, columns of friction and effects among them. The equation
-# is integrated by the implicit midpoint rule, which is stable for friction and springs
-# of any steepness. For a joint that sticks it is replaced by zero velocity. Where a
-# joint turns round, dry friction jumps by c, an impulse c delta(v) of D. In a step of
-# length h with the mean acceleration a it has the mean c / (h abs(a)), and the midpoint
-# rule then gives the jump of s that a shifted instant of turning causes, the ratio of
-# the accelerations after and before.
+# where Phi is the regressor, columns of friction and effects among them: integrated by
+# the implicit midpoint rule, which is stable for friction and springs of any steepness.
+# A joint that sticks has zero velocity. Where it turns round, dry friction jumps by c,
+# an impulse c delta(v) of D with the mean c / (h abs(a)) over a step h.
 
 # Differences are taken over this share of a joint's range, top speed and acceleration.
 _SHARE = 1e-6
 
 
 def slopes(predictor, recording, states):
-    # predictor: `IdentifiedRobot`; recording: `Recording` with the segments and clock
-    # of the motions; states (n, 3 nv). Returns the derivatives of true torques by
-    # positions, velocities and accelerations (3, n, nv, nv), their rise where the
-    # velocity of the joint passes through zero (n, nv), and those by parameters Phi (n,
-    # nv, p).
+    # recording: with the segments and clock of the motions; states (n, 3 nv). Returns
+    # the derivatives of true torques by positions, velocities and accelerations (3, n,
+    # nv, nv), their rise where the velocity of the joint passes through zero (n, nv),
+    # and those by parameters Phi (n, nv, p).
     features, held = predictor.features_, held_parameters(predictor)
 
     def rows_of(states):

@@ -180,8 +180,7 @@ def rounding_entries(power):
     # power: mean or summed squares of torque, body, parameter (k >= 10). Where a torque
     # does not depend on a parameter the recursive algorithm leaves some 1e-16, which a
     # regression in standardised columns would take for information. In one torque all
-    # masses (first moments, inertias) have one unit and can be compared; friction is
-    # never rounding.
+    # masses (first moments, inertias) have one unit and can be compared.
     rounding = np.zeros(power.shape, dtype=bool)
     for kind in (slice(0, 1), slice(1, 4), slice(4, 10)):
         largest = power[:, :, kind].max(axis=(1, 2), keepdims=True)

@@ -167,12 +167,10 @@ def solve_conic(programme):
 
 # A general conic solver stops at a relative gap of 1e-7 with several bodies and 1e-4
 # with rods, at which its barrier still places what the metric hardly sees. Here the
-# slack matrices are eliminated, which leaves one positive definite system, formed from
-# square roots; its solutions are corrected, and the multipliers' step is made to
-# balance the gradient. The path ends at a gap set beforehand, with Newton's steps to
-# its one point: the answer is the same whatever the start and the rounding. Directions
-# are those of Helmberg, Kojima and Monteiro (doi:10.1137/0806020), with slack S,
-# multiplier Z and target m:
+# slack matrices are eliminated, and the path ends at a gap set beforehand, with
+# Newton's steps to its one point: the answer is the same whatever the start and the
+# rounding. Directions are those of Helmberg, Kojima and Monteiro (doi:10.1137/0806020),
+# with slack S, multiplier Z and target m:
 #
 #     (T' T + sum_j [tr(B_k S_j^-1 B_l Z_j)]_kl) dx
 #         = -T' r + m sum_j [tr(B_k S_j^-1)]_k.
@@ -276,14 +274,12 @@ def _inside(programme, start):
 class _Equations:
     """Newton's equations at one point of the path."""
 
-    # LinAlgError is raised where the slack is not definite. The system is A' A for the
-    # stack A of the bodies' roots L^-1 B R (with S = L L' and Z = R R'), the roots of
-    # the bounds and T; the right side is A' (bodies, bounds, metric). Near the boundary
-    # the barrier's share is larger than the metric's by more than the machine
-    # precision, and the sum is no longer definite in floating point; the triangle of a
-    # QR decomposition of A is used then. Either way the condition number is squared,
-    # which corrections with the residual of the stack make good: the corrected
-    # seminormal equations of Bjoerck (doi:10.1016/0024-3795(87)90101-7), repeated.
+    # The system is A' A for the stack A of the bodies' roots L^-1 B R (S = L L', Z = R
+    # R'), the roots of the bounds and T; the right side is A' (bodies, bounds, metric).
+    # Near the boundary the sum is no longer definite in floating point; the triangle of
+    # a QR decomposition of A is used then. The condition number is squared, which
+    # repeated corrections with the residual of the stack make good: the corrected
+    # seminormal equations of Bjoerck (doi:10.1016/0024-3795(87)90101-7).
 
     def __init__(self, programme, at, slack):
         self._programme, self._at = programme, at

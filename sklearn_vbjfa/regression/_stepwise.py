@@ -213,9 +213,7 @@ def sweep(table, pivot):
     """Sweep a square matrix on one diagonal element (Goodnight, 1979)."""
     # Swept on a set S, a correlation matrix R of [X y] holds ``inv(R_SS)`` in the block
     # SS, the standardised coefficients in S y, and in the rest the products of what S
-    # leaves unexplained: 1 - R^2 of each other feature on the diagonal, the residual
-    # sum of squares in y y. The table (k, k), possibly swept on other elements, is not
-    # modified.
+    # leaves unexplained: 1 - R^2 of each other feature on the diagonal, the RSS in y y.
     column = table[:, pivot].copy()
     row = table[pivot] / column[pivot]
     swept = table - np.outer(column, row)

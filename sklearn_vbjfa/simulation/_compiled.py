@@ -210,12 +210,10 @@ def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
 
 @compiled
 def explicit_step(q, v, a, tau, rate, h, mode, stuck, fast, tolerance, robot):
-    # q, v, a: at the beginning; tau, rate (nv,): torques there, and what they
-    # change by in a second; h: length of the step [s]; fast (nv,): fastest speeds, in
-    # units of which `tolerance` is; robot: tree, bodies, armature, bodies that load the
-    # joints (nv, 10) and table, as of `bodies_at` and `accelerate`.
-    # Returns q, v at the end, error in units of what is allowed, what
-    # `accelerate` writes (5, nv), and M there.
+    # q, v, a: at the beginning; tau, rate (nv,): torques there and their change in a
+    # second; h: length of the step [s]; fast (nv,): units of `tolerance`; robot: tree,
+    # bodies, armature, loading bodies (nv, 10), table. Returns q, v at the end, error
+    # in units of what is allowed, what `accelerate` writes (5, nv), and M there.
     nv, (tree, bodies, armature, loaded, table) = q.size, robot
     M, ML, before = np.empty((nv, nv)), np.empty((nv, nv)), a
     effects, load = np.empty(nv), np.empty(nv)
@@ -272,14 +270,13 @@ def smooth_steps(
     table,
 ):
     """Do explicit steps to the end of a span, or to where one of them is not enough."""
-    # q, v, found (5, nv), M: state at its beginning and what `accelerate` wrote there;
-    # step: length of the next step [s]; span: its beginning, end and least step, after
-    # the last sample [s]; tau, rate (nv,): torques at that sample, and what they change
-    # by in a second; barred (nv,): joints that stick until they are pushed loose;
-    # watched, way, fast (nv,): as of `Integrator`, `fast` is written; rules: constants
-    # of the steps. Where a step would be stiff, or pass an event, it is left to others.
-    # Returns the state and what was found there, time, next step, and their number.
-    # tree, table: tuples, as named ones take longer to pass.
+    # q, v, found (5, nv), M: state and what `accelerate` wrote there; step: length of
+    # the next one [s]; span: its beginning, end and least step, after the last sample
+    # [s]; tau, rate (nv,): torques at that sample and their change in a second; barred
+    # (nv,): joints that stick until they are pushed loose; watched, way, fast (nv,): as
+    # of `Integrator`, `fast` is written; rules: constants. Where a step would be stiff,
+    # or pass an event, it is left to others. tree, table: tuples, as named ones take
+    # longer to pass.
     table = _terms.Table(*table)
     robot = Tree(*tree), bodies, armature, loaded, table
     stiff, tolerance, reserve, shrink, grow, holds, loose = rules

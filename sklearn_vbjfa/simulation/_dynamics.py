@@ -23,10 +23,9 @@ class ForwardDynamics:
     """Accelerations of a `TorqueModel`, with its friction, one state at a time."""
 
     # Dry friction acts by modes: -1 or 1 for a joint that slides that way, 0 for one
-    # that sticks, whose acceleration is zero, or that has none. signals: (name, t) ->
-    # value of what was recorded beside the motion; values (5, nv), mass (nv, nv): what
-    # was found last, and the inertias with rotors; compiled: module of compiled
-    # functions.
+    # that sticks, or that has none. signals: (name, t) -> value of what was recorded
+    # beside the motion; values (5, nv), mass (nv, nv): what was found last, and the
+    # inertias with rotors; compiled: module of compiled functions.
 
     def __init__(self, robot, signals=None):
         # Numba takes a second to import.

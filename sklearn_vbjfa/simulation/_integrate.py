@@ -112,11 +112,9 @@ class Integrator:
         return self._dynamics.accelerate(q, v, tau, self._mode, self._stuck)
 
     def settle(self, tau):
-        # Friction and accelerations of joints at rest solve a linear complementarity
-        # problem: a joint sticks within its limit, or slides the way it is pushed.
-        # Changing the first joint that does neither, again and again, ends at the one
-        # solution, whatever the (positive definite) inertia matrix (Judice and Pires,
-        # Computers & Operations Research 21(5), 1994,
+        # A linear complementarity problem. Changing the first joint that neither sticks
+        # within its limit nor slides the way it is pushed, again and again, ends at the
+        # one solution (Judice and Pires, Computers & Operations Research 21(5), 1994,
         # doi:10.1016/0305-0548(94)90106-6).
         own = self._dynamics
         at_rest = own.terms.has_dry & ((self.v == 0) | self._stuck)

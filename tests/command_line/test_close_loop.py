@@ -312,10 +312,7 @@ def test_faults_of_a_robot(change, message, good, tmp_path, capfd):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (
-            "--effects spring,rust",
-            "--effects does not know 'rust'; expected.*ripple",
-        ),
+        ("--effects spring,rust", "--effects does not know 'rust'; expected.*ripple"),
         ("--effects ,", "--effects does not know ''"),
         ("--friction sticky", "--friction does not know 'sticky'; expected.*viscous"),
         ("--dt -0.005", "dt must be .*; got -0.005"),

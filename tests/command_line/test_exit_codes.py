@@ -121,10 +121,7 @@ RECORDINGS = {
     ),
     "half a second": (
         lambda x: {name: column[:100] for name, column in x.items()},
-        {
-            "": (0, ""),
-            "identify": (3, r"noise floor unknown \(joint 1 \(shoulder\)\)"),
-        },
+        {"": (0, ""), "identify": (3, r"noise floor unknown \(joint 1 \(shoulder\)\)")},
     ),
     "a robot at rest": (
         lambda x: x | dict.fromkeys(("q1", "q2"), NOISE),
@@ -248,8 +245,7 @@ def test_a_motion_for_effects_that_no_motion_shows(here, capsys):
     assert code == 3
     assert "Not identifiable by any motion: " in out
     assert re.search(
-        "warning: .*on joint 1 .shoulder. is not identifiable by any motion",
-        err[-1],
+        "warning: .*on joint 1 .shoulder. is not identifiable by any motion", err[-1]
     )
 
 

@@ -4,11 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from sklearn_vbjfa.datasets import (
-    Recording,
-    load_demo_recording,
-    make_robot_recording,
-)
+from sklearn_vbjfa.datasets import Recording, load_demo_recording, make_robot_recording
 
 ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
 

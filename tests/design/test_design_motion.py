@@ -7,10 +7,7 @@ import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.design import (
-    MotionLimits,
-    design_motion,
-)
+from sklearn_vbjfa.design import MotionLimits, design_motion
 from sklearn_vbjfa.robot import FitOptions
 from tests.design._chains import chain, posed, problem_of
 

@@ -101,10 +101,7 @@ def test_the_reference_stays_and_gains_are_not_searched(recording):
 
 @pytest.mark.parametrize(
     ("unit", "gains", "options"),
-    [
-        ("N m", None, {"gains": (-1, 1, 1, 1, 1, 1)}),
-        ("A", "unknown", {}),
-    ],
+    [("N m", None, {"gains": (-1, 1, 1, 1, 1, 1)}), ("A", "unknown", {})],
 )
 def test_signs_are_offered_as_gains_of_torques_alone(unit, gains, options):
     made = make_robot_recording(random_state=3, duration=16.0)

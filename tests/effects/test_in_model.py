@@ -16,10 +16,7 @@ from sklearn_vbjfa.effects import (
     OnAllJoints,
     TorqueGain,
 )
-from sklearn_vbjfa.model import (
-    CorrectedModel,
-    TorqueDerivatives,
-)
+from sklearn_vbjfa.model import CorrectedModel, TorqueDerivatives
 from tests.effects._arms import arm, inverse_dynamics, motion
 from tests.effects._faults import measured
 

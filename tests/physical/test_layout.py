@@ -27,10 +27,7 @@ def test_the_length_gives_ten_or_eleven_columns_a_joint(n_features, starts, kept
 
 @pytest.mark.parametrize(
     ("n_features", "options", "name"),
-    [
-        (24, {}, "parameter_names"),
-        (12, {"names": ["a"]}, "parameter_names"),
-    ],
+    [(24, {}, "parameter_names"), (12, {"names": ["a"]}, "parameter_names")],
 )
 def test_wrong_layouts_are_refused(n_features, options, name):
     with pytest.raises(ValueError, match=name):

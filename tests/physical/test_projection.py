@@ -12,11 +12,7 @@ from sklearn_vbjfa.physical import (
     _solver,
     body_scales,
 )
-from tests.physical._problems import (
-    cvxopt_projection,
-    metric,
-    robot,
-)
+from tests.physical._problems import cvxopt_projection, metric, robot
 
 seeds = st.integers(0, 2**31 - 1)
 constraints = st.sampled_from(["pseudo-inertia", "eq30"])

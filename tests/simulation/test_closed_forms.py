@@ -41,11 +41,7 @@ def test_spring_with_coulomb_friction_turns_nearer_by_twice_the_band():
     way = (-1.0) ** number
     size = np.where(number < turns, q0 - band - 2 * band * number, 0.0)
     rests = way * (q0 - 2 * band * number)
-    q = np.where(
-        number < turns,
-        size * np.cos(np.pi * t / half) + way * band,
-        rests,
-    )
+    q = np.where(number < turns, size * np.cos(np.pi * t / half) + way * band, rests)
     np.testing.assert_allclose(states[:, 0], q, rtol=0, atol=1e-7)
     assert (states[number == turns, 1] == 0).sum() > 50
 

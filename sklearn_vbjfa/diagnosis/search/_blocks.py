@@ -14,16 +14,12 @@ _ROWS_PER_LAG = 10
 
 def memory_time(residual, used, starts, step, stride=1):
     """Integrated correlation time [s] of residuals (m,) in rows that count."""
-    # That of an autoregression; infinite for a random walk. Rows are a stride apart:
-    # those in between are alike because of the low-pass, which is no memory of the
-    # residual, and to predict them would be to undo the low-pass.
-    # The order is that of Akaike's criterion. Least squares in the form r_t = rho
-    # r_(t-1) + sum psi_k (r_(t-k) - r_(t-k-1)) + e, where rho, the sum of the
-    # coefficients, says how slowly the residual forgets. Its estimate is too small in
-    # short recordings, by (1 + 3 rho) / n for a mean that was fitted (Kendall,
-    # Biometrika 41, 1954, doi:10.1093/biomet/41.3-4.403; for several lags Andrews and
-    # Chen, J. Bus. Econ. Stat. 12(2), 1994), times what the psi leave of a slow change;
-    # that much is added, up to a random walk.
+    # That of an autoregression; infinite for a random walk. Rows in between are alike
+    # because of the low-pass. The order is Akaike's. Least squares in the form r_t =
+    # rho r_(t-1) + sum psi_k (r_(t-k) - r_(t-k-1)) + e, where rho says how slowly the
+    # residual forgets; in short recordings it is too small by (1 + 3 rho) / n (Kendall,
+    # Biometrika 41, 1954; for several lags Andrews and Chen, J. Bus. Econ. Stat. 12(2),
+    # 1994), times what the psi leave of a slow change; that much is added.
     n = used.sum() / stride
     most = int(min(_LAGS * (n / 100.0) ** 0.25, n / _ROWS_PER_LAG))
     place = np.arange(residual.size)

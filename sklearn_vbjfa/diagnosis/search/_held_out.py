@@ -63,11 +63,9 @@ class HeldOut:
 
     # Folds are whole recordings where there are three or more, else stretches of each
     # recording, unless others, `fold` (m,), are given: what is worth its name predicts
-    # motion that was not fitted.
-    # In the order of the blocks: edges (n_blocks + 1,), first row of each; of_row (m,),
-    # place of the fold of each row's block; A (nj, m, r + 1), declared columns and
-    # torques of the joints that count, and gram (nj, n_folds, r + 1, r + 1), their
-    # products by fold.
+    # motion that was not fitted. edges (n_blocks + 1,), first row of each block; of_row
+    # (m,), fold of each row; A (nj, m, r + 1), declared columns and torques of the
+    # joints that count, and gram (nj, n_folds, r + 1, r + 1), their products by fold.
 
     def __init__(self, view, fold=None):
         self.view = view

@@ -123,12 +123,11 @@ class Member:
 class Problem:
     """Equations of all joints in frequency: declared columns and torques."""
 
-    # cosines: of the rows of `view`, where they are there already; Z, y, (nv, n, r) and
-    # (nv, n): those of the declared columns and of the torques, sorted by band; edges
-    # (n_bands + 1,): where each band begins, and the last one ends; torque (nv,): root
-    # mean square of the varying torque in weighted rows; motion: signals from which
-    # columns are made, with the load; None before a fit; held (nv, n): which of the
-    # view's terms of one sign are zero, as they would have the other.
+    # Z, y, (nv, n, r) and (nv, n): cosines of the declared columns and of the torques,
+    # sorted by band; edges (n_bands + 1,): where each begins, and the last one ends;
+    # torque (nv,): root mean square of the varying torque in weighted rows; motion:
+    # signals from which columns are made; held (nv, n): terms of one sign that are
+    # zero.
 
     motion = None
 
@@ -325,12 +324,11 @@ def _score_powers(scores):
 class Fit:
     """A model of all joints' torques with some members, under given weights."""
 
-    # base: declared columns under these weights; theta (r,): posterior mean of those,
-    # in reduced coordinates; places: coefficients of each member; prior (p,): precision
-    # of these.
-    # B (r, p), H (p, p), q (p,): products of the members' columns with the declared
-    # ones, and with each other and the torques as far as those leave them; `reduced`
-    # where another fit under the same weights has made them.
+    # base: declared columns under these weights; theta (r,): posterior mean of those;
+    # places: coefficients of each member; prior (p,): precision of these. B (r, p), H
+    # (p, p), q (p,): products of the members' columns with the declared ones, and with
+    # each other and the torques as far as those leave them; `reduced` where another fit
+    # has made them.
 
     def __init__(self, base, members=(), reduced=None):
         self.base, self.members = base, tuple(members)
@@ -503,10 +501,9 @@ class Fit:
     def _scattered(self, left, effects, noise):
         """Overdispersion of scores by columns (nv, n, c) beside everything else."""
         # The variance of a score between blocks of time over that which its second
-        # moments promise (the sandwich over the Hessian), at least one, with the
-        # degrees of freedom that it is known with. The variance of slow changes of the
-        # score counts where it is larger: that of independent blocks is as large at all
-        # frequencies.
+        # moments promise (the sandwich over the Hessian), at least one, with its
+        # degrees of freedom. The variance of slow changes of the score counts where it
+        # is larger: that of independent blocks is as large at all frequencies.
         rows = self._rows(left * np.sqrt(self.base.weights)[:, :, None])
         promised = (rows**2).sum(axis=(0, 1))
         # What the column itself explains of the noise is none.
@@ -654,11 +651,10 @@ _SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 
 def spectrum_of(fit, settings, rounds=3, share=None):
     """Return a fit under weights by the spectrum of its residual."""
-    # Such weights are best where the model is right. Where it is not, frequencies in
-    # which it is wrong can decide everything. So they follow the largest power `share`
-    # (None: found) of the spectrum with which no joint's torque differs from that by
-    # plain weights more than by chance (after J. Hausman, Econometrica 46(6), 1978, doi
-    # 10.2307/1913827).
+    # Such weights are best where the model is right. Where it is not, they follow the
+    # largest power `share` (None: found) of the spectrum with which no joint's torque
+    # differs from that by plain weights more than by chance (after J. Hausman,
+    # Econometrica 46(6), 1978, doi 10.2307/1913827).
     if share is not None:
         return _following(fit, settings, rounds, share)
     problem = fit.problem

@@ -111,27 +111,18 @@ _RESTS = 10
 class RecordingView:
     """Filtered equations of a recording, and effects' columns behind that filter."""
 
-    # Nothing of it changes once it is made. robot: fitted to the recording with the
-    # declared model; leave_out: joints whose channel carries no information; begins:
-    # when recordings begin [s], if their first rows are not among these; all_samples:
-    # whether none of a long one is left aside.
-    # Samples of which effects' columns are made, all rows of the recording or, of a
-    # long one, every so many (`stride`): states (n, 3 nv), their clock (n,) [s] or
-    # None, signals (n,) by name, dt [s], and parts, recordings or pieces of them,
-    # across whose borders nothing is remembered.
-    # Filtered: index (m,), sample at the middle of each row, and recorded (m,), that
-    # row of the recording; equations of the declared model, made of all rows; moving
-    # (m, nv), their weights without rows at rest; root (m, nv) of the weights and
-    # target (nv, m), torques scaled by it; step [s]; starts,
-    # first row of each part; origin (m,), number of its recording; Z (nv, m, r) and
-    # back (p, r), see `reduced`; one_sided (nv, n, r), rows of it that lead to the
-    # declared friction, which cannot be negative, zero where data do not determine it.
-    # blocks: by which folds are left out and evidence is tempered, spans of time or, of
-    # a motion that repeats, phases; span_order: all of them, parts in an order that
-    # does not depend on how they came; phases: motion of each filtered row and time in
-    # it [s], None where none repeats; repeats: how many times each phase is there;
-    # precision (nv,): weights of the joints in the declared model's fit.
-    # made: all `Columns` that are in use or were asked for last.
+    # robot: fitted with the declared model; leave_out: joints whose channel carries no
+    # information; begins: when recordings begin [s].
+    # Samples of which effects' columns are made, of a long recording every so many
+    # (`stride`): states (n, 3 nv), clock (n,) [s] or None, signals (n,) by name.
+    # Filtered rows: index (m,), the sample at the middle of each; moving (m, nv), their
+    # weights without rows at rest; root (m, nv) of the weights and target (nv, m),
+    # torques scaled by it; starts, first row of each part; origin (m,), number of its
+    # recording; Z (nv, m, r) and back (p, r), see `reduced`; one_sided (nv, n, r), rows
+    # of it that lead to the declared friction, which cannot be negative.
+    # blocks: by which folds are left out and evidence is tempered; phases: motion of
+    # each row and time in it [s], None where none repeats; precision (nv,): weights of
+    # the joints in the declared model's fit; made: all `Columns` that are in use.
 
     def __init__(
         self,

@@ -31,10 +31,7 @@ def few(monkeypatch):
 @pytest.fixture(scope="module")
 def recorded():
     return make_robot_recording(
-        duration=40.0,
-        dt=0.005,
-        undeclared={"load_friction": (1, 0.3)},
-        random_state=0,
+        duration=40.0, dt=0.005, undeclared={"load_friction": (1, 0.3)}, random_state=0
     )
 
 

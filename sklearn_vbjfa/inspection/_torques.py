@@ -58,8 +58,8 @@ def signs(reading):
     if not best or scores[best].fall(now) < -number.CLEAR:
         return None
     # What balances a single joint is likelier a spring.
-    springs = robot.with_springs(list(best)) if len(best) == 1 else -np.inf
-    if springs > robot.fit(tau=-tau, joints=list(best)).evidence - number.DECISIVE:
+    springs = robot.with_springs(judge) if len(best) == 1 else -np.inf
+    if springs > scores[best].evidence - number.DECISIVE:
         return None
     # Joints that are explained too badly to be judged may say that theirs is right.
     others = [j for j in robot.joints.tolist() if j not in judge]

@@ -5,6 +5,8 @@ import itertools
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa._cli._parser import Refused
 from sklearn_vbjfa.fit import FitOptions
@@ -47,7 +49,7 @@ def findings(arguments, recording, urdf, gains):
         recording.q,
         recording.tau,
         recording.dt,
-        recording.groups,
+        np.asarray(recording.group_names)[recording.groups],
         drive=drive,
         gains=gains,
         named=recording.joints_named,

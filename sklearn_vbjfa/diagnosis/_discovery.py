@@ -45,6 +45,7 @@ from sklearn_vbjfa.recording import (
     check_dt,
     find_repetition,
     positions_and_signals,
+    recording_names,
     survey,
     take_arrays,
     take_rows,
@@ -215,8 +216,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if drive is not None:
             commanded, signals = drive.taken(whole.tau, signals)
             whole = drive.driven(replace(whole, signals=commanded))
-        whole = replace(whole, joints_named=carries_names(X, self.joint_names_))
-        self._fit(whole, library, signals, beside, _names(whole, groups))
+        names = recording_names(groups, [part.start for part in whole.segments])
+        named = carries_names(X, self.joint_names_)
+        whole = replace(whole, joints_named=named, group_names=names)
+        self._fit(whole, library, signals, beside, names)
         for found in self.report_.outcome.findings["channels"]:
             if found.severity == "warning":
                 warnings.warn(found.message, DoubtWarning, stacklevel=3)
@@ -241,7 +244,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         library = self._check_parameters()
         given = recording.inputs, recording.tau, recording.groups, recording.weight
         whole, _ = self._recording(*given, None)
-        kept = ("command", "feedback", "torque_units", "joints_named")
+        kept = ("command", "feedback", "torque_units", "joints_named", "group_names")
         whole = replace(whole, **{name: getattr(recording, name) for name in kept})
         names = tuple(map(str, recording.group_names))
         return self._fit(whole, library, signals, OfferedSignals(), names)
@@ -311,7 +314,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             raise wrong
         silent = [j for f in channels if f.kind in NO_INFORMATION for j in f.joints]
         self.torque_lag_ = 0.0
-        for found in (x.value for x in channels if x.kind == "delay"):
+        common = (x for x in channels if x.severity == "note")
+        for found in (x.value for x in common if x.kind == "delay"):
             again = clone(self.identifier).fit_inspected(whole, found, compare=False)
             self.torque_lag_ = again.torque_lag_
             whole = with_torques_shifted(whole, self.torque_lag_)
@@ -435,12 +439,3 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         motion = motions_of(robot, states, predicted, moving, spread)
         error, low, high = self._expectation.of(motion)[:, :-1]
         return error, np.stack([low, high])
-
-
-def _names(whole, groups):
-    """Return what each recording is called: its label, or its number from 1."""
-    first = [rows.start for rows in whole.segments]
-    labels = range(len(first)) if groups is None else np.asarray(groups)[first]
-    if list(labels) == list(range(len(first))):
-        labels = range(1, len(first) + 1)
-    return tuple(map(str, labels))

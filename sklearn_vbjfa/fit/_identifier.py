@@ -323,7 +323,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if not self._suspect:
             return self
         findings = self.findings(recording)
-        lag = sum(one.value for one in findings if one.kind == "delay")
+        common = (one for one in findings if one.severity == "note")
+        lag = sum(one.value for one in common if one.kind == "delay")
         if lag and (self.drive, self.asked_gains) == (None, None):
             self.fit_inspected(recording, lag)
         for one in findings:
@@ -338,7 +339,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             recording.q,
             recording.tau,
             recording.dt,
-            recording.groups,
+            np.asarray(recording.group_names)[recording.groups],
             drive=self.drive,
             gains=self.asked_gains,
             bodies=self.bodies,

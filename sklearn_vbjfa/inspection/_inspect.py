@@ -22,6 +22,7 @@ from sklearn_vbjfa.recording import (
     check_dt,
     contiguous_groups,
     in_order,
+    recording_names,
 )
 
 
@@ -176,7 +177,7 @@ def inspect_recording(recording, model=None):
         recording.q,
         recording.tau,
         recording.dt,
-        recording.groups,
+        np.asarray(recording.group_names)[recording.groups],
         gains=None if _are_torques(recording.torque_units) else "unknown",
         named=recording.joints_named,
     )
@@ -239,7 +240,8 @@ def inspect_channels(
             f"q and tau must both have shape (n_samples, {model.nv}), one column for "
             f"each of {', '.join(names)}; got {q.shape} and {tau.shape}."
         )
-    shuffled = shuffled_rows(names, q, contiguous_groups(groups, len(q)))
+    every = contiguous_groups(groups, len(q))
+    shuffled = shuffled_rows(names, q, every)
     rows, parts = long_parts(len(q), groups)
     if shuffled or not parts:
         return in_order(shuffled)
@@ -256,7 +258,12 @@ def inspect_channels(
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
     reading = Reading(model, names, q, tau, dt, parts, usable, drive, named)
-    found = _of_recordings(reading)
+    called, least = (
+        recording_names(groups, [x.start for x in every]),
+        number.MIN_SAMPLES,
+    )
+    called = [x for x, part in zip(called, every) if part.stop - part.start >= least]
+    found = _of_recordings(reading, called)
     unknown = set(_OF_SIZE) if gains is not None else set()
     if bodies == "free":
         unknown.add("torque_unit")
@@ -288,12 +295,12 @@ def _compared(reading):
     return findings + _unverified(reading)
 
 
-def _of_recordings(reading):
+def _of_recordings(reading, names):
     """Return what is found in recordings that agree, and in each that does not."""
     apart = [] if reading.tell_nothing() else reading.apart()
     rest = sorted(set(range(len(reading.parts))) - set(apart))
-    each = [(k, one) for k in apart for one in _compared(reading.of_recordings([k]))]
-    each = [(k, one) for k, one in each if one.kind != "unverified"]
+    alone = {k: _compared(reading.of_recordings([k], alone=True)) for k in apart}
+    each = [(k, x) for k, own in alone.items() for x in own if x.kind != "unverified"]
     if not apart or (not rest and len({k for k, _ in each}) == len(apart)):
         return _compared(reading)
     found = _compared(reading.of_recordings(rest)) if rest else _unverified(reading)
@@ -302,7 +309,7 @@ def _of_recordings(reading):
         replace(
             one,
             severity="error" if one.severity == "error" else "warning",
-            message=f"Recording {k + 1} alone: {one.message}",
+            message=f"Recording {names[k]} alone: {one.message}",
             remedy={},
         )
         for k, one in each

@@ -229,6 +229,7 @@ class Reading:
     usable: np.ndarray  # (n, nv): samples without known faults
     drive: object = None  # what made the torques
     named: bool = False  # whether columns carry the joints' names
+    alone: bool = False  # whether it is one of several recordings
 
     def __post_init__(self):
         self.nv, self.every = self.model.nv, tuple(range(self.model.nv))
@@ -277,11 +278,11 @@ class Reading:
         near = np.abs(self.q[0]) <= number.AT_ZERO * np.ptp(self.q, axis=0)
         return self.measured and bool(near.all())
 
-    def of_recordings(self, numbers):
+    def of_recordings(self, numbers, alone=False):
         """Return some of its recordings."""
         rows, parts = thinned([self.parts[k] for k in numbers], 1)
         channels = {x: getattr(self, x)[rows] for x in ("q", "tau", "usable")}
-        return replace(self, **channels, parts=parts)
+        return replace(self, **channels, parts=parts, alone=alone)
 
     def apart(self):
         """List recordings that agree far worse than others, or with other masses."""

@@ -187,7 +187,7 @@ def late(reading):
     return Candidate(
         joints=reading.every,
         log_odds=filtered if lowpass else gain,
-        kind="torque_lowpass" if lowpass else "",
+        kind="torque_lowpass" if lowpass else "delay:alone" * reading.alone,
         value=seconds,
         facts=facts,
     )

@@ -149,6 +149,8 @@ SENTENCES = {
     "delay": "All torques are {size:.3g} ± {error:.2g} ms {late} against the positions "
     "({evidence}): two clocks, or a delay of the torques. The search shifts them by "
     "this lag.",
+    "delay:alone": "All torques are {size:.3g} ± {error:.2g} ms {late} against the "
+    "positions ({evidence}). Shift the torques of this recording by this lag.",
     "delay:drift": "The clock of the torques is about {share} {ahead} against that of "
     "the positions: their lag changes by {size:.3g} ms in the log ({evidence}). Log "
     "both with the stamps of one clock.",

@@ -33,6 +33,7 @@ _MODULES = {
         "check_cutoff",
         "check_dt",
         "contiguous_groups",
+        "recording_names",
         "take_arrays",
         "take_rows",
         "with_torques_shifted",

@@ -344,6 +344,15 @@ def take_arrays(
     )
 
 
+def recording_names(groups, starts):
+    """Return what each recording is called: its label, or its number from 1."""
+    labels, numbers = range(len(starts)), [str(k) for k in range(len(starts) + 1)]
+    labels = [
+        str(x) for x in (labels if groups is None else np.asarray(groups)[starts])
+    ]
+    return tuple(numbers[1:] if labels == numbers[:-1] else labels)
+
+
 def _labelled(segments):
     """Return labels and names of recordings that follow one another."""
     names = tuple(str(k) for k in range(len(segments)))

@@ -184,8 +184,7 @@ def choose_cutoff(frequency, power, noise_gain, dt):
     """Cut-off [Hz] that minimises the estimated error of the second derivative."""
     # With gain G the expected squared error at a frequency is (1 - G)^2 times the
     # signal power plus G^2 times the noise power; the signal power is the measured one
-    # minus the noise (Mallows' C_p) where it stands out. Also returns the noise
-    # variance, both for each column.
+    # minus the noise (Mallows' C_p). Also returns the noise variance.
     variance = np.array(
         [white_noise_variance(frequency, column, noise_gain) for column in power.T]
     )

@@ -222,9 +222,8 @@ def from_vector(vector, like, prior):
 
 
 # Gradient of the bound, and the inverse curvature implied by an EM step: ``scale *
-# gradient`` is that step to first order in the logarithms. Both have the shape of the
-# coordinates; the gradient is zero where a variance rests on its floor and would fall
-# further.
+# gradient`` is that step to first order in the logarithms. The gradient is zero where a
+# variance rests on its floor and would fall further.
 Slope = namedtuple("Slope", "gradient scale")
 
 
@@ -458,9 +457,8 @@ def _end(problem, found):
 def solve(moments, state, prior, *, max_iter, tol):
     """Iterate until the bound gains less than `tol` per sample."""
     # A step that does not raise the bound is replaced by the plain one: the bound never
-    # falls, and the fixed points are those of the plain iteration. Without priors the
-    # last step goes to the explicit maximum, unless the input noise is known to be
-    # large.
+    # falls, and the fixed points are the same. Without priors the last step goes to the
+    # explicit maximum, unless the input noise is known to be large.
     if prior.psi_x_fixed is not None:
         prior = replace(
             prior, psi_x_fixed=np.maximum(prior.psi_x_fixed, VARIANCE_FLOOR)

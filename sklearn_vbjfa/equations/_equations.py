@@ -281,10 +281,9 @@ def regressor_rows(
     recording, states, plan, features, *, theta=None, rest=None, kept=None
 ):
     """Regressor of each segment, with the columns of the plan's effects."""
-    # Takes the states (n, 3 nv) of each segment, arrays or `SplineStates`; theta gives
-    # the load and the torque, see `make_motion`, rest the velocity signs at rest; kept:
-    # columns that no load changes, of the same states, to which new ones are added.
-    # Returns a list of `RegressorRows`.
+    # Takes the states of each segment, arrays (n, 3 nv) or `SplineStates`; theta gives
+    # the load and the torque, rest the velocity signs at rest; kept: columns that no
+    # load changes, to which new ones are added. Returns a list of `RegressorRows`.
     if not plan.effects:
         return [RegressorRows(features, own, rest=rest) for own in states]
     # Effects need all recordings together (time, largest speeds).

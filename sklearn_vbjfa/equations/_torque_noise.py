@@ -174,10 +174,9 @@ def _gap_shape():
 
 def filtered_noise(facts, dt, cutoff, left=np.inf):
     """Deviations (nv,) [N m or N] of the noise that passes the low-pass."""
-    # left (nv,): deviations that the fit leaves behind the low-pass, noise or not.
-    # nan where they cannot be found: without a low-pass, with one too close to the
-    # Nyquist frequency, or where the spectrum rises towards the band and what is left
-    # there is not its continuation.
+    # left (nv,): deviations that the fit leaves behind the low-pass. nan where they
+    # cannot be found: without a low-pass, with one too close to the Nyquist frequency,
+    # or where the spectrum rises towards the band and is not continued.
     nv = facts[0].hold.size
     found, left = np.full(nv, np.nan), np.where(left > 0, left, np.inf) * np.ones(nv)
     if not seen(dt, cutoff):

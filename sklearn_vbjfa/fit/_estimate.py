@@ -440,9 +440,8 @@ def project(found, projector, features, effects=()):
 def consistent_anchor(model, theta, metric, per_joint, followers):
     """Return a consistent vector (p,) near the model's parameters, in data's units."""
     # The torques do not depend on some directions; the projection completes them from
-    # this point: the described inertias or a solid ball. A common factor scales them to
-    # the estimate theta (p,) in the Gram matrix metric (p, p): a change of torque unit
-    # changes only the unit of the result.
+    # this point: the described inertias or a solid ball, times a factor to the estimate
+    # theta (p,) in the Gram matrix metric (p, p).
     bodies = np.vstack([nominal_parameters(model), followers])
     bodies = _complete(bodies, _robot_length(model))
     p = model.nv * per_joint

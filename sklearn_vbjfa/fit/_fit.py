@@ -721,9 +721,8 @@ def with_corners(robot, source):
 def without_steps(robot, source):
     """Return a source whose torques are free of the response to steps of commands."""
     # A joint answers each step of a held command by a ripple, which sampled positions
-    # hide: at rows it is in proportion to the slope of the command. It is the double
-    # integral of a sawtooth B1, by the Bernoulli polynomials B3 and, for the damping,
-    # B4. None where it is too small to matter.
+    # hide: the double integral of a sawtooth B1, by the Bernoulli polynomials B3 and,
+    # for the damping, B4, times the slope of the command. None where it is too small.
     recording, dt = source.recording, source.recording.dt
     if recording.feedback is None or robot.plan.state_estimator is None:
         return None

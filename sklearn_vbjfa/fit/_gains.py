@@ -149,10 +149,9 @@ def _spread(found):
 
 def _grouped(spread, strength, references):
     """Find each joint's reference (nv,) from the variances of ratios (nv, nv)."""
-    # Joints belong together whose ratio is known better than that it is plausible. Of
-    # them the one is the reference from which the others are known best, whatever
-    # their order; of two, which know each other equally well, the one with more
-    # torque over noise (`strength`).
+    # Joints belong together whose ratio is known better than that it is plausible. The
+    # reference is the one from which the others are known best, in any order; of two,
+    # the one with more torque over noise (`strength`).
     nv = strength.size
     with np.errstate(invalid="ignore"):
         sees = HALF_WIDTH * np.sqrt(spread) < np.log(LIMIT)

@@ -376,10 +376,9 @@ _SHARE = 1e-6
 
 
 def slopes(predictor, recording, states):
-    # recording: with the segments and clock of the motions; states (n, 3 nv). Returns
-    # the derivatives of true torques by positions, velocities and accelerations (3, n,
-    # nv, nv), their rise where the velocity of the joint passes through zero (n, nv),
-    # and those by parameters Phi (n, nv, p).
+    # states (n, 3 nv). Returns the derivatives of true torques by positions, velocities
+    # and accelerations (3, n, nv, nv), their rise where the velocity of the joint
+    # passes through zero (n, nv), and those by parameters Phi (n, nv, p).
     features, held = predictor.features_, held_parameters(predictor)
 
     def rows_of(states):

@@ -384,8 +384,7 @@ def write_urdf(text, target, model, parameters, note="", turned=None, followers=
     """Write a URDF with other inertias and friction, from its text."""
     # parameters (nv, 12): inertial ones [kg, kg m, kg m^2], viscous and Coulomb
     # friction; note: comment at the top; turned: rotation matrices (3, 3) of joints'
-    # origins, in their own axes; followers: bodies (10,) of joints that follow others,
-    # by name.
+    # origins; followers: bodies (10,) of joints that follow others, by name.
     followers = {} if followers is None else followers
     root = ElementTree.fromstring(text)
     add_comment(root, note)

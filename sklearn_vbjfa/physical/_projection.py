@@ -41,9 +41,8 @@ class Metric:
     def visible_part(self, theta):
         """Drop what the metric does not see where it dwarfs what it sees."""
         # A least-squares solve that does not cut its singular values returns 1e10 and
-        # more along directions without information; neither scales nor anchors may come
-        # from those. Also returns the lengths of the hidden and the visible part in
-        # units of the metric.
+        # more along directions without information; scales and anchors do not come from
+        # those. Also returns the lengths of the hidden and the visible part.
         standardised = theta * self.size
         part = self.basis @ (self.basis.T @ standardised)
         hidden, visible = np.linalg.norm(standardised - part), np.linalg.norm(part)

@@ -289,7 +289,6 @@ def positions_and_signals(X, names):
     # Columns of a data frame are ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0
     # if there is a ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``,
     # ``a1``. Time, labels of recordings and other channels of joints are no signals.
-    # What has no names comes back unchanged.
     columns = _columns_of(X)
     found = _by_kind(columns, names, "q")
     if "q" not in found:

@@ -289,8 +289,7 @@ def find_dependencies(R):
     """Find the generating columns from the correlation matrix R (d, d)."""
     # Second moments do not determine which columns generate the rest, but two unit-free
     # rules do: the extreme rays of the cone of all, if these are as few as the span has
-    # dimensions; otherwise, one by one, the column farthest from the span of those
-    # before.
+    # dimensions; else, one by one, the column farthest from the span.
     d = R.shape[0]
     eigen = scaled_eigen(R, _DEPENDENT, scale=1.0)
     if eigen.rank == d:

@@ -363,9 +363,8 @@ def directions(v, a):
 def past_events(watched, way, v, exact, stuck, needed, limit, holds, loose):
     """How far joints are past an event, in units of what they may be, (nv,)."""
     # Those that slide turn round; exact (nv,): velocities that count as zero. Those
-    # that stick break loose beyond `holds` times the limit of their friction; an excess
-    # of `loose` times the limit counts as none. Negative before the event, -inf for
-    # joints without any.
+    # that stick break loose beyond `holds` times the limit of their friction. Negative
+    # before the event, -inf for joints without any.
     out = np.where(watched & ~stuck, -way * v / exact, -np.inf)
     excess = (np.abs(needed) - holds * limit) / np.maximum(loose * limit, _TINY)
     return np.where(stuck, excess, out)

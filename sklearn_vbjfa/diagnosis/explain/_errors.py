@@ -110,10 +110,9 @@ def _held_out(found, split, whole):
 
 def error_intervals(held_out, searched, spread, step):
     """Return 90 % intervals (2, nv) of an error and its change in the next motion."""
-    # held_out, searched: residuals before and after, whose indices count the rows of
-    # the whole recording. An error is a mean over time, and the next stretch scatters
-    # as the held-out one does: the slow variation of the squared residual in both parts
-    # of the recording shows by how much.
+    # held_out, searched: residuals before and after. An error is a mean over time, and
+    # the next stretch scatters as the held-out one does: the slow variation of the
+    # squared residual in both parts of the recording shows by how much.
     index = np.concatenate([searched[0].index, held_out[0].index])
     order = np.argsort(index, kind="stable")
 

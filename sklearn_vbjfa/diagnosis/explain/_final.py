@@ -46,8 +46,7 @@ class FinalFit:
 
     # declared, identifier: the declared and the completed model; view: of the search,
     # and then of the robot as effects correct it; effects: those that were added, in
-    # the order of the model's last parameters; share: of the fitted rows, those that
-    # the view holds.
+    # the order of the last parameters; share: of the fitted rows in the view.
 
     def __init__(self, declared, identifier, view, share=1.0):
         self.declared, self.identifier, self.share = declared, identifier, share

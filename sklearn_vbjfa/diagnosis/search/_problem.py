@@ -36,9 +36,8 @@ class Columns:
     """Columns of an effect with c shapes in frequency, up to k for each of them."""
 
     # effects (c,): one for each shape; joints: those that they act on; values (nj, n,
-    # c, k): cosines, sorted by band and not weighted; unit (c, k): see `Groups`, zero
-    # for columns of zeros; edges: see `Problem`; load: motion with the load that they
-    # depend on, if any.
+    # c, k): cosines, sorted by band; unit (c, k): see `Groups`, zero for columns of
+    # zeros; edges: see `Problem`; load: motion with the load that they depend on.
 
     def __init__(self, effects, joints, values, unit, edges, load=None):
         self.effects, self.joints, self.load = tuple(effects), tuple(joints), load
@@ -229,9 +228,8 @@ class Base:
     """The declared columns under given weights, and families given these."""
 
     # density (nv, n_bands): weights of the cosines of each band; spectrum: what they
-    # are from, a power `share` of it (see `Spectrum.weights`), or None; L (r, r): lower
-    # Cholesky factor of the Gram matrix; t (r,): L^-1 times the products with the
-    # torques.
+    # are from, a power `share` of it, or None; L (r, r): lower Cholesky factor of the
+    # Gram matrix; t (r,): L^-1 times the products with the torques.
 
     def __init__(self, problem, density, spectrum=None, share=1.0):
         self.problem, self.density = problem, density

@@ -428,26 +428,23 @@ def coverage():
     return "Do the intervals hold?", verdict, data, shown, limitation
 
 
-IN = "in their interval [%]"
-
-
 def next_recording():
     """Show errors of later recordings."""
-    data = Tables("next_recording")
+    data, inside = Tables("next_recording"), "in their interval [%]"
     columns = ["differences", "effects searched", "cases", "judged / promised, median"]
-    columns += ["least", "judged / held-out, median", "in their interval [%]"]
+    columns += ["least", "judged / held-out, median", inside]
     names = {
         "differences": "variation between recordings",
         "effects searched": "search",
         "judged / promised, median": "actual / predicted error, median",
         "judged / held-out, median": "actual / held-out error, median",
-        "in their interval [%]": "joints in their interval [%]",
+        inside: "joints in their interval [%]",
     }
     ratios = [number_of(row[3]) for row in data.tables[0].rows]
     largest = [number_of(row[5]) for row in data.tables[0].rows]
     simulated = data.tables[1]
     shares = dict(
-        zip(simulated.column("differing"), map(number_of, simulated.column(IN)))
+        zip(simulated.column("differing"), map(number_of, simulated.column(inside)))
     )
     ranked = [f"{shares[x]:.0f} % ({x})" for x in sorted(shares, key=shares.get)]
     verdict = (
@@ -465,9 +462,12 @@ def next_recording():
         "A single recording cannot tell that the next one has another payload."
     )
     table = data.table(columns=columns, names=names)
-    cells = ["differing", "sets", IN, "joints [%]", "upper / lower end"]
+    cells = ["differing", "sets", inside, "joints [%]", "upper / lower end"]
     cells += ["difference named [%]", "another named [%]"]
-    names = {IN: "means in their interval [%]", "joints [%]": "joints in theirs [%]"}
+    names = {
+        inside: "means in their interval [%]",
+        "joints [%]": "joints in theirs [%]",
+    }
     table += "\n\n" + data.table(2, cells, names=names)
     table += "\n\n" + data.table(3, ["recordings", *cells[1:]], names=names)
     question = "Is the error on the next recording predicted?"

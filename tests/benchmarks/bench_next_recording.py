@@ -169,16 +169,19 @@ def by_cell(results, by):
 
 
 def simulated(arguments):
-    """Tables of the simulated sets."""
+    """Tables of the simulated sets, and the commits of their results."""
     first, last = (0, 0) if arguments.quick else arguments.seeds
     tasks = differing.tasks(range(first, last + 1))
-    ledger = run_study(differing.judge, tasks, differing.KEYS, out=arguments.out)
+    # Other keys need files of their own.
+    out = [f"{path}.sets" for path in arguments.out or ()]
+    ledger = run_study(differing.judge, tasks, differing.KEYS, out=out)
     done = [r for r in ledger.of(tasks) if "error" not in r]
     failed = [r for r in ledger.of(tasks) if "error" in r]
     keys = ("kind",), ("count",), ("kind", "size", "count")
     text = [by_cell(done, by) for by in keys]
     said = {key: [r[key] for r in failed] for key in ("kind", "error")}
-    return "\n\n".join([f"Refused: {len(failed)} {said if failed else ''}", *text])
+    text.insert(0, f"Refused: {len(failed)} {said if failed else ''}".rstrip())
+    return "\n\n".join(text), ledger.commits(tasks)
 
 
 def main(argv=None):
@@ -196,9 +199,10 @@ def main(argv=None):
         out=arguments.out,
         line=str,
     )
-    done = [r for r in ledger.results if "set" in r]
-    text = "\n\n".join([summary(done), simulated(arguments), by_case(done)])
-    publish("next_recording", text, arguments, commits=ledger.commits())
+    sets, commits = simulated(arguments)
+    text = "\n\n".join([summary(ledger.results), sets, by_case(ledger.results)])
+    commits = list(dict.fromkeys(ledger.commits() + commits))
+    publish("next_recording", text, arguments, commits=commits)
 
 
 if __name__ == "__main__":

@@ -120,7 +120,7 @@ def main(argv=None):
         warnings.simplefilter("ignore")
         recording = fetch_unitree_go2(data_home=arguments.data_home)
         rows = [row_of(*way, recording, runs) for way in ways]
-        repeated = ranges(recording, runs if arguments.quick else range(10))
+        repeated = ranges(recording, range(4) if arguments.quick else runs)
         described = sum(
             one.mass for one in recording.robot_model().inertias.tolist()[1:]
         )

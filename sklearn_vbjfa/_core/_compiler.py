@@ -14,10 +14,9 @@ except ImportError as error:
 
 def compiler(*files, **more):
     """Return a decorator that compiles functions whose source is in some files."""
-    # The machine code is kept on disk: only the first use after an installation takes
-    # the seconds of the compilation. Numba looks for changes in the file of a function
-    # alone; those that it calls are in its name. Fused multiplications and additions
-    # round once instead of twice.
+    # The machine code is kept on disk: only the first use takes the seconds of the
+    # compilation. Numba looks for changes in the file of a function alone; those that
+    # it calls are in its name. Fused multiplications and additions round once.
     stamp = zlib.crc32(b"".join(Path(one).read_bytes() for one in files))
 
     def compiled(function):

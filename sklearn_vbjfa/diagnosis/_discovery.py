@@ -36,7 +36,7 @@ from sklearn_vbjfa.equations._recording_checks import check_weight
 from sklearn_vbjfa.fit._arguments import checked_arrays
 from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.fit._signs import signed
-from sklearn_vbjfa.inspection import refusal
+from sklearn_vbjfa.inspection import common_lag, refusal
 from sklearn_vbjfa.model import DoubtWarning, joint_names, load_model
 from sklearn_vbjfa.recording import (
     OfferedSignals,
@@ -219,7 +219,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         names = recording_names(groups, [part.start for part in whole.segments])
         named = carries_names(X, self.joint_names_)
         whole = replace(whole, joints_named=named, group_names=names)
-        self._fit(whole, library, signals, beside, names)
+        self._fit(whole, library, signals, beside)
         for found in self.report_.outcome.findings["channels"]:
             if found.severity == "warning":
                 warnings.warn(found.message, DoubtWarning, stacklevel=3)
@@ -246,10 +246,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         whole, _ = self._recording(*given, None)
         kept = ("command", "feedback", "torque_units", "joints_named", "group_names")
         whole = replace(whole, **{name: getattr(recording, name) for name in kept})
-        names = tuple(map(str, recording.group_names))
-        return self._fit(whole, library, signals, OfferedSignals(), names)
+        return self._fit(whole, library, signals, OfferedSignals())
 
-    def _fit(self, whole, library, signals, beside, names):
+    def _fit(self, whole, library, signals, beside):
         """Search in a checked recording with its signals, and set the results."""
         declared = check_effects(self.identifier.effects, whole.nv)
         drive = self.identifier.drive
@@ -261,7 +260,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
-            outcome, self._expectation = self._close(whole, library, unusable, names)
+            outcome, self._expectation = self._close(whole, library, unusable)
         for name in ("effects", "possible", "unexplained", "not_identifiable"):
             setattr(self, f"{name}_", outcome.findings[name])
         for name in ("before", "plain", "after"):
@@ -304,7 +303,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         made = take_arrays(X, y, groups, weight, t, dt=dt, joint_names=names)
         return made, columns
 
-    def _close(self, whole, library, unusable, names):
+    def _close(self, whole, library, unusable):
         """Close the loop on a checked recording; return what `make_outcome` does."""
         say("channels")
         channels = self.identifier.findings(whole) if whole.states is None else ()
@@ -314,9 +313,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             raise wrong
         silent = [j for f in channels if f.kind in NO_INFORMATION for j in f.joints]
         self.torque_lag_ = 0.0
-        common = (x for x in channels if x.severity == "note")
-        for found in (x.value for x in common if x.kind == "delay"):
-            again = clone(self.identifier).fit_inspected(whole, found, compare=False)
+        if lag := common_lag(channels):
+            again = clone(self.identifier).fit_inspected(whole, lag, compare=False)
             self.torque_lag_ = again.torque_lag_
             whole = with_torques_shifted(whole, self.torque_lag_)
         say("declared model")
@@ -360,7 +358,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.identifier_ = final.identifier.beside(that_help(final, unnamed))
         say("explaining")
         channels = (*channels, *unusable)
-        return make_outcome(self, found, final, judged, channels, whole, names)
+        return make_outcome(self, found, final, judged, channels, whole)
 
     def _search(self, part, silent, known, library):
         """Search the robot, or its branches one by one where there are many joints."""

@@ -63,9 +63,9 @@ class BodyPrior:
     """Bodies of a description as the centre of a prior."""
 
     # The distance of a body from its description is tr((P0^-1 dP)^2) with its
-    # pseudo-inertia P0, which does not depend on the frame and is the metric of Lee,
-    # Wensing and Park (IEEE Trans. Robotics 36(2), 2020, doi:10.1109/TRO.2019.2926491)
-    # at P0; below one, the body is consistent.
+    # pseudo-inertia P0, the metric of Lee, Wensing and Park (IEEE Trans. Robotics
+    # 36(2), 2020, doi:10.1109/TRO.2019.2926491) at P0; below one, the body is
+    # consistent.
 
     names: tuple[str, ...]  # joints that carry the bodies
     places: np.ndarray  # (n, 10): where their parameters are among all

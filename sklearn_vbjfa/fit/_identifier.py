@@ -39,7 +39,7 @@ from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.fit._output_error import check_criterion
 from sklearn_vbjfa.fit._signs import with_signs
-from sklearn_vbjfa.inspection import contradicted, inspect_channels
+from sklearn_vbjfa.inspection import common_lag, contradicted, inspect_channels
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import PDDrive, check_dt, torques_in_order
@@ -323,8 +323,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if not self._suspect:
             return self
         findings = self.findings(recording)
-        common = (one for one in findings if one.severity == "note")
-        lag = sum(one.value for one in common if one.kind == "delay")
+        lag = common_lag(findings)
         if lag and (self.drive, self.asked_gains) == (None, None):
             self.fit_inspected(recording, lag)
         for one in findings:
@@ -403,9 +402,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def fit_inspected(self, recording, lag=0.0, compare=True, before=None):
         """Identify the robot from a recording whose channels were inspected."""
         # lag: about the time [s] by which all torques are late; not zero if it is to be
-        # found, as `torque_lag_`; compare: whether deviations of predictions are to
-        # include how recordings differ; before: an `IdentifiedRobot` whose load the fit
-        # begins with, in place of a first pass.
+        # found, as `torque_lag_`; compare: whether deviations include how recordings
+        # differ; before: an `IdentifiedRobot` whose load the fit begins with.
         self._declare(*([TorqueLag(lag=lag)] if lag else []))
         recording = checked_recording(self, recording)
         return self._fit(recording, compare=compare, before=before)

@@ -6,6 +6,7 @@ from sklearn_vbjfa import _lazily
 _MODULES = {
     "_inspect": (
         "ChannelFinding",
+        "common_lag",
         "contradicted",
         "inspect_channels",
         "inspect_recording",

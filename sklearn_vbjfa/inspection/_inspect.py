@@ -201,6 +201,11 @@ def refusal(findings, units=()):
     return RecordingRefused(" ".join(one.message for one in errors), options)
 
 
+def common_lag(findings):
+    """Return the lag [s] of all torques in all recordings, zero for none."""
+    return sum(x.value for x in findings if (x.kind, x.severity) == ("delay", "note"))
+
+
 def contradicted(tau, errors, size):
     """Whether a fit contradicts the description, so that its log is inspected."""
     # tau (n, nv); errors (nv,): what the fit leaves of it; size: factor of all torques

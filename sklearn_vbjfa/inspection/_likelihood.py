@@ -241,19 +241,23 @@ class DescribedRobot:
         if not joints:
             # Beside positions in degrees those of others stand still.
             return bool((moves > few).any())
-        both = [self._left_of(joints, rows) for rows in (own, ~own)]
+        both = [self._of_rows(rows)._left(joints) for rows in (own, ~own)]
         (share, one), (usual, other) = both
         worse = (share - usual)[share > 2 * np.log(number.GOOD_FIT)]
         apart = np.logaddexp(np.log(own.mean()) + one, np.log((~own).mean()) + other)
-        fall = self._left_of(joints, own | True)[1] - apart
+        fall = self._left(joints)[1] - apart
         return bool(np.r_[fall, worse - number.CLEAR].max() > number.CLEAR)
 
-    def _left_of(self, joints, rows):
-        """Log of the share and of the variance (k,) that bodies of some rows leave."""
-        signals = self.signals.taken(rows)
-        robot = DescribedRobot(self.bodies, signals, self.times, self.entries[rows])
-        left = robot.fit(joints=joints).left
-        size = [signals.tau[robot.rows[j], j].var() for j in joints]
+    def _of_rows(self, rows):
+        """Return the same robot in some rows."""
+        known = self.times, self.entries[rows]
+        return DescribedRobot(self.bodies, self.signals.taken(rows), *known)
+
+    def _left(self, joints):
+        """Log of the share and of the variance (k,) that is left of joints' torques."""
+        same = np.array_equal(joints, self.joints)
+        left = (self.now if same else self.fit(joints=joints)).left
+        size = [self.signals.tau[self.rows[j], j].var() for j in joints]
         return left, left + np.log(size)
 
     def residual(self, columns=None):

@@ -65,9 +65,8 @@ FASTEST_TURN, FASTEST_SLIDE, TOO_FAST, SPEED_SAMPLES = 60.0, 10.0, 5.0, 5
 # sampled at that period [s]; 5 kHz read as ms are 0.2.
 TOO_SLOW, LONG_PERIOD = 0.01, 0.15
 # A lag is told from none if it is this many times its deviation, and raises the squared
-# error of no joint by more than this [log], or this share of the fall of all. It is
-# found in so many steps, the last one below this [samples]. Time constants of a
-# low-pass, over the lag.
+# error of no joint by more than this [log], or this share of the fall of all; steps,
+# the last one below this [samples]; time constants of a low-pass, over the lag.
 LEAST_LAG, HARM, MOVES, SAMPLE, CONSTANTS = 3.0, 0.125, 8, 0.75, (0.7, 1.0, 1.4)
 # A contact pushes a joint by this many deviations of what is left elsewhere, and lasts
 # for this part of the log at least; places of its ends that are tried.

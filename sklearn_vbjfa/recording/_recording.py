@@ -346,10 +346,8 @@ def take_arrays(
 
 def recording_names(groups, starts):
     """Return what each recording is called: its label, or its number from 1."""
-    labels, numbers = range(len(starts)), [str(k) for k in range(len(starts) + 1)]
-    labels = [
-        str(x) for x in (labels if groups is None else np.asarray(groups)[starts])
-    ]
+    numbers = [str(k) for k in range(len(starts) + 1)]
+    labels = numbers[1:] if groups is None else [*map(str, np.asarray(groups)[starts])]
     return tuple(numbers[1:] if labels == numbers[:-1] else labels)
 
 

@@ -175,8 +175,7 @@ def _mixed_tls(columns, target, exact):
     """Mixed least squares - total least squares; coefficients (d,)."""
     # All columns (n, d) but the `exact` ones (d,) have noise of the same variance as
     # the target (n,). Golub, Hoffman & Stewart (1987): the exact columns are eliminated
-    # by orthogonal projection, the rest is a classical problem, and back-substitution
-    # gives their coefficients.
+    # by projection, the rest is a classical problem, and back-substitution follows.
     coef = np.zeros(columns.shape[1])
     basis = orthonormal_basis(columns[:, exact])
     noisy = columns[:, ~exact]

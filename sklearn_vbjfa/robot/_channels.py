@@ -17,10 +17,9 @@ class ChannelGains:
     """Gains of the torque channels of an identified robot."""
 
     joint_names: tuple[str, ...]
-    # (nv,): what each channel reads over the torque: over that in units of the
-    # reference channel, or over the torque itself [recorded unit / (N m or N)] where a
-    # known mass says how much that is. 1 (relative) where the recording does not show
-    # it
+    # (nv,): what each channel reads over the torque: in units of the reference channel,
+    # or [recorded unit / (N m or N)] where a known mass says how much that is. 1
+    # (relative) where the recording does not show it
     gain: np.ndarray
     # (nv,): 0 for a reference, which is the unit, nan where the gain is not shown
     std: np.ndarray

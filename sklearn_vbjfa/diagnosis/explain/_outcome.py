@@ -155,10 +155,10 @@ def _json(value):
     return str(value)
 
 
-def make_outcome(loop, search, final, judged, channels, whole, recordings):
+def make_outcome(loop, search, final, judged, channels, whole):
     """Collect the results of a loop: an `Outcome`, and the `Expectation` of errors."""
     # The models of the loop were fitted to the rows of the search, `final` to all data;
-    # `judged` is returned by `judge`; `whole` is all data, `recordings` their names.
+    # `judged` is returned by `judge`; `whole` is all data.
     identifier, columns = final.identifier, judged["columns"]
     spread, after = columns["spread"], columns["after"]
     prismatic = is_prismatic(identifier.features_.model_)
@@ -208,7 +208,7 @@ def make_outcome(loop, search, final, judged, channels, whole, recordings):
         robot=_robot(loop, search, identifier, whole),
         curves=judged["curves"],
         provenance={
-            "recordings": recordings,
+            "recordings": tuple(map(str, whole.group_names)),
             "samples": int(whole.n_samples),
             "seconds": float(whole.n_samples * whole.dt),
             "rate": float(1.0 / whole.dt),

@@ -57,8 +57,9 @@ _FAITHFUL = 0.6
 # Below this fraction of its top speed a joint counts as standing still: its friction
 # may then take any value inside the stiction band.
 STANDSTILL_SHARE = 0.02
-# ... and below this one of the fastest joint's, whose own speed is rounding.
-_ROUNDING = 1e-9
+# ... and below this one of the fastest joint's, whose own speed is rounding, or if it
+# never moves by more than so many deviations of its encoder's noise.
+_ROUNDING, _NOISE = 1e-9, 5.0
 # A joint that passes zero without stopping is up to that speed as long as it takes from
 # there to three times that; one that stops is longer by this factor.
 _STOPS = 1.2
@@ -192,7 +193,7 @@ def make_plan(settings, effects, lengths, estimator, facts):
         dt=dt,
         state_estimator=estimator,
         cutoff=cutoff,
-        standstill=resolve_standstill(settings.fit_options.standstill, facts.fast()),
+        standstill=facts.standstill(settings.fit_options.standstill, estimator),
         stops=facts.stops(),
         effects=effects,
         corrects_noise=corrects_noise(settings.regressor),
@@ -270,6 +271,8 @@ class MotionFacts:
     # (nv,): range of the positions [rad or m]
     lowest: np.ndarray
     highest: np.ndarray
+    # (nv,): largest range in one recording
+    travel: np.ndarray
     # (k, nv): largest speeds of each joint [rad/s or m/s], in any order
     fastest: np.ndarray
     # (2, nv): how often a joint is slow between faster motion, and how often it stops
@@ -287,6 +290,7 @@ class MotionFacts:
             n=n,
             lowest=positions.min(axis=0),
             highest=positions.max(axis=0),
+            travel=np.ptp(positions, axis=0),
             fastest=fastest,
             slow=np.transpose([_slow(v, x) for v, x in zip(velocities.T, slow)]),
         )
@@ -296,6 +300,7 @@ class MotionFacts:
             n=self.n + other.n,
             lowest=np.minimum(self.lowest, other.lowest),
             highest=np.maximum(self.highest, other.highest),
+            travel=np.maximum(self.travel, other.travel),
             fastest=_largest(np.concatenate([self.fastest, other.fastest]), keep),
             slow=self.slow + other.slow,
         )
@@ -307,6 +312,14 @@ class MotionFacts:
     def fast(self):
         """Return the 99.5th percentiles of the speeds (nv,) over all samples."""
         return _top_quantile(self.fastest, self.n)
+
+    def standstill(self, given, estimator):
+        """Return the speeds (nv,) of `resolve_standstill`, by an estimator or None."""
+        limit = resolve_standstill(given, self.fast())
+        if estimator is None or not isinstance(given, str):
+            return limit
+        still = self.travel <= _NOISE * np.sqrt(estimator.noise_variance_)
+        return np.where(still & ~still.all(), self.fastest.max(axis=0), limit)
 
 
 def _fastest_period(facts, accelerations):

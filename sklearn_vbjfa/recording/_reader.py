@@ -22,6 +22,7 @@ from sklearn_vbjfa.recording._recording import Recording
 from sklearn_vbjfa.recording._table import (
     Loss,
     NotATable,
+    RecordingRefused,
     Table,
     channels_in,
     imported,
@@ -310,7 +311,12 @@ def read_recording(
         tables = [one for path in paths for one in tables_in(path) or [Path(path)]]
         files = [_joined([_table(one, options) for one in tables], options)]
     else:
-        files = _read(paths, options, notes)
+        try:
+            files = _read(paths, options, notes)
+        except RecordingRefused as error:
+            if len(paths) > 1 and error.options:
+                _check_offer(error, paths, options)
+            raise
     several = len(files) > 1 or not (join or isinstance(path, (str, PathLike)))
     recording = _recording(files, several, options.urdf, notes)
     if options.drive is not None:
@@ -352,6 +358,16 @@ def _read(paths, options, notes):
             (path,) = inside or [path]
             files.append(rows_of(_table(path, options), options))
     return files
+
+
+def _check_offer(error, paths, options):
+    """Check that what a refusal of one file offers reads the others, too."""
+    offer = {"columns": options.mapping, **error.options}
+    try:
+        _read(paths, replace(options, mapping=offer.pop("columns"), **offer), [])
+    except ValueError as other:
+        reason = f"{error.reason}; other files are not so: convert those that differ."
+        raise RecordingRefused(reason) from other
 
 
 def _of_folder(folder, paths, options, notes):

@@ -54,7 +54,7 @@ def judge(task):
     return {
         **{key: task[key] for key in KEYS},
         "source": promised[-1].source,
-        "promised": float(median[known].mean()),
+        "promised": promised[-1].value,
         "true": float(error[known].mean()),
         "untouched": float(loop.error_after_[known].mean()),
         "inside": int(((error >= low) & (error <= high))[known].sum()),

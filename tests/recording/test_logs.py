@@ -289,6 +289,19 @@ def test_the_unit_of_time_is_given(tmp_path, unit, factor):
         read_recording(path, time_unit="h")
 
 
+@pytest.mark.parametrize("unit", [None, "ms"])
+def test_no_unit_is_offered_that_only_one_of_several_files_has(tmp_path, unit):
+    columns = table()
+    paths = [write(tmp_path / "a.csv", columns)]
+    columns["t"] = 1e3 * columns["t"]
+    paths.append(write(tmp_path / "b.csv", columns))
+    with pytest.raises(RecordingRefused, match="other files are not so") as refused:
+        read_recording(paths, time_unit=unit)
+    assert not refused.value.options
+    with pytest.raises(RecordingRefused, match="time_unit='ms'"):
+        read_recording([paths[1], write(tmp_path / "c.csv", columns)])
+
+
 @pytest.mark.parametrize("zone", ["", "Z", "+02:00"])
 @pytest.mark.parametrize("mark", ["T", " "])
 def test_iso_time_stamps(tmp_path, mark, zone):

@@ -171,6 +171,22 @@ def test_a_joint_whose_speed_is_rounding_stands_still():
     assert (resolve_standstill("auto", fast) > fast).tolist() == [False, True]
 
 
+@pytest.mark.parametrize("noise", [1e-5, 1e-3])
+def test_noise_of_a_joint_at_rest_is_no_motion(simulated, noise):
+    model, rng = load_model(simulated.urdf), np.random.default_rng(0)
+    states = np.array(simulated.states)
+    states[:, [2, 8, 14]] = 0.3, 0.0, 0.0
+    tau = np.array(
+        [pin.rnea(model, model.createData(), *np.split(x, 3)) for x in states]
+    )
+    q = states[:, :6] + noise * rng.standard_normal(tau.shape)
+    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, friction=FRICTION)
+    robot.fit(q, tau, groups=simulated.groups)
+    assert np.all(robot.theta_.reshape(6, 12)[2, 10:] < 1e-5)
+    others = np.arange(6) != 2
+    assert np.all(squared_error(robot, states, tau)[others] < 1e-3)
+
+
 @pytest.mark.parametrize("cutoff", [None, 10.0])
 def test_standing_samples_are_left_out(simulated, cutoff):
     # While a joint stands, stiction holds: its torque may be anything.

@@ -7,7 +7,7 @@ import numpy as np
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._view import even_weight
 from sklearn_vbjfa.equations._equations import derivative
-from sklearn_vbjfa.equations._plan import observe, resolve_cutoff, resolve_standstill
+from sklearn_vbjfa.equations._plan import observe, resolve_cutoff
 from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.recording import take_rows
 
@@ -124,7 +124,7 @@ def _bare(identifier, recording, parts):
         cutoff = options.state_cutoff
         estimator = fit_states(dt, cutoff, recording.q, recording.groups)
     states, facts = observe(recording, estimator, False, identifier.n_jobs)
-    limit = np.maximum(resolve_standstill(options.standstill, facts.fast()), 0.0)
+    limit = np.maximum(facts.standstill(options.standstill, estimator), 0.0)
     longest = max(part.stop - part.start for part in parts)
     cutoff = resolve_cutoff(identifier.cutoff, longest, dt, estimator, identifier.drive)
     speeds = (np.abs(derivative(own, slice(None), 1)) for own in states.own)

@@ -126,9 +126,8 @@ def _tap_matrix(taps, step, n_rows):
 
 def block_length(lowpass, row_bytes):
     """Return the number of rows of a block: a multiple of the decimation."""
-    # With a filter half of its length: few zeros in the matrix of taps, and rows that
-    # are still in the cache when they are filtered; without one what fits into the
-    # cache.
+    # With a filter half of its length: few zeros in the matrix of taps, and rows still
+    # in the cache when they are filtered; without one what fits into it.
     half = lowpass.half
     rows = max(_MIN_ROWS, half) if half else _BLOCK_BYTES // row_bytes
     return lowpass.step * max(1, -(-rows // lowpass.step))

@@ -203,9 +203,8 @@ def choose_cutoff(frequency, power, noise_gain, dt):
 
 def _noise_beyond(frequency, excess, power):
     """Index above which the excess power is coloured noise, beyond a wide gap."""
-    # Interpolation and sampling jitter produce coloured noise that exceeds the white
-    # level a decade above all motion. Lines there (vibration) are not noise: their
-    # spectrum is not flat.
+    # Interpolation and sampling jitter make coloured noise, above the white level a
+    # decade above all motion. Lines there (vibration) are not noise: they are not flat.
     total = np.cumsum(excess)
     n = frequency.size
     end = np.searchsorted(frequency, _GAP * frequency)

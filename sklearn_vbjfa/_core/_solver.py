@@ -56,8 +56,7 @@ def climb(steps, point, max_iter):
     # evaluations used; ``judge(point, new)`` whether the bound fell and whether its
     # gain was negligible; ``retry()`` whether there is an alternative after a fall;
     # ``accept(point, new, quiet)`` takes the step and returns whether it is the last;
-    # ``converged`` is whether that met the tolerance. Each evaluation of the bound
-    # counts, that of the start included.
+    # ``converged`` is whether that met the tolerance.
     history, used, fall = [point.value], 1, 0.0
     while used < max_iter:
         new, spent = steps.propose(point, max_iter - used)

@@ -18,9 +18,8 @@ def _controller():
 @contextmanager
 def one_blas_thread():
     """Limit the BLAS to one thread; usable as a decorator."""
-    # The number of threads belongs to the process. If each of two overlapping holders
-    # restored what it had found, the limit could stay behind for good; so the first one
-    # alone sets and lifts it.
+    # The number of threads belongs to the process: of overlapping holders the first one
+    # sets and lifts it, or the limit could stay behind for good.
     if not _held.acquire(blocking=False):
         yield
         return

@@ -32,11 +32,10 @@ _GAP = 1e-10
 class Clearance:
     """Distances between the links of a robot that may meet."""
 
-    # Links next to each other, or fixed together, are not looked at, nor are shapes
-    # that overlap in most positions. Meshes stand for their convex hulls; what stands
-    # around the robot is not known. pairs, ignored: links that are looked at (once for
-    # each two shapes), and those that overlap; near: distance [m] up to which distances
-    # are exact, how far ahead a motion has to turn aside.
+    # Without links next to each other or fixed together, and shapes that overlap in
+    # most positions. Meshes stand for their convex hulls. pairs, ignored: links looked
+    # at (once for each two shapes), and those that overlap; near: distance [m] up to
+    # which distances are exact.
 
     def __init__(self, model, geometry, margin=0.0):
         self._pin, self._coal = import_pinocchio(), import_coal()

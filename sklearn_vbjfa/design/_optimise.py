@@ -41,11 +41,10 @@ _SKIPPED = 2
 _TOLERATED = 2e-3
 
 
-# What a motion is to decide: the number of columns of the model, which are the first;
-# sizes of coefficients (n_columns,) in which columns are compared; columns of effects
-# that the model may lack; how much it counts that each shows beside the model
-# (n_effects,); the same for the row beside the model with the column, (n_effects,
-# n_effects).
+# What a motion is to decide: the number of columns of the model, which come first;
+# sizes of coefficients (n_columns,); columns of effects that the model may lack; how
+# much it counts that each shows beside the model (n_effects,), and that the row shows
+# beside the model with the column (n_effects, n_effects).
 Questions = namedtuple(
     "Questions", "n_model scale effects alone beside", defaults=((), 0.0, 0.0)
 )

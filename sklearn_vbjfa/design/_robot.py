@@ -196,11 +196,10 @@ MotionEquations = namedtuple("MotionEquations", "states rows motion")
 class EquationModel:
     """Columns of a robot and of effects, for any motion."""
 
-    # inertial (nv, 10): for the load; still (nv,): speeds below which a joint may be
-    # standing; reference (n, 3 nv): states at which columns are compared; bandwidth: of
-    # the fit [Hz]; base: bodies' parameters whose columns span all of the model in any
-    # motion; places: which columns act on each joint; n_model, n_columns: columns of
-    # the model, whose n_members effects come first, and with further effects.
+    # inertial (nv, 10): for the load; still (nv,): speeds below which a joint may
+    # stand; reference (n, 3 nv): states at which columns are compared; bandwidth: of
+    # the fit [Hz]; base: parameters whose columns span the model; places: columns that
+    # act on each joint; n_model, n_columns: without and with further effects.
 
     def __init__(
         self, features, inertial, effects, *, n_members, still, reference, bandwidth

@@ -24,9 +24,8 @@ class Rest:
 
     # The sign of a velocity is its mean over what the true velocity may be, s(v, a) =
     # E[sign(v + u + e)], u ~ U(-w, w), e ~ N(0, sigma^2), w = v_s / (1 + |a| T / v_s).
-    # Without u this is erf(v / (sqrt(2) sigma)). Below the speed v_s a joint may be
-    # sticking, and friction may have any value of its band. A joint that turns round
-    # passes those speeds without standing: by abs(a) T in the time T.
+    # Without u this is erf(v / (sqrt(2) sigma)). Below the speed v_s a joint may stick;
+    # one that turns round passes those speeds without standing, by abs(a) T in time T.
 
     # (nv,): v_s, at or below which a joint may be standing [rad/s or m/s]
     speed: np.ndarray

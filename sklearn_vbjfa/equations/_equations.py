@@ -148,11 +148,10 @@ def plain_coefficients(effects, coefs):
 class RegressorRows:
     """Regressor matrices of any range of rows, with the effects' columns appended."""
 
-    # Effects have memory (hysteresis, time), so their columns are computed once for the
-    # whole recording; the rigid-body regressor is computed on demand. states: (n, 3 nv)
-    # or `SplineStates`; columns: pairs of effects and their columns for these rows;
-    # support (n_joints, n_parameters): entries that are nonzero in some motion; used
-    # (n_entries,): their positions in a flattened matrix, the features' first.
+    # Effects have memory: their columns are computed once for the whole recording, the
+    # rigid-body regressor on demand. states: (n, 3 nv) or `SplineStates`; columns:
+    # pairs of effects and their columns; support (n_joints, n_parameters): entries that
+    # are nonzero in some motion; used (n_entries,): their places, the features' first.
 
     def __init__(self, features, states, columns=(), rest=None):
         self._features, self.states, self._rest = features, states, rest
@@ -353,9 +352,8 @@ class Segment:
 
     first: int  # its first row
     states: object  # (n, 3 * nv): for the standstill mask
-    # regressor; None takes the mean of the two halves. A quarter of the squared
-    # difference is then exactly its noise: subtracting it leaves the cross product of
-    # the halves
+    # regressor; None takes the mean of the two halves: a quarter of the squared
+    # difference is its noise, without which the cross product of the halves is left
     rows: RegressorRows | None
     halves: tuple | None  # regressors from the even and from the odd samples
     # (n, nv): measured, and their weights
@@ -530,10 +528,9 @@ def build_segments(
     recording, states, plan, features, *, theta=None, rest=None, first=0, kept=None
 ):
     """Combine a recording with its regressor, segment by segment."""
-    # states: `RecordingStates`, with halves where the noise of the regressor is
-    # measured; theta: parameters for the load in effects' columns, see `make_motion`;
-    # rest: velocity signs at rest, for comparisons only (a fit masks standstill);
-    # first: number of the first segment; kept: by number of the states, see
+    # states: `RecordingStates`, with halves where the regressor's noise is measured;
+    # theta: parameters for the load in effects' columns; rest: velocity signs at rest,
+    # for comparisons only; first: number of the first segment; kept: see
     # `regressor_rows`. Returns a list of `Segment`.
     rest, kept = plan.turning if rest is None else rest, {} if kept is None else kept
 
@@ -639,9 +636,8 @@ def held_columns(features, effects):
 
 def unexcited_entries(moments, n_rigid):
     """Find entries (nv, p), bool, of the regressor that are zero up to rounding."""
-    # Entries that are zero in every motion are already left out; a joint that does not
-    # move in this recording adds more. Only the first `n_rigid` parameters are
-    # examined.
+    # A joint that does not move in this recording adds to the entries that are zero in
+    # every motion. Only the first `n_rigid` parameters are examined.
     nv, n_all = moments.g.shape
     power, rounding = np.zeros((nv, n_all)), np.zeros((nv, n_all), dtype=bool)
     for row, (at, one) in zip(power, moments.G):

@@ -13,9 +13,8 @@ from sklearn_vbjfa.recording import check_cutoff, check_dt, contiguous_groups
 _MIN_SAMPLES = 8
 # From so many on, spectra show noise and bandwidth.
 SAMPLES_FOR_NOISE = 2 * _MIN_SAMPLES
-# The state cut-off of least acceleration error, times this: what smoothing takes from
-# the motion biases the parameters however long the recording, while noise averages
-# out and is corrected for.
+# The state cut-off of least acceleration error, times this: smoothing of the motion
+# biases the parameters however long the recording; noise is corrected for.
 _LIGHTER_SMOOTHING = 1.25
 # Frequencies at which the gain of the smoother on noise is summed.
 _NOISE_GRID = 2048

@@ -2,10 +2,9 @@
 
 # Noise and what a model lacks are told apart by their spectra. Above the band no motion
 # is: there that of the residual is measured by differences of high order, without
-# reversals, where dry friction jumps. Noise continues it smoothly into the band, where
-# it is no more than the fit leaves: known from above where it bends towards a flat one;
-# where it still rises, the residual between the band of the motion and the cut-off says
-# how far, less friction that the model may lack; else it is unknown.
+# reversals, where dry friction jumps. Noise continues it smoothly into the band: known
+# from above where it bends towards a flat one; where it still rises, the residual
+# between the band of the motion and the cut-off says how far; else it is unknown.
 
 import itertools
 from dataclasses import dataclass

@@ -2,10 +2,9 @@
 
 # The channel of joint j reads y_j = g_j Phi_j theta. Joints share the bodies that they
 # move: the ratios of the gains are in their couplings, the common factor is in theta
-# and in no recording. Least squares for the inverse gains, which is linear, takes noise
-# of the torques for signal, and they come out much too small. The likelihood is
-# therefore maximised over the logarithms of the gains by Gauss and Newton, from the
-# second moments of the joints' equations.
+# and in no recording. Least squares for the inverse gains takes noise of the torques
+# for signal: the likelihood is maximised over the logarithms of the gains by Gauss and
+# Newton, from the second moments of the joints' equations.
 
 from dataclasses import dataclass, replace
 

@@ -242,9 +242,8 @@ class Normal:
 def refine(predictor, found, recording, states, window, projector):
     # Steps of Gauss and Newton, damped after Levenberg and Marquardt in the metric of
     # the torque fit, each projected, and taken only where the criterion falls. found:
-    # `Estimate` of the torque fit, predictor: its `IdentifiedRobot`; window, projector:
-    # see `FitOptions` and `RobotIdentifier`. Returns an `Estimate` and
-    # `SimulationCriteria`.
+    # `Estimate` of the torque fit, predictor: its `IdentifiedRobot`. Returns an
+    # `Estimate` and `SimulationCriteria`.
     rows = round(float(window) / recording.dt) + 1
     longest = max(part.stop - part.start for part in recording.segments)
     if rows > longest:

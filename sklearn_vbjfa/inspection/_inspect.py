@@ -233,9 +233,8 @@ def inspect_channels(
     """Inspect channels that are given as arrays; see `inspect_recording`."""
     # q, tau (n_samples, nv): as of a `Recording`, or a motor quantity for torques.
     # drive, gains, bodies: as of `RobotIdentifier`. Of commands only the order of
-    # magnitude is judged, and no delay is looked for. With gains to identify no size of
-    # torques is a fault, and with free bodies no factor of all of them. named: whether
-    # the channels carry the names of the joints, so that no order is assumed.
+    # magnitude is judged; with gains to identify no size of torques is a fault, with
+    # free bodies no factor of all. named: whether channels carry the joints' names.
     model, dt = load_folded(model).still, check_dt(dt)
     # Channels one after another: they are looked at one by one.
     q, tau = (np.asarray(x, dtype=float, order="F") for x in (q, tau))

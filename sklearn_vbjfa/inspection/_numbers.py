@@ -4,9 +4,8 @@ import numpy as np
 
 # -- hypotheses ------------------------------------------------------------------------
 
-# Prior log odds of a hypothesis against the log as it is, posterior log odds from which
-# it is reported, log odds within which two are rivals, and standard errors of a 90 %
-# interval.
+# Prior log odds of a hypothesis against the log as it is, posterior ones from which it
+# is reported or within which two are rivals, and standard errors of a 90 % interval.
 PRIOR, DECISIVE, RIVAL, INTERVAL = -np.log(100.0), 5.0, np.log(19.0), 1.645
 # Log odds by which zeros, where errors hardly fall, and a contact must surpass other
 # masses and springs.
@@ -116,11 +115,10 @@ MOVING, THROUGHOUT = 0.9, 0.98
 
 # -- rows ------------------------------------------------------------------------------
 
-# Rows in time order resemble the row before; the mean squared step of shuffled rows is
-# twice the variance. Seven tenths of that is a correlation of 0.3. Of two robots in
-# turn it is this many times that of two rows. Noise has no order either: a joint moves
-# at least this much [rad or m], and is at rest if its travel is below this many
-# standard deviations of its noise.
+# The mean squared step of shuffled rows is twice the variance; seven tenths of that is
+# a correlation of 0.3. Of two robots in turn it is this many times that of two rows.
+# Noise has no order either: a joint moves at least this much [rad or m], and is at rest
+# if its travel is below this many standard deviations of its noise.
 SHUFFLED, IN_TURN, LEAST_MOTION, STILL_TRAVEL = 0.7, 2.0, 0.01, 12.0
 # In fewer rows it is not looked for.
 SHORT_RUN = 16

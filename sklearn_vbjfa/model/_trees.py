@@ -188,9 +188,8 @@ def describe(model):
         if tree.parents[i] >= 0:
             tree.offsets[i] = placement.translation
         else:
-            # Moments about the first joint rather than the world's origin, where those
-            # of a robot far away would be rounded; a base that accelerates upwards
-            # takes the place of gravity.
+            # Moments about the first joint: about the world's origin those of a robot
+            # far away would be rounded. The base accelerates upwards for gravity.
             lever = np.cross(tree.base_angular, placement.translation)
             tree.base[i] = lever - model.gravity.linear
     return tree

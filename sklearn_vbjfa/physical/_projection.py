@@ -112,8 +112,7 @@ def check_metric(metric, n_features):
 
 
 # Non-negative values below this share of the largest, in the units of the programme,
-# are zeros: an interior path ends a little inside. Measured robots have 1e-14 and less,
-# and their least friction 1e-3.
+# are zeros: an interior path ends inside. Measured robots: 1e-14, least friction 1e-3.
 _ROUNDING = 1e-12
 
 

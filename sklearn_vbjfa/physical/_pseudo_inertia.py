@@ -145,9 +145,8 @@ def body_scales(phi):
     """Units of mass and length (n_bodies,) of bodies (..., n_bodies, 10)."""
     # With the sizes M = |m|, H = |m c|, N = |I|_F of every body, the length of the
     # robot is L = sqrt(sum N / sum M), that of a body l0 = sqrt(N / M), within a factor
-    # of ten of L, and m0 = max(M, H / l0, N / l0^2). They change as units do, and not
-    # with the frame or the order of the bodies. A body of zeros takes the mean mass of
-    # the others.
+    # of ten of L, and m0 = max(M, H / l0, N / l0^2), which change as units do. A body
+    # of zeros takes the mean mass of the others.
     phi = np.asarray(phi, dtype=float)
     rows = phi.reshape(np.prod(phi.shape[:-2], dtype=int), *phi.shape[-2:])
     # Frobenius norm: the off-diagonal entries count twice, so that turning the frame

@@ -31,11 +31,10 @@ class Correction:
     joint: int  # from zero
     joint_name: str
     # A tilt: the turn of gravity ("roll", "pitch") and the opposite lean of the base
-    # ("lean_degrees"), as in a URDF ("lean_rpy") [rad], and "gravity" in the base's
-    # frame [m/s^2]. A zero: what to "subtract" from the encoder [rad or m], the same
-    # "plain" in a "unit". An axis: its "turns" in degrees "about" which axes, and the
-    # rpy of the joint's origin, "old_rpy" and "new_rpy" [rad]. A gain: the "gain" to
-    # divide by.
+    # ("lean_degrees", "lean_rpy" [rad]), and "gravity" in the base's frame [m/s^2]. A
+    # zero: what to "subtract" from the encoder [rad or m], the same "plain" in a
+    # "unit". An axis: its "turns" in degrees "about" which axes, and "old_rpy" and
+    # "new_rpy" of the joint's origin [rad]. A gain: the "gain" to divide by.
     values: dict
 
 

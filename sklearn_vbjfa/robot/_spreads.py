@@ -23,10 +23,9 @@ def min_eigenvalues(bodies):
 def known_parameters(robot, found):
     """State which parameters of a robot its recording determines, by an `Estimate`."""
     # "yes": by itself, as well as its standard deviation says. "in combination": only
-    # together with others; its value is one of many that agree. "from the description":
-    # the torques say little beyond it. "no": no torque depends on it, or it is a mass
-    # whose deviation, with what the projection moved it by, is over half its value.
-    # Values of effects in the model have no columns of their own.
+    # with others; its value is one of many that agree. "from the description": the
+    # torques say little beyond it. "no": no torque depends on it, or it is a mass whose
+    # deviation, with what the projection moved it by, is over half its value.
     seen = (np.diagonal(found.metric) > 0) | robot.identifiable_
     state = np.where(robot.identifiable_, "yes", "in combination").astype(object)
     state[~seen] = "no"

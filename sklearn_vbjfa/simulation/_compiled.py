@@ -141,9 +141,8 @@ def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
     """Write the accelerations at one state, see `ForwardDynamics.accelerate`."""
     # M, h, ML, hL: inertia matrix and nonlinear effects of the robot, and of what loads
     # joints; tau, q, v, mode, stuck (nv,): true torques, state, signs of dry friction,
-    # joints that stick; table: `Table`; before (nv,): accelerations found before;
-    # out (5, nv), written: accelerations, needed dry friction, its limit, derivatives
-    # by position and velocity.
+    # joints that stick; before (nv,): accelerations found before; out (5, nv), written:
+    # accelerations, needed dry friction, its limit, derivatives by position, velocity.
     nv = q.size
     lines, inertia, coupling = table.lines, table.inertia, table.coupling
     sums = np.zeros((7, nv))
@@ -272,11 +271,10 @@ def smooth_steps(
     """Do explicit steps to the end of a span, or to where one of them is not enough."""
     # q, v, found (5, nv), M: state and what `accelerate` wrote there; step: length of
     # the next one [s]; span: its beginning, end and least step, after the last sample
-    # [s]; tau, rate (nv,): torques at that sample and their change in a second; barred
-    # (nv,): joints that stick until they are pushed loose; watched, way, fast (nv,): as
-    # of `Integrator`, `fast` is written; rules: constants. Where a step would be stiff,
-    # or pass an event, it is left to others. tree, table: tuples, as named ones take
-    # longer to pass.
+    # [s]; tau, rate (nv,): torques there and their change in a second; barred (nv,):
+    # joints that stick until they are pushed loose; watched, way, fast (nv,): as of
+    # `Integrator`; rules: constants. Stiff steps, and those that pass an event, are
+    # left to others. tree, table: plain tuples, which are faster to pass.
     table = _terms.Table(*table)
     robot = Tree(*tree), bodies, armature, loaded, table
     stiff, tolerance, reserve, shrink, grow, holds, loose = rules

@@ -186,10 +186,9 @@ def _ends(held):
 def add_terms(kinds, joints, numbers, memory, q, v, out):
     """Add the torques of a table of terms at one state."""
     # Beyond its ends a term is as it is there. No joint has turned since its memory.
-    # out (7, nv), added to: what depends on position and time alone or couples joints,
-    # and may do work; smooth friction; the size of dry friction; smooth friction over
-    # the load; and the derivatives of smooth torques by the joint's own position and
-    # velocity, and of friction over the load by the position.
+    # out (7, nv), added to: what depends on position and time alone or couples joints;
+    # smooth friction; size of dry friction; smooth friction over the load; derivatives
+    # of smooth torques by own position and velocity, of the last by position.
     placed, smooth, dry, load_smooth = out[0], out[1], out[2], out[3]
     by_position, by_velocity, load_by_position = out[4], out[5], out[6]
     for i in range(len(kinds)):

@@ -16,8 +16,7 @@ _GAP = 2.5
 def residual_curves(after, dt, joints):
     """Held-out residuals over predictions and over lags, a tuple of namespaces."""
     # joint, from zero; predicted by the completed model and residual, (k,) [N m or N];
-    # lags (l,) [s] and autocorrelation there; chance: that of white noise, with a
-    # probability of 90 %.
+    # lags (l,) [s] and autocorrelation there; chance: that of white noise (90 %).
     index = after.index - after.index[0]
     step = int(np.median(np.diff(index))) if index.size > 1 else 1
     found = []

@@ -114,9 +114,8 @@ _CORRELATION_TIMES = 10.0
 _WANTED = (40, 60)
 # The fewest with which anything can be said: the smallest p-value is 2^-12.
 FEWEST = 12
-# Folds take every eighth block, so that each leaves out a little of all motions: a
-# fold of neighbours would have to be extrapolated to, which says more of the short
-# recording than of the effect.
+# Folds take every eighth block: to a fold of neighbours one would have to extrapolate,
+# which says more of the short recording than of the effect.
 _FOLDS = 8
 
 

@@ -91,8 +91,7 @@ class Candidates:
     """Candidates on all joints given a fit; unchanged joints keep theirs."""
 
     # families: of all effects, by joint; noise: the fit whose residual is noise;
-    # rejected: keys of effects that were refused; forgetful: joints whose dry friction
-    # has no memory.
+    # rejected: keys of refused effects; forgetful: joints without friction with memory.
 
     def __init__(self, problem, library, settings, forgetful=()):
         self.library, self.settings = library, settings

@@ -19,10 +19,9 @@ class Cosines:
 
     # Stationary residuals are nearly independent there, with the spectrum as their
     # variance (P. Whittle, Arkiv for Matematik 2, 1953, doi 10.1007/BF02590998). Rows
-    # that do not count are bridged by straight lines; cosines above the cut-off are
-    # left out. band (n,): that of each cosine, from the slowest; edges (n_bands + 1,):
-    # where each begins, and the last one ends; octave (n_bands,): middle of each,
-    # logarithm of base 2 of the frequency; fill (nv,): share of the rows that count.
+    # that do not count are bridged by straight lines. band (n,): that of each cosine;
+    # edges (n_bands + 1,): where bands begin and the last one ends; octave (n_bands,):
+    # log2 of their frequencies; fill (nv,): share of the rows that count.
 
     def __init__(self, view):
         m = view.index.size

@@ -61,11 +61,11 @@ class CrossValidatedGain:
 class HeldOut:
     """Regressions of all joints that leave out one fold of time after the other."""
 
-    # Folds are whole recordings where there are three or more, else stretches of each
-    # recording, unless others, `fold` (m,), are given: what is worth its name predicts
-    # motion that was not fitted. edges (n_blocks + 1,), first row of each block; of_row
-    # (m,), fold of each row; A (nj, m, r + 1), declared columns and torques of the
-    # joints that count, and gram (nj, n_folds, r + 1, r + 1), their products by fold.
+    # Folds are whole recordings where there are three or more, else stretches of each,
+    # unless `fold` (m,) is given. edges (n_blocks + 1,), first row of each block;
+    # of_row (m,), fold of each row; A (nj, m, r + 1), declared columns and torques of
+    # the joints that count, and gram (nj, n_folds, r + 1, r + 1), their products by
+    # fold.
 
     def __init__(self, view, fold=None):
         self.view = view

@@ -113,16 +113,15 @@ class RecordingView:
 
     # robot: fitted with the declared model; leave_out: joints whose channel carries no
     # information; begins: when recordings begin [s].
-    # Samples of which effects' columns are made, of a long recording every so many
-    # (`stride`): states (n, 3 nv), clock (n,) [s] or None, signals (n,) by name.
-    # Filtered rows: index (m,), the sample at the middle of each; moving (m, nv), their
-    # weights without rows at rest; root (m, nv) of the weights and target (nv, m),
-    # torques scaled by it; starts, first row of each part; origin (m,), number of its
-    # recording; Z (nv, m, r) and back (p, r), see `reduced`; one_sided (nv, n, r), rows
-    # of it that lead to the declared friction, which cannot be negative.
-    # blocks: by which folds are left out and evidence is tempered; phases: motion of
-    # each row and time in it [s], None where none repeats; precision (nv,): weights of
-    # the joints in the declared model's fit; made: all `Columns` that are in use.
+    # Samples of effects' columns, of a long recording every `stride`-th: states (n, 3
+    # nv), clock (n,) [s] or None, signals (n,) by name.
+    # Filtered rows: index (m,), sample at the middle of each; moving (m, nv), weights
+    # without rows at rest; root (m, nv) of the weights and target (nv, m), torques
+    # scaled by it; starts, first row of each part; origin (m,), its recording; Z (nv,
+    # m, r) and back (p, r), see `reduced`; one_sided (nv, n, r), rows of it that lead
+    # to the declared friction, which cannot be negative. blocks: folds and tempering;
+    # phases: motion of each row and time in it [s], None where none repeats; precision
+    # (nv,): weights of the joints; made: all `Columns`.
 
     def __init__(
         self,

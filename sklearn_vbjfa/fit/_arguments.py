@@ -32,7 +32,8 @@ class FitOptions:
         least acceleration error.
     standstill : "auto", float, array-like of shape (nv,) or None, default="auto"
         Speed [rad/s or m/s] at or below which the equations of a joint are excluded.
-        ``"auto"`` is 2 % of the 99.5th percentile of its speed. None excludes nothing.
+        ``"auto"`` is 2 % of the 99.5th percentile of its speed; a joint that shows only
+        the noise of its encoder stands still. None excludes nothing.
     joint_weights : "auto", None or array-like of shape (nv,), default="auto"
         Weights of the joints' equations, see `JointTorqueRegressor`.
     torque_noise : float or array-like of shape (nv,), default=None

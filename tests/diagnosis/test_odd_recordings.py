@@ -121,6 +121,36 @@ def test_groups_that_differ_in_temperature():
     assert "payload" not in {e.name for e in loop.effects_}
 
 
+# Lengths of recordings [s], whether all are one, and the joint that moves in the first.
+ODD = {
+    "of 5 s": ([5.0], False, None),
+    "the same ten times": ([25.0] * 10, True, None),
+    "of twenty minutes and of ten seconds": ([1200.0, 10.0], False, None),
+    "a joint that moves in one of four": ([25.0] * 4, False, 1),
+}
+
+
+@pytest.mark.parametrize(("lengths", "same", "joint"), ODD.values(), ids=ODD)
+def test_odd_sets_of_recordings(lengths, same, joint):
+    made = []
+    for number, length in enumerate([*lengths, 25.0]):
+        last = number == len(lengths)
+        kind = 0 if same and not last else number
+        pace = np.full((round(length / DT), 2), 1.0 - 0.07 * kind)
+        if joint is not None and number and not last:
+            pace[:, joint] = 0.0
+        made.append(measure(seconds(length), pace, seed=kind))
+    q, tau = (np.concatenate(x) for x in zip(*made[:-1]))
+    groups = np.repeat(np.arange(len(lengths)), [len(x) for x, _ in made[:-1]])
+    loop = close(q, tau, groups=groups)
+    *_, following = loop.report_.outcome.facts_of("next recording")
+    error = loop.identifier_.residuals(*made[-1]).rms() / loop.torque_std_
+    assert not loop.effects_
+    assert not loop.report_.outcome.findings["contradictions"]
+    low, high = following.interval
+    assert 0.95 * low <= error.mean() <= high
+
+
 # -- what is wrong with channels comes first
 
 

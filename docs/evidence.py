@@ -433,6 +433,7 @@ def next_recording():
     data, inside = Tables("next_recording"), "in their interval [%]"
     columns = ["differences", "effects searched", "cases", "judged / promised, median"]
     columns += ["least", "judged / held-out, median", inside]
+    columns += ["upper / lower end"]
     names = {
         "differences": "variation between recordings",
         "effects searched": "search",
@@ -441,15 +442,15 @@ def next_recording():
         inside: "joints in their interval [%]",
     }
     ratios = [number_of(row[3]) for row in data.tables[0].rows]
-    largest = [number_of(row[5]) for row in data.tables[0].rows]
+    least, largest = (number_of(data.tables[0].rows[0][k]) for k in (4, 5))
     simulated = data.tables[1]
     shares = dict(
         zip(simulated.column("differing"), map(number_of, simulated.column(inside)))
     )
     ranked = [f"{shares[x]:.0f} % ({x})" for x in sorted(shares, key=shares.get)]
     verdict = (
-        "The error that the report predicts for the next recording is right in the "
-        f"median (actual / predicted: {span(ratios, 2)}). "
+        f"The actual error on the next recording is {span(ratios, 2)} of what the "
+        "report predicts, in the median. "
         f"In simulated sets, {ranked[0]} to {ranked[-1]} of the errors are in their "
         "90 % interval, by what differs between the recordings (by 10 or 25 %)."
     )
@@ -457,8 +458,8 @@ def next_recording():
     names |= {"least": "lowest", data.tables[0].headers[5]: "highest"}
     limitation = (
         "For a single recording the prediction rests on an assumed variation and is "
-        "off by "
-        f"a factor of up to {largest[0]:.1f}; it was derived from these same sets. "
+        f"off by a factor of up to {max(largest, 1 / least):.1f}; it was derived from "
+        "these same sets. "
         "A single recording cannot tell that the next one has another payload."
     )
     table = data.table(columns=columns, names=names)

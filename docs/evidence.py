@@ -559,7 +559,7 @@ def quadruped():
 
 def commands():
     """Show robots without torque sensors."""
-    data = Tables("commands_confirmation_5129")
+    data = Tables("commands_confirmation_5183")
     columns = [
         "way",
         "robots",

@@ -147,6 +147,7 @@ def test_odd_sets_of_recordings(lengths, same, joint):
     error = loop.identifier_.residuals(*made[-1]).rms() / loop.torque_std_
     assert not loop.effects_
     assert not loop.report_.outcome.findings["contradictions"]
+    # Ten copies of one recording know their noise too well.
     low, high = following.interval
     assert 0.95 * low <= error.mean() <= high
 

@@ -18,7 +18,7 @@ _MASK_SHARE = 0.5
 # Unknown torque of a joint at rest over the noise.
 _UNKNOWN = 200.0
 # Memory of a block's rows, and fewest rows for which a call is worth its overhead.
-_BLOCK_BYTES = 1 << 20
+_BLOCK_BYTES = 4 << 20
 _MIN_ROWS = 512
 # Fewest rows that are multiplied with taps together, and the products that take as long
 # as a call.

@@ -36,7 +36,7 @@ _SPAN_ROWS = 4096
 # Rows of a recording from which on bodies' columns are made of as many as they need.
 _MANY_ROWS = 50_000
 # Memory for filtered rows of the regressor.
-CHUNK_BYTES = 4 << 20
+CHUNK_BYTES = 16 << 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

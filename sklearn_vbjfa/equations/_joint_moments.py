@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -332,6 +333,11 @@ class MomentSums:
         self._noise = [np.zeros((1, k, k)) for k in widths] if noise else None
         self._apart = apart if noise else None
         self._common = [np.zeros((1, k)) for k in widths]
+        # Where rows have one weight, or none, they need not be multiplied with it.
+        highest, self._out = weight.max(axis=0, initial=0.0), weight == 0
+        alike = ((weight == highest) | self._out).all(axis=0)
+        self._factors = np.where(alike, highest, np.nan).tolist()
+        self._gaps = self._out.any(axis=0).tolist()
 
     def add(self, first, rows, difference=None):
         """Add entries (n, n_entries) of rows from the piece's row `first` on."""
@@ -347,30 +353,26 @@ class MomentSums:
                 self._add(i, own, rows[here], apart)
 
     def _add(self, part, own, rows, difference):
-        weight, tau = self._weight[own], self._tau[own]
-        # Where rows have one weight, or none, they need not be multiplied with it.
-        factor, out = weight.max(axis=0), weight == 0
-        same = ((weight == factor) | out).all(axis=0).tolist()
         for j, (where, _) in enumerate(self._entries):
-            values, torque = rows[:, where], tau[:, j]
+            factor = self._factors[j]
+            values, torque = rows[:, where], self._tau[own, j]
             apart = None if difference is None else difference[:, where]
             also = None if self._apart is None else self._apart[own, j]
-            if same[j]:
-                some = np.flatnonzero(out[:, j])
-                for one in (values, apart):
-                    if some.size and one is not None:
-                        one[some] = 0.0
+            if not math.isnan(factor):
+                for one in (values, apart) if self._gaps[j] else ():
+                    if one is not None:
+                        one[self._out[own, j]] = 0.0
             else:
-                factor[j], root = 1.0, np.sqrt(weight[:, j])
+                factor, root = 1.0, np.sqrt(self._weight[own, j])
                 values, torque = values * root[:, None], torque * root
                 apart = None if apart is None else apart * root[:, None]
                 also = None if also is None else also * root
-            self._G[j][part] += _gram(values, factor[j])
-            self._g[j][part] += factor[j] * (torque @ values)
+            self._G[j][part] += _gram(values, factor)
+            self._g[j][part] += factor * (torque @ values)
             if apart is not None:
-                self._noise[j][0] += _gram(apart, 0.25 * factor[j])
+                self._noise[j][0] += _gram(apart, 0.25 * factor)
                 if also is not None:
-                    self._common[j][0] += 0.25 * factor[j] * (also @ apart)
+                    self._common[j][0] += 0.25 * factor * (also @ apart)
 
     def moments(self):
         weight, tau = self._weight, self._tau

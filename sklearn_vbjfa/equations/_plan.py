@@ -286,13 +286,16 @@ class MotionFacts:
         # `keep` is `n_fastest` of all recordings together.
         n, fastest = positions.shape[0], _largest(velocities, keep)
         slow = STANDSTILL_SHARE * _top_quantile(fastest, n)
+        # The samples of a signal are next to each other.
+        joints = np.ascontiguousarray(velocities.T)
+        lowest, highest = positions.min(axis=0), positions.max(axis=0)
         return cls(
             n=n,
-            lowest=positions.min(axis=0),
-            highest=positions.max(axis=0),
-            travel=np.ptp(positions, axis=0),
+            lowest=lowest,
+            highest=highest,
+            travel=highest - lowest,
             fastest=fastest,
-            slow=np.transpose([_slow(v, x) for v, x in zip(velocities.T, slow)]),
+            slow=np.transpose([_slow(v, x) for v, x in zip(joints, slow)]),
         )
 
     def merge(self, other, keep):
@@ -373,19 +376,19 @@ def smooth_with_facts(x, start, estimator, halves, keep):
 def _slow(v, limit):
     """Count how often a joint is slow between faster motion, and how often it stops."""
     # v (n,); limit: speed at standstill. v is linear between samples.
-    step = np.diff(v)
-    below, slow = (
-        np.divide(
-            np.diff(np.clip(v, -speed, speed)),
-            step,
-            out=(np.abs(v[1:]) <= speed).astype(float),
-            where=step != 0,
-        )
-        for speed in (limit, 3 * limit)
-    )
-    edges = np.flatnonzero(np.diff(slow > 0))[int(slow[:1].any()) :] + 1
-    ends = edges[: edges.size // 2 * 2].reshape(-1, 2).T
-    below, slow = (np.diff(np.cumsum(x)[ends - 1], axis=0)[0] for x in (below, slow))
+    low, high = np.minimum(v[:-1], v[1:]), np.maximum(v[:-1], v[1:])
+    near = (low < 3 * limit) & (high > -3 * limit) & (limit > 0)
+    near |= (low == high) & (np.abs(low) == 3 * limit)
+    edges = np.flatnonzero(np.diff(near))[int(near[:1].any()) :] + 1
+    rows = np.flatnonzero(near)
+    ends = np.searchsorted(rows, edges[: edges.size // 2 * 2].reshape(-1, 2).T)
+    low, high, counts = low[rows], high[rows], []
+    for speed in (limit, 3 * limit):
+        inside = np.maximum(np.minimum(high, speed) - np.maximum(low, -speed), 0.0)
+        share = (np.abs(low) <= speed).astype(float)
+        np.divide(inside, high - low, out=share, where=high != low)
+        counts.append(np.diff(np.r_[0.0, np.cumsum(share)][ends], axis=0)[0])
+    below, slow = counts
     return below.size, np.count_nonzero(2 * below > _STOPS * (slow - below))
 
 

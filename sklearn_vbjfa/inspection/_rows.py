@@ -501,6 +501,8 @@ def disorder(names, q, parts):
     """Find rows of positions (n, nv) out of order, or else borders of recordings."""
     rows = np.concatenate([np.arange(p.start, p.stop) for p in parts])
     rows, found = np.searchsorted(rows, np.arange(len(q))), []
+    # The samples of a signal are next to each other.
+    q = np.asfortranarray(q)
     for j, x in enumerate(q.T):
         found += _jumping(names, j, x, _jumps(x, parts), rows)
     borders = [one for one in found if one.severity == "warning"]

@@ -34,9 +34,7 @@ _MODULES = {
         available check_declared closure declarable declared declared_columns resolve
     """,
     "_memory": "Backlash MaxwellSlip came_from elements play",
-    "_motion": """
-        HELD EffectRange Floats Motion OutsideRange Rest State outside own_motions
-    """,
+    "_motion": "HELD Floats Motion Rest State",
     "_position": "Counterbalance FrictionByPosition Offset Ripple Spring",
     "_unnamed": "UnnamedTorque",
     "_varying": "Drift Payload Signal Varied",

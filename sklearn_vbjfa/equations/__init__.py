@@ -8,6 +8,7 @@ _MODULES = {
     "_features": ("RigidBodyFeatures", "with_followers"),
     "_joint_moments": ("BlockAssignment", "piece_moments", "sum_moments"),
     "_plan": ("Plan",),
+    "_ranges": ("EffectRange", "OutsideRange", "outside", "own_motions"),
     "_states": ("RecordingStates",),
     "_torque_noise": ("filtered_noise", "held_rows", "noise_facts"),
 }

@@ -16,7 +16,6 @@ from sklearn_vbjfa.effects import (
     OnAllJoints,
     came_from,
     declared_columns,
-    own_motions,
 )
 from sklearn_vbjfa.equations._joint_moments import (
     BlockAssignment,
@@ -25,7 +24,7 @@ from sklearn_vbjfa.equations._joint_moments import (
     sum_moments,
 )
 from sklearn_vbjfa.equations._plan import effect_places, in_parallel
-from sklearn_vbjfa.equations._ranges import SignalRanges
+from sklearn_vbjfa.equations._ranges import SignalRanges, own_motions
 from sklearn_vbjfa.model import TorqueDerivatives, is_prismatic, rounding_entries
 from sklearn_vbjfa.recording import find_repetition
 

@@ -14,12 +14,12 @@ from sklearn_vbjfa.effects import (
     Bank,
     CommandDelay,
     Effect,
-    EffectRange,
     InModel,
     Rest,
     TorqueLag,
     resolve,
 )
+from sklearn_vbjfa.equations._ranges import EffectRange
 from sklearn_vbjfa.equations._states import RecordingStates, StateEstimator
 from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording import (

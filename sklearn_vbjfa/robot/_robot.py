@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 from sklearn.utils.validation import check_array, check_scalar
 
-from sklearn_vbjfa.effects import CommandDelay, EffectRange
-from sklearn_vbjfa.effects._motion import Rest, outside
+from sklearn_vbjfa.effects import CommandDelay, Rest
 from sklearn_vbjfa.equations._equations import (
     build_segments,
     compare,
@@ -22,6 +21,7 @@ from sklearn_vbjfa.equations._equations import (
 )
 from sklearn_vbjfa.equations._features import Follower, RigidBodyFeatures
 from sklearn_vbjfa.equations._plan import Plan, needs_load, parameter_names
+from sklearn_vbjfa.equations._ranges import EffectRange, outside
 from sklearn_vbjfa.equations._recording_checks import (
     check_length,
     check_weight,

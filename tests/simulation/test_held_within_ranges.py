@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import EffectRange, LoadFriction, Spring, ViscousQuadratic
+from sklearn_vbjfa.effects import LoadFriction, Spring, ViscousQuadratic
+from sklearn_vbjfa.equations import EffectRange
 from sklearn_vbjfa.simulation import Stepper, simulate
 from tests.effects._faults import Cubic
 from tests.model.test_mjcf import rigid

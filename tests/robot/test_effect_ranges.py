@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import EffectRange, OutsideRange, outside
+from sklearn_vbjfa.equations import EffectRange, OutsideRange, outside
 from tests.effects.test_effects import NAMES, V, library_effect, signals
 
 SPRING = EffectRange(

@@ -217,30 +217,31 @@ def explicit_step(q, v, a, tau, rate, h, mode, stuck, fast, tolerance, robot):
     M, ML, before = np.empty((nv, nv)), np.empty((nv, nv)), a
     effects, load = np.empty(nv), np.empty(nv)
     none = np.zeros(nv)
-    found = np.empty((5, 5, nv))
-    speeds = np.empty((5, nv))
-    speeds[0], found[0, 0] = v, a
-    new_q, new_v = q, v
+    found, now = np.empty((5, 5, nv)), np.empty(nv)
+    qs, vs = np.empty((5, nv)), np.empty((5, nv))
+    for j in range(nv):
+        vs[0, j], found[0, 0, j] = v[j], a[j]
     for k in range(1, 5):
         # Stages in the middle, in the middle, at the end; and the end itself.
         step = 0.5 * h if k < 3 else h
-        if k < 4:
-            new_q = q + step * speeds[k - 1]
-            new_v = v + step * found[k - 1, 0]
-        else:
-            sixth = h / 6.0
-            new_q = q + sixth * (speeds[0] + 2.0 * (speeds[1] + speeds[2]) + speeds[3])
-            new_v = v + sixth * (
-                found[0, 0] + 2.0 * (found[1, 0] + found[2, 0]) + found[3, 0]
-            )
+        for j in range(nv):
+            speed, change = vs[k - 1, j], found[k - 1, 0, j]
+            if k == 4:
+                # Simpson's means
+                speed = (vs[0, j] + 2.0 * (vs[1, j] + vs[2, j]) + speed) / 6.0
+                change = 2.0 * (found[1, 0, j] + found[2, 0, j]) + change
+                change = (found[0, 0, j] + change) / 6.0
+            qs[k, j], vs[k, j] = q[j] + step * speed, v[j] + step * change
+            now[j] = tau[j] + step * rate[j]
+        new_q, new_v, out = qs[k], vs[k], found[k]
         bodies_at(new_q, new_v, tree, bodies, armature, M, effects)
         if table.of_load:
             bodies_at(new_q, new_v, tree, loaded, none, ML, load)
-        now, out = tau + step * rate, found[k]
         accelerate(
             M, effects, ML, load, now, new_q, new_v, mode, stuck, table, before, out
         )
-        before, speeds[k] = found[k, 0], new_v
+        before = found[k, 0]
+    new_q, new_v = qs[4].copy(), vs[4].copy()
     error = step_error(h, a, found[3, 0], found[4, 0], fast, tolerance)
     return new_q, new_v, error, found[4].copy(), M
 

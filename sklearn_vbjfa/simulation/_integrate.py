@@ -15,6 +15,7 @@ Angermann, BIT 45(4), 2005, doi:10.1007/s10543-005-0035-y):
         + h A sum_j gamma_ij k_j + gamma_i h f_t,  y(t + h) = y + h sum_i b_i k_i.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -343,21 +344,30 @@ def step_error(h, a1, a4, a5, fast, tolerance):
     """Error of such a step in units of what is allowed; nan where it is none."""
     # a1, a4, a5 (nv,): accelerations at its beginning, its last slope, and at its end;
     # fast (nv,): fastest speeds.
-    allowed = tolerance * np.maximum(fast, h * np.abs(a1))
-    return (h / 6.0) * np.max(np.abs(a4 - a5) / allowed)
+    worst = 0.0
+    for j in range(a1.size):
+        own = abs(a4[j] - a5[j]) / (tolerance * max(fast[j], h * abs(a1[j])))
+        worst = own if own > worst or own != own else worst
+    return (h / 6.0) * worst
 
 
 def is_stiff(h, mass, by_position, by_velocity, stuck, most):
     """Whether friction or springs would keep an explicit step of length h short."""
-    inertia = np.abs(np.diag(mass))
-    free = np.where(stuck, 0.0, 1.0 / inertia)
-    rate = np.max(np.abs(by_velocity) * free)
-    return h * max(rate, np.sqrt(np.max(np.abs(by_position) * free))) > most
+    rate = stiffness = 0.0
+    for j in range(stuck.size):
+        if not stuck[j]:
+            rate = max(rate, abs(by_velocity[j] / mass[j, j]))
+            stiffness = max(stiffness, abs(by_position[j] / mass[j, j]))
+    return h * max(rate, math.sqrt(stiffness)) > most
 
 
 def directions(v, a):
     """Ways that joints go (nv,): signs of velocities, or of accelerations at rest."""
-    return np.where(v != 0.0, np.sign(v), np.sign(a))
+    out = np.sign(v)
+    for j in range(v.size):
+        if v[j] == 0.0:
+            out[j] = np.sign(a[j])
+    return out
 
 
 def past_events(watched, way, v, exact, stuck, needed, limit, holds, loose):
@@ -365,6 +375,11 @@ def past_events(watched, way, v, exact, stuck, needed, limit, holds, loose):
     # Those that slide turn round; exact (nv,): velocities that count as zero. Those
     # that stick break loose beyond `holds` times the limit of their friction. Negative
     # before the event, -inf for joints without any.
-    out = np.where(watched & ~stuck, -way * v / exact, -np.inf)
-    excess = (np.abs(needed) - holds * limit) / np.maximum(loose * limit, _TINY)
-    return np.where(stuck, excess, out)
+    out = np.full(v.size, -np.inf)
+    for j in range(v.size):
+        if stuck[j]:
+            past = abs(needed[j]) - holds * limit[j]
+            out[j] = past / max(loose * limit[j], _TINY)
+        elif watched[j]:
+            out[j] = -way[j] * v[j] / exact[j]
+    return out

@@ -307,7 +307,11 @@ def remember(kinds, joints, numbers, memory, q, v):
 
 def load_size(L, low, high):
     """Sizes of loads L (nv,) that ends hold, as constants and slopes by the loads."""
-    held = np.minimum(np.maximum(L, low), high)
-    inside = held == L
-    constant = np.where(inside, 0.0, np.abs(held))
-    return constant, np.where(inside, np.sign(L), 0.0)
+    constant, slope = np.zeros(L.size), np.zeros(L.size)
+    for j in range(L.size):
+        held = min(max(L[j], low[j]), high[j])
+        if held == L[j]:
+            slope[j] = np.sign(held)
+        else:
+            constant[j] = abs(held)
+    return constant, slope

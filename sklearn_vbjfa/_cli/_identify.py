@@ -70,7 +70,8 @@ def identify(arguments, folder):
 
     def write(folder, notes):
         shutil.copytree(robot, folder, dirs_exist_ok=True)
-        told = {"warnings": (*map(in_options, notes), *lacking)}
+        notes = [x for x in map(in_options, notes) if x not in printed.warnings]
+        told = {"warnings": (*notes, *lacking)}
         report = Report(replace(outcome, provenance=outcome.provenance | told))
         text = json.dumps(report.to_dict(), indent=1, allow_nan=False)
         folder.joinpath("report.html").write_text(report.to_html(), encoding="utf-8")

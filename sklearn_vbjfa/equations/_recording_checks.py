@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 
+from sklearn_vbjfa.inspection import finding
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import Drive
 
@@ -77,14 +78,11 @@ def check_channels(names, positions, torques):
             f"The torque of {', '.join(dead)} is constant while the joint moves. Check "
             "the recording, or lock the joint (joint_names of read_recording)."
         )
-    still = [name for name, moving in zip(names, moves) if not moving]
-    if still:
-        warnings.warn(
-            f"{', '.join(still)} never move(s): torques are left out, friction is not "
-            "identifiable, and inertias only through other joints.",
-            DoubtWarning,
-            stacklevel=5,
-        )
+    for j in np.flatnonzero(~moves):
+        # In the words of `inspect_channels`, of which one alone is shown.
+        facts = {"range": 0.0, "mean": positions[0, j]}
+        still = finding("still_joint", names, j, "warning", **facts)
+        warnings.warn(still.message, DoubtWarning, stacklevel=5)
 
 
 def check_length(parts, lowpass, cutoff):

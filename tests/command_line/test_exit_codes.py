@@ -97,7 +97,8 @@ RECORDINGS = {
         lambda x: x | {"q2": np.full(N, 0.3)},
         {
             "": (3, "elbow never moves"),
-            "identify": (3, r"no usable samples \(joint 2 \(elbow\)\); elbow never"),
+            # Once in the last line, and nowhere else but among the findings.
+            "identify": (3, r"(?s); elbow never moves \(exit(?!(.*elbow never){3})"),
         },
     ),
     "a gap": (

@@ -363,11 +363,19 @@ def _read(paths, options, notes):
 def _check_offer(error, paths, options):
     """Check that what a refusal of one file offers reads the others, too."""
     offer = {"columns": options.mapping, **error.options}
-    try:
-        _read(paths, replace(options, mapping=offer.pop("columns"), **offer), [])
-    except ValueError as other:
-        reason = f"{error.reason}; other files are not so: convert those that differ."
-        raise RecordingRefused(reason) from other
+    offered = replace(options, mapping=offer.pop("columns"), **offer)
+    for path in paths:
+        try:
+            _read([path], offered, [])
+        except ValueError as other:
+            try:
+                _read([path], options, [])
+            except ValueError as own:
+                if not getattr(own, "options", None):
+                    # No option reads this file.
+                    raise
+            reason = f"{error.reason}; other files are not so"
+            raise RecordingRefused(f"{reason}: convert those that differ.") from other
 
 
 def _of_folder(folder, paths, options, notes):

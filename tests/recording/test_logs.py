@@ -298,8 +298,16 @@ def test_no_unit_is_offered_that_only_one_of_several_files_has(tmp_path, unit):
     with pytest.raises(RecordingRefused, match="other files are not so") as refused:
         read_recording(paths, time_unit=unit)
     assert not refused.value.options
+    paths[0] = write(tmp_path / "c.csv", columns)
     with pytest.raises(RecordingRefused, match="time_unit='ms'"):
-        read_recording([paths[1], write(tmp_path / "c.csv", columns)])
+        read_recording(paths[::-1])
+    # A file that no unit reads has its own reason.
+    whole = paths[0].read_text()
+    named = whole.replace("tau", "b")
+    for text, reason in [("", "is empty"), (whole[:99], "line 3"), (named, "no tor")]:
+        paths[0].write_text(text)
+        with pytest.raises(ValueError, match=f"c.csv: .*{reason}"):
+            read_recording(paths[::-1])
 
 
 @pytest.mark.parametrize("zone", ["", "Z", "+02:00"])

@@ -347,9 +347,6 @@ def time_of(table, layout, options):
 
 def _stamps(table, role, time_unit):
     """Return the stamps of a column [s], and its role."""
-    if role.fraction:
-        seconds, rest = (table.numbers(x) for x in role.columns)
-        return seconds - seconds[0] + role.part * (rest - rest[0]), role
     dates = _seconds_of_dates(table, role.column)
     if dates is not None:
         return dates, replace(role, unit="s")
@@ -391,6 +388,6 @@ def _seconds_of_dates(table, column: str):
             days = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
             return seconds + _DAY * days - seconds[0]
         values = pandas.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
-        if values.isna().any():
-            return None
+    if values.isna().any():
+        return None
     return (values - values.iloc[0]).dt.total_seconds().to_numpy()

@@ -412,8 +412,8 @@ def _segments(table, layout):
 def _signals(table, layout, time, segment, notes):
     """Return the other columns that are finite numbers."""
     taken = {x.column for x in layout.roles if x.kind not in ("t", "segment")}
-    taken |= {segment, *(() if time is None else time.columns), *layout.no_signals}
-    taken |= {x for role in layout.of("t") if layout.what for x in role.columns}
+    taken |= {segment, *(() if time is None else [time.column]), *layout.no_signals}
+    taken |= {role.column for role in layout.of("t") if layout.what}
     others = [x for x in table.names if x not in taken]
     read = {x: as_numbers(table.values(x), table.n_rows)[0] for x in others}
     left = [x for x, values in read.items() if values is None]

@@ -13,7 +13,6 @@ import numpy as np
 from sklearn_vbjfa.recording._drives import parse_drive
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.recording._table import (
-    CLOCKS,
     COMMAND_NAMES,
     EXPECTED,
     KINDS,
@@ -201,13 +200,6 @@ class Role:
     key: int | str = 1  # number or name of the joint
     column: str  # its name
     unit: str = ""  # empty if nothing tells
-    fraction: str = ""  # column of what is left of the seconds of this one
-    part: float = 1e-9  # size of what that column counts [s]
-
-    @property
-    def columns(self):
-        """Names of all its columns, tuple of str."""
-        return (self.column, self.fraction) if self.fraction else (self.column,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,8 +224,8 @@ class Layout:
 
     @property
     def stamps(self):
-        """Names of the columns of the best time, list of str."""
-        return [x for role in self.of("t")[:1] for x in role.columns]
+        """Name of the column of the best time, list of str."""
+        return [role.column for role in self.of("t")[:1]]
 
     @property
     def joints(self):
@@ -333,16 +325,14 @@ def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
         rf"(?i:({begin}))(?:[_.\[(]?(?:(?P<joint>{joint})|0*(?P<i>\d{{1,6}}))[\])]?)?",
         re.ASCII,
     )
-    clocks = _clocks_of_two(table)
-    parts = {column for clock in clocks for column in clock.columns}
-    found = [_named(x, name, begins) for x in table.names if x not in parts]
+    found = [_named(x, name, begins) for x in table.names]
     roles = [role for role in found if role is not None]
-    times = [role for role in roles if role.kind == "t"]
-    exact = [role for role in times if is_exact(role)]
+    exact = [role for role in roles if role.kind == "t" and is_exact(role)]
+    dates = table.frame.select_dtypes(["datetime", "datetimetz"])
     if exact:
         roles = [role for role in roles if role.kind != "t" or role in exact]
-    elif not times and len(clocks) == 1:
-        roles += clocks
+    elif dates.shape[1] == 1 and all(role.kind != "t" for role in roles):
+        roles.append(Role(kind="t", column=dates.columns[0]))
     return Layout(roles=tuple(roles))
 
 
@@ -370,18 +360,6 @@ def _key(match):
     """Return the joint or its number in a name or pattern, 1 without."""
     found = match.groupdict() if match else {}
     return found.get("joint") or int(found.get("i") or 1)
-
-
-def _clocks_of_two(table):
-    """Return the clocks that have a column of seconds and one of their parts."""
-    return [
-        Role(kind="t", column=name, unit="s", fraction=other, part=part)
-        for name in table.names
-        for seconds, rests in CLOCKS.items()
-        for rest, part in rests.items()
-        if name.lower().endswith(seconds)
-        and (other := name[: -len(seconds)] + rest) in table.frame
-    ]
 
 
 def channel_unit(table: Table, role: Role) -> Unit | None:
@@ -502,8 +480,7 @@ def _fitted(table, log, plain, robot, recorded):
     roles = _by_joint(roles, names, found)
     if log.segment in table.frame:
         roles.append(Role(kind="segment", column=log.segment))
-    clocks = {role.column: [role] for role in _clocks_of_two(table)}
-    times = [clocks.get(name) or matches(name, table, "t") for name in log.times]
+    times = [matches(name, table, "t") for name in log.times]
     times = [replace(x[0], unit=x[0].unit or "s") for x in times if len(x) == 1]
     no_signals = re.compile("|".join(log.no_signals) or "$.")
     return Layout(

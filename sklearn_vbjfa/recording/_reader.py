@@ -147,12 +147,11 @@ def _seconds(table, layout):
     """Return the stamps of a file [s] or dates as they are, None if it has none."""
     for role in layout.of("t"):
         stamps, unit = table.values(role.column), channel_unit(table, role)
-        if stamps.dtype.kind not in "biuf":
-            return stamps
-        seconds = stamps * (1.0 if unit is None else unit.factor)
-        if role.fraction:
-            seconds = seconds + role.part * table.values(role.fraction)
-        return seconds
+        if stamps.dtype.kind == "M":
+            return 1e-9 * stamps.astype("M8[ns]").astype(float)
+        if stamps.dtype.kind in "biuf":
+            return stamps * (1.0 if unit is None else unit.factor)
+        return stamps
     return None
 
 
@@ -162,12 +161,10 @@ def _rows(part, base, t, at):
     n, name = part.n_rows, base.path.name
     if t is None or at is None:
         if n != base.n_rows:
-            todo = "cut both to the same rows, or give each a column t"
-            if n % base.n_rows == 0:
-                todo = f"save the matrix in one column as {n // base.n_rows} columns"
             raise ValueError(
                 f"{part.path}: has {n} rows and {name} has {base.n_rows}; files "
-                f"without time stamps are joined row by row: {todo}."
+                "without time stamps are joined row by row: cut both to the same rows, "
+                "or give each a column t."
             )
         return np.arange(float(n))
     if np.array_equal(t, at):
@@ -475,19 +472,16 @@ def _recording(files, several, urdf, notes):
     for file in files:
         _check_agreement(first, file)
     everywhere = set.intersection(*(set(x.channels) for x in files))
-    some = [x for file in files for x in file.channels if x not in everywhere]
-    for file in files:
-        for name in set(file.channels) - everywhere:
-            del file.channels[name]
+    every = dict.fromkeys(x for file in files for x in file.channels)
+    some = [x for x in every if x not in everywhere]
+    for file, name in itertools.product(files, some):
+        file.channels.pop(name, None)
     # Recordings are called after their files, those of equal names after their paths.
     names = [file.name for file in files]
     names = [x if names.count(x) == 1 else str(y.path) for x, y in zip(names, files)]
     fields = on_grid(files, names if several else [""])
     if some:
-        notes.append(
-            f"column(s) {listed(dict.fromkeys(some))} are not in all files and are "
-            "left out."
-        )
+        notes.append(f"column(s) {listed(some)} are not in all files and are left out.")
     return Recording(
         name=(several and common_folder([x.path for x in files])) or first.name,
         joint_names=first.joint_names,

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.signal
 
 # Rows are looked at every so many seconds, and fewer than this many of them.
 _STEP, _MOST = 0.04, 20_000
@@ -95,15 +96,12 @@ def _speeds(q, t, step):
 
 def _differences(a, b):
     """Return lags, overlaps, and the largest share in which a(i), b(i + lag) differ."""
-    n, m = len(a), len(b)
-    size = 1 << int(np.ceil(np.log2(n + m)))
 
     def products(x, y):
         # The sum of x(i) y(i + lag) for each lag.
-        both = np.conj(np.fft.rfft(x, size, axis=0)) * np.fft.rfft(y, size, axis=0)
-        whole = np.fft.irfft(both, size, axis=0)
-        return np.concatenate([whole[size - n + 1 :], whole[:m]])
+        return scipy.signal.fftconvolve(y, x[::-1], axes=0)
 
+    n, m = len(a), len(b)
     lags = np.arange(-n + 1, m)
     power = products(np.ones_like(a), b**2) + products(a**2, np.ones_like(b))
     overlap = np.minimum(n, m - lags) - np.maximum(0, -lags)

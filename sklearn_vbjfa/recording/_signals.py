@@ -101,7 +101,7 @@ def as_numbers(values, n_samples):
             f"has the shape {values.shape}; expected one value per row, ({n_samples},)"
         )
     try:
-        numbers = None if values.dtype.kind in "US" else values.astype(float)
+        numbers = None if values.dtype.kind in "MSU" else values.astype(float)
     except (TypeError, ValueError):
         numbers = None
     if numbers is None:

@@ -3,11 +3,12 @@
 import contextlib
 import difflib
 import importlib
+import itertools
 import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from types import SimpleNamespace
@@ -104,6 +105,19 @@ class Table:
                 "remove those rows."
             )
         return values
+
+    def with_dates(self) -> "Table":
+        """Return the table with one column of dates for stamps that have two."""
+        pandas, frame = imported(self.path, "pandas"), self.frame.copy(deep=False)
+        numbers = [name for name in frame if frame[name].dtype.kind in "iuf"]
+        for name, (end, rests) in itertools.product(numbers, _NAMES["clocks"].items()):
+            for rest, unit in rests.items() if name.endswith(end) else ():
+                other = name.removesuffix(end) + rest
+                if other in numbers:
+                    date = pandas.to_datetime(frame[name], unit="s", errors="coerce")
+                    date += pandas.to_timedelta(frame.pop(other), unit=unit)
+                    frame[name] = date
+        return replace(self, frame=frame)
 
     def where(self, row) -> str:
         """Name a row in words."""
@@ -275,7 +289,6 @@ def is_of_a_robot(period):
 
 # -- words -----------------------------------------------------------------------------
 
-CLOCKS = _NAMES["clocks"]
 COMMAND_NAMES = {kind: words.split() for kind, words in _NAMES["commands"].items()}
 _KIND_OF = {word: x for x, words in _NAMES["words"].items() for word in words.split()}
 # The least similarity of a word to one of these.

@@ -129,8 +129,6 @@ def test_rows_without_stamps_need_the_same_number(five, made):
     written(five / "tau.txt", made.tau[:-1])
     message = str(refused(five, made, join=True))
     assert re.search("has 999 rows and .* has 1000.* cut both", message)
-    written(five / "tau.txt", made.tau.reshape(-1, 1))
-    assert "in one column as 6 columns" in str(refused(five, made, join=True))
 
 
 def test_a_channel_in_two_files_is_refused_unless_it_is_the_same(two, made):

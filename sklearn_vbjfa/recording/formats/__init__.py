@@ -75,7 +75,7 @@ def read_table(path, options) -> Table:
         )
     if table.frame.empty:
         raise no_rows(path)
-    return table
+    return table.with_dates()
 
 
 def _ending(path):

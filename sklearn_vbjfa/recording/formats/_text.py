@@ -47,15 +47,13 @@ def read_text(path, content) -> Table:
     """Read text with a header line; blank lines and comments (#) are skipped."""
     with parsing(path, "table of numbers", "save it as CSV in UTF-8."):
         content, notes = _decoded(path, content)
-        filled = [line for line in map(_without_comment, _first_lines(content)) if line]
-        if not filled:
-            raise no_rows(path)
-        if _BRACKETED.fullmatch(filled[0]):
+        filled = list(filter(None, map(_without_comment, _first_lines(content))))
+        if filled and _BRACKETED.fullmatch(filled[0]):
             content = content.translate(_NO_BRACKETS)
-        rows = (re.split(r"[;,|\s]+", line) for line in filled)
         try:
             return _read_lines(path, content, notes)
         except RecordingRefused as error:
+            rows = (re.split(r"[;,|\s]+", line) for line in filled)
             # A log with a header alone is one.
             if len(filled) < 2 or any(map(_is_data, rows)):
                 raise
@@ -125,6 +123,8 @@ def _head(path, lines):
     # Names are places, from "1" on, if there are none. The separator None is white
     # space.
     content = [(k, x) for k, x in enumerate(map(_without_comment, lines)) if x]
+    if not content:
+        raise no_rows(path)
     rows = [_cells(x) for _, x in content]
     # Without a row of numbers, as with one column of text, the names come first.
     data = next((k for k, row in enumerate(rows) if _is_data(row)), 1)
@@ -342,11 +342,9 @@ def read_sheet(path) -> Table:
             na_values=[],
         )
         texts = {name: _lines_of(cells) for name, cells in sheets.items()}
-        filled = [name for name, lines in texts.items() if any(lines)]
-        if not filled:
-            raise no_rows(path)
-        of_numbers = [x for x in filled if any(_is_data(_cells(y)) for y in texts[x])]
-        name = [*of_numbers, *filled][0]
+        # The first with numbers, or else with text.
+        numbers = [x for x, y in texts.items() if any(map(_is_data, map(_cells, y)))]
+        name = [*numbers, *(x for x in texts if any(texts[x])), *texts][0]
         table = _read_lines(path, "\n".join([*texts[name], ""]).encode())
     place = "line {} of sheet " + repr(name).replace("{", "{{").replace("}", "}}")
     return replace(table, place=place)

@@ -278,10 +278,10 @@ def without_odd_rows(table, layout, options, notes):
             "to the same log."
         )
         rows = rows[~second]
-    if rows.size == table.n_rows:
+    if rows.size == len(table.frame):
         return table, None
     # Rows of other topics, and of a second source, are no samples that are missing.
-    lost = not second.any() and rows.size >= (1 - _LACKING) * table.n_rows
+    lost = not second.any() and rows.size >= (1 - _LACKING) * len(table.frame)
     return replace(table, frame=table.frame.iloc[rows]), rows if lost else None
 
 

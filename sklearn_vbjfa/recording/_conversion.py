@@ -51,7 +51,7 @@ def _refusal(table, layout, options, robot, missing):
         driven = laid_out(table, replace(options, drive=PDDrive(), gains=None), robot)
         if driven.kinds | {*table.scalars} >= {"q_desired", "kp", "kd"}:
             offered = {"drive": "pd"}
-    parts.append(f"found {listed(table.names)}")
+    parts.append(f"found {listed(table.frame)}")
     if not offered and missing != ["t"]:
         parts.append(
             "rename them in the header, or give "
@@ -89,7 +89,7 @@ def _tried(table, options):
     except ValueError:
         return {}
     unknown = options.gains is options.drive is None
-    unknown = unknown and {*rows.torque_units} - {"N m", "N"}
+    unknown = unknown and {*rows.robot["torque_units"]} - {"N m", "N"}
     return {"columns": columns} | ({"gains": "unknown"} if unknown else {})
 
 
@@ -134,15 +134,12 @@ def _patterns(table, joints):
 
 def _clocks(table):
     """Return the columns whose name has to do with time, with steps of a robot."""
+    numbers = table.frame.select_dtypes("number")
+    is_time = {x: unit_of("t", split_unit(x)[1] or x) for x in numbers}
+    times = [x for x in numbers if is_time[x] or "t" in kinds_in(x)]
+    steps = {x: usual_step(table.values(x)) for x in times}
     # A column that goes up by one counts rows.
-    return [
-        name
-        for name in table.names
-        if ("t" in kinds_in(name) or unit_of("t", split_unit(name)[1] or name))
-        and table.values(name).dtype.kind in "iuf"
-        and unit_of_steps(usual_step(table.values(name)))
-        and usual_step(table.values(name)) != 1
-    ]
+    return [x for x in times if steps[x] != 1 and unit_of_steps(steps[x])]
 
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
@@ -264,7 +261,7 @@ def rows_of(table, options) -> FileRows:
         )
     if t is None and options.dt:
         # Without stamps the places of the rows that are left are their times.
-        t = options.dt * (np.arange(table.n_rows) if rows is None else rows)
+        t = options.dt * (np.arange(len(table.frame)) if rows is None else rows)
     taken = _columns_taken(table, layout, options, found, time)
     # What was read is held no longer than needed.
     table = replace(table, frame=table.frame.iloc[:, :0])
@@ -278,11 +275,13 @@ def rows_of(table, options) -> FileRows:
         dt=options.dt,
         labels=labels,
         channels=channels | signals,
-        joint_names=tuple(names),
-        position_units=tuple("m" if slide else "rad" for slide in slides),
-        torque_units=tuple(torque_units),
-        joints_named=robot.chosen
-        or all(isinstance(role.key, str) for role in layout.of("q")),
+        robot={
+            "joint_names": tuple(names),
+            "position_units": tuple("m" if slide else "rad" for slide in slides),
+            "torque_units": tuple(torque_units),
+            "joints_named": robot.chosen
+            or all(isinstance(role.key, str) for role in layout.of("q")),
+        },
         notes=[*taken, *notes],
     )
 
@@ -414,8 +413,8 @@ def _signals(table, layout, time, segment, notes):
     taken = {x.column for x in layout.roles if x.kind not in ("t", "segment")}
     taken |= {segment, *(() if time is None else [time.column]), *layout.no_signals}
     taken |= {role.column for role in layout.of("t") if layout.what}
-    others = [x for x in table.names if x not in taken]
-    read = {x: as_numbers(table.values(x), table.n_rows)[0] for x in others}
+    others = [x for x in table.frame if x not in taken]
+    read = {x: as_numbers(table.values(x), len(table.frame))[0] for x in others}
     left = [x for x, values in read.items() if values is None]
     if left:
         notes.append(

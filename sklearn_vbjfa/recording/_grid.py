@@ -148,10 +148,7 @@ class FileRows:
     dt: float | None  # sample period as given [s]
     labels: np.ndarray | None  # of recordings
     channels: dict[str, np.ndarray]  # "q", "tau", and maybe "v" and others
-    joint_names: tuple[str, ...]
-    position_units: tuple[str, ...]
-    torque_units: tuple[str, ...]
-    joints_named: bool
+    robot: dict  # joints and units, as fields of a `Recording`
     notes: list
 
 
@@ -168,7 +165,16 @@ def on_grid(files, names) -> dict:
     """Cut files at segments and gaps, return the array fields of a `Recording`."""
     # names: of the files, "" for one alone.
     runs = [list(_runs(file, name)) for file, name in zip(files, names)]
-    dt = _common_period([run for own in runs for run in own])
+    ordered = sorted(itertools.chain(*runs), key=lambda run: run.stamps.dt)
+    slow, fast = ordered[-1], ordered[0]
+    if slow.stamps.dt > (1 + 2 * DT_TOLERANCE) * fast.stamps.dt:
+        raise ValueError(
+            f"{fast.file.path} has a sample period of {fast.stamps.dt:.6g} s and "
+            f"{slow.file.path} one of {slow.stamps.dt:.6g} s: resample one of them, or "
+            "process them separately."
+        )
+    # The median.
+    dt = ordered[(len(ordered) - 1) // 2].stamps.dt
     pieces = [piece for own in runs for piece in _of_file(own, dt)]
     fields = _fields(pieces, dt)
     noisy = [one for one in pieces if one.noise is not None]
@@ -203,19 +209,6 @@ def _runs(file, name):
         except ValueError as error:
             raise ValueError(f"{file.path}: {error}") from None
         yield _Run(file, own, rows, found)
-
-
-def _common_period(runs):
-    """Return the median period [s]; refuse periods that differ much."""
-    runs = sorted(runs, key=lambda run: run.stamps.dt)
-    low, high = runs[0].stamps.dt, runs[-1].stamps.dt
-    if high > (1 + 2 * DT_TOLERANCE) * low:
-        raise ValueError(
-            f"{runs[0].file.path} has a sample period of {low:.6g} s and "
-            f"{runs[-1].file.path} one of {high:.6g} s: resample one of them, or "
-            "process them separately."
-        )
-    return runs[(len(runs) - 1) // 2].stamps.dt
 
 
 def _of_file(runs, dt):

@@ -24,7 +24,6 @@ from sklearn_vbjfa.recording._table import (
     Unit,
     check_names,
     listed,
-    split_last_part,
     split_unit,
     unit_of,
 )
@@ -188,6 +187,8 @@ _ALONE = dict.fromkeys(("t", "time", "timestamp", "stamp", "__time", "%time"), "
 _ALONE["segment"] = "segment"
 # Marks in patterns, and what they stand for.
 _MARKS = (("i", r"\d{1,6}"), ("joint", ".+?"))
+# The last part of a name, which may be a unit.
+_LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
 # Titles of names of joints, without numbers.
 _TITLE = re.compile(r"(.*[^a-z])?names?[^a-z]*", re.IGNORECASE)
 
@@ -255,7 +256,7 @@ def _by_joint(roles, names, kinds):
 def _joints_in(table, joints, n):
     """Return the joints, at least n, that text in a file lists, in its order."""
     # joints: of the robot; if they are not known, only what is called names lists them.
-    texts = {x: table.values(x) for x in table.names} | table.scalars
+    texts = {x: table.values(x) for x in table.frame} | table.scalars
     texts = {x: np.ravel(y) for x, y in texts.items() if y.dtype.kind in "OU"}
     alike = {}
     for name in sorted(texts, key=lambda x: [int(k) for k in re.findall(r"\d+", x)]):
@@ -292,7 +293,7 @@ def _assigned(table, options, robot):
         q, tau = (f"{k}-{k + n - 1}" if n > 1 else str(k) for k in (2, 2 + n))
         raise RecordingRefused(
             f"{table.path}: has no names of columns; give the places of its "
-            f'{len(table.names)} columns, such as columns="t=1,q={q},tau={tau}".'
+            f'{table.frame.shape[1]} columns, such as columns="t=1,q={q},tau={tau}".'
         )
     if table.joints:
         return replace(plain, certain=True)
@@ -303,7 +304,7 @@ def _assigned(table, options, robot):
         expected = [f"{x.q} and {x.tau}" for x in PRESETS[options.preset]]
         raise RecordingRefused(
             f"{table.path}: does not fit the preset {options.preset!r}, which expects "
-            f"columns {' or '.join(expected)}; found {listed(table.names)}."
+            f"columns {' or '.join(expected)}; found {listed(table.frame)}."
         )
     return fitted or plain
 
@@ -325,7 +326,7 @@ def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
         rf"(?i:({begin}))(?:[_.\[(]?(?:(?P<joint>{joint})|0*(?P<i>\d{{1,6}}))[\])]?)?",
         re.ASCII,
     )
-    found = [_named(x, name, begins) for x in table.names]
+    found = [_named(x, name, begins) for x in table.frame]
     roles = [role for role in found if role is not None]
     exact = [role for role in roles if role.kind == "t" and is_exact(role)]
     dates = table.frame.select_dtypes(["datetime", "datetimetz"])
@@ -348,7 +349,8 @@ def _named(column, expression, begins):
     name = unicodedata.normalize("NFKC", column).replace("τ", "tau")
     bare, unit = split_unit(name)
     # The whole name may end with a joint that is called like a unit.
-    for text, in_text in ((name, ""), (bare, unit), split_last_part(bare)):
+    last = _LAST_PART.fullmatch(bare)
+    for text, in_text in ((name, ""), (bare, unit), *([last.groups()] if last else ())):
         match = expression.fullmatch(text)
         kind = begins[match[1].lower()] if match else _ALONE.get(text.lower())
         if kind and (in_text in ("", unit) or unit_of(kind, in_text)):
@@ -392,7 +394,7 @@ def matches(pattern: str, table: Table, kind: str) -> list[Role]:
         text = text.replace(mark, f"(?P<{name}>{anything})", 1)
         text = text.replace(mark, f"(?P={name})")
     expression = re.compile(text, re.ASCII)
-    for name in table.names:
+    for name in table.frame:
         for text, own in (split_unit(name), (name, "")):
             match = expression.fullmatch(text)
             if match and ("" in (own, unit) or own == unit):
@@ -408,7 +410,7 @@ def _in_places(places, unit, table, kind):
     if match is None:
         return []
     columns = [str(k) for k in range(int(match[1]), int(match[2] or match[1]) + 1)]
-    if not {*columns} <= {*table.names}:
+    if not {*columns} <= {*table.frame}:
         return []
     return [
         Role(kind=kind, key=k, column=x, unit=unit)
@@ -429,7 +431,7 @@ def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     if missing:
         raise RecordingRefused(
             f"{table.path}: has no column {', '.join(missing)}, which columns asks "
-            f"for; found {listed(table.names)}"
+            f"for; found {listed(table.frame)}"
         )
     mapped = [role.column for role in roles]
     check_names(table.path, mapped, "columns names")
@@ -438,7 +440,7 @@ def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     taken |= {role.kind for role in roles}
     roles += [x for x in plain.roles if x.kind not in taken and x.column not in mapped]
     # What nobody has named is no signal.
-    others = frozenset(table.names) if table.nameless else plain.no_signals
+    others = frozenset(table.frame) if table.nameless else plain.no_signals
     return replace(plain, roles=tuple(roles), no_signals=others, certain=True)
 
 
@@ -485,7 +487,7 @@ def _fitted(table, log, plain, robot, recorded):
     no_signals = re.compile("|".join(log.no_signals) or "$.")
     return Layout(
         roles=(*roles, *(times or plain.of("t"))),
-        no_signals=frozenset(filter(no_signals.fullmatch, table.names)),
+        no_signals=frozenset(filter(no_signals.fullmatch, table.frame)),
         what=log.what,
         certain=True,
     )

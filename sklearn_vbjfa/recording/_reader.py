@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike, fspath
-from pathlib import Path
 
 import numpy as np
 
@@ -62,7 +61,7 @@ def joined(tables, joints, path) -> Table:
         f"{len(parts)} files joined to one recording, by the rows of {base.path.name}: "
         f"{listed(f'{name} ({kinds[name]})' for name in sorted(kinds))}."
     )
-    lost = base.n_rows - keep.size
+    lost = len(base.frame) - keep.size
     if lost:
         notes.append(
             f"{lost} row(s) of {base.path.name} are not in all files: left out."
@@ -74,7 +73,7 @@ def joined(tables, joints, path) -> Table:
     columns = {x: frame[x] for x in frame}
     for (part, own), places in zip(others, rows[:, keep]):
         part = replace(part, frame=part.frame.drop(columns=own.stamps))
-        columns |= _columns_beside(path, columns, part, places, joints)
+        columns |= _columns_beside(path, columns, part, places, own)
     return Table(
         path=path,
         frame=imported(path, "pandas").DataFrame(columns, index=frame.index),
@@ -85,18 +84,18 @@ def joined(tables, joints, path) -> Table:
     )
 
 
-def _columns_beside(path, columns, part, at, joints):
+def _columns_beside(path, columns, part, at, layout):
     """Return the columns of a file at some rows, numbers on lines between them."""
     found = {}
-    for name in part.names:
+    for name in part.frame:
         values = part.values(name)
         if values.dtype.kind in "iuf" and (at % 1).any():
             values = np.interp(at, np.arange(len(values)), values)
         else:
             values = values[at.astype(int)]
         if name in columns and not np.array_equal(columns[name], values):
-            one = replace(part, frame=part.frame[[name]])
-            if by_names(one, joints).kinds - {"t", "segment"}:
+            channels = (x for x in layout.roles if x.kind not in ("t", "segment"))
+            if name in {x.column for x in channels}:
                 raise ValueError(
                     f"{path}: column {name!r} is in {part.path.name} and in another "
                     "file, with other values; leave one of the files out, or rename "
@@ -109,7 +108,7 @@ def _columns_beside(path, columns, part, at, joints):
 
 def _named_after_file(table: Table, joints):
     """Return a file, its columns called after it if nothing else says what they are."""
-    stem, n = table.path.stem, len(table.names)
+    stem, n = table.path.stem, table.frame.shape[1]
     kinds = channels_in(stem)
     kind = kinds.pop() if len(kinds) == 1 else ""
     if kind in ("command", "other") or (table.nameless and not kind):
@@ -121,7 +120,7 @@ def _named_after_file(table: Table, joints):
     plain = by_names(table, joints)
     if kind in ("", "t") or plain.kinds - {"t", "segment"}:
         return table
-    columns = [x for x in table.names if x not in plain.stamps]
+    columns = [x for x in table.frame if x not in plain.stamps]
     names = _names(columns, kind, joints, stem)
     for old, new in names.items():
         unit = split_unit(old)[1] or ("A" if is_current(stem) else "")
@@ -158,11 +157,11 @@ def _seconds(table, layout):
 def _rows(part, base, t, at):
     """Return where the rows of the base lie in a file, nan for nowhere."""
     # t, at: stamps of the file and of the base.
-    n, name = part.n_rows, base.path.name
+    n, name = len(part.frame), base.path.name
     if t is None or at is None:
-        if n != base.n_rows:
+        if n != len(base.frame):
             raise ValueError(
-                f"{part.path}: has {n} rows and {name} has {base.n_rows}; files "
+                f"{part.path}: has {n} rows and {name} has {len(base.frame)}; files "
                 "without time stamps are joined row by row: cut both to the same rows, "
                 "or give each a column t."
             )
@@ -298,14 +297,13 @@ def read_recording(
     """
     given = columns, preset, dt, joint_names, gains, time_unit, drive, urdf, topic
     options = ReadOptions(*given)
-    paths: list = [path]
-    if not isinstance(path, (str, PathLike)):
-        paths = list(dict.fromkeys(Path(x) for x in path))
+    alone = isinstance(path, (str, PathLike))
+    paths = list(dict.fromkeys(map(expanded, [path] if alone else path)))
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []
     if join:
-        tables = [one for path in paths for one in tables_in(path) or [Path(path)]]
+        tables = [one for path in paths for one in tables_in(path) or [path]]
         files = [_joined([_table(one, options) for one in tables], options)]
     else:
         try:
@@ -314,7 +312,7 @@ def read_recording(
             if len(paths) > 1 and error.options:
                 _check_offer(error, paths, options)
             raise
-    several = len(files) > 1 or not (join or isinstance(path, (str, PathLike)))
+    several = len(files) > 1 or not (join or alone)
     recording = _recording(files, several, options.urdf, notes)
     if options.drive is not None:
         recording = _driven(recording, options.drive, files)
@@ -350,7 +348,7 @@ def _read(paths, options, notes):
     for path in counted(paths, "reading file", len(paths)):
         inside = tables_in(path)
         if len(inside) > 1:
-            files += _of_folder(expanded(path), inside, options, notes)
+            files += _of_folder(path, inside, options, notes)
         else:
             (path,) = inside or [path]
             files.append(rows_of(_table(path, options), options))
@@ -434,7 +432,6 @@ def _table(path, options):
 
 def _version(path):
     """Return sizes and times of a file, or of all in a folder; [] for what is none."""
-    path = expanded(path)
     found = [path] if path.is_file() else path.rglob("*") if path.is_dir() else []
     stats = [file.stat() for file in found if file.is_file()]
     return sorted((one.st_size, one.st_mtime_ns) for one in stats)
@@ -469,8 +466,14 @@ def _shortly(paths):
 def _recording(files, several, urdf, notes):
     """Return the recording of all files."""
     first = files[0]
-    for file in files:
-        _check_agreement(first, file)
+    for file, what in itertools.product(files, first.robot):
+        one, two = first.robot[what], file.robot[what]
+        if one != two and what != "joints_named":
+            raise ValueError(
+                f"{first.path} has the {what.replace('_', ' ')} {listed(one)} and "
+                f"{file.path} {listed(two)}; expected files with the same joints and "
+                "channels: correct one of them, or process them separately."
+            )
     everywhere = set.intersection(*(set(x.channels) for x in files))
     every = dict.fromkeys(x for file in files for x in file.channels)
     some = [x for x in every if x not in everywhere]
@@ -484,24 +487,8 @@ def _recording(files, several, urdf, notes):
         notes.append(f"column(s) {listed(some)} are not in all files and are left out.")
     return Recording(
         name=(several and common_folder([x.path for x in files])) or first.name,
-        joint_names=first.joint_names,
-        position_units=first.position_units,
-        torque_units=first.torque_units,
         urdf=None if urdf is None else fspath(urdf),
         description=f"Read from {listed([x.path.name for x in files])}.",
-        joints_named=first.joints_named,
+        **first.robot,
         **fields,
     )
-
-
-def _check_agreement(first, other):
-    """Refuse files of other robots, or that were not recorded alike."""
-    for what in ("joint_names", "position_units", "torque_units"):
-        one, two = (listed(getattr(file, what)) for file in (first, other))
-        if one != two:
-            what = what.replace("_", " ")
-            raise ValueError(
-                f"{first.path} has the {what} {one} and {other.path} {two}; expected "
-                "files with the same joints and channels: correct one of them, or "
-                "process them separately."
-            )

@@ -69,19 +69,9 @@ class Table:
     notes: tuple[str, ...] = ()
 
     @property
-    def n_rows(self) -> int:
-        """Number of rows."""
-        return len(self.frame)
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the columns."""
-        return list(self.frame)
-
-    @property
     def nameless(self) -> bool:
         """Whether columns are called by their places, from "1" on."""
-        return all(name.isdecimal() for name in self.names)
+        return all(name.isdecimal() for name in self.frame)
 
     def values(self, name) -> np.ndarray:
         """Return a column: numbers, dates, or text as objects."""
@@ -231,7 +221,6 @@ _UNITS = {
 _RATES = {"v": ("/s", "/sec", "ps"), "a": ("/s^2", "/s2", "/s²", "/s/s", "ps2")}
 EXPECTED = _NAMES["expected"]
 _IN_BRACKETS = re.compile(r"(.*?)\s*(?:\[([^][]*)\]|\(([^()]*)\)|\s/\s*(\S+))")
-_LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
 
 
 def unit_of(kind: str, text: str) -> Unit | None:
@@ -257,12 +246,6 @@ def split_unit(name: str) -> tuple[str, str]:
     if not match[1] or unit.isdecimal() or "{" in unit:
         return name, ""
     return match[1], unit
-
-
-def split_last_part(name: str) -> tuple[str, str]:
-    """Return a name without its last part, and that part, which may be a unit."""
-    match = _LAST_PART.fullmatch(name)
-    return (match[1], match[2]) if match else (name, "")
 
 
 # -- units of time ---------------------------------------------------------------------

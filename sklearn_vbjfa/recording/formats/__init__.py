@@ -42,7 +42,6 @@ _MARKS = ("metadata.yaml", INFO)
 def read_table(path, options) -> Table:
     """Read a file's columns, at least one and one row."""
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input.
-    path = expanded(path)
     ending = _ending(path)
     files = bag_files(path) if path.is_dir() else [path] * (ending in BAGS)
     if str(path) == "-":
@@ -118,7 +117,6 @@ def expanded(path):
 
 def tables_in(path):
     """Return the tables of a folder without a format, in order."""
-    path = expanded(path)
     return _tables(path) if path.is_dir() and not _is_one(path) else []
 
 

@@ -297,8 +297,8 @@ def read_recording(
     """
     given = columns, preset, dt, joint_names, gains, time_unit, drive, urdf, topic
     options = ReadOptions(*given)
-    alone = isinstance(path, (str, PathLike))
-    paths = list(dict.fromkeys(map(expanded, [path] if alone else path)))
+    paths = [path] if isinstance(path, (str, PathLike)) else [*path]
+    paths = list(dict.fromkeys(map(expanded, paths)))
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []
@@ -312,7 +312,7 @@ def read_recording(
             if len(paths) > 1 and error.options:
                 _check_offer(error, paths, options)
             raise
-    several = len(files) > 1 or not (join or alone)
+    several = len(files) > 1 or not (join or isinstance(path, (str, PathLike)))
     recording = _recording(files, several, options.urdf, notes)
     if options.drive is not None:
         recording = _driven(recording, options.drive, files)

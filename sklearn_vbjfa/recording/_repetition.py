@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
 
 # Rows are looked at every so many seconds, and fewer than this many of them.
 _STEP, _MOST = 0.04, 20_000
@@ -96,10 +95,11 @@ def _speeds(q, t, step):
 
 def _differences(a, b):
     """Return lags, overlaps, and the largest share in which a(i), b(i + lag) differ."""
+    from scipy.signal import fftconvolve
 
     def products(x, y):
         # The sum of x(i) y(i + lag) for each lag.
-        return scipy.signal.fftconvolve(y, x[::-1], axes=0)
+        return fftconvolve(y, x[::-1], axes=0)
 
     n, m = len(a), len(b)
     lags = np.arange(-n + 1, m)

@@ -70,7 +70,8 @@ def identify(arguments, folder):
 
     def write(folder, notes):
         shutil.copytree(robot, folder, dirs_exist_ok=True)
-        notes = [x for x in map(in_options, notes) if x not in printed.warnings]
+        shown = {one.message for one in channels}
+        notes = [x for x in map(in_options, notes) if x not in shown]
         told = {"warnings": (*notes, *lacking)}
         report = Report(replace(outcome, provenance=outcome.provenance | told))
         text = json.dumps(report.to_dict(), indent=1, allow_nan=False)

@@ -8,7 +8,7 @@ from scipy import linalg
 
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
-    State,
+    LatentState,
     coefficients_noisy,
     data_bound,
     expect_hidden,
@@ -160,7 +160,7 @@ def start(moments, prior, input_noise):
     rest = max(moments.yy - explained, VARIANCE_FLOOR * moments.yy) / n
     shape = prior.ard_shape + (1.0 if prior.coupled else 0.5)
     variance = np.full(d, 1.0 / n) if prior.ard else np.zeros(d)
-    return State(
+    return LatentState(
         w_z_mean=w_z,
         w_z_var=variance,
         w_x_mean=w_x,

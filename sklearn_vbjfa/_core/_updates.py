@@ -19,7 +19,7 @@ from scipy.special import digamma, gammaln
 
 
 @dataclass(frozen=True, kw_only=True)
-class State:
+class LatentState:
     """Everything an iteration changes."""
 
     # Loadings are Gaussian with diagonal covariance; zero variances are point estimates

@@ -22,7 +22,7 @@ from sklearn_vbjfa.design._optimise import (
     DECIDED,
     INSIDE,
     ROOM,
-    Problem,
+    DesignProblem,
     Questions,
     information_of,
     optimise,
@@ -169,7 +169,7 @@ def design_motion(
 
 
 def pose(model, duration, dt, limits, effects, report, rng):
-    """Return the `Problem` of arguments as those of `design_motion`."""
+    """Return the `DesignProblem` of arguments as those of `design_motion`."""
     robot = KnownRobot.of(model)
     dt, names = check_dt(dt), robot.joint_names
     duration = float(duration)
@@ -202,7 +202,7 @@ def pose(model, duration, dt, limits, effects, report, rng):
     )
     rows = equations(reference)
     clearance, why = Clearance.of(robot.description, robot.features.model_, ROOM)
-    problem = Problem(
+    problem = DesignProblem(
         curve=curve,
         model=equations,
         robot=robot,

@@ -153,7 +153,7 @@ def information_of(equations, places, n_columns, weight):
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class DesignProblem:
     """A motion to be designed."""
 
     curve: object

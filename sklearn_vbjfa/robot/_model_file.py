@@ -26,7 +26,6 @@ from sklearn_vbjfa.equations._states import StateEstimator
 from sklearn_vbjfa.model._loading import load_text
 from sklearn_vbjfa.model._trees import in_order
 from sklearn_vbjfa.recording._table import quoted
-from sklearn_vbjfa.robot._robot import IdentifiedRobot
 
 FORMAT = "sklearn_vbjfa identified robot"
 VERSION = 1
@@ -76,9 +75,9 @@ def write(path, robot):
     write_whole(path, f"{text}\n")
 
 
-def read(path, effects=()):
+def read(path, kind, effects=()):
     """Read an `IdentifiedRobot`; ValueError for missing or wrong keys."""
-    # effects: classes of those that are not in the library.
+    # kind: its class; effects: classes of those that are not in the library.
     name = str(path)
     # What a robot has without a search in the library.
     usual = (Follower, CommandDelay, TorqueLag, UnnamedTorque)
@@ -98,7 +97,7 @@ def read(path, effects=()):
             f"{FORMAT!r}. Files of that format are written by RobotIdentifier.save."
         )
     try:
-        return _robot_of(content, name, classes)
+        return _robot_of(content, name, kind, classes)
     except (_Wrong, RecursionError) as error:
         raise ValueError(f"{name!r}: {error}.") from error
 
@@ -107,7 +106,7 @@ def _refuse(name):
     raise ValueError(f"it holds {name} for a number, JSON has none of that name")
 
 
-def _robot_of(content, name, classes):
+def _robot_of(content, name, kind, classes):
     if content.get("version") != VERSION:
         raise _Wrong(
             "version",
@@ -120,7 +119,7 @@ def _robot_of(content, name, classes):
         for key, kind in (("joints", names), ("friction", names))
         + (("parameters", names), ("gravity", np.ndarray))
     )
-    values, at = _decode_fields(content, IdentifiedRobot, "", classes), "text"
+    values, at = _decode_fields(content, kind, "", classes), "text"
     try:
         model = in_order(load_text(values["text"], name), joints)
         at = "gravity"
@@ -131,7 +130,7 @@ def _robot_of(content, name, classes):
         features = features.corrected(check_effects(values["plan"].effects, model.nv))
     except ValueError as error:
         raise _Wrong(at, f"is invalid: {error}") from error
-    robot = IdentifiedRobot(features_=features, **values)
+    robot = kind(features_=features, **values)
     if parameters != robot.parameter_names_:
         raise _Wrong(
             "parameters",

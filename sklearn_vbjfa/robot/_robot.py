@@ -40,6 +40,7 @@ from sklearn_vbjfa.recording._recording import (
     check_dt,
     take_arrays,
 )
+from sklearn_vbjfa.robot import _model_file
 from sklearn_vbjfa.robot._channels import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._exports import (
@@ -523,9 +524,6 @@ class IdentifiedRobot:
             If `model` is a `pinocchio.Model` with a joint type that URDF lacks, or a
             custom effect has a parameter that JSON cannot hold.
         """
-        # What reads a robot makes one.
-        from sklearn_vbjfa.robot import _model_file
-
         _model_file.write(path, self)
 
     def sample(self, n, random_state=None):
@@ -979,6 +977,4 @@ def load_identified(path, effects=()):
     ImportError
         If Pinocchio is not installed.
     """
-    from sklearn_vbjfa.robot import _model_file
-
-    return _model_file.read(path, effects)
+    return _model_file.read(path, IdentifiedRobot, effects)

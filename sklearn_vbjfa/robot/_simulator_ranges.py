@@ -7,6 +7,7 @@ import numpy as np
 
 from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.robot._channels import note_of_units
+from sklearn_vbjfa.robot._model_file import readable
 from sklearn_vbjfa.robot._posterior import Posterior
 
 FORMAT, VERSION = "sklearn_vbjfa ranges", 1
@@ -83,9 +84,6 @@ class Ranges:
         path : str or os.PathLike
             File to write, see ``docs/simulation.rst``.
         """
-        # What reads a robot imports it.
-        from sklearn_vbjfa.robot._model_file import readable
-
         content = {
             "format": FORMAT,
             "version": VERSION,

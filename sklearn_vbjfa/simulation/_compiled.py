@@ -1,10 +1,12 @@
-"""Bodies, friction and accelerations at one state, compiled by Numba.
+"""Bodies, accelerations and explicit steps of a simulation, compiled by Numba.
 
 The laws of friction are those of `sklearn_vbjfa.simulation._terms`; bodies are what
 Pinocchio computes as well (`crba` and `nonLinearEffects`): vectors are in the axes of
 the base, and moments about the origin of the joint that a branch begins with, so that
 the inertia of composite bodies is a sum.
 """
+
+import math
 
 import numpy as np
 
@@ -24,22 +26,68 @@ from sklearn_vbjfa.model._kernel import (
     wrench,
 )
 from sklearn_vbjfa.model._trees import Tree
-from sklearn_vbjfa.simulation import _integrate, _terms
+from sklearn_vbjfa.simulation import _terms
 
 # What is known of a body beside what `advance` writes: force and moment of all that it
 # carries, and their mass, first moments and inertia.
 _FORCE, _MOMENT, _MASS, _FIRST, _INERTIA = 27, 30, 33, 34, 37
 _WHOLE = 46
+_TINY = float(np.finfo(float).tiny)
 
-compiled = compiler(__file__, _kernel.__file__, _integrate.__file__, _terms.__file__)
+compiled = compiler(__file__, _kernel.__file__, _terms.__file__)
 
 _add_terms = compiled(_terms.add_terms)
 remember = compiled(_terms.remember)
-step_error = compiled(_integrate.step_error)
-is_stiff = compiled(_integrate.is_stiff)
 load_size = compiled(_terms.load_size)
-directions = compiled(_integrate.directions)
-past_events = compiled(_integrate.past_events)
+
+
+@compiled
+def step_error(h, a1, a4, a5, fast, tolerance):
+    """Error of an explicit step in units of what is allowed; nan where it is none."""
+    # a1, a4, a5 (nv,): accelerations at its beginning, its last slope, and at its end;
+    # fast (nv,): fastest speeds.
+    worst = 0.0
+    for j in range(a1.size):
+        own = abs(a4[j] - a5[j]) / (tolerance * max(fast[j], h * abs(a1[j])))
+        worst = own if own > worst or own != own else worst
+    return (h / 6.0) * worst
+
+
+@compiled
+def is_stiff(h, mass, by_position, by_velocity, stuck, most):
+    """Whether friction or springs would keep an explicit step of length h short."""
+    rate = stiffness = 0.0
+    for j in range(stuck.size):
+        if not stuck[j]:
+            rate = max(rate, abs(by_velocity[j] / mass[j, j]))
+            stiffness = max(stiffness, abs(by_position[j] / mass[j, j]))
+    return h * max(rate, math.sqrt(stiffness)) > most
+
+
+@compiled
+def directions(v, a):
+    """Ways that joints go (nv,): signs of velocities, or of accelerations at rest."""
+    out = np.sign(v)
+    for j in range(v.size):
+        if v[j] == 0.0:
+            out[j] = np.sign(a[j])
+    return out
+
+
+@compiled
+def past_events(watched, way, v, exact, stuck, needed, limit, holds, loose):
+    """How far joints are past an event, in units of what they may be, (nv,)."""
+    # Those that slide turn round; exact (nv,): velocities that count as zero. Those
+    # that stick break loose beyond `holds` times the limit of their friction. Negative
+    # before the event, -inf for joints without any.
+    out = np.full(v.size, -np.inf)
+    for j in range(v.size):
+        if stuck[j]:
+            past = abs(needed[j]) - holds * limit[j]
+            out[j] = past / max(loose * limit[j], _TINY)
+        elif watched[j]:
+            out[j] = -way[j] * v[j] / exact[j]
+    return out
 
 
 @compiled
@@ -276,7 +324,7 @@ def smooth_steps(
     # joints that stick until they are pushed loose; watched, way, fast (nv,): as of
     # `Integrator`; rules: constants. Stiff steps, and those that pass an event, are
     # left to others. tree, table: plain tuples, which are faster to pass.
-    table = _terms.Table(*table)
+    table = _terms.TermArrays(*table)
     robot = Tree(*tree), bodies, armature, loaded, table
     stiff, tolerance, reserve, shrink, grow, holds, loose = rules
     done, end, least = span

@@ -15,7 +15,6 @@ Angermann, BIT 45(4), 2005, doi:10.1007/s10543-005-0035-y):
         + h A sum_j gamma_ij k_j + gamma_i h f_t,  y(t + h) = y + h sum_i b_i k_i.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +64,6 @@ _MOST_STOPS = 20
 _HOLDS, _LOOSE = 1e-9, 1e-6
 # Rules of compiled steps.
 _RULES = (_STIFF, _TOLERANCE, _RESERVE, _SHRINK, _GROW, 1 + _HOLDS, _LOOSE)
-_TINY = float(np.finfo(float).tiny)
 # Most steps in search of one event, and most changes of joints between sticking and
 # sliding at one instant.
 _MOST_TRIES, _MOST_PIVOTS = 12, 100
@@ -335,51 +333,3 @@ def _root(v0, v1, a0, a1):
         else:
             low = middle
     return high
-
-
-# -- arithmetic of a step, which Numba compiles ----------------------------------------
-
-
-def step_error(h, a1, a4, a5, fast, tolerance):
-    """Error of such a step in units of what is allowed; nan where it is none."""
-    # a1, a4, a5 (nv,): accelerations at its beginning, its last slope, and at its end;
-    # fast (nv,): fastest speeds.
-    worst = 0.0
-    for j in range(a1.size):
-        own = abs(a4[j] - a5[j]) / (tolerance * max(fast[j], h * abs(a1[j])))
-        worst = own if own > worst or own != own else worst
-    return (h / 6.0) * worst
-
-
-def is_stiff(h, mass, by_position, by_velocity, stuck, most):
-    """Whether friction or springs would keep an explicit step of length h short."""
-    rate = stiffness = 0.0
-    for j in range(stuck.size):
-        if not stuck[j]:
-            rate = max(rate, abs(by_velocity[j] / mass[j, j]))
-            stiffness = max(stiffness, abs(by_position[j] / mass[j, j]))
-    return h * max(rate, math.sqrt(stiffness)) > most
-
-
-def directions(v, a):
-    """Ways that joints go (nv,): signs of velocities, or of accelerations at rest."""
-    out = np.sign(v)
-    for j in range(v.size):
-        if v[j] == 0.0:
-            out[j] = np.sign(a[j])
-    return out
-
-
-def past_events(watched, way, v, exact, stuck, needed, limit, holds, loose):
-    """How far joints are past an event, in units of what they may be, (nv,)."""
-    # Those that slide turn round; exact (nv,): velocities that count as zero. Those
-    # that stick break loose beyond `holds` times the limit of their friction. Negative
-    # before the event, -inf for joints without any.
-    out = np.full(v.size, -np.inf)
-    for j in range(v.size):
-        if stuck[j]:
-            past = abs(needed[j]) - holds * limit[j]
-            out[j] = past / max(loose * limit[j], _TINY)
-        elif watched[j]:
-            out[j] = -way[j] * v[j] / exact[j]
-    return out

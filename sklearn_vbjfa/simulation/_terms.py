@@ -41,7 +41,7 @@ _ENDLESS = (-math.inf, math.inf)
 MOST_SIGNS = 8
 
 
-class Table(NamedTuple):
+class TermArrays(NamedTuple):
     """Friction and effects of a robot as numbers, which compiled code takes."""
 
     of_load: bool  # whether friction depends on the load
@@ -66,7 +66,7 @@ class TermTable:
     """Friction and effects of a robot as terms, which the effects enter themselves."""
 
     # viscous, constant, dry, load_dry, armature (nv,): what needs no table, load_dry
-    # over the load; inertia, coupling (nv, nv): see `Table`; payloads: instants
+    # over the load; inertia, coupling (nv, nv): see `TermArrays`; payloads: instants
     # [s], and what the last body's parameters (10,) change by; since: first time of the
     # fit [s]; left_out: effects that have no terms.
 
@@ -150,13 +150,13 @@ class TermTable:
         return bool(self._levels)
 
     def table(self, q):
-        """Return the `Table` of a motion that begins at positions q (nv,)."""
+        """Return the `TermArrays` of a motion that begins at positions q (nv,)."""
         memory = np.zeros((self.kinds.size, 2))
         for k in np.flatnonzero(np.isin(self.kinds, _REMEMBERING)):
             memory[k, 0] = q[self.joints[k]]
             memory[k, 1] = memory[k, 0] if self.kinds[k] == _BACKLASH else 0.0
         lines = self.viscous, self.constant, self.dry, self.load_dry, *self.load_ends
-        return Table(
+        return TermArrays(
             of_load=self.of_load,
             lines=np.array(lines),
             inertia=self.inertia,

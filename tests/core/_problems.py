@@ -5,7 +5,7 @@ from scipy import signal
 
 from sklearn_vbjfa._core._moments import square_root
 from sklearn_vbjfa._core._solver import IndependentProblem
-from sklearn_vbjfa._core._updates import Prior, State
+from sklearn_vbjfa._core._updates import LatentState, Prior
 from tests.reference import paper_jfa as ref
 
 ARD_SHAPE, ARD_RATE = 0.3, 0.7  # nothing special, and far from their defaults
@@ -38,7 +38,7 @@ def make_state(seed, n_features, *, ard=True, coupled=True):
     """Return an arbitrary state, of either model."""
     rng = np.random.default_rng([seed, 1])
     variance = rng.uniform(0.05, 0.5, (2, n_features))
-    return State(
+    return LatentState(
         w_z_mean=rng.choice([-1, 1], n_features) * rng.uniform(0.3, 1.5, n_features),
         w_z_var=variance[0] * ard,
         w_x_mean=rng.choice([-1, 1], n_features) * rng.uniform(0.3, 1.5, n_features),

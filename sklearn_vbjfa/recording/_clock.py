@@ -28,8 +28,6 @@ GAP_PERIODS = 5.0
 DT_TOLERANCE = 0.05
 # Relative difference below which periods count as one.
 SAME_DT = 1e-3
-# A slower clock [s] records no motion: stamps in ms or ns come out like that.
-_SLOWEST = 1.0
 # Late stamps average out over so many rows. Those that scatter about such means by less
 # than a share of a period show how many rows are missing; means that scatter by more
 # than a share show that rows are missing, or that the period changes.
@@ -68,11 +66,6 @@ def inspect_time_stamps(
     _check_rise(t, where)
     step = np.diff(t)
     period, counts = _periods(step)
-    if dt is None and period >= _SLOWEST:
-        raise ValueError(
-            f"time steps by {period:.6g} s at the median: t is probably not in "
-            "seconds; give time_unit ms, us or ns."
-        )
     is_gap = step > GAP_PERIODS * period
     pieces = contiguous_groups(np.r_[0, np.cumsum(is_gap)], t.size)
     slots = np.r_[0, np.cumsum(counts)]

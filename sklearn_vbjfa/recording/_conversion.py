@@ -64,8 +64,6 @@ def _refusal(table, layout, options, robot, missing):
 def _offered(table, options, near):
     """Return options that read the file, tried, by the nearest columns; or {}."""
     # near: the nearest patterns by kind; of several nobody knows which is meant.
-    if set(near) <= set(options.mapping):
-        return {}
     found = []
     for patterns in itertools.islice(itertools.product(*near.values()), _MOST_TRIED):
         mapping = options.mapping | dict(zip(near, patterns))
@@ -80,14 +78,9 @@ def _tried(table, options):
     columns = ",".join(f"{key}={x}" for key, x in options.mapping.items())
     try:
         rows = rows_of(table, options)
-    except RecordingRefused as error:
-        more = error.options if options.time_unit is None else {}
-        if set(more) != {"time_unit"}:
-            return {}
-        found = _tried(table, replace(options, **more))
-        return found and found | more
-    except ValueError:
-        return {}
+    except ValueError as error:
+        more = getattr(error, "options", {})
+        return {"columns": columns} | more if {*more} == {"time_unit"} else {}
     unknown = options.gains is options.drive is None
     unknown = unknown and {*rows.robot["torque_units"]} - {"N m", "N"}
     return {"columns": columns} | ({"gains": "unknown"} if unknown else {})

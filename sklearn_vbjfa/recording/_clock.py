@@ -226,14 +226,14 @@ _OFTEN, _AWAY, _LEVELS = 3, 3.0, 16
 def without_odd_rows(table, layout, options, notes):
     """Leave out rows without numbers and of a second source.
 
-    Returns the table, and the places of its rows if those between them are samples that
-    are missing.
+    Returns the table, and the places of its rows on a regular clock.
     """
     q, tau = layout.of("q"), layout.of("tau") if options.drive is None else ()
     columns, n = [x.column for x in (*q, *tau, *layout.of("v", "a"))], len(q + tau)
     values = [table.values(column) for column in columns]
+    every = np.arange(len(table.frame))
     if not values or any(x.dtype.kind not in "iuf" for x in values):
-        return table, None
+        return table, every
     values = np.column_stack(values).astype(float)
     fillers = [
         f"{x:g} in column {column!r}"
@@ -247,7 +247,7 @@ def without_odd_rows(table, layout, options, notes):
     # Rows of other topics have neither positions nor torques.
     out = empty | lacking if few else empty
     if empty.all():
-        return table, None
+        return table, every
     if out.any():
         row = int(np.argmax(out))
         notes.append(
@@ -272,10 +272,11 @@ def without_odd_rows(table, layout, options, notes):
         )
         rows = rows[~second]
     if rows.size == len(table.frame):
-        return table, None
+        return table, every
     # Rows of other topics, and of a second source, are no samples that are missing.
     lost = not second.any() and rows.size >= (1 - _LACKING) * len(table.frame)
-    return replace(table, frame=table.frame.iloc[rows]), rows if lost else None
+    table = replace(table, frame=table.frame.iloc[rows])
+    return table, rows if lost else every[: rows.size]
 
 
 def _without_fillers(x):
@@ -331,7 +332,7 @@ def time_of(table, layout, options):
             {"columns": f"t={times[0].column}"},
         )
     for role in times:
-        t, role = _stamps(table, role, options.time_unit)
+        t = _stamps(table, role, options.time_unit)
         # A known log may have stamps that stand still.
         if np.ptp(t) > 0 or role is times[-1]:
             return t, role
@@ -339,10 +340,10 @@ def time_of(table, layout, options):
 
 
 def _stamps(table, role, time_unit):
-    """Return the stamps of a column [s], and its role."""
+    """Return the stamps of a column [s]."""
     dates = _seconds_of_dates(table, role.column)
     if dates is not None:
-        return dates, replace(role, unit="s")
+        return dates
     values, unit = table.values(role.column), channel_unit(table, role)
     if values.dtype.kind == "O":
         raise ValueError(
@@ -366,7 +367,7 @@ def _stamps(table, role, time_unit):
             {"time_unit": likely},
         )
     # Without a unit stamps stay as they are, for messages that quote them.
-    return seconds if factor == 1.0 else factor * (seconds - seconds[0]), role
+    return seconds if factor == 1.0 else factor * (seconds - seconds[0])
 
 
 def _seconds_of_dates(table, column: str):

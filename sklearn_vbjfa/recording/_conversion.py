@@ -67,23 +67,18 @@ def _offered(table, options, near):
     found = []
     for patterns in itertools.islice(itertools.product(*near.values()), _MOST_TRIED):
         mapping = options.mapping | dict(zip(near, patterns))
-        if not any("," in x or "=" in x for x in mapping.values()):
-            found.append(_tried(table, replace(options, mapping=mapping, preset=None)))
-    found = [offered for offered in found if offered]
+        columns = ",".join(f"{key}={x}" for key, x in mapping.items())
+        try:
+            rows = rows_of(table, replace(options, mapping=columns, preset=None))
+            plain = options.gains is not None or options.drive is not None
+            plain = plain or {*rows.robot["torque_units"]} <= {"N m", "N"}
+            more = {} if plain else {"gains": "unknown"}
+        except ValueError as error:
+            more = getattr(error, "options", {})
+            if {*more} != {"time_unit"}:
+                continue
+        found.append({"columns": columns, **more})
     return found[0] if len(found) == 1 else {}
-
-
-def _tried(table, options):
-    """Return a mapping, and options it needs, that reads a file; or {}."""
-    columns = ",".join(f"{key}={x}" for key, x in options.mapping.items())
-    try:
-        rows = rows_of(table, options)
-    except ValueError as error:
-        more = getattr(error, "options", {})
-        return {"columns": columns} | more if {*more} == {"time_unit"} else {}
-    unknown = options.gains is options.drive is None
-    unknown = unknown and {*rows.robot["torque_units"]} - {"N m", "N"}
-    return {"columns": columns} | ({"gains": "unknown"} if unknown else {})
 
 
 # -- the nearest names -----------------------------------------------------------------
@@ -244,8 +239,8 @@ def rows_of(table, options) -> FileRows:
         )
         channels = {kind: values[:, order] for kind, values in channels.items()}
     t, time = time_of(table, layout, options)
-    labels, segment = _segments(table, layout)
-    signals = _signals(table, layout, time, segment, notes)
+    labels = _labels(table, layout)
+    signals = _signals(table, layout, time, notes)
     motor = [unit for unit in torque_units if unit not in ("N m", "N")]
     if motor and options.gains is None and options.drive is None:
         notes.append(
@@ -254,7 +249,7 @@ def rows_of(table, options) -> FileRows:
         )
     if t is None and options.dt:
         # Without stamps the places of the rows that are left are their times.
-        t = options.dt * (np.arange(len(table.frame)) if rows is None else rows)
+        t = options.dt * rows
     taken = _columns_taken(table, layout, options, found, time)
     # What was read is held no longer than needed.
     table = replace(table, frame=table.frame.iloc[:, :0])
@@ -390,22 +385,21 @@ def _check_units(table, found, units, names, robot):
 # -- other columns ---------------------------------------------------------------------
 
 
-def _segments(table, layout):
-    """Return segment labels or None, and the name of their column."""
+def _labels(table, layout):
+    """Return labels of recordings or None."""
     columns = [role.column for role in layout.of("segment")]
-    for other in columns:
-        refuse_two(table, columns[0], other)
     if not columns:
-        return None, ""
+        return None
+    refuse_two(table, columns[0], columns[-1])
     labels = table.values(columns[0])
-    return table.numbers(columns[0]) if labels.dtype.kind == "f" else labels, columns[0]
+    return table.numbers(columns[0]) if labels.dtype.kind == "f" else labels
 
 
-def _signals(table, layout, time, segment, notes):
+def _signals(table, layout, time, notes):
     """Return the other columns that are finite numbers."""
-    taken = {x.column for x in layout.roles if x.kind not in ("t", "segment")}
-    taken |= {segment, *(() if time is None else [time.column]), *layout.no_signals}
-    taken |= {role.column for role in layout.of("t") if layout.what}
+    # Of a known log all times are known.
+    roles = [x for x in layout.roles if x.kind != "t" or layout.what or x is time]
+    taken = {role.column for role in roles} | layout.no_signals
     others = [x for x in table.frame if x not in taken]
     read = {x: as_numbers(table.values(x), len(table.frame))[0] for x in others}
     left = [x for x, values in read.items() if values is None]

@@ -142,13 +142,13 @@ class Groups:
         """Log evidence times prior at each scale, (n_scales, c)."""
         value, rest, _ = self._spectral
         s2 = (scales**2)[:, None, None]
-        gain = (0.5 * rest**2 * s2 / (1 + s2 * value)).sum(axis=2)
+        power = s2 * value
+        gain = (0.5 * rest**2 * s2 / (1 + power)).sum(axis=2)
         if np.isfinite(self.freedom):
             gain = student(gain, self.freedom, (value > 0).sum(axis=1))
         ratio = scales / scale
         prior = ratio / (1 + ratio**2)
-        volume = 0.5 * np.log1p(s2 * value).sum(axis=2)
-        found = gain - volume
+        found = gain - 0.5 * np.log1p(power).sum(axis=2)
         if self.positive:
             # The prior is that of positive coefficients, 2^k times as dense. No factor
             # is above that of the best coefficients, where the approximation fails.

@@ -46,8 +46,7 @@ def smooth(x, dt, time_constant):
     sigma = time_constant / dt
     reach = int(np.ceil(_TAIL * sigma))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    padded = np.pad(x, reach, mode="edge")
-    return scipy.signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
+    return scipy.ndimage.correlate1d(x, weights / weights.sum(), mode="nearest")
 
 
 class OfChannel(Shaped, Converted, Stateful):

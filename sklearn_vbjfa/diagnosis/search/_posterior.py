@@ -157,8 +157,7 @@ def search(view, library, settings, alpha, max_effects=None):
     usual = path.candidates.log_odds(fit, usual=True)
     problem, motion, findings = fit.problem, fit.problem.motion, []
     for i, (member, own) in enumerate(zip(fit.members, odds)):
-        worth = worths[i]
-        evidence = Evidence(log_odds=float(own), **vars(worth))
+        evidence = Evidence(log_odds=float(own), **vars(worths[i]))
         rivals = tuple(
             o.effect
             for o in path.candidates.rivals(fit, i)
@@ -168,14 +167,8 @@ def search(view, library, settings, alpha, max_effects=None):
         warning = _warning(fit, member, evidence, needed, path)
         if not warning and i not in worthwhile:
             warning = SMALL
-        findings.append(
-            Finding(
-                effect=member.effect.completed(motion),
-                evidence=evidence,
-                rivals=rivals,
-                warning=warning,
-            )
-        )
+        known = {"evidence": evidence, "rivals": rivals, "warning": warning}
+        findings.append(Finding(effect=member.effect.completed(motion), **known))
     return Found(
         findings=in_order(findings),
         view=problem.view,

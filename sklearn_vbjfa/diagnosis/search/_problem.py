@@ -241,7 +241,7 @@ class Base:
             G += precision_at_zero(G, problem.view.one_sided[problem.held])
         self.L = linalg.cholesky(G, lower=True)
         self.t = _lower(self.L, np.tensordot(density, problem.right, 2))
-        self._known = WeakKeyDictionary()
+        self._known, self._crossed = WeakKeyDictionary(), WeakKeyDictionary()
 
     @property
     def log_prior(self):
@@ -250,7 +250,12 @@ class Base:
 
     def on(self, problem):
         """Return the same weights on other equations."""
-        return Base(problem, self.density, self.spectrum, self.share)
+        kept = ("Z", "y", "held")
+        if any(getattr(problem, x) is not getattr(self.problem, x) for x in kept):
+            return Base(problem, self.density, self.spectrum, self.share)
+        other = copy.copy(self)
+        other.problem = problem
+        return other
 
     @functools.cached_property
     def weights(self):
@@ -262,13 +267,14 @@ class Base:
         """Inverse of the Gram matrix, (r, r)."""
         return linalg.cho_solve((self.L, True), np.eye(self.L.shape[0]))
 
-    def promised_less(self, columns):
-        """How much less than the variance of a score the weights promise of it."""
+    def promised_less(self, white):
+        """How much less than the variance of whitened scores the weights promise."""
+        # white (nv, n, c).
         if self.spectrum is None:
-            return 1.0
-        cosines, power = self.problem.cosines, columns**2 * self.weights
-        noise = self.spectrum.noise(cosines)[:, cosines.band]
-        return (power * self.weights * noise).sum() / power.sum()
+            return np.ones(white.shape[2])
+        power = np.add.reduceat(white**2, self.problem.edges[:-1], axis=1)
+        noise = self.density * self.spectrum.noise(self.problem.cosines)
+        return np.tensordot(noise, power, 2) / np.maximum(power.sum((0, 1)), _TINY)
 
     def undone(self, member):
         """Return the same before a member's corrections, as far as these are linear."""
@@ -300,6 +306,18 @@ class Base:
             self._known[columns] = Beside(T=T, gram=gram, H=H, q=q)
         return self._known[columns]
 
+    def crossed(self, members, columns):
+        """Weighted products of members' columns with others, (p, c * k)."""
+        known = self._crossed.setdefault(columns, WeakKeyDictionary())
+        for one in (m.columns for m in members if m.columns not in known):
+            known[one] = np.zeros((one.unit.size, columns.unit.size))
+            for j in set(one.joints).intersection(columns.joints):
+                own = one.values[one.joints.index(j), :, 0] * self.weights[j][:, None]
+                other = columns.values[columns.joints.index(j)]
+                known[one] += own.T @ other.reshape(len(other), -1)
+        none = np.zeros((0, columns.unit.size))
+        return np.vstack([none, *(known[m.columns] for m in members)])
+
 
 # Moments of c groups of k columns and the declared ones: T (r, c * k), L^-1 times their
 # products; the groups' Gram matrices, and H, what is left of them, (c, k, k); q (c, k),
@@ -328,8 +346,10 @@ class Fit:
     # each other and the torques as far as those leave them; `reduced` where another fit
     # has made them.
 
-    def __init__(self, base, members=(), reduced=None):
+    def __init__(self, base, members=(), reduced=None, alike=None):
         self.base, self.members = base, tuple(members)
+        if alike is not None:
+            self._acting, self._banded = alike._acting, alike._banded
         edges = np.cumsum([0, *(m.width for m in self.members)])
         self.places = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
         deviation = [np.where(m.unit > 0, m.scale * m.unit, 1.0) for m in self.members]
@@ -348,22 +368,27 @@ class Fit:
         own = [self.base.beside(m.columns) for m in self.members]
         B = np.hstack([np.zeros((self.base.L.shape[0], 0)), *(x.T for x in own)])
         H = -B.T @ B
-        for at, X, weighted in self._acting.values():
-            H[np.ix_(at, at)] += weighted.T @ X
+        for j, gram in self._banded.items():
+            at = self._acting[j][0]
+            H[at[:, None], at] += np.tensordot(self.base.density[j], gram, 1)
         return B, H, np.concatenate([np.zeros(0), *(x.q[0] for x in own)])
 
     @functools.cached_property
     def _acting(self):
-        """Coefficients that act on each joint, their columns, and weighted, a dict."""
+        """Coefficients that act on each joint, and their columns, a dict."""
         found = {}
         for place, member in zip(self.places, self.members):
             for j, own in zip(member.joints, member.columns.values):
                 found.setdefault(j, []).append((np.r_[place], own[:, 0]))
-        weights = self.base.weights
         for j, own in found.items():
-            at, X = (np.concatenate(x, axis=-1) for x in zip(*own))
-            found[j] = at, X, X * weights[j][:, None]
+            found[j] = tuple(np.concatenate(x, axis=-1) for x in zip(*own))
         return found
+
+    @functools.cached_property
+    def _banded(self):
+        """Products of the columns that act on each joint by band, a dict."""
+        edges = self.problem.edges
+        return {j: products(edges, X, X) for j, (_, X) in self._acting.items()}
 
     @property
     def problem(self):
@@ -393,7 +418,7 @@ class Fit:
     def _sum(self, theta, coef):
         """Sum of the columns with coefficients (r, ...) and (p, ...), (nv, n, ...)."""
         out = self.problem.Z @ theta
-        for j, (at, X, _) in self._acting.items():
+        for j, (at, X) in self._acting.items():
             out[j] += X @ coef[at]
         return out
 
@@ -413,9 +438,12 @@ class Fit:
         covariance, cross = self.covariance, E @ self.covariance
         whole = base.inverse + cross @ E.T
         taken = np.tensordot(problem.gram, whole, 2)
-        for j, (at, X, _) in self._acting.items():
-            rows = X @ covariance[np.ix_(at, at)] - 2.0 * (problem.Z[j] @ cross[:, at])
-            taken[j] += np.add.reduceat((rows * X).sum(axis=1), edges[:-1])
+        for j, gram in self._banded.items():
+            at = self._acting[j][0]
+            taken[j] += np.tensordot(gram, covariance[at[:, None], at], 2)
+        for place, member in zip(self.places, self.members):
+            own = member.columns.declared(problem.Z)
+            taken[list(member.joints)] -= 2.0 * np.tensordot(own, cross[:, place], 2)
         taken *= base.density
         # What comes again with each phase is known no better for it.
         fill = fill / problem.view.repeats
@@ -425,7 +453,8 @@ class Fit:
         """Second moments of the shapes of `Columns` beside this model, `Groups`."""
         if columns not in self._beside:
             own, (c, k) = self.base.beside(columns), columns.shape
-            D = _lower(self._factor, self._cross(columns) - self._B.T @ own.T)
+            cross = self.base.crossed(self.members, columns)
+            D = _lower(self._factor, cross - self._B.T @ own.T)
             groups = Groups(
                 H=own.H - _blocks(D, c, k),
                 q=own.q - (self._t @ D).reshape(c, k),
@@ -441,15 +470,6 @@ class Fit:
         if columns not in self._evidence:
             self._evidence[columns] = self.groups(columns).most_evidence(scale)
         return self._evidence[columns]
-
-    def _cross(self, columns):
-        """Weighted products of the members' columns with others, (p, c * k)."""
-        found = np.zeros((self._coef.size, np.prod(columns.shape)))
-        for j, own in zip(columns.joints, columns.values):
-            if j in self._acting:
-                at, _, weighted = self._acting[j]
-                found[at] += weighted.T @ own.reshape(len(own), -1)
-        return found
 
     @functools.cached_property
     def scores(self):
@@ -502,12 +522,13 @@ class Fit:
         # moments promise (the sandwich over the Hessian), at least one, with its
         # degrees of freedom. The variance of slow changes of the score counts where it
         # is larger: that of independent blocks is as large at all frequencies.
-        rows = self._rows(left * np.sqrt(self.base.weights)[:, :, None])
-        promised = (rows**2).sum(axis=(0, 1))
-        # What the column itself explains of the noise is none.
-        own = np.einsum("jmc,jm->c", rows, noise.scores) / np.maximum(promised, _TINY)
+        white = left * np.sqrt(self.base.weights)[:, :, None]
+        rows, less = self._rows(white), self.base.promised_less(white)
+        power = np.einsum("jmc,jmc->mc", rows, rows)
+        promised = power.sum(axis=0)
         products = np.einsum("jmc,jm->mc", rows, noise.scores)
-        products -= own * (rows**2).sum(axis=0)
+        # What the column itself explains of the noise is none.
+        products -= products.sum(axis=0) / np.maximum(promised, _TINY) * power
         view = self.problem.view
         spans = view.spans.sums(products)[view.span_order]
         phases = view.blocks.sums(products) if view.repetition else None
@@ -516,7 +537,7 @@ class Fit:
             if not promised[c] > 0:
                 found.append(Overdispersion())
                 continue
-            least = max(1.0, self.base.promised_less(left[:, :, c]))
+            least = max(1.0, less[c])
             again = None if phases is None else phases[:, c] / np.sqrt(promised[c])
             scores = spans[:, c] / np.sqrt(promised[c])
             found.append(self._dispersion(scores, again, effect, noise, least))
@@ -543,15 +564,14 @@ class Fit:
         taken = 1 + bool(effect.continuous)
         left = power[:_SLOWEST].sum() / max(_SLOWEST - taken, 1)
         freedom = float(max(slow.size - taken, 1))
-        return Overdispersion(
-            ratio=float(max(usual, left)), freedom=freedom, usual=usual
-        )
+        ratio = float(max(usual, left))
+        return Overdispersion(ratio=ratio, freedom=freedom, usual=usual)
 
     def holding(self, held):
         """Return the same with other declared friction at zero, see `Problem`."""
         problem = self.problem
         made = problem.changed(held=np.broadcast_to(held, problem.held.shape))
-        return Fit(self.base.on(made), self.members)
+        return Fit(self.base.on(made), self.members, alike=self)
 
     def within_signs(self, errors):
         """Return the same with declared friction at zero that would drive."""
@@ -595,7 +615,7 @@ class Fit:
         """Return the same with the most probable scale of each member."""
         scales = [float(own.best_scale(scale)[0]) for own in self.own_groups]
         members = [replace(m, scale=own) for m, own in zip(self.members, scales)]
-        return Fit(self.base, members, (self._B, self._H, self._q))
+        return Fit(self.base, members, (self._B, self._H, self._q), self)
 
     def log_evidence(self):
         """Logarithm of the evidence, but for a constant of the recording."""
@@ -656,7 +676,7 @@ def spectrum_of(fit, settings, rounds=3, share=None):
     if share is not None:
         return _following(fit, settings, rounds, share)
     problem = fit.problem
-    plain = weighed(Fit(declared_weights(problem), fit.members))
+    plain = weighed(Fit(declared_weights(problem), fit.members, alike=fit))
     most = _by_chance(plain.base, _spectrum(plain, settings), settings.significance)
     for start, share in ((fit, 1.0), *((plain, own) for own in _SHARES)):
         found = _following(start, settings, rounds, share)
@@ -672,7 +692,7 @@ def _following(fit, settings, rounds, share):
     for _ in range(rounds):
         spectrum = _spectrum(fit, settings)
         weights = spectrum.weights(problem.cosines, share)
-        new = Fit(Base(problem, weights, spectrum, share), fit.members)
+        new = Fit(Base(problem, weights, spectrum, share), fit.members, alike=fit)
         # A band that the fit follows ever closer would weigh ever more.
         if fit.base.share == share and new.log_evidence() < fit.log_evidence():
             break
@@ -705,4 +725,4 @@ def weighed(fit):
     power = (fit.residual**2).mean(axis=1)
     heard = problem.used_joints & (power > 0)
     own = np.where(heard, problem.cosines.fill / np.where(heard, power, 1.0), 0.0)
-    return Fit(_flat(problem, own), fit.members)
+    return Fit(_flat(problem, own), fit.members, alike=fit)

@@ -259,13 +259,9 @@ class RecordingView:
         )
         # What the low-pass spreads in time: the width of its main lobe.
         length = max(1.0 / robot.cutoff_, self.step)
-        self.blocks = self.spans = make_blocks(
-            self.recorded * (robot.dt or 1.0),
-            self.starts,
-            correlation,
-            length,
-            self._by_content(),
-        )
+        t, order = self.recorded * (robot.dt or 1.0), self._by_content()
+        self.spans = make_blocks(t, self.starts, correlation, length, order)
+        self.blocks = self.spans
         self.phases, self.repeats = None, 1.0
         if self.repetition:
             t, begins = self.clock[self.index], self.repetition.begins
@@ -278,7 +274,7 @@ class RecordingView:
         parts = self.spans.label[np.r_[self.starts, self.index.size - 1]]
         bounds = [*parts[:-1], parts[-1] + 1]
         self.span_order = np.concatenate(
-            [np.arange(bounds[k], bounds[k + 1]) for k in self._by_content()]
+            [np.arange(bounds[k], bounds[k + 1]) for k in order]
         )
 
     def _by_content(self):
@@ -315,19 +311,11 @@ class RecordingView:
 
     def motion_of(self, parameters, effects=()):
         """Signals of the samples, with the load of parameters; see `make_motion`."""
-        motion = make_motion(
-            self.robot.features_,
-            self.states,
-            self.clock,
-            self.parts,
-            parameters,
-            self.robot.cutoff_,
-            rest=self.robot.plan.turning,
-            effects=effects,
-            signals=self.signals,
-            command=self.command,
-            before=self.before,
-        )
+        robot, names = self.robot, ("signals", "command", "before")
+        known = {name: getattr(self, name) for name in names}
+        known |= {"rest": robot.plan.turning, "effects": effects}
+        given = robot.features_, self.states, self.clock, self.parts, parameters
+        motion = make_motion(*given, robot.cutoff_, **known)
         return replace(motion, begins=self._begins)
 
     # -- columns of effects -----------------------------------------------------------

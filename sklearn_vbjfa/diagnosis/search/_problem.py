@@ -537,10 +537,11 @@ class Fit:
             if not promised[c] > 0:
                 found.append(Overdispersion())
                 continue
-            least = max(1.0, less[c])
             again = None if phases is None else phases[:, c] / np.sqrt(promised[c])
             scores = spans[:, c] / np.sqrt(promised[c])
-            found.append(self._dispersion(scores, again, effect, noise, least))
+            found.append(
+                self._dispersion(scores, again, effect, noise, max(1.0, less[c]))
+            )
         return found
 
     def _dispersion(self, scores, again, effect, noise, least):

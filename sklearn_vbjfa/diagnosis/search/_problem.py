@@ -539,15 +539,13 @@ class Fit:
                 continue
             again = None if phases is None else phases[:, c] / np.sqrt(promised[c])
             scores = spans[:, c] / np.sqrt(promised[c])
-            found.append(
-                self._dispersion(scores, again, effect, noise, max(1.0, less[c]))
-            )
+            found.append(self._dispersion(scores, again, effect, noise, less[c]))
         return found
 
     def _dispersion(self, scores, again, effect, noise, least):
         """Overdispersion of scores of blocks, and of phases `again` if any."""
         power, slow = _score_powers(scores)
-        usual, freedom = max(least, slow.mean(), power.mean()), np.inf
+        usual, freedom = max(1.0, least, slow.mean(), power.mean()), np.inf
         if again is not None:
             # What is not modelled comes again with each phase, and there are few, of
             # which the fit that leaves the noise has taken as many as its parameters.

@@ -42,7 +42,7 @@ _MODULES = {
     "_clock": ("check_time_stamps", "inspect_time_stamps"),
     "_grid": ("Log", "interpolate", "join"),
     "_table": ("RecordingRefused", "listed", "quoted"),
-    "formats": ("expanded", "recordings_in", "tables_in"),
+    "formats": ("expanded", "recordings_in"),
 }
 __all__: list[str] = []
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

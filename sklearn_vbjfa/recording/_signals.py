@@ -289,8 +289,7 @@ def positions_and_signals(X, names):
     # Columns of a data frame are ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0
     # if there is a ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``,
     # ``a1``. Time, labels of recordings and other channels of joints are no signals.
-    columns = _columns_of(X)
-    found = _by_kind(columns, names, "q")
+    columns, found = _by_kind(X, names, "q")
     if "q" not in found:
         return _foreign(X, names, "X", "qva"), OfferedSignals()
     kinds = "qva" if {"v", "a"} <= found.keys() else "q"
@@ -309,8 +308,7 @@ def torques_in_order(y, names):
     """Put a data frame of torques into the model's order of joints."""
     # Columns are ``tau_<joint>``, ``<joint>``, or ``tau1, tau2, ...`` (from 0 if there
     # is a ``tau0``).
-    columns = _columns_of(y)
-    found = _by_kind(columns, names, "tau")
+    columns, found = _by_kind(y, names, "tau")
     if "tau" in found and len(columns) == len(names):
         return y[found["tau"]]
     return _foreign(y, names, "y", ("tau",))
@@ -322,10 +320,10 @@ def _columns_of(frame):
     return columns if all(isinstance(column, str) for column in columns) else []
 
 
-def _by_kind(columns, names, bare):
-    """Return the columns of each kind in order, as far as all joints have one."""
+def _by_kind(frame, names, bare):
+    """Return all columns, and those of each kind in order if all joints have one."""
     # bare: the kind of columns that have the names of joints alone.
-    found = {}
+    columns, found = _columns_of(frame), {}
     numbered = [(_NUMBERED.fullmatch(column), column) for column in columns]
     for kind in ("q", "v", "a", "tau"):
         spelled = [[f"{kind}_{name}" for name in names]]
@@ -337,7 +335,7 @@ def _by_kind(columns, names, bare):
             spelled.append([numbers[k] for k in sorted(numbers)])
         complete = [x for x in spelled if set(x) <= set(columns)]
         found |= {kind: complete[0]} if complete else {}
-    return found
+    return columns, found
 
 
 def _foreign(frame, names, what, kinds):

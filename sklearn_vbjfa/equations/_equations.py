@@ -35,7 +35,7 @@ _SPAN_ROWS = 4096
 # Rows of a recording from which on bodies' columns are made of as many as they need.
 _MANY_ROWS = 50_000
 # Memory for filtered rows of the regressor.
-CHUNK_BYTES = 16 << 20
+CHUNK_BYTES = 4 << 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -395,7 +395,9 @@ class Segment:
         # shorter than twice the filter.
         kinds = (self.rows is not None) + 2 * (self.halves is not None)
         per_output = 8 * kinds * self._made[0].used.size
-        count = max(CHUNK_BYTES // per_output, 4 * lowpass.half // lowpass.step, 1)
+        # Without a filter no rows are kept.
+        most = CHUNK_BYTES // per_output if lowpass.half else _SPAN_ROWS
+        count = max(most, 4 * lowpass.half // lowpass.step, 1)
         total = lowpass.centres(self.n_rows).size
         return [slice(i, min(i + count, total)) for i in range(0, total, count)]
 

@@ -286,8 +286,8 @@ class MotionFacts:
         # `keep` is `n_fastest` of all recordings together.
         n, fastest = positions.shape[0], _largest(velocities, keep)
         slow = STANDSTILL_SHARE * _top_quantile(fastest, n)
-        # The samples of a signal are next to each other.
-        joints = np.ascontiguousarray(velocities.T)
+        # One signal at a time has its samples next to each other.
+        joints = map(np.ascontiguousarray, velocities.T)
         lowest, highest = positions.min(axis=0), positions.max(axis=0)
         return cls(
             n=n,

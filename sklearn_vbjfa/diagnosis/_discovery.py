@@ -33,6 +33,7 @@ from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
 from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
 from sklearn_vbjfa.equations._plan import check_effects
 from sklearn_vbjfa.equations._recording_checks import check_weight
+from sklearn_vbjfa.equations._repetition import find_repetition
 from sklearn_vbjfa.fit._arguments import checked_arrays
 from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.fit._signs import signed
@@ -43,7 +44,6 @@ from sklearn_vbjfa.recording import (
     carries_names,
     check_clock,
     check_dt,
-    find_repetition,
     positions_and_signals,
     recording_names,
     survey,

@@ -9,6 +9,7 @@ _MODULES = {
     "_joint_moments": ("BlockAssignment", "piece_moments", "sum_moments"),
     "_plan": ("Plan",),
     "_ranges": ("EffectRange", "OutsideRange", "outside", "own_motions"),
+    "_repetition": ("find_repetition",),
     "_states": ("RecordingStates",),
     "_torque_noise": ("filtered_noise", "held_rows", "noise_facts"),
 }

@@ -25,8 +25,8 @@ from sklearn_vbjfa.equations._joint_moments import (
 )
 from sklearn_vbjfa.equations._plan import effect_places, in_parallel
 from sklearn_vbjfa.equations._ranges import SignalRanges, own_motions
+from sklearn_vbjfa.equations._repetition import find_repetition
 from sklearn_vbjfa.model import TorqueDerivatives, is_prismatic, rounding_entries
-from sklearn_vbjfa.recording import find_repetition
 
 # Periods of the state cut-off at each end in which the smoother sees one side only.
 _EDGE_PERIODS = 1.0

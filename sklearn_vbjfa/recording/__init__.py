@@ -38,7 +38,6 @@ _MODULES = {
         "take_rows",
         "with_torques_shifted",
     ),
-    "_repetition": ("find_repetition",),
     "_clock": ("check_time_stamps", "inspect_time_stamps"),
     "_grid": ("Log", "interpolate", "join"),
     "_table": ("RecordingRefused", "listed", "quoted"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.recording import find_repetition
+from sklearn_vbjfa.equations import find_repetition
 
 DT = 0.01
 

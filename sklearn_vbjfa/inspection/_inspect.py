@@ -32,7 +32,7 @@ class Hypothesis:
 
     name: str
     severity: str
-    propose: Callable  # returns the best `Candidate` for a reading, or None
+    propose: Callable  # returns the best `Proposal` for a reading, or None
     needs: str = ""  # properties of a reading that can show it
     # When it is looked for: before all others, which it precludes; always; only if
     # torques agree badly with the description or another hypothesis is probable; after
@@ -262,11 +262,11 @@ def inspect_channels(
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
     reading = Reading(model, names, q, tau, dt, parts, usable, drive, named)
-    called, least = (
-        recording_names(groups, [x.start for x in every]),
-        number.MIN_SAMPLES,
-    )
-    called = [x for x, part in zip(called, every) if part.stop - part.start >= least]
+    called = [
+        name
+        for name, part in zip(recording_names(groups, [x.start for x in every]), every)
+        if part.stop - part.start >= number.MIN_SAMPLES
+    ]
     found = _of_recordings(reading, called)
     unknown = set(_OF_SIZE) if gains is not None else set()
     if bodies == "free":

@@ -85,7 +85,7 @@ def _spread(bodies):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class BodyFit:
     """Described bodies and plain terms, fitted to the torques of some joints."""
 
     # Logarithm of the marginal likelihood of torques in units of their deviations, so
@@ -150,7 +150,7 @@ class DescribedRobot:
 
     @functools.cached_property
     def now(self):
-        """`Fit` of the torques as they are."""
+        """`BodyFit` of the torques as they are."""
         return self.fit()
 
     @functools.cached_property
@@ -327,7 +327,7 @@ def correlation_time(x):
 
 
 def _solve(joints, prior, m):
-    """`Fit` of joints, each with its own plain terms and noise; m common factors."""
+    """`BodyFit` of joints with plain terms and noise of each, and m common factors."""
     # joints: parameters that each depends on, moments of [plain | these | torque], the
     # prior of which is standard normal, number of independent rows and variance. Noise
     # variances are fixed points (MacKay, Bayesian interpolation, Neural Comp. 4, 1992).
@@ -366,7 +366,7 @@ def _solve(joints, prior, m):
     factors, errors = np.zeros(m), prior[prior.size - m :].copy()
     factors[which] = theta[at] * prior[which]
     errors[which] *= np.sqrt(np.maximum(np.diagonal(covariance)[at], 0.0))
-    return Fit(
+    return BodyFit(
         evidence=float(friction - 0.5 * missed),
         left=np.log(noise / size),
         factors=factors,

@@ -9,8 +9,8 @@ import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._reading import (
-    Candidate,
     Change,
+    Proposal,
     clear,
     clear_of_all,
     climbed,
@@ -118,7 +118,7 @@ def coupled(reading):
 
 
 def _friction_of(reading, change, j, i):
-    """`Fit` with friction and rotor of a changed axis on two joints, as logged."""
+    """`BodyFit` with friction and rotor of a changed axis on two joints, as logged."""
     robot, nv, signals = reading.robot, reading.nv, change.signals(reading.signals)
     axis = signals.states[:, nv + j], signals.states[:, 2 * nv + j], signals.sign[:, j]
     acting = np.zeros((len(axis[0]), nv, 6))
@@ -317,7 +317,7 @@ def counts(reading):
     turns = "radians or degrees", "encoder counts, mrad", "rad"
     other = turns if revolute[j] else ("metres", "millimetres or encoder counts", "m")
     facts |= dict(zip(("units", "guess", "unit"), other))
-    return Candidate(joints=tuple(joints), log_odds=np.inf, facts=facts)
+    return Proposal(joints=tuple(joints), log_odds=np.inf, facts=facts)
 
 
 # -- sample period ---------------------------------------------------------------------

@@ -317,7 +317,7 @@ class Reading:
         return np.column_stack([every[j] for j in joints])
 
     def tried(self, change):
-        """`Fit` of a change that keeps the description; None if it fails."""
+        """`BodyFit` of a change that keeps the description; None if it fails."""
         other = self.robot_at(change)
         return other.fit() if other.joints.size == self.robot.joints.size else None
 
@@ -377,7 +377,7 @@ def _late(tau, samples, parts, usable):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Candidate:
+class Proposal:
     """A change that a hypothesis proposes, with the facts of its sentence.
 
     One that is not clear explains the torques better than the unchanged log, but leaves
@@ -397,13 +397,13 @@ class Candidate:
 
 
 def judged(reading, change, least=None, *, variants=1, **others):
-    """Return the `Candidate` of a change, clear if squared errors fall by `least`."""
+    """Return the `Proposal` of a change, clear if squared errors fall by `least`."""
     # variants: changes of which one is right.
     fit, now = reading.tried(change), reading.robot.now
     if fit is None or not (change.joints or change.moves):
         return None
     least = clear(change) if least is None else least
-    return Candidate(
+    return Proposal(
         **{"joints": change.joints, "change": change} | others,
         log_odds=fit.evidence - now.evidence - np.log(max(variants, 1)),
         fall=fit.fall(now),

@@ -7,7 +7,7 @@ import numpy as np
 from sklearn_vbjfa._core._linear_systems import orthonormal_basis
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
-from sklearn_vbjfa.inspection._reading import Candidate, Change
+from sklearn_vbjfa.inspection._reading import Change, Proposal
 from sklearn_vbjfa.inspection._sentences import percent
 
 # -- weight ----------------------------------------------------------------------------
@@ -63,7 +63,7 @@ def weightless(reading):
     facts = {"share": share, "error": error, "heavy": heavy, "other": ""}
     if len(loaded) == 1:
         facts["other"] = " Or a spring balances it, or the base is mounted otherwise."
-    return Candidate(
+    return Proposal(
         joints=tuple(lost),
         log_odds=odds,
         kind="no_gravity:joints" if len(lost) < len(loaded) else "",
@@ -86,7 +86,7 @@ def weight_alone(reading):
     still = robot.fit(robot.entries - robot.pulled(np.zeros(3))).evidence
     facts = {"part": part, "error": error[0]}
     odds = still - robot.now.evidence
-    return Candidate(joints=reading.every, log_odds=odds, facts=facts)
+    return Proposal(joints=reading.every, log_odds=odds, facts=facts)
 
 
 def turned(reading):
@@ -129,7 +129,7 @@ def turned(reading):
         return None
     fall = found.fall(robot.now)
     angle = float(np.arccos(np.clip(pull @ start / usual**2, -1, 1)))
-    return Candidate(
+    return Proposal(
         change=Change(gravity=9.81 * pull),
         joints=reading.every,
         log_odds=odds - np.log(variants),
@@ -184,7 +184,7 @@ def late(reading):
     seconds = samples * reading.dt
     facts = {"size": 1e3 * abs(seconds), "late": "late" if seconds > 0 else "early"}
     facts |= {"error": 1e3 * number.INTERVAL * error * reading.dt}
-    return Candidate(
+    return Proposal(
         joints=reading.every,
         log_odds=filtered if lowpass else gain,
         kind="torque_lowpass" if lowpass else "delay:alone" * reading.alone,
@@ -206,8 +206,8 @@ def _moving(reading, after):
 
 def _drift(reading, robot, steady):
     """Return a lag that grows with the time."""
-    # robot: of torques that are read later by what is whole of the lag; steady: `Fit`
-    # with a lag that stays the same.
+    # robot: of torques that are read later by what is whole of the lag; steady:
+    # `BodyFit` with a lag that stays the same.
     signals = robot.signals
     since = (signals.row - signals.row.mean()) / np.ptp(signals.row)
     columns = -np.stack([signals.slope, since[:, None] * signals.slope], axis=-1)
@@ -224,7 +224,7 @@ def _drift(reading, robot, steady):
     facts |= {"size": 1e3 * abs(total) * reading.dt}
     args = {"kind": "delay:drift", "severity": "warning", "facts": facts}
     odds = found.evidence - robot.fit(tau=reading.signals.tau).evidence
-    return Candidate(joints=reading.every, log_odds=odds, value=share, **args)
+    return Proposal(joints=reading.every, log_odds=odds, value=share, **args)
 
 
 def _lowpass(robot, samples):
@@ -280,7 +280,7 @@ def contact(reading):
         f"{reading.names[j]} {torque:+.2g} {'N' if slides else 'N m'}"
         for j, torque, slides in each
     ]
-    return Candidate(
+    return Proposal(
         joints=tuple(joints.tolist()),
         log_odds=odds,
         facts={"begin": begin, "end": end, "where": where, "pushes": ", ".join(pushes)},

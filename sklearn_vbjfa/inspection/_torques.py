@@ -5,8 +5,8 @@ import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._reading import (
-    Candidate,
     Change,
+    Proposal,
     judged,
     most_probable,
     stepped,
@@ -69,7 +69,7 @@ def signs(reading):
     hidden = listed_joints(reading.names, hidden) if nv > 1 else ""
     also = f" As all that show are wrong, so is the sign of {hidden}." if hidden else ""
     signs = times(nv, -1.0, list(joints))
-    return Candidate(
+    return Proposal(
         change=Change(torques=signs),
         joints=joints,
         log_odds=scores[best].evidence - now.evidence - np.log(nv) * (len(best) == 1),
@@ -131,7 +131,7 @@ def scaled(reading):
     facts["inside"] = f" ({units} would be inside)" if units else ""
     facts["unknown"] = ', or gains="unknown"' if reading.nv > 1 else ""
     facts["numbers"] = reading.drive.numbers if reading.commanded else ""
-    return Candidate(
+    return Proposal(
         change=Change(torques=times(reading.nv, 1 / factor)),
         joints=reading.every,
         log_odds=robot.fit(scale=factor).evidence - robot.now.evidence,
@@ -202,7 +202,7 @@ def beyond_limits(reading):
     alike = np.unique(limit[known]).size < 2
     if alike or np.median(most) < number.BEYOND_LIMITS:
         return None
-    return Candidate(
+    return Proposal(
         joints=tuple(np.flatnonzero(known).tolist()),
         log_odds=np.inf,
         kind="torque_unit:limits",
@@ -226,7 +226,7 @@ def silent(reading):
         small = sizes[j] < number.SILENT * usual and error > number.UNRELATED
         if small and j not in follows:
             facts = {"size": sizes[j]}
-            return Candidate(joints=(int(j),), log_odds=np.inf, facts=facts)
+            return Proposal(joints=(int(j),), log_odds=np.inf, facts=facts)
     return None
 
 
@@ -238,7 +238,7 @@ def of_another(reading):
     if not small and (left > number.UNFOLLOWED).sum() < max(2, left.size / 3):
         return None
     facts = {"size": size, "share": percent(np.median(left))}
-    return Candidate(joints=reading.every, log_odds=np.inf, facts=facts)
+    return Proposal(joints=reading.every, log_odds=np.inf, facts=facts)
 
 
 def computed(reading):
@@ -252,7 +252,7 @@ def computed(reading):
     if len(pairs) < 2 or most > number.COMPUTED:
         return None
     facts = {"share": percent(most)}
-    return Candidate(joints=reading.every, log_odds=np.inf, facts=facts)
+    return Proposal(joints=reading.every, log_odds=np.inf, facts=facts)
 
 
 # -- torques without signs -------------------------------------------------------------
@@ -281,7 +281,7 @@ def unsigned(reading):
         signed = ((sizes - np.abs(made)) ** 2).sum()
         found |= number.SIGN_GAIN * signed < left and least > number.RARE
     remedy = {"drive": "current signed=no"}
-    made = Candidate(joints=tuple(one_way), log_odds=np.inf, remedy=remedy)
+    made = Proposal(joints=tuple(one_way), log_odds=np.inf, remedy=remedy)
     return made if found else None
 
 

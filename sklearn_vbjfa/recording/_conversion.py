@@ -68,17 +68,23 @@ def _offered(table, options, near):
     for patterns in itertools.islice(itertools.product(*near.values()), _MOST_TRIED):
         mapping = options.mapping | dict(zip(near, patterns))
         columns = ",".join(f"{key}={x}" for key, x in mapping.items())
-        try:
-            rows = rows_of(table, replace(options, mapping=columns, preset=None))
-            plain = options.gains is not None or options.drive is not None
-            plain = plain or {*rows.robot["torque_units"]} <= {"N m", "N"}
-            more = {} if plain else {"gains": "unknown"}
-        except ValueError as error:
-            more = getattr(error, "options", {})
-            if {*more} != {"time_unit"}:
-                continue
-        found.append({"columns": columns, **more})
+        found.append(_tried(table, options, columns))
+    found = [offered for offered in found if offered]
     return found[0] if len(found) == 1 else {}
+
+
+def _tried(table, options, columns, **more):
+    """Return a mapping that reads a file, with other options that it needs; or {}."""
+    try:
+        rows = rows_of(table, replace(options, mapping=columns, preset=None, **more))
+    except ValueError as error:
+        offered = getattr(error, "options", {})
+        unit = not more and {*offered} == {"time_unit"}
+        return _tried(table, options, columns, **offered) if unit else {}
+    if options.gains is options.drive is None:
+        if not {*rows.robot["torque_units"]} <= {"N m", "N"}:
+            more["gains"] = "unknown"
+    return {"columns": columns, **more}
 
 
 # -- the nearest names -----------------------------------------------------------------

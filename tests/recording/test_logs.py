@@ -197,13 +197,14 @@ STRANGE = [
     {"t": "time", "q": "axis{}.position", "tau": "axis{}.current"},
     {"t": "t", "q": "meas_angle[{}]", "tau": "meas_effort[{}]"},
     {"t": "ms", "q": "ax{}_pos", "tau": "ax{}_cur"},
+    {"t": "stamps", "q": "ax{}_pos", "tau": "ax{}_cur"},
 ]
 
 
 @pytest.mark.parametrize("names", STRANGE)
 def test_the_refusal_names_options_that_work(tmp_path, names):
     columns = table()
-    scale = 1e3 if names["t"].endswith("ms") else 1.0
+    scale = 1e3 if names["t"].endswith(("ms", "stamps")) else 1.0
     new = {names["t"]: scale * columns["t"], "cmd_pos_1": columns["v1"]}
     for j in (1, 2):
         new[names["q"].format(j)] = columns[f"q{j}"]
@@ -217,6 +218,7 @@ def test_the_refusal_names_options_that_work(tmp_path, names):
     assert f"nearest: {names['q'].format('{i}')}" in text
     assert "try columns=" in text
     assert "\n" not in text
+    assert ("gains" in caught.value.options) == ("cur" in names["tau"])
     recording, _ = read(path, **caught.value.options)
     assert_same(recording, columns)
     assert recording.dt == pytest.approx(0.01)

@@ -98,7 +98,7 @@ def test_table_of_rooms_is_that_of_the_imports():
         r"    \* - ``(\w+)``\n      - .+(?:\n {8}.+)*\n      - (.+)\n",
         read(DOCS / "contributing.rst"),
     )
-    assert tuple(room for room, _ in rows) == ROOMS
+    assert [room for room, _ in rows] == ROOMS
     for room, imports in rows:
         above = set(ROOMS[: ROOMS.index(room)])
         told = above if imports == "all above" else set(re.findall(r"\w+", imports))

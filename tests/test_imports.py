@@ -98,26 +98,10 @@ def modules_of(room):
 
 
 # Each room may import those above it, as "How the package is built" shows them.
-ROOMS = (
-    "_core",
-    "effects",
-    "physical",
-    "regression",
-    "model",
-    "recording",
-    "inspection",
-    "simulation",
-    "equations",
-    "robot",
-    "fit",
-    "diagnosis",
-    "design",
-    "gravity",
-    "datasets",
-    "distributed",
-    "top",
-    "_cli",
-)
+ROOMS = """
+    _core effects physical regression model recording inspection simulation equations
+    robot fit diagnosis design gravity datasets distributed top _cli
+""".split()
 # Rooms that stay apart although the order would allow it.
 APART = {
     "effects": {"_core"},

@@ -74,27 +74,18 @@ def iterate(moments, state, prior):
     return problem.update(point), point.value
 
 
+def noise_of(state):
+    return {name: getattr(state, name) for name in ("psi_y", "psi_z", "psi_x")}
+
+
 def as_jfa_params(state):
     """Turn the state into the reference's point estimates."""
-    return ref.JFAParams(
-        w_z=state.w_z_mean,
-        w_x=state.w_x_mean,
-        psi_y=state.psi_y,
-        psi_z=state.psi_z,
-        psi_x=state.psi_x,
-    )
+    return ref.JFAParams(w_z=state.w_z_mean, w_x=state.w_x_mean, **noise_of(state))
 
 
 def as_vb_params(state):
     """Turn the state into the reference's posteriors."""
-    return ref.VBParams(
-        w_z_mean=state.w_z_mean,
-        w_z_var=state.w_z_var,
-        w_x_mean=state.w_x_mean,
-        w_x_var=state.w_x_var,
-        alpha_shape=np.full(state.alpha_rate.size, state.alpha_shape),
-        alpha_rate=state.alpha_rate,
-        psi_y=state.psi_y,
-        psi_z=state.psi_z,
-        psi_x=state.psi_x,
-    )
+    shape = np.full(state.alpha_rate.size, state.alpha_shape)
+    names = "w_z_mean", "w_z_var", "w_x_mean", "w_x_var", "alpha_rate"
+    known = {name: getattr(state, name) for name in names}
+    return ref.VBParams(alpha_shape=shape, **known, **noise_of(state))

@@ -65,15 +65,7 @@ class VBParams:
 
     def moments(self):
         """Arguments of the E-step over Z and T, which does not see alpha."""
-        return {
-            "w_z_mean": self.w_z_mean,
-            "w_z_var": self.w_z_var,
-            "w_x_mean": self.w_x_mean,
-            "w_x_var": self.w_x_var,
-            "psi_y": self.psi_y,
-            "psi_z": self.psi_z,
-            "psi_x": self.psi_x,
-        }
+        return {k: v for k, v in vars(self).items() if not k.startswith("alpha")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,9 +88,7 @@ class Posterior:
         )
 
 
-# ---------------------------------------------------------------------------------
-# E-step over Z and T
-# ---------------------------------------------------------------------------------
+# -- E-step over Z and T ---------------------------------------------------------------
 
 
 def sigma_zt(Sigma_zz, W_z, Psi_z, K):
@@ -201,9 +191,7 @@ def condition_gaussian(Sigma, hidden, observed):
     return gain, Sigma[np.ix_(hidden, hidden)] - gain @ Sigma_ho.T
 
 
-# ---------------------------------------------------------------------------------
-# Sums over samples and the blocks of the iteration
-# ---------------------------------------------------------------------------------
+# -- Sums over samples and the blocks of the iteration ---------------------------------
 
 
 def sample_sums(posterior, X, y):
@@ -325,9 +313,7 @@ def vb_step(params, X, y, ard_shape, ard_rate):
     )
 
 
-# ---------------------------------------------------------------------------------
-# The bound and the likelihood
-# ---------------------------------------------------------------------------------
+# -- The bound and the likelihood ------------------------------------------------------
 
 
 def data_terms(
@@ -446,9 +432,7 @@ def jfa_loglik(params, X, y):
     )
 
 
-# ---------------------------------------------------------------------------------
-# Regression vectors of section 3.3
-# ---------------------------------------------------------------------------------
+# -- Regression vectors of section 3.3 -------------------------------------------------
 
 
 def beta_noise_eq27(w_z, w_x, psi_y, psi_z, psi_x, *, w_z_var=None, w_x_var=None):

@@ -58,9 +58,7 @@ def assert_same_posterior(actual, desired, rtol=1e-9):
     assert_allclose(actual.covariance(), desired.covariance(), rtol=rtol, atol=rtol)
 
 
-# ---------------------------------------------------------------------------------
-# E-step
-# ---------------------------------------------------------------------------------
+# -- E-step ----------------------------------------------------------------------------
 
 
 def condition_on_pseudo_observation(params, X, y):
@@ -151,9 +149,7 @@ def test_eq19_printed_breaks_em():
     assert ref.jfa_loglik(wrong, X, y) < before - 1.0
 
 
-# ---------------------------------------------------------------------------------
-# Joint factor analysis
-# ---------------------------------------------------------------------------------
+# -- Joint factor analysis -------------------------------------------------------------
 
 
 def test_joint_covariance_by_hand():
@@ -184,9 +180,7 @@ def test_em_step_is_stationary(name):
     assert_allclose(gradient(objective, new, name), 0.0, atol=1e-5)
 
 
-# ---------------------------------------------------------------------------------
-# The variational bound
-# ---------------------------------------------------------------------------------
+# -- The variational bound -------------------------------------------------------------
 
 # Unlike the paper's 1e-6, a prior that the data do not drown: its terms matter.
 ARD = {"ard_shape": 1.5, "ard_rate": 0.7}
@@ -302,9 +296,7 @@ def test_each_block_is_stationary(n_features, block):
     assert objective(new) > objective(params)
 
 
-# ---------------------------------------------------------------------------------
-# One feature: the bound against the evidence by integration over w_z and w_x
-# ---------------------------------------------------------------------------------
+# -- One feature: the bound against the evidence by integration over w_z and w_x -------
 
 
 def log_prior_w(squares, n_loadings, ard_shape, ard_rate):
@@ -390,9 +382,7 @@ def test_bound_is_on_the_joint_density_not_on_y_given_X():
     assert joint - inputs < bound < joint
 
 
-# ---------------------------------------------------------------------------------
-# Misprints of eqs. 5 and 6
-# ---------------------------------------------------------------------------------
+# -- Misprints of eqs. 5 and 6 ---------------------------------------------------------
 
 
 @pytest.mark.parametrize("block", ["w_z", "w_x", "alpha"])
@@ -439,9 +429,7 @@ def test_eq6_printed_is_false(ard):
         assert np.abs(gradient(printed, new, name)).min() > 1e-2
 
 
-# ---------------------------------------------------------------------------------
-# Regression vectors
-# ---------------------------------------------------------------------------------
+# -- Regression vectors ----------------------------------------------------------------
 
 
 def expected_y_given_x(params):
@@ -463,17 +451,15 @@ def test_eq27_is_the_conditional_expectation(seed, n_features):
     assert_allclose(closed, expected, rtol=1e-9)
 
 
+def eq27(params):
+    noise, names = (params.psi_y, params.psi_z, params.psi_x), ("w_z_var", "w_x_var")
+    known = {name: getattr(params, name) for name in names}
+    return ref.beta_noise_eq27(params.w_z_mean, params.w_x_mean, *noise, **known)
+
+
 def test_eq27_with_second_moments():
     params = make_vb_params(0, 3)
-    literal = ref.beta_noise_eq27(
-        params.w_z_mean,
-        params.w_x_mean,
-        params.psi_y,
-        params.psi_z,
-        params.psi_x,
-        w_z_var=params.w_z_var,
-        w_x_var=params.w_x_var,
-    )
+    literal = eq27(params)
     # The slope of sum_m <z_m> in x when y is unknown, i.e. infinitely noisy.
     blind = {**params.moments(), "psi_y": 1e9}
     slope = [
@@ -502,15 +488,7 @@ def test_eq29_is_not_the_limit_with_second_moments():
     # Only with point estimates, as the text of section 3.3 says, does the limit of
     # eq. 27 give eq. 29: a variance of w_x does not vanish with psi_x.
     params = make_vb_params(0, 3)
-    limit = ref.beta_noise_eq27(
-        params.w_z_mean,
-        params.w_x_mean,
-        params.psi_y,
-        params.psi_z,
-        1e-8 * params.psi_x,
-        w_z_var=params.w_z_var,
-        w_x_var=params.w_x_var,
-    )
+    limit = eq27(replace(params, psi_x=1e-8 * params.psi_x))
     second_moment = params.w_x_mean**2 + params.w_x_var
     assert_allclose(limit, params.w_z_mean * params.w_x_mean / second_moment, rtol=1e-5)
     ratio = limit / (params.w_z_mean / params.w_x_mean)

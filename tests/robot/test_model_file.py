@@ -138,19 +138,11 @@ def test_the_robot_in_a_file_is_the_fitted_one(fitted, simulated, tmp_path):
     again = tmp_path / "again.json"
     read.save(again)
     assert again.read_bytes() == path.read_bytes()
-    for name in (
-        "joint_names_",
-        "parameter_names_",
-        "parameter_units_",
-        "theta_",
-        "theta_std_",
-        "identifiable_",
-        "min_eigenvalues_",
-        "noise_floor_",
-        "standstill_",
-        "cutoff_",
-        "dt",
-    ):
+    names = """
+        joint_names_ parameter_names_ parameter_units_ theta_ theta_std_ identifiable_
+        min_eigenvalues_ noise_floor_ standstill_ cutoff_ dt
+    """
+    for name in names.split():
         np.testing.assert_equal(getattr(read, name), getattr(robot, name), name)
     assert repr(read.effects_) == repr(robot.effects_)
     np.testing.assert_equal(

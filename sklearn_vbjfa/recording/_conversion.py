@@ -262,7 +262,8 @@ def rows_of(table, options) -> FileRows:
     return FileRows(
         path=table.path,
         # Without any of its endings.
-        name=re.sub(r"(?<=.)\.[^.]*(\.(gz|bz2|xz))?$", "", table.path.name)
+        name=table.name
+        or re.sub(r"(?<=.)\.[^.]*(\.(gz|bz2|xz))?$", "", table.path.name)
         or table.path.name,
         where=table.where,
         t=t,
@@ -396,7 +397,8 @@ def _labels(table, layout):
     columns = [role.column for role in layout.of("segment")]
     if not columns:
         return None
-    refuse_two(table, columns[0], columns[-1])
+    for other in columns:
+        refuse_two(table, columns[0], other)
     labels = table.values(columns[0])
     return table.numbers(columns[0]) if labels.dtype.kind == "f" else labels
 

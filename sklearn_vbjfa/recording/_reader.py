@@ -32,9 +32,15 @@ from sklearn_vbjfa.recording._table import (
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
 
-def joined(tables, joints, path) -> Table:
+def joined(tables, joints) -> Table:
     """Put tables of one recording side by side, at the stamps of the positions."""
-    # joints: names of the robot's, empty if unknown; path: as messages name the whole.
+    # joints: names of the robot's, empty if unknown.
+    if len(tables) == 1:
+        # What was read is held no longer than needed.
+        return tables.pop()
+    path = tables[0].path.parent
+    if len(tables) == 2:
+        path /= "+".join(table.path.name for table in tables)
     parts = [x for x in (_named_after_file(x, joints) for x in tables) if x is not None]
     if len(parts) < 2:
         raise ValueError(
@@ -76,6 +82,7 @@ def joined(tables, joints, path) -> Table:
         columns |= _columns_beside(path, columns, part, places, own)
     return Table(
         path=path,
+        name=common_folder([table.path for table in tables]),
         frame=imported(path, "pandas").DataFrame(columns, index=frame.index),
         place=f"{base.place} of {base.path.name}",
         scalars={key: x for one in parts for key, x in one.scalars.items()},
@@ -303,11 +310,13 @@ def read_recording(
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []
     if join:
-        tables = [one for path in paths for one in tables_in(path) or [path]]
-        files = [_joined([_table(one, options) for one in tables], options)]
+        tables = (table for one in paths for table in _tables(one, options, notes))
+        files = [rows_of(joined([*tables], options.joints), options)]
     else:
+        files = []
         try:
-            files = _read(paths, options, notes)
+            for one in counted(paths, "reading file", len(paths)):
+                files += _recordings(one, _tables(one, options, notes), options, notes)
         except RecordingRefused as error:
             if len(paths) > 1 and error.options:
                 _check_offer(error, paths, options)
@@ -342,17 +351,38 @@ def _driven(recording, drive, files):
 # -- files and folders -----------------------------------------------------------------
 
 
-def _read(paths, options, notes):
-    """Read files and folders, each a recording or several."""
-    files = []
-    for path in counted(paths, "reading file", len(paths)):
-        inside = tables_in(path)
-        if len(inside) > 1:
-            files += _of_folder(path, inside, options, notes)
-        else:
-            (path,) = inside or [path]
-            files.append(rows_of(_table(path, options), options))
-    return files
+def _tables(path, options, notes):
+    """Read the tables of a file or folder, in a folder those with numbers."""
+    inside = tables_in(path)
+    if len(inside) < 2:
+        return [_table(inside[0] if inside else path, options)]
+    others = [x.name for x in sorted(path.iterdir()) if x.is_file()]
+    others = [x for x in others if not x.startswith(".") and path / x not in inside]
+    tables = []
+    for one in inside:
+        try:
+            tables.append(_table(one, options))
+            if not tables[-1].frame.select_dtypes("number").size:
+                raise NotATable(f"{tables.pop().path}: has no column of numbers.")
+        except NotATable as error:
+            others.append(one.name)
+            reason = error
+    if not tables:
+        raise reason
+    if others:
+        notes.append(f"{path}: no tables of numbers in {listed(others)}: left out.")
+    return tables
+
+
+def _recordings(path, tables, options, notes):
+    """Return the rows of tables of a path: one recording each, or one in all."""
+    whole = (x for x in tables if len(tables) > 1 and is_recording(x, options))
+    if len([*itertools.islice(whole, 2)]) < 2:
+        return [rows_of(joined(tables, options.joints), options)]
+    notes.append(
+        f"{path} is taken as a folder of {len(tables)} recordings, one a file."
+    )
+    return [rows_of(tables.pop(0), options) for _ in range(len(tables))]
 
 
 def _check_offer(error, paths, options):
@@ -360,57 +390,21 @@ def _check_offer(error, paths, options):
     offer = {"columns": options.mapping, **error.options}
     offered = replace(options, mapping=offer.pop("columns"), **offer)
     for path in paths:
+        # What cannot be opened is read by no option, but for another topic.
+        tables = []
         try:
-            _read([path], offered, [])
+            tables = _tables(path, offered, [])
+            _recordings(path, [*tables], offered, [])
         except ValueError as other:
             try:
-                _read([path], options, [])
+                if not tables:
+                    raise
+                _recordings(path, tables, options, [])
             except ValueError as own:
                 if not getattr(own, "options", None):
-                    # No option reads this file.
                     raise
             reason = f"{error.reason}; other files are not so"
             raise RecordingRefused(f"{reason}: convert those that differ.") from other
-
-
-def _of_folder(folder, paths, options, notes):
-    """Read the tables of a folder: one recording each, or one in all."""
-    others = [x.name for x in sorted(folder.iterdir()) if x.is_file()]
-    others = [x for x in others if not x.startswith(".") and folder / x not in paths]
-    tables = []
-    for path in paths:
-        try:
-            tables.append(_table(path, options))
-            if not tables[-1].frame.select_dtypes("number").size:
-                raise NotATable(f"{tables.pop().path}: has no column of numbers.")
-        except NotATable as error:
-            others.append(path.name)
-            reason = error
-    if not tables:
-        raise reason
-    if others:
-        notes.append(f"{folder}: no tables of numbers in {listed(others)}: left out.")
-    whole = (table for table in tables if is_recording(table, options))
-    if len([*itertools.islice(whole, 2)]) < 2:
-        return [_joined(tables, options)]
-    notes.append(
-        f"{folder} is taken as a folder of {len(tables)} recordings, one a file."
-    )
-    # What was read is held no longer than needed.
-    return [rows_of(tables.pop(0), options) for _ in range(len(tables))]
-
-
-def _joined(tables, options):
-    """Return the recording of tables side by side."""
-    if len(tables) == 1:
-        return rows_of(tables[0], options)
-    first, *others = [table.path for table in tables]
-    path = first.parent
-    if len(others) == 1:
-        path /= f"{first.name}+{others[0].name}"
-    rows = rows_of(joined(tables, options.joints, path), options)
-    name = common_folder([one.path for one in tables])
-    return replace(rows, name=name) if name else rows
 
 
 def _table(path, options):

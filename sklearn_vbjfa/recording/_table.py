@@ -60,6 +60,7 @@ class Table:
     """
 
     path: Path  # as messages name it
+    name: str = ""  # of the recording, if not that of the file
     frame: Any  # a data frame
     place: str = "row {}"  # a row in messages
     # single values, and arrays of another length

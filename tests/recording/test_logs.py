@@ -293,10 +293,8 @@ def test_the_unit_of_time_is_given(tmp_path, unit, factor):
 
 @pytest.mark.parametrize("unit", [None, "ms"])
 def test_no_unit_is_offered_that_only_one_of_several_files_has(tmp_path, unit):
-    columns = table()
-    paths = [write(tmp_path / "a.csv", columns)]
-    columns["t"] = 1e3 * columns["t"]
-    paths.append(write(tmp_path / "b.csv", columns))
+    columns = table() | {"t": 1e3 * table()["t"]}
+    paths = [write(tmp_path / "a.csv", table()), write(tmp_path / "b.csv", columns)]
     with pytest.raises(RecordingRefused, match="other files are not so") as refused:
         read_recording(paths, time_unit=unit)
     assert not refused.value.options

@@ -245,6 +245,7 @@ def test_bad_cells_and_columns_are_named_in_one_line(csv, change, message):
         ("t,angle,tau1\n0,1,2\n", "no positions: expected columns q1, q2"),
         ("t,q1,force\n0,1,2\n", "no torques: expected columns tau1, tau2"),
         ("t,q1,q3,tau1\n0,1,2,3\n", "column 'q2' is missing beside q1, q3"),
+        ("t,q1,tau1,segment,Segment,SEGMENT\n0,1,2,3,3,3\n", "'segment' and 'Segment'"),
         ("t,q1,tau1,segment\n0,1,2,a\n0,1,2,b\n", "two time stamps or more"),
     ],
 )

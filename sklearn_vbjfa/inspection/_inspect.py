@@ -39,8 +39,8 @@ class Hypothesis:
     # all others; or if nothing was found.
     when: str = "always"
     prior: float = number.PRIOR  # log odds against the log as it is
-    # Other masses that may explain as much, a property of the described robot.
-    masses: str = ""
+    # Other masses or springs that may explain as much, of `DescribedRobot`.
+    surpasses: str = ""
 
     def candidate(self, reading):
         """Return the best candidate and its log odds if it is probable, or None."""
@@ -49,7 +49,8 @@ class Hypothesis:
         odds = found.log_odds + self.prior if found else -np.inf
         if odds <= number.DECISIVE:
             return None
-        if self.masses and found.log_odds < getattr(reading.robot, self.masses):
+        others = (getattr(reading.robot, name) for name in self.surpasses.split())
+        if any(found.log_odds < one for one in others):
             return None
         return found, odds
 
@@ -79,7 +80,7 @@ TABLE = (
     # -- positions and time
     Hypothesis("position_unit", "error", positions.units, "turns"),
     Hypothesis("position_unit:gear", "warning", positions.gear, "turns", "poor",
-               masses="invented"),
+               surpasses="invented"),
     Hypothesis("position_zeros", "error", partial(positions.zeros, few=False),
                "zeroed"),
     Hypothesis("swapped_torques", "error", partial(positions.orders, what="torques"),
@@ -96,13 +97,13 @@ TABLE = (
     Hypothesis("coupled_position", "error", positions.coupled, "several", "poor"),
     # A warning: another mounting or tool looks the same, with a wrong geometry only.
     Hypothesis("position_zero", "warning", partial(positions.zeros, few=True),
-               when="poor", masses="invented"),
-    Hypothesis("wrong_dt", "error", positions.periods, masses="invented"),
+               when="poor", surpasses="invented springs"),
+    Hypothesis("wrong_dt", "error", positions.periods, surpasses="invented"),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),
-    Hypothesis("torque_unit", "warning", torques.scaled, masses="loaded"),
+    Hypothesis("torque_unit", "warning", torques.scaled, surpasses="loaded"),
     Hypothesis("torque_factors", "warning", torques.scaled_each, "measured",
-               masses="loaded"),
+               surpasses="loaded"),
     Hypothesis("computed_torque", "warning", torques.computed, "measured"),
     Hypothesis("silent_torque", "error", torques.silent, "measured"),
     # -- scene

@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 import scipy
@@ -174,9 +175,13 @@ class DescribedRobot:
         # In a small motion the lack of weight, or its turn, is linear in the positions.
         nv, tau = self.bodies.nv, self.signals.tau
         q = self.signals.states[:, :nv] - self.signals.states[:, :nv].mean(axis=0)
-        q = q / np.where(q.any(axis=0), np.sqrt((q**2).mean(axis=0)), 1.0)
-        sizes = np.diag(np.sqrt((tau**2).mean(axis=0)))
-        columns = (q[:, None, :, None] * sizes[:, None]).reshape(len(q), nv, nv * nv)
+        size = np.sqrt((q**2).mean(axis=0))
+        ratio = np.sqrt((tau**2).mean(axis=0))[:, None] / np.where(size > 0, size, 1.0)
+        # One stiffness of two joints acts on both.
+        stiffness = np.zeros((nv, nv, nv * (nv + 1) // 2))
+        for k, (i, j) in enumerate(combinations_with_replacement(range(nv), 2)):
+            stiffness[[i, j], [j, i], k] = max(ratio[i, j], ratio[j, i])
+        columns = np.einsum("nj,ijk->nik", q, stiffness)
         return self.fit(columns=columns, deviation=1.0, joints=joints).evidence
 
     @functools.cached_property

@@ -114,7 +114,7 @@ def turned(reading):
     # A spring that more than balances a single joint looks the same.
     heavy = 1 / number.AS_HEAVY < np.linalg.norm(whole) / usual < number.AS_HEAVY
     loaded = _loaded(robot, robot.by_gravity @ pull)
-    odds = found.evidence - robot.now.evidence
+    odds = found.evidence - robot.now.evidence - np.log(variants)
     springs = robot.springs > odds - number.DECISIVE
     # Nor is it a weight that only offsets would hide: that of slides may have a sign.
     largest = np.abs(robot.by_gravity @ pull).max(axis=0)[loaded]
@@ -132,7 +132,7 @@ def turned(reading):
     return Proposal(
         change=Change(gravity=9.81 * pull),
         joints=reading.every,
-        log_odds=odds - np.log(variants),
+        log_odds=odds,
         fall=fall,
         clear=angle > number.TURNED and fall >= number.CLEAR * len(loaded),
         facts={

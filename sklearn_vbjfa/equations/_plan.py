@@ -41,8 +41,6 @@ def in_parallel(function, tasks, n_jobs):
 
 # Quantile that defines a joint's top speed: the fastest, without outliers.
 _FAST = 0.995
-# Rows of which the fastest are found at a time.
-_TOP_ROWS = 1 << 15
 # Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of the
 # motion, high enough for friction at reversals, low enough to reject vibration.
 CUTOFF_PER_BANDWIDTH = 5.0
@@ -284,10 +282,10 @@ class MotionFacts:
     def of(cls, positions, velocities, keep):
         """Statistics of the positions and velocities (n, nv) of one recording."""
         # `keep` is `n_fastest` of all recordings together.
+        # The samples of a signal are next to each other.
+        velocities = np.asfortranarray(velocities)
         n, fastest = positions.shape[0], _largest(velocities, keep)
         slow = STANDSTILL_SHARE * _top_quantile(fastest, n)
-        # One signal at a time has its samples next to each other.
-        joints = map(np.ascontiguousarray, velocities.T)
         lowest, highest = positions.min(axis=0), positions.max(axis=0)
         return cls(
             n=n,
@@ -295,7 +293,7 @@ class MotionFacts:
             highest=highest,
             travel=highest - lowest,
             fastest=fastest,
-            slow=np.transpose([_slow(v, x) for v, x in zip(joints, slow)]),
+            slow=np.transpose([_slow(v, x) for v, x in zip(velocities.T, slow)]),
         )
 
     def merge(self, other, keep):
@@ -329,6 +327,7 @@ def _fastest_period(facts, accelerations):
     """Return periods (nv,) [s] of sines of the joints' top speed and acceleration."""
     # That is 2 pi times top speed over top acceleration (n, nv); zero without.
     fast = facts.fast()
+    accelerations = np.asfortranarray(accelerations)
     strong = _top_quantile(_largest(accelerations, n_fastest(facts.n)), facts.n)
     out = np.zeros_like(fast)
     return np.divide(2 * np.pi * fast, strong, out=out, where=strong > 0)
@@ -394,16 +393,18 @@ def _slow(v, limit):
 
 def _largest(values, keep):
     """Largest sizes of values (n, k), at most `keep` of each column, in any order."""
-    # Signals whose samples are next to each other are several times faster to divide,
-    # and so are some that stay in the cache.
-    n, rows = values.shape[0], max(_TOP_ROWS, 4 * keep)
-    if n > rows:
-        parts = [_largest(values[i : i + rows], keep) for i in range(0, n, rows)]
-        return _largest(np.concatenate(parts), keep)
-    sizes = np.abs(values.T, order="C")
-    if n > keep:
-        sizes.partition(n - keep, axis=1)
-    return sizes[:, max(n - keep, 0) :].T
+    if values.shape[0] <= keep:
+        return np.abs(values)
+    return np.transpose([_largest_of(np.abs(x), keep) for x in values.T])
+
+
+def _largest_of(sizes, keep):
+    # A tenth of them shows from which size on there are about twice as many.
+    some = sizes[::10]
+    place = max(some.size - keep // 5 - 2, 0)
+    above = sizes[sizes >= np.partition(some, place)[place]]
+    above = above if above.size >= keep else sizes
+    return np.partition(above, above.size - keep)[above.size - keep :]
 
 
 def _top_quantile(largest, n):

@@ -265,8 +265,7 @@ def test_private_parts_of_sklearn_are_imported_in_one_place():
 
 def test_core_is_numpy_and_scipy_alone():
     standard = sys.stdlib_module_names
-    others = {"_progress": {"tqdm"}, "_threads": {"threadpoolctl"}}
-    others["_compiler"] = {"numba"}
+    others = {"_runtime": {"tqdm", "threadpoolctl"}, "_compiler": {"numba"}}
     for path in modules_of("_core"):
         roots = {name.split(".")[0] for name in imports(path)}
         known = {"numpy", "scipy", PACKAGE} | others.get(path.stem, set())

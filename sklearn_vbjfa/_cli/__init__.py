@@ -11,7 +11,7 @@ def main(argv=None):
     arguments = None
     try:
         arguments = parse(list(map(str, sys.argv[1:] if argv is None else argv)))
-        from sklearn_vbjfa._core._threads import one_blas_thread
+        from sklearn_vbjfa._core._runtime import one_blas_thread
 
         # The matrices are small: threads would only wait for each other.
         with one_blas_thread():

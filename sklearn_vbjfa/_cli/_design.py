@@ -11,7 +11,7 @@ from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _gravity, _input
 from sklearn_vbjfa._cli._parser import command_line, spelled
 from sklearn_vbjfa._cli._run import Done, rendered
-from sklearn_vbjfa._core._progress import say
+from sklearn_vbjfa._core._runtime import say
 from sklearn_vbjfa.design import (
     KnownRobot,
     MotionLimits,

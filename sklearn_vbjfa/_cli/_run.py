@@ -45,7 +45,7 @@ class Done:
 
 
 def run(arguments):
-    from sklearn_vbjfa._core._progress import show_progress
+    from sklearn_vbjfa._core._runtime import show_progress
     from sklearn_vbjfa.model import DoubtWarning
 
     module, _, name = arguments.run.partition(":")

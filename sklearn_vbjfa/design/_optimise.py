@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
-from sklearn_vbjfa._core._progress import counted, say
+from sklearn_vbjfa._core._runtime import counted, say
 
 # Evidence at which two causes count as told apart: a sum of squared differences of 50
 # noise variances is a difference of log likelihoods of 25.

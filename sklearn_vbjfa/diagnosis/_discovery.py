@@ -9,8 +9,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_vbjfa._core._progress import say, show_progress
-from sklearn_vbjfa._core._threads import one_blas_thread
+from sklearn_vbjfa._core._runtime import one_blas_thread, say, show_progress
 from sklearn_vbjfa.diagnosis.explain import (
     NO_INFORMATION,
     FinalFit,

@@ -14,8 +14,7 @@ from os import PathLike, fspath
 import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa._core._progress import counted, show_progress
-from sklearn_vbjfa._core._threads import one_blas_thread
+from sklearn_vbjfa._core._runtime import counted, one_blas_thread, show_progress
 from sklearn_vbjfa.equations._equations import accumulate, build_segments
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment, sum_moments
 from sklearn_vbjfa.equations._plan import MotionFacts, make_plan, n_fastest, smooth

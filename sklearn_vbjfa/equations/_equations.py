@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa._core._lowpass import BlockFilter, block_length, coarser, stride
-from sklearn_vbjfa._core._progress import counted
-from sklearn_vbjfa._core._threads import one_blas_thread
+from sklearn_vbjfa._core._runtime import counted, one_blas_thread
 from sklearn_vbjfa.effects import (
     Bank,
     InModel,

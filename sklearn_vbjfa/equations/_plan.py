@@ -8,8 +8,7 @@ import numpy as np
 from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa._core._progress import counted
-from sklearn_vbjfa._core._threads import one_blas_thread
+from sklearn_vbjfa._core._runtime import counted, one_blas_thread
 from sklearn_vbjfa.effects import (
     Bank,
     CommandDelay,

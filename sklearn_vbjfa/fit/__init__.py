@@ -4,7 +4,6 @@ from sklearn_vbjfa import _lazily
 
 # What is not in __all__ is for other rooms and for tests.
 _MODULES = {
-    "_alike": ("AlikeValue", "WIDTH", "most_probable"),
     "_arguments": ("FitOptions",),
     "_bodies": ("BodyPrior", "DESCRIBED", "Departure", "SCALES", "around")
     + ("little_learned",),
@@ -19,6 +18,7 @@ _MODULES = {
         "run_windows",
         "slopes",
     ),
+    "_pooling": ("AlikeValue", "WIDTH", "most_probable"),
     "_signs": ("expected", "signed"),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -127,4 +127,5 @@ def _check_rows(identifier, recording):
         raise ValueError(noise.message)
     for finding in disorder(*own):
         warnings.warn(finding.message, DoubtWarning, stacklevel=4)
-    check_time_stamps(recording.t, identifier.dt, recording.segments)
+    if recording.t is not None:
+        check_time_stamps(recording.t, identifier.dt, recording.segments)

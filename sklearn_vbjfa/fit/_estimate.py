@@ -24,7 +24,7 @@ from sklearn_vbjfa.regression import (
     VBJFARegressor,
     fit_moments,
 )
-from sklearn_vbjfa.robot._spreads import min_eigenvalues
+from sklearn_vbjfa.robot._posterior import min_eigenvalues
 
 # Largest weight of a joint's equations in units of its mean squared torque: no robot is
 # modelled better than to 1e-4 of its torque. Without noise, the weight of a joint that

@@ -9,7 +9,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa._core._progress import say
+from sklearn_vbjfa._core._runtime import say
 from sklearn_vbjfa.effects import CommandDelay, InModel, TorqueLag
 from sklearn_vbjfa.equations._equations import (
     accumulate,
@@ -25,7 +25,6 @@ from sklearn_vbjfa.equations._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.equations._recording_checks import check_count
 from sklearn_vbjfa.equations._states import RecordingStates
 from sklearn_vbjfa.equations._torque_noise import filtered_noise
-from sklearn_vbjfa.fit._alike import beside_each_other, with_positive_rotors
 from sklearn_vbjfa.fit._bodies import DESCRIBED
 from sklearn_vbjfa.fit._estimate import (
     Estimate,
@@ -45,10 +44,11 @@ from sklearn_vbjfa.fit._gains import (
     with_gains,
 )
 from sklearn_vbjfa.fit._output_error import refine
+from sklearn_vbjfa.fit._pooling import beside_each_other, with_positive_rotors
 from sklearn_vbjfa.recording import Recording, check_wait, take_rows
 from sklearn_vbjfa.robot._channels import ChannelGains
+from sklearn_vbjfa.robot._posterior import known_parameters
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
-from sklearn_vbjfa.robot._spreads import known_parameters
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

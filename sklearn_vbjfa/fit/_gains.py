@@ -199,8 +199,6 @@ def gain_places(effects, n_rigid):
 
 def check_gains(gains, joint_names):
     """Refuse recordings without information on the gains of the channels."""
-    if gains is None:
-        return
     names = () if isinstance(gains, str) else gains
     if gains != "unknown" and not (names and set(names) <= set(joint_names)):
         raise ValueError(
@@ -221,9 +219,7 @@ PAYLOAD = "payload"
 
 def check_masses(masses, gains, model):
     """Return known masses as a dict; reject what is not a mass of a body."""
-    # masses: dict of str to float [kg], or None; gains: the identifier's parameter.
-    if masses is None or not len(masses):
-        return {}
+    # masses: dict of str to float [kg]; gains: the identifier's parameter.
     if gains is None:
         raise ValueError(
             "known_masses fixes the common gain of all torque channels and needs "

@@ -9,7 +9,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_vbjfa._core._threads import one_blas_thread
+from sklearn_vbjfa._core._runtime import one_blas_thread
 from sklearn_vbjfa.effects import CommandDelay, TorqueLag
 from sklearn_vbjfa.equations._equations import numbered
 from sklearn_vbjfa.equations._features import (
@@ -27,17 +27,16 @@ from sklearn_vbjfa.equations._recording_checks import (
 )
 from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.equations._torque_noise import filtered_white_noise
-from sklearn_vbjfa.fit._alike import alike_joints
 from sklearn_vbjfa.fit._arguments import (
     FitOptions,
     checked_recording,
     recording_of_arguments,
 )
-from sklearn_vbjfa.fit._between import between_recordings
 from sklearn_vbjfa.fit._bodies import described_bodies
 from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems_late
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.fit._output_error import check_criterion
+from sklearn_vbjfa.fit._pooling import alike_joints, between_recordings
 from sklearn_vbjfa.fit._signs import with_signs
 from sklearn_vbjfa.inspection import common_lag, contradicted, inspect_channels
 from sklearn_vbjfa.model import DoubtWarning
@@ -461,9 +460,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         # The gain of an only channel is its unit.
         only = self.gains is None and model.nv == 1
         gains = self._channel_gains = None if only else self.asked_gains
-        check_gains(gains, self.joint_names_)
-        self._masses = check_masses(self.fit_options.known_masses, gains, model)
+        masses = self.fit_options.known_masses
+        self._masses = check_masses(masses, gains, model) if masses else {}
         if gains is not None:
+            check_gains(gains, self.joint_names_)
             declared = declared_gains(declared, model.nv)
         waits = self.drive is None or self.drive.waits is not None
         if not (waits or any(isinstance(one, CommandDelay) for one in declared)):

@@ -1,7 +1,6 @@
 """Physical consistency of rigid-body parameters, and projection onto it."""
 
-from sklearn_vbjfa.physical._projection import Options
-from sklearn_vbjfa.physical._projector import PhysicalProjector
+from sklearn_vbjfa.physical._projection import Options, PhysicalProjector
 from sklearn_vbjfa.physical._pseudo_inertia import (
     INERTIAL_NAMES,
     body_scales,

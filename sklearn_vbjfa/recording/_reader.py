@@ -10,7 +10,7 @@ from os import PathLike, fspath
 
 import numpy as np
 
-from sklearn_vbjfa._core._progress import counted
+from sklearn_vbjfa._core._runtime import counted
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording._clock import GAP_PERIODS, STEADY
 from sklearn_vbjfa.recording._conversion import is_recording, rows_of

@@ -14,7 +14,7 @@ from sklearn.utils.validation import (
 
 from sklearn_vbjfa._core._correlated import direct_share
 from sklearn_vbjfa._core._linear_systems import or_one, scaled_eigen, unit_columns
-from sklearn_vbjfa._core._threads import one_blas_thread
+from sklearn_vbjfa._core._runtime import one_blas_thread
 
 # Columns that are larger, or smaller than its inverse, have no squares to sum.
 LARGEST = 1e100

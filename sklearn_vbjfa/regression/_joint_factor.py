@@ -10,8 +10,8 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_vbjfa._core._correlated import inverse_factor
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._moments import from_data, from_scatter, standardise
+from sklearn_vbjfa._core._runtime import one_blas_thread
 from sklearn_vbjfa._core._solver import solve, start
-from sklearn_vbjfa._core._threads import one_blas_thread
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
     LinearModel,

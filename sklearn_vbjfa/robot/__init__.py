@@ -21,9 +21,8 @@ _MODULES = {
     "_channels": ("ChannelGains", "CommonGain"),
     "_corrections": ("Correction", "corrections_of"),
     "_exports": ("TERMS", "changed_motion", "to_mjcf", "typical_motion"),
-    "_posterior": ("BetweenRecordings", "Marginal", "Posterior"),
+    "_posterior": ("BetweenRecordings", "Marginal", "Posterior", "note_of_masses"),
     "_simulator_ranges": ("ParameterRange", "Ranges"),
-    "_spreads": ("note_of_masses",),
     "_windows": ("clearly_smaller", "follow_windows"),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -55,11 +55,13 @@ from sklearn_vbjfa.robot._exports import (
 from sklearn_vbjfa.robot._posterior import (
     BetweenRecordings,
     Posterior,
+    min_eigenvalues,
+    note_of_masses,
     of_the_model,
+    outside_text,
     seed_of,
 )
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
-from sklearn_vbjfa.robot._spreads import min_eigenvalues, note_of_masses, outside_text
 from sklearn_vbjfa.robot._windows import follow
 from sklearn_vbjfa.simulation._simulate import simulate
 from sklearn_vbjfa.simulation._stepper import Load, Stepper, TorqueModel, causal

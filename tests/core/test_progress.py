@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa._core._progress import show_progress
+from sklearn_vbjfa._core._runtime import show_progress
 from sklearn_vbjfa.datasets import load_demo_recording
 
 

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 import pytest
 from threadpoolctl import threadpool_info
 
-from sklearn_vbjfa._core._threads import one_blas_thread
+from sklearn_vbjfa._core._runtime import one_blas_thread
 from sklearn_vbjfa.physical import PhysicalProjector, ProjectionError, _solver
 
 FLAT = [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3]
@@ -32,7 +32,7 @@ class Library:
 @pytest.fixture
 def library(monkeypatch):
     library = Library()
-    monkeypatch.setattr("sklearn_vbjfa._core._threads._controller", lambda: library)
+    monkeypatch.setattr("sklearn_vbjfa._core._runtime._controller", lambda: library)
     return library
 
 

@@ -6,7 +6,7 @@ import pytest
 from scipy import integrate
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.fit import DESCRIBED, SCALES, _alike
+from sklearn_vbjfa.fit import DESCRIBED, SCALES, _pooling
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import inverse_dynamics, motion
 
@@ -79,7 +79,7 @@ def recording(model):
 
 def test_two_values_are_as_near_as_the_integral_over_their_scatter_has_them():
     y, S = np.array([1.2, 0.8]), np.diag([0.02, 0.03])
-    problem = _alike._AlikeProblem(y, S, (np.arange(2),))
+    problem = _pooling._AlikeProblem(y, S, (np.arange(2),))
     mean, covariance = problem.solved(problem.sites())
     grid = np.geomspace(SCALES[0], SCALES[-1], 20001)
     # The difference over the square root of two is normal with the scatter.
@@ -176,8 +176,8 @@ def values(rng, n=4, noise=0.1, factor=1.0):
     x[0] *= factor
     S = np.diag(noise**2 * np.exp(0.5 * rng.standard_normal(n)))
     y = rng.multivariate_normal(x, S)
-    unit = _alike._unit(y, S)
-    problem = _alike._AlikeProblem(y / unit, S / unit**2, (np.arange(n),))
+    unit = _pooling._unit(y, S)
+    problem = _pooling._AlikeProblem(y / unit, S / unit**2, (np.arange(n),))
     mean, covariance = problem.solved(problem.sites())
     std = unit * np.sqrt(np.diagonal(covariance))
     return x, y, unit * mean, std

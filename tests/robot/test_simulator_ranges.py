@@ -13,7 +13,7 @@ from sklearn.utils import check_random_state
 pytestmark = pytest.mark.filterwarnings("ignore:The rows are not in the order of time")
 
 from sklearn_vbjfa import RobotIdentifier, load_identified  # noqa: E402
-from sklearn_vbjfa.fit._between import _RecordingEffects  # noqa: E402
+from sklearn_vbjfa.fit._pooling import _RecordingEffects  # noqa: E402
 from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
 from sklearn_vbjfa.robot import BetweenRecordings, Marginal, Posterior  # noqa: E402
 from tests.model._mujoco import drive_torques, moving_states  # noqa: E402

@@ -9,7 +9,7 @@ from scipy.special import logit
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._groups import Overdispersion
-from sklearn_vbjfa._core._progress import counted
+from sklearn_vbjfa._core._runtime import counted
 from sklearn_vbjfa.diagnosis.search._problem import Columns
 from sklearn_vbjfa.diagnosis.search._refine import jump
 from sklearn_vbjfa.effects import Bank, InModel, Shaped, Sudden, closure

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa._core._progress import say
+from sklearn_vbjfa._core._runtime import say
 from sklearn_vbjfa.diagnosis.search._candidates import Candidates
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import (

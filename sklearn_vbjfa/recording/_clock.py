@@ -313,7 +313,7 @@ def _second_source(q, tau):
 
 # -- the column of time ----------------------------------------------------------------
 
-_DAY = 86400.0
+_DAY = 86400 * 10**9  # [ns]
 
 
 def time_of(table, layout, options):
@@ -341,9 +341,9 @@ def time_of(table, layout, options):
 
 def _stamps(table, role, time_unit):
     """Return the stamps of a column [s]."""
-    dates = _seconds_of_dates(table, role.column)
+    dates = nanoseconds(table, role.column)
     if dates is not None:
-        return dates
+        return 1e-9 * (dates - dates[0])
     values, unit = table.values(role.column), channel_unit(table, role)
     if values.dtype.kind == "O":
         raise ValueError(
@@ -370,18 +370,20 @@ def _stamps(table, role, time_unit):
     return seconds if factor == 1.0 else factor * (seconds - seconds[0])
 
 
-def _seconds_of_dates(table, column: str):
-    """Return dates, or times of day, as seconds from the first, None for others."""
+def nanoseconds(table, column):
+    """Return dates, or times of day, as integers [ns], None for others."""
     pandas, values = imported(table.path, "pandas"), table.frame[column]
     if values.dtype.kind != "M":
         if values.dtype.kind in "biuf" or not isinstance(values.iloc[0], str):
             return None
         text = values.astype(str).str.replace(",", ".")
         if text.str.fullmatch(r"\d{1,2}:\d\d:\d\d(\.\d*)?").all():
-            seconds = pandas.to_timedelta(text).dt.total_seconds().to_numpy()
-            days = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
-            return seconds + _DAY * days - seconds[0]
+            times = (
+                pandas.to_timedelta(text).to_numpy().astype("m8[ns]").astype("int64")
+            )
+            days = np.cumsum(np.diff(times, prepend=times[0]) < -_DAY // 2)
+            return times + _DAY * days
         values = pandas.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
     if values.isna().any():
         return None
-    return (values - values.iloc[0]).dt.total_seconds().to_numpy()
+    return values.dt.as_unit("ns").astype("int64").to_numpy()

@@ -12,7 +12,7 @@ import numpy as np
 
 from sklearn_vbjfa._core._runtime import counted
 from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.recording._clock import GAP_PERIODS, STEADY
+from sklearn_vbjfa.recording._clock import GAP_PERIODS, STEADY, nanoseconds
 from sklearn_vbjfa.recording._conversion import is_recording, rows_of
 from sklearn_vbjfa.recording._drives import Drive
 from sklearn_vbjfa.recording._grid import on_grid
@@ -150,14 +150,14 @@ def _names(columns, kind, joints, stem):
 
 
 def _seconds(table, layout):
-    """Return the stamps of a file [s] or dates as they are, None if it has none."""
-    for role in layout.of("t"):
-        stamps, unit = table.values(role.column), channel_unit(table, role)
-        if stamps.dtype.kind == "M":
-            return 1e-9 * stamps.astype("M8[ns]").astype(float)
-        if stamps.dtype.kind in "biuf":
-            return stamps * (1.0 if unit is None else unit.factor)
-        return stamps
+    """Return the stamps of a file [s], None if it has none."""
+    for role in layout.of("t")[:1]:
+        dates, values = nanoseconds(table, role.column), table.values(role.column)
+        if dates is not None:
+            return 1e-9 * dates
+        unit = channel_unit(table, role)
+        values = values if values.dtype.kind in "iuf" else table.numbers(role.column)
+        return values if unit is None else unit.factor * values
     return None
 
 
@@ -175,11 +175,6 @@ def _rows(part, base, t, at):
         return np.arange(float(n))
     if np.array_equal(t, at):
         return np.arange(float(n))
-    if not {t.dtype.kind, at.dtype.kind} <= {*"iuf"}:
-        raise ValueError(
-            f"{part.path}: has other dates than {name}; write the time of all in "
-            "seconds."
-        )
     step = np.diff(t)
     if (step <= 0).any():
         raise ValueError(

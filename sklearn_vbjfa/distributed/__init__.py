@@ -17,11 +17,14 @@ from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._runtime import counted, one_blas_thread, show_progress
 from sklearn_vbjfa.equations._equations import accumulate, build_segments
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment, sum_moments
-from sklearn_vbjfa.equations._plan import MotionFacts, make_plan, n_fastest, smooth
-from sklearn_vbjfa.equations._recording_checks import (
+from sklearn_vbjfa.equations._plan import (
+    MotionFacts,
     check_channels,
     check_length,
     check_widths,
+    make_plan,
+    n_fastest,
+    smooth,
 )
 from sklearn_vbjfa.equations._states import choose_states
 from sklearn_vbjfa.fit._estimate import from_moments

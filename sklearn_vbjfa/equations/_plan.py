@@ -1,6 +1,7 @@
-"""Choices made before any equation is formed: filter, standstill, effects."""
+"""Requirements on a recording, and choices before any equation: filter, standstill."""
 
 import itertools
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
@@ -20,8 +21,10 @@ from sklearn_vbjfa.effects import (
 )
 from sklearn_vbjfa.equations._ranges import EffectRange
 from sklearn_vbjfa.equations._states import RecordingStates, StateEstimator
-from sklearn_vbjfa.model import is_prismatic, joint_names
+from sklearn_vbjfa.inspection import finding
+from sklearn_vbjfa.model import DoubtWarning, is_prismatic, joint_names
 from sklearn_vbjfa.recording import (
+    Drive,
     check_clock,
     check_cutoff,
     check_dt,
@@ -462,3 +465,153 @@ def resolve_standstill(standstill, fast):
             f"{standstill!r}."
         )
     return np.broadcast_to(value, (nv,)).copy()
+
+
+# -- requirements on a recording; each error says how to meet them ---------------------
+
+# A sample period [s] too long for any robot; one too long if the fastest joint is
+# slower than this [rad/s or m/s], as it appears if time is not in seconds.
+_SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.02
+# Speeds beyond the robot's limit by this factor: degrees for radians make 57, and are
+# reported elsewhere. Where the robot has no limit [rad/s or m/s].
+_TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
+
+
+def check_widths(names, X, y=None):
+    nv = len(names)
+    robot = f"The robot has {nv} joint(s) ({', '.join(names)}), so "
+    if X.shape[1] not in {nv, 3 * nv}:
+        raise ValueError(
+            f"{robot}X must have {nv} columns of positions or {3 * nv} of states "
+            f"[q | v | a]; got {X.shape[1]}. Leave out channels of locked joints, or "
+            "lock joints that were not recorded with pinocchio.buildReducedModel."
+        )
+    if y is not None and y.shape[1] != nv:
+        raise ValueError(
+            f"{robot}y must have {nv} column(s) of torques; got {y.shape[1]}."
+        )
+
+
+def check_speed(dt, fast, model):
+    """Reject a sample period dt [s] at which the robot could not move as recorded."""
+    # A period in ms or Hz makes speeds that are a thousandth of, or a thousand times,
+    # those of robots. fast (nv,): 99.5th percentiles of the speeds [rad/s or m/s];
+    # model: for the velocity limits.
+    top = float(np.max(fast, initial=0.0))
+    if dt is None or not top > 0:
+        return
+    limit = np.asarray(model.velocityLimit, dtype=float)
+    limit = np.where((limit > 0) & (limit < _NO_LIMIT), limit, _LARGEST_SPEED)
+    if dt >= _SLOWEST_PERIOD or (dt >= _SLOW_PERIOD and top < _SLOW_SPEED):
+        raise ValueError(
+            f"dt={dt:.6g} s is too slow for a motion: the fastest joint would move at "
+            f"{top:.2g} rad/s or m/s. dt is in seconds."
+        )
+    if float(np.max(fast / limit)) > _TOO_FAST:
+        raise ValueError(
+            f"dt={dt:.6g} s is too short for this motion: the fastest joint would "
+            f"move at {top:.2g} rad/s or m/s, far more than the robot allows. Give "
+            "times in seconds (not minutes)."
+        )
+
+
+def check_input_noise(input_noise):
+    if input_noise not in ("auto", None):
+        raise ValueError(
+            "input_noise must be 'auto' (measured from the recording) or None "
+            f"(taken as zero); got {input_noise!r}."
+        )
+
+
+def check_channels(names, positions, torques):
+    """Reject torques without information, warn of joints that do not move."""
+    # positions, torques (n, nv): at least their lowest and highest values.
+    moves = np.ptp(positions, axis=0) > 0
+    if not moves.any():
+        raise ValueError(
+            "No joint moves in this recording; expected a motion that excites the "
+            "joints to be identified. Check the position columns."
+        )
+    flat = ~(np.ptp(torques, axis=0) > 0)
+    dead = [name for name, bad in zip(names, flat & moves) if bad]
+    if dead:
+        raise ValueError(
+            f"The torque of {', '.join(dead)} is constant while the joint moves. Check "
+            "the recording, or lock the joint (joint_names of read_recording)."
+        )
+    for j in np.flatnonzero(~moves):
+        # In the words of `inspect_channels`, of which one alone is shown.
+        facts = {"range": 0.0, "mean": positions[0, j]}
+        still = finding("still_joint", names, j, "warning", **facts)
+        warnings.warn(still.message, DoubtWarning, stacklevel=5)
+
+
+def check_length(parts, lowpass, cutoff):
+    """Reject recordings all shorter than the filter; warn if only some are."""
+    need = 2 * lowpass.half + 1
+    short = [p for p in parts if p.stop - p.start < need]
+    if len(short) == len(parts):
+        longest = max(p.stop - p.start for p in parts)
+        raise ValueError(
+            f"The low-pass at {cutoff:.4g} Hz is {need} samples long and the longest "
+            f"stretch to be fitted has {longest}; give a longer recording or a higher "
+            "cutoff (None for no low-pass)."
+        )
+    if short:
+        rows = ", ".join(str(p.start) for p in short[:5])
+        warnings.warn(
+            f"{len(short)} of {len(parts)} recordings (from row {rows}) are "
+            f"shorter than the low-pass filter ({need} samples) and are left out.",
+            DoubtWarning,
+            stacklevel=5,
+        )
+
+
+def check_count(stats, standstill, n_parameters):
+    """Reject a fit with all samples masked or fewer equations than parameters."""
+    if stats is None or not stats.n.any():
+        raise ValueError(
+            "Every sample is masked as standstill; lower `standstill` (now "
+            f"{np.array2string(standstill, precision=3)}) or pass None."
+        )
+    count = int(stats.n_rows.sum())
+    if count < n_parameters:
+        raise ValueError(
+            f"{count} equations (joints times filtered, moving samples) are fewer "
+            f"than the {n_parameters} parameters; record for longer, or raise "
+            "`cutoff`."
+        )
+
+
+def check_weight(sample_weight, shape):
+    """Return validated weights for torques of this shape (n, nv); ones for None."""
+    if sample_weight is None:
+        # A number for each value of a long recording would be as large as that.
+        return np.broadcast_to(1.0, shape)
+    weight = np.asarray(sample_weight, dtype=float)
+    if weight.shape not in {shape, shape[:1]}:
+        raise ValueError(
+            f"sample_weight must have the shape {shape[:1]} or {shape}; got "
+            f"{weight.shape}."
+        )
+    if not np.isfinite(weight).all() or weight.min() < 0:
+        raise ValueError("sample_weight must be finite and not negative.")
+    if not weight.any():
+        raise ValueError("Sample weights must contain at least one non-zero number.")
+    return weight if weight.ndim == 2 else np.repeat(weight[:, None], shape[1], 1)
+
+
+def check_drive(settings):
+    drive = settings.drive
+    if drive is None:
+        return
+    if not isinstance(drive, Drive):
+        raise ValueError(
+            "drive must be a PDDrive, CurrentDrive, VoltageDrive or None; got "
+            f"{drive!r}. Torques need no drive."
+        )
+    gains = settings.gains
+    if gains is not None and drive.gains is None:
+        raise ValueError(
+            "drive has gains, and cannot be combined with gains: leave gains=None."
+        )

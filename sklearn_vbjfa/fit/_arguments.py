@@ -3,11 +3,12 @@
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from numbers import Real
 
 import numpy as np
 from sklearn.utils.validation import validate_data
 
-from sklearn_vbjfa.equations._recording_checks import check_weight, check_widths
+from sklearn_vbjfa.equations._plan import check_weight, check_widths
 from sklearn_vbjfa.inspection import at_rest, disorder
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import (
@@ -58,6 +59,22 @@ class FitOptions:
     known_masses: Mapping[str, float] | None = None
     window: float = 1.0
     alike: str | None = "auto"
+
+
+def check_criterion(settings):
+    if settings.criterion not in ("torque", "simulation"):
+        raise ValueError(
+            f"criterion must be 'torque' or 'simulation'; got {settings.criterion!r}."
+        )
+    if settings.criterion == "torque":
+        return
+    window = settings.fit_options.window
+    if not (isinstance(window, Real) and 0 < window < np.inf):
+        raise ValueError(f"window must be a positive time in s; got {window!r}.")
+    if settings.dt is None:
+        raise ValueError(
+            "criterion='simulation' needs the sample period: give dt in seconds."
+        )
 
 
 def checked_arrays(estimator, names, X, y):

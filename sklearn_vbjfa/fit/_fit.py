@@ -20,9 +20,13 @@ from sklearn_vbjfa.equations._equations import (
     regressor_rows,
     unexcited_entries,
 )
-from sklearn_vbjfa.equations._plan import effect_places, needs_load, observe
+from sklearn_vbjfa.equations._plan import (
+    check_count,
+    effect_places,
+    needs_load,
+    observe,
+)
 from sklearn_vbjfa.equations._ranges import effect_ranges, sum_ranges
-from sklearn_vbjfa.equations._recording_checks import check_count
 from sklearn_vbjfa.equations._states import RecordingStates
 from sklearn_vbjfa.equations._torque_noise import filtered_noise
 from sklearn_vbjfa.fit._bodies import DESCRIBED

@@ -17,25 +17,27 @@ from sklearn_vbjfa.equations._features import (
     refuse_followers,
     with_followers,
 )
-from sklearn_vbjfa.equations._plan import check_effects, make_plan, observe
-from sklearn_vbjfa.equations._recording_checks import (
+from sklearn_vbjfa.equations._plan import (
     check_channels,
     check_drive,
+    check_effects,
     check_input_noise,
     check_length,
     check_speed,
+    make_plan,
+    observe,
 )
 from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.equations._torque_noise import filtered_white_noise
 from sklearn_vbjfa.fit._arguments import (
     FitOptions,
+    check_criterion,
     checked_recording,
     recording_of_arguments,
 )
 from sklearn_vbjfa.fit._bodies import described_bodies
 from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems_late
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
-from sklearn_vbjfa.fit._output_error import check_criterion
 from sklearn_vbjfa.fit._pooling import alike_joints, between_recordings
 from sklearn_vbjfa.fit._signs import with_signs
 from sklearn_vbjfa.inspection import common_lag, contradicted, inspect_channels

@@ -14,7 +14,6 @@
 
 import warnings
 from dataclasses import dataclass, replace
-from numbers import Real
 
 import numpy as np
 from scipy import linalg
@@ -122,22 +121,6 @@ def _start_noise(estimator, nv):
     variance = estimator.noise_variance_
     encoder = np.sqrt(np.where(np.isnan(variance), 0.0, variance))
     return np.concatenate([encoder, estimator.velocity_noise()])
-
-
-def check_criterion(settings):
-    if settings.criterion not in ("torque", "simulation"):
-        raise ValueError(
-            f"criterion must be 'torque' or 'simulation'; got {settings.criterion!r}."
-        )
-    if settings.criterion == "torque":
-        return
-    window = settings.fit_options.window
-    if not (isinstance(window, Real) and 0 < window < np.inf):
-        raise ValueError(f"window must be a positive time in s; got {window!r}.")
-    if settings.dt is None:
-        raise ValueError(
-            "criterion='simulation' needs the sample period: give dt in seconds."
-        )
 
 
 # -- simulation and criterion ----------------------------------------------------------

@@ -20,13 +20,15 @@ from sklearn_vbjfa.equations._equations import (
     regressor_rows,
 )
 from sklearn_vbjfa.equations._features import Follower, RigidBodyFeatures
-from sklearn_vbjfa.equations._plan import Plan, needs_load, parameter_names
-from sklearn_vbjfa.equations._ranges import EffectRange, outside
-from sklearn_vbjfa.equations._recording_checks import (
+from sklearn_vbjfa.equations._plan import (
+    Plan,
     check_length,
     check_weight,
     check_widths,
+    needs_load,
+    parameter_names,
 )
+from sklearn_vbjfa.equations._ranges import EffectRange, outside
 from sklearn_vbjfa.equations._states import RecordingStates, fit_states, smooth_to
 from sklearn_vbjfa.equations._torque_noise import ROWS, noise_facts, seen
 from sklearn_vbjfa.model._loading import joint_names

@@ -21,10 +21,10 @@ _MODULES = {
         OnAllJoints Shaped Stateful Sudden
     """,
     "_channels": "Delay Jerk OfChannel TorqueFilter low_pass smooth",
-    "_drive": "Coupling CouplingSpring Elastic RotorInertia ToAnother",
+    "_drive": "Coupling CouplingSpring Elastic ToAnother",
     "_friction": """
-        AsymmetricFriction Coulomb GearLoss LoadFriction Stribeck Viscous
-        ViscousQuadratic
+        AsymmetricFriction Coulomb GearLoss LoadFriction Offset RotorInertia
+        Stribeck Viscous ViscousQuadratic
     """,
     "_in_model": """
         BaseTilt CommandDelay InModel JointAxis JointZero TorqueGain TorqueLag
@@ -35,7 +35,7 @@ _MODULES = {
     """,
     "_memory": "Backlash MaxwellSlip came_from elements play",
     "_motion": "HELD Floats Motion Rest State",
-    "_position": "Counterbalance FrictionByPosition Offset Ripple Spring",
+    "_position": "Counterbalance FrictionByPosition Ripple Spring",
     "_unnamed": "UnnamedTorque",
     "_varying": "Drift Payload Signal Varied",
 }

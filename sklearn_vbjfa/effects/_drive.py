@@ -11,7 +11,6 @@ from sklearn_vbjfa.effects._base import (
     TORQUE,
     VISCOSITY,
     Converted,
-    Effect,
     InFiles,
     OnAllJoints,
     Shaped,
@@ -28,28 +27,6 @@ _SLOW = 1e-3
 # Compliance of the finite difference: deflections of this share of the positions'
 # spread, small enough to be linear and large enough for the rounding.
 _DEFLECTION = 1e-4
-
-
-class RotorInertia(Effect):
-    """Inertia of the motor's rotor seen from the joint, tau = Ir a.
-
-    On the first joints of an arm it lies in the span of the links' inertias. Source:
-    Khalil and Dombre (2004), chapter 9.
-    """
-
-    name = "rotor_inertia"
-    alike = True
-    label = "rotor inertia"
-    formula = r"I_r\,a"
-    coefficients = nonnegative = ("Ir",)
-    units = (INERTIA,)
-    record = "fast acceleration in several poses"
-    files = InFiles(parameter="rotor_inertia", urdf="", mjcf="")
-    terms = (("armature", "Ir"),)
-
-    def law(self, maths):
-        j = self.joint
-        return lambda state: (state.a[j],)
 
 
 class ToAnother(Shaped):

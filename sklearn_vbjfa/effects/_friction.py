@@ -1,6 +1,7 @@
-"""Friction as a function of velocity and load."""
+"""What a robot declares by name, and friction as a function of velocity and load."""
 
 from sklearn_vbjfa.effects._base import (
+    INERTIA,
     RATIO,
     SPEED,
     TORQUE,
@@ -59,6 +60,48 @@ class Coulomb(Effect):
     def law(self, maths):
         j, sign = self.joint, maths.sign(self.joint)
         return lambda state: (sign(state.v[j], state.a[j]),)
+
+
+class Offset(Effect):
+    """Constant torque, tau = c: a sensor's zero, a drive's bias.
+
+    Source: Khalil and Dombre (2004), chapter 12.
+    """
+
+    name = "offset"
+    label = "constant offset"
+    formula = r"c"
+    coefficients = ("c",)
+    units = (TORQUE,)
+    record = "motion with and against gravity"
+    files = InFiles(parameter="offset", urdf="", mjcf="")
+    terms = (("constant", "c"),)
+    constant = ""  # it is the plain term itself
+
+    def law(self, maths):
+        return lambda state: (1.0,)
+
+
+class RotorInertia(Effect):
+    """Inertia of the motor's rotor seen from the joint, tau = Ir a.
+
+    On the first joints of an arm it lies in the span of the links' inertias. Source:
+    Khalil and Dombre (2004), chapter 9.
+    """
+
+    name = "rotor_inertia"
+    alike = True
+    label = "rotor inertia"
+    formula = r"I_r\,a"
+    coefficients = nonnegative = ("Ir",)
+    units = (INERTIA,)
+    record = "fast acceleration in several poses"
+    files = InFiles(parameter="rotor_inertia", urdf="", mjcf="")
+    terms = (("armature", "Ir"),)
+
+    def law(self, maths):
+        j = self.joint
+        return lambda state: (state.a[j],)
 
 
 class AsymmetricFriction(Effect):

@@ -10,7 +10,6 @@ from sklearn_vbjfa.effects._base import (
     STIFFNESS,
     TORQUE,
     Converted,
-    Effect,
     InFiles,
     Shaped,
 )
@@ -24,26 +23,6 @@ _RATIOS = (0.2, 0.5, 0.85)
 _ANGLES = tuple(range(0, 360, 15))
 # Neighbouring periods differ by this many cycles over the range of the motion.
 _CYCLES = 0.3
-
-
-class Offset(Effect):
-    """Constant torque, tau = c: a sensor's zero, a drive's bias.
-
-    Source: Khalil and Dombre (2004), chapter 12.
-    """
-
-    name = "offset"
-    label = "constant offset"
-    formula = r"c"
-    coefficients = ("c",)
-    units = (TORQUE,)
-    record = "motion with and against gravity"
-    files = InFiles(parameter="offset", urdf="", mjcf="")
-    terms = (("constant", "c"),)
-    constant = ""  # it is the plain term itself
-
-    def law(self, maths):
-        return lambda state: (1.0,)
 
 
 class Spring(Converted):

@@ -30,8 +30,8 @@ from sklearn_vbjfa.diagnosis.search._path import remembering, tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
 from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
-from sklearn_vbjfa.equations._joint_moments import find_repetition
 from sklearn_vbjfa.equations._plan import check_effects, check_weight
+from sklearn_vbjfa.equations._repetition import find_repetition
 from sklearn_vbjfa.fit._arguments import checked_arrays
 from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.fit._signs import signed

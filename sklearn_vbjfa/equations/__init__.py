@@ -6,10 +6,10 @@ from sklearn_vbjfa import _lazily
 _MODULES = {
     "_equations": ("Equations", "TorqueResiduals", "is_plain"),
     "_features": ("RigidBodyFeatures", "with_followers"),
-    "_joint_moments": ("BlockAssignment", "find_repetition", "piece_moments")
-    + ("sum_moments",),
+    "_joint_moments": ("BlockAssignment", "piece_moments", "sum_moments"),
     "_plan": ("Plan",),
     "_ranges": ("EffectRange", "OutsideRange", "outside", "own_motions"),
+    "_repetition": ("find_repetition",),
     "_states": ("RecordingStates",),
     "_torque_noise": ("filtered_noise", "held_rows", "noise_facts"),
 }

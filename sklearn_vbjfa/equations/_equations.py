@@ -19,12 +19,12 @@ from sklearn_vbjfa.effects import (
 from sklearn_vbjfa.equations._joint_moments import (
     BlockAssignment,
     MomentSums,
-    find_repetition,
     joint_entries,
     sum_moments,
 )
 from sklearn_vbjfa.equations._plan import effect_places, in_parallel
 from sklearn_vbjfa.equations._ranges import SignalRanges, own_motions
+from sklearn_vbjfa.equations._repetition import find_repetition
 from sklearn_vbjfa.model import TorqueDerivatives, is_prismatic, rounding_entries
 
 # Periods of the state cut-off at each end in which the smoother sees one side only.

@@ -1,0 +1,146 @@
+"""Motion that repeats within recordings and between them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Rows are looked at every so many seconds, and fewer than this many of them.
+_STEP, _MOST = 0.04, 20_000
+# Velocities repeat if they differ by less than this share of their power, and have
+# differed by more than this one since: a slow motion resembles itself a little later.
+_SAME, _OTHER = 0.03, 0.5
+# The smallest lag is the period that is so many times as good as the best one.
+_ALIKE, _LEAST = 3.0, 1e-3
+# A joint moves if its speed is this share of that of the fastest.
+_MOVES = 0.02
+# A motion repeats if it is there more often than this.
+_AGAIN = 1.5
+# Share of the shorter of two recordings in which they are compared.
+_OVERLAP = 0.8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Repetition:
+    """Which motions there are, and when each recording goes through them."""
+
+    begins: np.ndarray  # (r,): when recordings begin [s]
+    motion: np.ndarray  # (r,): motion of each recording, from zero
+    delay: np.ndarray  # (r,): how far in its motion each recording begins [s]
+    # (m,): periods of the motions [s], infinite for one that does not repeat by itself
+    period: np.ndarray
+    # repeated motions: their "seconds", how many times they are there, "count", and in
+    # which "recordings", from zero
+    repeated: tuple[dict, ...]
+
+    def __bool__(self):
+        return bool(self.repeated)
+
+    def phase(self, recording, t):
+        """Return the motion (n,) and the time in it (n,) [s] of rows."""
+        # recording (n,): its number for each row; t (n,): times of the rows [s].
+        motion = self.motion[recording]
+        phase = t - self.begins[recording] + self.delay[recording]
+        period = self.period[motion]
+        finite = np.isfinite(period)
+        phase[finite] %= period[finite]
+        return motion, phase
+
+
+def find_repetition(q, t, parts):
+    """Look for motion that repeats in positions (n, nv); false if nothing does."""
+    # q: at times t (n,) [s]; parts: slices of the recordings.
+    seconds = np.array([np.ptp(t[part]) for part in parts])
+    rows = sum(part.stop - part.start for part in parts)
+    step = max(_STEP, seconds.sum() / _MOST, seconds.sum() / max(rows, 1))
+    speeds = [_speeds(q[part], t[part], step) for part in parts]
+    power = np.array([(v**2).sum(axis=0) for v in speeds]).sum(axis=0)
+    moves = power > _MOVES**2 * power.max(initial=0.0)
+    speeds = [v[:, moves] for v in speeds]
+    first, motion, delay, period = [], [], [], []
+    for k, v in enumerate(speeds):
+        shifts = [_shift(speeds[other], v) for other in first]
+        m = next((m for m, x in enumerate(shifts) if x is not None), len(first))
+        if m == len(first):
+            first.append(k)
+            period.append(np.inf)
+            delay.append(0.0)
+        else:
+            delay.append(delay[first[m]] + step * shifts[m])
+        motion.append(m)
+        period[m] = min(period[m], step * _own_period(v))
+    motion, delay, repeated = np.array(motion), np.array(delay), []
+    for k, own in enumerate(period):
+        at = np.flatnonzero(motion == k)
+        length = min(own, (delay + seconds)[at].max() - delay[at].min())
+        count = seconds[at].sum() / length if length else 0.0
+        if count > _AGAIN:
+            found = {"seconds": float(length), "count": float(count)}
+            repeated.append(found | {"recordings": tuple(at.tolist())})
+    return Repetition(
+        begins=np.array([t[part.start] for part in parts]),
+        motion=motion,
+        delay=delay,
+        period=np.array(period),
+        repeated=tuple(repeated),
+    )
+
+
+def _speeds(q, t, step):
+    """Return mean velocities (m, nv) in intervals of a length."""
+    if len(q) < 2:
+        return np.zeros((0, q.shape[1]))
+    edges = np.arange(t[0], t[-1], step)
+    return np.diff([np.interp(edges, t, x) for x in q.T], axis=1).T / step
+
+
+def _differences(a, b):
+    """Return lags, overlaps, and the largest share in which a(i), b(i + lag) differ."""
+    from scipy.signal import fftconvolve
+
+    def products(x, y):
+        # The sum of x(i) y(i + lag) for each lag.
+        return fftconvolve(y, x[::-1], axes=0)
+
+    n, m = len(a), len(b)
+    lags = np.arange(-n + 1, m)
+    power = products(np.ones_like(a), b**2) + products(a**2, np.ones_like(b))
+    overlap = np.minimum(n, m - lags) - np.maximum(0, -lags)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = 1.0 - 2.0 * products(a, b) / power
+    return lags, overlap, np.nan_to_num(share, nan=0.0).max(axis=1, initial=0.0)
+
+
+def _own_period(v):
+    """Return the smallest lag, in rows, after which a motion repeats, or infinity."""
+    n = len(v)
+    if n < 4 or not v.size:
+        return np.inf
+    lags, _, share = _differences(v, v)
+    # Two periods end at half of the recording, and a dip needs its far side.
+    share = share[(lags >= 0) & (lags <= n // 2 + 2)]
+    other = np.flatnonzero(share > _OTHER)
+    if not other.size:
+        return np.inf
+    dips = np.flatnonzero((share[1:-1] <= share[:-2]) & (share[1:-1] <= share[2:])) + 1
+    found = [_dip(share, k) for k in dips if k > other[0] and share[k] < _SAME]
+    least = max(_ALIKE * min((value for _, value in found), default=0.0), _LEAST)
+    return next((place for place, value in found if value <= least), np.inf)
+
+
+def _shift(a, b):
+    """Return the row of a motion at which another recording begins, None for none."""
+    if min(len(a), len(b)) < 4 or not a.size:
+        return None
+    lags, overlap, share = _differences(a, b)
+    share = np.where(overlap >= _OVERLAP * min(len(a), len(b)), share, np.inf)
+    best = int(np.argmin(share))
+    return -(lags[0] + _dip(share, best)[0]) if share[best] < _SAME else None
+
+
+def _dip(share, best):
+    """Return place and value of a minimum between rows, by the parabola around it."""
+    near = share[max(best - 1, 0) : best + 2]
+    slope, bend = near[0] - near[-1], near[0] - 2 * share[best] + near[-1]
+    if near.size < 3 or not 0 < bend < np.inf:
+        return float(best), float(share[best])
+    return best + 0.5 * slope / bend, float(share[best] - slope**2 / (8 * bend))

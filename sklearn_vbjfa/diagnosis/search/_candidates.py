@@ -153,8 +153,13 @@ class Candidates:
         evidence = np.where(free, evidence, -np.inf)
         best, whole = int(np.argmax(evidence)), np.logaddexp.reduce(evidence)
         log_odds = float(whole - np.log(free.size) + self.log_prior)
-        known = {"log_odds": log_odds, "order": log_odds, "coef": coefs[best]}
-        return Candidate(family=family, best=best, **known)
+        return Candidate(
+            family=family,
+            best=best,
+            log_odds=log_odds,
+            order=log_odds,
+            coef=coefs[best],
+        )
 
     def _no_chance(self, family):
         """Log evidence of a shape up to which an effect decides nothing."""

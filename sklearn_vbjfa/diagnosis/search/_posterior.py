@@ -167,8 +167,14 @@ def search(view, library, settings, alpha, max_effects=None):
         warning = _warning(fit, member, evidence, needed, path)
         if not warning and i not in worthwhile:
             warning = SMALL
-        known = {"evidence": evidence, "rivals": rivals, "warning": warning}
-        findings.append(Finding(effect=member.effect.completed(motion), **known))
+        findings.append(
+            Finding(
+                effect=member.effect.completed(motion),
+                evidence=evidence,
+                rivals=rivals,
+                warning=warning,
+            )
+        )
     return Found(
         findings=in_order(findings),
         view=problem.view,

@@ -311,11 +311,20 @@ class RecordingView:
 
     def motion_of(self, parameters, effects=()):
         """Signals of the samples, with the load of parameters; see `make_motion`."""
-        robot, names = self.robot, ("signals", "command", "before")
-        known = {name: getattr(self, name) for name in names}
-        known |= {"rest": robot.plan.turning, "effects": effects}
-        given = robot.features_, self.states, self.clock, self.parts, parameters
-        motion = make_motion(*given, robot.cutoff_, **known)
+        robot = self.robot
+        motion = make_motion(
+            robot.features_,
+            self.states,
+            self.clock,
+            self.parts,
+            parameters,
+            robot.cutoff_,
+            rest=robot.plan.turning,
+            effects=effects,
+            signals=self.signals,
+            command=self.command,
+            before=self.before,
+        )
         return replace(motion, begins=self._begins)
 
     # -- columns of effects -----------------------------------------------------------

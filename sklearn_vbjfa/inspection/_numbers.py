@@ -164,8 +164,9 @@ DEAD_RUN, EXACT, NOISY, SELDOM = 50, 0.8, 3.0, 0.005
 # range. A larger share of outliers is noise, not a fault of single samples. Torques are
 # compared with their median over so many samples.
 OUTLIER, FEWEST_AROUND, LEAST_JUMP, MOST_OUTLIERS, MEDIAN = 25.0, 16, 0.003, 0.01, 5
-# A torque that is a derivative of the position agrees with it to this share, and one
-# that is a multiple of another torque to this.
+# Torques of several joints that are one multiple of their motion agree with it to
+# `GOOD_FIT`, and in the factor to this share; a single one equals it to that. A torque
+# that is a multiple of another one agrees to the second.
 SAME, COPY = 0.02, 5e-4
 
 # -- what a motion shows ---------------------------------------------------------------

@@ -221,9 +221,10 @@ def units(reading):
         if one is None:
             continue
         j = max(one.joints, key=lambda k: np.ptp(q[:, k]))
-        whole = len(one.joints) == np.count_nonzero(revolute)
-        given = f'give columns="q=q{{i}} [{short}]" with the names of your columns'
-        if not whole:
+        every = len(one.joints) == np.count_nonzero(revolute)
+        own = "q_{joint}" if reading.named else "q{i}"
+        given = f'give columns="q={own} [{short}]" with the names of your columns'
+        if reading.alone or not every:
             given = f"add the unit to their names in the header: 'q{j + 1} [{short}]'"
         facts = {"unit": unit, "given": given}
         facts |= {"name": reading.names[j], "low": q[:, j].min(), "high": q[:, j].max()}

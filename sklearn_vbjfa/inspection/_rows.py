@@ -562,23 +562,6 @@ def _copies(log):
                 log.report(f"copied_{what}", [k, j], "error", factor=factor, **facts)
 
 
-def _motion_as_torque(log):
-    """Find torques that are positions, velocities or accelerations."""
-    inner = [part for part in log.parts if part.stop - part.start > 2]
-    whole = [log.q[part] for part in inner]
-    y = np.concatenate([log.tau[part] for part in inner])
-    for what in ("positions", "velocities", "accelerations"):
-        x = np.concatenate(whole)
-        moves = (np.ptp(x, axis=0) > 0) & (np.ptp(y, axis=0) > 0)
-        size = np.maximum((x**2).mean(axis=0), 1e-300)
-        left = np.sqrt(((y - x) ** 2).mean(axis=0) / size)
-        if moves.any() and (left[moves] <= number.SAME).all():
-            every, share = range(len(log.names)), percent(left[moves].max())
-            log.report("motion_as_torque", every, "error", what=what, share=share)
-            return
-        whole = [np.gradient(piece, log.dt, axis=0) for piece in whole]
-
-
 # Each reports what it finds; later checks leave out samples that it marks.
 CHECKS = (
     _wraps,
@@ -589,5 +572,4 @@ CHECKS = (
     _torques,
     _positions,
     _copies,
-    _motion_as_torque,
 )

@@ -66,8 +66,8 @@ SENTENCES = {
     "to row {row}. Split the recording there (groups), or leave wrong samples out.",
     "copied_position": _COPIED,
     "copied_torque": _COPIED,
-    "motion_as_torque": "The torques are the {what} of the joints to {share}: the "
-    "wrong columns were taken. Give those of the torques (columns).",
+    "motion_as_torque": "The torques are the {what} of the joints times {factor:.3g}, "
+    "to {share}: the wrong columns were taken. Give those of the torques (columns).",
     # -- positions and time
     "position_degrees": _UNIT,
     "position_turns": _UNIT,
@@ -112,7 +112,8 @@ SENTENCES = {
     "torque_unit": "All torques together are {factor:.3g} ({low:.2g} to {high:.2g}) "
     "times what the described masses require: they are motor currents or in another "
     "unit than N m{inside}, or the described masses are wrong. Give the factor to N m "
-    '(gains={gain:.3g}){unknown}; if they are N m, use bodies="free".',
+    "(gains={gain:.3g}, times those given before){unknown}; if they are N m, use "
+    'bodies="free".',
     "torque_unit:limits": "The torques of {who} reach {most:.3g} times the limits of "
     "the description, in the median: they are in another unit than N m or N, or the "
     "limits are wrong. Give the factors to N m (gains), or correct the limits.",

@@ -255,6 +255,32 @@ def computed(reading):
     return Proposal(joints=reading.every, log_odds=np.inf, facts=facts)
 
 
+# -- motion in place of torques --------------------------------------------------------
+
+
+def of_motion(reading):
+    """Return torques that are positions, velocities or accelerations."""
+    if reading.signals is None:
+        return None
+    robot, nv, tau = reading.robot, reading.nv, reading.signals.tau
+    for k, what in enumerate(("positions", "velocities", "accelerations")):
+        motion, factors, left = reading.signals.states[:, k * nv :], [], []
+        for j in robot.joints:
+            x, y = (values[robot.rows[j], j] for values in (motion, tau))
+            x, y = x - x.mean(), y - y.mean()
+            factors.append(x @ y / (x @ x))
+            left.append(np.sqrt(np.mean((y - factors[-1] * x) ** 2) / np.mean(y**2)))
+        # A single rotor without friction has such a torque.
+        several = len(factors) > 1
+        factor = np.median(factors) if several else 1.0
+        apart = np.abs(np.array(factors) / factor - 1.0)
+        most = number.GOOD_FIT if several else number.SAME
+        if factors and apart.max() <= number.SAME and max(left) <= most:
+            facts = {"what": what, "factor": factor, "share": percent(max(left))}
+            return Proposal(joints=reading.every, log_odds=np.inf, facts=facts)
+    return None
+
+
 # -- torques without signs -------------------------------------------------------------
 
 

@@ -59,8 +59,10 @@ DONE = {
     "some weightless": ("no_gravity", (1, 2), lambda q, y, w: (
         q, y - w * [0, 1, 1, 0, 0, 0])),
     "positions": ("motion_as_torque", None, lambda q, y, w: (q, q)),
-    "velocities": ("motion_as_torque", None, lambda q, y, w: (
-        q, np.gradient(q, 0.005, axis=0))),
+    "noisy velocities, another unit": ("motion_as_torque", None, lambda q, y, w: (
+        q, np.random.default_rng(0).normal(50 * np.gradient(q, 0.005, axis=0), 1.0))),
+    "accelerations": ("motion_as_torque", None, lambda q, y, w: (
+        q, np.gradient(np.gradient(q, 0.005, axis=0), 0.005, axis=0))),
     "noise": ("silent_torque", (4,), lambda q, y, w: (
         q, where(y, EVERY, 4, np.random.default_rng(0).normal(0, 0.05, len(y))))),
     "never written": ("constant_torque", None, lambda q, y, w: (q, 1e-310 * y)),

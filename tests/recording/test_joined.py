@@ -185,10 +185,11 @@ def test_files_of_a_folder_that_are_no_tables_are_left_out_with_a_note(two, made
     (two / "README.txt").write_text("The arm of the lab\nrecorded on a cold day\n")
     (two / "config.json").write_text('{"kp": [20, 40], "robot": "arm"}')
     (two / "video.mp4").write_bytes(b"\0\1\2")
+    (two / "arm.md").write_text("gain: 3")
     recording, notes = read(two, made)
     assert_same(recording, made)
     (note,) = (x for x in notes if "no tables of numbers in" in x)
-    for name in ("README.txt", "config.json", "video.mp4"):
+    for name in ("README.txt", "config.json", "video.mp4", "arm.md"):
         assert name in note
 
 

@@ -39,6 +39,8 @@ _FEWEST = 10
 _NO_BRACKETS = bytes.maketrans(b"()[]", b"    ")
 # This line is the separator for Excel.
 _EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
+# Names of channels, not the words of a note.
+_HEADER = re.compile(r"[^\s;,|]+([\t ]*[;,|\t][\t ]*[^\s;,|]+)+")
 # A row of numbers some of which stand in brackets, as YARP prints its ports.
 _BRACKETED = re.compile(r"[-+\d.eE\s,;]*[(\[][-+\d.eE\s,;()\[\]]*")
 
@@ -55,7 +57,8 @@ def read_text(path, content) -> Table:
         except RecordingRefused as error:
             rows = (re.split(r"[;,|\s]+", line) for line in filled)
             # A log with a header alone is one.
-            if len(filled) < 2 or any(map(_is_data, rows)):
+            header = len(filled) == 1 and _HEADER.fullmatch(filled[0])
+            if header or any(map(_is_data, rows)):
                 raise
             raise NotATable(error.reason) from error
 

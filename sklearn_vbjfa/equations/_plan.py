@@ -281,21 +281,19 @@ class MotionFacts:
     period: np.ndarray | None = None
 
     @classmethod
-    def of(cls, positions, velocities, keep):
+    def of(cls, positions, velocities, keep, n_jobs=None):
         """Statistics of the positions and velocities (n, nv) of one recording."""
         # `keep` is `n_fastest` of all recordings together.
-        # The samples of a signal are next to each other.
-        velocities = np.asfortranarray(velocities)
-        n, fastest = positions.shape[0], _largest(velocities, keep)
-        slow = STANDSTILL_SHARE * _top_quantile(fastest, n)
+        joints = in_parallel(_speeds, ((v, keep) for v in velocities.T), n_jobs)
+        fastest, slow = map(np.transpose, zip(*joints))
         lowest, highest = positions.min(axis=0), positions.max(axis=0)
         return cls(
-            n=n,
+            n=positions.shape[0],
             lowest=lowest,
             highest=highest,
             travel=highest - lowest,
             fastest=fastest,
-            slow=np.transpose([_slow(v, x) for v, x in zip(velocities.T, slow)]),
+            slow=slow,
         )
 
     def merge(self, other, keep):
@@ -329,7 +327,6 @@ def _fastest_period(facts, accelerations):
     """Return periods (nv,) [s] of sines of the joints' top speed and acceleration."""
     # That is 2 pi times top speed over top acceleration (n, nv); zero without.
     fast = facts.fast()
-    accelerations = np.asfortranarray(accelerations)
     strong = _top_quantile(_largest(accelerations, n_fastest(facts.n)), facts.n)
     out = np.zeros_like(fast)
     return np.divide(2 * np.pi * fast, strong, out=out, where=strong > 0)
@@ -345,7 +342,9 @@ def observe(recording, estimator, halves, n_jobs):
     whole = states.own[0] if len(states.own) == 1 else np.concatenate(states.own)
     q, v, a = np.split(whole, 3, axis=1)
     keep = n_fastest(whole.shape[0])
-    every = [MotionFacts.of(q[part], v[part], keep) for part in recording.segments]
+    every = [
+        MotionFacts.of(q[part], v[part], keep, n_jobs) for part in recording.segments
+    ]
     facts = reduce(lambda one, other: one.merge(other, keep), every)
     return states, replace(facts, period=_fastest_period(facts, a))
 
@@ -374,6 +373,14 @@ def smooth_with_facts(x, start, estimator, halves, keep):
     return states, both, MotionFacts.of(positions, speeds, keep)
 
 
+def _speeds(v, keep):
+    """Return the fastest speeds of a joint (n,), and how often it is slow and stops."""
+    v = np.ascontiguousarray(v)
+    fastest = _largest_of(v, keep)
+    limit = STANDSTILL_SHARE * _top_quantile(fastest[:, None], v.size)[0]
+    return fastest, _slow(v, limit)
+
+
 def _slow(v, limit):
     """Count how often a joint is slow between faster motion, and how often it stops."""
     # v (n,); limit: speed at standstill. v is linear between samples.
@@ -395,12 +402,13 @@ def _slow(v, limit):
 
 def _largest(values, keep):
     """Largest sizes of values (n, k), at most `keep` of each column, in any order."""
-    if values.shape[0] <= keep:
-        return np.abs(values)
-    return np.transpose([_largest_of(np.abs(x), keep) for x in values.T])
+    return np.transpose([_largest_of(x, keep) for x in values.T])
 
 
-def _largest_of(sizes, keep):
+def _largest_of(values, keep):
+    sizes = np.abs(values)
+    if sizes.size <= keep:
+        return sizes
     # A tenth of them shows from which size on there are about twice as many.
     some = sizes[::10]
     place = max(some.size - keep // 5 - 2, 0)

@@ -106,10 +106,15 @@ def shuffled_rows(names, q, parts):
     n = int(sizes.sum()) - len(pieces)
     if n < number.SHORT_RUN:
         return []
-    square, later = (
-        sum(((x[k:] - x[:-k]) ** 2).sum(axis=0) for x in pieces) / n for k in (1, 2)
-    )
-    variance = sizes @ np.array([x.var(axis=0) for x in pieces]) / sizes.sum()
+
+    def change(k):
+        """Mean squared change (nv,) in k rows, one signal at a time."""
+        each = [[np.square(y[k:] - y[:-k]).sum() for y in x.T] for x in pieces]
+        return np.sum(each, axis=0) / n
+
+    square, later = change(1), change(2)
+    each = [[y.var() for y in x.T] for x in pieces]
+    variance = sizes @ np.array(each) / sizes.sum()
     moves = variance > number.LEAST_MOTION**2
     least = (square[moves] / (2 * variance[moves])).min(initial=np.inf)
     # Rows of two robots in turn resemble the row before the last one.

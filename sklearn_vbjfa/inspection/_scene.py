@@ -61,6 +61,8 @@ def weightless(reading):
         return None
     heavy = np.abs(robot.weight[:, lost]).max()
     facts = {"share": share, "error": error, "heavy": heavy, "other": ""}
+    some = abs(share) > max(2 * error, number.GOOD_FIT)
+    facts["part"] = "only a part of the weight" if some else "no weight"
     if len(loaded) == 1:
         facts["other"] = " Or a spring balances it, or the base is mounted otherwise."
     return Proposal(

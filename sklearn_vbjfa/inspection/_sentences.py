@@ -133,7 +133,7 @@ SENTENCES = {
     "unsigned_torque": "The torques of {who} have one sign only, and signs that change "
     "explain them better, as of unsigned currents. Give "
     "drive=CurrentDrive(signed=False), which finds the signs.",
-    "no_gravity": "The torques contain no weight of the links: the factor of gravity "
+    "no_gravity": "The torques contain {part} of the links: the factor of gravity "
     "is {share:.2f} ± {error:.2f} (described weight: up to {heavy:.3g} N m on "
     "{who}).{other} Log the torques before the controller subtracts gravity.",
     "no_gravity:joints": "The torques of {who} contain no weight of the links "

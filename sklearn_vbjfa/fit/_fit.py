@@ -399,7 +399,8 @@ def iterate_corrections(recipe, fit, source, relative):
     held = [one.values for one in robot.effects_ if isinstance(one, InModel)]
     theta[own] = unconstrained[own] = np.concatenate(held)
     covariance_of_all = found.covariance
-    if not _of_bodies(robot):
+    # Both were estimated beside the same bodies.
+    if found.bodies is None or not _of_bodies(robot):
         std, covariance_of_all = values.beside(std, covariance_of_all)
     std[own] = values.std
     gains = None

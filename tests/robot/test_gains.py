@@ -47,9 +47,9 @@ def relative(gains, found):
 
 def test_gains_are_those_of_nonlinear_least_squares():
     tau = torques()
-    found = fit(
-        tau, options=FitOptions(standstill=None, joint_weights=None), input_noise=None
-    ).gains_
+    options = FitOptions(standstill=None, joint_weights=None)
+    robot = fit(tau, options=options, input_noise=None)
+    found = robot.gains_
     (first,) = found.references
     # Base parameters by a singular value decomposition.
     Phi = literal_regressor(ARM, [], STATES)
@@ -71,6 +71,11 @@ def test_gains_are_those_of_nonlinear_least_squares():
     std = np.sqrt(np.diagonal(covariance))[: NV - 1]
     assert np.all(np.abs(found.gain[others] - best.x[: NV - 1]) < 0.12 * std)
     assert_allclose(found.std[others], std, rtol=0.5)
+    # What the gains leave unknown of friction is in its deviation.
+    viscous = [k for k, x in enumerate(robot.parameter_names_) if x.endswith("viscous")]
+    within = base.T[viscous] @ covariance[NV - 1 :, NV - 1 :] @ base[:, viscous]
+    std = np.sqrt(np.diagonal(within))
+    assert_allclose(robot.theta_std_[viscous], std, rtol=0.6)
     assert_allclose(found.gain[first], 1.0)
     assert found.std[first] == 0.0
     assert not found.hidden

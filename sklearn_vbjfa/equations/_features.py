@@ -45,7 +45,7 @@ class Follower(OnAllJoints):
     formula = r"A^{\mathsf T}\Phi_f(Aq + b, A\dot q, A\ddot q)\,\pi_f"
     coefficients = INERTIAL_NAMES
     units = (_MASS,) + (_MOMENT,) * 3 + (_INERTIA,) * 6
-    files = InFiles(urdf="", mjcf="")
+    files = InFiles(urdf="", mjcf="", simulation="only its leader is simulated")
 
     def __init__(self, joint=0, of="", chain=(), gravity=(0.0, 0.0, -9.81)):
         super().__init__(joint)

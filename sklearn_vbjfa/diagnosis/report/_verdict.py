@@ -193,7 +193,8 @@ def _uses(outcome, status, joints):
     large = [own.joint for own in outcome.errors if own.after > _LARGE]
     effects = (*outcome.findings["effects"], *outcome.findings["possible"])
     library = outcome.robot["library"]
-    hidden = sorted({e.joint for e in effects if library[e.name].files.simulation})
+    hidden = {e.joint for e in effects if library[e.name].files.simulation}
+    hidden = sorted(hidden.union(outcome.robot["unfollowed"]))
     found = []
     for name, forbidden in (
         ("feedforward", _UNTRUSTED),

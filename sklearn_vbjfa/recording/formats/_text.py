@@ -56,7 +56,6 @@ def read_text(path, content) -> Table:
             return _read_lines(path, content, notes)
         except RecordingRefused as error:
             rows = (re.split(r"[;,|\s]+", line) for line in filled)
-            # A log with a header alone is one.
             header = len(filled) == 1 and _HEADER.fullmatch(filled[0])
             if header or any(map(_is_data, rows)):
                 raise

@@ -122,7 +122,7 @@ class Plan:
     def applied(self, recording):
         if self.lag:
             recording = with_torques_shifted(recording, self.lag)
-        return replace(recording, tau=recording.torques(self.delay))
+        return replace(recording, tau=bridged(recording.torques(self.delay), recording))
 
     @property
     def timed(self):
@@ -210,6 +210,18 @@ def corrects_noise(regressor):
 
 
 # -- effects ---------------------------------------------------------------------------
+
+
+def bridged(tau, recording):
+    """Torques (n, nv) with straight lines where the weight is zero, for filters."""
+    if recording.weight is None or (recording.weight > 0).all():
+        return tau
+    tau, rows = tau.copy(), np.arange(len(tau))
+    for part in recording.segments:
+        for y, own in zip(tau[part].T, recording.weight[part].T > 0):
+            if own.any():
+                y[:] = np.interp(rows[part], rows[part][own], y[own])
+    return tau
 
 
 def check_effects(effects, nv):

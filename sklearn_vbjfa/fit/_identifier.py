@@ -18,6 +18,7 @@ from sklearn_vbjfa.equations._features import (
     with_followers,
 )
 from sklearn_vbjfa.equations._plan import (
+    bridged,
     check_channels,
     check_drive,
     check_effects,
@@ -264,7 +265,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             across their boundaries.
         sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
                 default=None
-            Weights; zero leaves a sample (of one joint) out.
+            Weights; zero leaves a torque (of one joint) out, not its position.
         t : array-like of shape (n_samples,), default=None
             Time stamps [s], consistent with `dt` within each recording. They may
             restart with each recording, unless effects vary with time. None counts
@@ -337,7 +338,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return inspect_channels(
             self.model,
             recording.q,
-            recording.tau,
+            bridged(recording.tau, recording),
             recording.dt,
             np.asarray(recording.group_names)[recording.groups],
             drive=self.drive,

@@ -114,12 +114,12 @@ def test_cross_validation_of_the_identifier(recording, weight, routing):
     robot = identifier(recording)
     robot.set_fit_request(groups=True, sample_weight=True, t=True)
     robot.set_score_request(groups=True, sample_weight=True, t=True)
-    # one clock over all recordings, in which their order is kept
+    # one clock over all recordings; torques of no weight have no effect
     t = recording.t + 10.0 * recording.groups
     result = cross_validate(
         robot,
         recording.q,
-        recording.tau,
+        recording.tau + 50.0 * (weight == 0)[:, None],
         params={"groups": recording.groups, "sample_weight": weight, "t": t},
         cv=FOLDS,
         error_score="raise",

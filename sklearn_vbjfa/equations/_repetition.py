@@ -91,7 +91,7 @@ def _speeds(q, t, step):
         return np.zeros((0, q.shape[1]))
     # All joints at once, of a few of many rows.
     edges = np.arange(t[0], t[-1], step)
-    rows = np.searchsorted(t, edges, side="right") - 1
+    rows = np.searchsorted(t[1:-1], edges, side="right")
     share = (edges - t[rows]) / (t[rows + 1] - t[rows])
     return np.diff(q[rows] + share[:, None] * (q[rows + 1] - q[rows]), axis=0) / step
 

@@ -49,7 +49,7 @@ class RecordingRefused(ValueError):
 
 
 class NotATable(RecordingRefused):
-    """A file that holds no table of numbers at all, such as a text, or no rows."""
+    """A file that holds no table of numbers at all, such as a text to be read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +146,7 @@ def check_size(path, size):
 def no_rows(path):
     """Return the refusal of a file without data."""
     what = "is empty, no rows of data; expected one per sample"
-    return NotATable(f"{path}: {what}")
+    return RecordingRefused(f"{path}: {what}")
 
 
 def check_names(path, names, what):

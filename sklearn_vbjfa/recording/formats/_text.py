@@ -57,7 +57,7 @@ def read_text(path, content) -> Table:
         except RecordingRefused as error:
             rows = (re.split(r"[;,|\s]+", line) for line in filled)
             header = len(filled) == 1 and _HEADER.fullmatch(filled[0])
-            if header or any(map(_is_data, rows)):
+            if not content or header or any(map(_is_data, rows)):
                 raise
             raise NotATable(error.reason) from error
 

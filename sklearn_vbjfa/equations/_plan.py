@@ -354,9 +354,7 @@ def observe(recording, estimator, halves, n_jobs):
     whole = states.own[0] if len(states.own) == 1 else np.concatenate(states.own)
     q, v, a = np.split(whole, 3, axis=1)
     keep = n_fastest(whole.shape[0])
-    every = [
-        MotionFacts.of(q[part], v[part], keep, n_jobs) for part in recording.segments
-    ]
+    every = [MotionFacts.of(q[x], v[x], keep, n_jobs) for x in recording.segments]
     facts = reduce(lambda one, other: one.merge(other, keep), every)
     return states, replace(facts, period=_fastest_period(facts, a))
 

@@ -89,7 +89,6 @@ def _speeds(q, t, step):
     """Return mean velocities (m, nv) in intervals of a length."""
     if len(q) < 2:
         return np.zeros((0, q.shape[1]))
-    # All joints at once, of a few of many rows.
     edges = np.arange(t[0], t[-1], step)
     rows = np.searchsorted(t[1:-1], edges, side="right")
     share = (edges - t[rows]) / (t[rows + 1] - t[rows])

@@ -95,20 +95,14 @@ def checked_arrays(estimator, names, X, y):
 
 def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
     """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
-    X, y, columns = checked_arrays(identifier, identifier.joint_names_, X, y)
-    channels = {}
+    names, dt, channels = identifier.joint_names_, identifier.dt, {}
+    X, y, columns = checked_arrays(identifier, names, X, y)
     if identifier.drive is not None:
         channels, signals = identifier.drive.taken(y, signals)
     used = signals_for(identifier.effects_, signals, columns, X.shape[0])
+    weight = check_weight(sample_weight, y.shape)
     recording = take_arrays(
-        X,
-        y,
-        groups,
-        check_weight(sample_weight, y.shape),
-        t,
-        dt=identifier.dt,
-        joint_names=identifier.joint_names_,
-        signals=used,
+        X, y, groups, weight, t, dt=dt, joint_names=names, signals=used
     )
     _check_rows(identifier, recording)
     check_useful(signals, recording)

@@ -113,8 +113,7 @@ def shuffled_rows(names, q, parts):
         return np.sum(each, axis=0) / n
 
     square, later = change(1), change(2)
-    each = [[y.var() for y in x.T] for x in pieces]
-    variance = sizes @ np.array(each) / sizes.sum()
+    variance = sizes @ [[y.var() for y in x.T] for x in pieces] / sizes.sum()
     moves = variance > number.LEAST_MOTION**2
     least = (square[moves] / (2 * variance[moves])).min(initial=np.inf)
     # Rows of two robots in turn resemble the row before the last one.

@@ -267,9 +267,9 @@ def of_motion(reading):
         motion, factors, left = reading.signals.states[:, k * nv :], [], []
         for j in robot.joints:
             x, y = (values[robot.rows[j], j] for values in (motion, tau))
-            x, y = x - x.mean(), y - y.mean()
-            factors.append(x @ y / (x @ x))
-            left.append(np.sqrt(np.mean((y - factors[-1] * x) ** 2) / np.mean(y**2)))
+            alike = np.corrcoef(x, y)[0, 1]
+            factors.append(alike * y.std() / x.std())
+            left.append(np.sqrt(1.0 - min(alike**2, 1.0)))
         # A single rotor without friction has such a torque.
         several = len(factors) > 1
         factor = np.median(factors) if several else 1.0

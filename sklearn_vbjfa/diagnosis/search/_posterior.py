@@ -167,13 +167,9 @@ def search(view, library, settings, alpha, max_effects=None):
         warning = _warning(fit, member, evidence, needed, path)
         if not warning and i not in worthwhile:
             warning = SMALL
+        effect = member.effect.completed(motion)
         findings.append(
-            Finding(
-                effect=member.effect.completed(motion),
-                evidence=evidence,
-                rivals=rivals,
-                warning=warning,
-            )
+            Finding(effect=effect, evidence=evidence, rivals=rivals, warning=warning)
         )
     return Found(
         findings=in_order(findings),

@@ -212,18 +212,6 @@ def corrects_noise(regressor):
 # -- effects ---------------------------------------------------------------------------
 
 
-def bridged(tau, recording):
-    """Torques (n, nv) with straight lines where the weight is zero, for filters."""
-    if recording.weight is None or (recording.weight > 0).all():
-        return tau
-    tau, rows = tau.copy(), np.arange(len(tau))
-    for part in recording.segments:
-        for y, own in zip(tau[part].T, recording.weight[part].T > 0):
-            if own.any():
-                y[:] = np.interp(rows[part], rows[part][own], y[own])
-    return tau
-
-
 def check_effects(effects, nv):
     """Return the effects as a tuple of instances, rejecting invalid ones."""
     if isinstance(effects, (str, Effect)):
@@ -268,6 +256,18 @@ def effect_places(effects, first):
 
 
 # -- statistics of recordings ----------------------------------------------------------
+
+
+def bridged(tau, recording):
+    """Torques (n, nv) with straight lines where the weight is zero, for filters."""
+    if recording.weight is None or (recording.weight > 0).all():
+        return tau
+    tau, rows = tau.copy(), np.arange(len(tau))
+    for part in recording.segments:
+        for y, own in zip(tau[part].T, recording.weight[part].T > 0):
+            if own.any():
+                y[:] = np.interp(rows[part], rows[part][own], y[own])
+    return tau
 
 
 def n_fastest(n):

@@ -397,7 +397,7 @@ def _labels(table, layout):
     columns = [role.column for role in layout.of("segment")]
     if not columns:
         return None
-    for other in columns:
+    for other in columns[1:]:
         refuse_two(table, columns[0], other)
     labels = table.values(columns[0])
     return table.numbers(columns[0]) if labels.dtype.kind == "f" else labels

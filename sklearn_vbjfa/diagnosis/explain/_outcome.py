@@ -261,7 +261,7 @@ def _robot(loop, search, identifier, whole):
         "common_size": identifier.common_size_,
         "library": {effect.name: effect for effect in library},
         # joints with declared effects that a simulation goes without
-        "unfollowed": [x.joint for x in robot.effects_ if x.files.simulation],
+        "unsimulated": [x.joint for x in robot.effects_ if x.files.simulation],
     }
 
 

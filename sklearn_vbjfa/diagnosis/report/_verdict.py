@@ -194,7 +194,7 @@ def _uses(outcome, status, joints):
     effects = (*outcome.findings["effects"], *outcome.findings["possible"])
     library = outcome.robot["library"]
     hidden = {e.joint for e in effects if library[e.name].files.simulation}
-    hidden = sorted(hidden.union(outcome.robot["unfollowed"]))
+    hidden = sorted(hidden.union(outcome.robot["unsimulated"]))
     found = []
     for name, forbidden in (
         ("feedforward", _UNTRUSTED),

@@ -148,7 +148,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         "corrections": (),
         "common_size": 1.0,
         "library": {e.name: e for e in (*resolve("all"), MyOwnEffect())},
-        "unfollowed": [],
+        "unsimulated": [],
     }
     provenance = {
         "recordings": ("1",),

@@ -83,10 +83,9 @@ def load_model(model, base_orientation=None):
     -----
     UserWarning
         If something in the file does not enter the model: a body without mass or with
-        an inertia that no solid body has is completed by a ball (see `solid_bodies`),
-        springs, damping, friction and tendons of an MJCF file are ignored, and a joint
-        that follows another one and carries joints that do not counts as a separate
-        joint. Bodies that other mimic joints move are fixed at the pose where their
+        an inertia that no solid body has is taken for the nearest solid one, springs,
+        damping, friction and tendons of an MJCF file are ignored, and a joint that
+        follows another one and carries joints that do not counts as a separate joint. Bodies that other mimic joints move are fixed at the pose where their
         leaders are at zero. A base that is held is named with its orientation.
 
     See Also
@@ -248,8 +247,8 @@ def _left_out(mimics, model):
     if wrong:
         found.append(
             f"the body of {', '.join(wrong)} has no mass, or an inertia that no solid "
-            "body can have; where the recording does not determine it, a ball of the "
-            "described mass is used (correct the inertial element of its link)"
+            "body can have; where the recording does not determine it, the nearest "
+            "solid body is used (correct the inertial element of its link)"
         )
     return found
 

@@ -21,8 +21,8 @@ _SOLID = 1e-6
 _LONGEST = 50.0
 # Beyond this a position limit stands for none, and what is looked at of a slide [m].
 _NO_LIMIT, _SLIDE = 1e6, 1.0
-# Radius of the ball that a mass without extension is, over the largest distance between
-# joints.
+# Radius of the ball without whose extension no body is, over the largest distance
+# between joints.
 _BALL = 0.1
 # Sine of the angle from the vertical below which a base is called level.
 _LEVEL = 1e-6
@@ -114,14 +114,20 @@ def solid_bodies(bodies, least=_SOLID):
 
 
 def with_extension(model):
-    """Give masses without any extension that of a small ball."""
+    """Give bodies that no solid body is at least the extension of a small ball."""
     size = [np.linalg.norm(place.translation) for place in model.jointPlacements[1:]]
-    radius = _BALL * (max(size, default=0.0) or 1.0)
+    least = 0.2 * (_BALL * (max(size, default=0.0) or 1.0)) ** 2
     pin = import_pinocchio()
-    for k, body in enumerate(model.inertias):
-        if k and body.mass > 0 and not body.inertia.any():
-            ball = 0.4 * body.mass * radius**2 * np.eye(3)
-            model.inertias[k] = pin.Inertia(body.mass, body.lever, ball)
+    bodies = nominal_parameters(model)
+    thin = (bodies[:, 0] > 0) & ~solid_bodies(bodies)
+    for k in (np.flatnonzero(thin) + 1).tolist():
+        body = model.inertias[k]
+        # Second moments of the mass about its centre, along their principal axes.
+        second = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
+        moment, axes = np.linalg.eigh(second)
+        second = (axes * np.maximum(moment, least * body.mass)) @ axes.T
+        rounder = np.trace(second) * np.eye(3) - second
+        model.inertias[k] = pin.Inertia(body.mass, body.lever, rounder)
     return model
 
 

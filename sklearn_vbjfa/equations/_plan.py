@@ -25,6 +25,7 @@ from sklearn_vbjfa.inspection import finding
 from sklearn_vbjfa.model import DoubtWarning, is_prismatic, joint_names
 from sklearn_vbjfa.recording import (
     Drive,
+    bridged,
     check_clock,
     check_cutoff,
     check_dt,
@@ -120,9 +121,8 @@ class Plan:
         return found[0] if found else None
 
     def applied(self, recording):
-        if self.lag:
-            recording = with_torques_shifted(recording, self.lag)
-        return replace(recording, tau=bridged(recording.torques(self.delay), recording))
+        recording = bridged(replace(recording, tau=recording.torques(self.delay)))
+        return with_torques_shifted(recording, self.lag) if self.lag else recording
 
     @property
     def timed(self):
@@ -256,18 +256,6 @@ def effect_places(effects, first):
 
 
 # -- statistics of recordings ----------------------------------------------------------
-
-
-def bridged(tau, recording):
-    """Torques (n, nv) with straight lines where the weight is zero, for filters."""
-    if recording.weight is None or (recording.weight > 0).all():
-        return tau
-    tau, rows = tau.copy(), np.arange(len(tau))
-    for part in recording.segments:
-        for y, own in zip(tau[part].T, recording.weight[part].T > 0):
-            if own.any():
-                y[:] = np.interp(rows[part], rows[part][own], y[own])
-    return tau
 
 
 def n_fastest(n):

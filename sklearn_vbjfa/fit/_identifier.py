@@ -18,7 +18,6 @@ from sklearn_vbjfa.equations._features import (
     with_followers,
 )
 from sklearn_vbjfa.equations._plan import (
-    bridged,
     check_channels,
     check_drive,
     check_effects,
@@ -44,7 +43,7 @@ from sklearn_vbjfa.fit._signs import with_signs
 from sklearn_vbjfa.inspection import common_lag, contradicted, inspect_channels
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
-from sklearn_vbjfa.recording import PDDrive, check_dt, torques_in_order
+from sklearn_vbjfa.recording import PDDrive, bridged, check_dt, torques_in_order
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 
 
@@ -338,7 +337,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return inspect_channels(
             self.model,
             recording.q,
-            bridged(recording.tau, recording),
+            bridged(recording).tau,
             recording.dt,
             np.asarray(recording.group_names)[recording.groups],
             drive=self.drive,

@@ -85,8 +85,9 @@ def load_model(model, base_orientation=None):
         If something in the file does not enter the model: a body without mass or with
         an inertia that no solid body has is taken for the nearest solid one, springs,
         damping, friction and tendons of an MJCF file are ignored, and a joint that
-        follows another one and carries joints that do not counts as a separate joint. Bodies that other mimic joints move are fixed at the pose where their
-        leaders are at zero. A base that is held is named with its orientation.
+        follows another one and carries joints that do not counts as a separate joint.
+        Bodies that other mimic joints move are fixed at the pose where their leaders
+        are at zero. A base that is held is named with its orientation.
 
     See Also
     --------

@@ -29,6 +29,7 @@ _MODULES = {
     "_reader": ("common_folder", "read_recording"),
     "_recording": (
         "Recording",
+        "bridged",
         "check_clock",
         "check_cutoff",
         "check_dt",

@@ -307,16 +307,31 @@ class Recording:
         return build_model(self.name, self.urdf, self.joint_names)
 
 
+def bridged(recording):
+    """Return it with straight lines for torques without weight, as filters need."""
+    if recording.weight is None or (recording.weight > 0).all():
+        return recording
+    tau, rows = recording.tau.copy(), np.arange(recording.n_samples)
+    for part in recording.segments:
+        for y, own in zip(tau[part].T, recording.weight[part].T > 0):
+            if own.any():
+                y[:] = np.interp(rows[part], rows[part][own], y[own])
+    return replace(recording, tau=tau)
+
+
 def with_torques_shifted(recording, lag):
     """Return a recording whose torques are read later by a lag [s]."""
     # Torques between rows are interpolated; rows at the ends of recordings whose
-    # torques lie outside have no weight.
-    parts, weight = recording.segments, recording.weight
-    tau = interpolate(recording.tau, parts, recording.clock, -lag)
-    weight = np.ones(tau.shape) if weight is None else weight.copy()
+    # torques lie outside have no weight, others the least of their two neighbours'.
+    parts, given = recording.segments, recording.weight
+    tau = interpolate(bridged(recording).tau, parts, recording.clock, -lag)
+    given = np.ones(tau.shape) if given is None else given
+    weight = np.zeros(tau.shape)
     for part in parts:
         at = np.arange(part.stop - part.start) + lag / recording.dt
-        weight[part][(at < 0) | (at > at.size - 1)] = 0.0
+        inside = (at >= 0) & (at <= at.size - 1)
+        near = (way(at[inside]).astype(int) for way in (np.floor, np.ceil))
+        weight[part][inside] = np.minimum(*(given[part][rows] for rows in near))
     return replace(recording, tau=tau, weight=weight)
 
 

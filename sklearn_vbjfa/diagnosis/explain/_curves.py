@@ -25,18 +25,18 @@ def residual_curves(after, dt, joints):
         if rows.size < _FEWEST:
             continue
         residual, shown = after.residual[:, j], rows[:: -(-rows.size // _DOTS)]
-        # On an even grid, with zeros where nothing counts and as many behind.
-        line = np.zeros(2 ** int(np.ceil(np.log2(2 * (index[-1] // step + 1)))))
+        # On an even grid, with zeros where nothing counts.
+        line = np.zeros(index[-1] // step + 1)
         line[index[rows] // step] = residual[rows]
-        power = np.fft.irfft(np.abs(np.fft.rfft(line)) ** 2)
         lags = np.arange(min(_LAGS, rows.size))
+        power = np.array([line[: line.size - k] @ line[k:] for k in lags])
         found.append(
             SimpleNamespace(
                 joint=j,
                 predicted=after.predicted[shown, j],
                 residual=residual[shown],
                 lags=lags * step * dt,
-                correlation=power[lags] / (power[0] or 1.0),
+                correlation=power / (power[0] or 1.0),
                 chance=1.645 / np.sqrt(rows.size),
             )
         )
@@ -79,9 +79,9 @@ def _extremes(values):
     # Rows that are nan, which interrupt it, are among them.
     if values.size <= 2 * _INTERVALS:
         return np.arange(values.size)
-    missing, rows = np.isnan(values), []
+    rows = np.flatnonzero(np.isnan(values)).tolist()
     for own in np.array_split(np.arange(values.size), _INTERVALS):
-        known = own[~missing[own]]
+        known = own[~np.isnan(values[own])]
         if known.size:
             rows += [known[np.argmin(values[known])], known[np.argmax(values[known])]]
-    return np.union1d(rows, np.flatnonzero(missing)).astype(int)
+    return np.unique(rows)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import special
 
+from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.diagnosis.explain._curves import residual_curves, torque_curves
 from sklearn_vbjfa.diagnosis.explain._gaps import memory_seconds
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
@@ -33,27 +34,28 @@ def judge(loop, found, split, near, whole):
     kept, guard = _held_out(found, split, whole)
     used, seen = view.root.any(axis=0), len(view.states)
 
-    def residuals(part, rows):
+    fitted = plain.robot_.residuals_of(split.searched(whole), predicts=False)
+    # A joint whose channel carries no information counts nowhere.
+    fitted = replace(fitted, weight=fitted.weight * used)
+    part = kept.held_out(whole)
+    spread = torque_spread(fitted, declared.robot_.residuals_of(part, predicts=False))
+
+    def residuals(part, rows, used=1.0):
         """Residuals of each model on some rows of the whole recording."""
         every = dict.fromkeys((declared, plain, completed))
         found = {one: one.robot_.residuals_of(part) for one in every}
-        return {one: replace(x, index=rows[x.index]) for one, x in found.items()}
+        # The same rows for all models: at rest the torque of a joint is predicted as
+        # well where its friction has a memory.
+        weight = found[completed].weight * used
+        return {
+            one: replace(x, index=rows[x.index], weight=weight)
+            for one, x in found.items()
+        }
 
-    held_out = residuals(kept.held_out(whole), kept.held_out_rows)
-    searched = residuals(near.searched(whole), near.rows)
-    fitted = searched[plain]
-    if near is not split:
-        fitted = plain.robot_.residuals_of(split.searched(whole), predicts=False)
-    # A joint whose channel carries no information counts nowhere.
-    fitted = replace(fitted, weight=fitted.weight * used)
-    spread = torque_spread(fitted, held_out[declared])
-    # The same rows for all models: at rest the torque of a joint is predicted as well
-    # where its friction has a memory.
-    weight = held_out[completed].weight
-    known = searched[completed].weight * used
-    held_out = {one: replace(x, weight=weight) for one, x in held_out.items()}
-    searched = {one: replace(x, weight=known) for one, x in searched.items()}
+    held_out = residuals(part, kept.held_out_rows)
+    searched = residuals(near.searched(whole), near.rows, used)
     before, after = held_out[declared], held_out[completed]
+    weight = after.weight
 
     def intervals(model):
         pairs = ((x[model], x[completed]) for x in (held_out, searched))
@@ -98,9 +100,8 @@ def judge(loop, found, split, near, whole):
 
 def _held_out(found, split, whole):
     """Return the split with what is judged of the stretches, and the guard in rows."""
-    memory = max(memory_seconds(found), default=0.0)
     # No guard is long enough for a memory without end.
-    guard = int(min(memory / whole.dt, whole.n_samples))
+    guard = int(min(memory_seconds(found) / whole.dt, whole.n_samples))
     instants = [one.instant for one in found.effects if isinstance(one, Sudden)]
     return split.decided(whole.t, instants).guarded(guard), guard
 
@@ -130,10 +131,8 @@ def error_intervals(held_out, searched, spread, step):
     cosines = np.sqrt(2.0 / m) * np.cos(np.pi * waves / m)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # Of the logarithm of each error, about its mean over the rows that count.
-        own = [
-            0.5 * (_shares(weight, in_time("residual", k), total) - weight)
-            for k in (0, 1)
-        ]
+        squares = [weight * in_time("residual", k) ** 2 for k in (0, 1)]
+        own = [0.5 * (x / or_one(x.sum(axis=0) / total) - weight) for x in squares]
         # The variance of a mean over rows that count as in the whole recording.
         rows = held_out[0].weight
         reach = len(rows) / rows.sum(axis=0) ** 2
@@ -151,10 +150,3 @@ def error_intervals(held_out, searched, spread, step):
             - before
             + ends * half(after * own[1] - before * own[0]),
         }
-
-
-def _shares(weight, values, total):
-    """Weighted squares over their mean; zero where all are."""
-    squares = weight * values**2
-    mean = squares.sum(axis=0) / total
-    return np.where(mean > 0, squares / np.where(mean > 0, mean, 1.0), 0.0)

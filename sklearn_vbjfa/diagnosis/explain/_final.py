@@ -8,7 +8,12 @@ import numpy as np
 from scipy import special
 from sklearn.base import clone
 
-from sklearn_vbjfa._core._linear_systems import block_variance, branches, scaled_eigen
+from sklearn_vbjfa._core._linear_systems import (
+    block_variance,
+    branches,
+    or_one,
+    scaled_eigen,
+)
 from sklearn_vbjfa.effects import Bank, Shaped
 from sklearn_vbjfa.equations._equations import held_columns
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
@@ -143,8 +148,7 @@ class FinalFit:
         theta = robot.theta_ if bounded else robot.theta_unconstrained_
         residual = (view.equations.tau - self.predicted(theta)) * view.root
         count, squares = view.equations.weight.sum(axis=0), (residual**2).sum(axis=0)
-        used = (count > 0) & (squares > 0)
-        factor = np.sqrt(np.where(used, count / np.where(used, squares, 1.0), 0.0))
+        factor = np.sqrt(np.where(squares > 0, count / or_one(squares), 0.0))
         return residual * factor, factor
 
     def _branches(self, extra, factor):
@@ -161,17 +165,17 @@ class FinalFit:
     def _variance(self, extra):
         """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""
         residual, factor = self._scaled_residual()
-        blocks, places = zip(*_blocks(self.view))
+        places, label = _blocks(self.view)
         parts, n = [], self.view.Z.shape[2] + extra.shape[2]
-        scores = np.zeros((len(blocks), n))
+        scores = np.zeros((len(places), n))
         for joints, columns, rows in self._branches(extra, factor):
-            grams = np.zeros((len(blocks), columns.size, columns.size))
-            for k, block in enumerate(blocks):
-                own = rows[block].reshape(-1, columns.size)
+            grams = np.zeros((len(places), columns.size, columns.size))
+            for k in range(len(places)):
+                own = rows[label == k].reshape(-1, columns.size)
                 grams[k] = own.T @ own
-                scores[k, columns] = residual[block][:, joints].ravel() @ own
+                scores[k, columns] = residual[label == k][:, joints].ravel() @ own
             parts.append((columns, grams))
-        return block_variance(parts, scores, np.array(places))
+        return block_variance(parts, scores, places)
 
     def _forms(self, i, covariance):
         """Probabilities and parameters of other forms of an effect of one column."""
@@ -220,14 +224,12 @@ class FinalFit:
 
 
 def _blocks(view):
-    """Yield the rows of each block of a view and its place, see `BlockAssignment`."""
-    edges = [*view.starts.tolist(), view.index.size]
+    """Places of the blocks of a view, see `BlockAssignment`, and the block of a row."""
+    lengths = np.diff([*view.starts, view.index.size]).tolist()
     phases = view.phases and (view.phases[0], view.phases[1] / view.step)
-    numbering = BlockAssignment.of(np.diff(edges).tolist(), phases)
-    places = []
-    for number, (first, last) in enumerate(itertools.pairwise(edges)):
-        own, starts = numbering.parts(number, slice(0, last - first))
-        places.append(np.repeat(own, np.diff([*starts, last - first]), axis=0))
+    numbering, places = BlockAssignment.of(lengths, phases), []
+    for number, n in enumerate(lengths):
+        own, starts = numbering.parts(number, slice(0, n))
+        places.append(np.repeat(own, np.diff([*starts, n]), axis=0))
     places, label = np.unique(np.concatenate(places), axis=0, return_inverse=True)
-    for k, place in enumerate(places):
-        yield np.flatnonzero(label.ravel() == k), place
+    return places, label.ravel()

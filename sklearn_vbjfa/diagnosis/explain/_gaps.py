@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa._core._linear_systems import or_one, orthonormal_basis
 from sklearn_vbjfa.diagnosis.search._blocks import memory_time
 from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain
 from sklearn_vbjfa.effects import InModel, OnAllJoints, closure
@@ -104,9 +105,9 @@ def unexplained(found, names, spread, floors, errors):
     view, listed = found.view, []
     signals = motion_signals(found.motion, names)
     seen = {key: view.filtered(value[:, None])[:, 0] for key, value in signals.items()}
-    for j in np.flatnonzero(view.equations.weight.any(axis=0)).tolist():
-        weight, floor = view.equations.weight[:, j], float(floors[j])
-        residual = _residual_of(found, j)
+    weights, residuals = view.equations.weight, _residuals(found)
+    for j in np.flatnonzero(weights.any(axis=0)).tolist():
+        weight, floor, residual = weights[:, j], float(floors[j]), residuals[j]
         rms = float(np.sqrt((weight * residual**2).sum() / weight.sum()))
         known = not np.isnan(floor)
         if known and rms <= ABOVE_FLOOR[0] * floor:
@@ -129,23 +130,20 @@ def unexplained(found, names, spread, floors, errors):
     return tuple(listed)
 
 
-def _residual_of(found, j):
-    """Residual of a joint (m,) [N m or N], zero in rows that do not count."""
-    root = found.view.root[:, j]
-    return found.residual[j] / np.where(root > 0, root, np.inf)
+def _residuals(found):
+    """Residuals of the joints (nv, m) [N m or N], zero in rows that do not count."""
+    return found.residual / or_one(found.view.root.T)
 
 
 def memory_seconds(found):
-    """How long the residual of each joint stays correlated, list [s]."""
+    """How long the residual of a joint stays correlated at most [s]."""
     view = found.view
     # The low-pass does not correlate rows further apart than half a period of its
     # cut-off.
     stride = max(1, int(np.ceil(0.5 / (view.robot.cutoff_ * view.step) - 1e-9)))
     known = view.starts, view.step, stride
-    return [
-        memory_time(_residual_of(found, j), view.root[:, j] > 0, *known)
-        for j in range(view.nv)
-    ]
+    pairs = zip(_residuals(found), view.root.T > 0)
+    return max((memory_time(*pair, *known) for pair in pairs), default=0.0)
 
 
 # -- effects that are not identifiable -------------------------------------------------
@@ -228,7 +226,7 @@ def _is_hidden(effect, found, missing):
 
 
 def _probe(found):
-    """Regressor and signals of random states, which excite everything."""
+    """Basis of the regressor, and signals, of random states that excite everything."""
     view = found.view
     features, nv = view.robot.features_, view.nv
     n = 20 * features.n_parameters_ // nv + 200
@@ -244,18 +242,16 @@ def _probe(found):
         for effect in (*view.robot.effects_, *found.effects)
         if isinstance(effect, InModel) and effect.of_bodies
     ]
-    return np.concatenate([features.matrices(states), *corrections], axis=2), motion
+    Phi = np.concatenate([features.matrices(states), *corrections], axis=2)
+    return orthonormal_basis(Phi.reshape(-1, Phi.shape[2])), motion
 
 
-def _in_span(effect, Phi, motion):
+def _in_span(effect, basis, motion):
     """Whether columns of the state alone lie in the regressor's span."""
     others = isinstance(effect, OnAllJoints) or effect.needs or effect.shape()
     if others and not isinstance(effect, InModel):
         return False
     target = effect.in_all(effect.columns(motion), motion.n_joints)
     target = target.reshape(-1, target.shape[-1])
-    flat = Phi.reshape(-1, Phi.shape[2])
-    scale = np.sqrt((flat**2).sum(axis=0))
-    flat = flat / np.where(scale > 0, scale, 1.0)
-    rest = target - flat @ np.linalg.lstsq(flat, target, rcond=1e-10)[0]
+    rest = target - basis @ (basis.T @ target)
     return bool(np.all((rest**2).sum(0) <= _IN_SPAN * (target**2).sum(0)))

@@ -104,23 +104,15 @@ class Expectation:
         squares = alone * np.exp(2 * self._scatter * luck)
         shifts = differ[:, :, None] * motion.sizes * values
         errors = np.sqrt(squares + (1 + 1 / count) * (shifts**2).sum(axis=1))
-        judged = np.isfinite(self._left)
+        judged = np.flatnonzero(np.isfinite(self._left))
         found = np.full((len(_ENDS), nv + 1), np.nan)
-        if judged.any():
-            mean = errors[:, judged].mean(axis=1)
-            errors = np.column_stack([errors[:, judged], mean])
-            judged = np.append(judged, True)
-            found[:, judged] = _quantiles(errors, self._weights[:, judged])
+        if judged.size:
+            errors = np.column_stack([errors, errors[:, judged].mean(axis=1)])
+            for k in (*judged, nv):
+                order = np.argsort(errors[:, k])
+                done = np.cumsum(self._weights[order, k])
+                found[:, k] = errors[order[np.searchsorted(done, _ENDS)], k]
         return found
-
-
-def _quantiles(draws, weights):
-    """Quantiles of weighted draws (n, k), (3, k)."""
-    order = np.argsort(draws, axis=0)
-    done = np.cumsum(np.take_along_axis(weights, order, axis=0), axis=0)
-    rows = [(done < level).sum(axis=0) for level in _ENDS]
-    ranked = np.take_along_axis(draws, order, axis=0)
-    return np.take_along_axis(ranked, np.minimum(rows, len(draws) - 1), axis=0)
 
 
 def _robots(count):

@@ -2,14 +2,12 @@
 
 import dataclasses
 import math
-import numbers
 import platform
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 import sklearn
-from sklearn.base import BaseEstimator
 
 from sklearn_vbjfa.diagnosis.explain._effects import discovered_effects
 from sklearn_vbjfa.diagnosis.explain._errors import NEXT_SECONDS
@@ -31,8 +29,6 @@ from sklearn_vbjfa.robot._posterior import body_places
 
 # Position or velocity that is no limit of a joint.
 _UNLIMITED = 1e3
-# Inertial parameters of a body, Pinocchio's.
-_INERTIAL = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,48 +108,6 @@ class Outcome:
         """Return the facts of a kind, a tuple."""
         return tuple(one for one in self.facts if one.kind == kind)
 
-    def to_dict(self):
-        """Return everything but the curves, ready for `json.dumps`.
-
-        Lists replace arrays, None replaces nan, and joints count from zero. Findings
-        have a key for each kind.
-        """
-        data = {
-            "joint_names": [one.name for one in self.errors],
-            "errors": self.errors,
-            **self.findings,
-            "facts": self.facts,
-            # The library is no data: classes, for their words.
-            "robot": {k: x for k, x in self.robot.items() if k != "library"},
-            "provenance": self.provenance,
-        }
-        data = _json(data)
-        for key in ("effects", "possible"):
-            for one, effect in zip(data[key], self.findings[key]):
-                one |= {"log_odds": effect.log_odds, "probability": effect.probability}
-        return data
-
-
-def _json(value):
-    """Turn a value into what JSON knows; nan and infinity become None."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if value is None or isinstance(value, bool | str | int):
-        return value
-    if isinstance(value, numbers.Real):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {str(key): _json(one) for key, one in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_json(one) for one in value]
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        names = [field.name for field in dataclasses.fields(value)]
-        return {name: _json(getattr(value, name)) for name in names}
-    if isinstance(value, BaseEstimator):
-        parameters = value.get_params(deep=False)
-        return {"class": type(value).__name__, "parameters": _json(parameters)}
-    return str(value)
-
 
 def make_outcome(loop, search, final, judged, channels, whole):
     """Collect the results of a loop: an `Outcome`, and the `Expectation` of errors."""
@@ -186,8 +140,21 @@ def make_outcome(loop, search, final, judged, channels, whole):
     names, known = identifier.joint_names_, np.where(columns["enough"], after, np.nan)
     effects = tuple(discovered_effects(search, final, names, prismatic))
     judged_effects = loop.validation_model_.effects_
+    parameters = parameter_values(identifier)
     outcome = Outcome(
-        errors=_errors(names, prismatic, columns, judged["intervals"]),
+        errors=tuple(
+            JointErrors(
+                joint=j,
+                name=name,
+                unit="N" if prismatic[j] else "N m",
+                intervals={
+                    key: tuple(ends[:, j].tolist())
+                    for key, ends in judged["intervals"].items()
+                },
+                **{key: values[j].item() for key, values in columns.items()},
+            )
+            for j, name in enumerate(names)
+        ),
         findings={
             "effects": tuple(e for e in effects if not e.warning),
             "possible": tuple(e for e in effects if e.warning),
@@ -201,8 +168,8 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "alike": identifier.alike_,
         },
         facts=(
-            *parameter_values(identifier),
-            *_masses(identifier),
+            *parameters,
+            *_masses(identifier, parameters),
             *_expected(expectation, names),
         ),
         robot=_robot(loop, search, identifier, whole),
@@ -218,20 +185,6 @@ def make_outcome(loop, search, final, judged, channels, whole):
         },
     )
     return outcome, expectation
-
-
-def _errors(names, prismatic, columns, intervals):
-    """Return the errors of each joint, a tuple of JointErrors."""
-    return tuple(
-        JointErrors(
-            joint=j,
-            name=name,
-            unit="N" if prismatic[j] else "N m",
-            intervals={k: tuple(ends[:, j].tolist()) for k, ends in intervals.items()},
-            **{key: values[j].item() for key, values in columns.items()},
-        )
-        for j, name in enumerate(names)
-    )
 
 
 def _robot(loop, search, identifier, whole):
@@ -293,29 +246,31 @@ def _settings(loop, search):
 
 def parameter_values(robot):
     """Return the parameters of a fitted identifier, a tuple of Fact."""
-    nv, count = robot.features_.n_joints_, robot.features_.n_parameters_
-    nominal = np.full(robot.theta_.size, np.nan)
+    features, nominal = robot.features_, np.full(robot.theta_.size, np.nan)
     if robot.gains_ is None or robot.gains_.absolute:
         # An unknown gain of the torque channels is in every value.
-        at = np.arange(nv)[:, None] * (count // nv) + np.arange(_INERTIAL)
-        nominal[at] = nominal_parameters(robot.features_.nominal_)
-        followers = nominal_followers(robot.features_).ravel()
-        nominal[count : count + followers.size] = followers
+        bodies = nominal_parameters(features.nominal_), nominal_followers(features)
+        nominal[body_places(robot)] = np.vstack(bodies)
+    # nan without a finite deviation
+    half = HALF_WIDTH * np.where(
+        np.isfinite(robot.theta_std_), robot.theta_std_, np.nan
+    )
+    ends = np.column_stack([robot.theta_ - half, robot.theta_ + half]).tolist()
     return tuple(
         Fact(
             kind="parameter",
             name=name,
             joint=_joint_of(name, robot.joint_names_),
             value=value,
-            interval=_interval(value, std),
+            interval=tuple(interval),
             unit=unit,
             source=known,
             described=described,
         )
-        for name, value, std, unit, known, described in zip(
+        for name, value, interval, unit, known, described in zip(
             robot.parameter_names_,
             robot.theta_.tolist(),
-            robot.theta_std_.tolist(),
+            ends,
             robot.parameter_units_,
             robot.robot_.known_,
             nominal.tolist(),
@@ -329,29 +284,14 @@ def _joint_of(name, joints):
     return max(found, key=lambda j: len(joints[j]), default=None)
 
 
-def _interval(value, std):
-    """Return the ends of a 90 % interval; nan without a finite deviation."""
-    half = HALF_WIDTH * std if math.isfinite(std) else math.nan
-    return value - half, value + half
-
-
-def _masses(robot):
-    """Yield the masses of bodies as facts."""
-    model, known = robot.features_.model_, robot.robot_.known_
+def _masses(robot, parameters):
+    """Yield the masses of bodies as facts, which are among the parameters."""
+    model = robot.features_.model_
     nominal = nominal_parameters(model)[:, 0].tolist()
-    places = zip(body_names(model), body_places(robot)[:, 0])
-    for joint, (name, at) in enumerate(places):
-        mass, std = float(robot.theta_[at]), float(robot.theta_std_[at])
-        yield Fact(
-            kind="mass",
-            name=name,
-            joint=joint,
-            value=mass,
-            interval=_interval(mass, std),
-            unit="kg",
-            source=known[at],
-            described=nominal[joint],
-        )
+    rows = zip(body_names(model), body_places(robot)[:, 0], nominal)
+    for name, at, described in rows:
+        about = {"kind": "mass", "name": name, "described": described}
+        yield dataclasses.replace(parameters[at], **about)
 
 
 def _expected(expectation, names):

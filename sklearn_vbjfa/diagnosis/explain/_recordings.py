@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from sklearn_vbjfa._core._linear_systems import scaled_eigen
+from sklearn_vbjfa._core._linear_systems import or_one, scaled_eigen
 from sklearn_vbjfa.effects import Coulomb, Offset, Viscous
 
 # Parts of a recording: they show how much one robot differs from itself.
@@ -236,7 +236,7 @@ class _Deviations:
         for own in (parts.recording == r for r in range(count)):
             squares += parts.squares(own, parts.solve(own))
         known, total = parts.used & (squares > 0), parts.weights.sum(axis=0)
-        self._noise = np.where(known, total / np.where(known, squares, 1.0), 0.0)
+        self._noise = np.where(known, total / or_one(squares), 0.0)
         G, g = parts.system(np.ones(len(parts.recording), dtype=bool), self._noise)
         self._eigen = scaled_eigen(G, _KNOWN)
         self._theta = self._eigen.solve(g)
@@ -266,8 +266,6 @@ class _Deviations:
 
     def _fitted(self, added):
         """Fit the columns of deviations, a dict; return the gain, theta and theirs."""
-        if not added:
-            return 0.0, self._theta, []
         edges = np.cumsum([0, *(A.shape[1] for A in added.values())])
         places = [slice(a, b) for a, b in itertools.pairwise(edges)]
         cross, h = np.zeros((self._theta.size, edges[-1])), np.zeros(edges[-1])
@@ -343,7 +341,7 @@ def _thirds(recording, values, weight):
         own = np.flatnonzero(recording == number)
         order = own[np.argsort(values[own], kind="stable")]
         done = np.cumsum(weight[order])
-        share = done / done[-1] if done[-1] > 0 else np.linspace(0, 1, own.size)
+        share = done / or_one(done[-1])
         third = np.minimum((_PARTS * share).astype(int), _PARTS - 1)
         part[order] = _PARTS * number + third
     return part

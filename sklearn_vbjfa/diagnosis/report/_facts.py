@@ -156,10 +156,9 @@ def agrees(mass, nominal):
     return min(mass, nominal) >= _OTHER_MASS * max(mass, nominal)
 
 
-def with_half(value, std, unit=""):
+def with_half(value, std):
     """Write a value with half its 90 % interval."""
-    half = HALF_WIDTH * std
-    return words.with_error(value, (value - half, value + half), unit)
+    return words.with_error(value, (value - HALF_WIDTH * std, value + HALF_WIDTH * std))
 
 
 # -- errors ----------------------------------------------------------------------------

@@ -67,22 +67,8 @@ def _each(make, items):
     return [line(make(one)) for one in items]
 
 
-_FUNCTIONS = {
-    name: getattr(words, name)
-    for name in (
-        "bare_percent",
-        "documentation_of",
-        "join",
-        "number",
-        "odds_text",
-        "p_text",
-        "parameter_text",
-        "percent",
-        "plural",
-        "whole_percent",
-        "with_error",
-    )
-} | {
+# Those of `words`, and a few more.
+_FUNCTIONS = {name: x for name, x in vars(words).items() if callable(x)} | {
     "above_floor": ABOVE_FLOOR[0],
     "agrees": _facts.agrees,
     "each": _each,

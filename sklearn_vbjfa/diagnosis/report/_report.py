@@ -1,6 +1,11 @@
 """The report of a search for effects: data, a page and a terminal of one outcome."""
 
 import dataclasses
+import math
+import numbers
+
+import numpy as np
+from sklearn.base import BaseEstimator
 
 from sklearn_vbjfa.diagnosis.explain import NO_INFORMATION
 from sklearn_vbjfa.diagnosis.report import _facts
@@ -64,36 +69,32 @@ class Report:
         )
         self.headline = say("headline")
         self.verdict = f"{self.headline} {say('errors')}".rstrip()
-        self.warnings = self._warnings()
+        self.warnings = self._warnings(found.faults)
         self._voice.add(
             verdict=self.verdict, joint_verdicts=self.joints, uses=self.uses
         )
 
-    def _warnings(self):
+    def _warnings(self, faults):
         """List what forbids a use, faults of the recording first."""
         say, findings, robot = self._voice, self.outcome.findings, self.outcome.robot
-        own = (c.joints for c in findings["channels"] if c.kind in NO_INFORMATION)
-        known = set().union(*own)
+        channels = [c for c in findings["channels"] if c.kind in NO_INFORMATION]
+        known = set().union(*(c.joints for c in channels))
         silent = [
             one
             for one in self.joints
             if one.status in NO_ANSWER
             or (one.status == "unsearched" and one.joint not in known)
         ]
-        grouped, names = _facts.grouped(silent, lambda one: one.text), robot["joints"]
         joints = [
-            f"{text} ({words.joint_list(names, [one.joint for one in own], 0)})"
-            for text, own in grouped
+            f"{text} ({words.joint_list(robot['joints'], [x.joint for x in own], 0)})"
+            for text, own in _facts.grouped(silent, lambda one: one.text)
         ]
-        channels = {True: [], False: []}
-        for one in findings["channels"]:
-            if one.severity != "note":
-                channels[one.kind not in NO_INFORMATION].append(one.message)
         apart = [say("contradiction")] if findings["contradictions"] else []
         kinds = ("gains_unknown", "gains_hidden", "masses_unused")
         gains = filter(None, map(say, kinds if robot["gains"] else ()))
+        quiet = [c.message for c in channels if c.severity == "warning"]
         export = self.outcome.provenance.get("export", ())
-        return (*apart, *channels[True], *joints, *gains, *channels[False], *export)
+        return (*apart, *faults, *joints, *gains, *quiet, *export)
 
     @property
     def has_open_questions(self):
@@ -130,6 +131,7 @@ class Report:
             ``robot`` and ``provenance``. Lists replace arrays, None replaces nan,
             joints count from zero, and values are in SI units.
         """
+        outcome = self.outcome
         data = {
             "status": self.status,
             "headline": self.headline,
@@ -138,11 +140,21 @@ class Report:
                 {"name": x.name, "allowed": x.allowed, "reason": x.reason}
                 for x in self.uses
             ],
-            "warnings": list(self.warnings),
-            **self.outcome.to_dict(),
+            "warnings": self.warnings,
+            "joint_names": [one.name for one in outcome.errors],
+            "errors": outcome.errors,
+            **outcome.findings,
+            "facts": outcome.facts,
+            # The library is no data: classes, for their words.
+            "robot": {k: x for k, x in outcome.robot.items() if k != "library"},
+            "provenance": outcome.provenance,
         }
+        data = _json(data)
         for row, one in zip(data["errors"], self.joints):
             row |= {"status": one.status, "text": one.text}
+        for key in ("effects", "possible"):
+            for row, one in zip(data[key], outcome.findings[key]):
+                row |= {"log_odds": one.log_odds, "probability": one.probability}
         return data
 
     def to_html(self):
@@ -157,3 +169,23 @@ class Report:
 
     def _repr_html_(self):
         return self._voice.page(whole=False)
+
+
+def _json(value):
+    """Turn a value into what JSON knows; nan and infinity become None."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    elif dataclasses.is_dataclass(value):
+        value = {x.name: getattr(value, x.name) for x in dataclasses.fields(value)}
+    elif isinstance(value, BaseEstimator):
+        parameters = value.get_params(deep=False)
+        value = {"class": type(value).__name__, "parameters": parameters}
+    if isinstance(value, dict):
+        return {str(key): _json(one) for key, one in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_json(one) for one in value]
+    if value is None or isinstance(value, bool | str | int):
+        return value
+    if isinstance(value, numbers.Real):
+        return float(value) if math.isfinite(value) else None
+    return str(value)

@@ -90,7 +90,6 @@ def judge(outcome):
         if one.severity == "warning" and one.kind not in NO_INFORMATION
     )
     status, errors = _status(outcome, joints, faults), _mean_errors(outcome)
-    worse = [outcome.errors[one.joint] for one in joints if one.status == "worse"]
     fell = errors["after"] < min(errors["before"], errors["plain"])
     return Verdict(
         status=status,
@@ -99,7 +98,10 @@ def judge(outcome):
         uses=_uses(outcome, status, joints),
         faults=faults,
         fell=not findings["effects"] or fell,
-        than_declared=any(_is_worse(own, "before", "difference") for own in worse),
+        than_declared=any(
+            one.status == "worse" and _is_worse(own, "before", "difference")
+            for one, own in zip(joints, outcome.errors)
+        ),
     )
 
 
@@ -155,13 +157,11 @@ def _rose(own, error, factor=_WORSE):
 
 def _status(outcome, joints, faults):
     """Name the outcome in one word, the worst that is true of any joint."""
-    kinds = {v.status for v in joints}
+    kinds = {v.status for v in joints} - {"no data", "few"}
     if faults:
         return "faulty"
-    if kinds <= {"no data", "few"}:
-        return "no data"
-    if kinds <= {"no data", "few", "unsearched"}:
-        return "unsearched"
+    if kinds <= {"unsearched"}:
+        return "unsearched" if kinds else "no data"
     nothing = not outcome.findings["effects"]
     for kind, both in _STATUS.items():
         if kind in kinds:
@@ -171,15 +171,12 @@ def _status(outcome, joints, faults):
 
 def _mean_errors(outcome):
     """Return the mean errors of the joints that move enough, a dict."""
-    used = [
-        one
-        for one in outcome.errors
-        if one.enough and np.isfinite([one.before, one.after]).all()
-    ]
-    names = ("before", "plain", "after", "floor")
-    rows = [[getattr(one, name) for name in names] for one in used]
-    means = np.mean(rows, axis=0) if rows else np.full(len(names), np.nan)
-    return dict(zip(names, means.tolist()))
+    columns = {x: outcome.column(x) for x in ("before", "plain", "after", "floor")}
+    used = np.isfinite(columns["before"] + columns["after"]) & outcome.column("enough")
+    return {
+        name: float(values[used].mean()) if used.any() else np.nan
+        for name, values in columns.items()
+    }
 
 
 # -- uses ------------------------------------------------------------------------------
@@ -208,11 +205,11 @@ def _uses(outcome, status, joints):
         allowed = not causes
         if allowed:
             qualified = {"large": large, "rose": rose}
+            if name == "simulation":
+                qualified["left out"] = hidden
             causes |= {why: own for why, own in qualified.items() if own}
-        if allowed and name == "simulation" and hidden:
-            causes["left out"] = hidden
-        if allowed and name == "simulation" and outcome.provenance.get("export"):
-            causes["approximate"] = []
+            if name == "simulation" and outcome.provenance.get("export"):
+                causes["approximate"] = []
         found.append(Use(name=name, allowed=allowed, causes=tuple(causes.items())))
     return (*found, *_masses(outcome, whole))
 

@@ -26,6 +26,8 @@ SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
 _FAR_OFF = 3.0
 # Passes over all bodies, and the change of a mean in deviations that ends them.
 _PASSES, _STAYS = 100, 1e-3
+# Times that their common size is taken for that of the description.
+_TURNS = 20
 # Directions of the Gram matrix below this are never used.
 _RANK = 1e-12
 # Variances of a body below this share of its largest are rounding.
@@ -220,12 +222,6 @@ class _BodyProblem:
             root[:, -1] = moved / np.sqrt(precision)
         return mean, root
 
-    def common(self):
-        """Size of all bodies together by least squares, all else free; or one."""
-        # A description in other units, or torques in others, is thousands of times off.
-        own, product, _ = _along(self.description, self.A, self.b)
-        return product / own if own > 0 and product > 0 else 1.0
-
     def marginals(self, sites):
         """Precisions (n, 10, 10) of bodies, and products with the means (n, 10)."""
         # Everything is in them.
@@ -370,10 +366,18 @@ def around(description, A, b):
     """Estimate parameters from normal equations A theta = b and a description."""
     # A (p, p) and b (p,) are in units of the noise; parameters without a prior are
     # free.
-    first = _BodyProblem(description, A, b).common()
-    problem = _BodyProblem(description.scaled(first), A, b)
-    sites = problem.sites()
-    (mean, root), precision = problem.solved(sites), problem.precision(sites)
+    # A description in other units, or torques in others, is thousands of times off. By
+    # least squares one body that is heard well would decide for all.
+    own, product, _ = _along(description, A, b)
+    first = product / own if own > 0 and product > 0 else 1.0
+    for _ in range(_TURNS):
+        problem = _BodyProblem(description.scaled(first), A, b)
+        sites = problem.sites()
+        mean, root = problem.solved(sites)
+        if abs(mean[-1]) < DESCRIBED or mean[-1] <= -1.0:
+            break
+        first *= 1.0 + mean[-1]
+    precision = problem.precision(sites)
     every = root @ root.T
     centre = problem.centre
     cross = np.outer(every[:-1, -1], centre)

@@ -221,7 +221,7 @@ def _folded(tree, path, moving=None, base=None):
     said = [*said, *robot.left_out]
     _warn([*said, *_left_out(apart, found.full)], path.name)
     for one in (found.model, found.still):
-        with_extension(one)
+        with_extension(one, _POSSIBLE)
     return found
 
 

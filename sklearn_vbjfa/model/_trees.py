@@ -113,19 +113,20 @@ def solid_bodies(bodies, least=_SOLID):
     return solid
 
 
-def with_extension(model):
+def with_extension(model, least):
     """Give bodies that no solid body is at least the extension of a small ball."""
+    # least: see `solid_bodies`.
     size = [np.linalg.norm(place.translation) for place in model.jointPlacements[1:]]
-    least = 0.2 * (_BALL * (max(size, default=0.0) or 1.0)) ** 2
+    ball = 0.2 * (_BALL * (max(size, default=0.0) or 1.0)) ** 2
     pin = import_pinocchio()
     bodies = nominal_parameters(model)
-    thin = (bodies[:, 0] > 0) & ~solid_bodies(bodies)
+    thin = (bodies[:, 0] > 0) & ~solid_bodies(bodies, least)
     for k in (np.flatnonzero(thin) + 1).tolist():
         body = model.inertias[k]
         # Second moments of the mass about its centre, along their principal axes.
         second = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
         moment, axes = np.linalg.eigh(second)
-        second = (axes * np.maximum(moment, least * body.mass)) @ axes.T
+        second = (axes * np.maximum(moment, ball * body.mass)) @ axes.T
         rounder = np.trace(second) * np.eye(3) - second
         model.inertias[k] = pin.Inertia(body.mass, body.lever, rounder)
     return model

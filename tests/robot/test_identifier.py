@@ -45,6 +45,15 @@ def test_predicts_another_motion_and_is_a_possible_robot(identified, new_motion)
     assert np.all(identified.theta_.reshape(6, 12)[:, 10:] >= 0)
 
 
+def test_one_body_alone_does_not_set_the_size_of_all():
+    # Its hand is heard best, and its mass is another way than described.
+    recording = make_robot_recording(duration=20, random_state=3)
+    robot = identify(recording)
+    assert robot.common_size_ == pytest.approx(1.0, abs=0.3)
+    masses = robot.theta_.reshape(6, 12)[:, 0] / recording.inertial[:, 0]
+    assert (np.abs(np.log(masses)) < 0.5).all()
+
+
 def test_noiseless_states_and_torques_give_the_torque_exactly(simulated, new_motion):
     robot = RobotIdentifier(
         simulated.urdf, friction=FRICTION, options=FitOptions(standstill=None)

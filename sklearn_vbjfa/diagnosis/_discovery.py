@@ -334,7 +334,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         known = {"begins": begins, "repetition": repetition}
         lowpass = self.baseline_.robot_.plan.lowpass
         moving = split.moving[split.rows]
-        near = split.narrowed(*stretches(part.segments, moving, lowpass))
+        kept, pieces = stretches(part.segments, moving, lowpass)
+        near = replace(split, rows=split.rows[kept], pieces=pieces)
         say("search")
         given = {"origin": whole.groups[near.rows], **known}
         found = self._search(near.searched(whole), silent, given, library)

@@ -85,7 +85,16 @@ class Parts:
         self.moments = [self.moments_of(j, part) for j in range(self.nv)]
         weights = self.view.equations.weight.T
         self.weights = np.array([np.bincount(part, w, first.size) for w in weights]).T
-        self._prior = self._described(fit.identifier, Phi.shape[2])
+        # The description of the bodies, as moments (p, p), (p,).
+        p, rigid = Phi.shape[2], self.features.n_parameters_
+        self._prior = np.zeros((p, p)), np.zeros(p)
+        described = fit.identifier.described()
+        if described is not None:
+            own = fit.identifier.robot_.joint_weights[self.used]
+            ratio = np.mean(self.view.precision[self.used] / own)
+            metric, centre = described[0][:rigid, :rigid] * ratio, described[1][:rigid]
+            self._prior[0][:rigid, :rigid] = metric
+            self._prior[1][:rigid] = metric @ centre
 
     def moments_of(self, j, part):
         """Moments of the design of a joint in each part of the rows (n_parts, k, k)."""
@@ -94,35 +103,21 @@ class Parts:
         parts = (part == p for p in range(part.max() + 1))
         return np.array([weighted[own].T @ rows[own] for own in parts])
 
-    def _described(self, identifier, p):
-        """Return the description of the bodies, as moments (p, p), (p,)."""
-        G, g, rigid = np.zeros((p, p)), np.zeros(p), self.features.n_parameters_
-        described = identifier.described()
-        if described is not None:
-            own = identifier.robot_.joint_weights[self.used]
-            ratio = np.mean(self.view.precision[self.used] / own)
-            metric, centre = described[0][:rigid, :rigid] * ratio, described[1][:rigid]
-            G[:rigid, :rigid], g[:rigid] = metric, metric @ centre
-        return G, g
-
-    def system(self, chosen, precision):
-        """Return the normal equations of some parts, (p, p) and (p,)."""
+    def solve(self, chosen, precision=None):
+        """Fit to some parts with the description as prior: matrix and solution (p,)."""
+        precision = self.view.precision if precision is None else precision
         G, g = (values.copy() for values in self._prior)
         for j in np.flatnonzero(self.used):
             own, n = self.columns[j], self.columns[j].size
             moments = precision[j] * self.moments[j][chosen].sum(axis=0)
             G[np.ix_(own, own)] += moments[:n, :n]
             g[own] += moments[:n, -1]
-        return G, g
+        eigen = scaled_eigen(G, _KNOWN)
+        return eigen, eigen.solve(g)
 
-    def solve(self, chosen):
-        """Fit to some parts with the description as prior, (p,)."""
-        G, g = self.system(chosen, self.view.precision)
-        return scaled_eigen(G, _KNOWN).solve(g)
-
-    def squares(self, chosen, theta):
-        """Weighted squared errors of some parts by joint, (nv,)."""
-        found = []
+    def squares(self, chosen, fitted):
+        """Weighted squared errors of some parts by a fit to others, by joint, (nv,)."""
+        found, (_, theta) = [], self.solve(fitted)
         for own, moments in zip(self.columns, self.moments):
             left = np.r_[-theta[own], 0.0, 0.0, 0.0, 1.0]
             found.append(left @ moments[chosen].sum(axis=0) @ left)
@@ -139,7 +134,7 @@ class Parts:
         out = np.full((names.size, spread.size), np.nan)
         for row, name in zip(out, names):
             own = np.isin(self.recording, np.flatnonzero(motion == name))
-            squares = self.squares(own, self.solve(~own))
+            squares = self.squares(own, ~own)
             weight = self.weights[own].sum(axis=0)
             used = (weight > 0) & self.used
             row[used] = np.sqrt(squares[used] / weight[used]) / spread[used]
@@ -154,8 +149,8 @@ class Parts:
             here = self.recording == r
             for p in np.flatnonzero(here) if here.sum() >= _PARTS else ():
                 out = np.arange(here.size) == p
-                squares[0, r] += self.squares(out, self.solve(here & ~out))
-                squares[1, r] += self.squares(out, self.solve(~out))
+                squares[0, r] += self.squares(out, here & ~out)
+                squares[1, r] += self.squares(out, ~out)
         return squares
 
     def alone(self, spread):
@@ -232,14 +227,11 @@ class _Deviations:
         self._columns = functools.cache(self._columns_of)
         # Weights of the joints by fits to each recording alone: in a common fit the
         # differences would count as noise.
-        squares = np.zeros(parts.nv)
-        for own in (parts.recording == r for r in range(count)):
-            squares += parts.squares(own, parts.solve(own))
+        each = (parts.recording == r for r in range(count))
+        squares = sum(parts.squares(own, own) for own in each)
         known, total = parts.used & (squares > 0), parts.weights.sum(axis=0)
         self._noise = np.where(known, total / or_one(squares), 0.0)
-        G, g = parts.system(np.ones(len(parts.recording), dtype=bool), self._noise)
-        self._eigen = scaled_eigen(G, _KNOWN)
-        self._theta = self._eigen.solve(g)
+        self._eigen, self._theta = parts.solve(slice(None), self._noise)
         # Moments in thirds of time, positions and speeds, with their recordings: the
         # parameters of a wrong model vary with position and speed.
         view, nv = parts.view, parts.nv
@@ -259,7 +251,7 @@ class _Deviations:
         own, n = parts.columns[j], parts.columns[j].size
         columns = np.zeros((n + 3, _COLUMNS + 1))
         columns[n:, :3] = np.eye(3)
-        columns[:n, 3] = parts.solve(parts.recording != r)[own]
+        columns[:n, 3] = parts.solve(parts.recording != r)[1][own]
         last = parts.features.n_parameters_ // parts.nv * (parts.nv - 1)
         columns[:n, 4] = columns[:n, 3] * ((own >= last) & (own < last + 10))
         return columns

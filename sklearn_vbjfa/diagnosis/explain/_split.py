@@ -65,12 +65,6 @@ class Split:
             count += self.moving[inner].sum(axis=0)
         return count
 
-    def narrowed(self, kept, pieces):
-        """Return the split with some of its search rows, in pieces (n_kept,)."""
-        if kept.size == self.rows.size:
-            return self
-        return replace(self, rows=self.rows[kept], pieces=pieces)
-
     def decided(self, clock, instants):
         """Return the split without stretches in which something jumps."""
         # All that the search knows of such an instant [s] is that it lies between two
@@ -139,8 +133,6 @@ def _best_count(bare, parts, share):
     """Return the stretches by which all joints are judged best, and if well enough."""
     moving = bare.moving
     total, weight = moving.sum(axis=0), even_weight(moving)
-    if not total.any():
-        weight = np.ones(weight.shape)
     done = [_progress(weight[part]) for part in parts]
     lengths = [max(int(x * 2 * bare.half), _FEWEST_SAMPLES) for x in _LENGTHS]
     wanted = _STRETCHES if len(parts) == 1 else 1
@@ -151,7 +143,7 @@ def _best_count(bare, parts, share):
         kept = sum(moving[stretch].sum(axis=0) for stretch in stretches)
         # A joint that never moves has nothing due.
         due = (kept / np.maximum(total, 1) / share)[total > 0]
-        least = min(float(np.min(due, initial=_DUE)), _DUE)
+        least = float(np.min(due, initial=_DUE))
         enough = bool((bare.counted(stretches) >= bare.need)[can].all())
         if (enough, least) > best:
             best, chosen = (enough, least), stretches

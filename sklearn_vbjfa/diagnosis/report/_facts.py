@@ -55,24 +55,19 @@ def value_cells(effect):
 def remedies(outcome):
     """Return corrections of the robot model, (name, joint) -> correction."""
     # Those that were declared are among them; insignificant ones are not.
-    found = {(one.name, one.joint): one for one in outcome.robot["corrections"]}
     possible = {(one.name, one.joint) for one in outcome.findings["possible"]}
-    return {
-        key: one
-        for key, one in found.items()
-        if key not in possible and not _is_insignificant(outcome, *key)
-    }
-
-
-def _is_insignificant(outcome, name, joint):
-    """Whether all intervals of the values of a correction contain no fault."""
-    begins = f"{outcome.robot['joints'][joint]}:{name}:", f"{name}:"
-    inside = []
-    for one in outcome.facts_of("parameter"):
-        if one.name.startswith(begins):
-            low, high = one.interval
-            inside.append(low <= one.name.endswith(":gain") <= high)
-    return bool(inside) and all(inside)
+    found = {}
+    for one in outcome.robot["corrections"]:
+        begins = f"{outcome.robot['joints'][one.joint]}:{one.name}:", f"{one.name}:"
+        values = [x for x in outcome.facts_of("parameter") if x.name.startswith(begins)]
+        # Whether no value may be that of no fault, one of a gain and else zero.
+        beyond = [
+            not x.interval[0] <= x.name.endswith(":gain") <= x.interval[1]
+            for x in values
+        ]
+        if (one.name, one.joint) not in possible and (any(beyond) or not beyond):
+            found[one.name, one.joint] = one
+    return found
 
 
 # -- ranges ----------------------------------------------------------------------------
@@ -121,11 +116,11 @@ def unexplained_groups(outcome):
     return [own for _, own in groups]
 
 
-def to_record(outcome, signal_advice, no_period):
+def to_record(outcome, status, signal_advice, no_period):
     """Return what to record next, the most important first, advice -> joints."""
     findings, wanted = outcome.findings, {}
     library = outcome.robot["library"]
-    if not outcome.searched:
+    if status == "faulty" or not outcome.searched:
         return {}  # what no search looked for needs no other motion
 
     def add(advice, joint, name=None):

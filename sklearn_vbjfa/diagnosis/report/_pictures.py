@@ -80,18 +80,6 @@ class Plot:
         far += [words.number(high)] if high > self.y[1] else []
         return f"Cut off: values to {' and '.join(far)}." if far else ""
 
-    @property
-    def x_ticks(self):
-        """Place of each tick in per cent from the left, and its text."""
-        low, high = self.x
-        return [(100 * (x - low) / (high - low), t) for x, t in ticks(low, high)]
-
-    @property
-    def y_ticks(self):
-        """Place of each tick in per cent from the top, and its text."""
-        low, high = self.y
-        return [(100 * (high - y) / (high - low), t) for y, t in ticks(low, high)]
-
 
 # -- the figures of an outcome ---------------------------------------------------------
 

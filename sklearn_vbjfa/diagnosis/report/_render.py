@@ -81,6 +81,7 @@ _FUNCTIONS = {name: x for name, x in vars(words).items() if callable(x)} | {
     # To a thousandth of a degree, without the sign of a zero.
     "rpy": lambda angles: f'"{" ".join(f"{round(x, 5) + 0.0:.5f}" for x in angles)}"',
     "scaled": lambda ends, factor: ends and tuple(factor * x for x in ends),
+    "ticks": _pictures.ticks,
     "value_cells": _facts.value_cells,
     "width": _pictures.WIDTH,
     "with_half": _facts.with_half,
@@ -118,6 +119,8 @@ class Voice:
         }
         sentences = environment(False).get_template("sentences.j2")
         self._module = sentences.make_module(self._values)
+        advice = self._module.signal_advice, self._module.no_period
+        self.add(wanted=_facts.to_record(outcome, verdict.status, *advice))
 
     def add(self, **values):
         """Add values that the templates of the page and of a terminal show."""
@@ -131,12 +134,6 @@ class Voice:
     def __call__(self, name, *values):
         """Return a sentence as one line, empty where there is nothing to say."""
         return line(getattr(self._module, name)(*values))
-
-    def __getattr__(self, name):
-        """Return a value of the templates, such as a table of words."""
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(self._module, name)
 
     def text(self):
         """Write the report for a terminal."""

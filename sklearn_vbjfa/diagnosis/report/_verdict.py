@@ -105,11 +105,6 @@ def judge(outcome):
     )
 
 
-def _belongs(effect, j):
-    """Whether an effect is one of a joint."""
-    return effect.joint == j and effect.scope == "joint"
-
-
 def _of_joint(outcome, j):
     """Status of a joint, and its detail if there is one."""
     own = outcome.errors[j]
@@ -136,8 +131,7 @@ def _of_joint(outcome, j):
     if after > near and least > floor:
         return {"status": "floor", "detail": "near"}
     high = own.intervals["added"][1]
-    effects = any(_belongs(one, j) for one in outcome.findings["effects"])
-    chance = effects and 0 <= high < np.inf
+    chance = j in _with_effects(outcome, "effects") and 0 <= high < np.inf
     return {"status": "floor", "detail": "chance" if chance else ""}
 
 
@@ -186,7 +180,13 @@ def _uses(outcome, status, joints):
     """Judge the uses of an outcome, a tuple of `Use`; reasons are codes."""
     whole = "faulty" if status == "faulty" else ""
     whole = whole or ("contradiction" if outcome.findings["contradictions"] else "")
-    rose = [one.joint for one in joints if _is_doubtful(outcome, one.joint)]
+    # An effect must not raise the error of its joint at all.
+    strict = _with_effects(outcome, "effects", "possible")
+    rose = []
+    for own in outcome.errors:
+        factor = 1.0 if own.joint in strict else _WORSE
+        if _rose(own, "before", factor) or _rose(own, "plain", factor):
+            rose.append(own.joint)
     large = [own.joint for own in outcome.errors if own.after > _LARGE]
     effects = (*outcome.findings["effects"], *outcome.findings["possible"])
     library = outcome.robot["library"]
@@ -214,12 +214,10 @@ def _uses(outcome, status, joints):
     return (*found, *_masses(outcome, whole))
 
 
-def _is_doubtful(outcome, j):
-    """Whether the error of a joint rose, which an effect on it must not at all."""
-    findings, own = outcome.findings, outcome.errors[j]
-    effects = (*findings["effects"], *findings["possible"])
-    factor = 1.0 if any(_belongs(one, j) for one in effects) else _WORSE
-    return _rose(own, "before", factor) or _rose(own, "plain", factor)
+def _with_effects(outcome, *kinds):
+    """Joints with effects of their own, a set."""
+    effects = (one for kind in kinds for one in outcome.findings[kind])
+    return {one.joint for one in effects if one.scope == "joint"}
 
 
 def _masses(outcome, whole):

@@ -117,18 +117,15 @@ class FinalFit:
         edges = np.cumsum([self.view.Z.shape[2], *(own.shape[2] for own in extra)])
         estimates = []
         for i, (a, b) in enumerate(itertools.pairwise(edges)):
-            own = covariance[a:b, a:b]
             # A column that the recording does not excite has no freedom.
             freedom = np.fmin.reduce(found.freedom[a:b], initial=np.inf)
-            estimates.append(
-                EffectEstimate(
-                    coef=coefs[i],
-                    shape=shapes[i],
-                    covariance=own,
-                    freedom=float(freedom),
-                    forms=self._forms(i, own),
-                )
+            one = EffectEstimate(
+                coef=coefs[i],
+                shape=shapes[i],
+                covariance=covariance[a:b, a:b],
+                freedom=float(freedom),
             )
+            estimates.append(replace(one, forms=self._forms(i, one)))
         return estimates
 
     def _slope(self, effect, name, coef):
@@ -177,7 +174,7 @@ class FinalFit:
             parts.append((columns, grams))
         return block_variance(parts, scores, places)
 
-    def _forms(self, i, covariance):
+    def _forms(self, i, estimate):
         """Probabilities and parameters of other forms of an effect of one column."""
         effect = self.effects[i]
         forms = effect.forms() if isinstance(effect, Shaped) else []
@@ -208,10 +205,7 @@ class FinalFit:
         H = (C**2).sum(axis=0) - (seen**2).sum(axis=0)
         q = C.T @ y[:, j] - seen.T @ (root.T @ (flat.T @ y[:, joints].ravel()))
         # Evidence is discounted by the scatter between blocks over that of white noise.
-        own = np.atleast_2d(covariance)
-        known = own[0, 0]
-        if len(own) > 1 and own[1, 1] > 0:
-            known -= own[0, 1] ** 2 / own[1, 1]
+        known = estimate.of_shape().covariance[0, 0]
         gain = 0.5 * q**2 / H / max(1.0, known * H[0])
         found, weights = [], [0.0]
         for at in range(1, len(gain), len(_WAYS)):

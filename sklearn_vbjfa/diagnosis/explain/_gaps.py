@@ -165,16 +165,19 @@ class NotIdentifiable:
 def not_identifiable(found, names):
     """Effects of the library that this robot or this recording cannot show."""
     # A robot that was searched branch by branch is asked branch by branch.
-    listed = [] if found.branches else _of_model(found, names)
-    for branch, own in found.branches:
-        part = _of_model(own, [names[j] for j in branch.joints])
-        listed += [replace(one, joint=branch.joints[one.joint]) for one in part]
+    parts = [(branch.joints, own) for branch, own in found.branches]
+    listed = []
+    for joints, own in parts or [(range(len(names)), found)]:
+        for effect, reason, remedy in _of_model(own):
+            j = joints[effect.joint]
+            about = {"name": effect.name, "joint": j, "joint_name": names[j]}
+            listed.append(NotIdentifiable(reason=reason, remedy=remedy, **about))
     return tuple(sorted(listed, key=lambda one: one.joint))
 
 
-def _of_model(found, names):
-    """List what a robot or a branch that was searched as a whole cannot show."""
-    view, motion, listed = found.view, found.motion, []
+def _of_model(found):
+    """Yield what a robot searched as a whole cannot show, with reason and remedy."""
+    view, motion = found.view, found.motion
     probe, known = _probe(found), {e.key() for e in view.robot.effects_}
     for joint in np.flatnonzero(view.precision > 0).tolist():
         library = [clone(e).set_params(joint=joint) for e in found.library]
@@ -192,9 +195,7 @@ def _of_model(found, names):
                 spanned = _in_span(one, *probe)
                 reason, remedy = ("span", "") if spanned else ("excitation", one.record)
             if reason:
-                about = {"name": one.name, "joint": joint, "joint_name": names[joint]}
-                listed.append(NotIdentifiable(reason=reason, remedy=remedy, **about))
-    return listed
+                yield one, reason, remedy
 
 
 def _is_hidden(effect, found, missing):

@@ -167,26 +167,23 @@ def _row(done, share):
 
 def _place(progress, parts, count, share, shortest, short):
     """Held-out slices of all recordings, in order."""
-    found, uncut, turn = [], [], max(round(1 / share), 2)
-    for k, done in enumerate(progress):
+    found, uncut, turn, alone = [], 0, max(round(1 / share), 2), len(parts) == 1
+    for part, done in zip(parts, progress):
         if done.size * min(share, 1 - share) < shortest:
-            uncut.append(k)
+            uncut += 1
             # As a whole, in turns.
-            is_due = len(parts) > 1 and len(uncut) % turn == 0
-            found.append([(0, done.size)] if is_due else [])
-            continue
-        cells = _cells(done, count, share, shortest, short)
-        ends = len(cells) == 1 and len(parts) > 1
-        found.append((ends and _both_ends(done, share, short)) or cells)
-    if not any(found):
+            own = [] if alone or uncut % turn else [(0, done.size)]
+        else:
+            own = _cells(done, count, share, shortest, short)
+            if len(own) == 1 and not alone:
+                own = _both_ends(done, share, short) or own
+        found += [slice(part.start + a, part.start + b) for a, b in own]
+    if not found:
         # Too short for a verdict if it is a single one; the fit says what is missing.
-        n, alone = progress[-1].size, len(parts) == 1
-        found[-1] = [(n - max(round(share * n), 1) if alone else 0, n)]
-    return [
-        slice(part.start + a, part.start + b)
-        for part, own in zip(parts, found)
-        for a, b in own
-    ]
+        last, n = parts[-1], progress[-1].size
+        kept = max(round(share * n), 1) if alone else n
+        found = [slice(last.stop - kept, last.stop)]
+    return found
 
 
 def _cells(done, most, share, shortest, short):

@@ -88,10 +88,6 @@ def torques(outcome, curves):
     """Draw measured and predicted torque over time, and both residuals below."""
     own, seconds = outcome.errors[curves.joint], curves.seconds
     floor = own.floor * own.spread
-    left = [
-        np.where(curves.counts, curves.measured - predicted, np.nan)
-        for predicted in (curves.before, curves.after)
-    ]
     # The declared model on top, or the completed one would hide where they agree; its
     # residual goes behind that of the completed one.
     upper = {
@@ -99,7 +95,10 @@ def torques(outcome, curves):
         "line-after": curves.after,
         "line-before": curves.before,
     }
-    lower = {"line-before": left[0], "line-after": left[1]}
+    lower = {
+        kind: np.where(curves.counts, curves.measured - upper[kind], np.nan)
+        for kind in ("line-before", "line-after")
+    }
     what, charts, notes = "torque" if own.unit == "N m" else "force", [], []
     time = "held-out time, its stretches joined [s]"
     for name, shown in ((what, upper), ("residual", lower)):

@@ -47,7 +47,6 @@ def environment(is_page, package=__package__):
     environment.filters |= {
         "line": line,
         "capital": words.capital,
-        "clause": lambda text: text.partition(": ")[0],
         "wrap": _wrapped,
         "groups": lambda items, *names: _facts.grouped(items, attrgetter(*names)),
         "subject": lambda text: re.split("[:;] |(?<!'), ", text)[0].rstrip("."),
@@ -75,7 +74,6 @@ _FUNCTIONS = {name: x for name, x in vars(words).items() if callable(x)} | {
     "finite": lambda x: bool(np.isfinite(x)),
     "half_width": HALF_WIDTH,
     "height": _pictures.HEIGHT,
-    "inf": float("inf"),
     # Place in per cent on a scale from zero.
     "on_scale": lambda x, longest: 100 * min(max(x / longest, 0.0), 1.0),
     # To a thousandth of a degree, without the sign of a zero.

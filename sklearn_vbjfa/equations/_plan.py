@@ -169,9 +169,15 @@ class Plan:
 
     def rest(self, estimator=None):
         """Return the `Rest`, for mean velocity signs, of an estimator's velocities."""
-        # None for velocities that are known. Negative speeds mask nothing.
+        # None for velocities that are known: a joint stands where those of the fit could
+        # not tell that it moves. Negative speeds mask nothing.
         speed, own = np.maximum(self.standstill, 0.0), self._reversals(estimator)
-        noise = 0.0 * speed if estimator is None else estimator.velocity_noise()
+        noise = 0.0 * speed
+        if estimator is not None:
+            noise = estimator.velocity_noise()
+        elif self.state_estimator is not None:
+            least = _NOISE * self.state_estimator.velocity_noise()
+            speed = np.where(least > 0, np.minimum(least, speed), speed)
         return Rest(speed=speed, time=self._stands, noise=noise, **own)
 
     @property

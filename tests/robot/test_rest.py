@@ -49,6 +49,17 @@ def test_prediction_does_not_rattle_at_rest(robot, recording):
     assert np.all(missed < 0.1 * coulomb(robot))
 
 
+def test_given_states_have_all_of_their_friction_however_slow(robot, recording):
+    # Velocities that are given are known better than those of the fit.
+    held = np.zeros((2, 3 * recording.nv))
+    held[:, : recording.nv] = recording.q[1000]
+    held[:, recording.nv : 2 * recording.nv] = [[0.01], [-0.01]]
+    ahead, back = robot.predict(held)
+    viscous = robot.theta_.reshape(recording.nv, -1)[:, 10]
+    friction = coulomb(robot) + 0.01 * viscous
+    np.testing.assert_allclose((ahead - back) / 2, friction, rtol=0.02)
+
+
 def test_states_that_move_are_taken_as_they_are(robot, recording):
     v = recording.states[:, recording.nv : 2 * recording.nv]
     moving = recording.states[np.all(np.abs(v) > robot.standstill_, axis=1)]

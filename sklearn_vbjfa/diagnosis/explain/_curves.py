@@ -54,23 +54,15 @@ def torque_curves(before, after, clock, joints):
     gaps = np.flatnonzero(steps > _GAP * step) + 1
     seconds = step * np.arange(before.index.size + gaps.size)
     found = []
+    columns = before.torque, before.predicted, after.predicted, before.weight
     for j in joints:
-        columns = before.torque, before.predicted, after.predicted, before.weight
-        measured, first, second, weight = (
-            np.insert(values[:, j], gaps, np.nan) for values in columns
-        )
-        left = np.where(weight > 0, measured - second, 0.0)
-        rows = np.union1d(_extremes(measured), _extremes(left))
-        found.append(
-            SimpleNamespace(
-                joint=j,
-                seconds=seconds[rows],
-                measured=measured[rows],
-                before=first[rows],
-                after=second[rows],
-                counts=weight[rows] > 0,
-            )
-        )
+        own = (np.insert(values[:, j], gaps, np.nan) for values in columns)
+        curves = dict(zip(("measured", "before", "after", "counts"), own))
+        curves |= {"seconds": seconds, "counts": curves["counts"] > 0}
+        left = np.where(curves["counts"], curves["measured"] - curves["after"], 0.0)
+        rows = np.union1d(_extremes(curves["measured"]), _extremes(left))
+        thinned = {name: values[rows] for name, values in curves.items()}
+        found.append(SimpleNamespace(joint=j, **thinned))
     return tuple(found)
 
 

@@ -185,17 +185,13 @@ def _of_model(found):
         contained = (closure(e, found.library) | {e.name} for e in held)
         present = set(view.declared).union(*contained)
         missing = {e.name: e for e in library if e.name not in present}
-        for one in missing.values():
-            if one.key() in known:
-                continue
-            reason, remedy = "", one.applies(motion)
-            if remedy:
-                reason = "signal" if remedy.startswith("needs") else ""
-            elif _is_hidden(one, found, missing):
+        for one in (e for e in missing.values() if e.key() not in known):
+            remedy = one.applies(motion)
+            if remedy.startswith("needs"):
+                yield one, "signal", remedy
+            elif not remedy and _is_hidden(one, found, missing):
                 spanned = _in_span(one, *probe)
-                reason, remedy = ("span", "") if spanned else ("excitation", one.record)
-            if reason:
-                yield one, reason, remedy
+                yield (one, "span", "") if spanned else (one, "excitation", one.record)
 
 
 def _is_hidden(effect, found, missing):

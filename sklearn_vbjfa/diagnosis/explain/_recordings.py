@@ -186,13 +186,12 @@ def contradictions(parts, spread, alpha):
         suspects = sorted({r for r, _ in suffering})
     joints = sorted({j for _, j in suffering})
     deviations = _Deviations(parts)
-    open_, chosen = [(r, j) for r in suspects for j in joints], []
-    while open_ and len(chosen) < _MOST_FOUND:
-        trials = {key: deviations.test(key, chosen) for key in open_}
+    keys, chosen = list(itertools.product(suspects, joints)), []
+    while len(chosen) < min(_MOST_FOUND, len(keys)):
+        trials = {k: deviations.test(k, chosen) for k in keys if k not in chosen}
         key = max(trials, key=lambda key: trials[key][0])
         if not trials[key][1] < alpha:
             break
-        open_.remove(key)
         chosen.append(key)
     found = []
     for key in chosen:

@@ -31,7 +31,10 @@ def judge(loop, found, split, near, whole):
     # at. Arrays (nv,) and (2, nv) are over the deviation of the torque.
     declared, plain = loop.declared_, loop.baseline_
     completed, view, dt = loop.validation_model_, found.view, declared.dt
-    kept, guard = _held_out(found, split, whole)
+    # No guard is long enough for a memory without end.
+    guard = int(min(memory_seconds(found) / whole.dt, whole.n_samples))
+    instants = [one.instant for one in found.effects if isinstance(one, Sudden)]
+    kept = split.decided(whole.t, instants).guarded(guard)
     used, seen = view.root.any(axis=0), len(view.states)
 
     fitted = plain.robot_.residuals_of(split.searched(whole), predicts=False)
@@ -96,14 +99,6 @@ def judge(loop, found, split, near, whole):
             "torques": torque_curves(before, after, whole.t, worst),
         },
     }
-
-
-def _held_out(found, split, whole):
-    """Return the split with what is judged of the stretches, and the guard in rows."""
-    # No guard is long enough for a memory without end.
-    guard = int(min(memory_seconds(found) / whole.dt, whole.n_samples))
-    instants = [one.instant for one in found.effects if isinstance(one, Sudden)]
-    return split.decided(whole.t, instants).guarded(guard), guard
 
 
 # -- intervals -------------------------------------------------------------------------

@@ -85,10 +85,9 @@ class FinalFit:
     def predicted(self, theta):
         """Torques of the completed model with some parameters, (m, nv)."""
         theta = self.identifier.robot_.linear_part(theta)
-        predicted = self.view.equations.torques(theta[: self.declared.theta_.size])
-        for own, coef in zip(self._columns, self._split(theta)):
-            predicted = predicted + own @ coef
-        return predicted
+        declared = self.view.equations.torques(theta[: self.declared.theta_.size])
+        pairs = zip(self._columns, self._split(theta))
+        return sum((own @ coef for own, coef in pairs), declared)
 
     # -- estimates of the effects ------------------------------------------------------
 

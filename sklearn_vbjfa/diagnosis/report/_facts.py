@@ -159,10 +159,10 @@ def with_half(value, std):
 # -- errors ----------------------------------------------------------------------------
 
 
-def error_rows(outcome):
+def error_rows(outcome, left_out=()):
     """Cells of the errors of each joint, the largest error first, a list of dict."""
     percent, rows = words.bare_percent, []
-    left_out = [] if outcome.robot["added"] else ["four terms"]
+    left_out = [*left_out, *([] if outcome.robot["added"] else ["four terms"])]
     for one in sorted(outcome.errors, key=lambda x: -np.nan_to_num(x.after, nan=-1)):
         ends = one.intervals["after"]
         known = np.isfinite(ends).all()
@@ -188,9 +188,8 @@ def short_errors(outcome, verdicts):
     if not np.isfinite(outcome.floor).any():
         left_out.append("noise")
     heads, rows = [], []
-    for row in error_rows(outcome):
-        cells = {k: x for k, x in row["cells"].items() if k not in left_out}
-        verdict = verdicts[row["joint"]]
+    for row in error_rows(outcome, left_out):
+        cells, verdict = row["cells"], verdicts[row["joint"]]
         heads = ["error, %", *cells, ""]
         rows.append([verdict.label, *cells.values(), verdict.text])
     units = "/".join(dict.fromkeys(one.unit for one in outcome.errors))

@@ -169,8 +169,8 @@ class Plan:
 
     def rest(self, estimator=None):
         """Return the `Rest`, for mean velocity signs, of an estimator's velocities."""
-        # None for velocities that are known: a joint stands where those of the fit
-        # could not tell that it moves. Negative speeds mask nothing.
+        # None for velocities that are known: a joint stands where those of the fit do
+        # not tell that it moves. Negative speeds mask nothing.
         speed, own = np.maximum(self.standstill, 0.0), self._reversals(estimator)
         noise = 0.0 * speed
         if estimator is not None:

@@ -164,10 +164,10 @@ class Effect(TransformerMixin, BaseEstimator):
                 f"{type(self).__name__} must define columns(motion)."
             )
         found = law(rows_of(motion))
-        out = np.empty((motion.q.shape[0], len(found)))
-        for column, values in zip(out.T, found):
+        out = np.empty((len(found), motion.q.shape[0]))
+        for column, values in zip(out, found):
             column[:] = values
-        return out
+        return out.T
 
     def simulated(self, table, *coef):
         """Enter it into a `TermTable` of forward dynamics; False if it has no terms."""

@@ -153,10 +153,9 @@ class HeldOutFit:
 
     def _residual(self, thetas, j):
         """Residuals (m,) of the j-th joint, with the coefficients of each fold."""
-        theta, (at, X) = np.array(thetas)[self.held.of_row], self._columns[j]
-        A = self.held.A[j]
-        out = A[:, -1] - np.einsum("mr,mr->m", A[:, :-1], theta[:, : self._r])
-        return out - np.einsum("mp,mp->m", X, theta[:, at])
+        theta, (at, X), A = np.transpose(thetas), self._columns[j], self.held.A[j]
+        fitted = A[:, :-1] @ theta[: self._r] + X @ theta[at]
+        return A[:, -1] - fitted[np.arange(len(A)), self.held.of_row]
 
     @property
     def squares(self):

@@ -143,10 +143,10 @@ SLOW_FILTER = "a filter within the motion's own frequencies"
 def search(view, library, settings, alpha, max_effects=None):
     """Find the most probable effects of a recording, and the reported ones."""
     needed = float(np.log((1.0 - alpha) / alpha))
-    resting, forgetful = _friction_at_rest(view, library, settings)
+    view, resting, forgetful = _friction_at_rest(view, library, settings)
     while True:
-        counted = view.with_rest(resting)
-        path = Path(counted, library, settings, max_effects, forgetful)
+        view = view.with_rest(resting)
+        path = Path(view, library, settings, max_effects, forgetful)
         fit, odds, worths = _settled(path, path.run())
         found = remembering(member.effect for member in fit.members)
         if resting <= found:
@@ -191,13 +191,14 @@ _AT_REST = 0.5
 
 
 def _friction_at_rest(view, library, settings):
-    """Joints whose torque at rest friction with memory predicts, and does not, sets."""
+    """View, joints whose torque at rest friction with memory predicts, and others."""
     # The plain terms predict none there.
     banks = [effect for effect in library if isinstance(effect, Bank)]
     resting = set(view.at_rest())
     if not banks or not resting:
-        return set(), set()
-    path = Path(view.with_rest(resting), banks, settings)
+        return view, set(), set()
+    view = view.with_rest(resting)
+    path = Path(view, banks, settings)
     fit = path.grown()
     left_out = path.held_out(fit)
     # The whole error counts: in blocks without a rest there is nothing to save.
@@ -208,7 +209,8 @@ def _friction_at_rest(view, library, settings):
         if own.gain > settings.significance * own.gain_std
         and left_out.share_of(i) > _AT_REST
     }
-    return known & resting, resting - remembering(m.effect for m in fit.members)
+    forgetful = resting - remembering(member.effect for member in fit.members)
+    return view, known & resting, forgetful
 
 
 def in_order(findings):

@@ -119,6 +119,12 @@ class Member:
         return self.effect.values - np.asarray(self.effect.nominal)
 
 
+def _together(joint, columns):
+    """Columns (n, p) of members on a joint, and their products by band."""
+    X = np.hstack([x.values[x.joints.index(joint), :, 0] for x in columns])
+    return X, products(columns[0].edges, X, X)
+
+
 class Problem:
     """Equations of all joints in frequency: declared columns and torques."""
 
@@ -142,6 +148,8 @@ class Problem:
         self._per_torque = (self.torque > 0) / or_one(self.torque)
         self.used_joints = view.precision > 0
         self.held = np.zeros(view.one_sided.shape[:2], dtype=bool)
+        # Most joints of a fit have the members that they had in one before.
+        self.together = functools.lru_cache(_together)
 
     @property
     def edges(self):
@@ -346,10 +354,8 @@ class Fit:
     # each other and the torques as far as those leave them; `reduced` where another fit
     # has made them.
 
-    def __init__(self, base, members=(), reduced=None, alike=None):
+    def __init__(self, base, members=(), reduced=None):
         self.base, self.members = base, tuple(members)
-        if alike is not None:
-            self._acting, self._banded = alike._acting, alike._banded
         edges = np.cumsum([0, *(m.width for m in self.members)])
         self.places = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
         deviation = [np.where(m.unit > 0, m.scale * m.unit, 1.0) for m in self.members]
@@ -368,27 +374,21 @@ class Fit:
         own = [self.base.beside(m.columns) for m in self.members]
         B = np.hstack([np.zeros((self.base.L.shape[0], 0)), *(x.T for x in own)])
         H = -B.T @ B
-        for j, gram in self._banded.items():
-            at = self._acting[j][0]
+        for j, (at, _, gram) in self._acting.items():
             H[at[:, None], at] += np.tensordot(self.base.density[j], gram, 1)
         return B, H, np.concatenate([np.zeros(0), *(x.q[0] for x in own)])
 
     @functools.cached_property
     def _acting(self):
-        """Coefficients that act on each joint, and their columns, a dict."""
-        found = {}
+        """Coefficients that act on each joint, and see `_together`, a dict."""
+        found, numbers = {}, np.arange(len(self.prior))
         for place, member in zip(self.places, self.members):
-            for j, own in zip(member.joints, member.columns.values):
-                found.setdefault(j, []).append((np.r_[place], own[:, 0]))
+            for j in member.joints:
+                found.setdefault(j, []).append((numbers[place], member.columns))
         for j, own in found.items():
-            found[j] = tuple(np.concatenate(x, axis=-1) for x in zip(*own))
+            places, columns = zip(*own)
+            found[j] = np.concatenate(places), *self.problem.together(j, columns)
         return found
-
-    @functools.cached_property
-    def _banded(self):
-        """Products of the columns that act on each joint by band, a dict."""
-        edges = self.problem.edges
-        return {j: products(edges, X, X) for j, (_, X) in self._acting.items()}
 
     @property
     def problem(self):
@@ -418,7 +418,7 @@ class Fit:
     def _sum(self, theta, coef):
         """Sum of the columns with coefficients (r, ...) and (p, ...), (nv, n, ...)."""
         out = self.problem.Z @ theta
-        for j, (at, X) in self._acting.items():
+        for j, (at, X, _) in self._acting.items():
             out[j] += X @ coef[at]
         return out
 
@@ -438,8 +438,7 @@ class Fit:
         covariance, cross = self.covariance, E @ self.covariance
         whole = base.inverse + cross @ E.T
         taken = np.tensordot(problem.gram, whole, 2)
-        for j, gram in self._banded.items():
-            at = self._acting[j][0]
+        for j, (at, _, gram) in self._acting.items():
             taken[j] += np.tensordot(gram, covariance[at[:, None], at], 2)
         for place, member in zip(self.places, self.members):
             own = member.columns.declared(problem.Z)
@@ -570,7 +569,7 @@ class Fit:
         """Return the same with other declared friction at zero, see `Problem`."""
         problem = self.problem
         made = problem.changed(held=np.broadcast_to(held, problem.held.shape))
-        return Fit(self.base.on(made), self.members, alike=self)
+        return Fit(self.base.on(made), self.members)
 
     def within_signs(self, errors):
         """Return the same with declared friction at zero that would drive."""
@@ -614,7 +613,7 @@ class Fit:
         """Return the same with the most probable scale of each member."""
         scales = [float(own.best_scale(scale)[0]) for own in self.own_groups]
         members = [replace(m, scale=own) for m, own in zip(self.members, scales)]
-        return Fit(self.base, members, (self._B, self._H, self._q), self)
+        return Fit(self.base, members, (self._B, self._H, self._q))
 
     def log_evidence(self):
         """Logarithm of the evidence, but for a constant of the recording."""
@@ -675,7 +674,7 @@ def spectrum_of(fit, settings, rounds=3, share=None):
     if share is not None:
         return _following(fit, settings, rounds, share)
     problem = fit.problem
-    plain = weighed(Fit(declared_weights(problem), fit.members, alike=fit))
+    plain = weighed(Fit(declared_weights(problem), fit.members))
     most = _by_chance(plain.base, _spectrum(plain, settings), settings.significance)
     for start, share in ((fit, 1.0), *((plain, own) for own in _SHARES)):
         found = _following(start, settings, rounds, share)
@@ -691,7 +690,7 @@ def _following(fit, settings, rounds, share):
     for _ in range(rounds):
         spectrum = _spectrum(fit, settings)
         weights = spectrum.weights(problem.cosines, share)
-        new = Fit(Base(problem, weights, spectrum, share), fit.members, alike=fit)
+        new = Fit(Base(problem, weights, spectrum, share), fit.members)
         # A band that the fit follows ever closer would weigh ever more.
         if fit.base.share == share and new.log_evidence() < fit.log_evidence():
             break
@@ -724,4 +723,4 @@ def weighed(fit):
     power = (fit.residual**2).mean(axis=1)
     heard = problem.used_joints & (power > 0)
     own = np.where(heard, problem.cosines.fill / np.where(heard, power, 1.0), 0.0)
-    return Fit(_flat(problem, own), fit.members, alike=fit)
+    return Fit(_flat(problem, own), fit.members)

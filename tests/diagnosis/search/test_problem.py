@@ -18,7 +18,7 @@ from sklearn_vbjfa.diagnosis.search import (
     Spectrum,
     spectrum_of,
 )
-from sklearn_vbjfa.diagnosis.search._problem import Base, _by_chance
+from sklearn_vbjfa.diagnosis.search._problem import Base, _by_chance, _together
 from sklearn_vbjfa.effects import Coulomb, Drift, JointZero, Offset, Payload, Spring
 from tests.diagnosis._recordings import record
 from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring
@@ -35,7 +35,7 @@ class Made(Problem):
         bands = np.arange(N + 1)
         self.Z, self.y, self.used_joints = Z, y, heard
         self.view = SimpleNamespace(one_sided=np.zeros((NV, 1, R)))
-        self.held = np.zeros((NV, 1), dtype=bool)
+        self.held, self.together = np.zeros((NV, 1), dtype=bool), _together
         self.cosines = SimpleNamespace(
             fill=np.ones(NV), band=bands[:-1], edges=bands, octave=bands[:-1]
         )

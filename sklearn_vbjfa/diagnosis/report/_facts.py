@@ -146,9 +146,9 @@ def to_record(outcome, status, signal_advice, no_period):
 # -- masses and parameters -------------------------------------------------------------
 
 
-def agrees(mass, nominal):
+def agrees(mass, nominal, least=_OTHER_MASS):
     """Whether a mass may pass for that of the robot description."""
-    return min(mass, nominal) >= _OTHER_MASS * max(mass, nominal)
+    return min(mass, nominal) >= least * max(mass, nominal)
 
 
 def with_half(value, std):

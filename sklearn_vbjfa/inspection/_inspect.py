@@ -80,7 +80,7 @@ TABLE = (
     Hypothesis("unsigned_torque", "error", torques.unsigned, when="first"),
     # -- positions and time
     Hypothesis("position_unit", "error", positions.units, "turns"),
-    Hypothesis("position_unit:gear", "warning", positions.gear, "turns", "poor",
+    Hypothesis("position_unit:gear", "warning", positions.gear, "turns",
                surpasses="invented"),
     Hypothesis("position_zeros", "error", partial(positions.zeros, few=False),
                "zeroed"),

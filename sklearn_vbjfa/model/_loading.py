@@ -240,8 +240,7 @@ def _left_out(mimics, model):
     if mimics:
         found.append(
             f"that {', '.join(mimics)} follow(s) another joint and carries joints that "
-            "do not is not modelled, each counts as a joint with a separate torque "
-            "(to hold such joints at zero, leave them out of joint_names or --joints)"
+            "do not is not modelled, each counts as a joint with a separate torque"
         )
     possible = solid_bodies(nominal_parameters(model), _POSSIBLE)
     wrong = [name for name, good in zip(names, possible) if not good]

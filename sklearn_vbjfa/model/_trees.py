@@ -368,6 +368,14 @@ class Description:
         check_known(moving, self.names, self.called)
         links = {name: link for name, link in self.links.items() if name not in moving}
         follow = led_by(moving, self.carriers, links, self.called)
+        for name, link in links.items():
+            if name not in follow and link.leader in moving:
+                raise ValueError(
+                    f"{self.called}: {name} follows {link.leader}, which moves, and "
+                    "carries joints that do not follow: it can neither be held nor "
+                    f"folded. Give it columns and a torque (name it as well), or hold "
+                    f"{link.leader} too."
+                )
         pin, model = import_pinocchio(), self.model
         still = [
             k

@@ -1,6 +1,5 @@
 """Joints that follow others are folded: the robot is the full one to its leaders."""
 
-
 import numpy as np
 import pinocchio as pin
 import pytest

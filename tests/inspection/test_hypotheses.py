@@ -455,6 +455,18 @@ def test_a_wrong_gear_of_one_joint(log, power):
     assert ("multiply the torque" in found[0].message) == bool(power)
 
 
+def test_a_wrong_gear_where_drives_hide_the_bodies():
+    # All torques agree with the description but for a few per cent.
+    size = {"viscous": 5.0, "coulomb": 6.0, "rotor_inertia": 2.0}
+    friction = {name: np.full(6, x) for name, x in size.items()}
+    given = {"perturbation": 0, "torque_noise": 0.01, "friction": friction}
+    made = make_robot_recording(duration=20, **given, random_state=1)
+    wrist = made.q * [1, 1, 1, 1, 2, 1]
+    kinds, found = grave((made, made.robot_model(), None), q=wrist)
+    assert kinds == ["position_unit"]
+    assert found[0].joints == (4,)
+
+
 def test_rows_that_hold_no_readings(log):
     q, tau = log[0].q.copy(), log[0].tau.copy()
     q[1000:1100], tau[1000:1100] = 0.0, 0.0

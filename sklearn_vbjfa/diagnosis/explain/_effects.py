@@ -53,6 +53,14 @@ class DiscoveredEffect:
         most = _POSSIBLE if self.warning else 1.0
         return min(self.evidence.probability, most)
 
+    @property
+    def is_determined(self):
+        """Whether the interval of a force, torque or stiffness, if any, omits zero."""
+        # Where size and shape trade against each other some torque is there all the
+        # same.
+        own = [x for key, x in self.intervals.items() if "N" in self.units.get(key, "")]
+        return not own or any(low > 0 or high < 0 for low, high in own)
+
 
 def discovered_effects(search, final, names, prismatic):
     """Yield each `DiscoveredEffect`, with the values of the final fit."""

@@ -173,6 +173,15 @@ def test_a_terminal_has_room_for_few_effects_and_the_page_for_all_joints():
         assert verdict.text in text_of(report)
 
 
+def test_an_effect_of_unknown_size_is_told():
+    (effect,) = make_outcome(nv=3, n_effects=1).findings["effects"]
+    known = {"parameters": {"A": 0.8}, "units": {"A": "N m"}, "name": "ripple"}
+    for low, told in ((0.2, False), (-0.2, True)):
+        one = replace(effect, **known, intervals={"A": (low, 1.4)})
+        text = line_of(Report(make_outcome(effects=(one,))))
+        assert ("its form is not determined" in text) == told
+
+
 @pytest.mark.parametrize("shown", [line_of, text_of])
 def test_an_effect_has_value_gain_odds_and_rivals(shown):
     text = shown(Report(make_outcome(nv=3, n_effects=1)))

@@ -48,7 +48,8 @@ def with_signs(recipe, robot, source, before):
 def signed(robot, recording):
     """Give sizes of torques their mean sign beside what a fitted robot predicts."""
     asked = robot.prepare_recording(replace(recording, weight=None))
-    predicted = robot.torques(replace(asked, rest=robot.plan.rest()))
+    rest = robot.plan.rest(robot.plan.state_estimator)
+    predicted = robot.torques(replace(asked, rest=rest))
     tau = expected(recording.tau, predicted)
     return replace(recording, tau=tau, command=tau)
 

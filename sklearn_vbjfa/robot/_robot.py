@@ -940,7 +940,8 @@ class IdentifiedRobot:
             t = None if clock is None else clock[rows]
             own = {name: values[rows] for name, values in recording.signals.items()}
             asked = self.prepare(recording.inputs[rows], t=t, signals=own)
-            asked, y = replace(asked, rest=self.plan.rest()), torques[rows]
+            rest = self.plan.rest(self.plan.state_estimator)
+            asked, y = replace(asked, rest=rest), torques[rows]
             residual = y - self.torques(asked)
             found.append(noise_facts(residual, y, asked.states, *band, n_jobs))
         return found

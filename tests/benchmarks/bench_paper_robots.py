@@ -57,7 +57,7 @@ def methods():
     ridge = RidgeCV(alphas=np.geomspace(1e-4, 1e4, 17), cv=blocks)
     lasso = LassoCV(cv=blocks, alphas=30, eps=1e-5, max_iter=20_000, tol=1e-3)
     sys.path.append(str(ROOT))
-    from tests.reference.descent import DescentProjector
+    from _descent import DescentProjector
 
     descent = DescentProjector(constraint="eq30")
     plain = {

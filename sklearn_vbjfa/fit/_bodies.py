@@ -26,8 +26,8 @@ SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
 _FAR_OFF = 3.0
 # Passes over all bodies, and the change of a mean in deviations that ends them.
 _PASSES, _STAYS = 100, 1e-3
-# Times that their common size is taken for that of the description.
-_TURNS = 20
+# Times that their common size is asked for, and the change of it that ends this.
+_TURNS, _SAME_SIZE = 20, 0.02
 # Directions of the Gram matrix below this are never used.
 _RANK = 1e-12
 # Variances of a body below this share of its largest are rounding.
@@ -367,14 +367,15 @@ def around(description, A, b):
     # A (p, p) and b (p,) are in units of the noise; parameters without a prior are
     # free.
     # A description in other units, or torques in others, is thousands of times off. By
-    # least squares one body that is heard well would decide for all.
+    # least squares one body that is heard well would decide for all: the others are
+    # asked until they agree.
     own, product, _ = _along(description, A, b)
     first = product / own if own > 0 and product > 0 else 1.0
     for _ in range(_TURNS):
         problem = _BodyProblem(description.scaled(first), A, b)
         sites = problem.sites()
         mean, root = problem.solved(sites)
-        if abs(mean[-1]) < DESCRIBED or mean[-1] <= -1.0:
+        if abs(mean[-1]) < _SAME_SIZE or mean[-1] <= -1.0:
             break
         first *= 1.0 + mean[-1]
     precision = problem.precision(sites)

@@ -26,8 +26,9 @@ SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
 _FAR_OFF = 3.0
 # Passes over all bodies, and the change of a mean in deviations that ends them.
 _PASSES, _STAYS = 100, 1e-3
-# Times that their common size is asked for, and the change of it that ends this.
-_TURNS, _SAME_SIZE = 20, 0.02
+# Times that the common size of the bodies is asked for, and the change of it from which
+# on they contradict it.
+_TURNS, _CONTRADICTED = 20, 0.5
 # Directions of the Gram matrix below this are never used.
 _RANK = 1e-12
 # Variances of a body below this share of its largest are rounding.
@@ -367,17 +368,16 @@ def around(description, A, b):
     # A (p, p) and b (p,) are in units of the noise; parameters without a prior are
     # free.
     # A description in other units, or torques in others, is thousands of times off. By
-    # least squares one body that is heard well would decide for all: the others are
-    # asked until they agree.
+    # least squares one body that is heard well decides for all, until these contradict.
     own, product, _ = _along(description, A, b)
     first = product / own if own > 0 and product > 0 else 1.0
     for _ in range(_TURNS):
         problem = _BodyProblem(description.scaled(first), A, b)
         sites = problem.sites()
         mean, root = problem.solved(sites)
-        if abs(mean[-1]) < _SAME_SIZE or mean[-1] <= -1.0:
+        if abs(mean[-1]) < _CONTRADICTED:
             break
-        first *= 1.0 + mean[-1]
+        first *= max(1.0 + mean[-1], _CONTRADICTED)
     precision = problem.precision(sites)
     every = root @ root.T
     centre = problem.centre

@@ -90,7 +90,8 @@ class Effect(TransformerMixin, BaseEstimator):
     continuous : tuple of str
         Shape parameters that are searched between the values of `shapes` as well.
     bounded : bool
-        Whether they do not, since the torque is bounded by itself.
+        Whether they do not: the torque is bounded by itself, or as straight as viscous
+        friction.
     record : str
         What a recording must contain for the effect to be identifiable, and to be
         distinguished from its rivals.

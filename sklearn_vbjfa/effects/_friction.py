@@ -121,6 +121,8 @@ class AsymmetricFriction(Effect):
     units = (TORQUE, VISCOSITY)
     contains = ("coulomb", "viscous")
     depends = ("speed", "direction")
+    # As viscous friction is, whose halves these are.
+    bounded = True
     record = "both directions at several speeds"
     # Half the difference of dry friction is a constant, at rest as well.
     terms = (("constant", "dFc"), ("absolute", "dFv"))

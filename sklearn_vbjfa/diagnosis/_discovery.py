@@ -335,7 +335,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         lowpass = self.baseline_.robot_.plan.lowpass
         moving = split.moving[split.rows]
         kept, pieces = stretches(part.segments, moving, lowpass)
-        near = replace(split, rows=split.rows[kept], pieces=pieces)
+        near = split
+        if kept.size < split.rows.size:
+            near = replace(split, rows=split.rows[kept], pieces=pieces)
         say("search")
         given = {"origin": whole.groups[near.rows], **known}
         found = self._search(near.searched(whole), silent, given, library)

@@ -121,8 +121,8 @@ class Plan:
         return found[0] if found else None
 
     def applied(self, recording):
-        recording = bridged(replace(recording, tau=recording.torques(self.delay)))
-        return with_torques_shifted(recording, self.lag) if self.lag else recording
+        own = replace(recording, tau=recording.torques(self.delay))
+        return with_torques_shifted(own, self.lag) if self.lag else bridged(own)
 
     @property
     def timed(self):

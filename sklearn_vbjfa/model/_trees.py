@@ -12,7 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_vbjfa.physical import body_scales, min_eigenvalue
+from sklearn_vbjfa.physical import (
+    body_scales,
+    inertial_parameters,
+    min_eigenvalue,
+    pseudo_inertia,
+)
 
 # A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
 # below which the body has next to no extension in some direction.
@@ -121,14 +126,14 @@ def with_extension(model, least):
     pin = import_pinocchio()
     bodies = nominal_parameters(model)
     thin = (bodies[:, 0] > 0) & ~solid_bodies(bodies, least)
-    for k in (np.flatnonzero(thin) + 1).tolist():
-        body = model.inertias[k]
+    for k in np.flatnonzero(thin).tolist():
+        P = pseudo_inertia(bodies[k])
+        shift = np.outer(P[:3, 3], P[:3, 3]) / P[3, 3]
         # Second moments of the mass about its centre, along their principal axes.
-        second = 0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia
-        moment, axes = np.linalg.eigh(second)
-        second = (axes * np.maximum(moment, ball * body.mass)) @ axes.T
-        rounder = np.trace(second) * np.eye(3) - second
-        model.inertias[k] = pin.Inertia(body.mass, body.lever, rounder)
+        moment, axes = np.linalg.eigh(P[:3, :3] - shift)
+        P[:3, :3] = shift + (axes * np.maximum(moment, ball * P[3, 3])) @ axes.T
+        rounder = pin.Inertia.FromDynamicParameters(inertial_parameters(P))
+        model.inertias[k + 1] = rounder
     return model
 
 
@@ -373,7 +378,7 @@ class Description:
                 raise ValueError(
                     f"{self.called}: {name} follows {link.leader}, which moves, and "
                     "carries joints that do not follow: it can neither be held nor "
-                    f"folded. Give it columns and a torque (name it as well), or hold "
+                    "folded. Give it columns and a torque (name it as well), or hold "
                     f"{link.leader} too."
                 )
         pin, model = import_pinocchio(), self.model

@@ -37,26 +37,28 @@ def judge(loop, found, split, near, whole):
     kept = split.decided(whole.t, instants).guarded(guard)
     used, seen = view.root.any(axis=0), len(view.states)
 
-    fitted = plain.robot_.residuals_of(split.searched(whole), predicts=False)
-    # A joint whose channel carries no information counts nowhere.
-    fitted = replace(fitted, weight=fitted.weight * used)
-    part = kept.held_out(whole)
-    spread = torque_spread(fitted, declared.robot_.residuals_of(part, predicts=False))
-
-    def residuals(part, rows, used=1.0):
+    def residuals(part, rows):
         """Residuals of each model on some rows of the whole recording."""
         every = dict.fromkeys((declared, plain, completed))
         found = {one: one.robot_.residuals_of(part) for one in every}
-        # The same rows for all models: at rest the torque of a joint is predicted as
-        # well where its friction has a memory.
-        weight = found[completed].weight * used
-        return {
-            one: replace(x, index=rows[x.index], weight=weight)
-            for one, x in found.items()
-        }
+        return {one: replace(x, index=rows[x.index]) for one, x in found.items()}
 
-    held_out = residuals(part, kept.held_out_rows)
-    searched = residuals(near.searched(whole), near.rows, used)
+    def alike(found, used=1.0):
+        """Residuals in the same rows for all models."""
+        # At rest the torque of a joint is predicted as well where its friction has a
+        # memory.
+        weight = found[completed].weight * used
+        return {one: replace(x, weight=weight) for one, x in found.items()}
+
+    held_out = residuals(kept.held_out(whole), kept.held_out_rows)
+    searched = residuals(near.searched(whole), near.rows)
+    fitted = searched[plain]
+    if near is not split:
+        fitted = plain.robot_.residuals_of(split.searched(whole), predicts=False)
+    # A joint whose channel carries no information counts nowhere.
+    fitted = replace(fitted, weight=fitted.weight * used)
+    spread = torque_spread(fitted, held_out[declared])
+    held_out, searched = alike(held_out), alike(searched, used)
     before, after = held_out[declared], held_out[completed]
     weight = after.weight
 

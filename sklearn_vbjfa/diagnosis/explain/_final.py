@@ -167,9 +167,10 @@ class FinalFit:
         for joints, columns, rows in self._branches(extra, factor):
             grams = np.zeros((len(places), columns.size, columns.size))
             for k in range(len(places)):
-                own = rows[label == k].reshape(-1, columns.size)
+                block = label == k
+                own = rows[block].reshape(-1, columns.size)
                 grams[k] = own.T @ own
-                scores[k, columns] = residual[label == k][:, joints].ravel() @ own
+                scores[k, columns] = residual[block][:, joints].ravel() @ own
             parts.append((columns, grams))
         return block_variance(parts, scores, places)
 

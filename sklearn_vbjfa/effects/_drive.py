@@ -155,7 +155,9 @@ class CouplingSpring(ToAnother, Converted, OnAllJoints):
     shape_units = (("ratio", RATIO),)
     contains = ("offset",)
     continuous = ("ratio",)
+    constant = "c"
     record = "each joint moving alone through a wide range"
+    files = InFiles(urdf="URDF has no spring", mjcf="")
 
     def __init__(self, joint=0, other=1, ratio=1.0):
         super().__init__(joint, other)

@@ -620,14 +620,17 @@ def held_columns(features, effects):
     per_joint = features.n_parameters_ // features.n_joints_
     first = per_joint - len(features.friction_)
     found, taken = [], set()
-    for effect, at in effect_places(effects, features.n_parameters_):
+    # A constant over two joints takes the offset of the one that is left.
+    places = effect_places(effects, features.n_parameters_)
+    for effect, at in sorted(places, key=lambda place: len(place[0].joints)):
         if effect.constant:
-            if effect.joint in taken:
+            joint = next((j for j in effect.joints if j not in taken), None)
+            if joint is None:
                 found.append(at.start + effect.coefficients.index(effect.constant))
             elif "offset" in features.friction_:
                 term = features.friction_.index("offset")
-                found.append(effect.joint * per_joint + first + term)
-            taken.add(effect.joint)
+                found.append(joint * per_joint + first + term)
+            taken.add(joint)
         if isinstance(effect, Bank) and "coulomb" in features.friction_:
             term = features.friction_.index("coulomb")
             found.append(effect.joint * per_joint + first + term)

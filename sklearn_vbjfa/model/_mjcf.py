@@ -65,6 +65,8 @@ class JointDynamics:
     slope: np.ndarray
     # (nv,): torque channel's reading, the motor's control, over the true torque
     gain: np.ndarray
+    # springs k (q[first] - ratio q[second]) + c over two joints, as tuples of these
+    tendons: tuple = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,6 +109,8 @@ def write_mjcf(
     tree.add_bodies(ElementTree.SubElement(root, "worldbody"))
     if followers:
         tree.add_equalities(ElementTree.SubElement(root, "equality"))
+    if dynamics.tendons:
+        tree.add_tendons(ElementTree.SubElement(root, "tendon"))
     tree.add_motors(ElementTree.SubElement(root, "actuator"), servo, step)
     write_tree(ElementTree.ElementTree(root), path)
 
@@ -203,6 +207,14 @@ class _Tree:
                 joint2=leader,
                 polycoef=numbers([shift, link.rate, 0.0, 0.0, 0.0]),
             )
+
+    def add_tendons(self, parent):
+        for first, second, ratio, k, c in self._dynamics.tendons:
+            spring = {"stiffness": number(k), "springlength": number(-c / k)}
+            fixed = ElementTree.SubElement(parent, "fixed", spring)
+            for j, coef in ((first, 1.0), (second, -ratio)):
+                end = {"joint": self._names[j], "coef": number(coef)}
+                ElementTree.SubElement(fixed, "joint", end)
 
     def _add_body(self, carrier, j):
         """Add the body that a joint moves, and the joint; return its element."""

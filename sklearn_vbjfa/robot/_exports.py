@@ -8,6 +8,7 @@ from scipy.optimize import lsq_linear
 
 from sklearn_vbjfa.effects import (
     CommandDelay,
+    CouplingSpring,
     InModel,
     OfChannel,
     OfSignals,
@@ -247,6 +248,11 @@ def _mjcf_dynamics(account, servo=None):
         constant=np.where(stable, 0.0, constant),
         slope=np.where(stable, 0.0, spring),
         gain=robot.gains,
+        tendons=tuple(
+            (*effect.joints, effect.ratio, *coef)
+            for effect, coef in account.uses
+            if isinstance(effect, CouplingSpring) and coef[0]
+        ),
     )
 
 
@@ -267,7 +273,8 @@ _ROUNDING = 1e-9
 
 def without_place(effect, coef):
     """Coefficients (k,) of a law of motion that MJCF lacks, zero elsewhere."""
-    others = isinstance(effect, (InModel, OnAllJoints, OfSignals))
+    others = isinstance(effect, (InModel, OfSignals))
+    others |= isinstance(effect, OnAllJoints) and bool(effect.files.simulation)
     if others or isinstance(effect, (OfChannel, OfTime)) or not effect.files.mjcf:
         return np.zeros(len(coef))
     held = [name for _, name in effect.files.places]
@@ -304,7 +311,8 @@ def refitted(robot, totals):
     nv, added = len(totals), np.zeros(totals.shape)
     pairs = list(zip(robot.effects_, robot.split(robot.theta_)))
     left = [
-        without_place(*pair) * (not isinstance(pair[0], ToAnother)) for pair in pairs
+        without_place(*pair) * (not isinstance(pair[0], (OnAllJoints, ToAnother)))
+        for pair in pairs
     ]
     if not _is_known(robot) or not any(coef.any() for coef in left):
         return added

@@ -10,6 +10,7 @@ from sklearn_vbjfa.effects import (
     AsymmetricFriction,
     BaseTilt,
     Coulomb,
+    CouplingSpring,
     JointAxis,
     JointZero,
     Motion,
@@ -22,6 +23,7 @@ from sklearn_vbjfa.effects import (
 )
 from sklearn_vbjfa.physical import min_eigenvalue
 from sklearn_vbjfa.robot import to_mjcf
+from sklearn_vbjfa.robot._exports import without_place
 from sklearn_vbjfa.simulation import TorqueModel
 from tests.model._mujoco import drive_torques, moving_states
 from tests.model._robots import random_tree
@@ -55,7 +57,7 @@ def torques(robot, states):
         plain = effects.declared_columns((name,), motion.v, motion.a)
         found += column * plain[:, :, 0]
     for effect, coef in zip(robot.effects, robot.coefficients):
-        found[:, effect.joint] += effect.columns(motion) @ coef
+        found += effect.in_all(effect.columns(motion), robot.n_joints) @ coef
     return found
 
 
@@ -76,6 +78,8 @@ def test_all_that_mjcf_can_hold_is_exact(tmp_path):
             (Spring(0), [5.0, 2.0]),
             (Spring(1), [-4.0, 1.0]),
             (AsymmetricFriction(3), [0.6, 0.0]),
+            (CouplingSpring(1, 3, ratio=-0.7), [6.0, 0.9]),
+            (CouplingSpring(0, 2, ratio=0.4), [-2.0, 0.5]),
         ],
         friction=[
             ("viscous", [1.0, 2.0, 3.0, 4.0]),
@@ -88,6 +92,15 @@ def test_all_that_mjcf_can_hold_is_exact(tmp_path):
     assert written(robot, path) == ()
     states = moving_states(np.random.default_rng(5), 200, robot.n_joints)
     assert_same(drive_torques(path, states), torques(robot, states))
+
+
+def test_what_a_file_lacks_on_several_joints_changes_its_motion():
+    class OnBoth(effects.OnAllJoints):
+        coefficients = ("k",)
+
+    assert without_place(OnBoth(), np.ones(1)) == [1.0]
+    # No simulation has it, of the robot or of the file.
+    assert without_place(effects.Elastic(), np.ones(1)) == [0.0]
 
 
 # -- whole identifications -------------------------------------------------------------

@@ -249,6 +249,15 @@ def test_an_effect_with_a_constant_takes_the_offset_of_its_joint():
         assert values[f"joint_{j}:offset"] == pytest.approx(offset[j - 1], abs=1e-6)
 
 
+def test_springs_over_two_joints_take_the_offsets_that_are_left():
+    """A spring of a joint keeps its own constant, whatever the order of effects."""
+    way = np.array([0.0, 1.0, -0.5])
+    added = 2.0 * (Q @ way - 0.6)[:, None] * way + on_joint(1, 3.0 * (Q[:, 1] - 0.3))
+    both = [effects.CouplingSpring(1, 2, ratio=0.5), effects.Spring(1)]
+    robot = fit(added, *both, friction=("viscous", "offset"))
+    assert robot.theta_[-4:] == pytest.approx([2.0, -1.2, 3.0, -0.9], abs=1e-6)
+
+
 def test_friction_with_memory_takes_the_place_of_coulomb_and_holds_at_rest():
     """A joint that stops keeps the torque with which it stopped."""
     stop = T > 0.7 * T[-1]

@@ -2,9 +2,11 @@
 
 import functools
 import math
+from numbers import Real
 
 import numpy as np
 
+from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.effects._base import (
     POSITION,
     RATIO,
@@ -17,11 +19,12 @@ from sklearn_vbjfa.effects._base import (
     Shaped,
     Stateful,
 )
+from sklearn_vbjfa.effects._motion import Arrays
 
 # Widths of play to try, as shares of half of the joint's range.
 _WIDTHS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
-# Displacements of the bank to try, as shares of the joint's range: their number, and
-# the smallest and the largest one.
+# Displacements of the bank to try beside none, as shares of the joint's range: their
+# number, and the smallest and the largest one.
 _COUNT, _SMALLEST, _LARGEST = 14, 3e-5, 0.25
 # Stribeck speeds of the bank to try, as shares of the joint's fastest speed.
 _SPEEDS = (0.04, 0.08, 0.16, 0.32)
@@ -37,6 +40,8 @@ _AT_ONCE = (
 )
 # Points of the curve on which the displacement at half of the friction is looked for.
 _CURVE = 200
+# Mean sign of a velocity from which on its joint moves.
+_MOVES = 0.99
 
 
 @functools.cache
@@ -48,32 +53,42 @@ def _compiled(function):
     return compiler(__file__)(function)
 
 
-def elements(q, displacements, level=1.0, falls=False, creeps=False, before=()):
+def elements(
+    q, displacements, level=1.0, falls=False, creeps=False, before=(), sign=None
+):
     """States (n, k) of elements that slip at, or creep towards, a level."""
     # level (n,): of the elements that fall, bool (k,); that of the others is 1.
     # before: positions that the joint came through, at the first of which z is zero.
+    # sign (n,): mean signs of the velocity, for elements without displacement; by
+    # default those of the ways from row to row.
     d = np.asarray(displacements, dtype=float)
+    sign = np.sign(np.diff(q, prepend=q[:1])) if sign is None else sign
     z = np.zeros((q.size, d.size))
     if len(before):
         # At a constant level the ends of each way are enough.
         ends = _compiled(_turned)(np.append(before, q[0]))
         z[0] = elements(ends, d, creeps=creeps)[-1]
     level, falls = np.broadcast_to(level, q.shape), np.broadcast_to(falls, d.shape)
-    arrays = (np.ascontiguousarray(x) for x in (q, d, level, falls))
-    _compiled(_elements)(*arrays, creeps, z)
+    arrays = (np.ascontiguousarray(x) for x in (q, d, level, falls, sign))
+    _compiled(_elements)(*arrays, creeps, _MOVES, z)
     return z
 
 
-def _elements(q, d, level, falls, creeps, z):
+def _elements(q, d, level, falls, sign, creeps, moves, z):
     """Continue states z (n, k) from the first row on."""
     way = 1.0
-    for i in range(1, q.size):
-        step = q[i] - q[i - 1]
+    for i in range(q.size):
+        before = max(i - 1, 0)
+        step = q[i] - q[before]
         if step != 0:
             way = 1.0 if step > 0 else -1.0
         for k in range(d.size):
             most = level[i] if falls[k] else 1.0
-            own, moved = way * z[i - 1, k], way * step / d[k]
+            if d[k] == 0:
+                held = sign[i] if abs(sign[i]) > moves else z[before, k]
+                z[i, k] = np.sign(held) * most
+                continue
+            own, moved = way * z[before, k], way * step / d[k]
             if creeps:
                 own = most + (own - most) * math.exp(-moved / most)
             else:
@@ -119,12 +134,12 @@ class MaxwellSlip(Shaped, Converted, Bank):
     """Dry friction with memory, tau = sum_k F_k z_k of elements that stick and slip.
 
     Moving forward each element sticks up to a displacement d_k and then slips at its
-    level g, z' = min(z + dq / d, g): the Maxwell slip model, of which Coulomb friction
-    is the limit of small displacements. Or it creeps towards its level, z' = g + (z -
-    g) exp(-dq / (d g)), as bristles do. The level is 1, or falls with speed, g = 1 +
-    exp(-(v / vs)^2). A joint at rest holds the torque with which it stopped. Source:
-    Al-Bender, Lampaert and Swevers (2005), :doi:`10.1109/TAC.2005.858676`; Canudas de
-    Wit, Olsson, Astrom and Lischinsky (1995), :doi:`10.1109/9.376053`.
+    level g, z' = min(z + dq / d, g): the Maxwell slip model. Or it creeps towards its
+    level, z' = g + (z - g) exp(-dq / (d g)), as bristles do. The level is 1, or falls
+    with speed, g = 1 + exp(-(v / vs)^2). An element without displacement is Coulomb
+    friction, z = g sign(v). A joint at rest holds the torque with which it stopped.
+    Source: Al-Bender, Lampaert and Swevers (2005), :doi:`10.1109/TAC.2005.858676`;
+    Canudas de Wit, Olsson, Astrom and Lischinsky (1995), :doi:`10.1109/9.376053`.
 
     Parameters
     ----------
@@ -155,8 +170,8 @@ class MaxwellSlip(Shaped, Converted, Bank):
         r" \quad z_k(q; g) = \mathrm{clip}(z_k + \Delta q / d_k, -g, g)"
     )
     shape_units = (*((name, POSITION) for name in _BANKS), ("vs", SPEED))
-    positive = (*_BANKS, "vs")
-    tuned = (*positive, "element")
+    positive = ("vs",)
+    tuned = (*_BANKS, "vs", "element")
     choices = (("element", ("stop", "bristle")),)
     record = "many reversals, after short and long moves"
     files = InFiles(
@@ -231,17 +246,24 @@ class MaxwellSlip(Shaped, Converted, Bank):
             raise ValueError(
                 f"{self.name} must have at least one element; got no displacements."
             )
+        for name, bank in zip(_BANKS, self._banks):
+            if not all(isinstance(d, Real) and 0 <= d < np.inf for d in bank):
+                raise ValueError(
+                    f"{name} of {self.name} must be finite and not negative; got "
+                    f"{bank!r}."
+                )
 
     def columns(self, motion):
         j, d = self.joint, np.concatenate(self._banks)
         plain, loaded, _ = self._split(np.arange(d.size))
         falls = np.arange(d.size) >= plain.size + loaded.size
         level = 1.0 + np.exp(-((motion.v[:, j] / self.vs) ** 2))
+        sign = Arrays(motion.rest).sign(j)(motion.v[:, j], motion.a[:, j])
         before = motion.before(j) if motion.before else [()] * len(motion.parts)
         z = np.empty((level.size, d.size))
         for part, known in zip(motion.parts, before, strict=True):
-            q, own = motion.q[part, j], level[part]
-            z[part] = elements(q, d, own, falls, self._creeps, known)
+            own = level[part], falls, self._creeps, known, sign[part]
+            z[part] = elements(motion.q[part, j], d, *own)
         if loaded.size:
             z[:, loaded] *= np.abs(motion.load[:, [j]])
         return z
@@ -256,18 +278,24 @@ class MaxwellSlip(Shaped, Converted, Bank):
         plain, loaded, falling = self._banks
         d = [float(one) for one in (*plain, *loaded, *falling)]
         first, second = len(plain), len(plain) + len(loaded)
-        last, way, z = None, 1.0, [0.0] * len(d)
+        last, way, side, z, sign = None, 1.0, 0.0, [0.0] * len(d), maths.sign(j)
 
         def torque(state):
-            nonlocal last, way
+            nonlocal last, way, side
             q = state.q[j]
             step = 0.0 if last is None else q - last
             last = q
             if step:
                 way = 1.0 if step > 0 else -1.0
+            now = sign(state.v[j], state.a[j])
+            if abs(now) > _MOVES:
+                side = 1.0 if now > 0 else -1.0
             fall = 1.0 + exp(-((state.v[j] / vs) ** 2)) if falling else 1.0
             for k, displacement in enumerate(d):
                 level = fall if k >= second else 1.0
+                if displacement == 0:
+                    z[k] = side * level
+                    continue
                 own, moved = way * z[k], way * step / displacement
                 if creeps:
                     own = level + (own - level) * exp(-moved / level)
@@ -284,14 +312,19 @@ class MaxwellSlip(Shaped, Converted, Bank):
         coef = self._split(np.asarray(coef, dtype=float))
         kinds = zip(self._banks, coef, (0.0, 0.0, self.vs), (0.0, 1.0, 0.0))
         for bank, sizes, vs, of_load in kinds:
-            for d, size in zip(bank, sizes):
-                table.add(self.element, self.joint, float(size), d, vs, of_load)
+            for d, size in zip(bank, sizes.tolist()):
+                if d > 0:
+                    table.add(self.element, self.joint, size, d, vs, of_load)
+                    continue
+                table.add("load_dry" if of_load else "dry", self.joint, size)
+                if vs:
+                    table.add("stribeck", self.joint, size, vs, 2)
         return True
 
     def shapes(self, motion):
         """Banks of displacements up to a quarter of the range."""
         reach, fast = motion.range(self.joint), motion.speed(self.joint)
-        bank = tuple(reach * np.geomspace(_SMALLEST, _LARGEST, _COUNT))
+        bank = (0.0, *(reach * np.geomspace(_SMALLEST, _LARGEST, _COUNT)))
         if not (reach > 0 and fast > 0):
             return []
         plain = {"displacements": bank, "loaded": (), "falling": (), "element": "stop"}
@@ -328,11 +361,10 @@ class MaxwellSlip(Shaped, Converted, Bank):
         return type(self)(**self.get_params(deep=False) | found)
 
     def completed(self, motion):
-        """Return the effect with an element of the smallest displacement."""
-        smallest = _SMALLEST * motion.range(self.joint)
-        if not smallest > 0 or min((*self.displacements, np.inf)) <= smallest:
+        """Return the effect with an element of no displacement, Coulomb friction."""
+        if 0 in self.displacements:
             return self
-        more = (smallest, *self.displacements)
+        more = (0.0, *self.displacements)
         return type(self)(**self.get_params(deep=False) | {"displacements": more})
 
     def in_file(self, coef):
@@ -346,9 +378,9 @@ class MaxwellSlip(Shaped, Converted, Bank):
         That of the elements that do not follow the load, well above the Stribeck speed.
         """
         plain, _, falling = self._split(np.asarray(coef, dtype=float))
-        moved = np.asarray(displacement, dtype=float)[:, None] / np.concatenate(
-            [self.displacements, self.falling]
-        )
+        d = np.concatenate([self.displacements, self.falling])
+        x = np.asarray(displacement, dtype=float)[:, None]
+        moved = np.where(d > 0, x / or_one(d), np.inf)
         curve = 1.0 - np.exp(-moved) if self._creeps else np.minimum(moved, 1.0)
         return curve @ np.concatenate([plain, falling])
 
@@ -359,7 +391,8 @@ class MaxwellSlip(Shaped, Converted, Bank):
         found = {}
         if plain.size or falling.size:
             d = np.concatenate([self.displacements, self.falling])
-            fine = np.geomspace(d.min() / 10, d.max() * 10, _CURVE)
+            least = d[d > 0].min(initial=np.inf)
+            fine = np.geomspace(least / 10, d.max() * 10, _CURVE) if d.any() else d
             ends = np.unique(np.r_[0.0, d, fine])
             curve = self.virgin_curve(coef, ends)
             half = np.interp(0.5 * curve[-1], curve, ends) if curve[-1] > 0 else 0.0

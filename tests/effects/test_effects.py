@@ -289,17 +289,21 @@ def test_a_virgin_curve_is_the_torque_of_a_motion_from_rest():
 
 
 def test_elements_of_no_displacement_are_what_a_bank_contains():
-    small = dict.fromkeys(("displacements", "loaded", "falling"), (1e-9,))
+    small = dict.fromkeys(("displacements", "loaded", "falling"), (0.0,))
     bank = effects.MaxwellSlip(0, vs=0.3, **small)
     assert bank.contains == ("coulomb", "load_friction")
     plain = effects.Coulomb(0), effects.LoadFriction(0)
     plain += (effects.Stribeck(0, vs=0.3, k=2),)
-    # The first row is relaxed.
-    given, moves = signals(), (np.abs(V[:, 0]) > 0.1) & (T > 0)
+    given, moves = signals(), V[:, 0] != 0
     coulomb, load, stribeck = (e.columns(given)[moves] for e in plain)
     expected = np.hstack([coulomb, load, coulomb + stribeck])
-    assert_allclose(bank.columns(given)[moves], expected, atol=1e-3)
+    assert_allclose(bank.columns(given)[moves], expected, atol=1e-12)
     assert effects.MaxwellSlip(0).contains == ("coulomb",)
+
+
+def test_an_element_of_no_displacement_holds_where_the_joint_may_rest():
+    z = elements(np.zeros(6), (0.0,), sign=np.array([0.4, 1.0, 0.6, -0.6, -1.0, 0.0]))
+    assert_array_equal(z[:, 0], [0.0, 1.0, 1.0, 1.0, -1.0, -1.0])
 
 
 def test_elements_that_are_left_keep_their_columns():
@@ -311,8 +315,8 @@ def test_elements_that_are_left_keep_their_columns():
     assert bank.only(mask).coefficients == ("F1", "mu1", "S1")
 
 
-@pytest.mark.parametrize("values", [(), (0.0,), (0.1, -1.0), (np.nan,)])
-def test_a_bank_needs_positive_displacements(values):
+@pytest.mark.parametrize("values", [(), (0.1, -1.0), (np.nan,)])
+def test_a_bank_needs_displacements(values):
     with pytest.raises(ValueError, match="displacements"):
         transform(effects.MaxwellSlip(displacements=values))
 

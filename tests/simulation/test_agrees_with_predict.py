@@ -35,7 +35,7 @@ def some_effects(rng, nv):
         (LoadFriction(j), [0.1]),
         (AsymmetricFriction(j), [0.2, 0.05]),
         (ViscousQuadratic(j), [0.02]),
-        (MaxwellSlip(j, (0.05, 0.2), (), (0.1,)), [0.5, 0.2, 0.3]),
+        (MaxwellSlip(j, (0.0, 0.05, 0.2), (), (0.1, 0.0)), [0.4, 0.5, 0.2, 0.3, 0.2]),
         (Backlash(j, 0.02), [2.0, 0.1]),
         (Spring(j), [3.0, 0.2]),
         (Counterbalance(j), [0.5, -0.3, 0.2, 0.1, 0.3]),

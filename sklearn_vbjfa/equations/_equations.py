@@ -618,7 +618,7 @@ def held_columns(features, effects):
     # Plain terms, and columns of further effects: of the same columns the data would
     # know the sum alone, and none of them.
     per_joint = features.n_parameters_ // features.n_joints_
-    first = per_joint - len(features.friction_)
+    plain = {name: 10 + k for k, name in enumerate(features.friction_)}
     found, taken = [], set()
     # A constant over two joints takes the offset of the one that is left.
     places = effect_places(effects, features.n_parameters_)
@@ -627,13 +627,11 @@ def held_columns(features, effects):
             joint = next((j for j in effect.joints if j not in taken), None)
             if joint is None:
                 found.append(at.start + effect.coefficients.index(effect.constant))
-            elif "offset" in features.friction_:
-                term = features.friction_.index("offset")
-                found.append(joint * per_joint + first + term)
+            elif "offset" in plain:
+                found.append(joint * per_joint + plain["offset"])
             taken.add(joint)
-        if isinstance(effect, Bank) and "coulomb" in features.friction_:
-            term = features.friction_.index("coulomb")
-            found.append(effect.joint * per_joint + first + term)
+        if isinstance(effect, Bank) and "coulomb" in plain:
+            found.append(effect.joint * per_joint + plain["coulomb"])
     return found
 
 

@@ -244,11 +244,8 @@ class _Tree:
         dynamics = self._dynamics
         for j, name in enumerate(self._names):
             motor = ElementTree.SubElement(parent, "general", name=name, joint=name)
-            constant, stiffness, damping = (
-                -dynamics.constant[j],
-                -dynamics.slope[j],
-                0.0,
-            )
+            constant, stiffness = -dynamics.constant[j], -dynamics.slope[j]
+            damping = 0.0
             if servo is None:
                 motor.set("gainprm", number(1.0 / dynamics.gain[j]))
             else:

@@ -31,13 +31,6 @@ def plain_totals(robot):
     return np.column_stack([account.passive(name) for name in TERMS])
 
 
-def friction_of_file(robot, added):
-    """Return the declared friction that a file has instead, (nv,) by name."""
-    account = _Account(robot, added)
-    joints = {name: account.passive(name) for name in TERMS}
-    return joints | {"offset": account.total("offset")}
-
-
 def to_mjcf(path, robot, min_eigenvalues, notes=(), servo=None, added=None):
     """Write a `TorqueModel` as MJCF; return what it does not have, `LeftOut` each."""
     # notes: what else a reader of the file has to know; servo: of motors that follow
@@ -309,11 +302,8 @@ def refitted(robot, totals):
     # two at most: a joint without armature would be another joint for a controller.
     # What another joint does to one is no friction of its own.
     nv, added = len(totals), np.zeros(totals.shape)
-    pairs = list(zip(robot.effects_, robot.split(robot.theta_)))
-    left = [
-        without_place(*pair) * (not isinstance(pair[0], (OnAllJoints, ToAnother)))
-        for pair in pairs
-    ]
+    pairs = zip(robot.effects_, robot.split(robot.theta_))
+    left = [without_place(*pair) for pair in pairs]
     if not _is_known(robot) or not any(coef.any() for coef in left):
         return added
     states, moves = typical_motion(robot.effect_ranges_, nv, robot.plan.dt)
@@ -321,7 +311,7 @@ def refitted(robot, totals):
     plain = {"coulomb": np.sign(v), "viscous": v, "rotor_inertia": a}
     lacking = np.zeros((_ROWS, nv))
     for (effect, columns), coef in zip(robot.columns_of(states), left):
-        if coef.any():
+        if coef.any() and not isinstance(effect, (OnAllJoints, ToAnother)):
             j, name = effect.joint, effect.files.parameter
             lacking[:, j] += columns @ coef
             if name in plain:
@@ -342,21 +332,21 @@ def _is_known(robot):
     return robot.plan.dt is not None and len(robot.effect_ranges_) > 0
 
 
-def warn_of_motion(robot, joints, file_name):
+def warn_of_motion(robot, added, file_name):
     """Warn of joints that move differently with what an MJCF file has of a robot."""
-    # joints: declared friction of the file, (nv,) by name.
     model = robot.torque_model()
     left = [without_place(*pair) for pair in zip(model.effects, model.coefficients)]
     if not _is_known(robot) or not any(coef.any() for coef in left):
         return
-    plain = [
-        not (isinstance(effect, (OfChannel, OfTime, OfSignals)))
-        for effect in model.effects
+    # Declared friction of the file.
+    account = _Account(model, added)
+    joints = {name: account.passive(name) for name in TERMS}
+    joints["offset"] = account.total("offset")
+    used = [
+        coef * (not isinstance(effect, (OfChannel, OfTime, OfSignals)))
+        for effect, coef in zip(model.effects, model.coefficients)
     ]
-    model = replace(
-        model,
-        coefficients=tuple(x * used for x, used in zip(model.coefficients, plain)),
-    )
+    model = replace(model, coefficients=tuple(used))
     file = replace(
         model,
         friction_names=tuple(joints),

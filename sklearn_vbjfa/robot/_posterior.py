@@ -296,6 +296,8 @@ def covariance_inverse(covariance):
 # A mass is known if its deviation, and what the projection moves it by, are below this
 # share of it: a body that may as well have half or no mass was not weighed.
 _KNOWN = 0.5
+# Deviations within which a value may be that of the description.
+_NEAR = 2.0
 
 
 def min_eigenvalues(bodies):
@@ -321,7 +323,11 @@ def known_parameters(robot, found):
     vague &= robot.identifiable_[masses]
     state[masses[vague]] = "no"
     silent = (state == "no") & np.isfinite(found.prior_std)
-    state[silent | found.from_description] = "from the description"
+    described = silent | found.from_description
+    if found.bodies is not None:
+        away = np.abs(robot.theta_ - found.bodies.centre)
+        described &= (found.prior_std == 0) | (away <= _NEAR * found.prior_std)
+    state[described] = "from the description"
     return tuple(state)
 
 

@@ -47,7 +47,6 @@ from sklearn_vbjfa.robot._channels import ChannelGains, note_of_gains, note_of_u
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._exports import (
     as_pinocchio,
-    friction_of_file,
     plain_totals,
     refitted,
     to_mjcf,
@@ -677,7 +676,7 @@ class IdentifiedRobot:
         left = to_mjcf(
             path, model, robot.min_eigenvalues_, notes, robot._servo(drive), added
         )
-        warn_of_motion(robot, friction_of_file(model, added), Path(path).name)
+        warn_of_motion(robot, added, Path(path).name)
         return left
 
     def columns_of(self, states):

@@ -246,14 +246,6 @@ def test_columns_are_what_the_formula_says(case):
     assert_allclose(transform(effect), np.column_stack(expected), rtol=1e-9, atol=1e-12)
 
 
-def test_a_spring_over_two_joints_has_the_work_of_its_deflection():
-    effect = effects.CouplingSpring(0, 1, ratio=0.7)
-    torque = transform(effect) @ [3.0, -0.6]
-    expected = 3.0 * (Q[:, 0] - 0.7 * Q[:, 1] - 0.2)
-    assert_allclose(torque, np.outer(expected, [1.0, -0.7]).reshape(-1, 2), atol=1e-12)
-    assert effect.parameters([3.0, -0.6]) == {"k": 3.0, "q0": pytest.approx(0.2)}
-
-
 walks = st.lists(st.integers(-40, 40), min_size=2, max_size=40).map(
     lambda steps: np.cumsum(steps) / 32.0
 )

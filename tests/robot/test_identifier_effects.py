@@ -247,15 +247,13 @@ def test_an_effect_with_a_constant_takes_the_offset_of_its_joint():
     # Elsewhere an offset is an offset.
     for j in (1, 3):
         assert values[f"joint_{j}:offset"] == pytest.approx(offset[j - 1], abs=1e-6)
-
-
-def test_springs_over_two_joints_take_the_offsets_that_are_left():
-    """A spring of a joint keeps its own constant, whatever the order of effects."""
+    # A spring over two joints takes that of the other one, and no spring's constant.
     way = np.array([0.0, 1.0, -0.5])
-    added = 2.0 * (Q @ way - 0.6)[:, None] * way + on_joint(1, 3.0 * (Q[:, 1] - 0.3))
-    both = [effects.CouplingSpring(1, 2, ratio=0.5), effects.Spring(1)]
+    added = added + 2.0 * (Q @ way - 0.6)[:, None] * way
+    both = effects.CouplingSpring(1, 2, ratio=0.5), effects.Spring(1)
     robot = fit(added, *both, friction=("viscous", "offset"))
-    assert robot.theta_[-4:] == pytest.approx([2.0, -1.2, 3.0, -0.9], abs=1e-6)
+    assert robot.theta_[-4:] == pytest.approx([2.0, -1.6, 3.0, -0.9], abs=1e-6)
+    assert both[0].parameters([3.0, -0.6]) == {"k": 3.0, "q0": pytest.approx(0.2)}
 
 
 def test_friction_with_memory_takes_the_place_of_coulomb_and_holds_at_rest():

@@ -4,6 +4,7 @@ import pytest
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.model import nominal_parameters
 from sklearn_vbjfa.robot import FitOptions, note_of_masses
+from sklearn_vbjfa.robot._posterior import known_parameters
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 
@@ -82,3 +83,6 @@ def test_beside_a_description_its_values_say_so():
     assert np.isfinite(robot.estimate_.prior_std[:10]).all()
     assert (robot.theta_std_[:10] <= robot.estimate_.prior_std[:10] * 1.01).all()
     assert "joint_1" in note_of_masses(robot)
+    # A value that the fit has moved far away is not the description's.
+    robot.theta_[0] += 3.0 * robot.estimate_.prior_std[0]
+    assert known_parameters(robot, robot.estimate_)[0] == "no"

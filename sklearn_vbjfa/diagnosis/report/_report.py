@@ -91,10 +91,10 @@ class Report:
         ]
         apart = [say("contradiction")] if findings["contradictions"] else []
         kinds = ("gains_unknown", "gains_hidden", "masses_unused")
-        gains = filter(None, map(say, kinds if robot["gains"] else ()))
+        values = filter(None, map(say, kinds if robot["gains"] else ("far_masses",)))
         quiet = [c.message for c in channels if c.severity == "warning"]
         export = self.outcome.provenance.get("export", ())
-        return (*apart, *faults, *joints, *gains, *quiet, *export)
+        return (*apart, *faults, *joints, *values, *quiet, *export)
 
     @property
     def has_open_questions(self):

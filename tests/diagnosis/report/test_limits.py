@@ -173,6 +173,8 @@ def test_the_next_recording_says_what_it_rests_on(source, said):
     expected = "5.0 % (90 %: 3.0 to 9.0 %"
     assert_said(text, expected, said)
     assert_said(line_of(report), expected, said)
+    wide = Report(make_outcome(facts=(replace(one, interval=(0.003, 0.09)),)))
+    assert ("unknown, at least 0.3 %" in line_of(wide)) == (source == "assumed")
 
 
 def test_the_worst_joint_is_named_and_gets_a_motion():

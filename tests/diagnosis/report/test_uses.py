@@ -120,6 +120,18 @@ def test_masses_are_split_by_what_the_motion_determines():
     assert "(only 2 of 4 are individually identifiable)" in report.to_html()
 
 
+def test_a_mass_far_from_the_description_beside_an_effect_is_a_warning():
+    (effect,) = make_outcome(n_effects=1).findings["effects"]
+    warned = ("spring", 87.0, "no")
+    others = ("spring", 20.0, "no"), ("spring", 87.0, "yes"), ("stribeck", 87.0, "no")
+    for name, mass, source in (warned, *others):
+        effects = (replace(effect, name=name, joint=0),)
+        facts = (make_mass("link1", mass, 8.0, source),)
+        report = Report(make_outcome(channels=(), effects=effects, facts=facts))
+        said = any("87 kg" in line for line in report.warnings)
+        assert said == ((name, mass, source) == warned)
+
+
 def test_uses_do_not_depend_on_the_size_of_errors():
     small = make_outcome(channels=())
     more = {k: 3.0 * small.column(k) for k in ("before", "after", "floor")}

@@ -24,6 +24,9 @@ RIVALS = 3.0
 SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
 # Deviations by which the common size of the bodies is another than one.
 _FAR_OFF = 3.0
+# Mass of a body without mass, such as the frame between two hinges of one body, as a
+# share of the mean one.
+_MASSLESS = 1e-3
 # Passes over all bodies, and the change of a mean in deviations that ends them.
 _PASSES, _STAYS = 100, 1e-3
 # Times that the common size of the bodies is asked for, and the change of it from which
@@ -61,6 +64,19 @@ def _rounder(P):
     return out
 
 
+def complete(model, bodies):
+    """Bodies (n, 10) of a model, with balls in place of those that are not solid."""
+    distances = [np.linalg.norm(x.translation) for x in model.jointPlacements[1:]]
+    distances = [d for d in distances if d > 0]
+    radius = 0.25 * (np.mean(distances) if distances else 1.0)
+    solid, balls = solid_bodies(bodies), np.zeros(bodies.shape)
+    balls[:, [4, 6, 9]] = 0.4 * radius**2
+    balls[:, 0] = 1.0
+    balls *= bodies[solid, 0].mean() if solid.any() else 1.0
+    balls[bodies[:, 0] <= 0] *= _MASSLESS
+    return np.where(solid[:, None], bodies, balls)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyPrior:
     """Bodies of a description as the centre of a prior."""
@@ -78,17 +94,21 @@ class BodyPrior:
 
     @classmethod
     def of(cls, model, per_joint, followers=()):
-        """Take the bodies of a model that have mass and extension; None without any."""
-        # Bodies that have none are left free, as nothing is said of them. followers:
-        # `FollowingBody` of the model, whose parameters are behind those of its joints.
+        """Take the bodies of a model; None if none has mass and extension."""
+        # What has no mass is near none, in comparison with a mean body; a mass without
+        # extension is left free. followers: `FollowingBody` of the model, whose
+        # parameters are behind those of its joints.
         names, starts = joint_names(model), per_joint * np.arange(model.nv)
         names = [*names, *(body.name for body in followers)]
         starts = np.r_[starts, per_joint * model.nv + 10 * np.arange(len(followers))]
         bodies = [*nominal_parameters(model), *(body.parameters for body in followers)]
         bodies = np.array(bodies)
-        solid = np.flatnonzero(solid_bodies(bodies))
-        if not solid.size:
+        solid, massless = solid_bodies(bodies), bodies[:, 0] <= 0
+        if not solid.any():
             return None
+        centre = complete(model, bodies)
+        bodies = np.where(massless[:, None], centre / _MASSLESS, centre)
+        solid = np.flatnonzero(solid | massless)
         directions = pseudo_inertia(np.eye(10))
         roots = []
         for body in bodies[solid]:
@@ -98,7 +118,7 @@ class BodyPrior:
         return cls(
             names=tuple(names[k] for k in solid),
             places=starts[solid, None] + np.arange(10),
-            centre=bodies[solid],
+            centre=centre[solid],
             root=np.array(roots),
         )
 
@@ -246,7 +266,9 @@ class _BodyProblem:
         size = np.einsum("kij,kj->ki", root, self.description.centre)
         length = np.linalg.norm(size, axis=1)
         size /= length[:, None]
-        sites, open_ = [Site.of_scale(DESCRIBED)] * len(names), np.ones(len(names))
+        # What has no mass is not a multiple of it.
+        open_ = (length > 100 * _MASSLESS).astype(float)
+        sites = [Site.of_scale(DESCRIBED)] * len(names)
         found = []
         while open_.any():
             marginals = self.marginals(sites)

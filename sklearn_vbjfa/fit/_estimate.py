@@ -15,9 +15,10 @@ from sklearn_vbjfa.fit._bodies import (
     BodyPosterior,
     around,
     as_described,
+    complete,
     little_learned,
 )
-from sklearn_vbjfa.model import nominal_parameters, solid_bodies
+from sklearn_vbjfa.model import nominal_parameters
 from sklearn_vbjfa.physical import Options, PhysicalProjector
 from sklearn_vbjfa.regression import (
     BaseJointFactorRegressor,
@@ -443,7 +444,7 @@ def consistent_anchor(model, theta, metric, per_joint, followers):
     # this point: the described inertias or a solid ball, times a factor to the estimate
     # theta (p,) in the Gram matrix metric (p, p).
     bodies = np.vstack([nominal_parameters(model), followers])
-    bodies = _complete(bodies, _robot_length(model))
+    bodies = complete(model, bodies)
     p = model.nv * per_joint
     anchor = theta[:p].reshape(-1, per_joint).copy()
     anchor[:, 10:] = np.maximum(anchor[:, 10:], 0.0)
@@ -460,24 +461,6 @@ def consistent_anchor(model, theta, metric, per_joint, followers):
             factor = np.sqrt(max(estimate @ block @ estimate, 0.0) / seen) or 1.0
     anchor[:, :10] = factor * bodies[: model.nv]
     return np.append(anchor.ravel(), factor * bodies[model.nv :])
-
-
-def _robot_length(model):
-    """Mean distance [m] between joints; 1 m where all coincide."""
-    distances = [
-        np.linalg.norm(placement.translation) for placement in model.jointPlacements[1:]
-    ]
-    distances = [d for d in distances if d > 0]
-    return float(np.mean(distances)) if distances else 1.0
-
-
-def _complete(bodies, length):
-    good = solid_bodies(bodies)
-    ball_mass = bodies[good, 0].mean() if good.any() else 1.0
-    radius = 0.25 * length
-    moment = 0.4 * ball_mass * radius**2
-    ball = np.array([ball_mass, 0, 0, 0, moment, 0, moment, 0, 0, moment])
-    return np.where(good[:, None], bodies, ball)
 
 
 def _fit_projector(projector, features, theta, metric):

@@ -137,8 +137,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         ``"prior"``: bodies are near those of the description unless the torques
         contradict it (affine-invariant distance with a half-Cauchy scale around 0.2).
         ``"free"``: the torques decide, and the description completes what they do not
-        determine. ``"fixed"``: bodies are as described. Bodies without mass or
-        extension are free, and so are all with `gains` or a custom `regressor`.
+        determine. ``"fixed"``: bodies are as described. Masses without extension
+        are free, and so are all bodies with `gains` or a custom `regressor`.
     drive : PDDrive, CurrentDrive, VoltageDrive or None, default=None
         Control law of the motors for logs without torques; y then holds positions,
         currents or voltages (``docs/drives.rst``). The delay of commands is estimated.

@@ -291,10 +291,10 @@ def _payload(found, bodies):
 
 def _keep_inertias(found, bodies):
     """Give bodies their described inertias about the centres of mass."""
-    pin, model = import_pinocchio(), found.features_.nominal_
+    pin = import_pinocchio()
     theta, known = found.theta_.copy(), np.array(found.robot_.known_, dtype=object)
-    for name, at in zip(bodies.names, bodies.places):
+    for described, at in zip(bodies.centre, bodies.places):
         body = pin.Inertia.FromDynamicParameters(theta[at])
-        body.inertia = model.inertias[model.getJointId(name)].inertia
+        body.inertia = pin.Inertia.FromDynamicParameters(described).inertia
         theta[at], known[at[4:]] = body.toDynamicParameters(), "from the description"
     found.set_parameters(theta, tuple(known))

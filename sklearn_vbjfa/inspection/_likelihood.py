@@ -34,8 +34,8 @@ class Bodies:
         self.used = [np.flatnonzero(row) for row in support.reshape(self.nv, -1)]
         # Bodies that may carry a load.
         self.last = ~np.isin(np.arange(1, self.nv + 1), list(model.parents))
-        # Whether a body has no mass, so that its torques carry no information.
-        self.massless = bool(nominal[:, 0].min() <= 0)
+        # Whether no body has mass, so that torques cannot be compared.
+        self.massless = bool(nominal[:, 0].max() <= 0)
 
     @property
     def weightless(self):

@@ -25,8 +25,8 @@ _UNIT = (
     "them, or {given}."
 )
 _UNVERIFIED = (
-    "The size and the signs of the torques, the zeros and the direction of gravity "
-    "cannot be verified from this motion: "
+    "The size and the signs of the torques cannot be verified, nor the zeros and the "
+    "direction of gravity: "
 )
 SENTENCES = {
     # -- rows
@@ -160,7 +160,7 @@ SENTENCES = {
     "external_force": "From {begin:.1f} to {end:.1f} s {where} something else "
     "acts on the robot ({pushes}; {evidence}), such as a contact. Leave this interval "
     "out.",
-    "unverified:massless": _UNVERIFIED + "a body of the description has no mass.",
+    "unverified:massless": _UNVERIFIED + "no body of the description has mass.",
     "unverified:weightless": _UNVERIFIED + "gravity loads no joint of the description.",
     "unverified:size": "The size of the torques cannot be verified: gravity is nearly "
     "constant in this motion, and inertia is like rotor inertia.",

@@ -247,8 +247,9 @@ def _left_out(mimics, model):
     if wrong:
         found.append(
             f"the body of {', '.join(wrong)} has no mass, or an inertia that no solid "
-            "body can have; where the recording does not determine it, the nearest "
-            "solid body is used (correct the inertial element of its link)"
+            "body can have; where the recording does not determine it, next to none or "
+            "the nearest solid body is used (correct the inertial element of its link, "
+            "unless it is between joints of one body)"
         )
     return found
 

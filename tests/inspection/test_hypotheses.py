@@ -414,7 +414,20 @@ def test_a_robot_without_load_by_gravity_cannot_be_verified():
     model = chain(("joint_0", "RZ", 0), ("joint_1", "RZ", 1))
     (finding,) = inspect_channels(model, *simulated(model))
     assert (finding.kind, finding.severity) == ("unverified", "note")
-    assert "cannot be verified from this motion" in finding.message
+    assert "cannot be verified, nor the zeros" in finding.message
+
+
+def test_a_body_without_mass_hides_no_fault():
+    model = chain(("x", "RX", 0), ("y", "RY", 1), ("z", "RX", 2))
+    model.inertias[1] = pin.Inertia.FromSphere(1e-6, 0.01)
+    q, tau, dt = simulated(model)
+    model.inertias[1] = pin.Inertia.Zero()
+    assert not inspect_channels(model, q, tau, dt)
+    for factors, kind in ((10, "torque_unit"), ([1, -1, 1], "torque_sign")):
+        assert inspect_channels(model, q, tau * factors, dt)[0].kind == kind
+    model.inertias[2] = model.inertias[3] = pin.Inertia.Zero()
+    (finding,) = inspect_channels(model, q, 10 * tau, dt)
+    assert "no body of the description has mass" in finding.message
 
 
 def test_two_clocks_of_different_speed(log):

@@ -146,6 +146,20 @@ def test_fixed_bodies_do_not_give_way_to_friction_that_cannot_be(recording):
     np.testing.assert_allclose(raw, -0.5, rtol=0.1)
 
 
+@pytest.mark.parametrize("way", ["prior", "free", "fixed"])
+def test_a_body_without_mass_is_given_none(way):
+    model = a_robot()
+    model.inertias[1] = pin.Inertia.Zero()
+    robot = fitted(model, recorded(model), bodies=way)
+    assert not robot.mass_deviations_
+    assert 0 < bodies(robot)[0, 0] < 0.01
+    value, std = robot.theta_[13], robot.theta_std_[13]
+    assert abs(value - 0.05) < max(0.01, 3 * std)
+    if way == "prior":
+        # It is not known to be none.
+        assert robot.theta_std_[0] > 0.1
+
+
 def test_a_description_without_masses_leaves_the_bodies_free(recording):
     prior = fitted(scaled(a_robot(), 0.0), recording)
     free = fitted(scaled(a_robot(), 0.0), recording, bodies="free")

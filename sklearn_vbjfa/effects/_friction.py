@@ -41,7 +41,7 @@ class Viscous(Effect):
 class Coulomb(Effect):
     """Coulomb friction, tau = Fc sign(v).
 
-    The limit of `MaxwellSlip` for small displacements. Source: Armstrong-Helouvry,
+    An element of `MaxwellSlip` without displacement. Source: Armstrong-Helouvry,
     Dupont and Canudas de Wit (1994), a survey of friction models,
     :doi:`10.1016/0005-1098(94)90209-7`.
     """

@@ -385,8 +385,9 @@ class MaxwellSlip(Shaped, Converted, Bank):
         return curve @ np.concatenate([plain, falling])
 
     def parameters(self, coef):
-        """Total friction Fc, displacement `half` at half of it, and sums mu and Fs."""
-        # Fc well above the Stribeck speed, and Fs more at very low speed.
+        """Total friction Fc, displacement `half`, and sums mu and Fs."""
+        # Fc well above the Stribeck speed, and Fs more at very low speed; half of what
+        # builds up with the displacement is reached at `half`.
         plain, loaded, falling = self._split(np.asarray(coef, dtype=float))
         found = {}
         if plain.size or falling.size:
@@ -395,7 +396,8 @@ class MaxwellSlip(Shaped, Converted, Bank):
             fine = np.geomspace(least / 10, d.max() * 10, _CURVE) if d.any() else d
             ends = np.unique(np.r_[0.0, d, fine])
             curve = self.virgin_curve(coef, ends)
-            half = np.interp(0.5 * curve[-1], curve, ends) if curve[-1] > 0 else 0.0
+            middle, grows = 0.5 * (curve[0] + curve[-1]), curve[-1] > curve[0]
+            half = np.interp(middle, curve, ends) if grows else 0.0
             found |= {"Fc": float(plain.sum() + falling.sum()), "half": float(half)}
         if loaded.size:
             found["mu"] = float(loaded.sum())

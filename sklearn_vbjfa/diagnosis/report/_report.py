@@ -91,7 +91,8 @@ class Report:
         ]
         apart = [say("contradiction")] if findings["contradictions"] else []
         kinds = ("gains_unknown", "gains_hidden", "masses_unused")
-        values = filter(None, map(say, kinds if robot["gains"] else ("far_masses",)))
+        kinds = kinds if robot["gains"] else ("bodies_apart", "far_masses")
+        values = filter(None, map(say, kinds))
         quiet = [c.message for c in channels if c.severity == "warning"]
         export = self.outcome.provenance.get("export", ())
         return (*apart, *faults, *joints, *values, *quiet, *export)

@@ -54,6 +54,9 @@ def test_bodies_that_are_not_as_described():
     text = shown("Masses", departures=(both,), common_size=0.001)
     assert_said(text, "j2 (1.98 +- 0.05 times) or j3 (3.0 +- 1.0 times)", "0.001 times")
     assert shown("Masses", common_size=0.9) == ""
+    for size, expected in ((0.5, False), (0.3, True), (3.1, True)):
+        warnings = Report(make_outcome(nv=3, common_size=size)).warnings
+        assert any("times as heavy" in one for one in warnings) == expected
 
 
 def test_alike_joints_share_values():

@@ -297,6 +297,13 @@ def check_joints(loaded):
             "it: lengths of a description are in metres, and these look like "
             "millimetres; divide them by 1000."
         )
+    for name, body in zip(loaded.names[1:], loaded.inertias[1:]):
+        if np.trace(body.inertia) > 2 * body.mass * _LONGEST**2 > 0:
+            raise ValueError(
+                f"The inertia of the body of joint {name} is that of {body.mass:.3g} "
+                f"kg more than {_LONGEST:g} m away: inertias of a description are in "
+                "kg m^2, and these look like kg mm^2; divide them by 1e6."
+            )
     return loaded
 
 

@@ -176,8 +176,11 @@ def test_joints_are_in_the_order_of_the_file(write, tmp_path):
     np.testing.assert_allclose(recording.q[:, own], motion[:, 1], atol=1e-9)
 
 
-def test_lengths_in_millimetres_are_refused(write):
+def test_lengths_and_inertias_in_millimetres_are_refused(write):
     text = ONE_JOINT.format(kind="revolute", limit=LIMIT)
     far = text.replace('xyz="0 0 1"', 'xyz="0 0 300"')
     with pytest.raises(ValueError, match="millimetres"):
         load_model(write(far))
+    large = re.sub(r'(i[xyz]{2}="[0-9.]+)"', r'\1e6"', text)
+    with pytest.raises(ValueError, match="kg mm"):
+        load_model(write(large))

@@ -58,7 +58,8 @@ def findings(arguments, recording, urdf, gains):
 
 def other_joints(urdf, held):
     """Return lines on joints that are held, and on those that follow others."""
-    lines = [f"held at zero: {', '.join(held)}"] if held else []
+    wrong = "what stands elsewhere makes zeros, masses and effects of others wrong"
+    lines = [f"held at zero: {', '.join(held)} ({wrong})"] if held else []
     follow = [body.name for body in load_folded(urdf).followers]
     if follow:
         lines.append(f"follow other joints, without columns: {', '.join(follow)}")

@@ -443,8 +443,7 @@ def consistent_anchor(model, theta, metric, per_joint, followers):
     # The torques do not depend on some directions; the projection completes them from
     # this point: the described inertias or a solid ball, times a factor to the estimate
     # theta (p,) in the Gram matrix metric (p, p).
-    bodies = np.vstack([nominal_parameters(model), followers])
-    bodies = complete(model, bodies)
+    bodies = complete(model, np.vstack([nominal_parameters(model), followers]))
     p = model.nv * per_joint
     anchor = theta[:p].reshape(-1, per_joint).copy()
     anchor[:, 10:] = np.maximum(anchor[:, 10:], 0.0)

@@ -265,7 +265,10 @@ def common_gain(masses, robot, relative, estimate):
     # What is put down is a change by minus its mass; of magnitudes, as those given.
     sign = np.where(names == PAYLOAD, np.sign(theta[at]), 1.0)
     covariance = estimate.covariance[np.ix_(at, at)] * np.outer(sign, sign)
-    sums = _determined(estimate.eigen, at) * sign[:, None]
+    # Sums that the data determine: their direction has nothing in the null space.
+    outside = estimate.eigen.null_space[at]
+    values, vectors = linalg.eigh(outside @ outside.T)
+    sums = vectors[:, values <= LOST] * (estimate.eigen.scale[at] * sign)[:, None]
     if not sums.size:
         return nothing
     y, x = expected @ sums, (theta[at] * sign) @ sums
@@ -280,11 +283,3 @@ def common_gain(masses, robot, relative, estimate):
         return nothing
     common = CommonGain(factor=factor, std=std, masses=masses)
     return common, estimate.covariance[:, at] @ (sums @ weight * sign)
-
-
-def _determined(eigen, at):
-    """Find sums of parameters at k places that the data determine, (k, number)."""
-    # Those whose direction has nothing in the null space of the Gram matrix.
-    outside = eigen.null_space[at]
-    values, vectors = linalg.eigh(outside @ outside.T)
-    return vectors[:, values <= LOST] * eigen.scale[at][:, None]

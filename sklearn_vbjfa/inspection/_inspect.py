@@ -15,7 +15,7 @@ from sklearn_vbjfa.inspection._positions import implausible_speed
 from sklearn_vbjfa.inspection._reading import Reading, long_parts, thinned
 from sklearn_vbjfa.inspection._rows import Rows, shuffled_rows
 from sklearn_vbjfa.inspection._sentences import finding
-from sklearn_vbjfa.model import is_prismatic, joint_names, load_folded, movable_joints
+from sklearn_vbjfa.model import joint_names, load_folded, movable_joints
 from sklearn_vbjfa.recording import (
     ChannelFinding,
     RecordingRefused,
@@ -253,7 +253,7 @@ def inspect_channels(
         return in_order(shuffled)
     if len(rows) < len(q):
         q, tau = q[rows], tau[rows]
-    log = Rows(names, q, tau, dt, parts, rows, ~is_prismatic(model))
+    log = Rows(model, names, q, tau, dt, parts, rows)
     log.inspect()
     if "copied_position" in {one.kind for one in log.findings}:
         return in_order(log.findings)

@@ -151,6 +151,9 @@ DROPOUT_STEP, LEAST_DROPOUT, DROPOUT_RUNS = 4.0, 0.05, 3
 # A torque is stuck if it keeps a value for this many samples, or for this time [s] if
 # its joint was at rest before, and repeats itself no more often than this in others.
 STUCK_RUN, ARRIVES, STUCK_REPEATS = 50, 0.1, 0.1
+# Drives are off if no torque exceeds this share of its root mean square while the
+# weight exceeds the second one.
+OFF, LOADED = 0.05, 0.2
 # A position keeps its value over so many samples if it travels less than this share of
 # what it usually does there. Within one sample a joint stops with this many times its
 # usual acceleration; all samples of such stops are this share of the recording.

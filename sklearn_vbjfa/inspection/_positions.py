@@ -261,8 +261,8 @@ def gear(reading):
     changes = {}
     for x, j in product(number.RATIOS, turning):
         # A wrong gear keeps the power; or the position alone is wrong.
-        for make in (_factor, _geared):
-            make = functools.partial(make, j=j, nv=reading.nv)
+        for geared in (False, True):
+            make = functools.partial(_factor, j=j, nv=reading.nv, geared=geared)
             changes[make(x)] = make
     best = likely(reading, changes) if changes else None
     if best is None:
@@ -277,14 +277,10 @@ def gear(reading):
     return judged(reading, change, variants=len(changes), facts=facts)
 
 
-def _factor(x, j, nv):
-    """Return the change by a factor of the positions of joints, exp(x)."""
-    return Change(positions=times(nv, np.exp(x), j))
-
-
-def _geared(x, j, nv):
-    """Return the change by another gear ratio of a joint."""
-    return replace(_factor(x, j, nv), torques=times(nv, np.exp(-x), j))
+def _factor(x, j, nv, geared=False):
+    """Return the change by a factor of joints' positions, exp(x), or gear ratios."""
+    torques = times(nv, np.exp(-x), j) if geared else None
+    return Change(positions=times(nv, np.exp(x), j), torques=torques)
 
 
 def _each(reading, change, joints, errors):

@@ -1,4 +1,4 @@
-"""Faults that the rows of a log show without a robot model: a table of checks.
+"""Faults that the rows of a log show with little of a robot model: a table of checks.
 
 Most are runs of rows in which a channel keeps its value although the robot moves.
 """
@@ -10,7 +10,9 @@ import numpy as np
 import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
+from sklearn_vbjfa.inspection._likelihood import Bodies
 from sklearn_vbjfa.inspection._sentences import finding, percent
+from sklearn_vbjfa.model import is_prismatic
 
 
 class Rows:
@@ -18,11 +20,12 @@ class Rows:
 
     # q [rad or m], tau [N m or N] (n, nv): later checks see them without jumps of a
     # turn and lost rows; parts: slices of the recordings, which hold all rows; rows
-    # (n,): row numbers for messages; revolute (nv,): joints that turn.
+    # (n,): row numbers for messages.
 
-    def __init__(self, names, q, tau, dt, parts, rows, revolute):
+    def __init__(self, model, names, q, tau, dt, parts, rows):
+        self.model, self.revolute = model, ~is_prismatic(model)
         self.names, self.q, self.tau, self.dt = names, q, tau, dt
-        self.parts, self.rows, self.revolute = parts, rows, revolute
+        self.parts, self.rows = parts, rows
         self.findings = []
         self.label = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
         self.first = np.isin(np.arange(len(q)), [part.start for part in parts])
@@ -249,6 +252,8 @@ def _lost_rows(log):
     if len(found) >= number.DROPOUT_RUNS or any(b > a for a, b in found):
         # What some of them show is true of all.
         _report_lost(log, "empty_rows", log.runs(empty), "warning")
+    if off := _switched_off(log):
+        _report_lost(log, "empty_rows:off", off, "warning")
     same = (log.steps(log.q) == 0).all(axis=1) & ~log.first
     same &= (log.steps(log.tau) == 0).all(axis=1)
     found = _breaks(log, same, number.FROZEN_ROWS - 1)
@@ -259,6 +264,21 @@ def _lost_rows(log):
         # the sample period wrong.
         many = long or count > number.MANY_REPEATED * len(log.q)
         _report_lost(log, "repeated_rows", found, "warning" if many else "note")
+
+
+def _switched_off(log):
+    """Find runs in which all torques vanish at once, although links have weight."""
+    step, size = np.abs(log.steps(log.tau)), np.sqrt((log.tau**2).mean(axis=0))
+    usual, bodies = np.quantile(step, 0.995, axis=0), Bodies(log.model)
+    sudden, found = (step > number.SUDDEN * usual).any(axis=1), []
+    for a, b in log.runs((np.abs(log.tau) <= number.OFF * size).all(axis=1)):
+        ends = [k for k in (a, b + 1) if log.together(k - 1, k) and log.moving[k]]
+        if b - a + 2 >= number.STUCK_RUN and sudden[ends].any():
+            still = np.append(log.q[a], 0.0 * np.append(log.q[a], log.q[a]))
+            weight = bodies.described(still[None])[1][0]
+            if (np.abs(weight) > number.LOADED * size).any():
+                found.append((a, b))
+    return found
 
 
 def _breaks(log, flags, least):

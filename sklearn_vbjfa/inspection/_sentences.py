@@ -45,6 +45,9 @@ SENTENCES = {
     "empty_rows": "All torques are zero in {count} rows ({share}) amid the motion, the "
     "first is row {row}: readings were lost, or two sources were logged together. "
     "Leave these rows out.",
+    "empty_rows:off": "All torques fall to zero amid the motion {times} time(s), for "
+    "up to {seconds:.3g} s from row {row} on, though links have weight: drives were "
+    "off, or readings were lost. Leave these rows out.",
     "held_position": _HELD,
     "held_torque": _HELD,
     "constant_torque": "The torques of {named} are constant ({values}) while the "
@@ -81,8 +84,9 @@ SENTENCES = {
     "{numbers} from {low:.6g} to {high:.6g}; they look like {guess} or positions of "
     "the motors. Convert them to {unit}, from the joint's zero.",
     "position_zero": "The zero of {who} appears to be off ({evidence}). Add to the "
-    "positions, about [rad]: {values}, or, if the robot is mounted in another way or "
-    "carries a tool, correct the model.",
+    "positions, about [rad]: {values}, or, if the robot is mounted in another way, "
+    "carries a tool, or has a joint without columns at another angle than zero, "
+    "correct the model.",
     "position_zeros": "All positions begin at zero, and the torques require other "
     "zeros ({evidence}): the encoders were set to zero at power-up. Add to the "
     "positions, about [rad]: {values}.",

@@ -90,7 +90,9 @@ def write_mjcf(
     # 10); dt: sample period [s], which the time step divides; note: comment at the top;
     # followers: those that carry others first; servo: `Servo` of motors that have one.
     tree = _Tree(model, bodies, dynamics, followers)
-    step = _time_step(dt)
+    # The longest step that divides dt; 0.01 / 5e-4 must be 20 in spite of rounding.
+    dt = _LONGEST_STEP if dt is None else dt
+    step = dt / np.ceil(dt / _LONGEST_STEP * (1 - 1e-9))
     root = ElementTree.Element("mujoco", model="robot")
     add_comment(root, note)
     ElementTree.SubElement(
@@ -113,14 +115,6 @@ def write_mjcf(
         tree.add_tendons(ElementTree.SubElement(root, "tendon"))
     tree.add_motors(ElementTree.SubElement(root, "actuator"), servo, step)
     write_tree(ElementTree.ElementTree(root), path)
-
-
-def _time_step(dt):
-    """Return the longest step [s] that divides a sample period and is short enough."""
-    if dt is None:
-        return _LONGEST_STEP
-    # 0.01 / 5e-4 must be 20 in spite of rounding.
-    return dt / np.ceil(dt / _LONGEST_STEP * (1 - 1e-9))
 
 
 def _quaternion(rotation):

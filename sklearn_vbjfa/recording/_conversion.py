@@ -172,7 +172,8 @@ def _in_order(table, layout, options, robot, notes):
         )
     held = [x for x in names if having and x not in having]
     if held and not robot.chosen:
-        notes.append(Loss(f"no columns of joint(s) {listed(held)}: held at zero."))
+        where = "held at zero; if they stand elsewhere, lock them there in the model"
+        notes.append(Loss(f"no columns of joint(s) {listed(held)}: {where}."))
         names = tuple(x for x in names if x in having)
     found, count = {}, max(map(len, by_key.values()))
     for kind in filter(by_key.get, options.kinds):

@@ -177,9 +177,10 @@ class Posterior:
         # What is cut off takes the others along by their regression, by the share of
         # it that is within the recording, so that the torques stay.
         cut = np.flatnonzero(self.nonnegative & (self.within > 0))
-        after = np.array([self._cut_off(k, drawn[:, k]) for k in cut]).reshape(
-            -1, len(x)
-        )
+        # Draws move to the same quantiles of values that are not negative.
+        mixed = [self._mixture(k, self.within[k]) for k in cut]
+        after = [one.beyond(one.above(drawn[:, k])) for k, one in zip(cut, mixed)]
+        after = np.reshape(after, (-1, len(x)))
         share = self.within[cut] ** 2 / (self.within[cut] ** 2 + self.off[cut] ** 2)
         precision = covariance_inverse(self.covariance[np.ix_(cut, cut)])
         moved = share * (after.T - drawn[:, cut])
@@ -215,11 +216,6 @@ class Posterior:
         projector.fit(self.theta[places][None])
         drawn[:, places] = projector.transform(drawn[:, places])
         return drawn
-
-    def _cut_off(self, k, drawn):
-        """Move draws (n,) to the same quantiles of values that are not negative."""
-        found = self._mixture(k, self.within[k])
-        return found.beyond(found.above(drawn))
 
 
 def of_the_model(robot):

@@ -70,6 +70,8 @@ DONE = {
         q, where(y, slice(None, None, 50), 2, y[::50, 2] + 20 * y[:, 2].std()))),
     "before the log": ("empty_rows", None, lambda q, y, w: (
         where(q, slice(100), EVERY, 0.0), where(y, slice(100), EVERY, 0.0))),
+    "drives off": ("empty_rows", None, lambda q, y, w: (
+        where(q, HALF, EVERY, q[2000]), where(y, HALF, EVERY, 1e-3 * y[HALF]))),
     "two sources": ("empty_rows", None, lambda q, y, w: (
         q, where(y, slice(None, None, 3), EVERY, 0.0))),
 }  # fmt: skip

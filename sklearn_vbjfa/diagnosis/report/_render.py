@@ -101,7 +101,10 @@ class Voice:
             "settings": outcome.provenance.get("settings", {}),
             "v": verdict,
             "facts": lambda name, *given: getattr(_facts, name)(outcome, *given),
-            "figures": self._figures,
+            "figures": lambda name: [
+                getattr(_pictures, name)(outcome, one)
+                for one in outcome.curves.get(name, ())
+            ],
             "joint": partial(words.joint_label, names),
             "joints": partial(words.joint_list, names),
             "say": self,
@@ -123,11 +126,6 @@ class Voice:
     def add(self, **values):
         """Add values that the templates of the page and of a terminal show."""
         self._values |= values
-
-    def _figures(self, name):
-        """Draw the curves of a kind."""
-        curves = self._outcome.curves.get(name, ())
-        return [getattr(_pictures, name)(self._outcome, one) for one in curves]
 
     def __call__(self, name, *values):
         """Return a sentence as one line, empty where there is nothing to say."""

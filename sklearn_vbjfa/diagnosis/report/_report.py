@@ -83,6 +83,7 @@ class Report:
             one
             for one in self.joints
             if one.status in NO_ANSWER
+            or one.detail == "large"
             or (one.status == "unsearched" and one.joint not in known)
         ]
         joints = [

@@ -40,7 +40,7 @@ class JointVerdict:
     joint: int  # from zero
     label: str
     status: str
-    detail: str = ""  # "near" the floor, or gain within "chance"
+    detail: str = ""  # "near" the floor, "large" error, or gain within "chance"
     text: str = ""  # the same in words
 
 
@@ -127,7 +127,7 @@ def _of_joint(outcome, j):
     near, far = (factor * floor for factor in ABOVE_FLOOR)
     # The floor does not know the error of the parameters, which held-out data shows.
     if after > far and least > near:
-        return {"status": "above"}
+        return {"status": "above", "detail": "large" * (after > _LARGE)}
     if after > near and least > floor:
         return {"status": "floor", "detail": "near"}
     high = own.intervals["added"][1]
@@ -200,8 +200,10 @@ def _uses(outcome, status, joints):
     ):
         causes = {whole: []} if whole else {}
         for one in joints if not whole else ():
-            if one.status in forbidden:
-                causes.setdefault(one.status, []).append(one.joint)
+            # What misses half of another torque does not repeat its fit.
+            why = one.status if one.status in forbidden else one.detail
+            if why in (*forbidden, "large"):
+                causes.setdefault(why, []).append(one.joint)
         allowed = not causes
         if allowed:
             qualified = {"large": large, "rose": rose}

@@ -21,7 +21,7 @@ def correct(arguments, folder):
 
     out = _input.output_folder(arguments, "report")
     recording, urdf, _ = _input.load(arguments, folder)
-    with _input.blaming(arguments):
+    with _input.blaming(arguments, urdf, arguments.joints, arguments.gain):
         found = correct_gravity(recording, str(urdf))
     robot, enough = found.identifier, found.poses_enough
     words = ["--urdf", arguments.urdf, "--report", str(out), "--for", "gravity"]

@@ -2,15 +2,14 @@
 
 import contextlib
 import itertools
+import shlex
 import tempfile
 from pathlib import Path
 
-import numpy as np
-
 from sklearn_vbjfa import datasets
-from sklearn_vbjfa._cli._parser import Refused
+from sklearn_vbjfa._cli._parser import Refused, command_line, parse
 from sklearn_vbjfa.fit import FitOptions
-from sklearn_vbjfa.inspection import inspect_channels
+from sklearn_vbjfa.inspection import inspect_as
 from sklearn_vbjfa.model import load_model, load_reduced, movable_joints, write_reduced
 from sklearn_vbjfa.model._loading import load_folded
 from sklearn_vbjfa.physical import ProjectionError
@@ -44,16 +43,7 @@ def findings(arguments, recording, urdf, gains):
         gains = drive.gains
     elif gains != "unknown":
         gains = "unknown" if motor_units(recording) else None
-    return inspect_channels(
-        str(urdf),
-        recording.q,
-        recording.tau,
-        recording.dt,
-        np.asarray(recording.group_names)[recording.groups],
-        drive=drive,
-        gains=gains,
-        named=recording.joints_named,
-    )
+    return inspect_as(recording, str(urdf), drive=drive, gains=gains)
 
 
 def other_joints(urdf, held):
@@ -101,8 +91,9 @@ def motor_units(recording):
 
 
 @contextlib.contextmanager
-def blaming(arguments):
+def blaming(arguments, *given):
     """Name what was read in a refusal: the options are valid, so it is at fault."""
+    # given: further arguments of `read`, with which it was read.
     try:
         yield
     except (ValueError, ProjectionError) as error:
@@ -110,6 +101,13 @@ def blaming(arguments):
         signs, gains = options.get("gains"), arguments.gain
         if isinstance(signs, tuple) and gains is not None:
             options["gains"] = tuple(a * b for a, b in zip(signs, gains))
+        if options:
+            other = parse(shlex.split(command_line(arguments, options))[3:])
+            try:
+                read(other, *given)
+            except ValueError:
+                # They contradict the log.
+                options = {}
         reason = f"{named(arguments)}: {getattr(error, 'reason', error)}"
         raise Refused(reason, **options) from error
 

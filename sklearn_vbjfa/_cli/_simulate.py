@@ -97,7 +97,7 @@ def _recording(arguments, robot, folder):
     measured = arguments.drive is None and not has_gains
     wrong = refusal(findings, recording.torque_units if measured else ())
     if wrong is not None:
-        with _input.blaming(arguments):
+        with _input.blaming(*given):
             raise wrong
     for one in findings:
         if one.severity != "note":

@@ -32,7 +32,7 @@ from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
 from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
 from sklearn_vbjfa.equations._plan import check_effects, check_weight
 from sklearn_vbjfa.equations._repetition import find_repetition
-from sklearn_vbjfa.fit._arguments import checked_arrays
+from sklearn_vbjfa.fit._arguments import check_rows_suffice, checked_arrays
 from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.fit._signs import signed
 from sklearn_vbjfa.inspection import common_lag, refusal
@@ -248,6 +248,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _fit(self, whole, library, signals, beside):
         """Search in a checked recording with its signals, and set the results."""
+        check_rows_suffice(self.identifier, whole)
         declared = check_effects(self.identifier.effects, whole.nv)
         drive = self.identifier.drive
         if drive is not None and drive.unsigned and whole.command is None:

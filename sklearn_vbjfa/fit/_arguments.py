@@ -9,6 +9,7 @@ import numpy as np
 from sklearn.utils.validation import validate_data
 
 from sklearn_vbjfa.equations._plan import check_weight, check_widths
+from sklearn_vbjfa.equations._states import SAMPLES_FOR_NOISE
 from sklearn_vbjfa.inspection import at_rest, disorder
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import (
@@ -112,7 +113,7 @@ def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
     return replace(recording, signals=used)
 
 
-def checked_recording(identifier, recording):
+def checked_recording(identifier, recording, inspected=False):
     """Return a recording with the signals that are needed, rejecting others."""
     names, X = identifier.joint_names_, recording.inputs
     if recording.joint_names != names or recording.dt != identifier.dt:
@@ -122,7 +123,7 @@ def checked_recording(identifier, recording):
             f"{', '.join(recording.joint_names)} and {recording.dt} s."
         )
     validate_data(identifier, X, skip_check_array=True)
-    _check_rows(identifier, recording)
+    _check_rows(identifier, recording, inspected)
     offered = OfferedSignals(recording.signals)
     used = signals_for(identifier.effects_, None, offered, recording.n_samples)
     weight = recording.weight
@@ -132,11 +133,25 @@ def checked_recording(identifier, recording):
     return replace(recording, signals=used, weight=weight)
 
 
-def _check_rows(identifier, recording):
+def check_rows_suffice(identifier, recording):
+    """Refuse a recording that is too short for bodies, if settings are automatic."""
+    longest = max(part.stop - part.start for part in recording.segments)
+    auto = recording.states is None and isinstance(identifier.cutoff, str)
+    # Of still shorter ones the states say what they need.
+    least = 4 * SAMPLES_FOR_NOISE
+    if auto and SAMPLES_FOR_NOISE <= longest < least:
+        raise ValueError(
+            f"The longest recording has {longest} rows; record at least {least}."
+        )
+
+
+def _check_rows(identifier, recording, inspected=False):
     own = recording.joint_names, recording.q, recording.segments
     if recording.states is None and (noise := at_rest(*own)) is not None:
         raise ValueError(noise.message)
-    for finding in disorder(*own):
-        warnings.warn(finding.message, DoubtWarning, stacklevel=4)
+    if not inspected:
+        check_rows_suffice(identifier, recording)
+        for finding in disorder(*own):
+            warnings.warn(finding.message, DoubtWarning, stacklevel=4)
     if recording.t is not None:
         check_time_stamps(recording.t, identifier.dt, recording.segments)

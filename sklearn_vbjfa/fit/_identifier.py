@@ -40,10 +40,10 @@ from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.fit._pooling import alike_joints, between_recordings
 from sklearn_vbjfa.fit._signs import with_signs
-from sklearn_vbjfa.inspection import common_lag, contradicted, inspect_channels
+from sklearn_vbjfa.inspection import common_lag, contradicted, inspect_as
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
-from sklearn_vbjfa.recording import PDDrive, bridged, check_dt, torques_in_order
+from sklearn_vbjfa.recording import PDDrive, check_dt, torques_in_order
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 
 
@@ -334,17 +334,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     def findings(self, recording):
         """Return what `inspect_channels` finds in a recording under these settings."""
-        return inspect_channels(
-            self.model,
-            recording.q,
-            bridged(recording).tau,
-            recording.dt,
-            np.asarray(recording.group_names)[recording.groups],
-            drive=self.drive,
-            gains=self.asked_gains,
-            bodies=self.bodies,
-            named=recording.joints_named,
-        )
+        settings = {"drive": self.drive, "gains": self.asked_gains}
+        return inspect_as(recording, self.model, bodies=self.bodies, **settings)
 
     @one_blas_thread()
     def _fit(self, recording, look=False, compare=True, before=None):
@@ -406,7 +397,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         # found, as `torque_lag_`; compare: whether deviations include how recordings
         # differ; before: an `IdentifiedRobot` whose load the fit begins with.
         self._declare(*([TorqueLag(lag=lag)] if lag else []))
-        recording = checked_recording(self, recording)
+        recording = checked_recording(self, recording, recording.states is None)
         return self._fit(recording, compare=compare, before=before)
 
     def build_model(self):

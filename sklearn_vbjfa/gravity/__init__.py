@@ -22,8 +22,10 @@ from sklearn_vbjfa.robot._channels import HALF_WIDTH
 __all__ = ["correct_gravity", "gravity_poses"]
 # Samples: length of a window [s], share of the fastest speed that is rest, torque of
 # motion over that of gravity, way over the range after which friction is full, and
-# share of it that counts as full; speed [rad/s or m/s] for its direction at rest.
+# share of it that counts as full; speed [rad/s or m/s] for its direction at rest; least
+# period [s] of rows that are poses.
 _WINDOW, _REST, _DYNAMIC, _WAY, _FULL, _DIRECTION = 0.2, 0.02, 0.2, 0.003, 0.9, 1e-4
+_ONE_ROW = 1.0
 # Folds, contiguous in time; least samples; range [rad or m] of one pose; deviations
 # that decide; error of a payload over that of corrected links that explains as much.
 _FOLDS, _FEW, _ONE_POSE, _SURE, _AS_WELL = 4, 5, 0.2, 3.0, 1.1
@@ -70,7 +72,8 @@ def correct_gravity(recording, model):
 
     Notes
     -----
-    Samples are poses, and windows of 0.2 s in which parabolas give q, v, a and tau:
+    Samples are poses (single rows if `Recording.dt` exceeds 1 s), and windows of
+    0.2 s in which parabolas give q, v, a and tau:
 
     tau_j = Phi_j(q, v, a) pi + r_j a_j + d_j v_j + f_j s_j + o_j + e_j.
 
@@ -219,7 +222,8 @@ def static_samples(recording, features):
     for j, way in enumerate(_WAY * np.ptp(recording.q, axis=0) + 1e-300):
         for part in parts:
             side[part, j] = elements(recording.q[part, j], [way])[:, 0]
-    length = max(3, round(_WINDOW / dt))
+    one_row, longest = dt > _ONE_ROW, max(p.stop - p.start for p in parts)
+    length = 1 if one_row else min(max(3, round(_WINDOW / dt)), longest)
     first = [np.arange(p.start, p.stop - length + 1, length) for p in parts]
     rows = np.concatenate(first)[:, None] + np.arange(length)
     t = dt * (np.arange(length) - 0.5 * (length - 1))
@@ -229,21 +233,25 @@ def static_samples(recording, features):
     # Windows of one pose are one sample.
     rest = still.all(axis=1)
     label = np.where(rest, recording.groups[rows[:, 0]], -1)
-    starts = np.flatnonzero((np.diff(label, prepend=-1) != 0) | (label < 0))
+    starts = np.flatnonzero((np.diff(label, prepend=-1) != 0) | (label < 0) | one_row)
     tau = np.einsum("k,mkj->mj", parabola[0], recording.tau[rows])
     tau[rest] = recording.tau[rows[rest]].mean(axis=1)
     signals = np.stack([q, v, a, tau, side[rows].mean(axis=1), still])
     count = np.diff(np.r_[starts, len(q)])[:, None]
     q, v, a, tau, side, still = np.add.reduceat(signals, starts, axis=1) / count
-    side = np.fix(side / _FULL)
+    # How a pose of one row was reached is not known.
+    side = np.fix(side / _FULL) * (not one_row)
     bodies = nominal_parameters(features.model_)
     gravity = features.torques(q, 0.0 * v, 0.0 * a, bodies)
     torque, size = features.torques(q, v, a, bodies), _rms(gravity)
     weight = np.abs(torque - gravity) <= _DYNAMIC * np.maximum(size, 0.1 * size.max())
     weight &= (side != 0) | ~side.any(axis=0)
     if weight.sum() < _FEW * weight.shape[1]:
-        few = f"The recording holds fewer than {_FEW} poses or windows of slow motion"
-        raise ValueError(f"{few}: hold poses for {2 * _WINDOW:g} s. {_PROPOSED}")
+        raise ValueError(
+            f"The recording holds fewer than {_FEW} poses or windows of slow motion: "
+            f"hold poses for {2 * _WINDOW:g} s, or give one row of each, with dt > "
+            f"{_ONE_ROW:g} s. {_PROPOSED}"
+        )
     slow = weight.any(axis=1)
     if (np.ptp(q[slow], axis=0) < _ONE_POSE).all():
         raise ValueError(f"All poses are the same to {_ONE_POSE:g} rad. {_PROPOSED}")

@@ -8,6 +8,7 @@ _MODULES = {
         "ChannelFinding",
         "common_lag",
         "contradicted",
+        "inspect_as",
         "inspect_channels",
         "inspect_recording",
         "refusal",

@@ -19,6 +19,7 @@ from sklearn_vbjfa.model import joint_names, load_folded, movable_joints
 from sklearn_vbjfa.recording import (
     ChannelFinding,
     RecordingRefused,
+    bridged,
     check_dt,
     contiguous_groups,
     in_order,
@@ -144,17 +145,7 @@ def inspect_recording(recording, model=None):
         Findings, the worst first. An "error" is what a search for effects would find
         instead of effects; a "warning" rules out a favourable verdict; a "note" is
         harmless, or says what this motion of this robot cannot show ("unverified").
-
-    Notes
-    -----
-    After a common low-pass, the torques of all joints are fitted together: by the
-    described bodies, whose parameters may be off by half, and by friction, rotor and
-    offset of each joint. Each hypothesis changes channels, time or gravity, and its
-    marginal likelihood gives its odds against the log as it is. The most probable one
-    is applied, and the next one is looked for, so that one fault does not look like
-    another. Recordings of which other masses explain far more are looked at alone.
-    Undetectable are the zero of a joint with a vertical axis or of the last joint, and
-    both signs of a joint that gravity does not load.
+        The page on log formats explains them.
 
     Examples
     --------
@@ -174,14 +165,21 @@ def inspect_recording(recording, model=None):
         # With the joints that follow others.
         model = urdf
     robot = recording.robot_model() if model is None else model
+    gains = None if _are_torques(recording.torque_units) else "unknown"
+    return inspect_as(recording, robot, gains=gains)
+
+
+def inspect_as(recording, model, **settings):
+    """Inspect a recording under settings of `inspect_channels`."""
     return inspect_channels(
-        robot,
+        model,
         recording.q,
-        recording.tau,
+        bridged(recording).tau,
         recording.dt,
         np.asarray(recording.group_names)[recording.groups],
-        gains=None if _are_torques(recording.torque_units) else "unknown",
         named=recording.joints_named,
+        weight=recording.weight,
+        **settings,
     )
 
 
@@ -231,12 +229,14 @@ def inspect_channels(
     gains=None,
     bodies="prior",
     named=False,
+    weight=None,
 ):
     """Inspect channels that are given as arrays; see `inspect_recording`."""
     # q, tau (n_samples, nv): as of a `Recording`, or a motor quantity for torques.
     # drive, gains, bodies: as of `RobotIdentifier`. Of commands only the order of
     # magnitude is judged; with gains to identify no size of torques is a fault, with
-    # free bodies no factor of all. named: whether channels carry the joints' names.
+    # free bodies no factor of all. named: whether channels carry the joints' names;
+    # weight (n_samples, nv): zero for samples that do not count.
     model, dt = load_folded(model).still, check_dt(dt)
     # Channels one after another: they are looked at one by one.
     q, tau = (np.asarray(x, dtype=float, order="F") for x in (q, tau))
@@ -254,6 +254,9 @@ def inspect_channels(
     if len(rows) < len(q):
         q, tau = q[rows], tau[rows]
     log = Rows(model, names, q, tau, dt, parts, rows)
+    if weight is not None:
+        log.usable &= weight[rows] > 0
+        log.counted &= log.usable.any(axis=1)
     log.inspect()
     if "copied_position" in {one.kind for one in log.findings}:
         return in_order(log.findings)

@@ -249,6 +249,9 @@ def _with_ratios(reading, best):
     if one is None or not one.clear or one.log_odds + number.PRIOR < number.DECISIVE:
         return best
     each = [j for j, seen in zip(joints, known) if seen]
+    if not each:
+        # Neither that unit nor any factor, such as where the time is wrong.
+        return None
     each = _each(reading, best.change.then(more), each, errors[known])
     facts = dict(best.facts) | {"each": each}
     return replace(best, kind="position_unit", change=None, facts=facts)

@@ -30,6 +30,7 @@ class Rows:
         self.label = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
         self.first = np.isin(np.arange(len(q)), [part.start for part in parts])
         self.usable = np.ones(q.shape, dtype=bool)
+        self.counted = np.ones(len(q), dtype=bool)  # rows that have a weight
         self.held = np.zeros(q.shape[1], dtype=bool)  # torques at a lower rate
         self.every = 1  # rows until all positions are new
 
@@ -57,6 +58,7 @@ class Rows:
 
     def runs(self, flags):
         """Return first and last row of each run of flags within a recording."""
+        flags = flags & self.counted
         before = np.r_[False, flags[:-1]] & ~self.first
         starts = np.flatnonzero(flags & ~before)
         ends = np.flatnonzero(flags & ~np.r_[flags[1:] & ~self.first[1:], False])
@@ -428,6 +430,8 @@ def _clipped(log, j, x, moving):
     """Find plateaus at the highest or the lowest torque."""
     bad, ends, same = [], [], log.steps(x) == 0
     width = number.PLATEAU * np.ptp(x)
+    # Torques that go in steps, with noise, have many values at few levels.
+    _, sizes = np.unique(np.floor(x / width), return_counts=True)
     # If a torque seldom repeats a value, one plateau is proof enough; if it often does,
     # it stays at a limit for longer than elsewhere.
     rare, between = same.mean() < 0.25, np.minimum(x.max() - x, x - x.min()) > width
@@ -440,9 +444,9 @@ def _clipped(log, j, x, moving):
         most = max((b - a + 1 for a, b in runs), default=0)
         near = ((away > width) & (away <= 6 * width) & moving).sum() / 5
         dense = inside.sum() >= number.DENSITY * max(near, 0.5)
-        dense &= rare or most >= 5 * usual
+        longer = inside.sum() >= np.quantile(sizes, 0.75) if rare else most >= 5 * usual
         exact = (x[_marked(x, runs)] == level).all() and most >= number.LONG_PLATEAU
-        if dense and (len(runs) >= number.PLATEAU_RUNS or (rare and exact)):
+        if dense and longer and (len(runs) >= number.PLATEAU_RUNS or (rare and exact)):
             ends.append(level)
             bad += runs
     found = _marked(x, bad)
@@ -523,8 +527,7 @@ def _stuck(log, j, stands):
 
 def disorder(names, q, parts):
     """Find rows of positions (n, nv) out of order, or else borders of recordings."""
-    rows = np.concatenate([np.arange(p.start, p.stop) for p in parts])
-    rows, found = np.searchsorted(rows, np.arange(len(q))), []
+    rows, found = np.arange(len(q)), []
     # The samples of a signal are next to each other.
     q = np.asfortranarray(q)
     for j, x in enumerate(q.T):

@@ -32,7 +32,8 @@ SENTENCES = {
     # -- rows
     "shuffled_rows": "The rows are not in the order of time, or of two robots in turn: "
     "positions change by {change:.2g} times their spread in a row. Sort them by time "
-    "(no shuffle), and keep those of one robot.",
+    "(no shuffle), and keep those of one robot. "
+    "Of single poses `sklearn-vbjfa identify --for gravity` corrects the masses.",
     "wrapped_position": "The position of {who} is wrapped: it jumps by {turn} {count} "
     "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
@@ -92,7 +93,8 @@ SENTENCES = {
     "positions, about [rad]: {values}.",
     "swapped_torques": _SWAPPED,
     "swapped_positions": _SWAPPED,
-    "swapped_joints": _SWAPPED,
+    "swapped_joints": _SWAPPED.removesuffix(".") + ", or name the joints in the order "
+    "of the columns (joint_names).",
     "flipped_joint": "The direction of {who} in the log is opposite to that in the "
     "model ({evidence}). Multiply position and torque by -1, or turn the axis.",
     "position_sign": "The position of {who} has the wrong sign ({evidence}). Multiply "
@@ -101,8 +103,8 @@ SENTENCES = {
     "coupled axes ({evidence}). Replace it by that of {name} {minus} that of {other}"
     "{also}.",
     "wrong_dt": "dt={dt:.6g} s is inconsistent with the motion: a period of "
-    "{period:.2g} s agrees better ({evidence}). dt is the sample period in "
-    "seconds.",
+    "{period:.2g} s agrees better ({evidence}). Give dt, the sample period in "
+    "seconds, or correct the time stamps.",
     "wrong_dt:fast": "Implausible speed: with dt={dt:.6g} s {name} moves at "
     "{speed:.3g} {unit}, and {limit:.3g} would be five times what it can. Give dt in "
     "seconds, and positions in rad or m.",

@@ -12,7 +12,6 @@ from sklearn_vbjfa.recording._table import (
     TIME_UNITS,
     RecordingRefused,
     imported,
-    is_of_a_robot,
     listed,
     quoted,
     unit_of_steps,
@@ -314,9 +313,11 @@ def _second_source(q, tau):
 # -- the column of time ----------------------------------------------------------------
 
 _DAY = 86400 * 10**9  # [ns]
+# The rows are poses if their mean squared step is this share of the variance.
+_APART = 0.1
 
 
-def time_of(table, layout, options):
+def time_of(table, layout, options, q):
     """Return stamps (n_rows,) [s] or None, and the role of their column."""
     times = layout.of("t")
     exact = any(is_exact(x) for x in times)
@@ -332,14 +333,14 @@ def time_of(table, layout, options):
             {"columns": f"t={times[0].column}"},
         )
     for role in times:
-        t = _stamps(table, role, options.time_unit)
+        t = _stamps(table, role, options, q)
         # A known log may have stamps that stand still.
         if np.ptp(t) > 0 or role is times[-1]:
             return t, role
     return None, None
 
 
-def _stamps(table, role, time_unit):
+def _stamps(table, role, options, q):
     """Return the stamps of a column [s]."""
     dates = nanoseconds(table, role.column)
     if dates is not None:
@@ -352,12 +353,17 @@ def _stamps(table, role, time_unit):
             "(23:59:50.125)."
         )
     seconds = table.numbers(role.column)
-    factor = TIME_UNITS.get(time_unit, 1.0 if unit is None else unit.factor)
+    factor = TIME_UNITS.get(options.time_unit, 1.0 if unit is None else unit.factor)
     step = usual_step(seconds)
-    period, likely = factor * step, unit_of_steps(step)
-    used = time_unit or role.unit or "s"
+    used = options.time_unit or role.unit
     # What goes up by one counts rows.
-    known = step in (0.0, 1.0) or is_of_a_robot(period)
+    if options.dt is not None and step == 1.0 and not used:
+        return options.dt * seconds
+    period, likely, used = factor * step, unit_of_steps(step), used or "s"
+    if period > 1 and (np.diff(q, axis=0) ** 2).mean() > _APART * q.var(axis=0).mean():
+        # The time between poses does not matter.
+        return (options.dt or period) * np.arange(len(q))
+    known = step in (0.0, 1.0) or unit_of_steps(period) == "s"
     if not known and likely not in ("", used):
         raise RecordingRefused(
             f"{table.path}: time steps by {period:.4g} s at the median, too "

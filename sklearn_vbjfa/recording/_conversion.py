@@ -13,6 +13,7 @@ from sklearn_vbjfa.recording._layout import channel_unit, laid_out, matches, ref
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import (
+    KINDS,
     MEASURED,
     Loss,
     RecordingRefused,
@@ -104,7 +105,8 @@ def _nearest(table, kind, joints):
         count = len(keys)
         fits = keys <= {*joints} or keys in ({*range(count)}, {*range(1, count + 1)})
         fits = fits and (count > 1 or len(joints) == 1 or "{i}" not in pattern)
-        if fits and channels_in(pattern) == wanted:
+        by_unit = {x for x in KINDS if all(unit_of(x, role.unit) for role in roles)}
+        if fits and (channels_in(pattern) or by_unit) == wanted:
             # Of patterns of the same columns the first will do.
             columns = frozenset(role.column for role in roles)
             near.setdefault(columns, (pattern, count == (len(joints) or count)))
@@ -245,7 +247,7 @@ def rows_of(table, options) -> FileRows:
             [x[j] for j in order] for x in (names, slides, torque_units)
         )
         channels = {kind: values[:, order] for kind, values in channels.items()}
-    t, time = time_of(table, layout, options)
+    t, time = time_of(table, layout, options, channels["q"])
     labels = _labels(table, layout)
     signals = _signals(table, layout, time, notes)
     motor = [unit for unit in torque_units if unit not in ("N m", "N")]

@@ -152,15 +152,6 @@ class PDDrive(Drive):
     RobotIdentifier : Takes it as `drive`.
     sklearn_vbjfa.effects.CommandDelay : The delay.
 
-    Notes
-    -----
-    Commands are steps: a row acts from its time to that of the next one, a delay later.
-    Torques at rows are the mean of the last sample period, within the band of the rows.
-    The velocity is the slope of the positions, with the delay of `Recording.v` if there
-    is one. The noise of positions is noise of the torque, K_p and K_d times, and of the
-    regressor; their common part is measured from the even and the odd samples and
-    subtracted from their products. Commands count as exact.
-
     References
     ----------
     .. [1] M. Brunot, A. Janot, P. C. Young, F. Carrillo, "An improved instrumental
@@ -320,17 +311,7 @@ class CurrentDrive(Drive):
     signed : bool, default=True
         Whether currents have their sign. False for sizes, as some drives log them: the
         sign is then that of the torque of the model, and both signs in proportion to
-        their probability where that is near zero; see Notes.
-
-    Notes
-    -----
-    The sign of a torque is not that of the motion: gravity holds a joint that moves
-    down. Signs are found by expectation and maximisation. With the predicted torque f
-    and the variance :math:`\sigma^2` of the residual, a size m counts as
-    :math:`m \tanh(m f / \sigma^2)`, the mean over both signs, and the robot is fitted
-    to that until nothing moves; the first signs are, joint by joint, those with which
-    rigid bodies as described, friction and an offset explain most. Signs of rows that
-    were not fitted follow from the model that was.
+        their probability where that is near zero.
 
     Examples
     --------
@@ -370,12 +351,6 @@ class VoltageDrive(Drive):
     supply : float, array-like of shape (nv,), dict or None, default=None
         Voltage of the supply, by which a duty cycle is multiplied; None takes the
         channel ``supply`` of the recording, or y for volts.
-
-    Notes
-    -----
-    Friction of the motor and its back-EMF have one column, the speed: what is found is
-    their sum, and no recording of voltages tells them apart. In a simulator with a
-    voltage input the damping is the sum.
 
     References
     ----------

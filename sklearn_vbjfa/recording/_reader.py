@@ -250,7 +250,7 @@ def read_recording(
     gains : sequence of float or "unknown", default=None
         Factors [N m or N per unit] of the recorded torques, one for each joint in the
         order of `joint_names` or else of `urdf`. "unknown" keeps the unit.
-    time_unit : {"s", "ms", "us", "ns"}, default=None
+    time_unit : {"s", "ms", "us", "ns", "days"}, default=None
         Unit of time; None takes that in the name of the column, or seconds.
     drive : Drive or str, default=None
         Control law of the motors if no torque was measured: a `PDDrive`, or a text such

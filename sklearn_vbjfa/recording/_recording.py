@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def _number(value):
     """Return a float, nan for what is none."""
     try:
-        return float(value)
+        return np.nan if isinstance(value, str) else float(value)
     except (TypeError, ValueError):
         return np.nan
 
@@ -180,10 +180,8 @@ class Recording:
                 raise ValueError(f"{key} must have {nv} entries, as q has columns.")
         _check("groups", self.groups, (n_samples,))
         labels = self.groups[[part.start for part in self.segments]]
-        names, is_int = (
-            [*dict.fromkeys(self.group_names)],
-            self.groups.dtype.kind in "iu",
-        )
+        names = [*dict.fromkeys(self.group_names)]
+        is_int = self.groups.dtype.kind in "iu"
         whole = len(names) == len(self.group_names) and is_int
         if not whole or labels.tolist() != [*range(len(names))]:
             raise ValueError(

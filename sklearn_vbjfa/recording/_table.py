@@ -193,7 +193,7 @@ def listed(names):
 KINDS = ("q", "tau", "v", "a")
 MEASURED = {"q_desired": "q", "v_desired": "v", "tau_ff": "tau"}
 # What one may write for a time, where a unit is asked for, in seconds.
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "days": 86400.0}
 # Periods of robots that move [s].
 _FASTEST, _SLOWEST = 2e-5, 1.0
 # Units, words and presets.
@@ -262,13 +262,8 @@ def usual_step(t):
 
 def unit_of_steps(step):
     """Return the unit of time in which steps are those of a robot, "" for none."""
-    known = (unit for unit, size in TIME_UNITS.items() if is_of_a_robot(step * size))
+    known = (x for x, size in TIME_UNITS.items() if _FASTEST < step * size < _SLOWEST)
     return next(known, "")
-
-
-def is_of_a_robot(period):
-    """Whether a period [s] is one of a robot that moves."""
-    return _FASTEST < period < _SLOWEST
 
 
 # -- words -----------------------------------------------------------------------------

@@ -110,6 +110,19 @@ def test_a_payload_that_the_description_lacks(world, tmp_path):
     assert std < 0.05
 
 
+def test_one_row_of_each_pose(world):
+    rows = slice(0, 24)
+    q = OTHERS[rows]
+    tau = gravity(world.true, q) + np.random.default_rng(5).normal(0, 0.05, q.shape)
+    # The time from pose to pose is not that of a motion.
+    one = replace(
+        record(world.true, q, 0 * FRICTION, np.random.default_rng(6)), tau=tau
+    )
+    found = correct_gravity(replace(one, dt=5.0, t=None), world.described)
+    assert found.n_samples == 24
+    assert (found.error_after[1:] < 0.3 * found.error_before[1:]).all()
+
+
 def test_poses_from_one_side_leave_friction_unknown(world):
     rising = np.linspace(-2.0, 2.0, 8)[:, None] * [1.0, 0.9, 0.8]
     recording = record(

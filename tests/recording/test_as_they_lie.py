@@ -120,7 +120,7 @@ def test_messages_of_ros_as_json(lines, made, tmp_path):
     path.write_text("\n".join(map(json.dumps, found)) if lines else json.dumps(found))
     recording, notes = read(path, made)
     assert_same(recording, made)
-    assert any("taken as /joint_states as JSON" in x for x in notes)
+    assert any("taken as /joint_states as arrays or JSON" in x for x in notes)
 
 
 def test_records_inside_of_an_object(made, tmp_path):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.recording import inspect_time_stamps
+from sklearn_vbjfa.recording import inspect_time_stamps, read_recording
 from tests.benchmarks._protocols import protocols
 from tests.recording._reading import read_text
 
@@ -151,6 +151,20 @@ def test_stamps_that_show_no_regular_clock_are_refused(case):
 def test_a_period_in_another_unit_is_refused(dt):
     with pytest.raises(ValueError, match=r"0\.004 s but dt = .* not in ms or Hz"):
         inspect_time_stamps(DT * np.arange(N), dt)
+
+
+def test_counts_of_rows_take_the_period_that_is_given(tmp_path):
+    path = tmp_path / "arm.csv"
+    path.write_text("t,q1,tau1\n" + "".join(f"{k},{k / 9},1\n" for k in range(40)))
+    assert read_recording(path, dt=DT).dt == DT
+
+
+def test_stamps_of_poses_need_no_period(tmp_path):
+    path, rng = tmp_path / "poses.csv", np.random.default_rng(0)
+    t, q = np.cumsum(rng.uniform(3.0, 9.0, 40)), rng.normal(size=40)
+    rows = "".join(f"{a},{b},1\n" for a, b in zip(t, q))
+    path.write_text(f"t,q1,tau1\n{rows}")
+    assert read_recording(path).dt == pytest.approx(np.median(np.diff(t)))
 
 
 @pytest.mark.parametrize("name", ["ur5", "kuka_lbr_med7", "bam_xl330", "emps"])

@@ -34,6 +34,7 @@ def changed(values, where, value):
     [
         ("dt", None, "dt must be the sample period in seconds, positive.*got None"),
         ("dt", 0.0, r"dt must be .*got 0\.0"),
+        ("dt", "0.01", r"dt must be .*got '0\.01'"),
         ("dt", np.nan, "dt must be .*got nan"),
         (
             "cutoff",
@@ -103,6 +104,8 @@ def test_too_few_rows(new_motion):
         identify(new_motion, states, tau[:10], standstill=None, bodies="free")
     with pytest.raises(ValueError, match="at least 16 samples; the longest has 15"):
         identify(new_motion, q[:15], tau[:15])
+    with pytest.raises(ValueError, match="has 63 rows; record at least 64"):
+        identify(new_motion, q[:63], tau[:63])
     with pytest.raises(ValueError, match=r"The low-pass at 2 Hz is .*higher cutoff"):
         identify(new_motion, q[:60], tau[:60], cutoff=2.0)
 

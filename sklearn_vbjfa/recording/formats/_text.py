@@ -34,6 +34,8 @@ _OF_LISTS = re.compile(r"np\.\w+|array|dtype=\w+|[\[\](),;]")
 _NUMBER = re.compile(
     r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
 )
+# A number with separators of thousands and a fraction, 1.234,56 or 1,234.56; or 1,234.
+_GROUPED = re.compile(r"[+-]?\d{1,3}((\.\d{3})+,\d+|(,\d{3})+(\.\d*)?)", re.ASCII)
 # Of fewer rows the last is not said to be cut.
 _FEWEST = 10
 _NO_BRACKETS = bytes.maketrans(b"()[]", b"    ")
@@ -297,10 +299,11 @@ def _column(table, name, comma):
     wrong = np.flatnonzero(filled & numbers.isna())
     if not wrong.size:
         return numbers.to_numpy(dtype=float)
-    if wrong[0] == np.argmax(filled):
-        return text.where(filled, "").to_numpy(dtype=object)
     cell, remedy = text.iloc[wrong[0]], "correct or remove that line"
-    if _is_number(cell.replace(",", "")):
+    grouped = _GROUPED.fullmatch(cell)
+    if wrong[0] == np.argmax(filled) and not grouped:
+        return text.where(filled, "").to_numpy(dtype=object)
+    if grouped:
         remedy = "write numbers without separators of thousands"
     raise RecordingRefused(
         f"{table.path}: {quoted(cell)} in {table.where(wrong[0])}, column "

@@ -89,8 +89,11 @@ def test_what_is_no_change_of_status():
     sure = {"difference": np.array([0.005, 0.015])[:, None] * before}
     report = Report(make_outcome(n_effects=1, after=1.01 * before, intervals=sure))
     assert report.status != "worse"
-    almost = make_outcome(nv=1, n_effects=0, after=np.array([0.999]))
-    assert Report(almost).status != "failed"
+    error, sure = np.array([0.999]), {"after": np.array([[0.9], [1.1]])}
+    almost = Report(make_outcome(nv=1, n_effects=0, after=error, intervals=sure))
+    assert almost.status != "failed"
+    assert almost.warnings
+    assert not almost.uses[0].allowed
 
 
 def test_each_joint_has_a_verdict():

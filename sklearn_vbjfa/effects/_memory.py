@@ -324,11 +324,12 @@ class MaxwellSlip(Shaped, Converted, Bank):
     def shapes(self, motion):
         """Banks of displacements up to a quarter of the range."""
         reach, fast = motion.range(self.joint), motion.speed(self.joint)
-        bank = (0.0, *(reach * np.geomspace(_SMALLEST, _LARGEST, _COUNT)))
+        bank = tuple(reach * np.geomspace(_SMALLEST, _LARGEST, _COUNT))
         if not (reach > 0 and fast > 0):
             return []
-        plain = {"displacements": bank, "loaded": (), "falling": (), "element": "stop"}
-        plain["vs"] = _SPEEDS[0] * fast
+        # Without displacement those that follow the load or fall are other effects.
+        plain = {"displacements": (0.0, *bank), "loaded": (), "falling": ()}
+        plain |= {"vs": _SPEEDS[0] * fast, "element": "stop"}
         found = [
             plain | {"falling": bank, "vs": s * fast, "element": element}
             for element in ("stop", "bristle")

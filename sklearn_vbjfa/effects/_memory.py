@@ -234,6 +234,12 @@ class MaxwellSlip(Shaped, Converted, Bank):
     def depends(self):
         return ("direction", *self.needs)
 
+    def shape(self):
+        shape = super().shape()
+        if not self.falling:
+            del shape["vs"]
+        return shape
+
     @property
     def named_units(self):
         named = {"Fc": TORQUE, "half": POSITION, "mu": RATIO, "Fs": TORQUE}
@@ -363,10 +369,9 @@ class MaxwellSlip(Shaped, Converted, Bank):
 
     def completed(self, motion):
         """Return the effect with an element of no displacement, Coulomb friction."""
-        if 0 in self.displacements:
-            return self
-        more = (0.0, *self.displacements)
-        return type(self)(**self.get_params(deep=False) | {"displacements": more})
+        d = self.displacements
+        d = d if 0 in d else (0.0, *d)
+        return type(self)(**self.get_params(deep=False) | {"displacements": d})
 
     def in_file(self, coef):
         """Return the sizes of the elements at high speed, zero for the loaded ones."""

@@ -217,6 +217,15 @@ def test_repeated_rows(arm):
     assert message.startswith("60 rows")
 
 
+def test_samples_without_weight_are_no_faults(arm):
+    recording, model = arm
+    tau, weight = recording.tau.copy(), np.ones(recording.tau.shape)
+    tau[300:420], weight[300:420] = tau[300], 0.0
+    given = recording.q, tau, recording.dt
+    assert inspect_channels(model, *given)
+    assert not inspect_channels(model, *given, weight=weight)
+
+
 def test_spikes(arm):
     q = arm[0].q.copy()
     q[777, 3] += 0.1

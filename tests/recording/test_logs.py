@@ -276,7 +276,9 @@ def test_units_that_cannot_be(made, tmp_path, name, message):
         read_recording(path, urdf=made.urdf)
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9), ("days", 1 / 86400)]
+)
 def test_the_unit_of_time_is_given(tmp_path, unit, factor):
     columns = table()
     columns["t"] = factor * columns["t"]
@@ -289,6 +291,13 @@ def test_the_unit_of_time_is_given(tmp_path, unit, factor):
     assert recording.dt == pytest.approx(0.01)
     with pytest.raises(ValueError, match="time_unit must be one of s, ms, us, ns"):
         read_recording(path, time_unit="h")
+
+
+def test_a_count_with_a_period_is_a_clock(tmp_path):
+    columns = table()
+    columns["t"] = np.arange(columns["t"].size)
+    recording, _ = read(write(tmp_path / "arm.csv", columns), dt=0.02)
+    assert recording.dt == pytest.approx(0.02)
 
 
 @pytest.mark.parametrize("unit", [None, "ms"])

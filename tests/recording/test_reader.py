@@ -221,6 +221,7 @@ def put(name, row, value):
         (lambda x: x.update(T=x["q2"]), "columns 't' and 'T' could both be meant"),
         (put("tau2", 4, "1e13"), r"1e\+13 in line 6, column 'tau2', is implausible"),
         (put("tau2", 4, "1_0"), "'1_0' in line 6, column 'tau2' is not a number"),
+        (put("tau2", 0, '"1,234.5"'), "write numbers without separators of thousands"),
         (put("t", 7, 0.001), r"time runs backwards to 0\.001 s in line 9"),
     ],
 )

@@ -59,8 +59,7 @@ def elements(
     """States (n, k) of elements that slip at, or creep towards, a level."""
     # level (n,): of the elements that fall, bool (k,); that of the others is 1.
     # before: positions that the joint came through, at the first of which z is zero.
-    # sign (n,): mean signs of the velocity, for elements without displacement; by
-    # default those of the ways from row to row.
+    # sign (n,): of the velocity, in the mean; None takes the ways from row to row.
     d = np.asarray(displacements, dtype=float)
     sign = np.sign(np.diff(q, prepend=q[:1])) if sign is None else sign
     z = np.zeros((q.size, d.size))
@@ -369,8 +368,7 @@ class MaxwellSlip(Shaped, Converted, Bank):
 
     def completed(self, motion):
         """Return the effect with an element of no displacement, Coulomb friction."""
-        d = self.displacements
-        d = d if 0 in d else (0.0, *d)
+        d = (0.0, *(x for x in self.displacements if x > 0))
         return type(self)(**self.get_params(deep=False) | {"displacements": d})
 
     def in_file(self, coef):

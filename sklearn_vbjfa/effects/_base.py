@@ -226,7 +226,7 @@ class Effect(TransformerMixin, BaseEstimator):
         """Return the coefficients that a joint parameter of `files` holds, or zeros."""
         return np.asarray(coef, dtype=float)
 
-    def completed(self, motion):
+    def completed(self):
         """Return the effect with the part of the term that it replaces."""
         return self
 

@@ -366,7 +366,7 @@ class MaxwellSlip(Shaped, Converted, Bank):
         found = {name: tuple(bank.tolist()) for name, bank in zip(_BANKS, banks)}
         return type(self)(**self.get_params(deep=False) | found)
 
-    def completed(self, motion):
+    def completed(self):
         """Return the effect with an element of no displacement, Coulomb friction."""
         d = (0.0, *(x for x in self.displacements if x > 0))
         return type(self)(**self.get_params(deep=False) | {"displacements": d})

@@ -271,13 +271,13 @@ def _lost_rows(log):
 def _switched_off(log):
     """Find runs in which all torques vanish at once, although links have weight."""
     step, size = np.abs(log.steps(log.tau)), np.sqrt((log.tau**2).mean(axis=0))
-    usual, bodies = np.quantile(step, 0.995, axis=0), Bodies(log.model)
-    sudden, found = (step > number.SUDDEN * usual).any(axis=1), []
+    sudden = (step > number.SUDDEN * np.quantile(step, 0.995, axis=0)).any(axis=1)
+    found = []
     for a, b in log.runs((np.abs(log.tau) <= number.OFF * size).all(axis=1)):
         ends = [k for k in (a, b + 1) if log.together(k - 1, k) and log.moving[k]]
         if b - a + 2 >= number.STUCK_RUN and sudden[ends].any():
-            still = np.append(log.q[a], 0.0 * np.append(log.q[a], log.q[a]))
-            weight = bodies.described(still[None])[1][0]
+            still = np.pad(log.q[[a]], ((0, 0), (0, 2 * log.q.shape[1])))
+            weight = Bodies(log.model).described(still)[1]
             if (np.abs(weight) > number.LOADED * size).any():
                 found.append((a, b))
     return found
@@ -527,11 +527,11 @@ def _stuck(log, j, stands):
 
 def disorder(names, q, parts):
     """Find rows of positions (n, nv) out of order, or else borders of recordings."""
-    rows, found = np.arange(len(q)), []
+    found = []
     # The samples of a signal are next to each other.
     q = np.asfortranarray(q)
     for j, x in enumerate(q.T):
-        found += _jumping(names, j, x, _jumps(x, parts), rows)
+        found += _jumping(names, j, x, _jumps(x, parts), range(len(q)))
     borders = [one for one in found if one.severity == "warning"]
     return shuffled_rows(names, q, parts) or borders
 

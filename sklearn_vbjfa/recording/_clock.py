@@ -9,6 +9,7 @@ from scipy.ndimage import uniform_filter1d
 from sklearn_vbjfa.recording._layout import channel_unit, is_exact, refuse_two
 from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
 from sklearn_vbjfa.recording._table import (
+    SLOWEST,
     TIME_UNITS,
     RecordingRefused,
     imported,
@@ -360,7 +361,8 @@ def _stamps(table, role, options, q):
     if options.dt is not None and step == 1.0 and not used:
         return options.dt * seconds
     period, likely, used = factor * step, unit_of_steps(step), used or "s"
-    if period > 1 and (np.diff(q, axis=0) ** 2).mean() > _APART * q.var(axis=0).mean():
+    size = q.var(axis=0).mean()
+    if period > SLOWEST and (np.diff(q, axis=0) ** 2).mean() > _APART * size:
         # The time between poses does not matter.
         return (options.dt or period) * np.arange(len(q))
     known = step in (0.0, 1.0) or unit_of_steps(period) == "s"

@@ -195,7 +195,7 @@ MEASURED = {"q_desired": "q", "v_desired": "v", "tau_ff": "tau"}
 # What one may write for a time, where a unit is asked for, in seconds.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "days": 86400.0}
 # Periods of robots that move [s].
-_FASTEST, _SLOWEST = 2e-5, 1.0
+_FASTEST, SLOWEST = 2e-5, 1.0
 # Units, words and presets.
 _NAMES = tomllib.loads(
     resources.files("sklearn_vbjfa.recording").joinpath("names.toml").read_text("utf-8")
@@ -262,7 +262,7 @@ def usual_step(t):
 
 def unit_of_steps(step):
     """Return the unit of time in which steps are those of a robot, "" for none."""
-    known = (x for x, size in TIME_UNITS.items() if _FASTEST < step * size < _SLOWEST)
+    known = (x for x, size in TIME_UNITS.items() if _FASTEST < step * size < SLOWEST)
     return next(known, "")
 
 

@@ -450,8 +450,7 @@ def tuned_on(view, effects, settings):
             best = fit
             break
         before = now
-    motion = best.problem.motion
-    return tuple(member.effect.completed(motion) for member in best.members)
+    return tuple(member.effect.completed() for member in best.members)
 
 
 def remembering(effects):

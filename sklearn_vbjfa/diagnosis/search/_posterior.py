@@ -167,7 +167,7 @@ def search(view, library, settings, alpha, max_effects=None):
         warning = _warning(fit, member, evidence, needed, path)
         if not warning and i not in worthwhile:
             warning = SMALL
-        effect = member.effect.completed(motion)
+        effect = member.effect.completed()
         findings.append(
             Finding(effect=effect, evidence=evidence, rivals=rivals, warning=warning)
         )

@@ -88,7 +88,7 @@ figure, axis = plt.subplots(layout="constrained", figsize=(7.5, 3.5))
 place = np.arange(len(names))
 for label, (error, colour) in errors.items():
     axis.plot(place, 100 * error, "o", color=colour, label=label)
-floor = 100 * search.report_.outcome.floor
+floor = 100 * search.report_.outcome.column("floor")
 axis.plot(place, floor, "k_", ms=24, label="noise floor")
 axis.set_yscale("log")
 axis.set_yticks([0.3, 1, 3, 10, 30], ["0.3", "1", "3", "10", "30"])

@@ -98,10 +98,10 @@ class Unexplained:
     signals: tuple[Dependence, ...] = ()  # that it varies with, the strongest first
 
 
-def unexplained(found, names, spread, floors, errors):
+def unexplained(found, names, spread, floors, errors, least):
     """Joints above their floor in what a search found, with signals they vary with."""
-    # spread, floors (nv,): [N m or N]; errors (nv,): on the held-out part, over the
-    # spread. They are nan where unknown.
+    # spread, floors (nv,): [N m or N]; errors, least (nv,): on the held-out part and
+    # the lower end of its interval, over the spread. They are nan where unknown.
     view, listed = found.view, []
     signals = motion_signals(found.motion, names)
     seen = {key: view.filtered(value[:, None])[:, 0] for key, value in signals.items()}
@@ -113,7 +113,9 @@ def unexplained(found, names, spread, floors, errors):
         if known and rms <= ABOVE_FLOOR[0] * floor:
             continue
         signs = dependences(residual, weight, seen, view.blocks)[:_SIGNALS]
-        if known and not signs and rms <= ABOVE_FLOOR[1] * floor:
+        # A few moments of a recording, such as a reversal, may double its mean square.
+        chance = rms <= ABOVE_FLOOR[1] * floor or least[j] * spread[j] <= floor
+        if known and not signs and chance:
             continue
         low, searched = np.nan_to_num(floor / spread[j]), rms / spread[j]
         error = float(errors[j]) if errors[j] > low else searched

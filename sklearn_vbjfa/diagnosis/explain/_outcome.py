@@ -91,11 +91,6 @@ class Outcome:
         """Whether effects were looked for."""
         return len(self.provenance["settings"].get("effects", "all")) > 0
 
-    @property
-    def floor(self):
-        """Noise floor of each joint over the deviation of its torque, (nv,)."""
-        return self.column("floor")
-
     def column(self, name):
         """Return an attribute of the errors of all joints, (nv,)."""
         return np.array([getattr(one, name) for one in self.errors])
@@ -159,7 +154,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "effects": tuple(e for e in effects if not e.warning),
             "possible": tuple(e for e in effects if e.warning),
             "unnamed": tuple(e for e in judged_effects if isinstance(e, UnnamedTorque)),
-            "unexplained": unexplained(search, names, spread, floor, known),
+            "unexplained": unexplained(search, names, spread, floor, known, low),
             "not_identifiable": not_identifiable(search, names),
             "channels": channels,
             "contradictions": contradictions(parts, spread, loop.alpha),

@@ -185,7 +185,7 @@ def short_errors(outcome, verdicts):
     """Heads and rows of the errors for a terminal, without the middle of many."""
     # A line has room for the size in N m, or for a third error.
     left_out = ["reduction", *(["size"] if outcome.robot["added"] else [])]
-    if not np.isfinite(outcome.floor).any():
+    if not np.isfinite(outcome.column("floor")).any():
         left_out.append("noise")
     heads, rows = [], []
     for row in error_rows(outcome, left_out):

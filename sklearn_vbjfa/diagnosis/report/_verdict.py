@@ -128,7 +128,7 @@ def _of_joint(outcome, j):
     # The floor does not know the error of the parameters, which held-out data shows.
     if after > far and least > near:
         return {"status": "above", "detail": "large" * (after > _LARGE)}
-    if after > near and least > floor:
+    if after > (near if least > floor else far):
         return {"status": "floor", "detail": "near"}
     high = own.intervals["added"][1]
     chance = j in _with_effects(outcome, "effects") and 0 <= high < np.inf

@@ -23,7 +23,7 @@ from tests.diagnosis.report._outcomes import (
 from tests.diagnosis.report._pages import line_of, section_of, text_of
 
 NAMES = tuple(f"joint{j + 1}" for j in range(6))
-UNKNOWN, FLOOR = np.full(6, np.nan), make_outcome().floor
+UNKNOWN, FLOOR = np.full(6, np.nan), make_outcome().column("floor")
 CASES = {
     "clean": {"nv": 1, "n_effects": 0, "not_identifiable": (), "channels": ()},
     "six joints": {"nv": 6, "n_effects": 2, "unexplained": (4,)},

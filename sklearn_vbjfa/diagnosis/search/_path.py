@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from sklearn_vbjfa._core._runtime import say
 from sklearn_vbjfa.diagnosis.search._candidates import Candidates
@@ -325,21 +326,24 @@ class Path:
             near = [
                 o
                 for o in candidates.rivals(fit, i)
-                if o.order > odds[i] - self.settings.rivals
-                and o.log_odds > candidates.least
+                if o.log_odds > candidates.least
                 and not isinstance(o.effect, InModel)
                 and o.effect.key() != member.effect.key()
-                and member.effect.name not in closure(o.effect, self.library)
             ]
             for candidate in near[:3]:
                 new = base.beside(self._member(base, candidate))
                 new = self.scaled(stepped(new, [len(base.members)]))
-                own = candidates.log_odds(new, usual=True)[-1]
-                if own < odds[i] + _EQUAL or keys_of(new) in been:
+                *others, own = candidates.log_odds(new, usual=True)
+                # What contains a member takes its place only with that of others, which
+                # it makes improbable.
+                worst = min([0.0, *others])
+                contains = member.effect.name in closure(candidate.effect, self.library)
+                if own - worst < odds[i] + _EQUAL or (contains and worst == 0.0):
                     continue
-                if self.held_out(new).error() > self.held_out(fit).error():
-                    continue
-                return new
+                new = self._pruned(new)
+                better = self.held_out(new).error() <= self.held_out(fit).error()
+                if better and keys_of(new) not in been:
+                    return new
         return None
 
     # -- what is asked of a model ---------------------------------------------------
@@ -377,12 +381,10 @@ class Path:
 
     def above_motion(self, fit, effect):
         """Whether a filter of a channel acts above the motion of its joint."""
-        frequency, power = [], []
-        for part in self.view.parts:
-            speed = fit.problem.motion.v[part, effect.joint]
-            frequency.append(np.fft.rfftfreq(speed.size, self.view.dt))
-            power.append(np.abs(np.fft.rfft(speed)) ** 2 / speed.size)
-        frequency, power = np.concatenate(frequency), np.concatenate(power)
+        v, rate = fit.problem.motion.v[:, effect.joint], 1.0 / self.view.dt
+        parts = (v[part] for part in self.view.parts)
+        found = [scipy.signal.periodogram(part, rate, detrend=False) for part in parts]
+        frequency, power = np.concatenate(found, axis=1)
         order = np.argsort(frequency, kind="stable")
         share = np.cumsum(power[order])
         highest = frequency[order][np.searchsorted(share, _MOTION * share[-1])]

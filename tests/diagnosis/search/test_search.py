@@ -188,6 +188,21 @@ def test_one_in_place_of_two():
     assert len(found(now)) == 2
 
 
+@pytest.mark.parametrize("shares", [(0.12, 0.2), (0.18, 0.14)])
+def test_gear_loss_is_no_wrong_gain_beside_load_friction(shares):
+    """The load by a share is what the direction of power makes of the loss."""
+
+    def loss(recording):
+        load, v = recording.load[:, 1], recording.v[:, 1]
+        return np.where(load * v > 0, *shares) * np.abs(load) * np.sign(v)
+
+    recording = record("YXY", seed=3)
+    robot = recording.robot(projector=None, input_noise=None)
+    library = ("load_friction", "gear_loss", "torque_gain")
+    run = search(recording.torque(joint_2=loss), library, recording, robot)
+    assert found(run.run()) == [("gear_loss", 1)]
+
+
 def test_no_effect_is_named_in_the_search():
     """What must be known of an effect is read off its class."""
     # A signal is also what an effect may need, in plain English; a delay of a channel

@@ -45,7 +45,7 @@ class Follower(OnAllJoints):
     formula = r"A^{\mathsf T}\Phi_f(Aq + b, A\dot q, A\ddot q)\,\pi_f"
     coefficients = INERTIAL_NAMES
     units = (_MASS,) + (_MOMENT,) * 3 + (_INERTIA,) * 6
-    files = InFiles(urdf="", mjcf="", simulation="only its leader is simulated")
+    files = InFiles(urdf="", mjcf="")
 
     def __init__(self, joint=0, of="", chain=(), gravity=(0.0, 0.0, -9.81)):
         super().__init__(joint)
@@ -56,16 +56,16 @@ class Follower(OnAllJoints):
     def prefix(self, joint_name):
         return self.of
 
-    def columns(self, motion):
+    def tree(self):
+        """Return the joints from the base to the body as a `Tree`."""
         links = [ChainJoint(*row) for row in self.chain]
-        joints, count = [link.joint for link in links], len(links)
-        rate, offset = np.array([(link.rate, link.offset) for link in links]).T
+        count = len(links)
         slides = np.array([link.slides for link in links], dtype=float)
         offsets = np.array([link.place for link in links])
         offsets[0] = 0.0
         base = np.zeros((count, 3))
         base[0] = -np.asarray(self.gravity)
-        tree = Tree(
+        return Tree(
             parents=np.arange(count) - 1,
             offsets=offsets,
             frames=np.array([np.reshape(link.frame, (3, 3)).T for link in links]),
@@ -74,7 +74,12 @@ class Follower(OnAllJoints):
             slides=slides,
             base=base,
             base_angular=np.zeros(3),
+            leads=np.array([link[:3] for link in links], dtype=float),
         )
+
+    def columns(self, motion):
+        tree = self.tree()
+        joints, (rate, offset) = tree.leads[:, 0].astype(int), tree.leads.T[1:]
         states = [rate * x[:, joints] for x in (motion.q, motion.v, motion.a)]
         states[0] += offset
         out = np.zeros((motion.q.shape[0], motion.n_joints, len(INERTIAL_NAMES)))
@@ -82,9 +87,12 @@ class Follower(OnAllJoints):
             out[:, joint] += factor * own
         return out
 
-    def shapes(self, motion):
-        """Nothing is searched: the description defines the joints that follow."""
-        return []
+    def simulated(self, table, *coef):
+        bodies = np.zeros((len(self.chain), len(coef)))
+        bodies[-1] = coef
+        table.trees.append(self.tree())
+        table.following.append(bodies)
+        return True
 
 
 class RigidBodyFeatures(TransformerMixin, BaseEstimator):
@@ -431,17 +439,6 @@ def following_joints(effects, coefficients, names):
             )
         )
     return tuple(joints)
-
-
-def refuse_followers(effects, what, remedy):
-    """Refuse something that cannot be done with joints that follow others."""
-    # effects: all effects of a robot; what: what cannot be done; remedy: what can.
-    names = [effect.of for effect in effects if isinstance(effect, Follower)]
-    if names:
-        raise ValueError(
-            f"{what} does not support joints that follow others, {', '.join(names)}: "
-            f"{remedy}, or give a description in which they are fixed joints."
-        )
 
 
 def nominal_followers(features):

@@ -14,7 +14,6 @@ from sklearn_vbjfa.effects import CommandDelay, TorqueLag
 from sklearn_vbjfa.equations._equations import numbered
 from sklearn_vbjfa.equations._features import (
     RigidBodyFeatures,
-    refuse_followers,
     with_followers,
 )
 from sklearn_vbjfa.equations._plan import (
@@ -464,10 +463,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         declared += further
         self.effects_ = with_followers(declared, self.features_)
         self.features_ = self.features_.corrected(self.effects_)
-        if self.criterion == "simulation":
-            refuse_followers(
-                self.effects_, "criterion='simulation'", "use criterion='torque'"
-            )
         self._description = described_bodies(self)
         self._shared_drives = alike_joints(self)
 

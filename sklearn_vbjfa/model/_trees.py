@@ -168,6 +168,8 @@ class Tree(NamedTuple):
     # (nv, 3): acceleration in place of gravity, of joints without parent [m/s^2]
     base: np.ndarray
     base_angular: np.ndarray  # (3,): its angular part [rad/s^2]
+    # (nv, 3): coordinate that moves a joint, and rate and offset of the joint by it
+    leads: np.ndarray
 
     def changed(self, **values):
         """Return the tree with some other values."""
@@ -186,6 +188,7 @@ def describe(model):
         slides=np.empty(nv),
         base=np.zeros((nv, 3)),
         base_angular=-model.gravity.angular,
+        leads=np.arange(nv)[:, None] * (1.0, 0.0, 0.0) + (0.0, 1.0, 0.0),
     )
     data, zero = model.createData(), np.zeros(model.nq)
     for i in range(nv):
@@ -205,6 +208,17 @@ def describe(model):
             lever = np.cross(tree.base_angular, placement.translation)
             tree.base[i] = lever - model.gravity.linear
     return tree
+
+
+def side_by_side(trees):
+    """Return several trees as one, under the gravity of the first one."""
+    sizes = [tree.parents.size for tree in trees]
+    shift = np.repeat(np.cumsum(sizes) - sizes, sizes)
+    whole = Tree(*map(np.concatenate, zip(*trees)))
+    return whole.changed(
+        parents=np.where(whole.parents < 0, -1, whole.parents + shift),
+        base_angular=trees[0].base_angular,
+    )
 
 
 def check_kinds(model, tree):

@@ -390,7 +390,6 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         paper's set, a positive mass and a positive definite inertia about the centre
         of mass; it admits inertias that violate the triangle inequality, which no body
         has.
-
     metric : array-like of shape (n_features, n_features) or None, default=None
         Symmetric positive semidefinite matrix `A` of the distance
         :math:`(\theta - \theta_0)^\top A (\theta - \theta_0)`: the (de-noised) Gram
@@ -401,7 +400,6 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         counts each parameter in its own unit: those
         of a body in units of its mass and length scale, the others in units of
         their root mean square over the rows seen in `fit`.
-
     parameter_names : array-like of str of shape (n_features,) or None, default=None
         Names of the columns, such as `RigidBodyFeatures.parameter_names_`: a joint, a
         colon, and the parameter.  They give the bodies ("joint_1:m" and so on) and the
@@ -409,7 +407,6 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         "joint_1:rotor_inertia").  None takes those of the data frame seen in `fit`;
         `JointTorqueRegressor` passes on those of its features.  Without names joints
         have 11 columns (the paper's, viscous friction last) or 10.
-
     options : Options or None, default=None
         Layout, margin and anchor for other estimators.
 
@@ -417,16 +414,12 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     ----------
     metric_ : ndarray of shape (n_features, n_features)
         The metric in use.
-
     body_starts_ : ndarray of int of shape (n_bodies,)
         First column of each body.
-
     nonnegative_ : ndarray of int of shape (n_nonnegative,)
         Columns that must not be negative.
-
     n_features_in_ : int
         Number of columns seen in `fit`.
-
     feature_names_in_ : ndarray of shape (n_features,)
         Names of the columns, where they are strings.
 

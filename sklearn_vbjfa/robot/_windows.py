@@ -10,10 +10,11 @@ from sklearn.utils import check_consistent_length
 
 from sklearn_vbjfa.effects import OfChannel
 from sklearn_vbjfa.equations._plan import check_widths
-from sklearn_vbjfa.model import DoubtWarning, is_prismatic
+from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import check_dt, torques_in_order
 from sklearn_vbjfa.recording._drives import velocity_lags
 from sklearn_vbjfa.simulation import SimulationError, simulate_controlled
+from sklearn_vbjfa.simulation._simulate import warn_left_out
 
 # Level of the one-sided test by which an error is clearly smaller than another.
 _CLEARLY = 0.05
@@ -218,7 +219,7 @@ def follow_windows(robot, drive, recording, t=None, *, window=1.0, signals=None)
     X, signals = robot.checked(recording.inputs, signals)
     own = {**recording.signals, **(signals or {})}
     follower = CommandFollower(robot, drive, replace(recording, signals=own))
-    follower.warn_left_out(stacklevel=2)
+    warn_left_out(robot.joint_names_, follower.left_out, stacklevel=3)
     made = _measured(robot, X, recording.groups, t, signals, window)
     commanded = recording.signals[drive.told].reshape(recording.q.shape)
     made = replace(made, commanded=commanded[_rows_of(made)])
@@ -328,20 +329,8 @@ class CommandFollower:
         self._updates = drive.updates(recording.dt)
         self._lags = np.maximum(velocity_lags(recording), 0.0)
         self._signals = {k: x for k, x in recording.signals.items() if x.ndim == 1}
-        # effects that a simulation goes without, in words
-        self.left_out = tuple(
-            f"{one.name} on {names[one.joint]} ({unfollowed(one)})"
-            for one in robot.effects_
-            if unfollowed(one)
-        )
-
-    def warn_left_out(self, stacklevel):
-        if self.left_out:
-            warnings.warn(
-                f"The simulation leaves out {'; '.join(self.left_out)}.",
-                DoubtWarning,
-                stacklevel=stacklevel + 1,
-            )
+        # effects that a simulation goes without, each with the reason
+        self.left_out = [(e, unfollowed(e)) for e in robot.effects_ if unfollowed(e)]
 
     def run(self, rows, start, t):
         """Simulate rows, a slice, from a state (3 nv,) on; t (n,) is their time."""
@@ -365,7 +354,7 @@ def follow(robot, drive, recording, window=None):
     # robot: `IdentifiedRobot`; window: length [s] after which it starts from the
     # recorded state again, None for whole recordings. Returns states (n, 3 nv).
     follower, clock = CommandFollower(robot, drive, recording), recording.clock
-    follower.warn_left_out(stacklevel=3)
+    warn_left_out(robot.joint_names_, follower.left_out, stacklevel=4)
     measured = robot.states(recording.inputs, recording.groups)
     length = recording.n_samples
     if window is not None:

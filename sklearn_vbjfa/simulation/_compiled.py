@@ -93,13 +93,16 @@ def past_events(watched, way, v, exact, stuck, needed, limit, holds, loose):
 @compiled
 def bodies_at(q, v, tree, bodies, armature, M, h):
     """Write the inertia matrix M (nv, nv) and nonlinear effects h (nv,) at a state."""
-    # bodies (nv, 10); armature (nv,): rotor inertias [kg m^2 or kg], which M includes;
-    # h: torques at rest of the accelerations, gravity included.
-    nv = q.size
-    state = np.zeros((nv, _WHOLE))
-    for j in range(nv):
+    # bodies (n, 10) of all joints, some of which may follow others; armature (nv,):
+    # rotor inertias [kg m^2 or kg], which M includes; h: torques at rest of the
+    # accelerations, gravity included.
+    n, leads = tree.parents.size, tree.leads
+    state = np.zeros((n, _WHOLE))
+    for j in range(n):
         own, body = state[j], bodies[j]
-        forces, moments = advance(state, tree, j, q[j], v[j], 0.0)
+        lead, rate = int(leads[j, 0]), leads[j, 1]
+        position = rate * q[lead] + leads[j, 2]
+        forces, moments = advance(state, tree, j, position, rate * v[lead], 0.0)
         force, moment = wrench(body, forces, moments)
         put(own, _FORCE, force)
         put(own, _MOMENT, moment)
@@ -118,12 +121,16 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
                 value -= mass * p[r] * p[c] + p[r] * first[c] + first[r] * p[c]
                 own[_INERTIA + 3 * r + c] = value
             own[_INERTIA + 4 * r] += trace
-    M[:] = 0.0
-    for j in range(nv - 1, -1, -1):
+    M[:] = h[:] = 0.0
+    for j in range(q.size):
+        M[j, j] = armature[j]
+    for j in range(n - 1, -1, -1):
         own, parent = state[j], tree.parents[j]
+        lead, rate = int(leads[j, 0]), leads[j, 1]
         angular, linear = get(own, ANGULAR), get(own, LINEAR)
         first = get(own, _FIRST)
-        h[j] = dot(angular, get(own, _MOMENT)) + dot(linear, get(own, _FORCE))
+        torque = dot(angular, get(own, _MOMENT)) + dot(linear, get(own, _FORCE))
+        h[lead] += rate * torque
         # Momentum of all that the joint carries, at its unit velocity.
         momentum = axpy(own[_MASS], linear, cross(angular, first))
         spin = (
@@ -137,10 +144,11 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
             other = state[i]
             value = dot(get(other, ANGULAR), spin)
             value += dot(get(other, LINEAR), momentum)
-            M[i, j] = value
-            M[j, i] = value
+            value *= leads[i, 1] * rate
+            M[int(leads[i, 0]), lead] += value
+            if i != j:
+                M[lead, int(leads[i, 0])] += value
             i = tree.parents[i]
-        M[j, j] += armature[j]
         if parent >= 0:
             for k in range(_FORCE, _WHOLE):
                 state[parent, k] += own[k]

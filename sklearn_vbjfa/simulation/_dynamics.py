@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sklearn_vbjfa.model import describe, with_bodies
+from sklearn_vbjfa.model._trees import side_by_side
 from sklearn_vbjfa.simulation._terms import TermTable
 
 
@@ -39,15 +40,17 @@ class ForwardDynamics:
             bodies = every[-1][1].copy()
             bodies[-1] += change
             every.append((instant, bodies))
-        # Bodies without a mass are refused.
-        self._loaded = every
+        self._tree = side_by_side([describe(robot.model), *terms.trees])
+        self._loaded = []
+        for instant, bodies in every:
+            # Bodies without a mass are refused.
+            with_bodies(robot.model, bodies)
+            self._loaded.append((instant, np.vstack([bodies, *terms.following])))
         # Times [s] at which the bodies change.
         self.instants = tuple(instant for instant, _ in every[1:])
-        self._tree = describe(with_bodies(robot.model, robot.bodies, terms.armature))
-        for _, bodies in every[1:]:
-            with_bodies(robot.model, bodies)
-        self._load_bodies = robot.bodies if robot.load is None else robot.load.bodies
-        self._set_robot(robot.bodies)
+        self._load_bodies = np.zeros_like(self._loaded[0][1])
+        self._load_bodies[: self.n_joints] = (robot.load or robot).bodies
+        self.set_bodies(-np.inf)
         self._loads = terms.of_load
         self.compiled = _compiled
         self._set(np.zeros((5, self.n_joints)), None)
@@ -68,9 +71,7 @@ class ForwardDynamics:
 
     def set_bodies(self, t):
         """Set the bodies to what they are at t [s]."""
-        self._set_robot([own for own in self._loaded if t >= own[0]][-1][1])
-
-    def _set_robot(self, bodies):
+        bodies = [own for own in self._loaded if t >= own[0]][-1][1]
         self._robot = self._tree, bodies, self.terms.armature, self._load_bodies
         self._plain = tuple(self._tree), *self._robot[1:]
 

@@ -42,7 +42,7 @@ def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
     t = _times(robot, t, len(tau))
     signals = recorded(_signals(signals, len(tau)), t)
     dynamics = ForwardDynamics(robot, signals)
-    _warn_left_out(robot, dynamics)
+    warn_left_out(robot.joint_names, dynamics.terms.left_out, stacklevel=4)
     _check_inertia(robot, dynamics, q0)
     torque = robot.true_torques(tau, t)
 
@@ -194,12 +194,9 @@ def _check_inertia(robot, dynamics, q0):
         )
 
 
-def _warn_left_out(robot, dynamics):
-    names, nothing = robot.joint_names, "it has no terms of a simulation"
-    left = [(e, e.files.simulation) for e in robot.effects if e.files.simulation]
-    left += [(effect, nothing) for effect in dynamics.terms.left_out]
+def warn_left_out(names, left, stacklevel):
+    """Warn of effects that a simulation goes without, each with the reason."""
     if left:
         left = [f"{e.name} on {names[e.joint]} ({reason})" for e, reason in left]
-        warnings.warn(
-            f"The simulation leaves out {'; '.join(left)}.", DoubtWarning, stacklevel=4
-        )
+        text = f"The simulation leaves out {'; '.join(left)}."
+        warnings.warn(text, DoubtWarning, stacklevel=stacklevel)

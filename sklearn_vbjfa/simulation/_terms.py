@@ -67,8 +67,9 @@ class TermTable:
 
     # viscous, constant, dry, load_dry, armature (nv,): what needs no table, load_dry
     # over the load; inertia, coupling (nv, nv): see `TermArrays`; payloads: instants
-    # [s], and what the last body's parameters (10,) change by; since: first time of the
-    # fit [s]; left_out: effects that have no terms.
+    # [s], and what the last body's parameters (10,) change by; trees,
+    # following: joints and bodies that follow others; since: first time of the fit [s];
+    # left_out: effects that are not simulated, each with the reason.
 
     def __init__(self, robot):
         nv = robot.n_joints
@@ -77,7 +78,8 @@ class TermTable:
         self.load_dry, self.armature = np.zeros((2, nv))
         self.inertia, self.coupling = np.zeros((2, nv, nv))
         self._load_ends, self._ends = {}, _ENDLESS
-        self._rows, self._levels, self.payloads, self.left_out = [], {}, [], []
+        self._rows, self._levels, self.left_out = [], {}, []
+        self.payloads, self.trees, self.following = [], [], []
         declared = dict(zip(robot.friction_names, robot.friction.T))
         for name, add in (
             ("viscous", self.viscous),
@@ -88,14 +90,15 @@ class TermTable:
             add += declared.get(name, 0.0)
         every = zip(robot.effects, robot.coefficients, robot.held, strict=True)
         for effect, coef, held in every:
+            reason = effect.files.simulation
             # Those in the model act through it.
-            beside = isinstance(effect, (InModel, OfChannel))
-            if beside or effect.files.simulation:
-                continue
-            effect.check()
-            self._ends = _ends(held)
-            if not effect.simulated(self, *map(float, coef)):
-                self.left_out.append(effect)
+            if not reason and not isinstance(effect, (InModel, OfChannel)):
+                effect.check()
+                self._ends = _ends(held)
+                if not effect.simulated(self, *map(float, coef)):
+                    reason = "it has no terms of a simulation"
+            if reason:
+                self.left_out.append((effect, reason))
         self.payloads.sort(key=lambda pair: pair[0])
         kinds, joints, numbers = zip(*self._rows) if self._rows else ((), (), ())
         self.kinds, self.joints = np.array(kinds, dtype=int), np.array(joints, int)

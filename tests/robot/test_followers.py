@@ -105,6 +105,15 @@ def test_a_follower_has_ten_parameters_of_its_own(fitted, path):
     assert found == pytest.approx(true, rel=0.02)
 
 
+def test_a_simulation_moves_the_follower(fitted, motion):
+    tau, (q, v, _) = fitted.predict(np.hstack(motion[:, :100])), motion[:, :100]
+    states = fitted.simulate(tau, q[0], v[0])
+    # Forward dynamics invert the inverse ones, which are those of the full tree.
+    atol = 1e-9 * np.abs(tau).max()
+    np.testing.assert_allclose(fitted.predict(states), tau, rtol=0.0, atol=atol)
+    assert np.abs(states[:, :3] - q).max() < 1e-3
+
+
 def test_a_written_mjcf_has_the_follower(fitted, motion, tmp_path):
     import mujoco
 

@@ -219,10 +219,10 @@ def bank(fit, effect, shapes, scale):
         best.append((evidence[c], some[c], groups.coefficients()[c]))
     _, found, coef = max(best, key=lambda one: one[0])
     used = coef[: len(found.coefficients)] > 0
-    if not used.any():
-        return effect
-    finer = problem.shaped([found.only(used).finer()])
-    return problem.only(finer, fit.groups(finer).coefficients()[0] > 0).effects[0]
+    if used.any():
+        finer = problem.shaped([found.only(used).finer()])
+        used = fit.groups(finer).coefficients()[0] > 0
+    return problem.only(finer, used).effects[0] if used.any() else effect
 
 
 # -- instants of jumps

@@ -99,7 +99,7 @@ FRICTION = 15.0
 ITERATIONS, CONVERGED, PASSES, SETTLED = 20, 1e-2, 6, 0.05
 # Least variances, relative to a torque's and to the largest of all torques, and the
 # autocorrelation at which residuals count as independent.
-LEAST_NOISE, LEAST_VARIANCE, INDEPENDENT = 1e-5, 1e-12, 0.05
+LEAST_NOISE, LEAST_VARIANCE, INDEPENDENT = 1e-7, 1e-12, 0.05
 # Shorter recordings are skipped [samples]. With fewer moving rows a joint is not
 # judged, nor with fewer than so many times the parameters of its torque, unless there
 # are enough.

@@ -132,11 +132,11 @@ def _play(q, half):
 class MaxwellSlip(Shaped, Converted, Bank):
     """Dry friction with memory, tau = sum_k F_k z_k of elements that stick and slip.
 
-    Moving forward each element sticks up to a displacement d_k and then slips at its
-    level g, z' = min(z + dq / d, g): the Maxwell slip model. Or it creeps towards its
-    level, z' = g + (z - g) exp(-dq / (d g)), as bristles do. The level is 1, or falls
-    with speed, g = 1 + exp(-(v / vs)^2). An element without displacement is Coulomb
-    friction, z = g sign(v). A joint at rest holds the torque with which it stopped.
+    Each element sticks up to a displacement d_k and then slips at its level g,
+    z' = s min(s z + abs(dq) / d, g), s = sign(dq): the Maxwell slip model. Or it creeps
+    towards its level, s z' = g + (s z - g) exp(-abs(dq) / (d g)), as bristles do. The
+    level is 1, or falls with speed, g = 1 + exp(-(v / vs)^2). An element without
+    displacement is Coulomb friction, z = g sign(v). The torque is kept at rest.
     Source: Al-Bender, Lampaert and Swevers (2005), :doi:`10.1109/TAC.2005.858676`;
     Canudas de Wit, Olsson, Astrom and Lischinsky (1995), :doi:`10.1109/9.376053`.
 
@@ -166,7 +166,8 @@ class MaxwellSlip(Shaped, Converted, Bank):
     formula = (
         r"\sum_k (F_k + \mu_k|\tau_\mathrm{load}|)\,z_k(q; 1)"
         r" + S_k\,z_k(q; 1 + e^{-(v/v_s)^2}),"
-        r" \quad z_k(q; g) = \mathrm{clip}(z_k + \Delta q / d_k, -g, g)"
+        r" \quad z_k(q; g) = s \min(s z_k + |\Delta q| / d_k, g),"
+        r" \quad s = \mathrm{sign}(\Delta q)"
     )
     shape_units = (*((name, POSITION) for name in _BANKS), ("vs", SPEED))
     positive = ("vs",)

@@ -226,11 +226,14 @@ LONG = {"design.rst", "effects.rst", "simulation.rst"}
         if page.name != "README.md"  # the test below
     ],
 )
-def test_examples_run(page, tmp_path, monkeypatch):
+def test_examples_run(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "__main__"}
     for block in code_blocks(page):
         exec(compile(block, str(page), "exec"), namespace)
+        printed = capsys.readouterr().out
+        for result in re.findall(r"print\(.*# (\[.*?\])", block):
+            assert result in printed
 
 
 @pytest.mark.slow

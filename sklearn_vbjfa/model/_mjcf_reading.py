@@ -119,6 +119,7 @@ def _left_out(model, tree, n_actuators, nameless):
         "damping": model.dof_damping.any(),
         "dry friction": model.dof_frictionloss.any(),
         "tendons": model.ntendon,
+        "forces of a fluid": model.opt.density or model.opt.viscosity,
         "compensation of gravity (gravcomp)": model.body_gravcomp.any(),
         "actuators": n_actuators,
     }

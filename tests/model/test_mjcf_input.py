@@ -26,7 +26,7 @@ ODD = """
 <mujoco model="odd">
   <include file="part.xml"/>
   <compiler eulerseq="XYz" inertiagrouprange="0 3"/>
-  <option gravity="1 2 -9"/>
+  <option gravity="1 2 -9" density="1.2"/>
   <default>
     <geom density="500"/>
     <joint damping="1"/>
@@ -101,6 +101,7 @@ def bodies_by_mujoco(path, states):
     model.tendon_armature[:] = 0.0
     model.jnt_stiffness[:] = model.tendon_stiffness[:] = 0.0
     model.body_gravcomp[:] = 0.0
+    model.opt.density = 0.0
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     data, found = mujoco.MjData(model), []
     for row in states:
@@ -154,7 +155,7 @@ def test_what_is_left_out_is_said_once(write):
     (text,) = [str(one.message) for one in said]
     for words in (
         "'robot.xml'",
-        "(simulated by MuJoCo only): damping, actuators (friction",
+        "(simulated by MuJoCo only): damping, forces of a fluid, actuators (friction",
         "joints without a name are called e_joint",
         "the body of a1, a2, a3 has no mass",
     ):

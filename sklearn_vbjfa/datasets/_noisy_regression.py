@@ -1,7 +1,9 @@
 """The regression study of the paper, section 5.1."""
 
+from numbers import Integral, Real
+
 import numpy as np
-from sklearn.utils import Bunch, check_random_state
+from sklearn.utils import Bunch, check_random_state, check_scalar
 
 # Variances of signal over noise of the output, and rows of the test data.
 _OUTPUT_SNR, _N_TEST = 5.0, 2000
@@ -47,8 +49,8 @@ def make_noisy_regression(
     Raises
     ------
     ValueError
-        If the ratio is not positive, a number of inputs is negative, or none is
-        relevant.
+        If the ratio is not positive, a number of inputs is negative, or there is no
+        sample or no relevant input.
 
     References
     ----------
@@ -63,16 +65,12 @@ def make_noisy_regression(
     >>> data.X.shape, int(data.relevant.sum())
     ((1000, 100), 10)
     """
-    if input_snr <= 0:
-        raise ValueError(
-            f"input_snr must be positive, got {input_snr}; infinity means no noise."
-        )
-    if n_relevant < 1 or n_redundant < 0 or n_irrelevant < 0:
-        raise ValueError(
-            "At least one relevant input and no negative numbers are needed, got "
-            f"n_relevant={n_relevant}, n_redundant={n_redundant}, "
-            f"n_irrelevant={n_irrelevant}."
-        )
+    ratio = {"min_val": 0, "include_boundaries": "neither"}
+    check_scalar(input_snr, "input_snr", Real, **ratio)
+    check_scalar(n_samples, "n_samples", Integral, min_val=1)
+    check_scalar(n_relevant, "n_relevant", Integral, min_val=1)
+    check_scalar(n_redundant, "n_redundant", Integral, min_val=0)
+    check_scalar(n_irrelevant, "n_irrelevant", Integral, min_val=0)
     rng = check_random_state(random_state)
     root = rng.normal(size=(n_relevant, n_relevant)) / np.sqrt(n_relevant)
     covariance = root @ root.T

@@ -7,7 +7,7 @@ from functools import wraps
 
 import numpy as np
 from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin, clone
-from sklearn.utils.validation import check_is_fitted
+from sklearn.utils.validation import check_is_fitted, check_scalar
 
 from sklearn_vbjfa._core._runtime import one_blas_thread
 from sklearn_vbjfa.effects import CommandDelay, TorqueLag
@@ -236,6 +236,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     @property
     def fit_options(self):
         """`options`, or the default ones."""
+        check_scalar(self.options, "options", (FitOptions, type(None)))
         return FitOptions() if self.options is None else self.options
 
     @property

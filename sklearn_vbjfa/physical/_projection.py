@@ -10,6 +10,7 @@ from sklearn.utils import (
     assert_all_finite,
     check_array,
     check_consistent_length,
+    check_scalar,
     column_or_1d,
 )
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -93,7 +94,6 @@ def _guessed_layout(n_features):
             f"{n_features} columns are too few for a body (10 inertial "
             "parameters): there is nothing to constrain and the values pass "
             "through unchanged.",
-            UserWarning,
             stacklevel=5,
         )
         return [], []
@@ -103,7 +103,6 @@ def _guessed_layout(n_features):
             f"{n_features} columns are a whole number of joints both at 10 and at "
             "11 parameters per joint; taken as 11 (viscous friction last). "
             "Pass parameter_names.",
-            UserWarning,
             stacklevel=5,
         )
     if not plain and not paper:
@@ -158,7 +157,6 @@ class Metric:
                 "the rounding of a singular regression and replaced by the shortest "
                 "vector that predicts the same. Fit with a regressor that cuts small "
                 "singular values.",
-                UserWarning,
                 stacklevel=5,
             )
         return part
@@ -181,6 +179,8 @@ def check_metric(metric, n_features):
     size = np.sqrt(diagonal)
     inverse = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     rounding = n_features * np.finfo(float).eps * np.abs(metric).max(initial=0.0)
+    if np.any(np.abs(metric - metric.T) > rounding + 1e-8 * np.outer(size, size)):
+        raise ValueError("metric must be symmetric; it is not equal to metric.T.")
     metric = 0.5 * (metric + metric.T)
     correlation = metric * inverse * inverse[:, None]
     correlation = 0.5 * (correlation + correlation.T)
@@ -309,7 +309,15 @@ class Projection:
         )
         solution = solve(programme)
         if solution.gap > GAP_TARGET:
-            _warn_gap(solution)
+            # An answer that is accepted, but not certified as well as was aimed at.
+            warnings.warn(
+                f"The projection is certified to a relative gap of {solution.gap:.1e}, "
+                f"and not to {GAP_TARGET:.0e}: its squared distance may exceed the "
+                f"least one by that share. The solver: {solution.status}. Check the "
+                "vector and the metric for columns many orders of magnitude apart.",
+                ConvergenceWarning,
+                stacklevel=4,
+            )
         return self._settle(solution.vector * units, units, programme)
 
     def _eigenvalues(self, vector):
@@ -357,18 +365,6 @@ class Projection:
             "The projection failed: rounding keeps a body's smallest eigenvalue below "
             f"the margin of {self.margin:.1e}. Raise margin."
         )
-
-
-def _warn_gap(solution):
-    """Warn of an answer that is accepted, but not certified as well as was aimed at."""
-    warnings.warn(
-        f"The projection is certified to a relative gap of {solution.gap:.1e}, and not "
-        f"to {GAP_TARGET:.0e}: its squared distance may exceed the least one by that "
-        f"share. The solver: {solution.status}. Check the "
-        "vector and the metric for columns many orders of magnitude apart.",
-        ConvergenceWarning,
-        stacklevel=5,
-    )
 
 
 # -- the transformer -------------------------------------------------------------------
@@ -505,6 +501,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         names = self.parameter_names
         if names is None:
             names = getattr(self, "feature_names_in_", None)
+        check_scalar(self.options, "options", (Options, type(None)))
         options = Options() if self.options is None else self.options
         self._projection = Projection.of(
             X, self.constraint, self.metric, options, names

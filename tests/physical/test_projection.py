@@ -175,6 +175,7 @@ INDEFINITE[0, 1] = INDEFINITE[1, 0] = 2.0
     [
         ({"metric": np.eye(9)}, "metric"),
         ({"metric": INDEFINITE}, "metric"),
+        ({"metric": np.triu(INDEFINITE)}, "symmetric"),
         ({"metric": np.full((10, 10), np.nan)}, "metric"),
         ({"constraint": "triangle"}, "constraint"),
         ({"margin": 0.0}, "margin"),

@@ -48,11 +48,12 @@ def changed(values, where, value):
         ("joint_weights", "even", "joint_weights must be 'auto', None or an array"),
         ("input_noise", "some", "input_noise must be 'auto' .* or None .*got 'some'"),
         ("projector", "convex", "projector must be 'default', a PhysicalProjector or"),
+        ("options", {"window": 1}, "options must be an instance of .*FitOptions, None"),
         ("friction", ("sticky",), r"Unknown friction column\(s\).*expected some of"),
     ],
 )
 def test_wrong_settings(new_motion, setting, value, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises((TypeError, ValueError), match=message):
         identify(new_motion, **{setting: value})
 
 

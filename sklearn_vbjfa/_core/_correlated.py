@@ -167,9 +167,11 @@ class CorrelatedProblem:
     # psi (d, d) is the input-noise covariance; ard_shape and ard_rate are the Gamma
     # prior of the precisions; `common`: one precision for all coefficients. direct
     # (d,): b above, or None. With y - b'x in place of y it is the same problem for
-    # beta - b, up to the prior.
+    # beta - b, up to the prior. floor: least variance of the output noise.
 
-    def __init__(self, moments, psi, *, ard_shape, ard_rate, common, direct=None):
+    def __init__(
+        self, moments, psi, *, ard_shape, ard_rate, common, direct=None, floor=0.0
+    ):
         self.moments, self.n, self.rest = moments, moments.n, moments
         self.direct = np.zeros(moments.xy.size) if direct is None else direct
         if self.direct.any():
@@ -179,7 +181,7 @@ class CorrelatedProblem:
         self.ard_shape, self.ard_rate, self.common = ard_shape, ard_rate, common
         self.d = moments.xy.shape[0]
         self.shared = self.d if common else 1
-        self.floor = _FACTOR_FLOOR if self.exact else OUTPUT_FLOOR
+        self.floor = max(_FACTOR_FLOOR if self.exact else OUTPUT_FLOOR, floor)
 
     def start(self):
         """Ridge solution with <alpha> = 1, as in the paper, and all of y as noise."""
@@ -441,6 +443,7 @@ def solve_correlated(
     tol,
     common=False,
     cross=None,
+    floor=0.0,
     ard_shape=1e-6,
     ard_rate=1e-6,
 ):
@@ -455,6 +458,7 @@ def solve_correlated(
         ard_rate=ard_rate,
         common=common,
         direct=None if cross is None else direct_share(psi, cross),
+        floor=floor,
     )
 
     def up(point, most):

@@ -4,7 +4,7 @@ Tags such as [C15] are equations of the guide.
 """
 
 from collections import namedtuple
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, optimize
@@ -13,6 +13,8 @@ from scipy.special import expit
 
 from sklearn_vbjfa._core._correlated import (
     CorrelatedSolution,
+    direct_share,
+    infer_latent,
     posterior_covariance,
     solve_correlated,
 )
@@ -34,6 +36,9 @@ SAMPLES_PER_INPUT = 2
 # What the bound has less for each further precision, whose prior spreads over fourteen
 # units of its logarithm, than it has for a prior over two.
 PRECISION_COST = float(-np.log(1e-6)) - 2.0
+# What it lacks for each coefficient beyond the number of samples, whose posterior is
+# its prior: q(beta) q(alpha) loses 0.6 of it, and half a unit tells best.
+UNDETERMINED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,20 +72,17 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
     # and only relevant ones are fitted, with one precision in common; noisy queries are
     # then answered by all inputs as they are, see `_average`.
     m = data.moments
-    # Hardly more samples than inputs do not tell a precision for each of noisy ones.
-    few = m.n <= SAMPLES_PER_INPUT * data.x_scale.size
-
-    def solve(m, psi, *, common=few and noise is not None, cross=None):
-        given = {"max_iter": max_iter, "tol": tol, "cross": cross}
-        return solve_correlated(m, psi, common=common, **given)
-
-    if few and noise is None:
-        return _fit_few(m, solve)
     d = m.xx.size
+
+    def solve(m, psi, **options):
+        return solve_correlated(m, psi, max_iter=max_iter, tol=tol, **options)
+
     psi = standard_noise(noise, data)
     if psi is not None:
         excess = np.diagonal(psi) / np.diagonal(m.S / m.n) > 1 + 1e-9
         warn_of_excess(data, excess, labels)
+    if m.n <= SAMPLES_PER_INPUT * d:
+        return _fit_few(m, psi, solve, cross, dof)
     # Zero noise is Bayesian ARD regression; a covariance is taken at its word.
     if noise is not None and (np.ndim(noise) == 2 or not np.any(noise)):
         return _fit_all(m, psi, solve, cross, dof)
@@ -157,21 +159,64 @@ def _fit_all(m, psi, solve, cross, dof):
     )
 
 
-def _fit_few(m, solve):
-    """Fit few samples per input, which are taken as exact."""
-    # Their smallest eigenvalues, which bound the noise, are those of chance.
+def _fit_few(m, psi, solve, cross, dof):
+    """Fit few samples per input, whose smallest eigenvalues are those of chance."""
+    # These would decide on dependencies, and bound an unknown noise.
     exact = np.zeros_like(m.S)
     solution, in_common = solve(m, exact), solve(m, exact, common=True)
     state = solution.state
     variance = np.diagonal(state.beta_cov)
-    model = _average(m, solution, in_common, by_evidence=True)
+    noisy = noiseless = _average(m, solution, in_common, evidence=0.0)
+    if psi is not None and psi.any():
+        noiseless = _calibrated(m, psi, solve, cross, dof)
     return CorrelatedFit(
-        noisy=model,
-        noiseless=model,
+        noisy=noisy,
+        noiseless=noiseless,
         noisy_solution=solution,
         noiseless_solution=solution,
         relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
-        psi=exact,
+        psi=exact if psi is None else psi,
+    )
+
+
+def _calibrated(m, psi, solve, cross, dof):
+    """Model of y given noiseless inputs: regression of few samples on E[t | x]."""
+    n, d = m.n, m.xx.size
+    # Correlations of few samples are shrunk (Chen, Wiesel, Eldar and Hero, 2010).
+    squares = np.vdot(m.S, m.S) / n**2
+    share = (squares + d**2) / max(squares + d**2, (n + 1) * (squares - d))
+    shrunk = (1 - share) * m.S + share * n * np.eye(d)
+    latent = infer_latent(shrunk, n, psi)
+    P = latent.P
+    direct = np.zeros(d) if cross is None else direct_share(psi, cross)
+    expected = replace(m, R=m.R @ latent.H.T, z=m.z - m.R @ direct)
+    found, exact = [], np.zeros_like(psi)
+    for common in (False, True):
+        beta = solve(expected, exact, common=common).state.beta_mean
+        # The noise of y given x is at least that of beta't.
+        least = beta @ P @ beta
+        found.append(solve(expected, exact, common=common, floor=least))
+    # As with many samples, relevant inputs have one precision in common.
+    ard, coef = found[0], np.zeros(d)
+    kept = _relevant_inputs(expected, np.arange(d), ard, solve)
+    least = ard.state.beta_mean @ P @ ard.state.beta_mean
+    none = exact[np.ix_(kept, kept)]
+    few = solve(expected.columns(kept), none, common=True, floor=least).state
+    coef[kept] = few.beta_mean
+    found[0] = replace(ard, state=replace(few, beta_mean=coef))
+    model = _average(m, *found, evidence=UNDETERMINED * max(d - n, 0))
+    beta, state = model.coef, found[1].state
+    noise = max(model.noise - beta @ P @ beta, 0.0)
+    # Errors of both covariances: that of the inputs is known from n samples, see [C14].
+    A, moved = n * state.beta_cov @ latent.H / state.psi_y, psi @ beta
+    through, size = beta @ moved, (beta - latent.H.T @ beta) @ moved
+    middle = (size * shrunk / n + _square(moved)) / n
+    v = noise + through if direct.any() else through
+    middle += (v * psi + _square(moved)) / dof
+    return LinearModel(
+        coef=beta + direct,
+        cov=model.cov + A @ middle @ A.T,
+        noise=noise + direct @ psi @ direct,
     )
 
 
@@ -222,25 +267,19 @@ def _largest_admissible(m):
     return min(largest, LARGEST_FRACTION, no_signal)
 
 
-def _average(m, solution, other, *, by_evidence=False):
+def _average(m, solution, other, *, evidence=None):
     """Answer to noisy queries: the mean of two regressions on the noisy inputs."""
     # One gives each input a precision of its own, which suits few relevant inputs;
     # the other one precision to all, which suits many. With many samples nothing tells
     # beforehand which suits; their mean is nearly as good as the better one, and what
     # they differ in is not known. Few samples fit the wrong one badly.
     share = 0.5
-    if by_evidence:
-        gain = solution.history[-1] - other.history[-1]
+    if evidence is not None:
+        gain = solution.history[-1] - other.history[-1] + evidence
         share = float(expit(gain + (m.xx.size - 1) * PRECISION_COST))
     first, second = solution.state, other.state
     coef = share * first.beta_mean + (1 - share) * second.beta_mean
-    apart = _square(first.beta_mean - second.beta_mean)
-    cov = second.beta_cov
-    if by_evidence:
-        cov = share * first.beta_cov + (1 - share) * cov
-        cov += share * (1 - share) * apart
-    else:
-        cov = cov + _square(second.beta_mean - coef)
+    cov = second.beta_cov + _square(second.beta_mean - coef)
     return LinearModel(
         coef=coef, cov=cov, noise=share * first.psi_y + (1 - share) * second.psi_y
     )

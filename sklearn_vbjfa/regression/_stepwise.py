@@ -1,7 +1,7 @@
 """Stepwise regression by partial F-tests on a correlation matrix (Draper & Smith)."""
 
 import warnings
-from dataclasses import dataclass
+from collections import namedtuple
 from numbers import Real
 
 import numpy as np
@@ -25,15 +25,9 @@ EXACT_FIT = 1e-12
 TIE = 1e-8
 
 
-@dataclass(frozen=True, kw_only=True)
-class StepwiseStep:
-    """One step of a stepwise regression."""
-
-    feature: int  # column of X
-    action: str  # what happened to it
-    # partial F-ratio, on 1 and the residual degrees of freedom of the larger model
-    F: float
-    p_value: float  # upper tail probability of `F`
+# A column of X, what happened to it ("enter" or "remove"), its partial F-ratio on 1 and
+# the residual degrees of freedom of the larger model, and its upper tail probability.
+StepwiseStep = namedtuple("StepwiseStep", "feature action F p_value")
 
 
 class StepwiseRegressor(LinearRegressor):
@@ -140,36 +134,13 @@ class StepwiseRegressor(LinearRegressor):
         self.p_remove = p_remove
         self.fit_intercept = fit_intercept
 
-    def fit(self, X, y, sample_weight=None):
-        """Select features and fit their coefficients.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            Inputs.
-        y : array-like of shape (n_samples,)
-            Output.
-        sample_weight : array-like of shape (n_samples,), default=None
-            Numbers of repetitions of the rows, not necessarily whole.
-
-        Returns
-        -------
-        self : StepwiseRegressor
-            Fitted estimator.
-
-        Raises
-        ------
-        ValueError
-            If `p_enter` exceeds `p_remove`, or the weights leave no residual degrees
-            of freedom for an F-test.
-        """
+    def _fit_rows(self, X, y, weight):
         if self.p_enter > self.p_remove:
             raise ValueError(
                 "p_enter must not exceed p_remove, or a feature could enter and "
                 f"leave for ever; got p_enter={self.p_enter!r} and "
                 f"p_remove={self.p_remove!r}. Lower p_enter or raise p_remove."
             )
-        X, y, weight = self._check_rows(X, y, sample_weight)
         columns, total = self._unit_columns([X, y], weight)
         dof = total - bool(self.fit_intercept)
         if dof <= 1:
@@ -204,9 +175,8 @@ class StepwiseRegressor(LinearRegressor):
                 "proposed a model seen before. The features are nearly collinear; "
                 "remove redundant ones.",
                 ConvergenceWarning,
-                stacklevel=2,
+                stacklevel=5,
             )
-        return self
 
 
 def sweep(table, pivot):
@@ -282,12 +252,8 @@ def _removal(table, selected, dof, p_remove):
     p_value = fdtrc(1, nu, F[chosen])
     if not p_value > p_remove:
         return None
-    return StepwiseStep(
-        feature=int(features[chosen]),
-        action="remove",
-        F=float(F[chosen]),
-        p_value=float(p_value),
-    )
+    feature = int(features[chosen])
+    return StepwiseStep(feature, "remove", float(F[chosen]), float(p_value))
 
 
 def _entry(table, selected, dof, p_enter):
@@ -312,9 +278,5 @@ def _entry(table, selected, dof, p_enter):
     p_value = fdtrc(1, nu, F[chosen])
     if not p_value < p_enter:
         return None
-    return StepwiseStep(
-        feature=int(features[chosen]),
-        action="enter",
-        F=float(F[chosen]),
-        p_value=float(p_value),
-    )
+    feature = int(features[chosen])
+    return StepwiseStep(feature, "enter", float(F[chosen]), float(p_value))

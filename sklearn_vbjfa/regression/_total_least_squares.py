@@ -152,18 +152,12 @@ class TotalLeastSquares(LinearRegressor):
                 f"input_noise must be {n_features} variances or a covariance; for one "
                 f"common variance v, give np.full({n_features}, v)."
             )
-        variance = noise if noise.ndim == 1 else np.diag(noise)
-        exact = variance == 0
-        std = np.where(exact, 1.0, np.sqrt(variance))
-        output_std = float(np.sqrt(self.output_noise))
-        if noise.ndim == 1:
-            return np.diag(1 / std), exact, output_std
-
+        covariance = np.diag(noise) if noise.ndim == 1 else noise
         tolerance = 10 * n_features * np.finfo(np.float64).eps
-        eigen = scaled_eigen(noise, tolerance, relative=False)
-        exact = ~eigen.known
-        whiten = eigen.vectors / np.sqrt(np.where(exact, 1.0, eigen.values))
-        return whiten / std[:, np.newaxis], exact, output_std
+        eigen = scaled_eigen(covariance, tolerance, relative=False)
+        whiten = eigen.vectors / np.sqrt(np.where(eigen.known, eigen.values, 1.0))
+        whiten /= eigen.scale[:, np.newaxis]
+        return whiten, ~eigen.known, float(np.sqrt(self.output_noise))
 
 
 # Relative distance of squared singular values below which total least squares is

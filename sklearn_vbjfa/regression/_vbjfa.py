@@ -93,8 +93,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Variance of y given noiseless inputs [unit of y squared].
     alpha_ : ndarray of shape (n_features,)
         Posterior means of the precisions [1 / unit of y squared]; infinite for a
-        constant input. With at most two samples per input, correlated latent inputs and
-        known `input_noise`, all inputs share one.
+        constant input.
     relevant_ : ndarray of shape (n_features,), bool
         Relevant inputs. Independent latent inputs: both loadings exceed two posterior
         standard deviations. Correlated latent inputs: the coefficient of an ARD

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import linalg
 
 from sklearn_vbjfa import JFARegressor, VBJFARegressor
-from sklearn_vbjfa.regression import NoiseCovariance
+from sklearn_vbjfa.regression import NoiseCovariance, _correlated
 
 
 def make_inputs(seed, n=400, d=4, rho=0.5, fraction=0.2, noise=0.5):
@@ -91,11 +91,26 @@ def distances(model, seeds, **options):
     return np.array(found)
 
 
+def test_known_noise_helps_with_few_rows():
+    coef, errors = np.r_[2, -1, 1, np.zeros(57)], []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        t = rng.normal(size=(45, 60))
+        y = t @ coef + 0.3 * rng.normal(size=45)
+        X = t + rng.normal(size=t.shape) / 3
+        known = VBJFARegressor(query="noiseless", input_noise=0.1).fit(X, y)
+        unknown = VBJFARegressor().fit(X, y)
+        assert_array_equal(known.coef_noisy_, unknown.coef_)
+        assert known.coef_std_.min() > 0.05
+        assert np.mean(np.abs(unknown.coef_ - coef) < 2 * unknown.coef_std_) > 0.8
+        errors.append([np.sum((m.coef_ - coef) ** 2) for m in (known, unknown)])
+    assert np.mean(errors, axis=0)[0] < min(0.6, np.mean(errors, axis=0)[1])
+
+
 @pytest.mark.parametrize("fraction", [0.0, 0.2])
-@pytest.mark.parametrize("n", [300])
-def test_intervals_cover_as_they_say(n, fraction):
+def test_intervals_cover_as_they_say(fraction):
     # 60 data sets of four coefficients: a binomial deviation of 2 %.
-    z = distances(VBJFARegressor(), range(60), n=n, fraction=fraction)
+    z = distances(VBJFARegressor(), range(60), n=300, fraction=fraction)
     assert 0.84 < np.mean(z < 1.645) < 0.96
     # The bounds tell other levels from this one: 73 and 98.4 %.
     assert np.mean(z < 1.1) < 0.84
@@ -103,7 +118,9 @@ def test_intervals_cover_as_they_say(n, fraction):
 
 
 @pytest.mark.parametrize("dof", [np.inf, 50.0])
-def test_deviations_with_known_noise_are_those_of_fuller(dof):
+@pytest.mark.parametrize("few", [2, 20_000])
+def test_deviations_with_known_noise_are_those_of_fuller(dof, few, monkeypatch):
+    monkeypatch.setattr(_correlated, "SAMPLES_PER_INPUT", few)
     # Hardly any output noise, so that the noise of the inputs makes most of it.
     rng = np.random.default_rng(6)
     n, coef, psi = 20_000, np.array([2.0, -1.0]), np.array([[0.5, 0.2], [0.2, 0.3]])

@@ -14,6 +14,7 @@ from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import (
     KINDS,
+    LAST_PART,
     MEASURED,
     Loss,
     RecordingRefused,
@@ -107,6 +108,9 @@ def _nearest(table, kind, joints):
         fits = fits and (count > 1 or len(joints) == 1 or "{i}" not in pattern)
         by_unit = {x for x in KINDS if all(unit_of(x, role.unit) for role in roles)}
         if fits and (channels_in(pattern) or by_unit) == wanted:
+            last = LAST_PART.fullmatch(re.sub(r"[_ .]?\{\w+\}", "", pattern))
+            if last and unit_of(kind, last[2]) and not any(x.unit for x in roles):
+                pattern += f" [{last[2]}]"
             # Of patterns of the same columns the first will do.
             columns = frozenset(role.column for role in roles)
             near.setdefault(columns, (pattern, count == (len(joints) or count)))

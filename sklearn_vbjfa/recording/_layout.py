@@ -16,6 +16,7 @@ from sklearn_vbjfa.recording._table import (
     COMMAND_NAMES,
     EXPECTED,
     KINDS,
+    LAST_PART,
     MEASURED,
     PRESETS,
     TIME_UNITS,
@@ -187,8 +188,6 @@ _ALONE = dict.fromkeys(("t", "time", "timestamp", "stamp", "__time", "%time"), "
 _ALONE["segment"] = "segment"
 # Marks in patterns, and what they stand for.
 _MARKS = (("i", r"\d{1,6}"), ("joint", ".+?"))
-# The last part of a name, which may be a unit.
-_LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
 # Titles of names of joints, without numbers.
 _TITLE = re.compile(r"(.*[^a-z])?names?[^a-z]*", re.IGNORECASE)
 
@@ -349,7 +348,7 @@ def _named(column, expression, begins):
     name = unicodedata.normalize("NFKC", column).replace("τ", "tau")
     bare, unit = split_unit(name)
     # The whole name may end with a joint that is called like a unit.
-    last = _LAST_PART.fullmatch(bare)
+    last = LAST_PART.fullmatch(bare)
     for text, in_text in ((name, ""), (bare, unit), *([last.groups()] if last else ())):
         match = expression.fullmatch(text)
         kind = begins[match[1].lower()] if match else _ALONE.get(text.lower())

@@ -221,6 +221,8 @@ _UNITS = {
 # How units of derivatives of positions end.
 _RATES = {"v": ("/s", "/sec", "ps"), "a": ("/s^2", "/s2", "/s²", "/s/s", "ps2")}
 EXPECTED = _NAMES["expected"]
+# The last part of a name, which may be a unit.
+LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
 _IN_BRACKETS = re.compile(r"(.*?)\s*(?:\[([^][]*)\]|\(([^()]*)\)|\s/\s*(\S+))")
 
 

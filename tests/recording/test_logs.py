@@ -198,6 +198,7 @@ STRANGE = [
     {"t": "t", "q": "meas_angle[{}]", "tau": "meas_effort[{}]"},
     {"t": "ms", "q": "ax{}_pos", "tau": "ax{}_cur"},
     {"t": "stamps", "q": "ax{}_pos", "tau": "ax{}_cur"},
+    {"t": "t", "q": "q_deg{} [deg]", "tau": "ax{}_mNm [mNm]"},
 ]
 
 
@@ -207,8 +208,9 @@ def test_the_refusal_names_options_that_work(tmp_path, names):
     scale = 1e3 if names["t"].endswith(("ms", "stamps")) else 1.0
     new = {names["t"]: scale * columns["t"], "cmd_pos_1": columns["v1"]}
     for j in (1, 2):
-        new[names["q"].format(j)] = columns[f"q{j}"]
-        new[names["tau"].format(j)] = columns[f"tau{j}"]
+        units = (180 / np.pi, 1e3) if "deg" in names["q"] else (1.0, 1.0)
+        new[names["q"].format(j).split()[0]] = units[0] * columns[f"q{j}"]
+        new[names["tau"].format(j).split()[0]] = units[1] * columns[f"tau{j}"]
     path = write(tmp_path / "arm.csv", new, separator=";")
     with pytest.raises(RecordingRefused) as caught:
         read_recording(path)

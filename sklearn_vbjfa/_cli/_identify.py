@@ -79,7 +79,8 @@ def identify(arguments, folder):
         folder.joinpath("report.json").write_text(text, encoding="utf-8")
         command, lines = provenance.get("command"), []
         if command:
-            lines.append(f"Next motion: {command}")
+            seen = ", limits as recorded where the description has none, or lower ones"
+            lines.append(f"Next motion{seen * ('--torque' in command)}: {command}")
         if lacking:
             names = " and ".join(line.partition(" ")[0] for line in lacking)
             lines.append(
@@ -113,8 +114,9 @@ def _limits(robot, recording):
         np.quantile(np.abs(x), 0.99, axis=0) for x in (steps, recording.tau)
     )
     effort = known_limits(model.effortLimit)
-    if gains is not None and not gains.absolute:
-        effort = np.full(effort.shape, np.inf)
+    # A limit that the recording exceeds is a placeholder.
+    unknown = (effort < torque) | (gains is not None and not gains.absolute)
+    effort = np.where(unknown, np.inf, effort)
     both = known_limits(model.velocityLimit), speed
     for name, (known, seen) in {"velocity": both, "torque": (effort, torque)}.items():
         if np.isinf(known).any():

@@ -4,11 +4,13 @@ import re
 import warnings
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio
 import pytest
 
+from sklearn_vbjfa._cli._identify import _limits
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model import joint_names, load_model
 from tests.command_line._running import refused, run, write_csv
@@ -120,6 +122,13 @@ def test_held_joints_of_mjcf(write, table, capsys):
             warnings.simplefilter("ignore", UserWarning)
             model = load_model(f"swing-report/{name}")
         assert joint_names(model) == ("shoulder", "elbow")
+
+
+def test_limits_that_the_recording_exceeds_are_placeholders():
+    model = SimpleNamespace(velocityLimit=np.ones(2), effortLimit=np.array([500, 5.0]))
+    robot = SimpleNamespace(features_=SimpleNamespace(nominal_=model), gains_=None)
+    recorded = SimpleNamespace(q=np.zeros((9, 2)), tau=np.full((9, 2), 90.0), dt=0.1)
+    assert list(_limits(robot, recorded)) == ["--torque", "500,90"]
 
 
 def test_a_robot_without_limits_and_with_columns_of_its_own(write, recording, capsys):

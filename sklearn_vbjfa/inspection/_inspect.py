@@ -1,5 +1,6 @@
 """Hypotheses about faults of a log, in one table, compared by likelihood."""
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +14,7 @@ from sklearn_vbjfa.inspection import _torques as torques
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._positions import implausible_speed
 from sklearn_vbjfa.inspection._reading import Reading, long_parts, thinned
-from sklearn_vbjfa.inspection._rows import Rows, shuffled_rows
+from sklearn_vbjfa.inspection._rows import CHECKS, Rows, shuffled_rows
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.model import joint_names, load_folded, movable_joints
 from sklearn_vbjfa.recording import (
@@ -257,7 +258,9 @@ def inspect_channels(
     if weight is not None:
         log.usable &= weight[rows] > 0
         log.counted &= log.usable.any(axis=1)
-    log.inspect()
+    for check in CHECKS:
+        check(log)
+    log.usable[:, log.still] = False
     if "copied_position" in {one.kind for one in log.findings}:
         return in_order(log.findings)
     q, tau, usable = log.q, log.tau, log.usable
@@ -267,11 +270,9 @@ def inspect_channels(
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
     reading = Reading(model, names, q, tau, dt, parts, usable, drive, named)
-    called = [
-        name
-        for name, part in zip(recording_names(groups, [x.start for x in every]), every)
-        if part.stop - part.start >= number.MIN_SAMPLES
-    ]
+    called = recording_names(groups, [x.start for x in every])
+    long = [part.stop - part.start >= number.MIN_SAMPLES for part in every]
+    called = list(itertools.compress(called, long))
     found = _of_recordings(reading, called)
     unknown = set(_OF_SIZE) if gains is not None else set()
     if bodies == "free":

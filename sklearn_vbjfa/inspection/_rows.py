@@ -34,12 +34,6 @@ class Rows:
         self.held = np.zeros(q.shape[1], dtype=bool)  # torques at a lower rate
         self.every = 1  # rows until all positions are new
 
-    def inspect(self):
-        """Inspect each channel, for findings and sound samples."""
-        for check in CHECKS:
-            check(self)
-        self.usable[:, self.still] = False
-
     @functools.cached_property
     def still(self):
         """Joints that never move, ndarray (nv,) of bool."""
@@ -343,8 +337,7 @@ def _constant(log):
     if joints.size:
         values = (0.0 if nothing[j] else log.tau[0, j] for j in joints)
         values = " or ".join(dict.fromkeys(f"{x:.6g}" for x in values))
-        named = ", ".join(log.names[j] for j in joints)
-        log.report("constant_torque", joints, "error", named=named, values=values)
+        log.report("constant_torque", joints, "error", values=values)
     log.usable[:, joints] = False
 
 

@@ -51,7 +51,7 @@ SENTENCES = {
     "off, or readings were lost. Leave these rows out.",
     "held_position": _HELD,
     "held_torque": _HELD,
-    "constant_torque": "The torques of {named} are constant ({values}) while the "
+    "constant_torque": "The torques of {who} are constant ({values}) while the "
     "joints move: nothing was measured there. Log the torques or currents, or lock "
     "the joints in the model.",
     "coarse_torque": "The torque of {who} goes in steps of {step:.3g} and has a spread "

@@ -198,7 +198,7 @@ STRANGE = [
     {"t": "t", "q": "meas_angle[{}]", "tau": "meas_effort[{}]"},
     {"t": "ms", "q": "ax{}_pos", "tau": "ax{}_cur"},
     {"t": "stamps", "q": "ax{}_pos", "tau": "ax{}_cur"},
-    {"t": "t", "q": "q_deg{} [deg]", "tau": "ax{}_mNm [mNm]"},
+    {"t": "t", "q": "q_deg{} [deg]", "tau": "torque_mNm{} [mNm]"},
 ]
 
 

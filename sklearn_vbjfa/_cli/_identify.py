@@ -114,9 +114,8 @@ def _limits(robot, recording):
         np.quantile(np.abs(x), 0.99, axis=0) for x in (steps, recording.tau)
     )
     effort = known_limits(model.effortLimit)
-    # A limit that the recording exceeds is a placeholder.
-    unknown = (effort < torque) | (gains is not None and not gains.absolute)
-    effort = np.where(unknown, np.inf, effort)
+    placeholder = (effort < torque) | (gains is not None and not gains.absolute)
+    effort = np.where(placeholder, np.inf, effort)
     both = known_limits(model.velocityLimit), speed
     for name, (known, seen) in {"velocity": both, "torque": (effort, torque)}.items():
         if np.isinf(known).any():

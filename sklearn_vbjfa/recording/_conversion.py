@@ -109,7 +109,8 @@ def _nearest(table, kind, joints):
         by_unit = {x for x in KINDS if all(unit_of(x, role.unit) for role in roles)}
         if fits and (channels_in(pattern) or by_unit) == wanted:
             last = LAST_PART.fullmatch(re.sub(r"[_ .]?\{\w+\}", "", pattern))
-            if last and unit_of(kind, last[2]) and not any(x.unit for x in roles):
+            known = is_current(pattern) or any(role.unit for role in roles)
+            if last and unit_of(kind, last[2]) and not known:
                 pattern += f" [{last[2]}]"
             # Of patterns of the same columns the first will do.
             columns = frozenset(role.column for role in roles)

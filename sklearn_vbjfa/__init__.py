@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.regression._locally_weighted import LocallyWeightedRegressor
     from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
     from sklearn_vbjfa.regression._total_least_squares import (
+        NoiseCovariance,
         TotalLeastSquares,
         replicate_noise,
     )
@@ -32,6 +33,7 @@ __all__ = [
     "JFARegressor",
     "JointTorqueRegressor",
     "LocallyWeightedRegressor",
+    "NoiseCovariance",
     "PhysicalProjector",
     "Ranges",
     "RigidBodyFeatures",
@@ -55,7 +57,7 @@ _MODULES = {
     "regression._joint_factor": ("JFARegressor",),
     "regression._locally_weighted": ("LocallyWeightedRegressor",),
     "regression._stepwise": ("StepwiseRegressor",),
-    "regression._total_least_squares": ("TotalLeastSquares", "replicate_noise"),
+    "regression": ("NoiseCovariance", "TotalLeastSquares", "replicate_noise"),
     "regression._vbjfa": ("VBJFARegressor",),
     "equations._features": ("RigidBodyFeatures",),
     "robot._robot": ("IdentifiedRobot", "load_identified"),

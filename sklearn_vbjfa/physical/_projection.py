@@ -214,19 +214,24 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Options:
-    """Layout, margin and anchor of a projection."""
+    """Settings of `PhysicalProjector` for other estimators.
 
-    # First column of each body's ten, and columns that must not be negative (viscous
-    # and Coulomb friction, rotor inertia). None: those that the names of the columns
-    # give. Without names, joints have 11 columns (viscous friction last) or 10,
-    # whichever divides the number of columns; if both do, 11, with a warning.
+    Parameters
+    ----------
+    body_starts : array-like of int, default=None
+        First column of each body. None: see `parameter_names` of `PhysicalProjector`.
+    nonnegative : array-like of int, default=()
+        Columns that must not be negative (friction); not used without `body_starts`.
+    margin : float, default=1e-8
+        Least eigenvalue of a body's matrix, in units of the body's mass and length.
+    anchor : array-like of shape (n_features,), default=None
+        Vector to which directions are pulled that the metric does not see, such as that
+        of a data sheet. None: the vector itself.
+    """
+
     body_starts: object = None
     nonnegative: object = ()
-    # least eigenvalue of each body's matrix in units of the body's mass and length
-    # scale, above zero, so that the projected robot can be simulated
     margin: float = 1e-8
-    # (n_features,): vector to which directions are pulled that the metric does not
-    # see, such as that of a data sheet. None: the vector itself
     anchor: object = None
 
     def __post_init__(self):
@@ -402,9 +407,10 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         columns that must not be negative ("joint_1:viscous", "joint_1:coulomb",
         "joint_1:rotor_inertia").  None takes those of the data frame seen in `fit`;
         `JointTorqueRegressor` passes on those of its features.  Without names joints
-        have 11 columns (the paper's, viscous friction last) or 10.
+        have 11 columns (the paper's, viscous friction last) or 10, whichever divides
+        the number of columns; if both do, 11, with a warning.
     options : Options or None, default=None
-        Layout, margin and anchor for other estimators.
+        Settings for other estimators.
 
     Attributes
     ----------

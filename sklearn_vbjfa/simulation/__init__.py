@@ -22,4 +22,4 @@ from sklearn_vbjfa.simulation._stepper import (
     why_left_out,
 )
 
-__all__: list[str] = []
+__all__ = ["SimulationError"]

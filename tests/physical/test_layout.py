@@ -25,13 +25,10 @@ def test_the_length_gives_ten_or_eleven_columns_a_joint(n_features, starts, kept
     assert layout(n_features) == (list(starts), kept)
 
 
-@pytest.mark.parametrize(
-    ("n_features", "options", "name"),
-    [(24, {}, "parameter_names"), (12, {"names": ["a"]}, "parameter_names")],
-)
-def test_wrong_layouts_are_refused(n_features, options, name):
-    with pytest.raises(ValueError, match=name):
-        layout(n_features, **options)
+@pytest.mark.parametrize(("n_features", "names"), [(24, None), (12, ["a"])])
+def test_wrong_layouts_are_refused(n_features, names):
+    with pytest.raises(ValueError, match="parameter_names"):
+        layout(n_features, names)
 
 
 # -- by the names of the columns

@@ -24,11 +24,6 @@ VISCOUS = np.array([1.0, 0.5, 3.0])
 DT = 0.005
 
 
-def description():
-    parts = "".join([*(link(*one) for one in LINKS.items()), *JOINTS])
-    return f'<robot name="gripper"><link name="base"/>{parts}</robot>'
-
-
 def torques(model, q, v, a):
     """Torques of a full model that the three leaders feel, (n, 3)."""
     data = model.createData()
@@ -54,7 +49,8 @@ def motion():
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
     path = tmp_path_factory.mktemp("robot") / "gripper.urdf"
-    path.write_text(description())
+    parts = "".join([*(link(*one) for one in LINKS.items()), *JOINTS])
+    path.write_text(f'<robot name="gripper"><link name="base"/>{parts}</robot>')
     return path
 
 

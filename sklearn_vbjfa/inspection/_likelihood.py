@@ -170,8 +170,8 @@ class DescribedRobot:
         """Log odds of bodies with a wider prior."""
         return max(0.0, self.fit(spread=spread).evidence - self.now.evidence)
 
-    def with_springs(self, joints):
-        """Return the evidence for springs between all joints beside the weight."""
+    def with_springs(self, joints, turns=False):
+        """Return the evidence for springs and, with turns, for counterbalances."""
         # In a small motion the lack of weight, or its turn, is linear in the positions.
         nv, tau = self.bodies.nv, self.signals.tau
         q = self.signals.states[:, :nv] - self.signals.states[:, :nv].mean(axis=0)
@@ -181,7 +181,8 @@ class DescribedRobot:
         stiffness = np.zeros((nv, nv, nv * (nv + 1) // 2))
         for k, (i, j) in enumerate(combinations_with_replacement(range(nv), 2)):
             stiffness[[i, j], [j, i], k] = max(ratio[i, j], ratio[j, i])
-        columns = np.einsum("nj,ijk->nik", q, stiffness)
+        forms = np.stack([q, np.sin(q), np.cos(q)] if turns else [q])
+        columns = np.einsum("fnj,ijk->nifk", forms, stiffness).reshape(*q.shape, -1)
         return self.fit(columns=columns, deviation=1.0, joints=joints).evidence
 
     @functools.cached_property

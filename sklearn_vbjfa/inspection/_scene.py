@@ -26,8 +26,10 @@ def weightless(reading):
         most = max(one.evidence for one in made)
         if most - now <= number.DECISIVE:
             return 0.0
-        # Springs on several joints are as rare as other faults of each.
-        springs = robot.with_springs(joints) + number.PRIOR * (len(joints) - 1)
+        # Springs on several joints are as rare as other faults of each; a single joint
+        # may have a counterbalance.
+        springs = robot.with_springs(joints, turns=len(joints) == 1 < len(loaded))
+        springs += number.PRIOR * (len(joints) - 1)
         return most - now if most - springs > number.DECISIVE else 0.0
 
     # A weight that does not vary is like an offset.
@@ -46,8 +48,7 @@ def weightless(reading):
         np.linalg.norm(x.mean(axis=0)[reading.slides])
         for x in (robot.signals.tau, pull)
     )
-    # What balances a single joint is likelier a spring.
-    if not lost or len(lost) == 1 < len(loaded) or held > number.HELD * weight > 0:
+    if not lost or held > number.HELD * weight > 0:
         return None
     columns = np.stack([moving, robot.weight], axis=-1)
     mean = np.zeros_like(moving)

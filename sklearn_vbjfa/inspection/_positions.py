@@ -105,8 +105,8 @@ def coupled(reading):
     if best is None:
         return None
     j, i, (minus, plus) = changes[best.change]
-    # Motors that turn with two joints share friction, whatever the encoders measure.
-    shared = _friction_of(reading, best.change, j, i)
+    # Motors that turn with two joints share torques, whatever the encoders measure.
+    shared = _shared(reading, best.change, j, i)
     if best.fall - shared.fall(reading.robot.now) < clear(best.change):
         return None
     facts = {"name": reading.names[j], "other": reading.names[i], "minus": minus}
@@ -117,15 +117,16 @@ def coupled(reading):
     return replace(best, joints=(j,), facts=facts)
 
 
-def _friction_of(reading, change, j, i):
-    """`BodyFit` with friction and rotor of a changed axis on two joints, as logged."""
+def _shared(reading, change, j, i):
+    """`BodyFit` as logged, with shared torques, friction and rotor of two joints."""
     robot, nv, signals = reading.robot, reading.nv, change.signals(reading.signals)
     axis = signals.states[:, nv + j], signals.states[:, 2 * nv + j], signals.sign[:, j]
-    acting = np.zeros((len(axis[0]), nv, 6))
-    for place, joint in enumerate((j, i)):
+    acting = np.zeros((len(axis[0]), nv, 10))
+    for first, joint, other in ((0, j, i), (5, i, j)):
+        columns = *axis, robot.described[:, joint], robot.signals.tau[:, other]
         size = np.sqrt((robot.signals.tau[:, joint] ** 2).mean())
-        for k, x in enumerate(axis):
-            acting[:, joint, 3 * place + k] = size * x / np.sqrt((x**2).mean())
+        for k, x in enumerate(columns, start=first):
+            acting[:, joint, k] = size * x / np.sqrt((x**2).mean())
     return robot.fit(columns=acting, deviation=number.WIDE)
 
 

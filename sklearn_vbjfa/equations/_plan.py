@@ -548,8 +548,8 @@ def check_channels(names, positions, torques):
     dead = [name for name, bad in zip(names, flat & moves) if bad]
     if dead:
         raise ValueError(
-            f"The torque of {', '.join(dead)} is constant while the joint moves. Check "
-            "the recording, or lock the joint (joint_names of read_recording)."
+            f"The torque of {', '.join(dead)} is constant: nothing was measured, or a "
+            "brake held. Check the recording, or leave the joint out (joint_names)."
         )
     for j in np.flatnonzero(~moves):
         # In the words of `inspect_channels`, of which one alone is shown.

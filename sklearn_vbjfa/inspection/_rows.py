@@ -263,18 +263,19 @@ def _lost_rows(log):
 
 
 def _switched_off(log):
-    """Find runs in which all torques vanish at once, although links have weight."""
+    """Find runs in which all torques vanish, some at once, although links weigh."""
     step, size = np.abs(log.steps(log.tau)), np.sqrt((log.tau**2).mean(axis=0))
     sudden = (step > number.SUDDEN * np.quantile(step, 0.995, axis=0)).any(axis=1)
-    found = []
+    found, certain = [], False
     for a, b in log.runs((np.abs(log.tau) <= number.OFF * size).all(axis=1)):
         ends = [k for k in (a, b + 1) if log.together(k - 1, k) and log.moving[k]]
-        if b - a + 2 >= number.STUCK_RUN and sudden[ends].any():
+        if b - a + 2 >= number.STUCK_RUN:
             still = np.pad(log.q[[a]], ((0, 0), (0, 2 * log.q.shape[1])))
             weight = Bodies(log.model).described(still)[1]
             if (np.abs(weight) > number.LOADED * size).any():
                 found.append((a, b))
-    return found
+                certain |= bool(sudden[ends].any())
+    return found if certain else []
 
 
 def _breaks(log, flags, least):

@@ -46,9 +46,9 @@ SENTENCES = {
     "empty_rows": "All torques are zero in {count} rows ({share}) amid the motion, the "
     "first is row {row}: readings were lost, or two sources were logged together. "
     "Leave these rows out.",
-    "empty_rows:off": "All torques fall to zero amid the motion {times} time(s), for "
-    "up to {seconds:.3g} s from row {row} on, though links have weight: drives were "
-    "off, or readings were lost. Leave these rows out.",
+    "empty_rows:off": "All torques are zero {times} time(s), first from row {row} on, "
+    "for up to {seconds:.3g} s, though links have weight: drives were off, or readings "
+    "were lost. Leave these rows out.",
     "held_position": _HELD,
     "held_torque": _HELD,
     "constant_torque": "The torques of {who} are constant ({values}) while the "

@@ -91,7 +91,7 @@ def test_a_joint_that_never_moves(new_motion):
 
 def test_channels_that_say_nothing(new_motion):
     tau = changed(new_motion.tau, (slice(None), [1, 4]), 3.0)
-    message = r"torque of joint_2, joint_5 is constant while .*Check the rec"
+    message = r"torque of joint_2, joint_5 is constant: .*Check the rec"
     with pytest.raises(ValueError, match=message):
         identify(new_motion, tau=tau)
     with pytest.raises(ValueError, match=r"No joint moves.*Check the position columns"):

@@ -6,7 +6,7 @@ import re
 from effect_curves import STYLE
 from simulated_effects import step_reasons
 
-from sklearn_vbjfa.diagnosis.report import style as sheet_of_reports
+from sklearn_vbjfa.diagnosis.report import environment
 from sklearn_vbjfa.effects import InModel, Stateful
 
 # Attributes of a written file that only accompany others.
@@ -158,7 +158,7 @@ def _sort(value):
 
 def style():
     """Return the style sheet of reports with the theme switch of the documentation."""
-    sheet = sheet_of_reports()
+    sheet = environment(True).get_template("style.css.j2").render()
     colours = re.findall(r"\.vbjfa\{(--ink:[^}]*?--law:[^;}]*)", sheet)
     light, dark = colours[:2]
     return "".join(

@@ -33,12 +33,7 @@ from simulated_effects import (
 from sphinx.util.docutils import SphinxDirective
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.diagnosis.report import (
-    HEIGHT,
-    WIDTH,
-    figure,
-    words,
-)
+from sklearn_vbjfa.diagnosis.report import HEIGHT, WIDTH, environment, words
 
 _SHEET = "effects.css"
 
@@ -141,7 +136,8 @@ class Picture(_OfEffect):
     def run(self):
         """Make the nodes."""
         use = self.use
-        html = f'<div class="vbjfa">{figure(drawn(use.effect.name))}</div>'
+        draw = environment(True).get_template("figures.html.j2").module.figure
+        html = f'<div class="vbjfa">{draw(drawn(use.effect.name))}</div>'
         caption = (
             "Simulation of a six-axis arm with known parameters, with noise of "
             f"{100 * NOISE:g} % of the RMS of the effect and the values of the table."

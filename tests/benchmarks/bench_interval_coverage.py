@@ -258,7 +258,8 @@ def _next_error(cell, duration, rho, seed):
     # The interval is of the model that was judged.
     rest = loop.validation_model_.residuals(made.q[n:], made.tau[n:])
     later = rest.relative_error(loop.torque_std_)
-    low, high = loop.report_.outcome.intervals("after")
+    ends = [one.intervals["after"] for one in loop.report_.outcome.errors]
+    low, high = np.transpose(ends)
     for j, error in enumerate(later):
         cell.add(low[j], high[j], error, loop.error_after_[j])
 

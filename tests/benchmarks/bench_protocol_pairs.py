@@ -114,14 +114,15 @@ def judge(recording, identifier, scale, label, fitted, judged):
     models = declared, loop.identifier_
     found = [m.residuals(unseen.q, unseen.tau, groups=unseen.groups) for m in models]
     spread, outcome = loop.torque_std_, loop.report_.outcome
-    low, high = outcome.intervals("after")
+    each = [one.intervals for one in outcome.errors]
+    low, high = np.transpose([one["after"] for one in each])
     return Verdict(
         judged=label,
         before=found[0].rms(),
         after=found[1].rms(),
         reported_before=spread * loop.error_before_,
         reported_after=spread * loop.error_after_,
-        difference=spread * outcome.intervals("difference"),
+        difference=spread * np.transpose([one["difference"] for one in each]),
         width=_divide(high, low),
         overlap=scale.overlap(fitted, judged),
         effects=tuple(f"{e.name} {e.joint + 1}" for e in loop.effects_),

@@ -133,7 +133,8 @@ def test_no_false_alarm(complete):
     assert complete.effects_ == complete.unexplained_ == ()
     assert complete.validation_model_ is complete.baseline_
     assert_array_equal(complete.error_after_, complete.error_plain_)
-    low, high = complete.report_.outcome.intervals("after")
+    errors = complete.report_.outcome.errors
+    low, high = np.transpose([one.intervals["after"] for one in errors])
     assert np.all((low < complete.error_after_) & (complete.error_after_ < high))
     assert "cost" not in str(complete.report_)
 

@@ -95,10 +95,6 @@ class Outcome:
         """Return an attribute of the errors of all joints, (nv,)."""
         return np.array([getattr(one, name) for one in self.errors])
 
-    def intervals(self, name):
-        """Return the ends of an interval of the errors of all joints, (2, nv)."""
-        return np.array([one.intervals[name] for one in self.errors]).T
-
     def facts_of(self, kind):
         """Return the facts of a kind, a tuple."""
         return tuple(one for one in self.facts if one.kind == kind)

@@ -16,12 +16,9 @@ _PARTS = 3
 _MOST = 0.5
 # Directions that the data determine less than this share are left alone.
 _KNOWN = 1e-9
-# Most deviations that are named.
-_MOST_FOUND = 8
-# What may differ on a joint, with its columns: offset, viscous and Coulomb friction,
-# and the torques of the robot of the other recordings and of its last body.
-_CAUSES = {"offset": [0], "gain": [3], "friction": [1, 2], "payload": [4]}
-# The first of these columns find a difference; the last body's only names it.
+# What may differ on joints, with its columns: offset, viscous and Coulomb friction, and
+# the torque of the robot of the other recordings.
+_CAUSES = {"offset": [0], "gain": [3], "friction": [1, 2], "model": [0, 1, 2, 3]}
 _COLUMNS = 4
 # Nats by which all columns must explain more than the best cause to be one.
 _NATS = 3.0
@@ -40,8 +37,8 @@ class Contradiction:
     # what differs: "offset", "gain" (of the torque), "friction" or "payload"; "model"
     # for more
     cause: str
-    # of an offset: how much larger it is [N m or N]; of a gain or a payload: how many
-    # times as large the torque is, or that of the last body; else nan
+    # of an offset: how much larger it is [N m or N]; of a gain: how many times as large
+    # the torque is; of a payload: its mass [kg]; else nan
     value: float
     p_value: float  # of the F test, times the number of tests
 
@@ -95,6 +92,9 @@ class Parts:
             metric, centre = described[0][:rigid, :rigid] * ratio, described[1][:rigid]
             self._prior[0][:rigid, :rigid] = metric
             self._prior[1][:rigid] = metric @ centre
+        # Of fits to each recording alone, (r, nv).
+        each = [self.recording == r for r in range(self.count)]
+        self.own_squares = np.array([self.squares(own, own) for own in each])
 
     def moments_of(self, j, part):
         """Moments of the design of a joint in each part of the rows (n_parts, k, k)."""
@@ -153,6 +153,20 @@ class Parts:
                 squares[1, r] += self.squares(out, ~out)
         return squares
 
+    @functools.cached_property
+    def partitions(self):
+        """Moments in thirds of time, positions and speeds, with their recordings."""
+        # The parameters of a wrong model vary with position and speed.
+        nv, states = self.nv, self.view.states[self.view.index]
+        weight, found = self.view.equations.weight, [(self.moments, self.recording)]
+        for values in (states[:, :nv], np.abs(states[:, nv : 2 * nv])):
+            moments = [
+                self.moments_of(j, _thirds(self.origin, values[:, j], weight[:, j]))
+                for j in range(nv)
+            ]
+            found.append((moments, np.repeat(np.arange(self.count), _PARTS)))
+        return found
+
     def alone(self, spread):
         """Errors (nv,) on parts of recordings of fits to their rest, nan for none."""
         whole = self._errors[0].any(axis=1)
@@ -167,8 +181,8 @@ class Parts:
             rows = self.weights[self.recording == r].sum(axis=0) * self.used
             better = (rows > 0) & (together > 0) & (alone <= _MOST * together)
             for j in np.flatnonzero(better).tolist():
-                pair = np.sqrt([alone[j], together[j]]) / np.sqrt(rows[j])
-                found[r, j] = tuple((pair / spread[j]).tolist())
+                pair = np.sqrt(np.array([alone[j], together[j]]) / rows[j]) / spread[j]
+                found[r, j] = dict(zip(("alone", "together"), pair.tolist()))
         return found
 
 
@@ -176,7 +190,7 @@ class Parts:
 
 
 def contradictions(parts, spread, alpha):
-    """Return the `Contradiction`s of `Parts` or None, the clearest first."""
+    """Return the `Contradiction`s of `Parts` or None, by recordings."""
     suffering = {} if parts is None else parts.suffering(spread)
     if not suffering:
         return ()
@@ -185,138 +199,139 @@ def contradictions(parts, spread, alpha):
     if parts.count > 2:
         suspects = sorted({r for r, _ in suffering})
     joints = sorted({j for _, j in suffering})
-    deviations = _Deviations(parts)
-    keys, chosen = list(itertools.product(suspects, joints)), []
-    while len(chosen) < min(_MOST_FOUND, len(keys)):
-        trials = {k: deviations.test(k, chosen) for k in keys if k not in chosen}
-        key = max(trials, key=lambda key: trials[key][0])
-        if not trials[key][1] < alpha:
+    left = list(range(parts.count))
+    while suspects := [r for r in suspects if r in left]:
+        # Others suffer from the one that differs until it is left out.
+        trials = {r: _Deviations(parts, r, left) for r in suspects}
+        tested = {(r, j): one.test(j) for r, one in trials.items() for j in joints}
+        r, j = max(tested, key=lambda key: tested[key][0])
+        if not tested[r, j][1] < alpha:
             break
-        chosen.append(key)
-    found = []
-    for key in chosen:
-        others = [other for other in chosen if other != key]
-        _, p_value, unit = deviations.test(key, others)
-        cause, value = deviations.cause(key, others, unit)
-        alone, together = suffering.get(key, (np.nan, np.nan))
-        found.append(
-            Contradiction(
-                recording=key[0],
-                joint=key[1],
-                alone=alone,
-                together=together,
-                cause=cause,
-                value=value,
-                p_value=p_value,
-            )
-        )
-    return tuple(found)
+        left.remove(r)
+    apart = [r for r in range(parts.count) if r not in left]
+    each = (_Deviations(parts, r, [*left, r]) for r in apart)
+    return tuple(x for one in each for x in one.named(joints, alpha, suffering))
 
 
 class _Deviations:
-    """Deviations of recordings from one robot, on a joint each."""
+    """Deviations of a recording from one robot, by joints."""
 
-    # tau_r = Phi theta + E_j u_rj + noise: deviations u_rj of a recording r in four
-    # columns E_j of a joint, named by both. F = (explained by recordings) / (explained
-    # by parts of single recordings) in the same columns, as in a nested analysis of
-    # variance (H. Scheffe, "The Analysis of Variance", 1959, section 5.3).
+    # tau = Phi theta + E_j u_j + noise: deviations u_j of the recording in four columns
+    # E_j of a joint. F = (explained by the recording) / (explained by parts of single
+    # recordings) in the same columns, as in a nested analysis of variance (H. Scheffe,
+    # "The Analysis of Variance", 1959, section 5.3).
 
-    def __init__(self, parts):
-        self._parts, count = parts, parts.count
-        self._columns = functools.cache(self._columns_of)
+    def __init__(self, parts, recording, recordings):
+        # recordings: that are fitted, with this one.
+        self._parts, self._recording, self._recordings = parts, recording, recordings
+        kept, self._own = (
+            np.isin(parts.recording, recordings),
+            parts.recording == recording,
+        )
         # Weights of the joints by fits to each recording alone: in a common fit the
         # differences would count as noise.
-        each = (parts.recording == r for r in range(count))
-        squares = sum(parts.squares(own, own) for own in each)
-        known, total = parts.used & (squares > 0), parts.weights.sum(axis=0)
+        squares = parts.own_squares[recordings].sum(axis=0)
+        known, total = parts.used & (squares > 0), parts.weights[kept].sum(axis=0)
         self._noise = np.where(known, total / or_one(squares), 0.0)
-        self._eigen, self._theta = parts.solve(slice(None), self._noise)
-        # Moments in thirds of time, positions and speeds, with their recordings: the
-        # parameters of a wrong model vary with position and speed.
-        view, nv = parts.view, parts.nv
-        states, weight = view.states[view.index], view.equations.weight
-        self._partitions = [(parts.moments, parts.recording)]
-        for values in (states[:, :nv], np.abs(states[:, nv : 2 * nv])):
-            moments = [
-                parts.moments_of(j, _thirds(parts.origin, values[:, j], weight[:, j]))
-                for j in range(nv)
-            ]
-            of = np.repeat(np.arange(count), _PARTS)
-            self._partitions.append((moments, of))
+        self._eigen, self._theta = parts.solve(kept, self._noise)
+        others, self._columns = parts.solve(kept & ~self._own)[1], []
+        for own in parts.columns:
+            columns = np.eye(own.size + 3, _COLUMNS, -own.size)
+            columns[: own.size, 3] = others[own]
+            self._columns.append(columns)
 
-    def _columns_of(self, key):
-        """Columns of what may differ on a joint of a recording, (k, 5)."""
-        (r, j), parts = key, self._parts
-        own, n = parts.columns[j], parts.columns[j].size
-        columns = np.zeros((n + 3, _COLUMNS + 1))
-        columns[n:, :3] = np.eye(3)
-        columns[:n, 3] = parts.solve(parts.recording != r)[1][own]
-        last = parts.features.n_parameters_ // parts.nv * (parts.nv - 1)
-        columns[:n, 4] = columns[:n, 3] * ((own >= last) & (own < last + 10))
-        return columns
-
-    def _fitted(self, added):
-        """Fit the columns of deviations, a dict; return the gain, theta and theirs."""
+    def _fitted(self, added, shared=False):
+        """Fit columns by joints; return the gain, theta and the coefficients."""
+        # shared: whether those of all joints are the same.
         edges = np.cumsum([0, *(A.shape[1] for A in added.values())])
         places = [slice(a, b) for a, b in itertools.pairwise(edges)]
+        if shared:
+            edges, places = edges[:2], places[:1] * len(places)
         cross, h = np.zeros((self._theta.size, edges[-1])), np.zeros(edges[-1])
         H = np.zeros((edges[-1], edges[-1]))
-        for ((r, j), A), at in zip(added.items(), places):
-            parts = self._parts
-            own, of = parts.columns[j], parts.recording == r
-            moments = self._noise[j] * parts.moments[j][of].sum(axis=0)
+        for (j, A), at in zip(added.items(), places):
+            own = self._parts.columns[j]
+            moments = self._noise[j] * self._parts.moments[j][self._own].sum(axis=0)
             made = moments[:-1, :-1] @ A
-            cross[own, at], h[at] = made[: own.size], A.T @ moments[:-1, -1]
-            H[at, at] = A.T @ made
+            cross[own, at] += made[: own.size]
+            h[at] += A.T @ moments[:-1, -1]
+            H[at, at] += A.T @ made
         left = self._eigen.solve(cross)
         H, h = H - cross.T @ left, h - cross.T @ self._theta
         coef = scaled_eigen(H, _KNOWN).solve(h)
-        return float(coef @ h), self._theta - left @ coef, [coef[at] for at in places]
+        coefs = {j: coef[at] for j, at in zip(added, places)}
+        return float(coef @ h), self._theta - left @ coef, coefs
 
-    def _within(self, j, A, added, coefs, theta):
+    def _within(self, j, coef, theta):
         """Squares that columns of a joint explain of parts of single recordings."""
         # Per parameter, with their number, of the partition whose parts differ most.
-        count, n = self._parts.count, self._parts.columns[j].size
-        known = np.zeros((count, A.shape[0]))
+        A, n, found = self._columns[j], self._parts.columns[j].size, []
+        known = np.zeros((self._parts.count, A.shape[0]))
         known[:, :n] = theta[self._parts.columns[j]]
-        for ((r, k), B), coef in zip(added.items(), coefs):
-            known[r] += B @ coef if k == j else 0.0
-        found = []
-        for moments, recording in self._partitions:
+        known[self._recording] += A @ coef
+        for moments, recording in self._parts.partitions:
             M = self._noise[j] * moments[j]
             left = M[:, :-1, -1] - (M[:, :-1, :-1] @ known[recording, :, None])[..., 0]
             scores, grams = left @ A, A.T @ M[:, :-1, :-1] @ A
             total = np.zeros(2)
-            for own in (recording == r for r in range(count)):
+            for own in (recording == r for r in self._recordings):
                 total += sum(map(_gain, scores[own], grams[own]))
                 total -= _gain(scores[own].sum(axis=0), grams[own].sum(axis=0))
             size = total[0] / total[1] if total[1] > 0 else np.inf
             found.append((size, total[1] if total[1] > 0 else 1))
         return max(found)
 
-    def test(self, key, others):
-        """F statistic of a deviation next to others, its p-value and unit."""
-        added = {one: self._columns(one)[:, :_COLUMNS] for one in (*others, key)}
+    def test(self, j, joints=()):
+        """F statistic of the deviation on a joint, its p-value and unit."""
+        # joints: others that may differ as well.
+        added = {k: self._columns[k] for k in {*joints, j}}
         gain, theta, coefs = self._fitted(added)
-        A = added.pop(key)
-        size, freedom = self._within(key[1], A, added | {key: A}, coefs, theta)
+        size, freedom = self._within(j, coefs[j], theta)
+        del added[j]
         # A recording may differ by what its thirds differ by: it is no mean over them.
         unit = 1.0 + _PARTS * (max(size, 1.0) - 1.0)
         F = (gain - self._fitted(added)[0]) / unit / _COLUMNS
         count = self._parts.count * self._parts.nv
         return F, min(float(stats.f.sf(F, _COLUMNS, freedom)) * count, 1.0), unit
 
-    def cause(self, key, others, unit):
-        """Name what differs, and its value: the simplest that explains nearly all."""
-        scores, A = {}, self._columns(key)
-        known = {one: self._columns(one)[:, :_COLUMNS] for one in others}
-        for name, own in {**_CAUSES, "model": range(_COLUMNS)}.items():
-            gain, _, coefs = self._fitted(known | {key: A[:, list(own)]})
-            score = 0.5 * (gain / unit - len(own) * np.log(self._parts.n_blocks))
-            scores[name] = score - _NATS * (name == "model"), float(coefs[-1][0])
-        name = max(scores, key=lambda name: scores[name][0])
-        value = scores[name][1] + (name in ("gain", "payload"))
-        return name, np.nan if name in ("friction", "model") else value
+    def named(self, joints, alpha, suffering):
+        """Yield the `Contradiction` of each joint that differs."""
+        tested = {j: self.test(j, joints) for j in joints}
+        tested = {j: one for j, one in tested.items() if one[1] < alpha}
+        unit = max((unit for *_, unit in tested.values()), default=1.0)
+        cause, values = self._cause(tested, unit)
+        for j, (_, p_value, _) in tested.items():
+            r, value = self._recording, values.get(j, np.nan)
+            known = {"alone": np.nan, "together": np.nan, "p_value": p_value}
+            known |= suffering.get((r, j), {})
+            yield Contradiction(recording=r, joint=j, cause=cause, value=value, **known)
+
+    def _cause(self, joints, unit):
+        """Name the simplest difference that explains nearly all; values by joints."""
+        parts, trials, model = self._parts, [], self._parts.features.model_
+        for name, own in _CAUSES.items():
+            trials.append((name, {j: self._columns[j][:, own] for j in joints}))
+        # A load on the last body of a branch acts on several joints.
+        for body in np.setdiff1d(np.arange(parts.nv), np.subtract(model.parents, 1)):
+            own = parts.features.n_parameters_ // parts.nv * body + np.arange(10)
+            load = [np.equal.outer(np.r_[x, [-1] * 3], own) for x in parts.columns]
+            trials.append(("payload", dict(enumerate(map(np.float64, load)))))
+        best, found = -np.inf, None
+        for name, columns in trials:
+            shared = name == "payload"
+            gain, _, coefs = self._fitted(columns, shared)
+            count = 10 if shared else sum(A.shape[1] for A in columns.values())
+            score = 0.5 * (gain / unit - count * np.log(parts.n_blocks))
+            if (score := score - _NATS * (name == "model")) <= best:
+                continue
+            # Of a load on an axis the mass has no torque.
+            rest = {j: A[:, 1:] for j, A in columns.items()} if shared else {}
+            unknown = shared and gain - self._fitted(rest, True)[0] < 2 * _NATS * unit
+            if unknown or name in ("friction", "model"):
+                coefs = {}
+            values = {j: float(x[0]) + (name == "gain") for j, x in coefs.items()}
+            best, found = score, (name, values)
+        return found
 
 
 def _gain(h, H):

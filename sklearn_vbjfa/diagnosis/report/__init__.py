@@ -8,7 +8,7 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 _MODULES = {
     "_facts": ("SECONDS",),
     "_pictures": ("HEIGHT", "WIDTH", "ticks"),
-    "_render": ("environment", "figure", "style"),
+    "_render": ("environment",),
     "_words": ("documentation_of",),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -120,7 +120,7 @@ def to_record(outcome, status, signal_advice, no_period):
     """Return what to record next, the most important first, advice -> joints."""
     findings, wanted = outcome.findings, {}
     library = outcome.robot["library"]
-    if status == "faulty" or not outcome.searched:
+    if status == "faulty" or not outcome.searched or findings["contradictions"]:
         return {}  # what no search looked for needs no other motion
 
     def add(advice, joint, name=None):
@@ -204,5 +204,5 @@ def short_errors(outcome, verdicts):
 def longest_error(outcome):
     """Return the scale of the bars of the errors, one if there is none."""
     sizes = [outcome.column(name) for name in ("before", "after", "floor")]
-    sizes = np.concatenate([*sizes, *outcome.intervals("after")])
+    sizes = np.concatenate([*sizes, *(x.intervals["after"] for x in outcome.errors)])
     return float(np.max(sizes, where=np.isfinite(sizes), initial=0.0)) or 1.0

@@ -168,20 +168,6 @@ def _read(body):
     return html.unescape(re.sub("<[^>]*>", "\n", body)).replace("\u00a0", " ").strip()
 
 
-# -- parts of pages for the documentation ----------------------------------------------
-
-
-def figure(drawn):
-    """Write a `Figure` alone; `style` draws it."""
-    module = environment(True).get_template("figures.html.j2").module
-    return str(module.figure(drawn))
-
-
-def style():
-    """Return the style sheet of all that is inside an element of class "vbjfa"."""
-    return environment(True).get_template("style.css.j2").render()
-
-
 def _page_value(value):
     """Write signs as a page has them."""
     if type(value) is str:

@@ -102,7 +102,9 @@ class Report:
     def has_open_questions(self):
         """Whether another motion could decide what this recording leaves open."""
         findings = self.outcome.findings
-        return self.status != "faulty" and bool(
+        if self.status == "faulty" or findings["contradictions"]:
+            return False
+        return bool(
             findings["unexplained"]
             or findings["repeated"]
             or any(effect.trials for effect in findings["effects"])

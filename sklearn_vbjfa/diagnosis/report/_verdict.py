@@ -40,7 +40,7 @@ class JointVerdict:
     joint: int  # from zero
     label: str
     status: str
-    detail: str = ""  # "near" the floor, "large" error, or gain within "chance"
+    detail: str = ""  # "near" floor, "large", within "chance", worse than "declared"
     text: str = ""  # the same in words
 
 
@@ -67,8 +67,6 @@ class Verdict:
     uses: tuple[Use, ...]
     faults: tuple = ()  # messages on faulty channels
     fell: bool = True  # whether effects lowered the mean error
-    # whether a joint got worse than declared, not only than with the friction terms
-    than_declared: bool = False
 
     def having(self, *status):
         """Return the joints of a status, a list."""
@@ -98,10 +96,6 @@ def judge(outcome):
         uses=_uses(outcome, status, joints),
         faults=faults,
         fell=not findings["effects"] or fell,
-        than_declared=any(
-            one.status == "worse" and _is_worse(own, "before", "difference")
-            for one, own in zip(joints, outcome.errors)
-        ),
     )
 
 
@@ -115,7 +109,9 @@ def _of_joint(outcome, j):
         return {"status": "few"}
     if after >= _MEAN_TORQUE:
         return {"status": "failed"}
-    if _is_worse(own, "before", "difference") or _is_worse(own, "plain", "added"):
+    if _is_worse(own, "before", "difference"):
+        return {"status": "worse", "detail": "declared"}
+    if _is_worse(own, "plain", "added"):
         return {"status": "worse"}
     if not own.searched:
         return {"status": "unsearched"}
@@ -229,11 +225,14 @@ def _masses(outcome, whole):
         whole = whole or "relative"
     known = [b.name for b in bodies if b.source == "yes" and not whole]
     others = [b.name for b in bodies if b.name not in known]
-    split = bool(known and others)
     found = []
     for names, reason in ((known, ""), (others, whole or "masses")):
         if names:
-            name = f"link masses of {words.join(names, 3)}" if split else "link masses"
+            name = (
+                f"link masses of {words.join(names, 3)}"
+                if known and others
+                else "link masses"
+            )
             causes = ((reason, []),) if reason else ()
             found.append(Use(name=name, allowed=not reason, causes=causes))
     return tuple(found)

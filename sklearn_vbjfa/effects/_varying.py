@@ -1,5 +1,7 @@
 """Effects that vary with time or with a recorded signal."""
 
+import math
+
 import numpy as np
 
 from sklearn_vbjfa.effects._base import (
@@ -18,7 +20,7 @@ from sklearn_vbjfa.effects._motion import Floats, State
 # What may vary, and the units of its coefficient.
 _VARIED = {"coulomb": TORQUE, "offset": TORQUE, "viscous": VISCOSITY}
 # Time constants to try, as shares of the recording's length.
-_CONSTANTS = (0.1, 0.2, 0.4, 0.8, 3.0)
+_CONSTANTS = (0.1, 0.2, 0.4, 0.8, 3.0, 30.0)
 # Number of instants to try.
 _INSTANTS = 24
 # Distance of a payload's centre of mass from the last body's frame [m].
@@ -58,49 +60,68 @@ class Varied(Shaped):
 class Drift(Varied, OfTime):
     """Friction or offset that changes while the robot warms up.
 
-    tau = D exp(-t / T) times 1, sign(v) or v: the grease gets thinner, the strain gauge
-    warmer. The value when warm is that of `Offset`, `Coulomb` and `Viscous`. After the
-    last time of the fit it goes on fading; before the first one it is as it was then.
-    Source: Carvalho Bittencourt and Gunnarsson (2012), :doi:`10.1115/1.4006589`.
+    tau = D (exp(-s) / (1 - exp(-S)) - 1 / S) times 1, sign(v) or v, s = (t - begin) / T
+    and S = (end - begin) / T: the grease gets thinner, the strain gauge warmer. D is
+    the decrease from `begin` to `end`, linear if T is long; the mean between them is
+    that of `Offset`, `Coulomb` and `Viscous`. After the last time of the fit it goes on
+    fading; before the first one it is as it was then. Source: Carvalho Bittencourt and
+    Gunnarsson (2012), :doi:`10.1115/1.4006589`.
 
     Parameters
     ----------
     of : {"coulomb", "offset", "viscous"}, default="coulomb"
         What drifts.
     time_constant : float, default=100.0
-        T [s] of the decay, which starts at t = 0.
+        T [s] of the decay.
+    begin, end : float, default=0.0 and infinity
+        Times [s] between which its mean is zero; with infinity D exp(-(t - begin) / T).
+        A search takes the first and the last time of the recording.
     """
 
     name = "drift"
     label = "drift with time"
     formula = (
-        r"D\,e^{-t / \mathrm{time\_constant}} f, \quad"
+        r"D \left(\frac{e^{-s}}{1 - e^{-S}} - \frac{1}{S}\right) f, \quad"
         r" f = \mathrm{sign}(v),\ 1\ \text{or}\ v"
     )
     coefficients = ("D",)
-    shape_units = (("time_constant", TIME),)
+    shape_units = (("time_constant", TIME), ("begin", TIME), ("end", TIME))
     continuous = positive = ("time_constant",)
+    tuned = ("time_constant", "begin", "end")
     record = "the same motion cold and warm"
-    files = InFiles.nowhere("decays with time; the file has the value when warm")
+    files = InFiles.nowhere("varies with time; the file has the mean from begin to end")
 
-    def __init__(self, joint=0, of="coulomb", time_constant=100.0):
+    def __init__(
+        self, joint=0, of="coulomb", time_constant=100.0, begin=0.0, end=np.inf
+    ):
         super().__init__(joint)
         self.of = of
         self.time_constant = time_constant
+        self.begin = begin
+        self.end = end
+
+    def check(self):
+        super().check()
+        if not -np.inf < self.begin < self.end:
+            raise ValueError(f"drift must begin before its end; got {self.begin!r}.")
 
     @property
     def units(self):
         return (_VARIED[self.of],)
 
     def _factor(self, maths):
-        exp, constant = maths.exp, self.time_constant
-        return lambda state: exp(-state.known_t / constant)
+        exp, constant, begin = maths.exp, self.time_constant, self.begin
+        length = (self.end - begin) / constant
+        size, mean = -1.0 / math.expm1(-length), 1.0 / length
+        return lambda state: size * exp((begin - state.known_t) / constant) - mean
 
     def shapes(self, motion):
-        """Time constants from a tenth to three times the recording."""
-        length = float(np.ptp(motion.t))
+        """Time constants from a tenth of the recording to a linear change."""
+        begin, end = self.begin, self.end
+        if not np.isfinite(end):
+            begin, end = float(motion.t[0]), float(motion.t[-1])
         return [
-            {"of": of, "time_constant": s * length}
+            {"of": of, "time_constant": s * (end - begin), "begin": begin, "end": end}
             for of in _VARIED
             for s in _CONSTANTS
         ]

@@ -181,17 +181,16 @@ class Site:
 
 def _along(description, A, b):
     """Return the normal equation of the size of all bodies together, all else free."""
-    # Returns its two sides, 0 first where nothing tells the size, and the squares that
-    # all else explains.
+    # Its two sides, 0 first where nothing tells the size.
     centre = description.vector(b.size)
     rest = np.ones(b.size, dtype=bool)
     rest[description.places] = False
     across = A[rest] @ centre
     others = scaled_eigen(A[np.ix_(rest, rest)], _RANK)
-    seen, explained = centre @ A @ centre, others.solve(b[rest])
+    seen = centre @ A @ centre
     own = seen - across @ others.solve(across)
-    product = centre @ b - across @ explained
-    return own if own > _RANK * seen else 0.0, product, b[rest] @ explained
+    product = centre @ b - across @ others.solve(b[rest])
+    return own if own > _RANK * seen else 0.0, product
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,13 +270,12 @@ class _BodyProblem:
         sites = [Site.of_scale(DESCRIBED)] * len(names)
         found = []
         while open_.any():
-            marginals = self.marginals(sites)
-            H, q = np.zeros((len(names), 1, 1)), np.zeros((len(names), 1))
-            for k, (along, precision, product) in enumerate(zip(size, *marginals)):
-                variance = along @ np.linalg.solve(precision, along)
-                q[k] = along @ np.linalg.solve(precision, product) / variance
-                own = along @ sites[k].precision @ along
-                H[k] = max(1.0 / variance - own, 0.0)
+            precision, product = self.marginals(sites)
+            both = np.stack([size, product], axis=2)
+            both = np.einsum("ki,kij->kj", size, np.linalg.solve(precision, both))
+            variance, q = both[:, 0], both[:, 1:] / both[:, :1]
+            own = [x @ site.precision @ x for x, site in zip(size, sites)]
+            H = np.maximum(1.0 / variance - own, 0.0)[:, None, None]
             groups = Groups(H=H, q=q, own=H[:, 0], unit=np.ones(q.shape))
             odds = groups.integrated(DESCRIBED, DESCRIBED) - np.log(len(names))
             wide = groups.best_scale(DESCRIBED)
@@ -301,7 +299,6 @@ class _BodyProblem:
             along = size[first]
             opened = np.outer(along, along) * (wide[first] ** -2 - DESCRIBED**-2)
             usual = sites[first]
-            sites = list(sites)
             sites[first] = Site(usual.precision + opened, usual.right)
             open_[near] = 0.0
         return tuple(found)
@@ -391,7 +388,7 @@ def around(description, A, b):
     # free.
     # A description in other units, or torques in others, is thousands of times off. By
     # least squares one body that is heard well decides for all, until these contradict.
-    own, product, _ = _along(description, A, b)
+    own, product = _along(description, A, b)
     first = product / own if own > 0 and product > 0 else 1.0
     for _ in range(_TURNS):
         problem = _BodyProblem(description.scaled(first), A, b)
@@ -445,7 +442,7 @@ def as_described(description, A, b):
     covariance = np.zeros((p, p))
     covariance[np.ix_(free, free)] = found.inverse()
     lost = np.flatnonzero(free)[np.diagonal(A)[free] <= 0]
-    own, product, _ = _along(description, A, b)
+    own, product = _along(description, A, b)
     size = (product / own, np.sqrt(own) / product) if product > 0 < own else (1, np.inf)
     covariance[lost, lost] = np.inf
     return BodyPosterior(

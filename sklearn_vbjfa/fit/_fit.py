@@ -389,7 +389,10 @@ def iterate_corrections(recipe, fit, source, relative):
             recipe.masses, fit.robot, relative, values.estimate
         )
         if common.factor is not None:
-            fit = _in_units(recipe, fit, source, common.factor)
+            gains = common.factor * fit.robot.features_.gains_
+            robot = _at(fit.robot, with_gains(fit.robot.effects_, gains))
+            load = robot.load_parameters / common.factor
+            fit = recipe.of_source(replace(robot, load_parameters=load), source)
     robot, found, own = fit.robot, fit.found, values.indices
     theta, unconstrained, std, shown = (
         one.copy()
@@ -496,14 +499,6 @@ def _fitted_again(recipe, robot, source, moments):
     held = robot.linear_part(np.ones(moments.g.shape[1])) == 0.0
     plain = moments.zeroed(np.broadcast_to(held, moments.g.shape))
     return recipe.of_moments(robot, plain, made=source.segments(robot))
-
-
-def _in_units(recipe, fit, source, factor):
-    gains = factor * fit.robot.features_.gains_
-    robot = _at(fit.robot, with_gains(fit.robot.effects_, gains))
-    return recipe.of_source(
-        replace(robot, load_parameters=robot.load_parameters / factor), source
-    )
 
 
 # -- refinement by simulation ----------------------------------------------------------

@@ -252,7 +252,9 @@ def _refine(predictor, found, windows, projector):
     held = held_parameters(predictor)
     metric = np.where(np.outer(~held, ~held), found.metric, 0.0)
     normal = Normal.of(fit, windows)
-    largest = _largest(normal.H, metric)
+    root = scaled_eigen(metric).inverse_root()
+    sizes = linalg.eigvalsh(root.T @ normal.H @ root) if root.size else [0.0]
+    largest = float(sizes[-1])
     damping, unconstrained = _FIRST_DAMPING, found.theta_unconstrained
     converged = False
     for _ in range(_MOST_STEPS):
@@ -284,13 +286,6 @@ def _refine(predictor, found, windows, projector):
     refined = {"theta": fit.predictor.theta_, "theta_unconstrained": unconstrained}
     std = np.where(held, found.std, std)
     return replace(found, **refined, std=std), criteria
-
-
-def _largest(H, metric):
-    root = scaled_eigen(metric).inverse_root()
-    if not root.size:
-        return 0.0
-    return float(linalg.eigvalsh(root.T @ H @ root)[-1])
 
 
 def _step(predictor, found, normal, own, held, projector):

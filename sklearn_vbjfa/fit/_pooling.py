@@ -90,15 +90,10 @@ def _found(model):
         if "" in key:
             groups.setdefault((key, bool(slides[j])), []).append(int(j))
     equal = [part for own in groups.values() for part in _equal(own, model)]
-    equal = [joints for joints in equal if len(joints) > 1 and _abreast(joints, model)]
-    return _named(equal, names)
-
-
-def _abreast(joints, model):
-    """Whether no joint carries another; drives of a chain differ in size."""
-    return not any(
-        j + 1 in list(model.supports[k + 1])[:-1] for j in joints for k in joints
-    )
+    # Drives of a chain, in which joints carry others, differ in size.
+    carried = [{i - 1 for i in list(s)[:-1]} for s in list(model.supports)[1:]]
+    equal = [own for own in equal if not any(carried[k] & {*own} for k in own)]
+    return _named([own for own in equal if len(own) > 1], names)
 
 
 def _equal(joints, model):

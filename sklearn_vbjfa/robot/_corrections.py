@@ -105,15 +105,11 @@ def _axis(robot, turned, joint, values):
     }
 
 
-def _gain(robot, turned, joint, values):
-    return {"gain": float(turned.gains[joint])}
-
-
 _VALUES = {
     BaseTilt.name: _tilt,
     JointZero.name: _zero,
     JointAxis.name: _axis,
-    TorqueGain.name: _gain,
+    TorqueGain.name: lambda _, turned, j, __: {"gain": float(turned.gains[j])},
 }
 
 

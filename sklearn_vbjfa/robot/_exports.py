@@ -9,6 +9,7 @@ from scipy.optimize import lsq_linear
 from sklearn_vbjfa.effects import (
     CommandDelay,
     CouplingSpring,
+    Drift,
     InModel,
     OfChannel,
     OfSignals,
@@ -260,15 +261,17 @@ _WINDOWS, _SECONDS, _LEAST = 6, 1.0, 20
 _CHANGED = 0.02
 # Least and most of a term of the file, over what was identified.
 _FACTORS = np.array([0.5, 2.0])
+# What a motion without log does not have.
+_APART = (OfChannel, OfSignals, OfTime)
 # A torque below this share of the joint's whole torque is rounding.
 _ROUNDING = 1e-9
 
 
 def without_place(effect, coef):
     """Coefficients (k,) of a law of motion that MJCF lacks, zero elsewhere."""
-    others = isinstance(effect, (InModel, OfSignals))
+    others = isinstance(effect, (InModel, *_APART))
     others |= isinstance(effect, OnAllJoints) and bool(effect.files.simulation)
-    if others or isinstance(effect, (OfChannel, OfTime)) or not effect.files.mjcf:
+    if others or not effect.files.mjcf:
         return np.zeros(len(coef))
     held = [name for _, name in effect.files.places]
     return np.where(np.isin(effect.coefficients, held), 0.0, coef)
@@ -335,7 +338,10 @@ def _is_known(robot):
 def warn_of_motion(robot, added, file_name):
     """Warn of joints that move differently with what an MJCF file has of a robot."""
     model = robot.torque_model()
-    left = [without_place(*pair) for pair in zip(model.effects, model.coefficients)]
+    left = [
+        coef if isinstance(effect, Drift) else without_place(effect, coef)
+        for effect, coef in zip(model.effects, model.coefficients)
+    ]
     if not _is_known(robot) or not any(coef.any() for coef in left):
         return
     # Declared friction of the file.
@@ -343,7 +349,7 @@ def warn_of_motion(robot, added, file_name):
     joints = {name: account.passive(name) for name in TERMS}
     joints["offset"] = account.total("offset")
     used = [
-        coef * (not isinstance(effect, (OfChannel, OfTime, OfSignals)))
+        coef * (isinstance(effect, Drift) or not isinstance(effect, _APART))
         for effect, coef in zip(model.effects, model.coefficients)
     ]
     model = replace(model, coefficients=tuple(used))
@@ -373,7 +379,7 @@ def warn_of_motion(robot, added, file_name):
             f"{file_name} moves differently from the identified robot "
             f"({', '.join(sizes)}). "
             "Percentages: difference of the positions within a second over their "
-            "standard deviation. MuJoCo lacks such friction: simulate the saved robot "
+            "standard deviation. MuJoCo lacks such effects: simulate the saved robot "
             "(identified.json).",
             DoubtWarning,
             stacklevel=3,
@@ -387,25 +393,28 @@ def changed_motion(robot, model, other):
     # first one if that diverges.
     nv, dt = model.n_joints, robot.plan.dt
     states, moves = typical_motion(robot.effect_ranges_, nv, dt)
-    length = min(max(round(_SECONDS / dt), _LEAST), _ROWS)
-    count = min(_WINDOWS, _ROWS // length)
-    starts = np.linspace(0, _ROWS - length, count).astype(int)
+    length, t = min(max(round(_SECONDS / dt), _LEAST), _ROWS), robot.clock(None, _ROWS)
+    # A drift is compared within the log.
+    _, end = robot.plan.time or (0.0, np.inf)
+    n = max(length, np.searchsorted(t, end))
+    count = min(_WINDOWS, n // length)
+    starts = np.linspace(0, n - length, count).astype(int)
     tau = robot.torques(robot.prepare(states))
     changes, spread = [], states[:, :nv].std(axis=0)
     for rows in (slice(start, start + length) for start in starts):
         q, v, _ = np.split(states[rows.start], 3)
-        own = _simulated(model, tau[rows], q, v)
+        own = _simulated(model, tau[rows], q, v, t[rows])
         try:
-            changes.append(_simulated(other, tau[rows], q, v) - own)
+            changes.append(_simulated(other, tau[rows], q, v, t[rows]) - own)
         except SimulationError:
             changes.append(np.inf)
     squares = np.mean([np.mean(np.square(x), axis=0) for x in changes], axis=0)
     return np.where(moves, np.sqrt(squares) / np.where(moves, spread, 1.0), 0.0)
 
 
-def _simulated(model, tau, q, v):
+def _simulated(model, tau, q, v, t):
     """Positions (n, nv) under torques."""
     with warnings.catch_warnings():
         # What a simulation leaves out is left out of both.
         warnings.simplefilter("ignore")
-        return simulate(model, tau, q, v)[:, : q.size]
+        return simulate(model, tau, q, v, t)[:, : q.size]

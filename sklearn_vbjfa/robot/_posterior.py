@@ -170,8 +170,10 @@ class Posterior:
         # Each row has random numbers of its own, and does not depend on the others.
         rngs = [np.random.default_rng([seed, int(k)]) for k in numbers]
         p = self.theta.size
-        x = np.array([rng.standard_normal(p) for rng in rngs]) @ _root(self.covariance)
-        drawn = self.centre + x
+        x = np.array([rng.standard_normal(p) for rng in rngs])
+        # By the symmetric root of the covariance: no unit changes a draw with it.
+        value, axes, size = _spectrum(self.covariance)
+        drawn = self.centre + x @ ((axes * np.sqrt(value)) @ axes.T * size)
         if self.between is not None:
             drawn[:, self.between.places] += self._drawn_off(rngs)
         # What is cut off takes the others along by their regression, by the share of
@@ -269,12 +271,6 @@ def _spectrum(covariance):
     correlation = covariance / np.outer(size, size)
     value, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
     return np.maximum(value, 0.0), axes, size
-
-
-def _root(covariance):
-    """Matrix R (p, p) with R' R the covariance; no unit changes a draw with it."""
-    value, axes, size = _spectrum(covariance)
-    return (axes * np.sqrt(value)) @ axes.T * size
 
 
 def covariance_inverse(covariance):

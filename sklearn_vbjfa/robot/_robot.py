@@ -614,8 +614,10 @@ class IdentifiedRobot:
         ValueError
             If the parameters are not physically consistent.
         """
+        x, y, z = self.features_.nominal_.gravity.linear
+        other = f"Gravity, which URDF has no place for, was {x:g} {y:g} {z:g} m/s^2."
         notes = [
-            _note_of_gravity(self.features_.nominal_.gravity.linear),
+            "" if (x, y, z) == (0.0, 0.0, -9.81) else other,
             note_of_gains(self.gains_),
             *note_of_corrections(self),
             note_of_masses(self),
@@ -944,13 +946,6 @@ class IdentifiedRobot:
             residual = y - self.torques(asked)
             found.append(noise_facts(residual, y, asked.states, *band, n_jobs))
         return found
-
-
-def _note_of_gravity(gravity):
-    if np.array_equal(gravity, [0.0, 0.0, -9.81]):
-        return ""
-    x, y, z = gravity
-    return f"Gravity, which URDF has no place for, was {x:g} {y:g} {z:g} m/s^2."
 
 
 def load_identified(path, effects=()):

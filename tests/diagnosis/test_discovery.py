@@ -279,7 +279,10 @@ def test_time_stamps_set_the_clock():
     assert named(loop) == [("drift", 1)]
     parameters = loop.effects_[0].parameters
     assert parameters["time_constant"] == pytest.approx(8.0, rel=0.15)
-    assert parameters["D"] == pytest.approx(2.0 * np.exp(4 / 8), rel=0.2)
+    fades = np.exp(-np.array([parameters["begin"], parameters["end"]]) / 8.0)
+    assert parameters["D"] == pytest.approx(
+        2.0 * np.exp(4 / 8) * -np.diff(fades)[0], 0.2
+    )
 
 
 # -- what is looked for

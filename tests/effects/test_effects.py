@@ -562,6 +562,20 @@ def test_shape_parameters_of_zero_are_refused(effect):
         transform(effect)
 
 
+@pytest.mark.parametrize("constant", [0.5, 1e5])
+def test_a_drift_over_a_recording_is_its_decrease_around_its_mean(constant):
+    t = np.linspace(3.0, 8.0, 100_001)
+    motion = Motion(q=t[:, None], v=t[:, None], a=t[:, None], t=t)
+    shape = {"time_constant": constant, "begin": 3.0, "end": 8.0}
+    (column,) = effects.Drift(of="offset", **shape).columns(motion).T
+    assert column[0] - column[-1] == pytest.approx(1.0)
+    assert np.trapezoid(column, t) == pytest.approx(0.0, abs=1e-7)
+    curve = np.exp(-t / constant) if constant < 1 else -t
+    assert abs(np.corrcoef(column, curve)[0, 1]) == pytest.approx(1.0)
+    with pytest.raises(ValueError, match="before its end"):
+        effects.Drift(begin=1.0, end=1.0).fit(np.zeros((1, 3)))
+
+
 # -- outside the time of a fit
 
 

@@ -116,6 +116,11 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
         other = in_common if basis.size == d else solve_of(basis, none)
         cov = 0.5 * (cov + _uncertainty(of_basis, none, coef, other, dof))  # [C17]
     spread = _spread(R, basis, found.copies)
+    coef, cov = spread @ coef, spread @ cov @ spread.T
+    # How dependent inputs share a coefficient is known from the prior alone.
+    null = scaled_eigen(R, _DEPENDENT, scale=1.0).null_space
+    split = null @ null.T
+    cov += split @ _uncertainty(m, exact, coef, in_common) @ split
     relevant = np.zeros(d, dtype=bool)
     relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
     noisy = _average(m, as_they_are, in_common)
@@ -123,8 +128,8 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
     return CorrelatedFit(
         noisy=noisy,
         noiseless=LinearModel(
-            coef=spread @ coef,
-            cov=spread @ cov @ spread.T,
+            coef=coef,
+            cov=cov,
             noise=noise,
             # Of exact inputs, the other end, y has the noise that it has of noisy ones.
             open_noise=0.0 if given else max(noisy.noise - noise, 0.0),

@@ -171,9 +171,7 @@ class BaseJointFactorRegressor(BaseRegressor):
         self.coef_noiseless_ = data.expand(noiseless.coef * unit)
         self.output_noise_ = noiseless.noise * y2
         answer = noisy if self.query == "noisy" else noiseless
-        self.coef_ = (
-            self.coef_noisy_ if self.query == "noisy" else self.coef_noiseless_
-        ).copy()
+        self.coef_ = data.expand(answer.coef * unit)
         # A column without variation tells nothing of its coefficient.
         d = data.active.shape[0]
         self.coef_cov_ = np.zeros((d, d))

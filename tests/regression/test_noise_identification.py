@@ -74,3 +74,7 @@ def test_exact_copies_share_their_coefficient():
     expected = alone.coef_[0] / 3 * np.array([1.0, 1.0, -1 / 3])
     assert_allclose(copied.coef_[[0, 2, 3]], expected, rtol=1e-6)
     assert_allclose(copied.coef_[1], alone.coef_[1], rtol=1e-6)
+    # Their sum is known as before, but not how they share it.
+    total, cov = np.array([1.0, 0.0, 1.0, -3.0]), copied.coef_cov_
+    assert_allclose(total @ cov @ total, alone.coef_cov_[0, 0], rtol=1e-6)
+    assert copied.coef_std_[0] > 3 * alone.coef_std_[0]

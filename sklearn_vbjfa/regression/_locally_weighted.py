@@ -114,8 +114,8 @@ class LocallyWeightedRegressor(BaseRegressor):
         self.estimators_ = []
         for k in range(n_models):
             w = local[:, k] * weight
-            near = w > np.exp(-0.5 * _REACH**2) * weight.max()
-            if near.sum() < 2:
+            near = used & (local[:, k] > np.exp(-0.5 * _REACH**2))
+            if np.unique(Z[near], axis=0).shape[0] < 2:
                 near = used
             model = clone(template)
             model.fit(X[near] - self.centers_[k], y[near], sample_weight=w[near])

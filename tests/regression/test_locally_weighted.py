@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from sklearn.linear_model import LinearRegression
-from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from sklearn_vbjfa import LocallyWeightedRegressor, VBJFARegressor
 
@@ -22,9 +21,15 @@ def make_curve(seed, n=3000, noise=0.15):
     return X, y, t_test, function(t_test)
 
 
-@parametrize_with_checks([LocallyWeightedRegressor(LinearRegression(), n_models=3)])
-def test_estimator(estimator, check):
-    check(estimator)
+def test_a_weight_is_a_repeated_row():
+    X, y, X_test, _ = make_curve(2, n=60)
+    count = np.ones(60, dtype=int)
+    count[0] = 50
+    weighted = LocallyWeightedRegressor(n_models=5).fit(X, y, sample_weight=count)
+    repeated = LocallyWeightedRegressor(n_models=5)
+    repeated.fit(np.repeat(X, count, axis=0), np.repeat(y, count))
+    expected = repeated.predict(X_test)
+    np.testing.assert_allclose(weighted.predict(X_test), expected, atol=1e-6)
 
 
 def test_beats_a_global_fit_on_a_curve():

@@ -210,13 +210,22 @@ def resolve_cross_noise(cross, noise, data):
         )
     psi = standard_noise(noise, data)
     cross = value[data.active] / (data.x_scale * (data.y_scale or 1.0))
-    off = np.abs(psi @ direct_share(psi, cross) - cross)
+    direct = direct_share(psi, cross)
+    off = np.abs(psi @ direct - cross)
     bad = np.flatnonzero(off > _OF_RANGE * np.abs(cross).max(initial=0.0))
     if bad.size:
         raise ValueError(
             "input_output_noise must be a covariance with noise that the inputs have; "
             f"for input {np.flatnonzero(data.active)[bad[0]]} input_noise says that "
             "there is none. Give its variance in input_noise, or zero here."
+        )
+    if (times := cross @ direct) > 1.0:
+        warnings.warn(
+            f"input_output_noise makes noise of {times:.3g} times the variance of y: "
+            f"at most {times**-0.5:.3g} of it is possible. Check the units of "
+            "input_noise and input_output_noise.",
+            UserWarning,
+            stacklevel=8,
         )
     return cross
 
@@ -235,8 +244,8 @@ def noise_shares(noise, data, names):
         if np.any(off):
             raise ValueError(
                 "input_noise with covariances between inputs needs "
-                'latent="correlated"; with independent latents give the variances '
-                "alone, of shape (n_features,)."
+                'VBJFARegressor(latent="correlated"); independent latents take the '
+                "variances alone: np.diagonal of it, shape (n_features,)."
             )
         noise = np.diagonal(noise)
     share = noise[data.active] / data.x_scale**2

@@ -233,7 +233,8 @@ def replicate_noise(X, groups):
     noise : object
         `covariance`, ndarray of shape (n_features, n_features), of the noise of a
         single measurement, and its degrees of freedom `dof`. ``np.asarray`` gives the
-        covariance. Regressors accept the object as `input_noise`. The covariance is
+        covariance. `VBJFARegressor` (correlated latent inputs) and `TotalLeastSquares`
+        accept the object as `input_noise`, others its diagonal. The covariance is
         singular with fewer degrees of freedom than features.
 
     Raises

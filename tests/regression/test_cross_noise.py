@@ -98,6 +98,13 @@ def test_many_rows_give_the_corrected_moments():
     assert np.abs(plain.coef_noiseless_ - [1.0, -2.0, 0.5]).max() > 0.1
 
 
+def test_more_noise_than_the_output_has_is_named():
+    """Noise of both alone must not exceed the variance of y."""
+    X, y, psi, cross = problem()
+    with pytest.warns(UserWarning, match=r"of y: at most 0\.\d+ of it is possible"):
+        model(input_noise=psi, input_output_noise=20 * cross).fit(X, y)
+
+
 def test_units_and_the_order_of_columns_do_not_matter():
     """Scaled and permuted columns give scaled and permuted coefficients."""
     X, y, psi, cross = problem(n=200)

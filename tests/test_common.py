@@ -28,7 +28,7 @@ SWING = str(Path(__file__).parent / "model" / "swing.urdf")
 # Few iterations: what is checked does not depend on the last digits.
 ESTIMATORS = [
     JFARegressor(query="noiseless", max_iter=15),
-    VBJFARegressor(max_iter=15),
+    VBJFARegressor(),
     JointTorqueRegressor(),
     LocallyWeightedRegressor(LinearRegression(), n_models=3),
     StepwiseRegressor(),

@@ -240,8 +240,7 @@ def noise_shares(noise, data, names):
     if np.ndim(noise) == 0:
         return np.full(n_active, noise)
     if np.ndim(noise) == 2:
-        off = noise - np.diag(np.diagonal(noise))
-        if np.any(off):
+        if np.any(noise - np.diag(np.diagonal(noise))):
             raise ValueError(
                 "input_noise with covariances between inputs needs "
                 'VBJFARegressor(latent="correlated"); independent latents take the '

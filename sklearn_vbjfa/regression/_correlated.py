@@ -4,7 +4,7 @@ Tags such as [C15] are equations of the guide.
 """
 
 from collections import namedtuple
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import linalg, optimize
@@ -12,13 +12,13 @@ from scipy.linalg import lapack
 from scipy.special import expit
 
 from sklearn_vbjfa._core._correlated import (
-    CorrelatedSolution,
     direct_share,
     infer_latent,
     posterior_covariance,
     solve_correlated,
 )
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
+from sklearn_vbjfa._core._moments import OUTPUT_FLOOR
 from sklearn_vbjfa._core._updates import LinearModel
 from sklearn_vbjfa.regression._base import standard_noise, warn_of_excess
 
@@ -41,20 +41,11 @@ PRECISION_COST = float(-np.log(1e-6)) - 2.0
 UNDETERMINED = 0.5
 
 
-@dataclass(frozen=True, kw_only=True)
-class CorrelatedFit:
-    """Solutions in standardised units, spread over all active columns."""
-
-    # `noisy` and `noiseless` are the linear models for the two kinds of queries, with
-    # the solutions that they come from; relevant (d,) and psi (d, d) are the relevant
-    # inputs and the input noise.
-
-    noisy: LinearModel
-    noiseless: LinearModel
-    noisy_solution: CorrelatedSolution
-    noiseless_solution: CorrelatedSolution
-    relevant: np.ndarray
-    psi: np.ndarray
+# In standardised units, over all active columns: linear models for the two kinds of
+# queries, the solutions that they come from, relevant inputs (d,), input noise (d, d).
+CorrelatedFit = namedtuple(
+    "CorrelatedFit", "noisy noiseless noisy_solution noiseless_solution relevant psi"
+)
 
 
 def largest_noise_fraction(R, r):
@@ -128,9 +119,9 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
     return CorrelatedFit(
         noisy=noisy,
         noiseless=LinearModel(
-            coef=coef,
-            cov=cov,
-            noise=noise,
+            coef,
+            cov,
+            noise,
             # Of exact inputs, the other end, y has the noise that it has of noisy ones.
             open_noise=0.0 if given else max(noisy.noise - noise, 0.0),
         ),
@@ -154,34 +145,26 @@ def _fit_all(m, psi, solve, cross, dof):
     if not latent.exact:
         noisy = _noisy_model(m, solution, solve, cross)
     variance = np.diagonal(posterior_covariance(m.n, psi, solution, dof))
-    return CorrelatedFit(
-        noisy=noisy,
-        noiseless=noiseless,
-        noisy_solution=solution,
-        noiseless_solution=solution,
-        relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
-        psi=psi,
-    )
+    relevant = state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance
+    return CorrelatedFit(noisy, noiseless, solution, solution, relevant, psi)
 
 
 def _fit_few(m, psi, solve, cross, dof):
     """Fit few samples per input, whose smallest eigenvalues are those of chance."""
     # These would decide on dependencies, and bound an unknown noise.
     exact = np.zeros_like(m.S)
-    solution, in_common = solve(m, exact), solve(m, exact, common=True)
+    # Interpolation leaves no noise but rounding, which must not decide.
+    solution, in_common = (
+        solve(m, exact, common=one, floor=OUTPUT_FLOOR) for one in (False, True)
+    )
     state = solution.state
     variance = np.diagonal(state.beta_cov)
     noisy = noiseless = _average(m, solution, in_common, evidence=0.0)
     if psi is not None and psi.any():
         noiseless = _calibrated(m, psi, solve, cross, dof)
-    return CorrelatedFit(
-        noisy=noisy,
-        noiseless=noiseless,
-        noisy_solution=solution,
-        noiseless_solution=solution,
-        relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
-        psi=exact if psi is None else psi,
-    )
+    relevant = state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance
+    psi = exact if psi is None else psi
+    return CorrelatedFit(noisy, noiseless, solution, solution, relevant, psi)
 
 
 def _calibrated(m, psi, solve, cross, dof):

@@ -38,7 +38,7 @@ class Moments:
     n_samples: float  # sum of the weights
     # (n_features + 1,): one of the rows, from which the others are counted
     origin: np.ndarray
-    # (n_features + 2, n_features + 2): triangular factor of sqrt(w) [1, row - origin]
+    # (rows, n_features + 2): triangular factor of sqrt(w) [1, row - origin]
     factor: np.ndarray
 
     @property
@@ -56,7 +56,7 @@ class Moments:
         )
 
     def factor_about(self, *, centred):
-        """Factor of [X y] about the means, or about zero, (n_features + 1,) * 2."""
+        """Factor of [X y] about the means, or about zero, (rows, n_features + 1)."""
         if centred:
             return self.factor[1:, 1:]
         return triangular(_counted_from(self, 0.0)[:, 1:])
@@ -70,13 +70,10 @@ def _counted_from(moments, origin):
 
 
 def triangular(rows):
-    """Triangular factor (k, k) of rows (n, k), which are overwritten."""
-    n, k = rows.shape
-    R = np.zeros((k, k))
+    """Triangular factor (min(n, k), k) of rows (n, k), which are overwritten."""
+    k = rows.shape[1]
     # With space for blocks of columns, many columns take half the time.
-    factor = lapack.dgeqrf(rows, lwork=64 * k, overwrite_a=True)[0]
-    R[: min(n, k)] = np.triu(factor[:k])
-    return R
+    return np.triu(lapack.dgeqrf(rows, lwork=64 * k, overwrite_a=True)[0][:k])
 
 
 def from_data(X, y, weight=None):
@@ -245,11 +242,10 @@ def standardise(moments, *, centred):
     # y is used in any case, in a unit that is not zero.
     used = np.append(varies[:-1], True)
     units = np.where(varies, spread, 1.0)[used]
-    R = triangular(factor[:, used] / units)
+    R, d = triangular(factor[:, used] / units), units.size - 1
+    rest = float((R[d:, -1] ** 2).sum())
     return Standardised(
-        moments=SecondMoments(
-            n=n, R=R[:-1, :-1], z=R[:-1, -1], rest=float(R[-1, -1] ** 2)
-        ),
+        moments=SecondMoments(n=n, R=R[:d, :-1], z=R[:d, -1], rest=rest),
         active=varies[:-1],
         x_scale=units[:-1],
         y_scale=float(spread[-1]) if varies[-1] else 0.0,

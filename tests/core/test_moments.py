@@ -51,6 +51,9 @@ def test_merge_in_any_chunks_and_order(seed, cuts, order, weighted):
         _moments.from_data(X[a:b], y[a:b], None if w is None else w[a:b])
         for a, b in itertools.pairwise(bounds)
     ]
+    # Few rows are kept as few.
+    for piece, (a, b) in zip(pieces, itertools.pairwise(bounds)):
+        assert piece.factor.shape == (min(b - a, 6), 6)
     order.shuffle(pieces)
     total = functools.reduce(operator.add, pieces)
     assert_same(total, _moments.from_data(X, y, w))

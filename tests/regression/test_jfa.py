@@ -45,9 +45,9 @@ def test_queries_and_their_deviations():
     assert_allclose(std.mean(), np.std(y - mean), rtol=0.01)
 
 
-def ill_conditioned(condition, seed):
+def ill_conditioned(condition):
     """Return inputs of a given condition number, and what least squares says."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     U, _ = np.linalg.qr(rng.normal(size=(500, 5)))
     V, _ = np.linalg.qr(rng.normal(size=(5, 5)))
     X = 20 * U * np.geomspace(1, 1 / condition, 5) @ V.T
@@ -62,9 +62,8 @@ def ill_conditioned(condition, seed):
 
 
 @pytest.mark.parametrize("condition", [1e1, 1e3, 2e5])
-@pytest.mark.parametrize("seed", range(1))
-def test_converged_means_the_highest_likelihood(condition, seed):
-    X, y, ols, variance, top = ill_conditioned(condition, seed)
+def test_converged_means_the_highest_likelihood(condition):
+    X, y, ols, variance, top = ill_conditioned(condition)
     model = JFARegressor().fit(X, y)
     assert model.converged_
     assert (np.diff(model.elbo_history_) >= 0).all()

@@ -68,12 +68,9 @@ def test_intervals_cover_with_estimated_noise():
     assert 0.83 < np.mean(inside) < 0.97
 
 
-def test_one_measurement_each_is_refused():
+def test_wrong_input_is_refused():
     with pytest.raises(ValueError, match=r"some unit more than once.*got 4 units"):
         replicate_noise(np.eye(4), [1, 2, 3, 4])
-
-
-def test_wrong_input_is_refused():
     with pytest.raises(ValueError, match="inconsistent numbers of samples"):
         replicate_noise(np.eye(4), [1, 1])
     with pytest.raises(ValueError, match="NaN"):

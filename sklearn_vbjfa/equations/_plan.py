@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 
 import numpy as np
-from sklearn.utils.parallel import Parallel, delayed
+from joblib import Parallel, delayed
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._runtime import counted, one_blas_thread

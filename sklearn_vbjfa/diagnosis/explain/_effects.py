@@ -6,7 +6,7 @@ import numpy as np
 from scipy import special
 
 from sklearn_vbjfa.diagnosis.search._posterior import Evidence
-from sklearn_vbjfa.effects import InModel, OfRobot, Shaped
+from sklearn_vbjfa.effects import InModel, OfChannel, OfRobot, Shaped
 
 # Why the values of an effect do not let it be reported.
 _UNKNOWN = "no parameter of it is known from zero"
@@ -80,8 +80,10 @@ def discovered_effects(search, final, names, prismatic):
             least = {k: search.settings.known * x for k, x in deviations.items()}
             away = (abs(values[k] - nominal.get(k, 0.0)) > least[k] for k in least)
             warning = "" if any(away) else _UNSURE
-        elif not warning and not _is_known(effect, estimate.of_shape(), half):
-            warning = _UNKNOWN
+        elif not warning:
+            # The size of a channel's effect is its shape.
+            own = estimate if isinstance(effect, OfChannel) else estimate.of_shape()
+            warning = "" if _is_known(effect, own, half) else _UNKNOWN
         units = effect.parameter_units(prismatic[effect.joint])
         rivals = (_named(one, effect, names) for one in finding.rivals)
         yield DiscoveredEffect(

@@ -145,11 +145,9 @@ def put_together(view, motion, branches, found):
     for branch, own in zip(branches, found):
         residual[branch.joints] = own.residual
         for one in own.findings:
-            effect, rivals = (
-                branch.on_robot(one.effect),
-                map(branch.on_robot, one.rivals),
-            )
-            one = replace(one, effect=effect, rivals=tuple(rivals))
+            effect = branch.on_robot(one.effect)
+            rivals = tuple(map(branch.on_robot, one.rivals))
+            one = replace(one, effect=effect, rivals=rivals)
             # What belongs to the whole robot several branches may have found.
             findings.setdefault(effect.key(), one)
     return replace(

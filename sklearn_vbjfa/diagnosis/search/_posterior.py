@@ -1,13 +1,13 @@
 """Reported effects: settings, posterior odds, and the rules of reporting."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Integral, Real
 
 import numpy as np
 from scipy.special import expit, ndtr, ndtri
 
 from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain, HeldOut
-from sklearn_vbjfa.diagnosis.search._path import LEAST, Path, remembering
+from sklearn_vbjfa.diagnosis.search._path import LEAST, Path, anew, remembering
 from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Bank, Effect, InModel, Motion, OfChannel
@@ -161,16 +161,13 @@ def search(view, library, settings, alpha, max_effects=None):
         rivals = tuple(
             o.effect
             for o in path.candidates.rivals(fit, i)
-            if (isinstance(o.effect, InModel) or o.order > usual[i] - settings.rivals)
-            and o.effect.key() != member.effect.key()
+            if o.effect.key() != member.effect.key()
+            and _takes_place(path, o, fit, i, usual[i] - settings.rivals)
         )
         warning = _warning(fit, member, evidence, needed, path)
-        if not warning and i not in worthwhile:
-            warning = SMALL
-        effect = member.effect.completed()
-        findings.append(
-            Finding(effect=effect, evidence=evidence, rivals=rivals, warning=warning)
-        )
+        warning = warning or ("" if i in worthwhile else SMALL)
+        own = {"effect": member.effect.completed(), "evidence": evidence}
+        findings.append(Finding(**own, rivals=rivals, warning=warning))
     return Found(
         findings=in_order(findings),
         view=problem.view,
@@ -184,6 +181,18 @@ def search(view, library, settings, alpha, max_effects=None):
         settings=settings,
         library=tuple(library),
     )
+
+
+def _takes_place(path, candidate, fit, i, least):
+    """Whether a rival is as probable in the place of a member, without its torque."""
+    geometry = [isinstance(o.effect, InModel) for o in (fit.members[i], candidate)]
+    if geometry == [False, True] and candidate.order > least:
+        # Columns of the geometry are made of a torque that holds the member's.
+        rest, family = anew(fit.without(i)), candidate.family
+        columns = rest.problem.shaped(family.columns.effects)
+        candidate = path.candidates.candidate(rest, replace(family, columns=columns))
+        candidate = candidate and path.candidates.tempered(rest, candidate)
+    return all(geometry) or bool(candidate and candidate.order > least)
 
 
 # Share of the squared error of moving and resting rows that it saves at least.

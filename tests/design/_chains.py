@@ -1,9 +1,11 @@
 """Robots that are in no collection: chains with drawn bodies, written as URDF."""
 
 import numpy as np
+import pinocchio as pin
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.design import best_drawn, pose
+from tests.effects._arms import inverse_dynamics
 
 _AXES = ("0 0 1", "0 1 0", "0.6 0 0.8", "0 1 0", "1 0 0", "0 1 0", "0 0 1")
 
@@ -55,3 +57,17 @@ def problem_of(model, **kwargs):
     rng = check_random_state(kwargs.pop("random_state", 0))
     problem = posed(model, random_state=rng, **kwargs)
     return problem, best_drawn(problem, rng)[0]
+
+
+def swung(path, frequencies, n, third=0.0):
+    """Positions and torques of rows at 100 Hz, with viscous friction.
+
+    Joints swing at their frequencies [Hz], and at three times these by `third` rad.
+    """
+    w = 2 * np.pi * np.array(frequencies)
+    phase = 0.01 * np.outer(np.arange(n), w)
+    q = 0.8 * np.sin(phase) + third * np.sin(3 * phase)
+    v = w * (0.8 * np.cos(phase) + 3 * third * np.cos(3 * phase))
+    a = -(w**2) * (0.8 * np.sin(phase) + 9 * third * np.sin(3 * phase))
+    model = pin.buildModelFromUrdf(str(path))
+    return q, inverse_dynamics(model, np.hstack([q, v, a])) + 0.5 * v

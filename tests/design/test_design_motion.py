@@ -9,7 +9,8 @@ import pytest
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.design import MotionLimits, design_motion
 from sklearn_vbjfa.robot import FitOptions
-from tests.design._chains import chain, posed, problem_of
+from tests.design._chains import chain, posed, problem_of, swung
+from tests.effects._arms import inverse_dynamics
 
 KINDS = ("revolute", "prismatic", "continuous")
 SHORT = {"duration": 3.0, "dt": 0.02, "random_state": 0}
@@ -34,9 +35,8 @@ def motion(path):
 
 def literal_margins(model, limits, states):
     """Smallest distances over the limits, by Pinocchio's inverse dynamics."""
-    data = model.createData()
     q, v, a = np.split(states, 3, axis=1)
-    tau = np.array([pin.rnea(model, data, *np.split(row, 3)) for row in states])
+    tau = inverse_dynamics(model, states)
     low, high = limits.position.T
     half = (high - low) / 2
     return {
@@ -69,9 +69,7 @@ def test_columns_are_samples_of_one_motion(path, motion):
     assert motion.joint_names == ("chain_1", "chain_2", "chain_3")
     states = motion.states(motion.t)
     np.testing.assert_allclose(np.hstack([motion.q, motion.v, motion.a]), states)
-    data = model.createData()
-    tau = [pin.rnea(model, data, *np.split(row, 3)) for row in states]
-    np.testing.assert_allclose(motion.tau, tau, atol=1e-8)
+    np.testing.assert_allclose(motion.tau, inverse_dynamics(model, states), atol=1e-8)
     ends = motion.states([0.0, motion.duration])
     np.testing.assert_allclose(ends[:, 3:], 0.0, atol=1e-9)
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
@@ -231,19 +229,6 @@ def test_what_a_motion_promises_is_what_least_squares_gives(tmp_path):
     assert left @ left == pytest.approx(50.0, rel=0.15)
 
 
-def swung(path, noise):
-    """Positions and torques of one swinging joint with viscous friction."""
-    model = pin.buildModelFromUrdf(str(path))
-    data, t, w = model.createData(), 0.01 * np.arange(2_000), 2 * np.pi * 0.4
-    q = 0.8 * np.sin(w * t) + 0.3 * np.sin(3 * w * t)
-    v = w * (0.8 * np.cos(w * t) + 0.9 * np.cos(3 * w * t))
-    a = -(w**2) * (0.8 * np.sin(w * t) + 2.7 * np.sin(3 * w * t))
-    states = np.column_stack([q, v, a])
-    tau = [pin.rnea(model, data, *np.split(row, 3)) for row in states]
-    read = q + noise * np.random.default_rng(0).normal(size=q.size)
-    return read[:, None], np.array(tau) + 0.5 * v[:, None]
-
-
 def test_noise_of_the_equations_is_that_of_torques_and_encoders(tmp_path):
     # White noise of the positions, twice differentiated, up to three times the highest
     # frequency: 2 dt s^2 (2 pi)^4 B^5 / 5, through the inertia of the joint.
@@ -251,7 +236,8 @@ def test_noise_of_the_equations_is_that_of_torques_and_encoders(tmp_path):
     model = pin.buildModelFromUrdf(str(path))
     inertia = pin.crba(model, model.createData(), np.zeros(1))[0, 0]
     for encoder, torque, close in ((3e-3, 0.01, 0.15), (0.0, 0.2, 1e-3)):
-        q, tau = swung(path, encoder)
+        q, tau = swung(path, [0.4], 2_000, third=0.3)
+        q += encoder * np.random.default_rng(0).normal(size=q.shape)
         robot = RobotIdentifier(
             path, dt=dt, options=FitOptions(torque_noise=torque)
         ).fit(q, tau)

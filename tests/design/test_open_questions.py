@@ -3,14 +3,13 @@
 import json
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.design import design_motion
 from sklearn_vbjfa.effects import Spring
 from sklearn_vbjfa.robot import FitOptions
-from tests.design._chains import chain, posed
+from tests.design._chains import chain, posed, swung
 
 DT, STIFFNESS = 0.01, 12.0
 
@@ -23,15 +22,7 @@ def path(tmp_path_factory):
 @pytest.fixture(scope="module")
 def loop(path):
     """Search in a recording of a robot with a spring on its second joint."""
-    model = pin.buildModelFromUrdf(str(path))
-    data, t = model.createData(), DT * np.arange(1500)
-    phase = 2 * np.pi * np.outer(t, [0.31, 0.43])
-    w = 2 * np.pi * np.array([0.31, 0.43])
-    q = 0.8 * np.sin(phase) + 0.4 * np.sin(3 * phase)
-    v = w * (0.8 * np.cos(phase) + 1.2 * np.cos(3 * phase))
-    a = -(w**2) * (0.8 * np.sin(phase) + 3.6 * np.sin(3 * phase))
-    tau = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
-    tau += 0.5 * v
+    q, tau = swung(path, [0.31, 0.43], 1500, third=0.4)
     tau[:, 1] += STIFFNESS * (q[:, 1] - 0.2)
     rng = np.random.default_rng(0)
     tau += 0.05 * rng.normal(size=tau.shape)
@@ -83,19 +74,9 @@ def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
         options=FitOptions(torque_noise=np.array([0.1, 0.4])),
         friction=("viscous",),
     )
-    loud.fit(*recording_of(path))
+    loud.fit(*swung(path, [0.5, 0.8], 800))
     noise = posed(loud).noise
     assert (noise[1] / noise[0]) ** 2 == pytest.approx(16.0, rel=0.2)
-
-
-def recording_of(path):
-    model = pin.buildModelFromUrdf(str(path))
-    data, t = model.createData(), DT * np.arange(800)
-    w = 2 * np.pi * np.array([0.5, 0.8])
-    q = 0.8 * np.sin(np.outer(t, w))
-    v, a = 0.8 * w * np.cos(np.outer(t, w)), -(w**2) * q
-    tau = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
-    return q, tau + 0.5 * v
 
 
 @pytest.mark.parametrize(

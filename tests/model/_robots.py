@@ -2,27 +2,15 @@
 
 import numpy as np
 
+from tests.physical._problems import parameters_of
+
 _AXES = ("RX", "RY", "RZ", "PX", "PY", "PZ")
 
 
 def random_body(rng):
     """Ten inertial parameters of a cloud of point masses, in Pinocchio's order."""
     masses = rng.uniform(0.2, 2.0, size=8)
-    points = 0.3 * rng.normal(size=(8, 3))
-    second = (points * masses[:, None]).T @ points
-    inertia = np.trace(second) * np.eye(3) - second
-    return np.array(
-        [
-            masses.sum(),
-            *(masses @ points),
-            inertia[0, 0],
-            inertia[0, 1],
-            inertia[1, 1],
-            inertia[0, 2],
-            inertia[1, 2],
-            inertia[2, 2],
-        ]
-    )
+    return parameters_of(0.3 * rng.normal(size=(8, 3)), masses)
 
 
 def random_tree(rng, n_joints, axes=_AXES):

@@ -15,21 +15,9 @@ def point_masses(rng, n_points=8, *, spread=0.3, mass=1.0):
 def parameters_of(points, masses):
     """Ten parameters summed point by point from the definition of each."""
     phi = np.zeros(10)
-    for (x, y, z), m in zip(points, masses):
-        phi += m * np.array(
-            [
-                1,
-                x,
-                y,
-                z,
-                y * y + z * z,
-                -x * y,
-                x * x + z * z,
-                -x * z,
-                -y * z,
-                x * x + y * y,
-            ]
-        )
+    for r, m in zip(points, masses):
+        inertia = m * (r @ r * np.eye(3) - np.outer(r, r))
+        phi += [m, *(m * r), *inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
     return phi
 
 

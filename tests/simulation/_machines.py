@@ -5,6 +5,7 @@ import pinocchio as pin
 
 from sklearn_vbjfa.simulation import TorqueModel
 from tests.model._robots import random_tree
+from tests.physical._problems import parameters_of
 
 GRAVITY = 9.81
 
@@ -30,10 +31,8 @@ def machine(model, bodies, friction=None, effects=(), **other):
 
 def point(mass, centre=(0.0, 0.0, 0.0), inertia=0.0):
     """Ten inertial parameters of a point mass, with an inertia of its own."""
-    c = np.asarray(centre, dtype=float)
-    own = inertia * np.eye(3) + mass * (c @ c * np.eye(3) - np.outer(c, c))
-    upper = own[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    return np.array([mass, *(mass * c), *upper])
+    own = inertia * np.array([0, 0, 0, 0, 1, 0, 1, 0, 0, 1])
+    return parameters_of(np.array([centre]), [mass]) + own
 
 
 def slider(mass=2.0, friction=None, effects=(), **other):

@@ -42,10 +42,15 @@ def identify(arguments, folder):
         loop = search(recording, str(urdf), effects=effects, **settings)
     robot = folder / "robot"
     robot.mkdir()
-    lacking, export = _exported(loop.identifier_, robot)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        lacking = write_robot(loop.identifier_, robot)
+    for one in caught:
+        warnings.warn(one.message, stacklevel=2)
+    export = [str(x.message) for x in caught if issubclass(x.category, DoubtWarning)]
     outcome = loop.report_.outcome
     provenance = {
-        "export": export,
+        "export": tuple(export),
         "file": files[0] if len(files) == 1 else files,
         "description": str(_input.expanded(arguments.urdf)),
         "options": dict(arguments.typed),
@@ -122,16 +127,6 @@ def _limits(robot, recording):
             seen = np.where(seen > 0, seen, seen.max())
             values = np.where(np.isinf(known), seen, known)
             yield from (f"--{name}", ",".join(f"{x:.3g}" for x in values))
-
-
-def _exported(robot, folder):
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        lacking = write_robot(robot, folder)
-    for one in caught:
-        warnings.warn(one.message, stacklevel=2)
-    doubts = [x for x in caught if issubclass(x.category, DoubtWarning)]
-    return lacking, tuple(str(one.message) for one in doubts)
 
 
 def identify_demo(arguments, folder):

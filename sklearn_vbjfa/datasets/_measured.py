@@ -208,7 +208,6 @@ def _without_repeats(log):
 
 
 def _units(entry, key, usual):
-    """Return a unit for each joint."""
     units = tuple(entry.get(key, [usual]))
     return units if len(units) > 1 else units * len(entry["joint_names"])
 
@@ -221,7 +220,6 @@ def _repository(name):
 
 
 def _documentation(name):
-    """Return the documentation of a loader, numpydoc."""
     entry = SETS[name]
     units = _units(entry, "position_units", "rad"), _units(entry, "torque_units", "N m")
     joints = ", ".join(

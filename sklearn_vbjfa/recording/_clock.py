@@ -90,7 +90,6 @@ def inspect_time_stamps(
 
 
 def _check_rise(t, where):
-    """Refuse time that runs backwards or stands still."""
     step = np.diff(t)
     for wrong, what in ((step < 0, "runs backwards to"), (step == 0, "repeats")):
         if wrong.any():

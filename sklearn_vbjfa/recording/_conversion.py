@@ -95,7 +95,12 @@ def _tried(table, options, columns, **more):
 def _nearest(table, kind, joints):
     """Return the patterns of columns nearest to a kind, those of all joints first."""
     if kind == "t":
-        return _clocks(table)
+        numbers = table.frame.select_dtypes("number")
+        is_time = {x: unit_of("t", split_unit(x)[1] or x) for x in numbers}
+        times = [x for x in numbers if is_time[x] or "t" in kinds_in(x)]
+        steps = {x: usual_step(table.values(x)) for x in times}
+        # A column that goes up by one counts rows.
+        return [x for x in times if steps[x] != 1 and unit_of_steps(steps[x])]
     wanted = {"q_desired": {"q", "command"}}.get(kind, {kind})
     near = {}
     for pattern in dict.fromkeys(_patterns(table, joints)):
@@ -131,16 +136,6 @@ def _patterns(table, joints):
         if len(joints) == 1:
             # Of one joint nothing needs a number.
             yield name
-
-
-def _clocks(table):
-    """Return the columns whose name has to do with time, with steps of a robot."""
-    numbers = table.frame.select_dtypes("number")
-    is_time = {x: unit_of("t", split_unit(x)[1] or x) for x in numbers}
-    times = [x for x in numbers if is_time[x] or "t" in kinds_in(x)]
-    steps = {x: usual_step(table.values(x)) for x in times}
-    # A column that goes up by one counts rows.
-    return [x for x in times if steps[x] != 1 and unit_of_steps(steps[x])]
 
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
@@ -401,7 +396,6 @@ def _check_units(table, found, units, names, robot):
 
 
 def _labels(table, layout):
-    """Return labels of recordings or None."""
     columns = [role.column for role in layout.of("segment")]
     if not columns:
         return None

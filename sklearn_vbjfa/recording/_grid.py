@@ -1,11 +1,10 @@
 """Recordings on a uniform time grid: segments, gaps, interpolation, several files."""
 
 import itertools
-from collections import Counter
+from collections import Counter, namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -15,7 +14,6 @@ from sklearn_vbjfa.recording._clock import (
     GAP_PERIODS,
     SAME_DT,
     STEADY,
-    TimeStamps,
     inspect_time_stamps,
     prediction_errors,
 )
@@ -152,13 +150,8 @@ class FileRows:
     notes: list
 
 
-class _Run(NamedTuple):
-    """A segment of a file."""
-
-    file: FileRows
-    name: str
-    rows: np.ndarray
-    stamps: TimeStamps
+# A segment of `FileRows`: its name, rows and `TimeStamps`.
+_Run = namedtuple("_Run", "file name rows stamps")
 
 
 def on_grid(files, names) -> dict:

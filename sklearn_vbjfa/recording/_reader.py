@@ -453,7 +453,6 @@ def _shortly(paths):
 
 
 def _recording(files, several, urdf, notes):
-    """Return the recording of all files."""
     first = files[0]
     for file, what in itertools.product(files, first.robot):
         one, two = first.robot[what], file.robot[what]

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 
 def _number(value):
-    """Return a float, nan for what is none."""
     try:
         return np.nan if isinstance(value, str) else float(value)
     except (TypeError, ValueError):

@@ -1,7 +1,6 @@
 """Robot models: what is read, what is refused, and how."""
 
 import re
-import warnings
 
 import numpy as np
 import pinocchio as pin
@@ -94,30 +93,26 @@ def two_joints(second="revolute", extra="", inertial=True):
     return first.replace("</robot>", end + joint + "</robot>")
 
 
-def quiet(load, *arguments):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        return load(*arguments)
-
-
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic", "floating"])
 def test_a_held_joint_makes_one_body_of_two(write, kind):
     # by hand: the second body's inertia, seen from the first joint, is added
-    both = quiet(load_model, write(two_joints()))
+    both = load_model(write(two_joints()))
     expected = both.inertias[1] + both.jointPlacements[2].act(both.inertias[2])
-    model = quiet(load_reduced, write(two_joints(kind)), ["hinge"])
+    model = load_reduced(write(two_joints(kind)), ["hinge"])
     assert joint_names(model) == ("hinge",)
     np.testing.assert_allclose(
         nominal_parameters(model)[0], expected.toDynamicParameters(), atol=1e-14
     )
 
 
+@pytest.mark.filterwarnings("error")
 def test_what_is_fixed_belongs_to_its_parent_without_a_word(write):
-    model = quiet(load_model, write(two_joints("fixed")))
+    model = load_model(write(two_joints("fixed")))
     assert joint_names(model) == ("hinge",)
     assert nominal_parameters(model)[0, 0] == pytest.approx(4.0)
     # a massless flange or camera frame is nothing to tell of
-    model = quiet(load_model, write(two_joints("fixed", inertial=False)))
+    model = load_model(write(two_joints("fixed", inertial=False)))
     assert nominal_parameters(model)[0, 0] == pytest.approx(2.0)
 
 

@@ -1,19 +1,17 @@
 """Layout of the parameter vector: by its length, as given, and by names."""
 
-import warnings
-
 import numpy as np
 import pytest
 
 from sklearn_vbjfa.physical import INERTIAL_NAMES, Options, PhysicalProjector
 
+pytestmark = pytest.mark.filterwarnings("error")
+
 
 def layout(n_features, names=None, **options):
-    """First columns of the bodies and the non-negative columns, without a warning."""
+    """First columns of the bodies and the non-negative columns."""
     projector = PhysicalProjector(parameter_names=names, options=Options(**options))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        projector.fit(np.ones((1, n_features)))
+    projector.fit(np.ones((1, n_features)))
     return projector.body_starts_.tolist(), projector.nonnegative_.tolist()
 
 

@@ -7,6 +7,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa.recording import PDDrive, RecordingRefused, parse_drive
+from tests.model import _shaped
+from tests.recording._lerobot import write_lerobot
 from tests.recording._reading import read_text as read
 from tests.recording.test_reader import DT, N, write
 
@@ -141,11 +143,11 @@ def test_matrices_with_one_gain_for_each_joint(ending, tmp_path):
 
 
 def test_several_files_are_one_recording(tmp_path):
-    paths = [write(tmp_path / f"{k}.csv", columns()) for k in "ab"]
     t, q, aim = motion(n=2 * N)
     late = {"t": t[:N], "q1": q[N:, 0], "q2": q[N:, 1]}
     late |= {"q_desired1": aim[N:, 0], "q_desired2": aim[N:, 1]}
-    paths[1] = write(tmp_path / "b.csv", late)
+    tables = {"a": columns(), "b": late}
+    paths = [write(tmp_path / f"{name}.csv", x) for name, x in tables.items()]
     both, _ = read(paths, drive=TEXT)
     alone = [read(path, drive=TEXT)[0] for path in paths]
     for name in ("tau", "command"):
@@ -230,24 +232,18 @@ LOGS = {
 }
 
 
-def quadruped(path):
+def quadruped(folder):
     """Write a robot whose legs are in another order than its motors."""
     names = [f"{leg}_{m}" for leg in ("FL", "FR", "RL", "RR") for m in MOTORS]
-    text = '<robot name="dog"><link name="base"/>'
-    for name in names:
-        text += f"""
-        <link name="{name}"><inertial><mass value="1"/>
-        <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-        <joint name="{name}_joint" type="revolute"><parent link="base"/>
-        <child link="{name}"/><axis xyz="0 1 0"/>
-        <limit lower="-3" upper="3" effort="9" velocity="9"/></joint>"""
-    path.write_text(f"{text}</robot>")
-    return path, [f"{name}_joint" for name in names]
+    joints = (_shaped.joint(f"{name}_joint", "base", name) for name in names)
+    return _shaped.write(
+        folder, '<link name="base"/>', *map(_shaped.link, names), *joints
+    )
 
 
 @pytest.mark.parametrize("kind", LOGS)
 def test_logs_of_unitree(kind, tmp_path):
-    urdf, _ = quadruped(tmp_path / "dog.urdf")
+    urdf = quadruped(tmp_path)
     recording, said = read(LOGS[kind](tmp_path / "log"), urdf=urdf, drive="pd")
     assert "taken as motor states and commands of a Unitree robot" in said
     names = recording.joint_names
@@ -268,36 +264,13 @@ def test_logs_of_unitree(kind, tmp_path):
 # -- LeRobot ---------------------------------------------------------------------------
 
 
-@pytest.fixture
-def servos(tmp_path):
-    import pyarrow
-    from pyarrow import parquet
-
-    def save():
-        folder = tmp_path / "set"
-        file = folder / "data" / "chunk-000" / "file-000.parquet"
-        file.parent.mkdir(parents=True)
-        (folder / "meta").mkdir()
-        feature = {"dtype": "float32", "shape": [2], "fps": 100}
-        feature["names"] = ["shoulder_pan.pos", "gripper.pos"]
-        keys = ("action", "observation.state")
-        info = {"codebase_version": "v3.0", "robot_type": "so101_follower", "fps": 100}
-        info["features"] = dict.fromkeys(keys, feature)
-        (folder / "meta" / "info.json").write_text(json.dumps(info))
-        t, q, aim = motion()
-        half = N // 2
-        table = {"action": list(aim), "observation.state": list(q)}
-        table["timestamp"] = np.concatenate([t[:half], t[:half]])
-        table |= {"frame_index": np.arange(N) % half, "index": np.arange(N)}
-        table |= {"episode_index": np.arange(N) // half, "task_index": np.zeros(N)}
-        parquet.write_table(pyarrow.table(table), file)
-        return folder
-
-    return save
-
-
-def test_a_lerobot_data_set_of_servos(servos):
-    recording, said = read(servos(), drive=TEXT)
+def test_a_lerobot_data_set_of_servos(tmp_path):
+    _, q, aim = motion()
+    values = {"action": aim, "observation.state": q}
+    known = {"codebase_version": "v3.0", "robot_type": "so101_follower"}
+    names = ["shoulder_pan.pos", "gripper.pos"]
+    folder = write_lerobot(tmp_path / "set", names, values, ["file-000"], **known)
+    recording, said = read(folder, drive=TEXT)
     assert_told(recording)
     assert recording.joint_names == ("shoulder_pan", "gripper")
     assert recording.group_names == ("0", "1")

@@ -13,6 +13,7 @@ from scipy.io import savemat
 
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import recordings_in
+from tests.recording._lerobot import write_lerobot
 from tests.recording._reading import read_text, refusal
 from tests.recording.test_reader import DT, N, assert_same, table, write
 
@@ -80,7 +81,7 @@ def test_without_pandas_one_line_says_how_to_install_it(tmp_path, monkeypatch):
 def sheet(tmp_path):
     import openpyxl
 
-    def save(rows, *others, name="arm.xlsx"):
+    def save(rows, *others):
         book = openpyxl.Workbook()
         for row in rows:
             book.active.append(list(row))
@@ -88,19 +89,14 @@ def sheet(tmp_path):
             extra = book.create_sheet()
             for row in other:
                 extra.append(list(row))
-        book.save(tmp_path / name)
-        return tmp_path / name
+        book.save(tmp_path / "arm.xlsx")
+        return tmp_path / "arm.xlsx"
 
     return save
 
 
 def rows_of(columns):
     return [list(columns), *(list(map(float, row)) for row in zip(*columns.values()))]
-
-
-def test_a_sheet(sheet):
-    columns = table()
-    assert_same(read_recording(sheet(rows_of(columns))), columns)
 
 
 def test_a_sheet_with_text_and_dates(sheet):
@@ -118,11 +114,10 @@ def test_a_sheet_with_text_and_dates(sheet):
     assert recording.dt == pytest.approx(DT)
 
 
-@pytest.mark.parametrize("first", [[], [["note"], ["recorded on Monday"]]])
-def test_the_first_sheet_with_a_table_in_it(first, sheet):
+@pytest.mark.parametrize("before", [[], [[]], [[["note"], ["recorded on Monday"]]]])
+def test_the_first_sheet_with_a_table_in_it(before, sheet):
     columns = table()
-    path = sheet(first, rows_of(columns))
-    assert_same(read_recording(path), columns)
+    assert_same(read_recording(sheet(*before, rows_of(columns))), columns)
 
 
 # -- MATLAB ----------------------------------------------------------------------------
@@ -176,33 +171,15 @@ def test_npy_with_named_fields(tmp_path):
 
 @pytest.fixture
 def lerobot(tmp_path):
-    import pyarrow
-    from pyarrow import parquet
-
-    def save(names=("hip.pos", "knee.pos"), effort=True, nested=False, parts=2):
-        folder = tmp_path / "set"
-        (folder / "meta").mkdir(parents=True)
-        named = None if names is None else list(names)
-        feature = {"dtype": "float32", "shape": [2]}
-        feature["names"] = {"motors": named} if nested else named
-        keys = ["observation.state", "action", *["observation.effort"] * effort]
-        info = {"codebase_version": "v2.1", "fps": 100}
-        info["features"] = {key: feature for key in keys}
-        (folder / "meta" / "info.json").write_text(json.dumps(info))
+    def save(nested=False):
+        names = ["hip.pos", "knee.pos"]
+        names = {"motors": names} if nested else names
         _, arrays = matrices()
         values = {"observation.state": arrays["q"], "action": arrays["q"] + 0.1}
-        if effort:
-            values["observation.effort"] = arrays["tau"]
-        rows = np.array_split(np.arange(N), parts)
-        for k, own in enumerate(rows):
-            file = folder / "data" / "chunk-000" / f"episode_{k:06d}.parquet"
-            file.parent.mkdir(parents=True, exist_ok=True)
-            columns = {key: list(x[own]) for key, x in values.items()}
-            columns["timestamp"] = (DT * np.arange(own.size)).astype("f4")
-            columns |= {"frame_index": np.arange(own.size), "index": own}
-            columns["episode_index"] = np.full(own.size, k)
-            parquet.write_table(pyarrow.table(columns), file)
-        return folder
+        values["observation.effort"] = arrays["tau"]
+        files = [f"episode_{k:06d}" for k in range(2)]
+        known = {"codebase_version": "v2.1"}
+        return write_lerobot(tmp_path / "set", names, values, files, **known)
 
     return save
 

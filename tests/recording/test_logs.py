@@ -1,7 +1,6 @@
 """Logs of other tools: names, presets, mappings, units, and what is missing of them."""
 
 import re
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -442,9 +441,8 @@ def test_codes_and_rows_of_other_robots_are_refused(tmp_path, change, message):
         read_recording(write(tmp_path / "arm.csv", change(table(n=400))), dt=0.01)
 
 
+@pytest.mark.filterwarnings("error")
 def test_an_empty_column_is_refused_without_a_warning(tmp_path):
     empty = table(n=100) | {"tau2": ["" for _ in range(100)]}
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        with pytest.raises(ValueError, match="column 'tau2'"):
-            read_recording(write(tmp_path / "arm.csv", empty))
+    with pytest.raises(ValueError, match="column 'tau2'"):
+        read_recording(write(tmp_path / "arm.csv", empty))

@@ -5,20 +5,12 @@ import pytest
 
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import RecordingRefused
+from tests.model._shaped import joint, link
+from tests.model._shaped import write as write_robot
 from tests.recording._reading import read
 from tests.recording.test_reader import DT, N, assert_same, table, write
 
 JOINTS = ("shoulder", "lift")
-ROBOT = """<robot name="r"><link name="base"/>
-<link name="l1"><inertial><mass value="2"/><origin xyz="0.1 0 0"/>
-<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<link name="l2"><inertial><mass value="1"/><origin xyz="0 0 0.1"/>
-<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
-<joint name="shoulder" type="revolute"><parent link="base"/><child link="l1"/>
-<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
-<joint name="lift" type="prismatic"><parent link="l1"/><child link="l2"/>
-<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
-</robot>"""
 
 
 def same(recording):
@@ -28,9 +20,12 @@ def same(recording):
 
 @pytest.fixture
 def urdf(tmp_path):
-    path = tmp_path / "robot.urdf"
-    path.write_text(ROBOT)
-    return path
+    return write_robot(
+        tmp_path,
+        *map(link, ("base", "l1", "l2")),
+        joint("shoulder", "base", "l1", axis="0 1 0"),
+        joint("lift", "l1", "l2", kind="prismatic"),
+    )
 
 
 def rows(separator=","):

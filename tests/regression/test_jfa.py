@@ -15,18 +15,6 @@ def test_noisy_coefficients_are_least_squares_at_convergence():
     assert_allclose(model.coef_noisy_, least_squares(X, y), rtol=1e-5)
 
 
-def test_known_noise_recovers_the_coefficients():
-    X, y, coef = make_regression(4, 20_000, noise=0.5)
-    model = JFARegressor(
-        query="noiseless", input_noise=np.full(4, 0.25), tol=1e-10
-    ).fit(X, y)
-    # Noise of y given x has a variance of 0.2 |coef|^2 + 0.09, less than 1.5: a
-    # deviation of sqrt(1.5 / 20000) * 1.25 = 0.011, of which four.
-    assert_allclose(model.coef_, coef, atol=0.045)
-    assert np.abs(model.coef_noisy_ - coef).max() > 0.1
-    assert_allclose(model.coef_noisy_, coef / 1.25, atol=0.04)
-
-
 def test_queries_and_their_deviations():
     X, y, _ = make_regression(11, 5000)
     model = JFARegressor(

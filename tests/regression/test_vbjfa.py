@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_vbjfa import VBJFARegressor
+from sklearn_vbjfa import JFARegressor, VBJFARegressor
 from tests.regression._problems import (
     assert_same_fit,
     bayesian_ridge,
@@ -22,6 +22,8 @@ def make_model(kind, **params):
         options = {"latent": "correlated", "input_noise": 0.1}
     elif kind == "auto":
         options = {}
+    elif kind == "jfa":
+        return JFARegressor(query="noiseless", tol=1e-10, **params)
     elif kind == "default":
         options = {"query": "noisy"}
     else:
@@ -48,15 +50,16 @@ def test_noisy_coefficients_tend_to_least_squares(kind, rtol):
     assert_allclose(model.coef_noisy_, least_squares(X, y), rtol=rtol)
 
 
-@pytest.mark.parametrize("kind", ["paper", "noise", "correlated"])
+@pytest.mark.parametrize("kind", ["jfa", "paper", "noise", "correlated"])
 def test_known_noise_recovers_the_coefficients(kind):
     X, y, coef = make_regression(2, 20_000, noise=0.5)
     model = make_model(kind, input_noise=np.full(4, 0.25)).fit(X, y)
-    # As for JFA: a deviation of at most 0.011, of which four.
+    # Noise of y given x has a variance of 0.2 |coef|^2 + 0.09, less than 1.5: a
+    # deviation of sqrt(1.5 / 20000) * 1.25 = 0.011, of which four.
     assert_allclose(model.coef_, coef, atol=0.045)
     assert_allclose(model.coef_noisy_, coef / 1.25, atol=0.04)
     assert_allclose(np.diagonal(np.atleast_2d(model.input_noise_)).max(), 0.25)
-    assert model.relevant_.all()
+    assert kind == "jfa" or model.relevant_.all()
 
 
 def test_known_noise_covariance_of_correlated_inputs():
@@ -190,3 +193,50 @@ def test_too_few_iterations_are_reported(kind):
     with pytest.warns(ConvergenceWarning, match=r"after max_iter=2 iterations"):
         model = make_model(kind, max_iter=2, tol=0).fit(X, y)
     assert not model.converged_
+
+
+# -- noise that cannot be, or is doubtful ----------------------------------------------
+
+OFF_DIAGONAL = np.eye(4, k=1) + np.eye(4, k=-1)
+
+
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        (np.nan, r"must be finite, got NaN"),
+        (1.5, r"in \[0, 1\), got 1\.5; give variances as an array"),
+        (-0.1, r"in \[0, 1\), got -0\.1"),
+        ([0.1, 0.1, -0.5, 0.1], r"must not be negative, got -0\.5 for feature 2"),
+        ([0.1, 0.1], r"shape \(4,\) or a covariance of shape \(4, 4\).*shape \(2,\)"),
+        (np.ones((1, 4, 4)), r"for 4 features, got an array of shape \(1, 4, 4\)"),
+        (np.eye(4) + np.eye(4, k=1), r"must be symmetric"),
+        (np.eye(4) - 2 * OFF_DIAGONAL, r"positive semidefinite, got a smallest eigen"),
+        # An exact input cannot share noise with another.
+        (np.diag([1.0, 0.0, 1.0, 1.0]) + OFF_DIAGONAL, r"must be positive semidef"),
+    ],
+)
+def test_noise_that_cannot_be(noise, message):
+    X, y, _ = make_regression(30)
+    with pytest.raises(ValueError, match=message):
+        VBJFARegressor(query="noiseless", input_noise=noise).fit(X, y)
+
+
+@pytest.mark.filterwarnings("error")
+def test_semidefinite_covariance_is_allowed():
+    # One source of noise in all inputs: rank one, three eigenvalues zero to rounding.
+    X, y, _ = make_regression(33)
+    direction = np.array([0.1, -0.2, 0.3, 0.05])
+    psi = np.outer(direction, direction)
+    model = make_model("correlated", input_noise=psi).fit(X, y)
+    assert_allclose(model.input_noise_, psi, rtol=0, atol=1e-12)
+    assert np.isfinite(model.coef_).all()
+
+
+def test_covariance_beyond_the_data_names_the_columns():
+    X, y, _ = make_regression(34)
+    factor = np.array([0.5, 1.5, 0.5, 2.0])
+    psi = np.cov(X, rowvar=False) * np.outer(factor, factor)
+    with pytest.warns(UserWarning, match=r"of 2 input\(s\) \(1, 3\): no signal.*units"):
+        model = make_model("correlated", input_noise=psi).fit(X, y)
+    assert np.isfinite(model.coef_).all()
+    assert np.isfinite(model.output_noise_)

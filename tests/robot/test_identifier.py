@@ -12,6 +12,7 @@ from sklearn_vbjfa.equations import _equations
 from sklearn_vbjfa.equations._plan import resolve_standstill
 from sklearn_vbjfa.model import load_model, nominal_parameters
 from sklearn_vbjfa.robot import FitOptions
+from tests.effects._arms import inverse_dynamics
 from tests.simulation._machines import wheel
 
 FRICTION = ("viscous", "coulomb")
@@ -185,9 +186,7 @@ def test_noise_of_a_joint_at_rest_is_no_motion(simulated, noise):
     model, rng = load_model(simulated.urdf), np.random.default_rng(0)
     states = np.array(simulated.states)
     states[:, [2, 8, 14]] = 0.3, 0.0, 0.0
-    tau = np.array(
-        [pin.rnea(model, model.createData(), *np.split(x, 3)) for x in states]
-    )
+    tau = inverse_dynamics(model, states)
     q = states[:, :6] + noise * rng.standard_normal(tau.shape)
     robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, friction=FRICTION)
     robot.fit(q, tau, groups=simulated.groups)

@@ -1,7 +1,5 @@
 """The identifier finds tilts, zeros, axes and gains of a robot that has them."""
 
-import warnings
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -190,11 +188,10 @@ NOISY = torques(ARM, TRUTH, noise=0.2)
     ],
     ids=["last joint", "vertical", "all gains", "twice", "one of two"],
 )
+@pytest.mark.filterwarnings("error")
 def test_what_does_not_show_stays_and_has_no_deviation(used, seen):
     tau = torques(ARM, [], noise=0.1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        robot = fit(ARM, used, tau)
+    robot = fit(ARM, used, tau)
     hidden = np.delete(np.arange(values(robot).size), seen)
     start = np.concatenate([e.values for e in used])
     assert_array_equal(values(robot)[hidden], start[hidden])

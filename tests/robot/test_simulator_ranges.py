@@ -9,22 +9,16 @@ from scipy import optimize, stats
 from sklearn.linear_model import Ridge
 from sklearn.utils import check_random_state
 
+from sklearn_vbjfa import RobotIdentifier, load_identified
+from sklearn_vbjfa.fit._pooling import _RecordingEffects
+from sklearn_vbjfa.physical import min_eigenvalue
+from sklearn_vbjfa.robot import BetweenRecordings, Marginal, Posterior
+from tests.model._mujoco import drive_torques, moving_states
+from tests.model.test_mjcf import assert_same
+from tests.robot._differing import NAMES, URDF, held, recordings, share_of
+
 # States are drawn one by one.
 pytestmark = pytest.mark.filterwarnings("ignore:The rows are not in the order of time")
-
-from sklearn_vbjfa import RobotIdentifier, load_identified  # noqa: E402
-from sklearn_vbjfa.fit._pooling import _RecordingEffects  # noqa: E402
-from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
-from sklearn_vbjfa.robot import BetweenRecordings, Marginal, Posterior  # noqa: E402
-from tests.model._mujoco import drive_torques, moving_states  # noqa: E402
-from tests.model.test_mjcf import assert_same  # noqa: E402
-from tests.robot._differing import (  # noqa: E402
-    NAMES,
-    URDF,
-    held,
-    recordings,
-    share_of,
-)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """Time stamps against the sample period."""
 
-import warnings
-
 import numpy as np
 import pytest
 
@@ -18,18 +16,17 @@ def stamps():
     return DT * np.r_[np.arange(60), np.arange(40)]
 
 
+@pytest.mark.filterwarnings("error")
 def test_regular_stamps_pass():
     rng = np.random.default_rng(0)
     rounded = np.round(stamps() + 17.0, 4)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_time_stamps(None, DT, PARTS)
-        check_time_stamps(stamps(), DT, PARTS)
-        check_time_stamps(stamps(), DT * (1 + 1e-5), PARTS)
-        check_time_stamps(rounded, DT, PARTS)
-        check_time_stamps(stamps() + 2e-4 * rng.normal(size=100), DT, PARTS)
-        # Rows that nothing differentiates may stand at any time.
-        check_time_stamps(np.cumsum(rng.uniform(0.1, 9.0, 100)), None, PARTS)
+    check_time_stamps(None, DT, PARTS)
+    check_time_stamps(stamps(), DT, PARTS)
+    check_time_stamps(stamps(), DT * (1 + 1e-5), PARTS)
+    check_time_stamps(rounded, DT, PARTS)
+    check_time_stamps(stamps() + 2e-4 * rng.normal(size=100), DT, PARTS)
+    # Rows that nothing differentiates may stand at any time.
+    check_time_stamps(np.cumsum(rng.uniform(0.1, 9.0, 100)), None, PARTS)
 
 
 def test_jitter_is_told():

@@ -133,15 +133,7 @@ def with_effect(rng, own):
 def test_effects_of_ones_own():
     rng = np.random.default_rng(3)
     predictor = with_effect(rng, Remembering(joint=2))
-    X = random_motion(rng, 3)
-    stepper = Stepper(predictor.torque_model())
-    assert stepper.left_out_ == ()
-    expected = asked(predictor, X)
-    found = stepped(stepper, X)
-    atol = 1e-12 * expected.std(axis=0).max()
-    np.testing.assert_allclose(found, expected, rtol=0, atol=atol)
-    stepper.reset()
-    np.testing.assert_array_equal(stepped(stepper, X), found)
+    check(predictor, random_motion(rng, 3))
 
 
 def test_a_memory_that_cannot_be_stepped_is_left_out():

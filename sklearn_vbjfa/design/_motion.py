@@ -283,7 +283,17 @@ class MotionLimits:
         acceleration = _given("acceleration", acceleration, np.full(len(names), np.inf))
         endless = np.isinf(acceleration) & np.isinf(effort)
         unknown["torque limit"] = endless, "--torque or --acceleration"
-        _check_known(names, unknown)
+        found = [
+            (f"{what} of {', '.join(np.array(names)[lacking])}", option)
+            for what, (lacking, option) in unknown.items()
+            if lacking.any()
+        ]
+        if found:
+            limits, options = zip(*found)
+            raise ValueError(
+                f"The description gives no {' and no '.join(limits)}. Give "
+                f"limits=MotionLimits(...) (command line: {', '.join(options)})."
+            )
         return cls(np.column_stack([low, high]), velocity, acceleration, effort)
 
     def check_for(self, names, duration):
@@ -311,21 +321,6 @@ class MotionLimits:
 def _refuse(wrong, reason, values):
     for j in np.flatnonzero(wrong):
         raise ValueError(f"Joint {j + 1} {reason}; got {values[j]}.")
-
-
-def _check_known(names, unknown):
-    """Refuse a description without some limits: masks (nv,) and options, by limit."""
-    found = [
-        (f"{what} of {', '.join(np.array(names)[lacking])}", option)
-        for what, (lacking, option) in unknown.items()
-        if lacking.any()
-    ]
-    if found:
-        limits, options = zip(*found)
-        raise ValueError(
-            f"The description gives no {' and no '.join(limits)}. Give "
-            f"limits=MotionLimits(...) (command line: {', '.join(options)})."
-        )
 
 
 def _given(name, limit, described):

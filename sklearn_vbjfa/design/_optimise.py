@@ -318,7 +318,11 @@ def shrunk(problem, z, t, inside, *, apart=True):
     """Scale a motion about its roomiest pose until it keeps its limits at times."""
     if problem.keeps(z, t, inside, apart=apart):
         return z
-    about = _roomiest(problem, z, problem.curve.basis(t))
+    states = problem.curve.states(z, problem.curve.basis(t))
+    states[:, problem.model.nv :] = 0.0
+    torques = problem.torques(problem.model(states))
+    worst = problem.excess(states, torques)[0].max(axis=(0, 1, 3))
+    about = states[np.argmin(worst), : problem.model.nv]
 
     def scaled(factor):
         made = factor * z
@@ -339,12 +343,3 @@ def shrunk(problem, z, t, inside, *, apart=True):
         kept = problem.keeps(scaled(middle), t, inside, apart=apart)
         low, high = (middle, high) if kept else (low, middle)
     return scaled(low)
-
-
-def _roomiest(problem, z, basis):
-    """Pose (nv,) of a motion at rest in which it is furthest from its limits."""
-    states = problem.curve.states(z, basis)
-    states[:, problem.model.nv :] = 0.0
-    torques = problem.torques(problem.model(states))
-    worst = problem.excess(states, torques)[0].max(axis=(0, 1, 3))
-    return states[np.argmin(worst), : problem.model.nv]

@@ -216,11 +216,8 @@ class TreeRegressor:
         # What it returns is overwritten by the next call; it is not for several
         # threads.
         compute = import_pinocchio().computeJointTorqueRegressor
-        model, data, shape = (
-            self._model,
-            self._model.createData(),
-            (self.nv, self.nv, 10),
-        )
+        model, data = self._model, self._model.createData()
+        shape = self.nv, self.nv, 10
         return lambda q, v, a: compute(model, data, q, v, a).reshape(shape)
 
     def __call__(self, q, v, a):

@@ -153,7 +153,13 @@ def write_reduced(path, target, moving, base_orientation=None):
     reduced = robot.held(moving)
     if is_mjcf:
         reduced.check()
-        _check_gravity(reduced)
+        usual = import_pinocchio().Model().gravity.linear
+        if not np.allclose(reduced.model.gravity.linear, usual):
+            raise ValueError(
+                f"{reduced.called} has another gravity than {usual} m/s^2, which a "
+                "copy without the held joints would lose; take them out of the file "
+                "itself."
+            )
         write_whole(target, text_of_tree(reduced.model, reduced.links))
     else:
         tree, base = parse_description(path), None
@@ -164,16 +170,6 @@ def write_reduced(path, target, moving, base_orientation=None):
         hold_in_urdf(tree, reduced.names, reduced.links, base)
         write_tree(tree, target)
     return tuple(name for name in robot.in_file_order if name not in reduced.names)
-
-
-def _check_gravity(robot):
-    """Refuse a robot whose gravity a URDF, which has none, would change."""
-    usual = import_pinocchio().Model().gravity.linear
-    if not np.allclose(robot.model.gravity.linear, usual):
-        raise ValueError(
-            f"{robot.called} has another gravity than {usual} m/s^2, which a copy "
-            "without the held joints would lose; take them out of the file itself."
-        )
 
 
 def description_text(folded):
@@ -259,9 +255,17 @@ def _left_out(mimics, model):
 
 def build_model(name, urdf, joint_names):
     """Build the model of a recording; see `Recording.robot_model`."""
-    import_pinocchio()
+    pin = import_pinocchio()
     if urdf is None and name in _BUILT:
-        model = _built(name)
+        model, parent = pin.Model(), 0
+        for joint, kind, below, mass, lever, moment in _BUILT[name]:
+            placement = pin.SE3(np.eye(3), np.array([0.0, 0.0, -below]))
+            kind = getattr(pin, f"JointModel{kind}")()
+            parent = model.addJoint(parent, kind, placement, joint)
+            centre = np.array([0.0, 0.0, -lever])
+            inertia = pin.Inertia(mass, centre, moment * np.eye(3))
+            model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+            model.addBodyFrame(f"{joint}_link", parent, pin.SE3.Identity(), 0)
     elif urdf is None:
         raise FileNotFoundError(
             f"Recording {name!r} comes without a robot description. Of a measured set, "
@@ -281,24 +285,9 @@ def build_model(name, urdf, joint_names):
     return model
 
 
-def _built(name):
-    """Build a serial chain from the table of its links."""
-    import pinocchio as pin
-
-    model, parent = pin.Model(), 0
-    for joint, kind, below, mass, lever, moment in _BUILT[name]:
-        placement = pin.SE3(np.eye(3), np.array([0.0, 0.0, -below]))
-        kind = getattr(pin, f"JointModel{kind}")()
-        parent = model.addJoint(parent, kind, placement, joint)
-        centre = np.array([0.0, 0.0, -lever])
-        inertia = pin.Inertia(mass, centre, moment * np.eye(3))
-        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
-        model.addBodyFrame(f"{joint}_link", parent, pin.SE3.Identity(), 0)
-    return model
-
-
-# Joint, its kind, how far it is below the last one [m], and its link: mass [kg], how
-# far its centre is below the joint [m], and moment of inertia about that [kg m^2].
+# Serial chains. Joint, its kind, how far it is below the last one [m], and its link:
+# mass [kg], how far its centre is below the joint [m], and moment of inertia about that
+# [kg m^2].
 _BUILT = {
     # A load on a horizontal axis.
     "bam_xl330": [("servo", "RY", 0.0, 0.49, 0.1, 0.0)],

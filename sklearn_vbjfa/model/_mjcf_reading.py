@@ -47,7 +47,17 @@ def read_mjcf(path, name):
             f"{str(path)!r} is not readable as MJCF: {' '.join(words.split())}; "
             "correct the description."
         ) from error
-    return _robot(mujoco, model, name, path, n_actuators, motors)
+    names, nameless = _names(model)
+    closures, links = _equalities(mujoco, model, names)
+    tree = _tree(mujoco, model, names, motors)
+    tree.name = name
+    return Description(
+        model=tree,
+        called=repr(str(path)),
+        links=links,
+        closures=tuple(closures),
+        left_out=tuple(_left_out(model, tree, n_actuators, nameless)),
+    )
 
 
 def _motors(mujoco, spec):
@@ -94,22 +104,6 @@ def _drop_what_is_not_read(mujoco, spec):
     for kind in _UNUSED:
         for one in list(getattr(spec, kind)):
             spec.delete(one)
-
-
-def _robot(mujoco, model, name, path, n_actuators, motors):
-    """Return the `Description` of a model that MuJoCo made."""
-    called = repr(str(path))
-    names, nameless = _names(model)
-    closures, links = _equalities(mujoco, model, names)
-    tree = _tree(mujoco, model, names, motors)
-    tree.name = name
-    return Description(
-        model=tree,
-        called=called,
-        links=links,
-        closures=tuple(closures),
-        left_out=tuple(_left_out(model, tree, n_actuators, nameless)),
-    )
 
 
 def _left_out(model, tree, n_actuators, nameless):
@@ -163,7 +157,10 @@ def _tree(mujoco, model, names, motors):
             made.armature[dof] = model.dof_armature[model.jnt_dofadr[j]]
             frame = made.addJointFrame(at, frame)
             place = pin.SE3(np.eye(3), model.jnt_pos[j]).inverse()
-        inertia = _inertia(model, k)
+        placed = _placement(model.body_ipos[k], model.body_iquat[k])
+        turned = placed.rotation @ np.diag(model.body_inertia[k]) @ placed.rotation.T
+        mass = float(model.body_mass[k])
+        inertia = pin.Inertia(mass, placed.translation, turned)
         if inertia.mass > 0 or inertia.inertia.any():
             made.appendBodyToJoint(at, inertia, place)
         made.addBodyFrame(names["body"][k], at, place, frame)
@@ -243,15 +240,6 @@ def _placement(place, turn):
     pin = import_pinocchio()
     w, x, y, z = turn
     return pin.SE3(pin.Quaternion(w, x, y, z).matrix(), place)
-
-
-def _inertia(model, k):
-    """Return the inertia of a body in its axes."""
-    placed = _placement(model.body_ipos[k], model.body_iquat[k])
-    turned = placed.rotation @ np.diag(model.body_inertia[k]) @ placed.rotation.T
-    return import_pinocchio().Inertia(
-        float(model.body_mass[k]), placed.translation, turned
-    )
 
 
 def _equalities(mujoco, model, names):

@@ -321,16 +321,6 @@ def check_joints(loaded):
     return loaded
 
 
-def check_known(moving, names, called):
-    """Refuse names that are not joints of a description."""
-    unknown = [name for name in moving if name not in names]
-    if unknown:
-        raise ValueError(
-            f"{called}: the robot has no movable joint {unknown[0]!r}; it has "
-            f"{', '.join(map(str, names)) or 'none'}."
-        )
-
-
 # -- what a description says -----------------------------------------------------------
 
 
@@ -391,7 +381,12 @@ class Description:
     def held(self, moving):
         """Return the robot, whose joints that are not named stay at zero."""
         # A follower that is named has columns and a torque of its own.
-        check_known(moving, self.names, self.called)
+        unknown = [name for name in moving if name not in self.names]
+        if unknown:
+            raise ValueError(
+                f"{self.called}: the robot has no movable joint {unknown[0]!r}; it has "
+                f"{', '.join(self.names) or 'none'}."
+            )
         links = {name: link for name, link in self.links.items() if name not in moving}
         follow = led_by(moving, self.carriers, links, self.called)
         for name, link in links.items():

@@ -101,7 +101,12 @@ def read_urdf(tree, path):
     _check_tree(root, called)
     links = _followers(root, called)
     closures = _closures(root)
-    rotors = _rotors(root)
+    # An attribute that `text_of_tree` adds.
+    rotors = {
+        joint.get("name"): float(dynamics.get("armature"))
+        for joint in _joints(root, *_AXIAL)
+        for dynamics in joint.findall("dynamics[@armature]")
+    }
     model = _build(root, called)
     for name, armature in rotors.items():
         model.armature[model.joints[model.getJointId(name)].idx_v] = armature
@@ -145,16 +150,6 @@ def _followers(root, called):
             _fix(joints[name])
             still.add(name)
             del found[name]
-    return found
-
-
-def _rotors(root):
-    """Return rotor inertias by joint, an attribute that `text_of_tree` adds."""
-    found = {}
-    for joint in _joints(root, *_AXIAL):
-        dynamics = joint.find("dynamics")
-        if dynamics is not None and "armature" in dynamics.attrib:
-            found[joint.get("name")] = float(dynamics.get("armature"))
     return found
 
 
@@ -323,7 +318,6 @@ def hold_in_urdf(tree, names, links, base=None):
 
 
 def _fix(joint):
-    """Fix a joint of a URDF at zero."""
     joint.set("type", "fixed")
     for child in list(joint):
         if child.tag in _MOTION:
@@ -472,7 +466,7 @@ def text_of_tree(model, followers=None):
             limits = {"lower": low, "upper": high} | limits
         _add(joint, "limit", **limits)
         if model.armature[j] > 0:
-            # No attribute of URDF, whose readers ignore it; see `_rotors`.
+            # No attribute of URDF, whose readers ignore it; see `read_urdf`.
             _add(joint, "dynamics", damping=0.0, armature=model.armature[j])
         if followers and name in followers:
             follows = followers[name]

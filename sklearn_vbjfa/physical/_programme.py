@@ -75,9 +75,12 @@ class Programme:
         # metric_root: in scaled variables, largest column norm one (or zero). What the
         # metric does not see is pulled to `anchor`: that makes the minimum unique.
 
+        # Up to the rounding of the metric, which is the square of its root.
+        _, values, rows = svd(metric_root)
+        limit = np.sqrt(values.size * np.finfo(float).eps) * values.max(initial=0.0)
         # |R x|^2 + w |N'(x - a)|^2 as one triangular factor: the stacked QR does not
         # square the condition number as R'R would.
-        pull = np.sqrt(_ANCHOR_WEIGHT) * _null_space(metric_root).T
+        pull = np.sqrt(_ANCHOR_WEIGHT) * rows[values <= limit]
         right = np.zeros(len(metric_root) + len(pull))
         right[len(metric_root) :] = pull @ (anchor - point)
         Q, root = np.linalg.qr(np.vstack([metric_root, pull]))
@@ -88,11 +91,6 @@ class Programme:
             resolution=_RESOLUTION * float(np.linalg.norm(root @ point)),
             **constraints,
         )
-
-    @cached_property
-    def free_minimum(self):
-        """Nearest vector without any constraint."""
-        return self.point + solve_triangular(self.root, self.shift)
 
     def broken(self, vector):
         """Which bodies and which columns break their constraints, two arrays, bool."""
@@ -207,11 +205,3 @@ def raised(matrices, floor):
     eigenvalue, basis = np.linalg.eigh(matrices)
     eigenvalue = np.maximum(eigenvalue, floor)
     return np.einsum("...ik,...k,...jk->...ij", basis, eigenvalue, basis)
-
-
-def _null_space(root):
-    """Orthonormal basis (n_features, n_hidden) of what a metric does not see."""
-    # Up to the rounding of the metric, which is the square of its root.
-    _, values, rows = svd(root)
-    limit = np.sqrt(values.size * np.finfo(float).eps) * values.max(initial=0.0)
-    return rows[values <= limit].T

@@ -21,7 +21,7 @@ from itertools import chain
 import clarabel
 import numpy as np
 from scipy import sparse
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
 from sklearn_vbjfa.physical._programme import PrimalDual, raised
 
@@ -54,7 +54,7 @@ def solve(programme):
     # ProjectionError if no answer has a certified gap below the limit. Without the
     # other constraints the least distance is no larger; where its vector meets them
     # all the same, it is the answer.
-    vector = programme.free_minimum
+    vector = programme.point + solve_triangular(programme.root, programme.shift)
     found = CertifiedVector(vector=vector, gap=0.0, status="nothing to do")
     broken = programme.broken(vector)
     asked = tuple(np.zeros_like(own) for own in broken)
@@ -300,11 +300,7 @@ class _Equations:
         self._residual = programme.residual(at.vector)
         self._flat = generators.reshape(len(generators), -1)
         self._pseudo_inverse = np.linalg.solve(self._flat @ self._flat.T, self._flat)
-        self._factorise()
-
-    def _factorise(self):
-        columns, kept = self._programme.body_columns, self._programme.nonnegative
-        system = self._programme.gram.copy()
+        columns, system = programme.body_columns, programme.gram.copy()
         system[columns[:, :, None], columns[:, None, :]] += self._roots @ np.swapaxes(
             self._roots, 1, 2
         )

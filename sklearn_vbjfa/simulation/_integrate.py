@@ -15,12 +15,10 @@ Angermann, BIT 45(4), 2005, doi:10.1007/s10543-005-0035-y):
         + h A sum_j gamma_ij k_j + gamma_i h f_t,  y(t + h) = y + h sum_i b_i k_i.
 """
 
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 from scipy.linalg import lapack
-
-from sklearn_vbjfa.simulation._dynamics import StateSolution
 
 # Error of a step, in units of a joint's velocity.
 _TOLERANCE, _STIFF_TOLERANCE = 1e-8, 1e-7
@@ -73,12 +71,8 @@ class Diverged(ArithmeticError):
     """The motion cannot be followed: time [s] after the last sample, joint."""
 
 
-class _End(NamedTuple):
-    """State at an end of a step: its time, velocities, and what was found."""
-
-    time: float
-    v: np.ndarray
-    found: StateSolution
+# State at an end of a step: its time, velocities, and what was found.
+_End = namedtuple("_End", "time v found")
 
 
 class Integrator:

@@ -64,7 +64,15 @@ def to_urdf(path, text, robot, min_eigenvalues, notes=(), turned_joints=None):
     # text: of the description; turned_joints: see `write_urdf`.
     account = _Account(robot)
     joints = np.column_stack([account.passive("viscous"), account.passive("coulomb")])
-    _left_of_urdf(account)
+    for name, reason in (("offset", "constant torque"), ("rotor_inertia", "armature")):
+        for j in np.flatnonzero(account.total(name)):
+            account.leave(name, j, f"URDF has no {reason}")
+    for effect, coef in account.uses:
+        if not effect.files.urdf:
+            continue
+        if isinstance(effect, InModel):
+            coef = effect.values - effect.nominal
+        account.leave_effect(effect, coef, effect.files.urdf)
     check_possible(robot.model, min_eigenvalues, "a URDF")
     write_urdf(
         text,
@@ -91,7 +99,19 @@ def _notes_of_mjcf(robot, dynamics, servo):
         "qpos that of the encoder [rad or m]; their order is that of the recording.",
     ]
     if servo is not None:
-        lines = _notes_of_servo(servo)
+        lines = [
+            "Controls of the motors, in the order of the recording, are commanded "
+            "positions; these and positions are what the encoders read [rad or m]. "
+            "With the gains kp and kd of a joint, a commanded velocity v and a torque "
+            "ahead t count as (kd v + t) / kp of its position.",
+        ]
+        if servo.delay > 0:
+            lines.append(
+                f"Commands act {servo.delay:.4g} s late (delay, for MuJoCo 3.5 and "
+                "newer; older ones read the file without delay, nsample and interp). "
+                "The history has room for the time step of the file and longer ones, "
+                "and begins with controls of zero: mj_initCtrlHistory takes others."
+            )
     lines += [
         f"The encoder of {robot.joint_names[j]} reads {dynamics.ref[j]:.6g} at the "
         "zero of the description (ref)."
@@ -107,23 +127,6 @@ def _notes_of_mjcf(robot, dynamics, servo):
             "Constant torques, and springs without a stable rest, are biases of the "
             "motors (biasprm): they act in forward dynamics, and inverse dynamics "
             "leaves them to qfrc_actuator."
-        )
-    return lines
-
-
-def _notes_of_servo(servo):
-    lines = [
-        "Controls of the motors, in the order of the recording, are commanded "
-        "positions; these and positions are what the encoders read [rad or m]. With "
-        "the gains kp and kd of a joint, a commanded velocity v and a torque ahead t "
-        "count as (kd v + t) / kp of its position.",
-    ]
-    if servo.delay > 0:
-        lines.append(
-            f"Commands act {servo.delay:.4g} s late (delay, for MuJoCo 3.5 and newer; "
-            "older ones read the file without delay, nsample and interp). The history "
-            "has room for the time step of the file and longer ones, and begins with "
-            "controls of zero: mj_initCtrlHistory takes others."
         )
     return lines
 
@@ -182,23 +185,6 @@ def as_pinocchio(robot):
     dry = account.passive("coulomb")
     model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -dry, dry
     return model
-
-
-# -- URDF ------------------------------------------------------------------------------
-
-
-def _left_of_urdf(account):
-    """List what a URDF has no place for, beside damping and friction that are < 0."""
-    reasons = {"offset": "constant torque", "rotor_inertia": "armature"}
-    for name, reason in reasons.items():
-        for j in np.flatnonzero(account.total(name)):
-            account.leave(name, j, f"URDF has no {reason}")
-    for effect, coef in account.uses:
-        if not effect.files.urdf:
-            continue
-        if isinstance(effect, InModel):
-            coef = effect.values - effect.nominal
-        account.leave_effect(effect, coef, effect.files.urdf)
 
 
 # -- MJCF ------------------------------------------------------------------------------

@@ -115,6 +115,8 @@ class Motion:
     command: np.ndarray | None = None  # (n, nv): torques by commands, `CommandDelay`
     # joint -> where it turned before each part, (k,); None if unknown
     before: Callable | None = None
+    # (nv, n_waves): waves of the position [1/rad or 1/m] that stand out above the band
+    waves: np.ndarray | None = None
     _speeds: dict = field(default_factory=dict, repr=False)
 
     def __post_init__(self):

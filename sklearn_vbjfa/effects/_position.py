@@ -14,9 +14,11 @@ from sklearn_vbjfa.effects._base import (
     Shaped,
 )
 
-# Longest and shortest period of a ripple to try on a revolute joint [rad], and most
-# periods within the range of the motion, of a ripple and of friction.
-_LONGEST, _SHORTEST = np.radians(75.0), np.radians(2.0)
+# Longest and shortest period of a ripple to try on a revolute joint [rad], the shortest
+# of one that stands out above the low-pass (teeth of harmonic drives and their second
+# harmonic), and most periods within the range of the motion, of a ripple and of
+# friction.
+_LONGEST, _SHORTEST, _FINEST = np.radians([75.0, 2.0, 0.5])
 _MOST, _FEW = 60.0, 6.0
 # Linkages to try: shorter over longer distance from the axis, and angles [degrees].
 _RATIOS = (0.2, 0.5, 0.85)
@@ -226,6 +228,12 @@ class Ripple(Shaped, Converted):
         slow = np.quantile(moving[moving > 0.02 * motion.speed(self.joint)], 0.2)
         shortest = max(shortest, slow / motion.bandwidth)
         waves = np.arange(1 / longest, 1 / shortest, _CYCLES / reach)
+        if motion.waves is not None:
+            found = motion.waves[self.joint]
+            most = 1 / _FINEST if angle else np.inf
+            found = found[(found > 1 / longest) & (found < most)]
+            around = found[:, None] + np.array([-1, 0, 1]) * _CYCLES / reach
+            waves = np.concatenate([waves, around.ravel()])
         return [{"period": float(1 / w)} for w in waves]
 
     @staticmethod

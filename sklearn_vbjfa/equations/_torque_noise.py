@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import comb
 
 import numpy as np
+import scipy
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import elements
@@ -43,6 +44,11 @@ _KNOWN, _KNOWN_ABOVE, _WHITE = 0.15, 0.25, 4.0
 # deviation from it is at most the first, and a spectrum above the band like one of the
 # family if at most the second.
 _CONSISTENT, _ALIKE = 3.0, 30.0
+# Waves of a position [1/rad or 1/m] are looked for up to a quarter of so many within
+# its range, this many of them, which make up this share of the power above the band and
+# so many times what the largest of them would by chance. To this relative difference
+# they are the same in two recordings.
+_PLACES, _WAVES, _OF_POWER, _BY_CHANCE, _SAME = 16384, 3, 0.1, 5.0, 0.03
 # Share of the times between changes of a torque that are alike if it is held.
 _HELD = 0.8
 # Rows of a recording that are looked at.
@@ -78,6 +84,8 @@ class NoiseFacts:
     # held; nan where the recording is too short
     scales: np.ndarray
     gap: np.ndarray  # (nv, n_bands): power per row in the bands of the gap
+    # (nv, n_waves): waves of the position that noise is not [1/rad or 1/m], or zero
+    waves: np.ndarray
 
 
 def seen(dt, cutoff):
@@ -91,8 +99,8 @@ def noise_facts(residual, torque, states, dt, cutoff, n_jobs=None):
     n, nv = residual.shape
     columns = zip(residual.T, torque.T, states[:, :nv].T, states[:, nv : 2 * nv].T)
     found = in_parallel(_of_joint, ((*own, dt, cutoff) for own in columns), n_jobs)
-    hold, scales, gap = map(np.array, zip(*found))
-    return NoiseFacts(n=n, hold=hold, scales=scales, gap=gap)
+    hold, scales, gap, waves = map(np.array, zip(*found))
+    return NoiseFacts(n=n, hold=hold, scales=scales, gap=gap, waves=waves)
 
 
 def _of_joint(residual, torque, q, v, dt, cutoff):
@@ -114,7 +122,27 @@ def _of_joint(residual, torque, q, v, dt, cutoff):
             if d.size >= _SHORTEST:
                 scales[k] = (np.median(np.abs(d)) / _MEDIAN) ** 2
     left = _without_own_friction(q, v, residual)
-    return count, scales, _gap_power(left, dt, cutoff)
+    waves = _waves(q, residual, count, _lowpass.design(dt, cutoff).taps)
+    return count, scales, _gap_power(left, dt, cutoff), waves
+
+
+def _waves(q, x, hold, taps):
+    """Waves (n_waves,) of a position that stand out in x (n,) above the band."""
+    found, reach, half = np.zeros(_WAVES), np.ptp(q), taps.size // 2
+    if not reach > 0 or x.size < 2 * taps.size:
+        return found
+    x = (x - scipy.signal.oaconvolve(x, taps, mode="same"))[half:-half]
+    place = ((q[half:-half] - q.min()) * (_PLACES / reach)).astype(int)
+    sums = np.fft.rfft(np.bincount(place, x), 4 * _PLACES)[: _PLACES + 1]
+    unit = 2 / max(x.size * (x @ x), np.finfo(float).tiny)
+    share = unit * np.abs(sums) ** 2
+    # Where a joint moves evenly, a tone looks the same.
+    tone = unit * (np.abs(np.fft.rfft(x, 4 * x.size)) ** 2).max()
+    least = max(_OF_POWER, tone, 2 * _BY_CHANCE * np.log(_PLACES) * hold / x.size)
+    peaks = scipy.signal.find_peaks(share, least, distance=8)[0]
+    best = peaks[np.argsort(-share[peaks])][:_WAVES]
+    found[: best.size] = best / (4 * reach)
+    return found
 
 
 def _without_own_friction(q, v, residual):
@@ -167,6 +195,15 @@ def _gap_power(x, dt, cutoff):
     return power / (1 - 1 / (9 * _gap_shape())) ** 3
 
 
+def common_waves(facts):
+    """Waves (nv, n_waves) of the longest recording that most rows have, or zero."""
+    best = max(facts, key=lambda own: own.n).waves
+    others = np.array([own.waves for own in facts])[:, :, None]
+    near = np.abs(others - best[..., None]) < _SAME * best[..., None]
+    rows = np.array([own.n for own in facts]) / sum(own.n for own in facts)
+    return best * (np.tensordot(rows, near.any(axis=-1), 1) > 0.5)
+
+
 def _gap_shape():
     return np.maximum(np.diff(_GAP) * _WINDOW / 1.5, 1.0)
 
@@ -175,18 +212,19 @@ def filtered_noise(facts, dt, cutoff, left=np.inf):
     """Deviations (nv,) [N m or N] of the noise that passes the low-pass."""
     # left (nv,): deviations that the fit leaves behind the low-pass. nan where they
     # cannot be found: without a low-pass, with one too close to the Nyquist frequency,
-    # or where the spectrum rises towards the band and is not continued.
+    # where the spectrum rises towards the band and is not continued, or where it has
+    # waves of the position.
     nv = facts[0].hold.size
     found, left = np.full(nv, np.nan), np.where(left > 0, left, np.inf) * np.ones(nv)
     if not seen(dt, cutoff):
         return found
-    families = {}
+    families, waves = {}, common_waves(facts)
     for j in range(nv):
         # recordings of one robot are held alike
         hold = int(np.median([f.hold[j] for f in facts]))
         used = [f for f in facts if f.hold[j] == hold]
         strides = _strides(dt * hold, cutoff)
-        if not strides or not used:
+        if not strides or not used or waves[j].any():
             continue
         rows = np.array([f.n for f in used], dtype=float)
         scales, scale_rows = _mean([f.scales[j, : len(strides)] for f in used], rows)

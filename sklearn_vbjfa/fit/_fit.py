@@ -28,7 +28,7 @@ from sklearn_vbjfa.equations._plan import (
 )
 from sklearn_vbjfa.equations._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.equations._states import RecordingStates
-from sklearn_vbjfa.equations._torque_noise import filtered_noise
+from sklearn_vbjfa.equations._torque_noise import common_waves, filtered_noise
 from sklearn_vbjfa.fit._bodies import DESCRIBED
 from sklearn_vbjfa.fit._estimate import (
     Estimate,
@@ -192,8 +192,9 @@ class RobotFit:
         left = np.hypot(through, rest)
         noise = filtered_noise(facts, plan.dt, plan.cutoff, left)
         floor = np.hypot(noise, through)
-        robot = replace(self.robot, torque_noise_=noise, noise_floor_=floor)
-        return replace(self, robot=robot)
+        found = {"torque_noise_": noise, "noise_floor_": floor}
+        found["waves"] = common_waves(facts)
+        return replace(self, robot=replace(self.robot, **found))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

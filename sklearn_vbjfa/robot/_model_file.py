@@ -30,7 +30,7 @@ from sklearn_vbjfa.recording._table import quoted
 FORMAT = "sklearn_vbjfa identified robot"
 VERSION = 1
 # Fields that follow from the others, and what is saved of a fitted `StateEstimator`.
-_NOT_SAVED = frozenset({"features_", "source", "_stepper"})
+_NOT_SAVED = frozenset({"features_", "source", "waves", "_stepper"})
 _OF_STATES = ("cutoff_", "noise_variance_", "bandwidth_")
 # What JSON has no number for.
 _SPELLED = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}

@@ -162,6 +162,7 @@ class IdentifiedRobot:
     torque_noise_: np.ndarray | None = None
     output_noise_: np.ndarray | None = None
     joint_weights: np.ndarray | None = None  # (nv,): in the fit
+    waves: np.ndarray | None = None  # (nv, n_waves): see `NoiseFacts`
     gains_: ChannelGains | None = None
     source: object = None  # path or model that the robot came from
     # URDF of a robot that was saved

@@ -17,7 +17,7 @@ from sklearn_vbjfa.model import import_pinocchio
 # two branches, such as a coupling through a common drive: so are arms, and most hands.
 _TOGETHER = 7
 # Fields of a fitted robot that have a value for each joint.
-_OF_ROBOT = ("noise_floor_", "torque_noise_", "output_noise_", "joint_weights")
+_OF_ROBOT = ("noise_floor_", "torque_noise_", "output_noise_", "joint_weights", "waves")
 # Fields of a recording, beside those with rows, that have a column for each joint.
 _COLUMNS = ("torque_noise", "feedback")
 

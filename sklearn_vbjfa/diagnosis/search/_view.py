@@ -325,7 +325,7 @@ class RecordingView:
             command=self.command,
             before=self.before,
         )
-        return replace(motion, begins=self._begins)
+        return replace(motion, begins=self._begins, waves=robot.waves)
 
     # -- columns of effects -----------------------------------------------------------
 

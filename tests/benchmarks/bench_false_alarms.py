@@ -192,8 +192,8 @@ RESIDUALS = {
     "sign(v) times AR(1) of 8 s": proportional(
         lambda seen: np.sign(seen.v), autoregression(8.0)
     ),
-    "ripple of 200 per rad": wave(lambda seen: seen.q, 200.0),
-    "ripple of 321 per rad": wave(lambda seen: seen.q, 321.0),
+    "ripple of 1100 per rad": wave(lambda seen: seen.q, 1100.0),
+    "ripple of 1900 per rad": wave(lambda seen: seen.q, 1900.0),
     "tone of 3.3 Hz": wave(lambda seen: seen.t, 2 * np.pi * 3.3),
     "8 random steps": random_steps,
     "Student's t, 2.2": far_outliers,

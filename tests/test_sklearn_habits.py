@@ -8,7 +8,6 @@ import pytest
 import sklearn
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
-from sklearn.pipeline import Pipeline
 from sklearn.utils import get_tags
 
 import sklearn_vbjfa
@@ -29,6 +28,7 @@ from sklearn_vbjfa import (
 )
 from sklearn_vbjfa.datasets import make_robot_recording
 from tests.effects._arms import arm
+from tests.robot.test_metadata_routing import chain
 
 BODY = [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3, -0.1]
 
@@ -85,17 +85,8 @@ def test_frames_all_through_the_chain(recording):
 
     q = pandas.DataFrame(recording.q, columns=recording.joint_names)
 
-    def chain():
-        return Pipeline(
-            [
-                ("states", StateEstimator(recording.dt)),
-                ("features", RigidBodyFeatures(recording.urdf)),
-                ("torque", JointTorqueRegressor(LinearRegression())),
-            ]
-        )
-
-    plain = chain().fit(recording.q, recording.tau)
-    framed = chain().set_output(transform="pandas").fit(q, recording.tau)
+    plain = chain(recording).fit(recording.q, recording.tau)
+    framed = chain(recording).set_output(transform="pandas").fit(q, recording.tau)
     np.testing.assert_array_equal(plain["torque"].theta_, framed["torque"].theta_)
     assert list(framed["features"].feature_names_in_[:2]) == ["q_joint_1", "q_joint_2"]
     names = framed[:-1].get_feature_names_out()

@@ -14,16 +14,7 @@ from sklearn_vbjfa import distributed as passes
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.distributed import fit_recordings
 from sklearn_vbjfa.robot import FitOptions
-from tests.robot.test_streaming import statistics
-
-FITTED = (
-    "cutoff_",
-    "standstill_",
-    "torque_noise_",
-    "noise_floor_",
-    "theta_unconstrained_",
-    "theta_",
-)
+from tests.robot import test_streaming
 
 
 @pytest.fixture(scope="module")
@@ -78,23 +69,11 @@ def in_memory(recording, **settings):
 
 
 def assert_same(found, expected):
-    for name in FITTED:
+    test_streaming.assert_same(found, expected)
+    for name in ("theta_unconstrained_", "theta_"):
         values, reference = getattr(found, name), getattr(expected, name)
         size = np.abs(reference).max()
         # rounding, three digits of it in parameters that the data hardly tell apart
-        assert_allclose(values, reference, rtol=0, atol=1e-10 * size, err_msg=name)
-    free = expected.identifiable_
-    values, reference = found.theta_std_[free], expected.theta_std_[free]
-    assert_allclose(values, reference, rtol=1e-6, err_msg="theta_std_")
-    apart = found.theta_ - expected.theta_
-    metric = expected.estimate_.metric
-    torque = expected.theta_ @ metric @ expected.theta_
-    assert abs(apart @ metric @ apart) <= 1e-18 * torque
-    sums, known = statistics(found), statistics(expected)
-    assert sums.keys() == known.keys()
-    for name, values in sums.items():
-        reference = known[name]
-        size = np.abs(reference).max()
         assert_allclose(values, reference, rtol=0, atol=1e-10 * size, err_msg=name)
 
 

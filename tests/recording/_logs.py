@@ -16,7 +16,6 @@ Sources of the names:
   and actual_current [A] as in the RTDE guide of universal-robots.com.
 - libfranka, ``logToCSV``: time in milliseconds, state.q[0], state.tau_J[0].
   https://github.com/frankaemika/libfranka/blob/main/src/log.cpp
-- Excel in German: semicolons and decimal commas, here with units.
 """
 
 import csv
@@ -145,20 +144,6 @@ def libfranka(recording, folder):
     return _write(folder / "franka.csv", header, rows)
 
 
-def german_excel(recording, folder):
-    """Semicolons, decimal commas, degrees."""
-    n = recording.nv
-    header = ["t", *_counted("q{} [deg]", n, 1), *_counted("tau{} [Nm]", n, 1)]
-    rows = [
-        [f"{t:.6f}".replace(".", ",")]
-        + [x.replace(".", ",") for x in (*_cells(np.rad2deg(q)), *_cells(tau))]
-        for t, q, tau in zip(recording.t, recording.q, recording.tau)
-    ]
-    path = _write(folder / "excel.csv", header, rows, ";")
-    path.write_text(path.read_text("utf-8"), "utf-8-sig")
-    return path
-
-
 def plain(recording, folder):
     """Names and units of this package."""
     n = recording.nv
@@ -178,5 +163,4 @@ KINDS = {
     "ros2 topic echo --csv": ros2_echo,
     "UR RTDE record": rtde,
     "libfranka log": libfranka,
-    "German Excel": german_excel,
 }

@@ -294,13 +294,6 @@ def test_the_unit_of_time_is_given(tmp_path, unit, factor):
         read_recording(path, time_unit="h")
 
 
-def test_a_count_with_a_period_is_a_clock(tmp_path):
-    columns = table()
-    columns["t"] = np.arange(columns["t"].size)
-    recording, _ = read(write(tmp_path / "arm.csv", columns), dt=0.02)
-    assert recording.dt == pytest.approx(0.02)
-
-
 @pytest.mark.parametrize("unit", [None, "ms"])
 def test_no_unit_is_offered_that_only_one_of_several_files_has(tmp_path, unit):
     columns = table() | {"t": 1e3 * table()["t"]}

@@ -1,5 +1,7 @@
 """Tables as other tools write them: titles, an index, no header, mixed units."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -7,10 +9,9 @@ from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import RecordingRefused
 from tests.model._shaped import joint, link
 from tests.model._shaped import write as write_robot
+from tests.recording._logs import KINDS
 from tests.recording._reading import read
-from tests.recording.test_reader import DT, N, assert_same, table, write
-
-JOINTS = ("shoulder", "lift")
+from tests.recording.test_reader import DT, assert_same, table, write
 
 
 def same(recording):
@@ -99,26 +100,13 @@ def test_the_index_of_a_data_frame(tmp_path):
         read(path)
 
 
-def echo(names=lambda k: JOINTS):
-    """Lines of ``ros2 topic echo --csv``."""
-    columns = table()
-    for k in range(N):
-        t = 5.75 + DT * k
-        stamp = [str(int(t)), str(round(t % 1 * 1e9)), "base_link"]
-        q, tau = ([columns[f"{x}{j}"][k] for j in (1, 2)] for x in ("q", "tau"))
-        numbers = [repr(float(x)) for x in (*q, 0.0, 0.0, *tau)]
-        yield ",".join([*stamp, *names(k), *numbers])
-
-
-def test_joint_states_without_a_header(tmp_path, urdf):
-    path = tmp_path / "echo.csv"
-    path.write_text("\n".join(echo()) + "\n")
-    recording, said = read(path, urdf=urdf)
-    same(recording)
-    assert recording.joint_names == JOINTS
-    assert recording.torque_units == ("N m", "N")
-    assert "/joint_states as a table: q = position_0 ... position_1" in said[0]
-    path.write_text("\n".join(echo(lambda k: JOINTS if k % 2 else JOINTS[::-1])))
+def test_names_of_joints_that_change_from_row_to_row(made, tmp_path):
+    path = KINDS["ros2 topic echo --csv"](made, tmp_path)
+    _, said = read(path, urdf=made.urdf)
+    assert "/joint_states as a table: q = position_5 ... position_0" in said[0]
+    lines = path.read_text().splitlines()
+    lines[::2] = [re.sub("(joint_.),(joint_.)", r"\2,\1", x) for x in lines[::2]]
+    path.write_text("\n".join(lines))
     with pytest.raises(ValueError, match="names of the joints change from row to row"):
         read(path)
 
@@ -141,6 +129,7 @@ def test_joints_with_units_of_their_own(tmp_path, urdf):
     assert caught.value.options == {"columns": "q={joint}.ActPos,tau={joint}.ActTorque"}
     recording, _ = read(path, urdf=urdf, **caught.value.options)
     same(recording)
+    assert recording.torque_units == ("N m", "N")
 
 
 # -- arrays ----------------------------------------------------------------------------

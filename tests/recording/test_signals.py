@@ -181,13 +181,3 @@ def test_other_columns_of_a_file_are_signals_by_their_names(kind, tmp_path):
     offered = OfferedSignals.of_file(found)
     assert list(offered) == ["Temp °C"]
     np.testing.assert_allclose(offered["Temp °C"], WARM, rtol=1e-9)
-
-
-def test_what_a_file_holds_besides_numbers_is_known(tmp_path):
-    source = tmp_path / "arm.csv"
-    rows = ["t,q1,tau1,state,volts"]
-    rows += [f"{t},{q},1.0,idle,{'' if t == 0.05 else 24}" for t, q in zip(T, Q[:, 0])]
-    source.write_text("\n".join(rows[:200]))
-    with pytest.warns(UserWarning, match="state, volts hold no finite numbers"):
-        found = read_recording(source)
-    assert not found.signals

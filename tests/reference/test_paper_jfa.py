@@ -52,6 +52,13 @@ def make_vb_params(seed, n_features):
     )
 
 
+def with_posterior(seed, n_features):
+    """Return data, parameters, and q(Z, T) of both."""
+    X, y = make_data(seed, n_features)
+    params = make_vb_params(seed, n_features)
+    return X, y, params, ref.posterior_zt(X, y, **params.moments())
+
+
 def assert_same_posterior(actual, desired, rtol=1e-9):
     assert_allclose(actual.E_z, desired.E_z, rtol=rtol, atol=rtol)
     assert_allclose(actual.E_t, desired.E_t, rtol=rtol, atol=rtol)
@@ -231,9 +238,7 @@ def test_prior_terms_by_integration():
 
 @pytest.mark.parametrize("n_features", [1, 3])
 def test_posterior_zt_maximises_the_bound(n_features):
-    X, y = make_data(2, n_features)
-    params = make_vb_params(2, n_features)
-    best = ref.posterior_zt(X, y, **params.moments())
+    X, y, params, best = with_posterior(2, n_features)
     top = ref.elbo(params, X, y, **ARD)
     assert_allclose(ref.elbo(params, X, y, **ARD, posterior=best), top, rtol=1e-14)
     rng = np.random.default_rng(7)
@@ -285,9 +290,7 @@ def update_block(block, params, posterior, X, y, ard_shape, ard_rate):
 @pytest.mark.parametrize("block", BLOCKS)
 @pytest.mark.parametrize("n_features", [1, 3])
 def test_each_block_is_stationary(n_features, block):
-    X, y = make_data(3, n_features)
-    params = make_vb_params(3, n_features)
-    posterior = ref.posterior_zt(X, y, **params.moments())
+    X, y, params, posterior = with_posterior(3, n_features)
     objective = partial(ref.elbo, X=X, y=y, **ARD, posterior=posterior)
     new = update_block(block, params, posterior, X, y, **ARD)
     for name in BLOCKS[block]:
@@ -389,9 +392,7 @@ def test_bound_is_on_the_joint_density_not_on_y_given_X():
 def test_eq5_printed_is_false(block):
     # With p(w_z | alpha) twice and no p(w_x | alpha), none of the updates that eq. 5
     # is meant to lead to is a maximum.
-    X, y = make_data(3, 2)
-    params = make_vb_params(3, 2)
-    posterior = ref.posterior_zt(X, y, **params.moments())
+    X, y, params, posterior = with_posterior(3, 2)
     new = update_block(block, params, posterior, X, y, **ARD)
     right = partial(ref.elbo, X=X, y=y, **ARD, posterior=posterior)
     printed = partial(ref.elbo_eq5_printed, X=X, y=y, **ARD, posterior=posterior)
@@ -402,9 +403,7 @@ def test_eq5_printed_is_false(block):
 
 def test_eq5_printed_bound_falls():
     # From the optimum of the printed bound in q(w_x), the paper's eqs. 10-11 go down.
-    X, y = make_data(3, 2)
-    params = make_vb_params(3, 2)
-    posterior = ref.posterior_zt(X, y, **params.moments())
+    X, y, params, posterior = with_posterior(3, 2)
     mean, var = ref.update_w_x(posterior, X, y, psi_x=params.psi_x, E_alpha=0.0)
     params = replace(params, w_x_mean=mean, w_x_var=var)
     new = update_block("w_x", params, posterior, X, y, **ARD)
@@ -417,9 +416,7 @@ def test_eq5_printed_bound_falls():
 @pytest.mark.parametrize("ard", [1e-6, 1.5])
 def test_eq6_printed_is_false(ard):
     # p(alpha_m) beside both loadings counts one prior twice; eqs. 12-13 count it once.
-    X, y = make_data(3, 2)
-    params = make_vb_params(3, 2)
-    posterior = ref.posterior_zt(X, y, **params.moments())
+    X, y, params, posterior = with_posterior(3, 2)
     arguments = {"X": X, "y": y, "ard_shape": ard, "ard_rate": ard}
     new = update_block("alpha", params, posterior, **arguments)
     right = partial(ref.elbo, **arguments, posterior=posterior)

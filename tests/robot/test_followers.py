@@ -7,6 +7,7 @@ import pytest
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.model import joint_names, load_folded
 from sklearn_vbjfa.physical import min_eigenvalue
+from tests.effects import _arms
 from tests.model.test_followers import joint, link
 
 LINKS = {"upper": 4.0, "lower": 3.0, "left": 1.0, "right": 1.2}
@@ -34,16 +35,8 @@ def torques(model, q, v, a):
 @pytest.fixture(scope="module")
 def motion():
     """Positions, velocities and accelerations (n, 3) of sums of sines."""
-    rng, t = np.random.default_rng(0), DT * np.arange(3000)
-    found = np.zeros((3, t.size, 3))
-    for j, size in enumerate((1.0, 1.0, 0.5)):
-        rates, phases = rng.uniform(1, 8, size=6), rng.uniform(0, 6, size=6)
-        sizes = size * rng.uniform(0.05, 0.4, size=6)
-        angle = np.outer(t, rates) + phases
-        found[0, :, j] = np.sin(angle) @ sizes
-        found[1, :, j] = np.cos(angle) @ (sizes * rates)
-        found[2, :, j] = -np.sin(angle) @ (sizes * rates**2)
-    return found
+    _, states = _arms.motion(3, duration=15.0, dt=DT, top=1.3)
+    return np.stack(np.split(states, 3, axis=1))
 
 
 @pytest.fixture(scope="module")

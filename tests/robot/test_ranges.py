@@ -9,17 +9,21 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import RobotIdentifier, effects, load_identified
 from sklearn_vbjfa.robot import FitOptions
-from tests.effects._arms import arm, inverse_dynamics, motion
+from tests.effects._arms import arm, inverse_dynamics
 from tests.robot import EXACT as STATES_ALONE
+from tests.robot.test_identifier_effects import (
+    DECLARED,
+    DT,
+    LOAD,
+    MODEL,
+    STATES,
+    VISCOUS,
+    Q,
+    V,
+    on_joint,
+)
 
-MODEL = arm("ZYX")
-DT = 0.01
-T, STATES = motion(3, duration=20.0, dt=DT, seed=1)
-Q, V, A = np.split(STATES, 3, axis=1)
-LOAD = inverse_dynamics(MODEL, STATES)
-VISCOUS = np.array([0.8, 0.5, 0.3])
-TORQUE = LOAD + VISCOUS * V
-TORQUE[:, 1] += 3.0 * Q[:, 1]
+TORQUE = DECLARED + on_joint(1, 3.0 * Q[:, 1])
 EXACT = {**STATES_ALONE, "regressor": LinearRegression()}
 SPRING = effects.Spring(joint=1)
 RIPPLE = effects.Ripple(joint=1, period=0.3)

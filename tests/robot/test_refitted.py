@@ -1,6 +1,5 @@
 """MuJoCo files of robots whose friction MuJoCo lacks: the rest is fitted again."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -16,14 +15,19 @@ from tests.model._mujoco import drive_torques
 EFFECTS = (Stribeck(1, vs=0.4), LoadFriction(2))
 
 
+def with_sizes(robot, *sizes):
+    """Return the robot with other coefficients of its effects."""
+    theta = robot.theta_.copy()
+    theta[-len(EFFECTS) :] = sizes
+    return replace(robot, theta_=theta)
+
+
 @pytest.fixture(scope="module")
 def robot():
     recording = make_robot_recording(duration=6.0, dt=0.01, random_state=2)
     robot = RobotIdentifier(recording.urdf, dt=recording.dt, effects=EFFECTS)
     robot = robot.fit(recording.q, recording.tau).robot_
-    theta = robot.theta_.copy()
-    theta[-len(EFFECTS) :] = 6.0, 0.15
-    return replace(robot, theta_=theta)
+    return with_sizes(robot, 6.0, 0.15)
 
 
 def away(robot, path):
@@ -81,20 +85,15 @@ def test_a_file_has_the_mean_of_a_drift_and_moves_differently(tmp_path):
     np.testing.assert_allclose(drive_torques(path, states), half, atol=0.1)
 
 
+@pytest.mark.filterwarnings("error")
 def test_a_small_torque_that_is_lacking_is_no_warning(robot, tmp_path):
-    theta = robot.theta_.copy()
-    theta[-len(EFFECTS) :] = 0.02, 0.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert len(replace(robot, theta_=theta).to_mjcf(tmp_path / "near.xml")) == 1
+    assert len(with_sizes(robot, 0.02, 0.0).to_mjcf(tmp_path / "near.xml")) == 1
 
 
 @pytest.mark.filterwarnings("ignore:The simulated robot leaves")
 def test_changes_of_the_motion_are_those_of_the_simulation(robot):
     """Against `simulate` of two identified robots, under the torques of the first."""
-    theta = robot.theta_.copy()
-    theta[-len(EFFECTS) :] = 0.0
-    plain = replace(robot, theta_=theta)
+    plain = with_sizes(robot, 0.0, 0.0)
     found = changed_motion(robot, robot.torque_model(), plain.torque_model())
     states, _ = typical_motion(robot.effect_ranges_, 6, robot.dt)
     tau, squares = robot.predict(states), []
@@ -107,13 +106,10 @@ def test_changes_of_the_motion_are_those_of_the_simulation(robot):
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
+@pytest.mark.filterwarnings("error")
 def test_a_robot_that_a_file_can_hold_is_written_as_it_is(robot, tmp_path):
-    theta = robot.theta_.copy()
-    theta[-len(EFFECTS) :] = 0.0
-    plain = replace(robot, theta_=theta)
+    plain = with_sizes(robot, 0.0, 0.0)
     found = _robot.refitted(plain, _robot.plain_totals(plain.torque_model()))
     assert found.shape == (6, len(TERMS))
     assert not found.any()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert plain.to_mjcf(tmp_path / "plain.xml") == ()
+    assert plain.to_mjcf(tmp_path / "plain.xml") == ()

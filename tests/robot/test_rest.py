@@ -6,8 +6,7 @@ import pytest
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording, make_robot_recording
 from sklearn_vbjfa.model import load_model
-
-pin = pytest.importorskip("pinocchio")
+from tests.effects._arms import inverse_dynamics
 
 EPS = np.finfo(float).eps
 FRICTION = ("viscous", "coulomb")
@@ -83,14 +82,14 @@ def test_reversals_keep_their_sign(robot, recording):
 
 def test_friction_of_a_joint_that_stops_where_it_reverses():
     model = load_model("tests/model/swing.urdf")
-    data, dt = model.createData(), 0.005
+    dt = 0.005
     t = np.arange(0.0, 60.0, dt)
     wanted = 1.5 * np.sin(1.7 * t) + 0.8 * np.sin(2.9 * t + 0.7)
     v = np.sign(wanted) * np.maximum(np.abs(wanted) - 0.15, 0.0)
     q, a = np.cumsum(v) * dt, np.gradient(v, dt)
     friction = 0.5 * v + 2.0 * np.clip(wanted / 0.15, -1.0, 1.0)
-    rigid = [pin.rnea(model, data, *x) for x in zip(*np.split(np.c_[q, v, a], 3, 1))]
+    rigid = inverse_dynamics(model, np.c_[q, v, a])
     noise = 0.01 * np.random.default_rng(0).normal(size=(t.size, 1))
     robot = RobotIdentifier(model, dt=dt, friction=FRICTION)
-    robot.fit(q[:, None], np.array(rigid) + friction[:, None] + noise)
+    robot.fit(q[:, None], rigid + friction[:, None] + noise)
     assert coulomb(robot) == pytest.approx(2.0, rel=5e-3)

@@ -33,7 +33,7 @@ def assert_same(robot, other, rtol=1e-10):
     for name, values in found.items():
         size = np.abs(expected[name]).max()
         assert_allclose(values, expected[name], rtol=0, atol=rtol * size, err_msg=name)
-    for name in ("noise_floor_", "standstill_"):
+    for name in ("cutoff_", "noise_floor_", "standstill_", "torque_noise_"):
         values, reference = getattr(robot, name), getattr(other, name)
         size = np.abs(reference).max()
         assert_allclose(values, reference, rtol=0, atol=rtol * size, err_msg=name)

@@ -24,6 +24,11 @@ RIVALS = 3.0
 SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
 # Deviations by which the common size of the bodies is another than one.
 _FAR_OFF = 3.0
+# Log-odds of torques in another unit, in one of ten logs, with a factor anywhere in six
+# decades, over those in the right unit, whose factor has the deviation `DESCRIBED`.
+_OTHER_UNIT = np.log(0.1 * np.sqrt(2 * np.pi) * DESCRIBED / np.log(1e6))
+# From this factor on, another unit is more probable than one body that differs.
+_OF_ONE = 20.0
 # Mass of a body without mass, such as the frame between two hinges of one body, as a
 # share of the mean one.
 _MASSLESS = 1e-3
@@ -129,7 +134,10 @@ class BodyPrior:
         return out
 
     def scaled(self, factor):
-        return replace(self, centre=factor * self.centre, root=self.root / factor)
+        """Return bodies of another size, by one factor or by one for each."""
+        factor = np.reshape(factor, (-1, 1))
+        root = self.root / factor[:, :, None]
+        return replace(self, centre=factor * self.centre, root=root)
 
     def deviation(self, sites):
         """Deviations (n, 10) of the parameters at the scales of sites."""
@@ -250,6 +258,22 @@ class _BodyProblem:
         inverse = inverse_of(around @ around.transpose(0, 2, 1))
         mean = own @ mean[self.description.places][:, :, None]
         return inverse, (inverse @ mean)[:, :, 0]
+
+    def log_evidence(self, sites):
+        """Logarithm of the evidence at the scales of sites, up to a constant."""
+        scale = np.array([site.scale for site in sites])
+        mean, root = self.solved([Site.of_scale(own) for own in scale])
+        theta = self.centre + mean[:-1] + mean[-1] * self.centre
+        explained = theta @ self.b - 0.5 * theta @ self.A @ theta
+        # Changes from the prior's mean in its deviations, of bodies and common size.
+        own, at = self.description.root / scale[:, None, None], self.description.places
+        change = np.append(own @ mean[at][:, :, None], mean[-1] / DESCRIBED)
+        spread = (own @ root[at]).reshape(-1, root.shape[1])
+        spread = np.vstack([spread, root[-1] / DESCRIBED])
+        width = 0.5 * np.linalg.slogdet(spread @ spread.T)[1]
+        ratio = scale / DESCRIBED
+        prior = np.log(ratio / (1 + ratio**2)).sum()
+        return explained - 0.5 * change @ change + width + prior
 
     def sites(self):
         """Sites of the bodies, see `propagated`."""
@@ -382,6 +406,21 @@ def _times(matrices, vectors):
     return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
+def _one_differs(description, A, b, factor):
+    """Find the body that differs most probably by a factor, all others as described."""
+    # Returns the logarithm of the evidence, the problem and its sites. The logarithm of
+    # the factor has a Cauchy distribution, in place of the body's own in the evidence.
+    n, found = len(description.names), []
+    for k in range(n):
+        factors = np.where(np.arange(n) == k, factor, 1.0)
+        problem = _BodyProblem(description.scaled(factors), A, b)
+        sites = problem.sites()
+        own = sites[k].scale / (np.sqrt(2 * np.pi) * DESCRIBED * n)
+        found.append((problem.log_evidence(sites) + np.log(own), problem, sites))
+    best = max(found, key=lambda one: one[0])
+    return best[0] - np.log1p((np.log(factor) / DESCRIBED) ** 2), *best[1:]
+
+
 def around(description, A, b):
     """Estimate parameters from normal equations A theta = b and a description."""
     # A (p, p) and b (p,) are in units of the noise; parameters without a prior are
@@ -397,6 +436,13 @@ def around(description, A, b):
         if abs(mean[-1]) < _CONTRADICTED:
             break
         first *= max(1.0 + mean[-1], _CONTRADICTED)
+    common, std = first * (1.0 + mean[-1]), first * np.linalg.norm(root[-1])
+    far_off = abs(common - 1.0) >= _FAR_OFF * std
+    if far_off and 1 / _OF_ONE < common < _OF_ONE and len(sites) > 1:
+        one = _one_differs(description, A, b, common)
+        if one[0] > problem.log_evidence(sites) + _OTHER_UNIT:
+            _, problem, sites = one
+            first, (mean, root) = 1.0, problem.solved(sites)
     precision = problem.precision(sites)
     every = root @ root.T
     centre = problem.centre
@@ -411,8 +457,7 @@ def around(description, A, b):
     covariance[~seen, ~seen] = np.inf
     before = np.full(b.size, np.nan)
     before[description.places] = problem.description.deviation(sites)
-    common = first * (1.0 + mean[-1])
-    common_std = first * np.sqrt(every[-1, -1])
+    common, common_std = first * (1.0 + mean[-1]), first * np.linalg.norm(root[-1])
     # Whether a body departs is asked of a description in the unit of the torques.
     if abs(common - 1.0) < _FAR_OFF * common_std:
         asked = _BodyProblem(description, A, b, sized=True)
@@ -423,7 +468,7 @@ def around(description, A, b):
         covariance=covariance,
         prior=prior,
         before=before,
-        centre=common * description.vector(b.size),
+        centre=centre + mean[-1] * centre,
         departures=asked.departures(),
         common=common,
         torque_size=(common, common_std / abs(common)),

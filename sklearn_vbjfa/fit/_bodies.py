@@ -135,9 +135,8 @@ class BodyPrior:
 
     def scaled(self, factor):
         """Return bodies of another size, by one factor or by one for each."""
-        factor = np.reshape(factor, (-1, 1))
-        root = self.root / factor[:, :, None]
-        return replace(self, centre=factor * self.centre, root=root)
+        size = np.reshape(factor, (-1, 1, 1))
+        return replace(self, centre=size[:, 0] * self.centre, root=self.root / size)
 
     def deviation(self, sites):
         """Deviations (n, 10) of the parameters at the scales of sites."""
@@ -262,18 +261,17 @@ class _BodyProblem:
     def log_evidence(self, sites):
         """Logarithm of the evidence at the scales of sites, up to a constant."""
         scale = np.array([site.scale for site in sites])
-        mean, root = self.solved([Site.of_scale(own) for own in scale])
-        theta = self.centre + mean[:-1] + mean[-1] * self.centre
-        explained = theta @ self.b - 0.5 * theta @ self.A @ theta
-        # Changes from the prior's mean in its deviations, of bodies and common size.
-        own, at = self.description.root / scale[:, None, None], self.description.places
-        change = np.append(own @ mean[at][:, :, None], mean[-1] / DESCRIBED)
-        spread = (own @ root[at]).reshape(-1, root.shape[1])
-        spread = np.vstack([spread, root[-1] / DESCRIBED])
-        width = 0.5 * np.linalg.slogdet(spread @ spread.T)[1]
+        # Mean and root of the covariance, of bodies and common size, in deviations.
+        both = np.column_stack(self.solved([Site.of_scale(own) for own in scale]))
+        theta = self.centre + both[:-1, 0] + both[-1, 0] * self.centre
+        own = self.description.root / scale[:, None, None]
+        own = (own @ both[self.description.places]).reshape(-1, both.shape[1])
+        own = np.vstack([own, both[-1] / DESCRIBED])
+        width = np.linalg.slogdet(own[:, 1:] @ own[:, 1:].T)[1]
         ratio = scale / DESCRIBED
         prior = np.log(ratio / (1 + ratio**2)).sum()
-        return explained - 0.5 * change @ change + width + prior
+        explained = theta @ (self.b - 0.5 * self.A @ theta)
+        return explained + 0.5 * (width - own[:, 0] @ own[:, 0]) + prior
 
     def sites(self):
         """Sites of the bodies, see `propagated`."""

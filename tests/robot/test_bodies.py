@@ -108,6 +108,16 @@ def test_a_body_that_weighs_ten_times_as_much_is_said_and_the_others_do_not_suff
     np.testing.assert_allclose(*rotors, rtol=0.05, atol=0.01)
 
 
+@pytest.mark.parametrize("factor", [0.6, 1.5])
+def test_a_last_body_that_differs_is_not_another_unit(recording, factor):
+    q, tau = recording
+    wrong = scaled(a_robot(), factor, joint=2)
+    one, unit = fitted(wrong, (q, tau)), fitted(a_robot(), (q, tau / factor))
+    np.testing.assert_allclose(bodies(one)[:, 0], [3.0, 2.0, 1.0], rtol=0.1)
+    assert one.common_size_ == pytest.approx(1.0, abs=0.05)
+    assert unit.common_size_ == pytest.approx(1.0 / factor, rel=0.05)
+
+
 @pytest.mark.parametrize(
     "bodies", ["prior", pytest.param("fixed", marks=pytest.mark.slow)]
 )

@@ -104,7 +104,6 @@ class CorrelatedState:
 
     @property
     def E_alpha(self):
-        """Posterior mean of the precisions."""
         return self.alpha_shape / self.alpha_rate
 
 
@@ -374,7 +373,6 @@ class FixedPointSteps(PlainSteps):
         self.smallest, self.idle = np.inf, 0
 
     def forget(self):
-        """Start the extrapolation again."""
         self.last = None
         self.images.clear()
         self.steps.clear()

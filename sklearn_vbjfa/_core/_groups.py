@@ -111,7 +111,6 @@ class Groups:
         return self._with(known, **moments, freedom=excess.freedom)
 
     def part(self, at):
-        """Return some of the groups, a slice."""
         arrays = {name: getattr(self, name)[at] for name in ("H", "q", "own", "unit")}
         return self._with(tuple(x[at] for x in self._spectral), **arrays)
 

@@ -112,7 +112,6 @@ class ScaledEigen:
 
     @property
     def rank(self):
-        """Number of known directions."""
         return int(self.known.sum())
 
     @property

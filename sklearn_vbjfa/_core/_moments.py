@@ -139,22 +139,18 @@ class SecondMoments:
 
     @functools.cached_property
     def S(self):
-        """S_xx, ndarray of shape (d, d)."""
         return self.R.T @ self.R
 
     @functools.cached_property
     def xx(self):
-        """Diagonal of S_xx, ndarray of shape (d,)."""
         return np.diagonal(self.S).copy()
 
     @functools.cached_property
     def xy(self):
-        """S_xy, ndarray of shape (d,)."""
         return self.R.T @ self.z
 
     @functools.cached_property
     def yy(self):
-        """S_yy, float."""
         return float(self.z @ self.z) + self.rest
 
     def residual(self, c):
@@ -186,7 +182,6 @@ class Products:
     yy: float
 
     def residual(self, c):
-        """Return S_xe and S_ee for e = y - c'x."""
         S_xe = self.xy - self.S @ c
         return S_xe, max(self.yy - c @ (self.xy + S_xe), 0.0)
 

@@ -91,19 +91,15 @@ class PlainSteps:
         self.problem, self.tol, self.converged = problem, tol, False
 
     def propose(self, point, budget):
-        """Return the point of the next state."""
         return self.problem.step(point), 1
 
     def judge(self, point, new):
-        """Whether the bound fell, and whether its gain was negligible."""
         return self.problem.judge(point, new, self.tol)
 
     def retry(self):
-        """Offer no alternative after a fall."""
         return False
 
     def accept(self, point, new, quiet):
-        """Take the step; a quiet one is the last."""
         self.converged = quiet
         return quiet
 

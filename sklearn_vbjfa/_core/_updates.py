@@ -40,7 +40,6 @@ class LatentState:
 
     @property
     def E_alpha(self):
-        """Posterior mean of the precisions."""
         return self.alpha_shape / self.alpha_rate
 
 

@@ -96,7 +96,11 @@ def _identify(identifier, paths):
     """Fit an identifier to sums over files."""
     dt = check_dt(identifier.dt)
     identifier.build_model()
-    _check_settings(identifier)
+    if len(identifier.effects_) or not from_moments(identifier.regressor):
+        raise ValueError(
+            "fit_recordings supports neither effects nor a regressor that needs rows: "
+            "workers return second moments of bodies and friction; fit in memory."
+        )
     names = identifier.joint_names_
     model = identifier.model
     urdf = fspath(model) if isinstance(model, (str, PathLike)) else None
@@ -108,7 +112,13 @@ def _identify(identifier, paths):
 
     extents = list(every("lengths", _extent))
     lengths = [n for one in extents for n in one["lengths"]]
-    estimator = _choose_states(identifier, every, extents, lengths)
+    longest = max(lengths)
+    n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM), dt)
+    power, energy = map(sum, zip(*every("spectra", _spectra, dt, n_fft)))
+    spectra = _smoothing.spectrum(power, energy, n_fft, dt) if energy else None
+    moving = np.any([one["moving"] for one in extents], axis=0)
+    cutoff = identifier.fit_options.state_cutoff
+    estimator = choose_states(dt, cutoff, longest, moving, spectra)
     keep = n_fastest(sum(lengths))
     merge = partial(MotionFacts.merge, keep=keep)
     motion = functools.reduce(merge, every("speeds", _motion, estimator, keep))
@@ -132,19 +142,6 @@ def _identify(identifier, paths):
         return [one for facts in every("noise", _noise, robot) for one in facts]
 
     return identifier.fit_moments(plan, sum_moments(found), noise)
-
-
-def _choose_states(identifier, every, extents, lengths):
-    """Choose the cut-offs of the states by the spectra of all files."""
-    dt, longest = check_dt(identifier.dt), max(lengths)
-    n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM), dt)
-    found = zip(*every("spectra", _spectra, dt, n_fft))
-    power, energy = map(sum, found)
-    spectra = _smoothing.spectrum(power, energy, n_fft, dt) if energy else None
-    moving = np.any([one["moving"] for one in extents], axis=0)
-    return choose_states(
-        dt, identifier.fit_options.state_cutoff, longest, moving, spectra
-    )
 
 
 def _on_workers(tasks):
@@ -174,20 +171,10 @@ def _paths(source):
     return paths
 
 
-def _check_settings(identifier):
-    """Reject settings that need more than second moments."""
-    if len(identifier.effects_) or not from_moments(identifier.regressor):
-        raise ValueError(
-            "fit_recordings supports neither effects nor a regressor that needs rows: "
-            "workers return second moments of bodies and friction; fit in memory."
-        )
-
-
 # -- one file, on a worker -------------------------------------------------------------
 
 
 def _read(path, *, dt, urdf, names):
-    """Read a file with the joints of the robot."""
     recording = read_recording(path, dt=dt, urdf=urdf)
     try:
         check_widths(names, recording.q, recording.tau)

@@ -33,11 +33,6 @@ class Varied(Shaped):
     contains = ("offset", "coulomb", "viscous")
     choices = (("of", tuple(_VARIED)),)
 
-    @property
-    def with_motion(self):
-        """Whether it is friction."""
-        return self.of != "offset"
-
     def law(self, maths):
         j, factor, sign = self.joint, self._factor(maths), maths.sign(self.joint)
         return {

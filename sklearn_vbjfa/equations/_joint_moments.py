@@ -483,5 +483,4 @@ def sum_moments(several):
 
 
 def _added(total, G):
-    """Add matrices of the same ranges."""
     return tuple((part, own + other) for (part, own), (_, other) in zip(total, G))

@@ -200,7 +200,8 @@ def make_plan(settings, effects, lengths, estimator, facts):
         state_estimator=estimator,
         cutoff=cutoff,
         standstill=facts.standstill(settings.fit_options.standstill, estimator),
-        stops=facts.stops(),
+        # Where it reverses, a joint stops more often than not.
+        stops=2 * facts.slow[1] > facts.slow[0],
         effects=effects,
         corrects_noise=corrects_noise(settings.regressor),
         fastest_period=facts.period,
@@ -311,10 +312,6 @@ class MotionFacts:
             fastest=_largest(np.concatenate([self.fastest, other.fastest]), keep),
             slow=self.slow + other.slow,
         )
-
-    def stops(self):
-        """Whether each joint mostly stops where it reverses, (nv,)."""
-        return 2 * self.slow[1] > self.slow[0]
 
     def fast(self):
         """Return the 99.5th percentiles of the speeds (nv,) over all samples."""

@@ -187,7 +187,6 @@ def _described(model, random_state=0):
 
 
 def _rms(torques):
-    """Root mean squares over the first axis."""
     return np.sqrt((torques**2).mean(axis=0))
 
 

@@ -66,10 +66,6 @@ class Bodies:
         )
         return whole - weight, weight
 
-    def torques(self, regressors):
-        """Torques (n, nv) of the described bodies."""
-        return regressors @ self.parameters
-
 
 def _regressors(regressor, states):
     q, v, a = map(np.ascontiguousarray, np.split(states, 3, axis=1))
@@ -132,17 +128,18 @@ class DescribedRobot:
     @functools.cached_property
     def described(self):
         """Torques (n, nv) of the described bodies."""
-        return self.bodies.torques(self.entries)
+        return self.entries @ self.bodies.parameters
 
     @functools.cached_property
     def moving(self):
         """Torques (n, nv) of the described bodies without gravity."""
-        return self.bodies.torques(self._parts[0])
+        return self._parts[0] @ self.bodies.parameters
 
     @functools.cached_property
     def by_gravity(self):
         """Torques (n, nv, 3) of the described bodies by 1 g along each axis."""
-        return np.stack([self.bodies.torques(x) for x in self._parts[1]], axis=-1)
+        bodies = self.bodies.parameters
+        return np.stack([x @ bodies for x in self._parts[1]], axis=-1)
 
     @property
     def weight(self):
@@ -219,7 +216,7 @@ class DescribedRobot:
         tau = self.signals.tau if tau is None else tau
         joints = self.joints if joints is None else np.asarray(joints)
         if mean is None:
-            mean = scale * bodies.torques(entries)
+            mean = scale * (entries @ bodies.parameters)
         m = 0 if columns is None else columns.shape[2]
         prior = np.r_[scale * spread * bodies.spread, np.full(m, deviation)]
         first, made = bodies.spread.size, []
@@ -255,7 +252,6 @@ class DescribedRobot:
         return bool(np.r_[fall, worse - number.CLEAR].max() > number.CLEAR)
 
     def _of_rows(self, rows):
-        """Return the same robot in some rows."""
         known = self.times, self.entries[rows]
         return DescribedRobot(self.bodies, self.signals.taken(rows), *known)
 

@@ -83,7 +83,6 @@ class Change:
 
 
 def _mapped(values, matrix):
-    """Map channels (..., nv)."""
     return values if matrix is None else values * np.ones(len(matrix)) @ matrix.T
 
 
@@ -123,7 +122,6 @@ class Signals:
         return self.taken(slice(None, None, max(1, len(self.row) // most)))
 
     def taken(self, rows):
-        """Return some rows."""
         return Signals(**{x.name: getattr(self, x.name)[rows] for x in fields(self)})
 
 
@@ -248,12 +246,10 @@ class Reading:
 
     @functools.cached_property
     def bodies(self):
-        """Bodies of the description."""
         return Bodies(self.model)
 
     @functools.cached_property
     def robot(self):
-        """The described robot in the motion."""
         return DescribedRobot(self.bodies, self.signals)
 
     @property
@@ -279,7 +275,6 @@ class Reading:
         return self.measured and bool(near.all())
 
     def of_recordings(self, numbers, alone=False):
-        """Return some of its recordings."""
         rows, parts = thinned([self.parts[k] for k in numbers], 1)
         channels = {x: getattr(self, x)[rows] for x in ("q", "tau", "usable")}
         return replace(self, **channels, parts=parts, alone=alone)

@@ -193,5 +193,4 @@ def finding(
 
 
 def percent(share):
-    """Write a share in per cent."""
     return f"{100 * share:.2g} %"

@@ -174,7 +174,7 @@ def motions_of(identifier, states, predicted, weight, spread):
     load = features.torques(*np.split(states, 3, axis=1), theta[:, :10])
     load += plain[:, :, rotor].sum(axis=2)
     for effect in identifier.effects_:
-        varies = isinstance(effect, Varied) and effect.with_motion
+        varies = isinstance(effect, Varied) and effect.of != "offset"
         if varies or not {"speed", "direction"}.isdisjoint(effect.depends):
             # The torque of the effects of such a joint.
             friction[:, effect.joint] = (predicted[rows] - load)[:, effect.joint]

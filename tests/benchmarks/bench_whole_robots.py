@@ -126,7 +126,7 @@ def run(task, duration=30.0, **settings):
         "errors": moving.tolist(),
         "errors_all_samples": whole.tolist(),
         "reported": loop.error_after_.tolist(),
-        "floor": loop.report_.outcome.floor.tolist(),
+        "floor": loop.report_.outcome.column("floor").tolist(),
         "cutoff": float(loop.identifier_.cutoff_),
         "truth": [[e.name, e.joint, round(e.distinct, 3)] for e in robot.truth],
         "visible": len(seen),

@@ -107,6 +107,8 @@ TABLE = (
     Hypothesis("torque_unit", "warning", torques.scaled, surpasses="loaded"),
     Hypothesis("torque_factors", "warning", torques.scaled_each, "measured",
                surpasses="loaded"),
+    Hypothesis("mixed_torques", "warning", torques.mixed, "measured several", "poor",
+               surpasses="invented springs"),
     Hypothesis("computed_torque", "warning", torques.computed, "measured"),
     Hypothesis("silent_torque", "error", torques.silent, "measured"),
     # -- scene

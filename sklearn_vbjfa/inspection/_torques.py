@@ -210,6 +210,36 @@ def beyond_limits(reading):
     )
 
 
+def mixed(reading):
+    """Return the torques of two joints that contain each other's, as of cables."""
+    robot, parents, fits = reading.robot, list(reading.model.parents), []
+    joints, tau = robot.joints.tolist(), robot.signals.tau
+    for j in joints:
+        before = {parents[j + 1] - 1, parents[parents[j + 1]] - 1}
+        for i in before.intersection(joints):
+            mean, columns = robot.described.copy(), np.zeros((*tau.shape, 4))
+            mean[:, [i, j]] = 0.0
+            for k, (own, other) in enumerate(((i, j), (j, i))):
+                columns[:, own, 2 * k] = robot.described[:, own]
+                columns[:, own, 2 * k + 1] = tau[:, other]
+            fits.append((robot.fit(mean=mean, columns=columns, deviation=1.0), i, j))
+    if not fits:
+        return None
+    fit, i, j = max(fits, key=lambda one: one[0].evidence)
+    torques, each, names = np.eye(reading.nv), [], reading.names
+    for k, (own, other) in enumerate(((i, j), (j, i))):
+        size, share = fit.factors[2 * k : 2 * k + 2]
+        known = abs(share) > 3 * fit.errors[2 * k + 1] + number.OF_GEAR
+        # Friction that two drives share looks alike, with little of the own torque.
+        if known and 1 / number.SCALE < abs(size) < number.SCALE:
+            torques[own, [own, other]] = 1 / size, -share / size
+            sign = "-" if share / size > 0 else "+"
+            less = f"{1 / size:.3g} {names[own]} {sign} {abs(share / size):.3g}"
+            each.append(f"{names[own]}: {less} {names[other]}")
+    change, facts = Change(torques=torques), {"each": "; ".join(each)}
+    return judged(reading, change, variants=2 * reading.nv, facts=facts)
+
+
 # -- torques that nobody measured ------------------------------------------------------
 
 

@@ -60,6 +60,8 @@ DONE = {
         q, y - w * [0, 1, 1, 0, 0, 0])),
     "one weightless": ("no_gravity", (1,), lambda q, y, w: (
         q, y - w * [0, 1, 0, 0, 0, 0])),
+    "mixed": ("mixed_torques", (2,), lambda q, y, w: (
+        q, where(y, EVERY, 2, y[:, 2] + 0.5 * y[:, 1]))),
     "positions": ("motion_as_torque", None, lambda q, y, w: (q, q)),
     "noisy velocities, another unit": ("motion_as_torque", None, lambda q, y, w: (
         q, np.random.default_rng(0).normal(50 * np.gradient(q, 0.005, axis=0), 1.0))),

@@ -134,7 +134,7 @@ class BodyPrior:
         return out
 
     def scaled(self, factor):
-        """Return bodies of another size, by one factor or by one for each."""
+        """Return the same bodies larger, by one factor or one for each."""
         size = np.reshape(factor, (-1, 1, 1))
         return replace(self, centre=size[:, 0] * self.centre, root=self.root / size)
 

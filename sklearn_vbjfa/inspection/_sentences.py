@@ -126,7 +126,7 @@ SENTENCES = {
     "torque_factors": "The torques have different factors against what the described "
     "masses require ({each}): motor currents, or shares of each joint's rated torque. "
     'Give the factors to N m (gains), or gains="unknown".',
-    "mixed_torques": "The torques of {who} contain those of another joint, as of "
+    "mixed_torques": "The torques of {who} contain those of other joints, as of "
     "cables or a differential ({evidence}). Replace them by combinations of the logged "
     "ones [N m or N]: {each}.",
     "gear_factor": "The torque of {who} is {factor:.3g} times what the described "

@@ -15,9 +15,8 @@ from sklearn_vbjfa.effects._base import (
 )
 
 # Longest and shortest period of a ripple to try on a revolute joint [rad], the shortest
-# of one that stands out above the low-pass (teeth of harmonic drives and their second
-# harmonic), and most periods within the range of the motion, of a ripple and of
-# friction.
+# of one that stands out above the low-pass (twice the teeth of a harmonic drive), and
+# most periods within the range of the motion, of a ripple and of friction.
 _LONGEST, _SHORTEST, _FINEST = np.radians([75.0, 2.0, 0.5])
 _MOST, _FEW = 60.0, 6.0
 # Linkages to try: shorter over longer distance from the axis, and angles [degrees].
@@ -228,13 +227,10 @@ class Ripple(Shaped, Converted):
         slow = np.quantile(moving[moving > 0.02 * motion.speed(self.joint)], 0.2)
         shortest = max(shortest, slow / motion.bandwidth)
         waves = np.arange(1 / longest, 1 / shortest, _CYCLES / reach)
-        if motion.waves is not None:
-            found = motion.waves[self.joint]
-            most = 1 / _FINEST if angle else np.inf
-            found = found[(found > 1 / longest) & (found < most)]
-            around = found[:, None] + np.array([-1, 0, 1]) * _CYCLES / reach
-            waves = np.concatenate([waves, around.ravel()])
-        return [{"period": float(1 / w)} for w in waves]
+        found = np.zeros(0) if motion.waves is None else motion.waves[self.joint]
+        found = found[(found * longest > 1) & (found * _FINEST * angle < 1)]
+        around = found[:, None] + np.array([-1, 0, 1]) * _CYCLES / reach
+        return [{"period": float(1 / w)} for w in (*waves, *around.ravel())]
 
     @staticmethod
     def _ends(reach, angle):

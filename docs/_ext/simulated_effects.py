@@ -295,7 +295,7 @@ def figure_of(use):
         others = {"load", "position"} & set(use.effect.depends)
         with_motion = bool(others) and "direction" in use.effect.depends
         if isinstance(use.effect, effects.Varied):
-            with_motion |= use.effect.with_motion
+            with_motion |= use.effect.of != "offset"
     way = np.sign(motion.v[:, joint]) if with_motion else 1.0
     drawn = np.flatnonzero(np.isfinite(x))
     # The motion of a short stretch is repeated until there are rows enough.

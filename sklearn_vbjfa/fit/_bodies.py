@@ -24,9 +24,6 @@ RIVALS = 3.0
 SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
 # Deviations by which the common size of the bodies is another than one.
 _FAR_OFF = 3.0
-# Log-odds of torques in another unit, in one of ten logs, with a factor anywhere in six
-# decades, over those in the right unit, whose factor has the deviation `DESCRIBED`.
-_OTHER_UNIT = np.log(0.1 * np.sqrt(2 * np.pi) * DESCRIBED / np.log(1e6))
 # From this factor on, another unit is more probable than one body that differs.
 _OF_ONE = 20.0
 # Mass of a body without mass, such as the frame between two hinges of one body, as a
@@ -438,7 +435,8 @@ def around(description, A, b):
     far_off = abs(common - 1.0) >= _FAR_OFF * std
     if far_off and 1 / _OF_ONE < common < _OF_ONE and len(sites) > 1:
         one = _one_differs(description, A, b, common)
-        if one[0] > problem.log_evidence(sites) + _OTHER_UNIT:
+        # Where both explain as much the unit of the torques is in doubt.
+        if one[0] > problem.log_evidence(sites) + RIVALS:
             _, problem, sites = one
             first, (mean, root) = 1.0, problem.solved(sites)
     precision = problem.precision(sites)

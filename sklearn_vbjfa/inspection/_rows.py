@@ -266,16 +266,16 @@ def _switched_off(log):
     """Find runs in which all torques vanish, some at once, although links weigh."""
     step, size = np.abs(log.steps(log.tau)), np.sqrt((log.tau**2).mean(axis=0))
     sudden = (step > number.SUDDEN * np.quantile(step, 0.995, axis=0)).any(axis=1)
-    found, certain = [], False
-    for a, b in log.runs((np.abs(log.tau) <= number.OFF * size).all(axis=1)):
-        ends = [k for k in (a, b + 1) if log.together(k - 1, k) and log.moving[k]]
-        if b - a + 2 >= number.STUCK_RUN:
-            still = np.pad(log.q[[a]], ((0, 0), (0, 2 * log.q.shape[1])))
-            weight = Bodies(log.model).described(still)[1]
-            if (np.abs(weight) > number.LOADED * size).any():
-                found.append((a, b))
-                certain |= bool(sudden[ends].any())
-    return found if certain else []
+    runs = log.runs((np.abs(log.tau) <= number.OFF * size).all(axis=1))
+    runs = [(a, b) for a, b in runs if b - a + 2 >= number.STUCK_RUN]
+    if not runs:
+        return []
+    still = np.pad(log.q[[a for a, _ in runs]], ((0, 0), (0, 2 * log.q.shape[1])))
+    weight = np.abs(Bodies(log.model).described(still)[1])
+    found = [runs[k] for k in np.flatnonzero((weight > number.LOADED * size).any(1))]
+    ends = [k for a, b in found for k in (a, b + 1)]
+    ends = [k for k in ends if log.together(k - 1, k) and log.moving[k]]
+    return found if sudden[ends].any() else []
 
 
 def _breaks(log, flags, least):

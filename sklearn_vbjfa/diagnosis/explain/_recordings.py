@@ -92,9 +92,6 @@ class Parts:
             metric, centre = described[0][:rigid, :rigid] * ratio, described[1][:rigid]
             self._prior[0][:rigid, :rigid] = metric
             self._prior[1][:rigid] = metric @ centre
-        # Of fits to each recording alone, (r, nv).
-        each = [self.recording == r for r in range(self.count)]
-        self.own_squares = np.array([self.squares(own, own) for own in each])
 
     def moments_of(self, j, part):
         """Moments of the design of a joint in each part of the rows (n_parts, k, k)."""
@@ -152,6 +149,12 @@ class Parts:
                 squares[0, r] += self.squares(out, here & ~out)
                 squares[1, r] += self.squares(out, ~out)
         return squares
+
+    @functools.cached_property
+    def own_squares(self):
+        """Squares of errors of fits to each recording alone, (r, nv)."""
+        each = [self.recording == r for r in range(self.count)]
+        return np.array([self.squares(own, own) for own in each])
 
     @functools.cached_property
     def partitions(self):
@@ -224,10 +227,8 @@ class _Deviations:
     def __init__(self, parts, recording, recordings):
         # recordings: that are fitted, with this one.
         self._parts, self._recording, self._recordings = parts, recording, recordings
-        kept, self._own = (
-            np.isin(parts.recording, recordings),
-            parts.recording == recording,
-        )
+        kept = np.isin(parts.recording, recordings)
+        self._own = parts.recording == recording
         # Weights of the joints by fits to each recording alone: in a common fit the
         # differences would count as noise.
         squares = parts.own_squares[recordings].sum(axis=0)

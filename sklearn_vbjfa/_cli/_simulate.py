@@ -120,7 +120,7 @@ def _windows(arguments, robot, recording):
     """Simulate windows from torques, or from commands under a drive of positions."""
     drive, signals = arguments.drive, OfferedSignals.of_file(recording)
     settings = {"window": arguments.window, "signals": signals}
-    if drive is not None and drive.of_positions:
+    if drive is not None and drive.uses_positions:
         if any(isinstance(x, CommandDelay) for x in robot.effects_):
             # The delay is that of the fit.
             drive = clone(drive).set_params(delay="auto")

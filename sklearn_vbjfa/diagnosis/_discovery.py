@@ -282,7 +282,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             # They are declared on every channel.
             library = [one for one in library if not isinstance(one, TorqueGain)]
         drive = given.drive
-        if drive is None or not drive.of_positions:
+        if drive is None or not drive.uses_positions:
             return library
         # Effects that its simulation cannot have would change the values of the others.
         left = {one.name: unfollowed(one) for one in library if unfollowed(one)}

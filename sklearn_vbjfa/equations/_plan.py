@@ -449,7 +449,7 @@ def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
         return np.inf
     length = longest * dt
     frequency = cutoff_of(state_estimator.bandwidth_.max(), dt)
-    if drive is not None and drive.of_positions:
+    if drive is not None and drive.uses_positions:
         frequency = min(frequency, _FAITHFUL * state_estimator.cutoff_.min())
     frequency = max(frequency, SHORTEST_CUTOFF_PERIODS / length)
     return float(frequency) if frequency < 0.4 / dt else np.inf

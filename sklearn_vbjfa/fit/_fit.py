@@ -49,7 +49,7 @@ from sklearn_vbjfa.fit._gains import (
 )
 from sklearn_vbjfa.fit._output_error import refine
 from sklearn_vbjfa.fit._pooling import beside_each_other, with_positive_rotors
-from sklearn_vbjfa.recording import Recording, check_wait, take_rows
+from sklearn_vbjfa.recording import Recording, check_delay, take_rows
 from sklearn_vbjfa.robot._channels import ChannelGains
 from sklearn_vbjfa.robot._posterior import known_parameters
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
@@ -383,7 +383,7 @@ def iterate_corrections(recipe, fit, source, relative):
     fit, values = _corrected(recipe, fit, source, relative)
     for effect in fit.robot.effects_:
         if isinstance(effect, CommandDelay):
-            check_wait(effect.delay, source.recording)
+            check_delay(effect.delay, source.recording)
     common = None
     if relative is not None:
         common, covariance = common_gain(

@@ -458,7 +458,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if gains is not None:
             check_gains(gains, self.joint_names_)
             declared = declared_gains(declared, model.nv)
-        waits = self.drive is None or self.drive.waits is not None
+        waits = self.drive is None or self.drive.known_delay is not None
         if not (waits or any(isinstance(one, CommandDelay) for one in declared)):
             declared += (CommandDelay(),)
         declared += further

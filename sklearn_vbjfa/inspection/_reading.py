@@ -233,7 +233,7 @@ class Reading:
         self.nv, self.every = self.model.nv, tuple(range(self.model.nv))
         self.slides = is_prismatic(self.model)
         # Whether torques are what motors were commanded.
-        self.commanded = self.drive is not None and self.drive.of_positions
+        self.commanded = self.drive is not None and self.drive.uses_positions
         self.measured, self.turns = not self.commanded, not self.slides.all()
 
     @functools.cached_property

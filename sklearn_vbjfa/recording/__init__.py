@@ -23,7 +23,7 @@ _MODULES = {
         "Drive",
         "PDDrive",
         "VoltageDrive",
-        "check_wait",
+        "check_delay",
         "parse_drive",
     ),
     "_reader": ("common_folder", "read_recording"),

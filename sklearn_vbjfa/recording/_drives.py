@@ -34,15 +34,15 @@ class Drive(BaseEstimator):
     `command`; it raises a ValueError if channels are missing or do not suit the drive.
     """
 
-    told = ""  # channel that `RobotIdentifier.fit` takes as y
+    channel = ""  # channel that `RobotIdentifier.fit` takes as y
     beside: tuple[str, ...] = ()  # further channels of joints, in `signals`
-    of_positions = False  # whether torques are made of measured positions
-    waits: float | None = 0.0  # delay of its commands [s]; None if it is to be found
+    uses_positions = False  # whether torques are made of measured positions
+    known_delay: float | None = 0.0  # of its commands [s]; None to estimate it
     unsigned = False  # whether only sizes of torques are known
     factor = ""  # setting by which its channel is multiplied
     gains: str | None = None  # "unknown" where torques are known up to factors
     # names of its channel in files that have it in place of torques
-    spelled: tuple[str, ...] = ()
+    aliases: tuple[str, ...] = ()
 
     def facts(self, recording):
         """Return what a report says of the drive, a dict of numbers and lists."""
@@ -52,7 +52,7 @@ class Drive(BaseEstimator):
         """Split signals that were given for a fit, with y, into those of the drive."""
         others = dict(signals or {})
         own = {name: others.pop(name) for name in self.beside if name in others}
-        return {self.told: y, **own}, others if own else signals
+        return {self.channel: y, **own}, others if own else signals
 
     def _channel(self, recording, name):
         """Channel (n, nv) of a recording; None if it has none."""
@@ -73,7 +73,7 @@ class Drive(BaseEstimator):
         Without this channel the recorded torques are taken for it. `command` is None
         until signs are known.
         """
-        tau, names = self._channel(recording, self.told), recording.joint_names
+        tau, names = self._channel(recording, self.channel), recording.joint_names
         tau = recording.tau if tau is None else tau
         factor = self._setting(self.factor, names, recording)
         tau = tau if factor is None else tau * factor
@@ -168,8 +168,8 @@ class PDDrive(Drive):
     (array([20., 40.]), array([1., 1.]))
     """
 
-    told = "q_desired"
-    of_positions = True
+    channel = "q_desired"
+    uses_positions = True
     beside = COMMANDS[1:]
     # settings to check if the order of magnitude of the torques is wrong
     numbers = (
@@ -185,7 +185,7 @@ class PDDrive(Drive):
         self.period = period
 
     @property
-    def waits(self):
+    def known_delay(self):
         """Known delay [s]; None if it is to be found."""
         if isinstance(self.delay, Real) and np.isfinite(self.delay):
             return float(self.delay)
@@ -224,14 +224,14 @@ class PDDrive(Drive):
                 "The commands are constant while joints move: they are not those that "
                 "the robot followed. Record the commands of the same time and mode."
             )
-        if self.waits is not None:
-            check_wait(self.waits, recording)
-        command = held(command, parts, clock, self.waits or 0.0)
+        if self.known_delay is not None:
+            check_delay(self.known_delay, recording)
+        command = held(command, parts, clock, self.known_delay or 0.0)
         q, v = recording.q, velocities(recording)
         if self.period is not None:
             # A torque that is held acts half a period late; of the command it is a
             # part of the delay.
-            late = 0.5 * recording.dt / self.updates(recording.dt)
+            late = 0.5 * recording.dt / self.updates_per_sample(recording.dt)
             q, v = (interpolate(x, parts, clock, late) for x in (q, v))
         tau = command - kp * q - kd * v
         shares = [np.mean(np.broadcast_to(x, tau.shape), axis=0) for x in (kp, kd)]
@@ -240,7 +240,7 @@ class PDDrive(Drive):
 
     def _saturated(self, recording):
         """Mark samples at the limit of torque, which the law does not tell."""
-        names, most = recording.joint_names, self.most(recording.joint_names)
+        names, most = recording.joint_names, self.torque_limits(recording.joint_names)
         full = np.abs(recording.tau) >= most
         share = full.mean(axis=0)
         j = int(np.argmax(share))
@@ -259,13 +259,13 @@ class PDDrive(Drive):
 
     def facts(self, recording):
         """Delay as given [s] or None, and the share of each joint at its limit."""
-        most = self.most(recording.joint_names)
+        most = self.torque_limits(recording.joint_names)
         share = (np.abs(recording.tau) >= most).mean(axis=0)
-        return {"delay": self.waits, "saturated": share.tolist()}
+        return {"delay": self.known_delay, "saturated": share.tolist()}
 
     # -- in simulation -----------------------------------------------------------------
 
-    def updates(self, dt):
+    def updates_per_sample(self, dt):
         """Return how often torques are set in a sample period."""
         if self.period is None:
             return max(round(dt / _PERIOD), 1)
@@ -277,7 +277,7 @@ class PDDrive(Drive):
             )
         return max(round(dt / self.period), 1)
 
-    def most(self, names):
+    def torque_limits(self, names):
         """Return the largest torque of joints, (nv,); infinite where none is given."""
         if self.saturation is None:
             return np.full(len(names), np.inf)
@@ -320,9 +320,9 @@ class CurrentDrive(Drive):
     CurrentDrive(torque_constant=5.0)
     """
 
-    told = "current"
+    channel = "current"
     factor = "torque_constant"
-    spelled = ("current", "motor_current", "present_current")
+    aliases = ("current", "motor_current", "present_current")
 
     def __init__(self, torque_constant="unknown", *, signed=True):
         self.torque_constant = torque_constant
@@ -364,11 +364,11 @@ class VoltageDrive(Drive):
     VoltageDrive(supply=7.4)
     """
 
-    told = "voltage"
+    channel = "voltage"
     factor = "supply"
     gains = "unknown"
     beside = ("supply",)
-    spelled = ("voltage", "duty", "pwm", "pwm_duty", "present_pwm")
+    aliases = ("voltage", "duty", "pwm", "pwm_duty", "present_pwm")
 
     def __init__(self, *, supply=None):
         self.supply = supply
@@ -379,7 +379,7 @@ def _changes(values, parts):
     return any(np.ptp(values[part], axis=0).any() for part in parts)
 
 
-def check_wait(delay, recording):
+def check_delay(delay, recording):
     """Refuse a delay [s] before which too much of a recording has no known command."""
     time = check_dt(recording.dt) * recording.n_samples / len(recording.segments)
     if abs(delay) > _UNKNOWN * time:

@@ -125,7 +125,7 @@ class ReadOptions:
         drive = self.drive
         if drive is None:
             return ("tau",)
-        return ("tau" if drive.spelled else drive.told, *drive.beside)
+        return ("tau" if drive.aliases else drive.channel, *drive.beside)
 
     @property
     def kinds(self):
@@ -317,7 +317,7 @@ def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
     kinds = dict.fromkeys((*kinds, *KINDS))
     begins = {x: kind for kind in kinds for x in (kind, *COMMAND_NAMES.get(kind, ()))}
     if drive is not None:
-        begins |= {"dq": "v", **dict.fromkeys(drive.spelled, "tau")}
+        begins |= {"dq": "v", **dict.fromkeys(drive.aliases, "tau")}
     joint = "|".join(map(re.escape, joints)) or "$."
     # The longest first: q_desired is no q.
     begin = "|".join(sorted(begins, key=len, reverse=True))

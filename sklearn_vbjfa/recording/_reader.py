@@ -331,8 +331,8 @@ def _driven(recording, drive, files):
     units, signals = recording.torque_units, recording.signals
     if drive.gains is None:
         units = tuple("N" if x == "m" else "N m" for x in recording.position_units)
-    if drive.spelled:
-        signals = {**signals, drive.told: recording.tau}
+    if drive.aliases:
+        signals = {**signals, drive.channel: recording.tau}
     # The noise of a torque is that of the positions that it is made of.
     recording = replace(
         recording, torque_units=units, signals=signals, torque_noise=None

@@ -698,9 +698,9 @@ class IdentifiedRobot:
             )
         pairs = zip(self.effects_, self.split(self.theta_))
         found = [x[0] for one, x in pairs if isinstance(one, CommandDelay)]
-        delay = sum(found) if found else drive.waits or 0.0
+        delay = sum(found) if found else drive.known_delay or 0.0
         kp, kd = drive.law(self.joint_names_)
-        most = drive.most(self.joint_names_)
+        most = drive.torque_limits(self.joint_names_)
         return Servo(kp=kp, kd=kd, most=most, delay=max(delay, 0.0))
 
     @property

@@ -221,7 +221,7 @@ def follow_windows(robot, drive, recording, t=None, *, window=1.0, signals=None)
     follower = CommandFollower(robot, drive, replace(recording, signals=own))
     warn_left_out(robot.joint_names_, follower.left_out, stacklevel=3)
     made = _measured(robot, X, recording.groups, t, signals, window)
-    commanded = recording.signals[drive.told].reshape(recording.q.shape)
+    commanded = recording.signals[drive.channel].reshape(recording.q.shape)
     made = replace(made, commanded=commanded[_rows_of(made)])
     return _run(made, follower.run)
 
@@ -319,14 +319,14 @@ class CommandFollower:
     def __init__(self, robot, drive, recording):
         names = recording.joint_names
         self._command = drive.commands(recording)
-        self._late = (robot.plan.delay + (drive.waits or 0.0)) / recording.dt
+        self._late = (robot.plan.delay + (drive.known_delay or 0.0)) / recording.dt
         self._begins = np.array([part.start for part in recording.segments])
         self._gains = [
             np.broadcast_to(x, self._command.shape) for x in drive.law(names, recording)
         ]
-        self._most = drive.most(names)
+        self._most = drive.torque_limits(names)
         self._model, self._dt = robot.torque_model(), recording.dt
-        self._updates = drive.updates(recording.dt)
+        self._updates = drive.updates_per_sample(recording.dt)
         self._lags = np.maximum(velocity_lags(recording), 0.0)
         self._signals = {k: x for k, x in recording.signals.items() if x.ndim == 1}
         # effects that a simulation goes without, each with the reason

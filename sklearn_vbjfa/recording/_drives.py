@@ -35,7 +35,7 @@ class Drive(BaseEstimator):
     """
 
     channel = ""  # channel that `RobotIdentifier.fit` takes as y
-    beside: tuple[str, ...] = ()  # further channels of joints, in `signals`
+    extra_channels: tuple[str, ...] = ()  # further channels of joints, in `signals`
     uses_positions = False  # whether torques are made of measured positions
     known_delay: float | None = 0.0  # of its commands [s]; None to estimate it
     unsigned = False  # whether only sizes of torques are known
@@ -51,7 +51,7 @@ class Drive(BaseEstimator):
     def taken(self, y, signals):
         """Split signals that were given for a fit, with y, into those of the drive."""
         others = dict(signals or {})
-        own = {name: others.pop(name) for name in self.beside if name in others}
+        own = {name: others.pop(name) for name in self.extra_channels if name in others}
         return {self.channel: y, **own}, others if own else signals
 
     def _channel(self, recording, name):
@@ -170,7 +170,7 @@ class PDDrive(Drive):
 
     channel = "q_desired"
     uses_positions = True
-    beside = COMMANDS[1:]
+    extra_channels = COMMANDS[1:]
     # settings to check if the order of magnitude of the torques is wrong
     numbers = (
         "kp [N m/rad] and kd [N m s/rad] (not per degree, nor in units of the "
@@ -367,7 +367,7 @@ class VoltageDrive(Drive):
     channel = "voltage"
     factor = "supply"
     gains = "unknown"
-    beside = ("supply",)
+    extra_channels = ("supply",)
     aliases = ("voltage", "duty", "pwm", "pwm_duty", "present_pwm")
 
     def __init__(self, *, supply=None):

@@ -125,7 +125,7 @@ class ReadOptions:
         drive = self.drive
         if drive is None:
             return ("tau",)
-        return ("tau" if drive.aliases else drive.channel, *drive.beside)
+        return ("tau" if drive.aliases else drive.channel, *drive.extra_channels)
 
     @property
     def kinds(self):

@@ -212,7 +212,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         whole, beside = self._recording(X, y, groups, sample_weight, t)
         drive = self.identifier.drive
         if drive is not None:
-            commanded, signals = drive.taken(whole.tau, signals)
+            commanded, signals = drive.split_signals(whole.tau, signals)
             whole = drive.driven(replace(whole, signals=commanded))
         names = recording_names(groups, [part.start for part in whole.segments])
         named = carries_names(X, self.joint_names_)

@@ -99,7 +99,7 @@ def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
     names, dt, channels = identifier.joint_names_, identifier.dt, {}
     X, y, columns = checked_arrays(identifier, names, X, y)
     if identifier.drive is not None:
-        channels, signals = identifier.drive.taken(y, signals)
+        channels, signals = identifier.drive.split_signals(y, signals)
     used = signals_for(identifier.effects_, signals, columns, X.shape[0])
     weight = check_weight(sample_weight, y.shape)
     recording = take_arrays(

@@ -73,7 +73,7 @@ class RecordingRegressorMixin(MultiOutputMixin, RegressorMixin):
 
         if getattr(self, "drive", None) is not None:
             recording = recording_of_arguments(self, X, y, groups, None, t, signals)
-            _, signals = self.drive.taken(y, signals)
+            _, signals = self.drive.split_signals(y, signals)
             y = self.robot_.plan.applied(recording).tau
         predicted = self.predict(X, groups=groups, t=t, signals=signals)
         if hasattr(self, "joint_names_"):

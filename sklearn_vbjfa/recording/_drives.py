@@ -39,7 +39,7 @@ class Drive(BaseEstimator):
     uses_positions = False  # whether torques are made of measured positions
     known_delay: float | None = 0.0  # of its commands [s]; None to estimate it
     unsigned = False  # whether only sizes of torques are known
-    factor = ""  # setting by which its channel is multiplied
+    scale_parameter = ""  # setting by which its channel is multiplied
     gains: str | None = None  # "unknown" where torques are known up to factors
     # names of its channel in files that have it in place of torques
     aliases: tuple[str, ...] = ()
@@ -48,7 +48,7 @@ class Drive(BaseEstimator):
         """Return what a report says of the drive, a dict of numbers and lists."""
         return {}
 
-    def taken(self, y, signals):
+    def split_signals(self, y, signals):
         """Split signals that were given for a fit, with y, into those of the drive."""
         others = dict(signals or {})
         own = {name: others.pop(name) for name in self.extra_channels if name in others}
@@ -75,7 +75,7 @@ class Drive(BaseEstimator):
         """
         tau, names = self._channel(recording, self.channel), recording.joint_names
         tau = recording.tau if tau is None else tau
-        factor = self._setting(self.factor, names, recording)
+        factor = self._setting(self.scale_parameter, names, recording)
         tau = tau if factor is None else tau * factor
         below = np.flatnonzero((tau < 0).any(axis=0)) if self.unsigned else ()
         if len(below):
@@ -321,7 +321,7 @@ class CurrentDrive(Drive):
     """
 
     channel = "current"
-    factor = "torque_constant"
+    scale_parameter = "torque_constant"
     aliases = ("current", "motor_current", "present_current")
 
     def __init__(self, torque_constant="unknown", *, signed=True):
@@ -365,7 +365,7 @@ class VoltageDrive(Drive):
     """
 
     channel = "voltage"
-    factor = "supply"
+    scale_parameter = "supply"
     gains = "unknown"
     extra_channels = ("supply",)
     aliases = ("voltage", "duty", "pwm", "pwm_duty", "present_pwm")

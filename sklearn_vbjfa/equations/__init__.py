@@ -4,11 +4,11 @@ from sklearn_vbjfa import _lazily
 
 # What is not in __all__ is for other rooms and for tests.
 _MODULES = {
-    "_equations": ("Equations", "TorqueResiduals", "is_plain"),
+    "_equations": ("Equations", "TorqueResiduals", "is_load_free"),
     "_features": ("RigidBodyFeatures", "with_followers"),
     "_joint_moments": ("BlockAssignment", "piece_moments", "sum_moments"),
     "_plan": ("Plan",),
-    "_ranges": ("EffectRange", "OutsideRange", "outside", "own_motions"),
+    "_ranges": ("EffectRange", "OutsideRange", "outside", "clipped_motions"),
     "_repetition": ("find_repetition",),
     "_states": ("RecordingStates",),
     "_torque_noise": ("filtered_noise", "held_rows", "noise_facts"),

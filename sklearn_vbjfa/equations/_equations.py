@@ -22,8 +22,8 @@ from sklearn_vbjfa.equations._joint_moments import (
     joint_entries,
     sum_moments,
 )
-from sklearn_vbjfa.equations._plan import effect_places, in_parallel
-from sklearn_vbjfa.equations._ranges import SignalRanges, own_motions
+from sklearn_vbjfa.equations._plan import effect_indices, in_parallel
+from sklearn_vbjfa.equations._ranges import SignalRanges, clipped_motions
 from sklearn_vbjfa.equations._repetition import find_repetition
 from sklearn_vbjfa.model import TorqueDerivatives, is_prismatic, rounding_entries
 
@@ -83,7 +83,7 @@ def make_motion(
 ):
     """Build the `Motion` that effects are computed from."""
     # parts: slices of the segments; theta: parameters (p,) of the features, for the
-    # load, and what `plain_coefficients` picks, for the whole torque; bandwidth:
+    # load, and what `pick_load_free` picks, for the whole torque; bandwidth:
     # cut-off of the low-pass [Hz]; rest: velocity signs at rest; since: first time of
     # the fit [s]; ranges: what the motion is held within, see `Plan`; command, before:
     # see `Recording`.
@@ -123,23 +123,23 @@ def make_motion(
     )
     if torque is not None and coefs.size:
         # The torque is the motion's own array.
-        for effect, held in zip(effects, own_motions(effects, ranges, motion)):
-            if is_plain(effect):
+        for effect, held in zip(effects, clipped_motions(effects, ranges, motion)):
+            if is_load_free(effect):
                 own, coefs = np.split(coefs, [len(effect.coefficients)])
                 which = slice(None) if isinstance(effect, OnAllJoints) else effect.joint
                 torque[:, which] += effect.columns(held) @ own
     return motion
 
 
-def is_plain(effect):
+def is_load_free(effect):
     """Whether an effect needs no load, so that its torque is part of the load's."""
     return "load" not in effect.needs and not isinstance(effect, InModel)
 
 
-def plain_coefficients(effects, coefs):
+def pick_load_free(effects, coefs):
     widths = np.cumsum([len(effect.coefficients) for effect in effects])
     pieces = np.split(coefs, widths[:-1]) if effects else []
-    kept = [own for effect, own in zip(effects, pieces) if is_plain(effect)]
+    kept = [own for effect, own in zip(effects, pieces) if is_load_free(effect)]
     return np.concatenate([np.empty(0), *kept])
 
 
@@ -275,11 +275,11 @@ class RegressorRows:
 
 
 def regressor_rows(
-    recording, states, plan, features, *, theta=None, rest=None, kept=None
+    recording, states, plan, features, *, theta=None, rest=None, cache=None
 ):
     """Regressor of each segment, with the columns of the plan's effects."""
     # Takes the states of each segment, arrays (n, 3 nv) or `SplineStates`; theta gives
-    # the load and the torque, rest the velocity signs at rest; kept: columns that no
+    # the load and the torque, rest the velocity signs at rest; cache: columns that no
     # load changes, to which new ones are added. Returns a list of `RegressorRows`.
     if not plan.effects:
         return [RegressorRows(features, own, rest=rest) for own in states]
@@ -305,7 +305,7 @@ def regressor_rows(
         recording.command if plan.lag is None else recording.tau,
         came_from(recording.before),
     )
-    columns = _effect_columns(plan, motion, {} if kept is None else kept)
+    columns = _effect_columns(plan, motion, {} if cache is None else cache)
     # Splines are a third of the states of all rows, which end here.
     return [
         RegressorRows(features, own, [(e, x[part]) for e, x in columns], rest)
@@ -313,13 +313,13 @@ def regressor_rows(
     ]
 
 
-def _effect_columns(plan, motion, kept):
+def _effect_columns(plan, motion, cache):
     """Pair effects with their columns (n, [nv,] k) along a motion."""
-    # kept: see `regressor_rows`.
+    # cache: see `regressor_rows`.
     # Signs of velocities at rest and at turns are another plan's.
     rest = () if motion.rest is None else vars(motion.rest).values()
     found, rest = [], tuple(np.asarray(own, dtype=float).tobytes() for own in rest)
-    own_motion = own_motions(plan.effects, plan.ranges, motion)
+    own_motion = clipped_motions(plan.effects, plan.ranges, motion)
     for effect, own in zip(plan.effects, own_motion):
         shape = (
             motion.q.shape if isinstance(effect, OnAllJoints) else motion.q.shape[:1]
@@ -332,11 +332,11 @@ def _effect_columns(plan, motion, kept):
                 raise ValueError(
                     f"effects holds {effect.name} on joint {effect.joint}: {reason}."
                 )
-            columns = kept.get((effect, rest))
+            columns = cache.get((effect, rest))
             if columns is None:
                 columns = effect.columns(own)
-            if is_plain(effect):
-                kept[effect, rest] = columns
+            if is_load_free(effect):
+                cache[effect, rest] = columns
         found.append((effect, columns))
     return found
 
@@ -525,17 +525,17 @@ def edge_rows(n, state_estimator, most=0.05):
 
 
 def build_segments(
-    recording, states, plan, features, *, theta=None, rest=None, first=0, kept=None
+    recording, states, plan, features, *, theta=None, rest=None, first=0, cache=None
 ):
     """Combine a recording with its regressor, segment by segment."""
     # states: `RecordingStates`, with halves where the regressor's noise is measured;
     # theta: parameters for the load in effects' columns; rest: velocity signs at rest,
-    # for comparisons only; first: number of the first segment; kept: see
+    # for comparisons only; first: number of the first segment; cache: see
     # `regressor_rows`. Returns a list of `Segment`.
-    rest, kept = plan.turning if rest is None else rest, {} if kept is None else kept
+    rest, cache = plan.turning if rest is None else rest, {} if cache is None else cache
 
     def rows_of(own, number=0):
-        known = {"theta": theta, "rest": rest, "kept": kept.setdefault(number, {})}
+        known = {"theta": theta, "rest": rest, "cache": cache.setdefault(number, {})}
         return regressor_rows(recording, own, plan, features, **known)
 
     applied, parts = plan.applied(recording), recording.segments
@@ -569,7 +569,7 @@ def build_segments(
 # -- passes over segments --------------------------------------------------------------
 
 
-def numbered(recording, plan):
+def assign_blocks(recording, plan):
     """Divide filtered rows into blocks of time, or of phases, see `BlockAssignment`."""
     sizes = [part.stop - part.start for part in recording.segments]
     centres = [plan.lowpass.centres(n) for n in sizes]
@@ -613,7 +613,7 @@ def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
     return sum_moments(counted(done, "equations", len(tasks)))
 
 
-def held_columns(features, effects):
+def excluded_columns(features, effects):
     """Numbers of parameters whose column an effect of their joint has already."""
     # Plain terms, and columns of further effects: of the same columns the data would
     # know the sum alone, and none of them.
@@ -621,7 +621,7 @@ def held_columns(features, effects):
     plain = {name: 10 + k for k, name in enumerate(features.friction_)}
     found, taken = [], set()
     # A constant over two joints takes the offset of the one that is left.
-    places = effect_places(effects, features.n_parameters_)
+    places = effect_indices(effects, features.n_parameters_)
     for effect, at in sorted(places, key=lambda place: len(place[0].joints)):
         if effect.constant:
             joint = next((j for j in effect.joints if j not in taken), None)

@@ -254,7 +254,7 @@ def parameter_names(features, effects):
     )
 
 
-def effect_places(effects, first):
+def effect_indices(effects, first):
     """Pair effects with the ranges of their coefficients among the parameters."""
     # first: place of the first one, behind those of the features.
     widths = (len(effect.coefficients) for effect in effects)

@@ -115,7 +115,7 @@ class EffectRange:
         return _MARGIN * sides * (high - low) + _ROUNDING * max(abs(low), abs(high))
 
 
-def own_motions(effects, ranges, motion):
+def clipped_motions(effects, ranges, motion):
     """Return the `Motion` that each effect's columns are made from, in its range."""
     held = ranges or [None] * len(effects)
     return [motion if one is None else one.within(motion) for one in held]

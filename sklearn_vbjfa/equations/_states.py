@@ -375,13 +375,13 @@ def _with_cutoffs(estimator, cutoffs):
     return other
 
 
-def of_joints(estimator, joints):
+def select_joints(estimator, joints):
     own = _with_cutoffs(estimator, estimator.cutoff_[joints])
     own.n_features_in_ = own.cutoff_.size
     own.noise_variance_ = estimator.noise_variance_[joints]
     return own
 
 
-def smooth_to(estimator, cutoff):
+def limit_cutoffs(estimator, cutoff):
     """Copy a fitted state estimator, with its cut-offs limited to a band [Hz]."""
     return _with_cutoffs(estimator, np.minimum(estimator.cutoff_, cutoff))

@@ -88,7 +88,7 @@ class NoiseFacts:
     waves: np.ndarray
 
 
-def seen(dt, cutoff):
+def stopband_exists(dt, cutoff):
     """Whether anything lies between the low-pass and the Nyquist frequency."""
     return dt is not None and np.isfinite(cutoff) and _LOWEST * cutoff <= 0.5 / dt
 
@@ -216,7 +216,7 @@ def filtered_noise(facts, dt, cutoff, left=np.inf):
     # waves of the position.
     nv = facts[0].hold.size
     found, left = np.full(nv, np.nan), np.where(left > 0, left, np.inf) * np.ones(nv)
-    if not seen(dt, cutoff):
+    if not stopband_exists(dt, cutoff):
         return found
     families, waves = {}, common_waves(facts)
     for j in range(nv):

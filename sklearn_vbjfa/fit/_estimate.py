@@ -10,7 +10,7 @@ from sklearn_vbjfa._core._linear_systems import ROUNDING, ScaledEigen, scaled_ei
 from sklearn_vbjfa.effects import declared
 from sklearn_vbjfa.equations._features import nominal_followers
 from sklearn_vbjfa.equations._joint_moments import JointMoments, block_scatter
-from sklearn_vbjfa.equations._plan import effect_places
+from sklearn_vbjfa.equations._plan import effect_indices
 from sklearn_vbjfa.fit._bodies import (
     BodyPosterior,
     around,
@@ -419,7 +419,7 @@ def project(found, projector, features, effects=()):
     # Coefficients of effects that physics requires to be positive.
     positive = [
         places[k]
-        for effect, places in effect_places(effects, features.n_parameters_)
+        for effect, places in effect_indices(effects, features.n_parameters_)
         for k, name in enumerate(effect.coefficients)
         if name in effect.nonnegative
     ]

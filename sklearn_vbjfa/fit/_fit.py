@@ -15,14 +15,14 @@ from sklearn_vbjfa.equations._equations import (
     accumulate,
     build_segments,
     equations,
-    held_columns,
-    is_plain,
+    excluded_columns,
+    is_load_free,
     regressor_rows,
     unexcited_entries,
 )
 from sklearn_vbjfa.equations._plan import (
     check_count,
-    effect_places,
+    effect_indices,
     needs_load,
     observe,
 )
@@ -61,7 +61,7 @@ class FitData:
 
     recording: Recording
     states: RecordingStates
-    numbering: object  # of the rows, see `numbered`
+    numbering: object  # of the rows, see `assign_blocks`
     n_jobs: object = None
 
     @functools.cached_property
@@ -77,7 +77,7 @@ class FitData:
             plan,
             robot.features_,
             theta=robot.load_parameters,
-            kept=self._kept,
+            cache=self._kept,
         )
 
     def instrumented(self, robot):
@@ -231,7 +231,7 @@ class Recipe:
             found = beside_each_other(found, self.alike, robot)
         if self.description is not None:
             found = with_positive_rotors(found, robot)
-        held = held_columns(robot.features_, robot.effects_)
+        held = excluded_columns(robot.features_, robot.effects_)
         found = _without(found, held)
         say("consistent bodies")
         found = project(found, self.projector, robot.features_, robot.effects_)
@@ -261,7 +261,7 @@ class Recipe:
 def _unneeded_entries(robot, moments):
     """Entries of the regressor (nv, p) that nothing excites or effects hold."""
     zeros = unexcited_entries(moments, robot.features_.n_parameters_)
-    zeros[:, held_columns(robot.features_, robot.effects_)] = True
+    zeros[:, excluded_columns(robot.features_, robot.effects_)] = True
     return zeros
 
 
@@ -360,7 +360,7 @@ def _load_of(before, robot):
     pieces = before.split(before.theta_)
     known = {effect.key(): own for effect, own in zip(before.effects_, pieces)}
     plain = []
-    for effect in filter(is_plain, robot.effects_):
+    for effect in filter(is_load_free, robot.effects_):
         k = len(effect.coefficients)
         own = known.get(effect.key(), np.zeros(k))
         # The elements of another bank have the same friction together.
@@ -556,7 +556,7 @@ class ModelValues:
         # Columns of the moments are those of the features, `n_rigid` of them, and then
         # those of the effects, with derivatives by the values; bodies: as for
         # `plain_estimate`.
-        every = effect_places(effects, n_rigid)
+        every = effect_indices(effects, n_rigid)
         places = [
             place for effect, at in every if isinstance(effect, InModel) for place in at
         ]

@@ -13,7 +13,7 @@ from scipy import linalg
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import Payload, TorqueGain
-from sklearn_vbjfa.equations._plan import effect_places
+from sklearn_vbjfa.equations._plan import effect_indices
 from sklearn_vbjfa.fit._estimate import IDENTIFIABLE, LOST, noise_weights
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.robot._channels import HALF_WIDTH, LIMIT, CommonGain
@@ -192,7 +192,7 @@ def with_gains(effects, gains):
 
 def gain_places(effects, n_rigid):
     """Where the gains of all joints are among the parameters, ndarray of int."""
-    every = effect_places(effects, n_rigid)
+    every = effect_indices(effects, n_rigid)
     gains = {e.joint: at.start for e, at in every if isinstance(e, TorqueGain)}
     return np.array([gains[joint] for joint in sorted(gains)], dtype=int)
 
@@ -246,7 +246,7 @@ def _mass_places(masses, robot):
     for name, mass in masses.items():
         if name in bodies:
             found.append((name, mass, bodies.index(name) * (width // len(bodies))))
-    for effect, at in effect_places(robot.effects_, width):
+    for effect, at in effect_indices(robot.effects_, width):
         if isinstance(effect, Payload) and PAYLOAD in masses:
             found.append((PAYLOAD, masses[PAYLOAD], at.start))
     return found

@@ -11,7 +11,7 @@ from sklearn.utils.validation import check_is_fitted, check_scalar
 
 from sklearn_vbjfa._core._runtime import one_blas_thread
 from sklearn_vbjfa.effects import CommandDelay, TorqueLag
-from sklearn_vbjfa.equations._equations import numbered
+from sklearn_vbjfa.equations._equations import assign_blocks
 from sklearn_vbjfa.equations._features import (
     RigidBodyFeatures,
     with_followers,
@@ -345,7 +345,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         source = FitData(
             recording=recording,
             states=states,
-            numbering=numbered(recording, plan),
+            numbering=assign_blocks(recording, plan),
             n_jobs=self.n_jobs,
         )
         recipe = self._recipe()

@@ -10,9 +10,9 @@ from scipy import linalg
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import block_variance, scaled_eigen
 from sklearn_vbjfa.effects import CommandDelay, InModel, OfTime, declared
-from sklearn_vbjfa.equations._equations import held_columns
+from sklearn_vbjfa.equations._equations import excluded_columns
 from sklearn_vbjfa.equations._joint_moments import weighted_parts
-from sklearn_vbjfa.equations._plan import effect_places
+from sklearn_vbjfa.equations._plan import effect_indices
 from sklearn_vbjfa.fit._bodies import DESCRIBED, Site, inverse_of, propagated
 from sklearn_vbjfa.fit._estimate import (
     IDENTIFIABLE,
@@ -143,13 +143,13 @@ def _shared_values(groups, robot, std):
     # still for is not shared.
     features, joints = robot.features_, {}
     per_joint = features.n_parameters_ // features.n_joints_
-    held = held_columns(features, robot.effects_)
+    held = excluded_columns(features, robot.effects_)
     for j in range(features.n_joints_):
         for k, name in enumerate(features.friction_):
             place = j * per_joint + 10 + k
             if declared(name).alike and place not in held:
                 joints.setdefault((name,), {})[j] = place
-    for effect, at in effect_places(robot.effects_, features.n_parameters_):
+    for effect, at in effect_indices(robot.effects_, features.n_parameters_):
         for place, name in zip(at, effect.coefficients):
             if effect.alike:
                 shape = tuple(sorted(effect.shape().items()))

@@ -10,7 +10,7 @@ from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.effects import POSITION, SPEED, TORQUE, InModel, declared
 from sklearn_vbjfa.equations._features import Follower
-from sklearn_vbjfa.equations._plan import effect_places
+from sklearn_vbjfa.equations._plan import effect_indices
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.physical import (
     Options,
@@ -249,7 +249,7 @@ def _nonnegative(robot):
     width = features.n_parameters_ // features.n_joints_
     for k, name in enumerate(features.friction_):
         out[10 + k : features.n_parameters_ : width] = bool(declared(name).nonnegative)
-    for effect, at in effect_places(robot.effects_, features.n_parameters_):
+    for effect, at in effect_indices(robot.effects_, features.n_parameters_):
         out[at] = [name in effect.nonnegative for name in effect.coefficients]
     return out
 

@@ -14,9 +14,9 @@ from sklearn_vbjfa.equations._equations import (
     compare,
     edge_rows,
     equations,
-    is_plain,
+    is_load_free,
     make_motion,
-    plain_coefficients,
+    pick_load_free,
     regressor_rows,
 )
 from sklearn_vbjfa.equations._features import Follower, RigidBodyFeatures
@@ -29,8 +29,8 @@ from sklearn_vbjfa.equations._plan import (
     parameter_names,
 )
 from sklearn_vbjfa.equations._ranges import EffectRange, outside
-from sklearn_vbjfa.equations._states import RecordingStates, fit_states, smooth_to
-from sklearn_vbjfa.equations._torque_noise import ROWS, noise_facts, seen
+from sklearn_vbjfa.equations._states import RecordingStates, fit_states, limit_cutoffs
+from sklearn_vbjfa.equations._torque_noise import ROWS, noise_facts, stopband_exists
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.model._mjcf import Servo
 from sklearn_vbjfa.model._trees import is_prismatic
@@ -771,7 +771,7 @@ class IdentifiedRobot:
         estimator = self.plan.state_estimator
         if estimator is None:
             estimator = fit_states(check_dt(self.plan.dt), "auto", X, groups)
-        return smooth_to(estimator, self.plan.cutoff) if in_band else estimator
+        return limit_cutoffs(estimator, self.plan.cutoff) if in_band else estimator
 
     def states(self, X, groups):
         """States (n, 3 nv) of positions, smoothed as in the fit; given ones stay."""
@@ -866,7 +866,7 @@ class IdentifiedRobot:
             return None
         bodies = self.bodies(self.load_parameters)
         plain = self.load_parameters[self.features_.n_parameters_ :]
-        widths = [len(e.coefficients) * is_plain(e) for e in self.effects_]
+        widths = [len(e.coefficients) * is_load_free(e) for e in self.effects_]
         return Load(
             bodies=np.ascontiguousarray(bodies[:, :10]),
             friction=bodies[:, 10:].copy(),
@@ -881,7 +881,7 @@ class IdentifiedRobot:
     def parameters_of_load(self):
         """Parameters of what its load is made of, see `make_motion`."""
         rigid, coefs = np.split(self.theta_, [self.features_.n_parameters_])
-        return np.append(rigid, plain_coefficients(self.effects_, coefs))
+        return np.append(rigid, pick_load_free(self.effects_, coefs))
 
     def beside(self, effects):
         """Return the robot with further effects whose coefficients are one."""
@@ -890,7 +890,7 @@ class IdentifiedRobot:
         load = self.load_parameters
         if load is None and needs_load(effects):
             load = self.parameters_of_load()
-        plain = sum(len(e.coefficients) for e in effects if is_plain(e))
+        plain = sum(len(e.coefficients) for e in effects if is_load_free(e))
         of_joint = {one.joint: one for one in self.effect_ranges_}
         ranges = [
             replace(of_joint[e.joint], name=e.name, depends=e.depends) for e in effects
@@ -933,7 +933,7 @@ class IdentifiedRobot:
     def noise_facts(self, recording, n_jobs=None):
         """Measure the torque noise of a recording; `NoiseFacts` of each segment."""
         band = self.plan.dt, self.plan.cutoff
-        if not seen(*band):
+        if not stopband_exists(*band):
             return []
         found, torques = [], self.plan.applied(recording).tau
         clock = self.plan.clock(recording)

@@ -125,8 +125,8 @@ def test_noise_is_no_more_than_the_fit_leaves():
 def test_nothing_above_the_band_tells_nothing():
     noise = np.random.default_rng(5).normal(size=(N, 2))
     assert np.isnan(told(noise, cutoff=60.0)).all()
-    assert not _torque_noise.seen(None, 1.0)
-    assert not _torque_noise.seen(DT, np.inf)
+    assert not _torque_noise.stopband_exists(None, 1.0)
+    assert not _torque_noise.stopband_exists(DT, np.inf)
 
 
 @pytest.mark.parametrize("count", [1, 3, 10])

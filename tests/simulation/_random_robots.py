@@ -6,7 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa import IdentifiedRobot, RigidBodyFeatures
 from sklearn_vbjfa.effects import Motion, resolve
-from sklearn_vbjfa.equations import Plan, is_plain
+from sklearn_vbjfa.equations import Plan, is_load_free
 from tests.model._robots import random_body
 from tests.model._trees import ALIGNED, OBLIQUE, build
 
@@ -109,7 +109,7 @@ def random_predictor(rng, nv, names, *, since=0.0, length=200, gravity=None):
         features_=features.corrected(effects),
         plan=plan,
         theta_=np.r_[parameters(), coefficients()],
-        load_parameters=np.r_[parameters(), coefficients(is_plain)],
+        load_parameters=np.r_[parameters(), coefficients(is_load_free)],
     )
 
 
@@ -149,7 +149,7 @@ def without(predictor, left_out):
     begin = begin_load = at
     for k, effect in enumerate(predictor.effects_):
         end = begin + len(effect.coefficients)
-        end_load = begin_load + (len(effect.coefficients) if is_plain(effect) else 0)
+        end_load = begin_load + len(effect.coefficients) * is_load_free(effect)
         if k not in left_out:
             effects.append(effect)
             theta.append(predictor.theta_[begin:end])

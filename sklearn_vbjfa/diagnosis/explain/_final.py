@@ -15,7 +15,7 @@ from sklearn_vbjfa._core._linear_systems import (
     scaled_eigen,
 )
 from sklearn_vbjfa.effects import Bank, Shaped
-from sklearn_vbjfa.equations._equations import held_columns
+from sklearn_vbjfa.equations._equations import excluded_columns
 from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 
 # Relative step of the derivative by a shape parameter.
@@ -56,7 +56,7 @@ class FinalFit:
     def __init__(self, declared, identifier, view, share=1.0):
         self.declared, self.identifier, self.share = declared, identifier, share
         self.effects = list(identifier.effects_[len(declared.effects_) :])
-        held = held_columns(identifier.features_, identifier.effects_)
+        held = excluded_columns(identifier.features_, identifier.effects_)
         at = declared.theta_.size
         # Other effects change the values of the declared ones.
         view = view.corrected(identifier.effects_)

@@ -10,7 +10,7 @@ from sklearn_vbjfa.diagnosis.search._posterior import in_order
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import OfRobot, ToAnother
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
-from sklearn_vbjfa.equations._states import of_joints
+from sklearn_vbjfa.equations._states import select_joints
 from sklearn_vbjfa.model import import_pinocchio
 
 # A robot of up to this many joints is searched as a whole, in which an effect may join
@@ -45,7 +45,7 @@ class Branch:
             value = getattr(plan, name)
             changes[name] = None if value is None else value[self.joints]
         if plan.state_estimator is not None:
-            estimator = of_joints(plan.state_estimator, self.joints)
+            estimator = select_joints(plan.state_estimator, self.joints)
             changes["state_estimator"] = estimator
         known |= {"features_": features.load(), "plan": replace(plan, **changes)}
         return replace(whole, **known)

@@ -15,7 +15,7 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
     phase_blocks,
 )
 from sklearn_vbjfa.effects import InModel, OnAllJoints, came_from, declared
-from sklearn_vbjfa.equations._equations import make_motion, plain_coefficients
+from sklearn_vbjfa.equations._equations import make_motion, pick_load_free
 from sklearn_vbjfa.recording import check_clock
 
 # Most samples that are looked at.
@@ -305,7 +305,7 @@ class RecordingView:
         # Effects, with the coefficients of all of them, are part of the torque.
         rigid, parameters = self.robot.features_.n_parameters_, None
         if theta is not None:
-            plain = plain_coefficients(effects, coefs)
+            plain = pick_load_free(effects, coefs)
             parameters = np.concatenate([(self.back @ theta)[:rigid], plain])
         return self.motion_of(parameters, effects)
 

@@ -5,8 +5,8 @@ e_y ~ N(0, psi_y),  beta_m ~ N(0, 1/alpha_m),  alpha_m ~ Gamma,
 
 with Psi and b known and the posterior q(T) q(beta) q(alpha), from n, S_xx, S_xy and
 S_yy at O(d^3) an iteration. Psi = 0 is Bayesian linear regression with automatic
-relevance determination; b is what noise of the inputs does to the output directly,
-b = 0 unless they have noise in common. Tags such as [C6] are equations of the guide.
+relevance determination; b is the direct gain from the noise of the inputs to the
+output, zero unless both share noise. Tags such as [C6] are equations of the guide.
 """
 
 import functools
@@ -35,7 +35,7 @@ from sklearn_vbjfa._core._updates import LOG_2PI, precision_bound
 Latent = namedtuple("Latent", "H P Sigma_t exact")
 
 
-# Share of the largest eigenvalue below which data do not reach in a direction.
+# Eigenvalue, as a share of the largest, below which a direction has no data.
 _SPAN = 1e-12
 
 
@@ -65,13 +65,13 @@ def _given_beta(latent, G):
     d = G.shape[0]
     A = latent.P @ G
     A[np.diag_indices(d)] += 1.0
-    lu, _, both, failed = lapack.dgesv(A, np.hstack([latent.H, latent.P]))  # [C4]
+    lu, _, HP, failed = lapack.dgesv(A, np.hstack([latent.H, latent.P]))  # [C4]
     if failed:
         raise linalg.LinAlgError("the precision of the latent inputs is singular")
-    P = both[:, d:]
+    P = HP[:, d:]
     logdet = np.log(np.abs(np.diagonal(lu))).sum()
     P = 0.5 * (P + P.T)
-    return Latent(both[:, :d], P, latent.Sigma_t, latent.exact), logdet
+    return Latent(HP[:, :d], P, latent.Sigma_t, latent.exact), logdet
 
 
 def likely_noise(squares, through, n, d, penalty, floor):
@@ -188,8 +188,8 @@ class CorrelatedProblem:
 
     def start_from_least_squares(self):
         """Posterior with the precisions and the noise of least squares."""
-        # From the ridge solution, directions with a tiny share of the inputs' variance
-        # are not found, even if y depends on them with hardly any noise.
+        # The ridge solution misses directions with a tiny share of the inputs' variance
+        # even if y depends on them with very little noise.
         m = self.moments
         beta = np.linalg.lstsq(m.R, m.z, rcond=None)[0]
         square = np.full(self.d, np.mean(beta**2)) if self.common else beta**2
@@ -232,11 +232,11 @@ class CorrelatedProblem:
         """Do the M-steps: beta, the noise with the covariance of beta, alpha."""
         alpha, before = point.state.E_alpha, point.state.psi_y
         mean, cov, logdet = self._posterior(point.S_tt, point.S_ty, before, alpha)
-        G, own = cov / before, mean - self.direct
+        G, beta = cov / before, mean - self.direct
         given = latent, _ = _given_beta(self.latent, G)
         s2 = likely_noise(
-            self.rest.residual(latent.H.T @ own)[1],
-            own @ latent.P @ own,
+            self.rest.residual(latent.H.T @ beta)[1],
+            beta @ latent.P @ beta,
             self.n,
             self.d,
             alpha @ np.diagonal(G),
@@ -258,7 +258,7 @@ class CorrelatedProblem:
     def evaluate(self, state, logdet, spread, given=None):
         """E-step over T, and the bound."""
         # logdet: of the covariance of beta; spread: see `_spread`; given: result of
-        # `_given_beta` where it is known.
+        # `_given_beta`, or None.
         if self.exact:
             m, s2 = self.moments, state.psi_y
             squares = m.residual(state.beta_mean)[1]
@@ -344,10 +344,10 @@ class CorrelatedProblem:
 
 # Steps kept by Anderson's method (usually 5 to 20; more cost more than they save).
 _MEMORY = 10
-# The iteration has settled where a step moves no precision and no noise by more than
-# this share, far below what n samples determine, ...
+# The iteration stops if a step changes no precision and no noise by more than this
+# share, far below what n samples determine, ...
 _SETTLED = 1e-10
-# ... or where steps have not shrunk for this many iterations: they are rounding.
+# ... or if steps have not shrunk for this many iterations: they are rounding errors.
 _PATIENCE = 60
 # An extrapolation that lowers the bound by more than this share of it overshot.
 _OVERSHOT = 1e-12
@@ -358,14 +358,14 @@ _LARGEST_STRETCH = 5.0
 class FixedPointSteps(PlainSteps):
     """Steps that Anderson's method extrapolates (Walker and Ni, 2011)."""
 
-    # When the bound gains less than `tol`, end points still differ by the length of a
-    # step, and rounding decides which is the last. The steps go on until they are
-    # rounding: the result is the fixed point, whatever the order of summation.
+    # If the iteration stopped when the bound gains less than `tol`, rounding would
+    # decide which step is the last. The steps continue down to rounding level, so that
+    # the result is the fixed point for any order of summation.
 
     def __init__(self, problem, tol):
         super().__init__(problem, tol)
         self.n_logs, self.last, self.at = problem.d + 1, None, None
-        # More differences than coordinates are not independent: old ones would count
+        # More differences than coordinates are linearly dependent: old ones would weigh
         # as much as new ones.
         most = min(_MEMORY, self.n_logs) if problem.exact else _MEMORY
         # Differences of images and of steps, from one to the next.
@@ -402,14 +402,14 @@ class FixedPointSteps(PlainSteps):
         return self.problem.judge(point, new, self.tol, **slack)
 
     def retry(self):
-        """After a fall: the extrapolation overshot, restart from the best point."""
+        """Restart from the best point if the extrapolation overshot."""
         extrapolated, self.at = self.at is not None, None
         if extrapolated:
             self.forget()
         return extrapolated
 
     def accept(self, point, new, quiet):
-        # An extrapolated point may happen to gain nothing on the way.
+        # An extrapolated step may gain nothing before convergence.
         self.converged = quiet
         here = self.problem.coordinates(self.start)
         there = self.problem.coordinates(new)
@@ -425,11 +425,11 @@ class CorrelatedSolution(Solution):
     """Result of the iteration, with the latent inputs of the model."""
 
     latent: Latent
-    direct: np.ndarray  # (d,): what noise of the inputs does to the output directly
+    direct: np.ndarray  # (d,): direct gain from noise of the inputs to the output
 
     @property
     def beyond(self):
-        """Coefficients (d,) of the output without that."""
+        """Coefficients (d,) of the output without the direct gain."""
         return self.state.beta_mean - self.direct
 
 
@@ -460,24 +460,24 @@ def solve_correlated(
     )
 
     def up(point, most):
-        found = climb(FixedPointSteps(problem, tol), point, most)
+        solution = climb(FixedPointSteps(problem, tol), point, most)
         return CorrelatedSolution(
-            latent=problem.latent, direct=problem.direct, **vars(found)
+            latent=problem.latent, direct=problem.direct, **vars(solution)
         )
 
-    found = up(problem.start(), max_iter)
+    solution = up(problem.start(), max_iter)
     if not (problem.exact and moments.n > problem.d):
-        return found
-    used = found.n_iter + 1
+        return solution
+    used = solution.n_iter + 1
     other = problem.start_from_least_squares()
-    if other.value > found.history[-1] and used < max_iter:
-        found = up(other, max_iter - used)
-        return replace(found, n_iter=used + found.n_iter - 1)
-    return replace(found, n_iter=used)
+    if other.value > solution.history[-1] and used < max_iter:
+        solution = up(other, max_iter - used)
+        return replace(solution, n_iter=used + solution.n_iter - 1)
+    return replace(solution, n_iter=used)
 
 
 def direct_share(psi, cross):
-    """Coefficients (d,) of the inputs' noise in the output, psi b = cross."""
+    """Direct gain b (d,) from the inputs' noise to the output, psi b = cross."""
     return scaled_eigen(psi, ROUNDING * cross.size).solve(cross)
 
 

@@ -1,4 +1,4 @@
-"""Evidence for a group of columns: its scale is integrated, its shapes are averaged."""
+"""Evidence for a group of columns: integrated over its scale, averaged over shapes."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -9,9 +9,9 @@ from scipy.special import log_ndtr, softmax
 
 from sklearn_vbjfa._core._linear_systems import or_one
 
-# Scales of a group's torque, over that of the joint, at which its evidence is summed.
+# Grid of the scale integral: torque of a group over that of its joint.
 _SCALES = np.geomspace(1e-4, 1e2, 25)
-# Share of its power that a direction of a group must keep beside everything else.
+# Share of its power that a direction keeps after projecting out the model, at least.
 _SPAN = 1e-5
 
 
@@ -19,11 +19,11 @@ _SPAN = 1e-5
 class Overdispersion:
     """Overdispersion of the score between time blocks."""
 
-    # variance of the score over that which they promise, at least one
+    # variance of the score over the variance by its second moments, at least one
     ratio: float = 1.0
-    # degrees of freedom of that variance; infinite where they are many
+    # degrees of freedom of that variance; infinite if there are many
     freedom: float = np.inf
-    # ratio of effects that are not functions of time, beside which those that are stand
+    # ratio for effects that do not depend on time, for comparisons with those that do
     usual: float = 1.0
 
     def as_usual(self):
@@ -39,18 +39,18 @@ class Overdispersion:
 
 
 def student(gain, freedom, width):
-    """Log likelihood ratio of Student's t where the normal one has a gain."""
-    # Of coefficients of `width` columns.
+    """Log likelihood ratio of Student's t for `width` coefficients."""
+    # gain: log likelihood ratio of the normal distribution.
     return 0.5 * (freedom + width) * np.log1p(2 * gain / freedom)
 
 
 def log_orthant(mean, covariance):
     """Log probabilities (...) that normal vectors (..., k) have no negative element."""
-    # The elements are truncated one by one, the most negative first, and what is left
-    # is taken for normal with the moments of the truncated distribution (Mendell and
-    # Elston, Biometrics 30, 1974, doi 10.2307/2529616). It is good to half a nat while
-    # the probability is not below e^-10 or so, and too high beyond.
-    # Of the covariance only the diagonal and one column a step are made.
+    # The elements are truncated one by one, the most negative first, and the others are
+    # approximated as normal with the moments of the truncated distribution (Mendell and
+    # Elston, Biometrics 30, 1974, doi 10.2307/2529616). The error is below half a nat
+    # for probabilities above about e^-10; smaller ones come out too large.
+    # Each step computes the diagonal and one column of the covariance only.
     mean = np.array(mean)
     shape, k = mean.shape[:-1], mean.shape[-1]
     mean, covariance = mean.reshape(-1, k), covariance.reshape(-1, k, k)
@@ -79,11 +79,11 @@ def log_orthant(mean, covariance):
 class Groups:
     """Second moments of c groups of k columns given a model."""
 
-    # (c, k, k): what the model leaves of their Gram matrices, in units of the noise
+    # (c, k, k): Gram matrices after projecting out the model, in units of the noise
     H: np.ndarray
     q: np.ndarray  # (c, k): products of their columns with the residual
-    own: np.ndarray  # (c, k): square sums of the columns themselves
-    # (c, k): coefficients with which each column alone has the torque of its joint
+    own: np.ndarray  # (c, k): squared norms of the columns before the projection
+    # (c, k): coefficients that scale each column to the torque of its joint
     unit: np.ndarray
     # degrees of freedom of the noise: Student's t in place of the normal
     freedom: float = np.inf
@@ -91,39 +91,39 @@ class Groups:
 
     def evidence(self, scale):
         """Logarithms of Bayes factors (c,) against the model without the group."""
-        # The coefficients are normal, with `unit` times a scale as their deviation, and
-        # the scale is half-Cauchy around `scale` (Polson and Scott, doi
+        # The coefficients have a normal prior with deviation `unit` times a scale, and
+        # the scale a half-Cauchy prior with scale `scale` (Polson and Scott, doi
         # 10.1214/12-BA730). For one scale s the factor is prod_k (1 + s^2
         # lambda_k)^(-1/2) exp(q_k^2 s^2 / (2 (1 + s^2 lambda_k))) over the eigenvalues
         # of the group's block (Tipping and Faul, AISTATS 2003).
         return np.logaddexp.reduce(self._along(scale), axis=0)
 
     def most_evidence(self, scale):
-        """Upper bounds (c,) of the evidence that take less time for positive groups."""
-        # No scale has more than the best coefficients.
+        """Upper bounds (c,) of the evidence, faster to compute for positive groups."""
+        # At any scale the likelihood ratio of the best coefficients is an upper bound.
         return 0.5 * self.gain() if self.positive else self.evidence(scale)
 
     def discounted(self, excess):
         """Return the moments of a likelihood discounted for overdispersion."""
         value, rest, vectors = self._spectral
-        known = value / excess.ratio, rest / excess.ratio, vectors
+        spectral = value / excess.ratio, rest / excess.ratio, vectors
         moments = {x: getattr(self, x) / excess.ratio for x in ("H", "q", "own")}
-        return self._with(known, **moments, freedom=excess.freedom)
+        return self._with(spectral, **moments, freedom=excess.freedom)
 
     def part(self, at):
         arrays = {name: getattr(self, name)[at] for name in ("H", "q", "own", "unit")}
         return self._with(tuple(x[at] for x in self._spectral), **arrays)
 
     def _with(self, spectral, **changes):
-        """Return the groups with other moments, whose spectrum is known."""
-        found = replace(self, **changes)
-        found.__dict__["_spectral"] = spectral
-        return found
+        """Return the groups with other moments and their eigendecomposition."""
+        groups = replace(self, **changes)
+        groups.__dict__["_spectral"] = spectral
+        return groups
 
-    def integrated(self, scale, own):
-        """Log evidence (c,) over that with the prior deviation `own` alone."""
+    def integrated(self, scale, fixed):
+        """Log evidence (c,) over that with the prior deviation `fixed`."""
         value, rest, _ = self._spectral
-        s2 = own**2
+        s2 = fixed**2
         at = 0.5 * rest**2 * s2 / (1 + s2 * value) - 0.5 * np.log1p(s2 * value)
         return self.evidence(scale) - at.sum(axis=1)
 
@@ -147,15 +147,15 @@ class Groups:
             gain = student(gain, self.freedom, (value > 0).sum(axis=1))
         ratio = scales / scale
         prior = ratio / (1 + ratio**2)
-        found = gain - 0.5 * np.log1p(power).sum(axis=2)
+        total = gain - 0.5 * np.log1p(power).sum(axis=2)
         if self.positive:
-            # The prior is that of positive coefficients, 2^k times as dense. No factor
-            # is above that of the best coefficients, where the approximation fails.
-            found = np.minimum(found + self._log_orthant(scales), 0.5 * self.gain())
-        return found + np.log(prior / prior.sum())[:, None]
+            # The prior density of positive coefficients is 2^k times as large. The best
+            # coefficients bound the evidence where the approximation fails.
+            total = np.minimum(total + self._log_orthant(scales), 0.5 * self.gain())
+        return total + np.log(prior / prior.sum())[:, None]
 
     def _log_orthant(self, scales):
-        """Log of the share (n_scales, c) of positive coefficients, over the prior's."""
+        """Log posterior over prior probability of positive coefficients."""
         value, rest, vectors = self._spectral
         s = scales[:, None, None]
         precision = 1.0 + s**2 * value
@@ -174,8 +174,8 @@ class Groups:
 
     @functools.cached_property
     def _spectral(self):
-        """Eigenvalues (c, k) of the scaled blocks, products along them, directions."""
-        # Zero along directions of which too little is left.
+        """Eigenvalues (c, k) and vectors of the scaled blocks, q along the vectors."""
+        # Zero along directions that the model explains almost completely.
         H = self.H * self.unit[:, :, None] * self.unit[:, None]
         value, vectors = np.linalg.eigh(0.5 * (H + H.transpose(0, 2, 1)))
         rest = np.einsum("cab,ca->cb", vectors, self.q * self.unit)
@@ -183,11 +183,11 @@ class Groups:
         return np.where(seen, value, 0.0), np.where(seen, rest, 0.0), vectors
 
     def shown(self):
-        """Whether a group (c,) has a part that the model cannot absorb."""
+        """Whether each group (c,) has a direction that the model does not explain."""
         return self._spectral[0].any(axis=1)
 
     def coefficients(self):
-        """Coefficients (c, k) of least squares, of what is seen of each group."""
+        """Least-squares coefficients (c, k) along the identifiable directions."""
         value, rest, vectors = self._spectral
         if self.positive:
             return self._nonnegative * self.unit
@@ -195,7 +195,7 @@ class Groups:
         return np.einsum("cab,cb->ca", vectors, inside) * self.unit
 
     def gain(self):
-        """Fall (c,) of the weighted squared error by least squares."""
+        """Decrease (c,) of the weighted squared error by least squares."""
         value, rest, vectors = self._spectral
         if self.positive:
             along = np.einsum("cab,ca->cb", vectors, self._nonnegative)

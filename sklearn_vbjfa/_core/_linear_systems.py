@@ -17,20 +17,20 @@ from scipy.sparse import csgraph
 CONSTANT_COLUMN = 32 * float(np.finfo(float).eps)
 # Rounding of a zero eigenvalue, as a share of the largest one, per row.
 ROUNDING = 4 * float(np.finfo(float).eps)
-# Matrices of at least so many rows are taken apart into what has nothing in common.
+# Matrices of at least this many rows are split into their connected components.
 _LARGE = 100
 
 
 def is_constant(spread, mean):
-    """Whether columns are constant up to rounding, whatever their unit."""
-    # spread, mean: root mean square deviation from the mean, and the mean; about zero,
-    # the root mean square and zero: then a column is constant only if it is zero.
+    """Whether columns are constant up to rounding, in any unit."""
+    # spread, mean: standard deviations and means; for uncentred columns root mean
+    # squares and zeros, then a column is constant only if it is zero.
     noise = CONSTANT_COLUMN * np.abs(mean)
     return spread <= np.maximum(noise, np.finfo(np.float64).tiny)
 
 
 def or_one(sizes):
-    """Return sizes to divide by: one in place of what is not positive."""
+    """Return divisors: sizes, with one in place of values that are not positive."""
     return np.where(sizes > 0, sizes, 1.0)
 
 
@@ -42,7 +42,7 @@ UnitColumns = namedtuple("UnitColumns", "values mean scale")
 def unit_columns(X, weight, *, center):
     """Centre columns X (n, d) at means of weights (n,) > 0, scale to unit length."""
     # Dividing by the largest magnitude keeps squares from overflowing, and a second
-    # pass removes the rounding of the first mean: any unit and offset is treated alike.
+    # pass removes the rounding of the first mean, so that units and offsets do not matter.
     total = weight.sum()
     magnitude = or_one(np.maximum(X.max(axis=0), -X.min(axis=0)))
     values = X / magnitude
@@ -180,10 +180,10 @@ def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
 
 
 def branches(support):
-    """Pair rows of a table (n, p), bool, that share columns with these, a list."""
+    """Connected components of a table (n, p), bool: list of (rows, columns)."""
     used = np.flatnonzero(support.any(axis=1))
-    own = support[used].astype(int)
-    count, label = csgraph.connected_components(own @ own.T, directed=False)
+    entries = support[used].astype(int)
+    count, label = csgraph.connected_components(entries @ entries.T, directed=False)
     rows = [used[label == k] for k in range(count)]
     return [(some, np.flatnonzero(support[some].any(axis=0))) for some in rows]
 
@@ -194,9 +194,9 @@ def _eigen(A):
     if label.size >= _LARGE:
         label = csgraph.connected_components(A != 0, directed=False)[1]
     rows = [np.flatnonzero(label == k) for k in range(label.max(initial=0) + 1)]
-    found = [linalg.eigh(A[np.ix_(one, one)]) for one in rows]
-    values, vectors = np.concatenate([one for one, _ in found]), np.empty(A.shape)
-    vectors[np.concatenate(rows)] = linalg.block_diag(*(own for _, own in found))
+    pairs = [linalg.eigh(A[np.ix_(block, block)]) for block in rows]
+    values, vectors = np.concatenate([w for w, _ in pairs]), np.empty(A.shape)
+    vectors[np.concatenate(rows)] = linalg.block_diag(*(V for _, V in pairs))
     order = np.argsort(values, kind="stable")
     return values[order], vectors[:, order]
 
@@ -205,14 +205,14 @@ def _eigen(A):
 
 # Directions of the scaled Gram matrix below this count as undetermined.
 _RANK = 1e-10
-# Blocks are merged in pairs until neighbours are less correlated than this, as long as
-# this many are left.
+# Blocks are merged in pairs until the correlation of neighbours is below this, but not
+# to fewer blocks than this.
 _NEIGHBOURS = 0.08
 _FEWEST = 16
 # Smallest factor for the correlation of neighbours, where it is negative.
 _LEAST_REACH = 0.5
-# A parameter of which the blocks determine little beyond the fit itself takes the mean
-# factor of the others.
+# A parameter takes the mean factor of the others if the fit leaves less than this share
+# of the variance of its block scores.
 _OWN = 0.2
 
 
@@ -223,21 +223,21 @@ class BlockVariance:
     factor: np.ndarray  # (p,): ratio of the variance to that for white residuals
     freedom: np.ndarray  # (p,): degrees of freedom of the variance
     white: np.ndarray  # (p,): variance for white residuals of the given noise
-    # (n_blocks, p): what each block adds to the error of the estimate, of covariance
-    # ``scores.T @ scores``; nan where the blocks show nothing of it, zero if
-    # undetermined
+    # (n_blocks, p): contribution of each block to the error of the estimate, whose
+    # covariance is ``scores.T @ scores``; nan if the scores are zero, zero for
+    # undetermined parameters
     scores: np.ndarray
-    # ratio of the variances, in the mean of all directions that are determined
+    # ratio of the variances, averaged over all determined directions
     pooled: float
 
 
 def block_variance(parts, scores, place, noise=1.0):
     """Compare the scatter of scores between blocks with that of white residuals."""
-    # A block sandwich estimator, exact for white noise. parts: places (k,) of
-    # parameters that have nothing in common with others, and weighted second moments
+    # A block sandwich estimator, exact for white noise. parts: indices (k,) of
+    # parameters without equations in common with others, and weighted second moments
     # (n_blocks, k, k); scores (n_blocks, p): rows times residuals; place (n_blocks, 2):
     # recording of a block and its number there; noise: mean square of the residuals.
-    # Undetermined parameters come out as nan.
+    # Undetermined parameters get nan.
     shape, place = scores.shape, np.array(place)
     white, used = np.zeros(shape[1]), np.zeros(shape[1], dtype=bool)
     roots = _inverse_roots([grams.sum(axis=0) for _, grams in parts])
@@ -250,12 +250,12 @@ def block_variance(parts, scores, place, noise=1.0):
             break
         K, s, place = _join(K, s, place)
     d, left = np.zeros((2, len(place), shape[1]))
-    for (rows, grams), L, own, score in zip(parts, roots, K, s):
+    for (rows, grams), L, scaled, score in zip(parts, roots, K, s):
         used[rows] = np.einsum("bii->i", grams) > 0
         white[rows] = (L**2).sum(axis=1)
         d[:, rows] = score @ L.T
-        # Variance of each block without the fit, and what the fit leaves of it.
-        through = own @ L.T
+        # Variance of each block without the fit, and after it.
+        through = scaled @ L.T
         alone = np.einsum("ir,bri->bi", L, through)
         left[:, rows] = alone - (through**2).sum(axis=1)
     expected = noise * np.maximum(left, 0.0).sum(axis=0)
@@ -267,8 +267,8 @@ def block_variance(parts, scores, place, noise=1.0):
         freedom = count.sum(axis=0) ** 2 / (count**2).sum(axis=0)
         variance = factor * noise * white
         scale = np.sqrt(variance / (d**2).sum(axis=0))
-    # Scores of zero cannot be scaled to a variance: it is not known how the error goes
-    # together with others, and must not count as none.
+    # Scores of zero cannot be scaled to a variance: the covariance with other
+    # parameters is unknown, not zero.
     lost = used & (variance > 0) & ~np.isfinite(scale)
     return BlockVariance(
         factor=np.where(used, factor, np.nan),
@@ -280,32 +280,32 @@ def block_variance(parts, scores, place, noise=1.0):
 
 
 def _inverse_roots(matrices):
-    """Return L (k, r) of each matrix (k, k), whose inverse is L L', as far as known."""
-    every = [scaled_eigen(H, 0.0, relative=False) for H in matrices]
-    limit = _RANK * max((one.values[-1] for one in every if one.values.size), default=0)
-    roots = (replace(one, known=one.values > limit).inverse_root() for one in every)
-    seen = (np.diagonal(H)[:, None] > 0 for H in matrices)
-    return [np.where(own, L, 0.0) for own, L in zip(seen, roots)]
+    """Return L (k, r) of each matrix (k, k), whose pseudo-inverse is L L'."""
+    eigen = [scaled_eigen(H, 0.0, relative=False) for H in matrices]
+    limit = _RANK * max((e.values[-1] for e in eigen if e.values.size), default=0)
+    roots = (replace(e, known=e.values > limit).inverse_root() for e in eigen)
+    excited = (np.diagonal(H)[:, None] > 0 for H in matrices)
+    return [np.where(used, L, 0.0) for used, L in zip(excited, roots)]
 
 
 def _pooled(K, s, noise):
     """Mean variance factor over all determined directions."""
-    # Of a single block a fit leaves nothing but rounding.
-    all_rows = sum(np.einsum("brr->", own) for own in K)
-    left = all_rows - sum(np.vdot(own, own) for own in K)
+    # With a single block, only rounding is left after the fit.
+    all_rows = sum(np.einsum("brr->", block) for block in K)
+    left = all_rows - sum(np.vdot(block, block) for block in K)
     seen = noise > 0 and left > _RANK * all_rows
-    return float(sum((own**2).sum() for own in s) / (noise * left)) if seen else 1.0
+    return float(sum((x**2).sum() for x in s) / (noise * left)) if seen else 1.0
 
 
 def _neighbours(K, s, place, noise):
     """Correlation of the scores (n_blocks, r) of adjacent blocks."""
-    # For independent blocks, the fit makes their expected product -K_b K_c.
+    # For independent blocks the expected product after the fit is -K_b K_c.
     step = np.diff(place, axis=0)
     follows = (step[:, 0] == 0) & (step[:, 1] == 1)
-    squares = sum((own**2).sum() for own in s) + noise * sum(np.vdot(x, x) for x in K)
+    squares = sum((x**2).sum() for x in s) + noise * sum(np.vdot(x, x) for x in K)
     if not follows.any() or squares == 0:
         return 0.0
-    products = sum(np.einsum("br,br->b", own[:-1], own[1:]) for own in s)
+    products = sum(np.einsum("br,br->b", x[:-1], x[1:]) for x in s)
     products += noise * sum(np.einsum("brs,brs->b", x[:-1], x[1:]) for x in K)
     return float(products[follows].mean() / (squares / len(place)))
 
@@ -315,5 +315,5 @@ def _join(K, s, place):
     place = np.column_stack([place[:, 0], place[:, 1] // 2])
     new = np.r_[True, (np.diff(place, axis=0) != 0).any(axis=1)]
     starts = np.flatnonzero(new)
-    K, s = ([np.add.reduceat(x, starts, axis=0) for x in own] for own in (K, s))
+    K, s = ([np.add.reduceat(x, starts, axis=0) for x in parts] for parts in (K, s))
     return K, s, place[starts]

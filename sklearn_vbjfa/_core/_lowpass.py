@@ -15,7 +15,7 @@ import scipy
 _ATTENUATION = 60.0  # dB
 # A filtered row counts when at least this share of the filter's neighbourhood counts.
 _MASK_SHARE = 0.5
-# Unknown torque of a joint at rest over the noise.
+# Standard deviation of the unknown torque at rest over that of the noise.
 _UNKNOWN = 200.0
 # Memory of a block's rows, and fewest rows for which a call is worth its overhead.
 _BLOCK_BYTES = 4 << 20
@@ -38,7 +38,7 @@ class Lowpass:
         return self.taps.size // 2
 
     def centres(self, n, outputs=slice(None)):
-        """Return the samples at which (some of the) outputs stand, for n samples."""
+        """Return the samples at the centres of (some) outputs, for n samples."""
         chosen = range(self.half, n - self.half, self.step)[outputs]
         return np.arange(chosen.start, chosen.stop, chosen.step)
 
@@ -61,15 +61,15 @@ class Lowpass:
         return replace(self, taps=taps / taps.sum())(weight)
 
     def certainty(self, known):
-        """Return the weights of filtered rows whose torques are not all known."""
+        """Return weights of filtered rows, of which some torques are unknown."""
         unknown = 1.0 - self.average(known.astype(float))
         return 1.0 / (1.0 + (_UNKNOWN * unknown) ** 2)
 
     def samples(self, weight):
-        """Count filtered rows as independent samples; zero where too little counts."""
-        # Outputs closer than the filter is long share the noise.
+        """Number of independent samples of each filtered row; zero if mostly masked."""
+        # Outputs within a filter length of each other share noise.
         each = float(self.step * (self.taps @ self.taps)) if self.half else 1.0
-        # A tie must not depend on the order in which the taps were summed.
+        # The margin keeps a tie from depending on the order of summation.
         counts = self.average((weight > 0).astype(float)) > _MASK_SHARE - 1e-9
         return np.where(counts, each * self.average(weight), 0.0)
 
@@ -89,19 +89,19 @@ def design(dt, cutoff, step=None):
     return Lowpass(taps=taps / taps.sum(), step=step)
 
 
-# Fewest samples of a filtered row (of which there are four in a period of the cut-off)
-# for what is smooth: more do not change what is below.
+# Fewest samples per filtered row for smooth signals; with four rows in a period of the
+# cut-off, more samples do not change the band below it.
 _PER_ROW = 5
 
 
 def stride(lowpass):
-    """Return how many samples apart those may be of what is smooth."""
+    """Return the largest decimation of the samples of smooth signals."""
     most = lowpass.step // _PER_ROW
     return max((k for k in range(1, most + 1) if lowpass.step % k == 0), default=1)
 
 
 def coarser(lowpass, every):
-    """Return the same low-pass for every so many of its samples."""
+    """Return the same low-pass for every `every`-th sample."""
     if every == 1:
         return lowpass
     taps = lowpass.taps[lowpass.half % every :: every]
@@ -111,8 +111,8 @@ def coarser(lowpass, every):
 @lru_cache(maxsize=64)
 def _tap_matrix(taps, step, n_rows):
     """Taps (n_outputs, n_rows) of a block that begins at a multiple of `step`."""
-    # Also returns how many outputs before the one that begins with the block it adds
-    # to. taps: their bytes, of which a filter has hundreds.
+    # Also returns the number of outputs before the block that it adds to. taps: as
+    # bytes, which are hashable.
     taps = np.frombuffer(taps)
     length = taps.size
     before = (length - 1) // step
@@ -126,8 +126,8 @@ def _tap_matrix(taps, step, n_rows):
 
 def block_length(lowpass, row_bytes):
     """Return the number of rows of a block: a multiple of the decimation."""
-    # With a filter half of its length: few zeros in the matrix of taps, and rows still
-    # in the cache when they are filtered; without one what fits into it.
+    # With a filter, half of its length: few zeros in the matrix of taps, and rows still
+    # in the cache when they are filtered; without one, what fits into the cache.
     half = lowpass.half
     rows = max(_MIN_ROWS, half) if half else _BLOCK_BYTES // row_bytes
     return lowpass.step * max(1, -(-rows // lowpass.step))
@@ -148,8 +148,8 @@ class BlockFilter:
             at = first // self._lowpass.step
             self.outputs[at : at + kept.shape[0]] = kept
             return
-        # Some rows at a time: the fewer, the fewer zeros are in the matrix of taps, and
-        # the more calls of narrow rows.
+        # Short parts have few zeros in the matrix of taps, but narrow rows need longer
+        # parts to be worth a call.
         step, some = self._lowpass.step, max(_FEWEST, self._lowpass.half // 4)
         some = step * -(-some // step)
         while some < rows.shape[0] and some**2 * rows.shape[1] < _CALL * step:
@@ -160,7 +160,7 @@ class BlockFilter:
             low = (first + at) // step - before
             high = min(low + matrix.shape[0], self.outputs.shape[0])
             if high <= max(low, 0):
-                # Rows behind the window of the last output, which decimation leaves.
+                # Rows after the window of the last output.
                 return
             matrix = matrix[max(-low, 0) : high - low]
             self.outputs[max(low, 0) : high] += matrix @ part

@@ -16,13 +16,13 @@ from scipy.linalg import lapack
 
 from sklearn_vbjfa._core._linear_systems import ROUNDING, is_constant, or_one
 
-# Memory of the rows that are factored at a time: they stay in the processor's cache.
+# Memory of the rows that are factored at a time, to stay in the processor's cache.
 _BLOCK_BYTES = 1 << 18
-# Share of the square of y that a scatter matrix resolves above rounding: what it leaves
+# Share of the square of y that a scatter matrix resolves above rounding: the residual
 # is a difference of sums of products.
 OUTPUT_FLOOR = 1e-12
-# Digits (binary) of moments, in units of the number of samples, that are kept where the
-# last ones must not decide: far more than the samples resolve.
+# Binary digits of moments, in units of the number of samples, that are kept by
+# `without_last_digits`: far more than the samples resolve.
 _DIGITS = 36
 
 
@@ -33,10 +33,10 @@ _DIGITS = 36
 class Moments:
     """Weighted count, means and scatter of the columns of [X y]; adds up by ``+``."""
 
-    # A row of weight 2 is the row twice. y is the last column throughout.
+    # A row of weight 2 equals two rows. y is the last column throughout.
 
     n_samples: float  # sum of the weights
-    # (n_features + 1,): one of the rows, from which the others are counted
+    # (n_features + 1,): one of the rows, subtracted from all
     origin: np.ndarray
     # (rows, n_features + 2): triangular factor of sqrt(w) [1, row - origin]
     factor: np.ndarray
@@ -63,7 +63,7 @@ class Moments:
 
 
 def _counted_from(moments, origin):
-    """Rows of a factor whose columns are counted from another origin."""
+    """Rows of a factor relative to another origin."""
     rows = moments.factor.copy()
     rows[:, 1:] += rows[:, :1] * (moments.origin - origin)
     return rows
@@ -101,26 +101,26 @@ def from_data(X, y, weight=None):
 
 
 # Sum of the weights, and sums of products (d, d), (d,) and a float of the columns of
-# [X y], of which there are no rows.
+# [X y], without the rows.
 Scatter = namedtuple("Scatter", "n_samples S_xx S_xy S_yy")
 
 
-def from_scatter(known):
-    """Moments about zero from a `Scatter`; what it does not resolve of y is noise."""
-    p = known.S_xy.size + 1
+def from_scatter(sums):
+    """Moments about zero from a `Scatter`, whose resolution of y counts as noise."""
+    p = sums.S_xy.size + 1
     scatter = np.empty((p, p))
-    scatter[:-1, :-1], scatter[-1, -1] = known.S_xx, known.S_yy
-    scatter[-1, :-1] = scatter[:-1, -1] = known.S_xy
+    scatter[:-1, :-1], scatter[-1, -1] = sums.S_xx, sums.S_yy
+    scatter[-1, :-1] = scatter[:-1, -1] = sums.S_xy
     unit = or_one(np.sqrt(np.diagonal(scatter)))
     scaled = scatter / np.outer(unit, unit)
-    found = square_root(1.0, scaled[:-1, :-1], scaled[:-1, -1], scaled[-1, -1])
+    root = square_root(1.0, scaled[:-1, :-1], scaled[:-1, -1], scaled[-1, -1])
     factor = np.zeros((p + 1, p + 1))
-    factor[0, 0] = np.sqrt(known.n_samples)
-    inside = slice(1, 1 + found.z.size)
-    factor[inside, 1:-1], factor[inside, -1] = found.R, found.z
-    factor[-1, -1] = np.sqrt(found.rest + OUTPUT_FLOOR * scaled[-1, -1])
+    factor[0, 0] = np.sqrt(sums.n_samples)
+    inside = slice(1, 1 + root.z.size)
+    factor[inside, 1:-1], factor[inside, -1] = root.R, root.z
+    factor[-1, -1] = np.sqrt(root.rest + OUTPUT_FLOOR * scaled[-1, -1])
     factor[1:, 1:] *= unit
-    return Moments(n_samples=known.n_samples, origin=np.zeros(p), factor=factor)
+    return Moments(n_samples=sums.n_samples, origin=np.zeros(p), factor=factor)
 
 
 # -------------------------------------------------------- moments in standard units
@@ -163,8 +163,8 @@ class SecondMoments:
         return replace(self, R=self.R[:, chosen])
 
     def without_last_digits(self):
-        """Return the moments with the digits that matter."""
-        # Moments of the same rows in another order differ by rounding, some 1e-15; on
+        """Return the moments rounded to a grid."""
+        # Moments of the same rows in another order differ by rounding, about 1e-15; on
         # the grid they are nearly always equal bit for bit.
         width = 2.0 ** (np.floor(np.log2(self.n)) - _DIGITS)
         S, xy, yy = (np.round(x / width) * width for x in (self.S, self.xy, self.yy))
@@ -173,7 +173,7 @@ class SecondMoments:
 
 @dataclass(frozen=True, kw_only=True)
 class Products:
-    """Sums of products on a grid, which are the same bit for bit in any order."""
+    """Sums of products on a grid, equal bit for bit for any order of the rows."""
 
     n: float
     S: np.ndarray
@@ -188,11 +188,11 @@ class Products:
 
 def square_root(n, S, xy, yy):
     """`SecondMoments` of sums of products, without the rounding of their null space."""
-    # What is left of the diagonal below rounding is set to zero: otherwise it would act
-    # as information once the noise is small enough.
+    # Pivots at rounding level are set to zero: otherwise they would act as information
+    # once the noise is small enough.
     d = xy.size
     largest = np.abs(np.diagonal(S)).max(initial=0.0)
-    # With pivots, what rounding leaves comes last.
+    # With pivoting, rounding errors come last.
     factor, pivots, rank, _ = lapack.dpstrf(S, tol=d * ROUNDING * largest)
     order = pivots - 1
     R = np.empty((rank, d))
@@ -205,7 +205,7 @@ def square_root(n, S, xy, yy):
 class Standardised:
     """Moments in units of each column's standard deviation, with their scales."""
 
-    # The moments hold only ``active`` columns, which are not constant. ``x_scale``
+    # The moments contain only ``active`` columns, which are not constant. ``x_scale``
     # (n_active,) and ``y_scale`` convert back: x = x_scale * standardised; the offsets
     # are the means, zero without centring.
 

@@ -1,4 +1,4 @@
-"""Long runs: one thread for the linear algebra, and progress on a terminal."""
+"""One thread for the linear algebra, and progress on a terminal."""
 
 import contextlib
 import contextvars
@@ -14,15 +14,15 @@ _held = threading.Lock()
 
 @cache
 def _controller():
-    """Find the loaded libraries; once, since the search takes milliseconds."""
+    """Find the loaded libraries, once: the search takes milliseconds."""
     return ThreadpoolController()
 
 
 @contextmanager
 def one_blas_thread():
     """Limit the BLAS to one thread; usable as a decorator."""
-    # The number of threads belongs to the process: of overlapping holders the first one
-    # sets and lifts it, or the limit could stay behind for good.
+    # The number of threads belongs to the process: of overlapping calls only the first
+    # sets and restores it, or the limit could remain for good.
     if not _held.acquire(blocking=False):
         yield
         return
@@ -35,8 +35,7 @@ def one_blas_thread():
 
 # -- progress --------------------------------------------------------------------------
 
-# The line that is shown, if any. Threads have contexts without it: their caller counts
-# for them.
+# The progress line, if any. Other threads have no line: their caller shows progress.
 _LINE = contextvars.ContextVar("sklearn_vbjfa_line", default=None)
 
 
@@ -59,14 +58,14 @@ def show_progress(verbose=1):
 
 
 def say(text):
-    """Say in the line what is done."""
+    """Show a text in the progress line."""
     line = _LINE.get()
     if line is not None:
         line.set_description_str(text)
 
 
 def counted(items, text, total):
-    """Yield items, of which there are `total`, and show the number of each."""
+    """Yield `total` items and show the number of each in the progress line."""
     for k, item in enumerate(items):
         say(f"{text}: {k + 1} of {total}")
         yield item

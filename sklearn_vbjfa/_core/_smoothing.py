@@ -32,11 +32,11 @@ _KNOTS_PER_PERIOD = 10
 # (geometric over arithmetic mean; 0.56 for the periodogram of white noise).
 _GAP, _BELOW, _IN_GAP, _FLAT = 10.0, 0.8, 0.005, 0.05
 _WIDTH = _DEGREE + 1
-# Corrections of the solution; the first leaves eps times the condition number of what
-# was wrong, 1e-4 at worst.
+# Steps of iterative refinement; each reduces the error by eps times the condition
+# number, 1e-4 at worst.
 _CORRECTIONS = 2
-# A velocity below this share of the fastest is none: what is left of a motion long past
-# falls through all sizes, down to rounding, whose sign means nothing.
+# Velocities below this share of the largest are set to zero: the spline's memory of an
+# earlier motion decays through all sizes down to rounding, whose sign is arbitrary.
 _STANDS_STILL = 2.0**-30
 
 
@@ -67,7 +67,7 @@ def rounding(cutoff):
 
 
 def _difference_gain(frequency, h):
-    # third differences of spline coefficients against the spline's own amplitude
+    # differences of spline coefficients relative to the amplitude of the spline
     square = np.sin(np.pi * frequency * h) ** 2
     cosine = 1 - 2 * square  # of the whole angle
     b_spline = (16 + 13 * cosine + cosine**2) / 30.0
@@ -82,9 +82,9 @@ def _penalty(dt, cutoff):
 def knots_and_penalty(dt, cutoff):
     """Return the samples per knot and the factor of the penalty."""
     if not np.isfinite(cutoff):
-        # Interpolation leaves the coefficients beyond the ends free. The penalty that
-        # fixes them must be resolved by the arithmetic (with 1e-13 a straight line gets
-        # accelerations at its ends) and changes white noise by only some 1e-6.
+        # Interpolation does not determine the coefficients beyond the ends. The penalty
+        # that determines them must exceed rounding (with 1e-13 a straight line gets
+        # accelerations at its ends); it changes white noise by about 1e-6.
         return 1, 1e-9
     step = knot_step(dt, cutoff)
     return step, step * _penalty(dt, cutoff)
@@ -143,8 +143,8 @@ def acceleration_spectra(segments, dt):
     n_fft = fft_length(longest, dt)
     power, energy = 0.0, 0.0
     for x in segments:
-        more = acceleration_power(np.asarray(x), dt, n_fft)
-        power, energy = power + more[0], energy + more[1]
+        part = acceleration_power(np.asarray(x), dt, n_fft)
+        power, energy = power + part[0], energy + part[1]
     return spectrum(power, energy, n_fft, dt)
 
 
@@ -169,14 +169,14 @@ def white_noise_variance(frequency, power, noise_gain):
     ratio = (power / noise_gain)[frequency >= 0.5 * frequency[-1]]
     n_blocks = max(1, ratio.size // _BLOCK)
     means = [part.mean() for part in np.array_split(ratio, n_blocks)]
-    if n_blocks < 3:  # a mean, or as good as one
+    if n_blocks < 3:  # the median is close to the mean
         return float(np.mean(means))
     return float(np.median(means) / (1 - 1 / (9 * _INDEPENDENT)) ** 3)
 
 
 # A periodogram ordinate counts as signal above this multiple of the noise. Ordinates of
-# noise are exponential: of all its power 0.3 % lies beyond, and 1 % where the level of
-# the noise is estimated a fifth too low, as it is in recordings of some seconds.
+# noise are exponential: 0.3 % of its power lies above, and 1 % if the noise level is
+# underestimated by a fifth, as in recordings of a few seconds.
 _STANDS_OUT = 8.0
 
 
@@ -189,13 +189,12 @@ def choose_cutoff(frequency, power, noise_gain, dt):
         [white_noise_variance(frequency, column, noise_gain) for column in power.T]
     )
     noise = variance * noise_gain[:, None]
-    # Acceleration noise grows as the fourth power of frequency: a tenth of it taken for
-    # signal would outweigh the motion.
+    # Acceleration noise grows with the fourth power of frequency: a tenth of it counted
+    # as signal would exceed the motion.
     signal = np.where(power > _STANDS_OUT * noise, power - noise, 0.0)
     candidates = np.geomspace(max(frequency[0], 1e-3 / dt), 1.0 / (3 * dt), 120)
     risks = np.empty((candidates.size, power.shape[1]))
     for i, cutoff in enumerate(candidates):
-        # The gains are the same for all spectra.
         G = gain(frequency, dt, cutoff)
         risks[i] = (1 - G) ** 2 @ signal + (G**2 @ noise_gain) * variance
     return candidates[np.argmin(risks, axis=0)], variance
@@ -203,8 +202,8 @@ def choose_cutoff(frequency, power, noise_gain, dt):
 
 def _noise_beyond(frequency, excess, power):
     """Index above which the excess power is coloured noise, beyond a wide gap."""
-    # Interpolation and sampling jitter make coloured noise, above the white level a
-    # decade above all motion. Lines there (vibration) are not noise: they are not flat.
+    # Interpolation and sampling jitter cause coloured noise above the white level, a
+    # decade above all motion. Lines (vibration) are not flat and do not count as noise.
     total = np.cumsum(excess)
     n = frequency.size
     end = np.searchsorted(frequency, _GAP * frequency)
@@ -225,8 +224,8 @@ def _noise_beyond(frequency, excess, power):
 def velocity_bandwidth(frequency, power, noise_gain, variance, cutoff, share=0.99):
     """Frequency [Hz] below which `share` of the velocity power lies."""
     # Only ordinates above five times the expected noise power count, and only up to
-    # twice the `cutoff` of least error: far above it, some of the many noise ordinates
-    # would exceed that level too.
+    # twice the `cutoff` of least error: above it, some of the many noise ordinates would
+    # exceed that level too.
     noise = variance * noise_gain
     signal = (power > 5 * noise) & (frequency <= 2 * cutoff)
     excess = np.where(signal, power - noise, 0.0) / frequency**2
@@ -276,7 +275,7 @@ class Spline:
     coef: np.ndarray
     offset: float
     per_knot: int  # rows of the recording between knots
-    shift: int  # row at which the first knot stands
+    shift: int  # row of the first knot
     h: float  # distance of the knots [s]
 
     def __call__(self, start, stop, order=0, out=None):
@@ -329,7 +328,7 @@ def fit(x, dt, cutoff, *, every=1, shift=0):
     whole, rest = divmod(n, step)
     basis, stencil = _basis(step, 0, step - 1, 0), np.poly(np.ones(_ORDER))
     bands, penalty = np.zeros((2, _WIDTH, n_coef))
-    # The sums of small numbers first: the penalty is many times larger.
+    # Sum the small terms first: the penalty is many times larger.
     _overlay(bands, basis.T @ basis, 0, whole)
     _overlay(bands, basis[:rest].T @ basis[:rest], whole, 1)
     _overlay(penalty, np.outer(stencil, stencil), 0, n_coef - _ORDER)
@@ -346,13 +345,13 @@ def fit(x, dt, cutoff, *, every=1, shift=0):
 
 def _slope(x, coef, step, lam):
     """Minus half the gradient of |x - B c|^2 + lam |D c|^2 at c, shape of c."""
-    # The penalty is up to 1e12 times the rest, and the sum of both matrices has lost
-    # the digits of what it does to slow motions. Each part by itself has them:
-    # differences of neighbours are exact where a motion is slow.
+    # The penalty is up to 1e12 times the other term, so that the sum of both matrices
+    # has lost the digits that matter for slow motions. Evaluated separately both are
+    # accurate: differences of neighbours are exact for a slow motion.
     n, n_intervals = x.size, coef.size - _DEGREE
     basis = _basis(step, 0, step - 1, 0)
-    # One interval more, of which the first sample may be on the last knot: the last of
-    # its functions is zero there.
+    # One more interval, since the first sample of it may be on the last knot, where the
+    # last of its functions is zero.
     left = -(_windows(np.append(coef, 0.0)) @ basis.T).ravel()
     left[:n] += x
     left[n:] = 0.0
@@ -361,7 +360,7 @@ def _slope(x, coef, step, lam):
     for j in range(_WIDTH):
         slope[j : j + n_intervals + 1] += products[:, j]
     rough = np.diff(coef, _ORDER)
-    # The transpose of differences is differences of what is padded by zeros.
+    # The transpose of differences are differences of the zero-padded values.
     pull = np.diff(np.pad(rough, _ORDER), _ORDER)
     sign = (-1) ** _ORDER
     return slope[:-1] - lam * sign * pull
@@ -369,8 +368,7 @@ def _slope(x, coef, step, lam):
 
 def _overlay(bands, block, first, count):
     """Add a block (6, 6) at each of some intervals to the upper bands of a matrix."""
-    # A last interval that only begins has functions beyond the last knot, which are
-    # zero there.
+    # The functions of an incomplete last interval are zero beyond the last knot.
     for i, j in itertools.combinations_with_replacement(range(_WIDTH), 2):
         bands[_DEGREE - (j - i), first + j : first + j + count] += block[i, j]
 
@@ -402,20 +400,20 @@ def interpolate(values, parts, t, delay=0.0, order=0):
         if clock.size == 1:
             out[part] = rows if order == 0 else 0.0
             continue
-        # Counted in the recording, times are as exact at noon as at midnight.
+        # Relative to the start of the recording, large time stamps lose no digits.
         clock = clock - clock[0]
-        made = make_interp_spline(clock, rows, k=min(3, clock.size - 1))
-        asked = clock - delay
-        out[part] = made(np.clip(asked, 0.0, clock[-1]), nu=order)
+        spline = make_interp_spline(clock, rows, k=min(3, clock.size - 1))
+        delayed = clock - delay
+        out[part] = spline(np.clip(delayed, 0.0, clock[-1]), nu=order)
         if order:
-            out[part][(asked < 0.0) | (asked > clock[-1])] = 0.0
+            out[part][(delayed < 0.0) | (delayed > clock[-1])] = 0.0
     return out
 
 
 def held(values, parts, t, delay=0.0):
-    """Channels (n, ...) that are held from row to row and act a delay [s] late."""
-    # Sampled steps would fold what lies above the band of the rows into it. Within the
-    # band, steps are a spline whose last period is averaged.
+    """Channels (n, ...) with zero-order hold that act with a delay [s]."""
+    # Sampled steps would alias frequencies above the band of the rows into it. Within
+    # the band, a hold is the average of a spline over the last period.
     out = np.empty(values.shape)
     for part in parts:
         rows, clock = values[part], t[part] - t[part][0]
@@ -425,13 +423,13 @@ def held(values, parts, t, delay=0.0):
         period = clock[-1] / (clock.size - 1)
         spline = make_interp_spline(clock, rows, k=min(3, clock.size - 1))
         until = clock - delay
-        both = [_integral(spline, rows, x) for x in (until, until - period)]
-        out[part] = (both[0] - both[1]) / period
+        ends = [_integral(spline, rows, x) for x in (until, until - period)]
+        out[part] = (ends[0] - ends[1]) / period
     return out
 
 
 def _integral(spline, rows, t):
-    """Integral of a spline from its first time, whose first and last rows are held."""
+    """Integral of a spline from its first time, constant beyond both ends."""
     inside = np.clip(t, *spline.t[[0, -1]])
     outside = (t - inside).reshape(-1, *(rows.ndim - 1) * (1,))
     ends = np.minimum(outside, 0.0) * rows[0] + np.maximum(outside, 0.0) * rows[-1]

@@ -1,4 +1,4 @@
-"""The loop of all models, and the steps of the independent-latent one."""
+"""Iteration of all models, and the steps of the independent-latent model."""
 
 from collections import deque, namedtuple
 from dataclasses import dataclass, replace
@@ -51,12 +51,12 @@ class Solution:
 
 
 def climb(steps, point, max_iter):
-    """Ascend from an evaluated point until the steps gain no more."""
-    # steps: ``propose(point, budget)`` returns a new point, or None, and the
-    # evaluations used; ``judge(point, new)`` whether the bound fell and whether its
-    # gain was negligible; ``retry()`` whether there is an alternative after a fall;
+    """Increase the bound from an evaluated point until the gain is negligible."""
+    # steps: ``propose(point, budget)`` returns a new point, or None, and the number of
+    # evaluations; ``judge(point, new)`` whether the bound fell and whether its gain was
+    # negligible; ``retry()`` whether there is an alternative after a fall;
     # ``accept(point, new, quiet)`` takes the step and returns whether it is the last;
-    # ``converged`` is whether that met the tolerance.
+    # ``converged`` is True if the last gain met the tolerance.
     history, used, fall = [point.value], 1, 0.0
     while used < max_iter:
         new, spent = steps.propose(point, max_iter - used)
@@ -218,7 +218,7 @@ def from_vector(vector, like, prior):
 
 # Gradient of the bound, and the inverse curvature implied by an EM step: ``scale *
 # gradient`` is that step to first order in the logarithms. The gradient is zero where a
-# variance rests on its floor and would fall further.
+# variance is at its floor and would decrease further.
 Slope = namedtuple("Slope", "gradient scale")
 
 
@@ -265,7 +265,7 @@ def slope(moments, state, hidden, prior):
 # Pairs of steps and changes of the gradient that are kept: the usual number of
 # limited-memory quasi-Newton methods (Nocedal and Wright, 2006, section 7.2).
 _MEMORY = 10
-# Share of the gain predicted by the slope that a step must achieve (their c1).
+# Share of the gain predicted by the slope that a step must achieve (c1 there).
 ENOUGH = 1e-4
 # Trials along one direction before the plain step is taken instead.
 _TRIALS = 4
@@ -338,11 +338,11 @@ class QuasiNewtonSteps(PlainSteps):
             rest -= parts[-1] * change
         step, change = self.steps[-1], self.changes[-1]
         length = (step @ change) / (change @ (slope.scale * change))
-        found = length * slope.scale * rest
+        ascent = length * slope.scale * rest
         for step, change in zip(self.steps, self.changes):
-            found += step * (parts.pop() - (change @ found) / (step @ change))
-        found[slope.gradient == 0.0] = 0.0  # variances that rest on their floor
-        return found if found @ slope.gradient > 0 else None
+            ascent += step * (parts.pop() - (change @ ascent) / (step @ change))
+        ascent[slope.gradient == 0.0] = 0.0  # variances at their floor
+        return ascent if ascent @ slope.gradient > 0 else None
 
     def _search(self, point, direction, trials):
         """First point along the direction that gains enough, and the trials."""
@@ -431,19 +431,19 @@ def at_highest_likelihood(moments, state, prior):
     )
 
 
-def _end(problem, found):
-    """Move to the highest likelihood if it is explicit; add it to the history."""
+def _end(problem, solution):
+    """Move to the maximum of the likelihood if it has a closed form."""
     moments, prior = problem.moments, problem.prior
-    found = replace(found, n_iter=found.n_iter + 1)
-    highest = at_highest_likelihood(moments, found.state, prior)
+    solution = replace(solution, n_iter=solution.n_iter + 1)
+    highest = at_highest_likelihood(moments, solution.state, prior)
     if highest is None:
-        return found
-    reached, top = problem.evaluate(found.state), problem.evaluate(highest)
+        return solution
+    reached, top = problem.evaluate(solution.state), problem.evaluate(highest)
     slack = rounding_of_bound(reached.value, moments.n, reached.hidden.y_var)
     if not top.value >= reached.value - slack:
-        return found
-    best = max(top.value, found.history[-1])  # to rounding
-    return replace(found, state=highest, history=np.append(found.history, best))
+        return solution
+    best = max(top.value, solution.history[-1])  # to rounding
+    return replace(solution, state=highest, history=np.append(solution.history, best))
 
 
 # ----------------------------------------------------------------- independent latents
@@ -453,29 +453,29 @@ def solve(moments, state, prior, *, max_iter, tol):
     """Iterate until the bound gains less than `tol` per sample."""
     # A step that does not raise the bound is replaced by the plain one: the bound never
     # falls, and the fixed points are the same. Without priors the last step goes to the
-    # explicit maximum, unless the input noise is known to be large.
+    # closed-form maximum, unless the input noise is known to be large.
     if prior.psi_x_fixed is not None:
         prior = replace(
             prior, psi_x_fixed=np.maximum(prior.psi_x_fixed, VARIANCE_FLOOR)
         )
         state = replace(state, psi_x=prior.psi_x_fixed)
     problem = IndependentProblem(moments, prior)
-    # Without a prior an exact fit (no function of the inputs leaves more than rounding
-    # of y) has no highest likelihood, and nothing to extrapolate to but rounding.
+    # Without a prior the likelihood of an exact fit (residuals are rounding) has no
+    # maximum, and an extrapolation would follow rounding errors.
     if not prior.ard and moments.rest <= VARIANCE_FLOOR * moments.yy:
-        found = climb(PlainSteps(problem, tol), problem.evaluate(state), max_iter)
-        if found.status == "bound_decreased":
-            return found
-        # The expectations at the end are good for one more update.
-        return replace(found, state=problem.update(problem.evaluate(found.state)))
+        solution = climb(PlainSteps(problem, tol), problem.evaluate(state), max_iter)
+        if solution.status == "bound_decreased":
+            return solution
+        # The last expectations allow one more update.
+        return replace(solution, state=problem.update(problem.evaluate(solution.state)))
     # Along flat directions the last digits of the moments decide where within `tol` a
-    # quasi-Newton method stops: they must not depend on the rows' order.
+    # quasi-Newton method stops; they must not depend on the order of the rows.
     rounded = IndependentProblem(moments.without_last_digits(), prior)
     steps = QuasiNewtonSteps(rounded, tol)
-    found = climb(steps, rounded.evaluate(state), max_iter)
-    if found.status != "converged" or prior.ard:
-        return found
-    # The last step is an iteration too.
-    if found.n_iter == max_iter:
-        return replace(found, status="max_iter")
-    return _end(problem, found)
+    solution = climb(steps, rounded.evaluate(state), max_iter)
+    if solution.status != "converged" or prior.ard:
+        return solution
+    # The last step counts as an iteration.
+    if solution.n_iter == max_iter:
+        return replace(solution, status="max_iter")
+    return _end(problem, solution)

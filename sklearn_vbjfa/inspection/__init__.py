@@ -1,8 +1,8 @@
-"""Logs that contradict the robot: one table of hypotheses, and what a motion shows."""
+"""Tests of a log against the robot description, and effects that a motion shows."""
 
 from sklearn_vbjfa import _lazily
 
-# For other rooms, and for the tests.
+# Names that other subpackages and the tests import.
 _MODULES = {
     "_inspect": (
         "ChannelFinding",

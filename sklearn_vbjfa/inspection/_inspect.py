@@ -1,4 +1,4 @@
-"""Hypotheses about faults of a log, in one table, compared by likelihood."""
+"""Table of hypotheses about faults of a log, compared by their likelihood."""
 
 import itertools
 from collections.abc import Callable
@@ -30,34 +30,34 @@ from sklearn_vbjfa.recording import (
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One row of the table; its sentence, with the remedy, is that of its name."""
+    """A possible fault of a log; its message is the entry of its name in SENTENCES."""
 
     name: str
     severity: str
     propose: Callable  # returns the best `Proposal` for a reading, or None
-    needs: str = ""  # properties of a reading that can show it
-    # When it is looked for: before all others, which it precludes; always; only if
-    # torques agree badly with the description or another hypothesis is probable; after
-    # all others; or if nothing was found.
+    needs: str = ""  # properties of `Reading` that must be true
+    # When it is tested: before all others ("first": a match ends the inspection);
+    # "always"; if torques fit the description poorly or another hypothesis is probable
+    # ("poor"); after all others ("last"); or if nothing was found ("nothing else").
     when: str = "always"
-    prior: float = number.PRIOR  # log odds against the log as it is
-    # Other masses or springs that may explain as much, of `DescribedRobot`.
+    prior: float = number.PRIOR  # log odds against the unchanged log
+    # Log odds of other masses or springs, properties of `DescribedRobot`, to exceed.
     surpasses: str = ""
 
     def candidate(self, reading):
         """Return the best candidate and its log odds if it is probable, or None."""
         applies = all(getattr(reading, name) for name in self.needs.split())
-        found = self.propose(reading) if applies else None
-        odds = found.log_odds + self.prior if found else -np.inf
+        proposal = self.propose(reading) if applies else None
+        odds = proposal.log_odds + self.prior if proposal else -np.inf
         if odds <= number.DECISIVE:
             return None
-        others = (getattr(reading.robot, name) for name in self.surpasses.split())
-        if any(found.log_odds < one for one in others):
+        rivals = (getattr(reading.robot, name) for name in self.surpasses.split())
+        if any(proposal.log_odds < rival_odds for rival_odds in rivals):
             return None
-        return found, odds
+        return proposal, odds
 
     def finding(self, reading, candidate, odds, rivals=()):
-        """Return the finding; rivals: names of hypotheses that are as probable."""
+        """Return the finding; rivals: names of nearly as probable hypotheses."""
         evidence = f"log odds {odds:.0f}"
         if candidate.fall > 0.01 * reading.nv:
             fall = np.exp(candidate.fall / reading.robot.joints.size)
@@ -98,7 +98,7 @@ TABLE = (
     Hypothesis("position_sign", "error", partial(positions.mirrored, torques=False),
                when="poor"),
     Hypothesis("coupled_position", "error", positions.coupled, "several", "poor"),
-    # A warning: another mounting or tool looks the same, with a wrong geometry only.
+    # Only a warning: another mounting or tool has the same effect on the torques.
     Hypothesis("position_zero", "warning", partial(positions.zeros, few=True),
                when="poor", surpasses="invented springs"),
     Hypothesis("wrong_dt", "error", positions.periods, surpasses="invented"),
@@ -126,10 +126,10 @@ TABLE = (
 
 __all__ = ["ChannelFinding", "inspect_channels", "inspect_recording"]
 
-# What is found of torques whose unit is not N m or N, or not known.
-_OF_SIZE = ("torque_unit", "torque_factors", "gear_factor", "other_robot")
-# What changes the speeds of a log.
-_OF_SPEED = ("position_unit", "wrong_dt")
+# Findings that are expected if the unit of the torques is unknown or not N m or N.
+_SCALE_KINDS = ("torque_unit", "torque_factors", "gear_factor", "other_robot")
+# Hypotheses that change the speeds of a log.
+_SPEED_KINDS = ("position_unit", "wrong_dt")
 
 
 def inspect_recording(recording, model=None):
@@ -165,7 +165,7 @@ def inspect_recording(recording, model=None):
     """
     urdf = recording.urdf
     if model is None and urdf and movable_joints(urdf) == recording.joint_names:
-        # With the joints that follow others.
+        # The URDF also contains the mimic joints.
         model = urdf
     robot = recording.robot_model() if model is None else model
     gains = None if _are_torques(recording.torque_units) else "unknown"
@@ -173,7 +173,7 @@ def inspect_recording(recording, model=None):
 
 
 def inspect_as(recording, model, **settings):
-    """Inspect a recording under settings of `inspect_channels`."""
+    """Inspect a recording with the settings of `inspect_channels`."""
     return inspect_channels(
         model,
         recording.q,
@@ -187,36 +187,36 @@ def inspect_as(recording, model, **settings):
 
 
 def _are_torques(units):
-    """Whether channels of torque are torques or forces, not quantities of a motor."""
-    # Arrays have no units.
+    """Whether torque channels hold torques or forces, not currents or duty cycles."""
+    # Arrays have the unit "".
     return all(unit in ("N m", "N", "") for unit in units)
 
 
 def refusal(findings, units=()):
-    """Return a `RecordingRefused` for errors among findings, or None."""
-    # units: of measured torques, whose signs factors can turn; none for a drive.
-    errors = [one for one in findings if one.severity == "error"]
+    """Return a `RecordingRefused` for the errors among findings, or None."""
+    # units: of measured torques, whose signs `gains` can correct; empty for a drive.
+    errors = [x for x in findings if x.severity == "error"]
     if not errors:
         return None
     options = dict(errors[0].remedy) if len(errors) == 1 else {}
     if "gains" in options and not (units and _are_torques(units)):
         options = {}
-    return RecordingRefused(" ".join(one.message for one in errors), options)
+    return RecordingRefused(" ".join(x.message for x in errors), options)
 
 
 def common_lag(findings):
-    """Return the lag [s] of all torques in all recordings, zero for none."""
+    """Return the lag [s] that all torques have in all recordings, or zero."""
     return sum(x.value for x in findings if (x.kind, x.severity) == ("delay", "note"))
 
 
 def contradicted(tau, errors, size):
     """Whether a fit contradicts the description, so that its log is inspected."""
-    # tau (n, nv); errors (nv,): what the fit leaves of it; size: factor of all torques
-    # against the description, and its relative error.
+    # tau (n, nv); errors (nv,): residual standard deviations of the fit; size: factor
+    # of all torques against the description, and its relative error.
     factor, error = size
     scale = np.abs(np.log(max(factor, 1e-300)))
     far = scale > max(np.log(number.SCALE), number.DECISIVE * error)
-    # Rows without torques, amid the others, look like smaller torques.
+    # Rows of lost torques (zeros) make the torques appear smaller.
     empty = (tau == 0).all(axis=1).any()
     return bool(far or empty or (errors > number.WORST * np.std(tau, axis=0)).any())
 
@@ -235,13 +235,13 @@ def inspect_channels(
     weight=None,
 ):
     """Inspect channels that are given as arrays; see `inspect_recording`."""
-    # q, tau (n_samples, nv): as of a `Recording`, or a motor quantity for torques.
-    # drive, gains, bodies: as of `RobotIdentifier`. Of commands only the order of
-    # magnitude is judged; with gains to identify no size of torques is a fault, with
-    # free bodies no factor of all. named: whether channels carry the joints' names;
-    # weight (n_samples, nv): zero for samples that do not count.
+    # q, tau (n_samples, nv): as in `Recording`; tau may be a motor quantity.
+    # drive, gains, bodies: as in `RobotIdentifier`. For commands, only the order of
+    # magnitude is tested; if gains are identified, no scale of a torque is a fault; if
+    # bodies are free, no common scale is. named: whether channels carry the joints'
+    # names; weight (n_samples, nv): zero for samples to ignore.
     model, dt = load_folded(model).still, check_dt(dt)
-    # Channels one after another: they are looked at one by one.
+    # Column-major order, since channels are processed one by one.
     q, tau = (np.asarray(x, dtype=float, order="F") for x in (q, tau))
     names = joint_names(model)
     if q.shape != tau.shape or q.shape[1:] != (model.nv,):
@@ -249,8 +249,8 @@ def inspect_channels(
             f"q and tau must both have shape (n_samples, {model.nv}), one column for "
             f"each of {', '.join(names)}; got {q.shape} and {tau.shape}."
         )
-    every = contiguous_groups(groups, len(q))
-    shuffled = shuffled_rows(names, q, every)
+    all_parts = contiguous_groups(groups, len(q))
+    shuffled = shuffled_rows(names, q, all_parts)
     rows, parts = long_parts(len(q), groups)
     if shuffled or not parts:
         return in_order(shuffled)
@@ -263,97 +263,97 @@ def inspect_channels(
     for check in CHECKS:
         check(log)
     log.usable[:, log.still] = False
-    if "copied_position" in {one.kind for one in log.findings}:
+    if "copied_position" in {x.kind for x in log.findings}:
         return in_order(log.findings)
     q, tau, usable = log.q, log.tau, log.usable
     if log.every > 1:
-        # Positions that were held are compared at the rate that they have.
+        # Held positions are compared at their update rate.
         rows, parts = thinned(parts, log.every)
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
     reading = Reading(model, names, q, tau, dt, parts, usable, drive, named)
-    called = recording_names(groups, [x.start for x in every])
-    long = [part.stop - part.start >= number.MIN_SAMPLES for part in every]
-    called = list(itertools.compress(called, long))
-    found = _of_recordings(reading, called)
-    unknown = set(_OF_SIZE) if gains is not None else set()
+    recordings = recording_names(groups, [part.start for part in all_parts])
+    is_long = [part.stop - part.start >= number.MIN_SAMPLES for part in all_parts]
+    recordings = list(itertools.compress(recordings, is_long))
+    findings = _compare_recordings(reading, recordings)
+    excluded = set(_SCALE_KINDS) if gains is not None else set()
     if bodies == "free":
-        unknown.add("torque_unit")
+        excluded.add("torque_unit")
     if drive is not None and drive.unsigned:
-        unknown.add("unsigned_torque")
-    if any(one.severity != "note" for one in log.findings):
-        # Which robot it is cannot be said of rows that are wrong.
-        unknown.add("other_robot")
-    found = [one for one in found if one.kind not in unknown]
-    return in_order(log.findings + found)
+        excluded.add("unsigned_torque")
+    if any(x.severity != "note" for x in log.findings):
+        # Faulty rows do not show whether the log is of another robot.
+        excluded.add("other_robot")
+    findings = [x for x in findings if x.kind not in excluded]
+    return in_order(log.findings + findings)
 
 
-def _compared(reading):
-    """Return what the description of the robot shows of a log."""
-    # Such positions allow no further question, nor do torques without signs.
-    for hypothesis, found in _proposed(reading, "first"):
-        return [hypothesis.finding(reading, *found)]
+def _compare(reading):
+    """Compare a log with the robot description and return the findings."""
+    # Positions in counts or torques without signs allow no further test.
+    for hypothesis, match in _probable(reading, "first"):
+        return [hypothesis.finding(reading, *match)]
     if reading.tell_nothing():
         return implausible_speed(reading) + _unverified(reading)
-    findings, reading = _examined(reading)
+    findings, reading = _apply_hypotheses(reading)
     if reading is None:
         return findings
     findings = findings or implausible_speed(reading)
-    others = []
-    if not any(one.severity == "error" for one in findings):
-        others = _proposed(reading, "last")
-    others = others or ([] if findings else _proposed(reading, "nothing else"))
-    findings += [x.finding(reading, *y) for x, y in others]
+    matches = []
+    if not any(x.severity == "error" for x in findings):
+        matches = _probable(reading, "last")
+    matches = matches or ([] if findings else _probable(reading, "nothing else"))
+    findings += [x.finding(reading, *y) for x, y in matches]
     return findings + _unverified(reading)
 
 
-def _of_recordings(reading, names):
-    """Return what is found in recordings that agree, and in each that does not."""
-    apart = [] if reading.tell_nothing() else reading.apart()
-    rest = sorted(set(range(len(reading.parts))) - set(apart))
-    alone = {k: _compared(reading.of_recordings([k], alone=True)) for k in apart}
-    each = [(k, x) for k, own in alone.items() for x in own if x.kind != "unverified"]
-    if not apart or (not rest and len({k for k, _ in each}) == len(apart)):
-        return _compared(reading)
-    found = _compared(reading.of_recordings(rest)) if rest else _unverified(reading)
-    # What all have in common a fit may correct, but not what a single one has.
-    return found + [
+def _compare_recordings(reading, names):
+    """Return findings of the consistent recordings, and of each deviating one."""
+    outliers = [] if reading.tell_nothing() else reading.apart()
+    others = sorted(set(range(len(reading.parts))) - set(outliers))
+    alone = {k: _compare(reading.of_recordings([k], alone=True)) for k in outliers}
+    pairs = [(k, x) for k, xs in alone.items() for x in xs if x.kind != "unverified"]
+    if not outliers or (not others and len({k for k, _ in pairs}) == len(outliers)):
+        return _compare(reading)
+    common = _compare(reading.of_recordings(others)) if others else _unverified(reading)
+    # A fit may correct a fault of all recordings, but not one of a single recording.
+    return common + [
         replace(
-            one,
-            severity="error" if one.severity == "error" else "warning",
-            message=f"Recording {names[k]} alone: {one.message}",
+            finding,
+            severity="error" if finding.severity == "error" else "warning",
+            message=f"Recording {names[k]} alone: {finding.message}",
             remedy={},
         )
-        for k, one in each
+        for k, finding in pairs
     ]
 
 
-def _examined(reading):
+def _apply_hypotheses(reading):
     """Apply the most probable hypothesis until none is probable."""
-    # Returns findings and the repaired log, None if it cannot be repaired.
+    # Returns findings and the corrected log, None if it cannot be corrected.
     findings = []
     for _ in range(reading.nv + 3):
-        proposed = _proposed(reading, "always")
+        proposed = _probable(reading, "always")
         if reading.poor or proposed:
-            proposed += _proposed(reading, "poor")
-        proposed.sort(key=lambda one: -one[1][1])
-        unclear = -np.inf
+            proposed += _probable(reading, "poor")
+        proposed.sort(key=lambda match: -match[1][1])
+        best_unclear = -np.inf
         for hypothesis, (candidate, odds) in proposed:  # noqa: B007
             if not candidate.clear:
-                unclear = max(unclear, odds)
+                best_unclear = max(best_unclear, odds)
                 continue
-            if candidate.change and odds < unclear - number.RIVAL:
-                # Something else is the matter.
+            if candidate.change and odds < best_unclear - number.RIVAL:
+                # An inconclusive hypothesis is far more probable.
                 continue
             after = candidate.change and reading.changed(candidate.change)
-            if after is None or _is_better(after, reading.robot):
+            if after is None or _improves(after, reading.robot):
                 break
         else:
             break
         rivals = [
-            (one.kind or other.name).partition(":")[0]
-            for other, (one, its_odds) in proposed
-            if other is not hypothesis and odds - its_odds < number.RIVAL
+            (match.kind or rival.name).partition(":")[0]
+            for rival, (match, other_odds) in proposed
+            if rival is not hypothesis and odds - other_odds < number.RIVAL
         ]
         findings.append(hypothesis.finding(reading, candidate, odds, rivals))
         if after is None:
@@ -362,18 +362,18 @@ def _examined(reading):
     return findings, reading
 
 
-def _proposed(reading, when):
-    """Return hypotheses that are probable, each with its candidate and log odds."""
-    # At impossible speeds only what changes them is asked.
-    fast = any(one.severity == "error" for one in implausible_speed(reading))
+def _probable(reading, when):
+    """Return probable hypotheses, each with its candidate and log odds."""
+    # At implausible speeds, only hypotheses that change the speeds are tested.
+    fast = any(x.severity == "error" for x in implausible_speed(reading))
     fast = fast and when != "first"
-    rows = [x for x in TABLE if x.when == when and (not fast or x.name in _OF_SPEED)]
-    found = [(one, one.candidate(reading)) for one in rows]
-    return [pair for pair in found if pair[1] is not None]
+    rows = [x for x in TABLE if x.when == when and (not fast or x.name in _SPEED_KINDS)]
+    matches = [(row, row.candidate(reading)) for row in rows]
+    return [pair for pair in matches if pair[1] is not None]
 
 
-def _is_better(log, before):
-    """Whether a log that was repaired agrees better with the description."""
+def _improves(log, before):
+    """Whether a corrected log agrees better with the description."""
     if log.tell_nothing():
         return False
     robot = DescribedRobot(log.bodies, log.signals, before.times)
@@ -381,7 +381,7 @@ def _is_better(log, before):
 
 
 def _unverified(reading):
-    """Say what the description cannot show in this motion."""
+    """Return a note on a property that this motion cannot verify, in a list."""
     reason = ""
     if reading.bodies.massless:
         reason = "massless"
@@ -389,27 +389,28 @@ def _unverified(reading):
         return []
     elif reading.bodies.weightless:
         reason = "weightless"
-    elif not reading.commanded and _size_assumed(reading.robot):
+    elif not reading.commanded and _is_scale_ambiguous(reading.robot):
         reason = "size"
-    elif not reading.named and _order_assumed(reading):
+    elif not reading.named and _is_order_ambiguous(reading):
         reason = "order"
-    args = reading.names, reading.every, "note"
-    return [finding(f"unverified:{reason}", *args)] if reason else []
+    arguments = reading.names, reading.every, "note"
+    return [finding(f"unverified:{reason}", *arguments)] if reason else []
 
 
-def _size_assumed(robot):
-    """Whether torques of any size fit the described bodies as well."""
-    columns = robot.described[:, :, None]
-    fit = robot.fit(mean=np.zeros_like(robot.described), columns=columns)
+def _is_scale_ambiguous(robot):
+    """Whether the motion does not determine the scale of the torques."""
+    torques = robot.described[:, :, None]
+    fit = robot.fit(mean=np.zeros_like(robot.described), columns=torques)
     return abs(fit.factors[0]) < number.INTERVAL * fit.errors[0]
 
 
-def _order_assumed(reading):
-    """Whether another usual order of joints fits as well as that of the description."""
-    now, orders = reading.robot.now, positions.usual_orders(reading)
+def _is_order_ambiguous(reading):
+    """Whether another common joint order fits as well as that of the description."""
+    baseline, orders = reading.robot.now, positions.usual_orders(reading)
     fits = (reading.tried(positions.reordered(order)) for order in orders)
     return any(
-        fit.fall(now) > -number.CLEAR or fit.evidence > now.evidence - number.RIVAL
+        fit.fall(baseline) > -number.CLEAR
+        or fit.evidence > baseline.evidence - number.RIVAL
         for fit in fits
         if fit is not None
     )

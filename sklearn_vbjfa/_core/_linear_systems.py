@@ -42,7 +42,7 @@ UnitColumns = namedtuple("UnitColumns", "values mean scale")
 def unit_columns(X, weight, *, center):
     """Centre columns X (n, d) at means of weights (n,) > 0, scale to unit length."""
     # Dividing by the largest magnitude keeps squares from overflowing, and a second
-    # pass removes the rounding of the first mean, so that units and offsets do not matter.
+    # pass removes the rounding of the first mean: units and offsets do not matter.
     total = weight.sum()
     magnitude = or_one(np.maximum(X.max(axis=0), -X.min(axis=0)))
     values = X / magnitude
@@ -180,7 +180,7 @@ def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
 
 
 def branches(support):
-    """Connected components of a table (n, p), bool: list of (rows, columns)."""
+    """Return the connected components of a table (n, p), bool: (rows, columns)."""
     used = np.flatnonzero(support.any(axis=1))
     entries = support[used].astype(int)
     count, label = csgraph.connected_components(entries @ entries.T, directed=False)

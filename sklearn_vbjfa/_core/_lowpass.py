@@ -66,7 +66,7 @@ class Lowpass:
         return 1.0 / (1.0 + (_UNKNOWN * unknown) ** 2)
 
     def samples(self, weight):
-        """Number of independent samples of each filtered row; zero if mostly masked."""
+        """Return the number of independent samples of each row, zero if masked."""
         # Outputs within a filter length of each other share noise.
         each = float(self.step * (self.taps @ self.taps)) if self.half else 1.0
         # The margin keeps a tie from depending on the order of summation.

@@ -224,7 +224,7 @@ def _noise_beyond(frequency, excess, power):
 def velocity_bandwidth(frequency, power, noise_gain, variance, cutoff, share=0.99):
     """Frequency [Hz] below which `share` of the velocity power lies."""
     # Only ordinates above five times the expected noise power count, and only up to
-    # twice the `cutoff` of least error: above it, some of the many noise ordinates would
+    # twice the `cutoff` of least error: above it, some of the many noise ordinates
     # exceed that level too.
     noise = variance * noise_gain
     signal = (power > 5 * noise) & (frequency <= 2 * cutoff)

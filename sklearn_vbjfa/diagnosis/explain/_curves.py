@@ -1,79 +1,80 @@
-"""Curves for the pictures of a finished search, thinned."""
+"""Decimated curves for the figures of a report."""
 
 from types import SimpleNamespace
 
 import numpy as np
 
-# Most intervals of a curve over time, whose extremes are drawn; most points of a cloud;
-# lags of an autocorrelation.
+# Maximum number of intervals of a time series, of which the extremes are drawn, and of
+# points of a scatter plot; number of lags of an autocorrelation.
 _INTERVALS, _DOTS, _LAGS = 120, 200, 40
-# Fewest rows of a cloud.
+# Minimum number of rows for a scatter plot.
 _FEWEST = 8
-# Rows that are farther apart than this many usual steps have something between them.
+# A step longer than this multiple of the median step is a gap between stretches.
 _GAP = 2.5
 
 
 def residual_curves(after, dt, joints):
-    """Held-out residuals over predictions and over lags, a tuple of namespaces."""
-    # joint, from zero; predicted by the completed model and residual, (k,) [N m or N];
-    # lags (l,) [s] and autocorrelation there; chance: that of white noise (90 %).
+    """Return scatter plot and autocorrelation of held-out residuals, by joint."""
+    # after: residuals of the completed model. Each namespace has joint, from zero;
+    # predicted torque and residual (k,) [N m or N]; lags (l,) [s] and correlation (l,);
+    # chance, the 90 % bound of the latter for white noise.
     index = after.index - after.index[0]
     step = int(np.median(np.diff(index))) if index.size > 1 else 1
-    found = []
+    curves = []
     for j in joints:
         rows = np.flatnonzero(after.weight[:, j] > 0)
         if rows.size < _FEWEST:
             continue
-        residual, shown = after.residual[:, j], rows[:: -(-rows.size // _DOTS)]
-        # On an even grid, with zeros where nothing counts.
-        line = np.zeros(index[-1] // step + 1)
-        line[index[rows] // step] = residual[rows]
+        residual, drawn = after.residual[:, j], rows[:: -(-rows.size // _DOTS)]
+        # Uniform grid, zero in missing rows and in rows of zero weight.
+        series = np.zeros(index[-1] // step + 1)
+        series[index[rows] // step] = residual[rows]
         lags = np.arange(min(_LAGS, rows.size))
-        power = np.array([line[: line.size - k] @ line[k:] for k in lags])
-        found.append(
+        covariance = np.array([series[: series.size - k] @ series[k:] for k in lags])
+        curves.append(
             SimpleNamespace(
                 joint=j,
-                predicted=after.predicted[shown, j],
-                residual=residual[shown],
+                predicted=after.predicted[drawn, j],
+                residual=residual[drawn],
                 lags=lags * step * dt,
-                correlation=power / (power[0] or 1.0),
+                correlation=covariance / (covariance[0] or 1.0),
                 chance=1.645 / np.sqrt(rows.size),
             )
         )
-    return tuple(found)
+    return tuple(curves)
 
 
 def torque_curves(before, after, clock, joints):
-    """Held-out torques over time, from residuals of two models; namespaces, a tuple."""
-    # joint, from zero; seconds (k,); measured, filtered, and predicted by the declared
-    # model before and the completed one after, (k,) [N m or N], nan where rows are
-    # missing; counts (k,): whether the joint moves, so that errors count there.
-    # Held-out stretches follow one another, with a gap between them.
+    """Return measured and predicted torques over held-out time, by joint."""
+    # before, after: residuals of the declared and the completed model. Each namespace
+    # has joint, from zero; seconds (k,); the filtered measured torque and predictions
+    # before and after (k,) [N m or N], nan in gaps; counts (k,): rows with positive
+    # weight. Held-out stretches are concatenated, with one nan row between them.
     steps = np.diff(clock[before.index])
     step = float(np.median(steps)) if steps.size else 1.0
     gaps = np.flatnonzero(steps > _GAP * step) + 1
     seconds = step * np.arange(before.index.size + gaps.size)
-    found = []
+    curves_by_joint = []
     columns = before.torque, before.predicted, after.predicted, before.weight
     for j in joints:
-        own = (np.insert(values[:, j], gaps, np.nan) for values in columns)
-        curves = dict(zip(("measured", "before", "after", "counts"), own))
+        of_joint = (np.insert(values[:, j], gaps, np.nan) for values in columns)
+        curves = dict(zip(("measured", "before", "after", "counts"), of_joint))
         curves |= {"seconds": seconds, "counts": curves["counts"] > 0}
-        left = np.where(curves["counts"], curves["measured"] - curves["after"], 0.0)
-        rows = np.union1d(_extremes(curves["measured"]), _extremes(left))
+        residual = np.where(curves["counts"], curves["measured"] - curves["after"], 0.0)
+        rows = np.union1d(_extremes(curves["measured"]), _extremes(residual))
         thinned = {name: values[rows] for name, values in curves.items()}
-        found.append(SimpleNamespace(joint=j, **thinned))
-    return tuple(found)
+        curves_by_joint.append(SimpleNamespace(joint=j, **thinned))
+    return tuple(curves_by_joint)
 
 
 def _extremes(values):
-    """Rows of the lowest and highest value of each interval of a curve (n,)."""
-    # Rows that are nan, which interrupt it, are among them.
+    """Return the rows of the extremes of each interval of a curve (n,)."""
+    # Rows that are nan are kept, to interrupt the line.
     if values.size <= 2 * _INTERVALS:
         return np.arange(values.size)
     rows = np.flatnonzero(np.isnan(values)).tolist()
-    for own in np.array_split(np.arange(values.size), _INTERVALS):
-        known = own[~np.isnan(values[own])]
-        if known.size:
-            rows += [known[np.argmin(values[known])], known[np.argmax(values[known])]]
+    for interval in np.array_split(np.arange(values.size), _INTERVALS):
+        valid = interval[~np.isnan(values[interval])]
+        if valid.size:
+            rows += [valid[np.argmin(values[valid])], valid[np.argmax(values[valid])]]
     return np.unique(rows)

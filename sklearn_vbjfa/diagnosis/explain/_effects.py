@@ -1,4 +1,4 @@
-"""Effects that were found, with values and intervals of the final fit."""
+"""Discovered effects, with values and intervals of the final fit."""
 
 from dataclasses import dataclass
 
@@ -8,33 +8,31 @@ from scipy import special
 from sklearn_vbjfa.diagnosis.search._posterior import Evidence
 from sklearn_vbjfa.effects import InModel, OfChannel, OfRobot, Shaped
 
-# Why the values of an effect do not let it be reported.
+# Warnings on effects whose values are too uncertain for them to be reported.
 _UNKNOWN = "no parameter of it is known from zero"
-# Share of a parameter by which rounding changes it.
+# Relative rounding error of a parameter.
 _ROUNDING = 1e-10
 _UNSURE = "its value is not known well enough to correct anything"
 
-# Share of effects with a warning that are right, in simulated recordings: the noise is
-# never quite what the likelihood assumes.
+# Share of effects with a warning that are true, in simulated recordings: their noise
+# never follows the likelihood exactly.
 _POSSIBLE = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
 class DiscoveredEffect:
-    """An effect that the declared model lacked."""
+    """An effect missing from the declared model."""
 
-    name: str  # of its class, in the library or a custom one
+    name: str  # of its class, in the library or custom
     joint: int  # from zero
     joint_name: str
     parameters: dict  # coefficients and shape parameters
     units: dict
-    # 90 %: Student's t, from the scatter of the residuals between blocks of time; none
-    # for a shape parameter that was not tuned, for what the recording does not excite,
-    # and for an instant
+    # 90 %: Student's t, from the variance between blocks of time; none for shape
+    # parameters that were not tuned, parameters that are not excited, and instants
     intervals: dict
-    evidence: Evidence  # posterior odds, and the gain on stretches that were not fitted
-    # effects that this data cannot distinguish from it
-    rivals: tuple = ()
+    evidence: Evidence  # posterior odds, and cross-validated gain
+    rivals: tuple = ()  # effects that this data cannot distinguish from it, by name
     trials: tuple = ()  # the same, each a dict with name, joint and shape
     effect: object = None  # the transformer
     scope: str = "joint"  # or "robot"; its joint is the first one then
@@ -48,18 +46,17 @@ class DiscoveredEffect:
     @property
     def probability(self):
         """Probability that the declared model lacked it."""
-        # The posterior one, or the probability that it lowers the error on stretches of
-        # time that were not fitted, if that is less.
+        # Posterior, or the probability that it lowers the error of held-out folds, if
+        # that is smaller; see `Evidence`.
         most = _POSSIBLE if self.warning else 1.0
         return min(self.evidence.probability, most)
 
     @property
     def is_determined(self):
         """Whether the interval of a force, torque or stiffness, if any, omits zero."""
-        # Where size and shape trade against each other some torque is there all the
-        # same.
-        own = [x for key, x in self.intervals.items() if "N" in self.units.get(key, "")]
-        return not own or any(low > 0 or high < 0 for low, high in own)
+        # Correlated size and shape parameters do not put the torque itself in question.
+        ends = [x for k, x in self.intervals.items() if "N" in self.units.get(k, "")]
+        return not ends or any(low > 0 or high < 0 for low, high in ends)
 
 
 def discovered_effects(search, final, names, prismatic):
@@ -78,14 +75,14 @@ def discovered_effects(search, final, names, prismatic):
         if not warning and isinstance(effect, InModel):
             nominal = dict(zip(effect.coefficients, effect.nominal))
             least = {k: search.settings.known * x for k, x in deviations.items()}
-            away = (abs(values[k] - nominal.get(k, 0.0)) > least[k] for k in least)
-            warning = "" if any(away) else _UNSURE
+            departs = (abs(values[k] - nominal.get(k, 0.0)) > least[k] for k in least)
+            warning = "" if any(departs) else _UNSURE
         elif not warning:
-            # The size of a channel's effect is its shape.
-            own = estimate if isinstance(effect, OfChannel) else estimate.of_shape()
-            warning = "" if _is_known(effect, own, half) else _UNKNOWN
+            # The magnitude of a channel effect is a shape parameter.
+            size = estimate if isinstance(effect, OfChannel) else estimate.given_shape()
+            warning = "" if _is_significant(effect, size, half) else _UNKNOWN
         units = effect.parameter_units(prismatic[effect.joint])
-        rivals = (_named(one, effect, names) for one in finding.rivals)
+        rivals = (_rival_name(rival, effect, names) for rival in finding.rivals)
         yield DiscoveredEffect(
             name=effect.name,
             joint=effect.joint,
@@ -105,7 +102,7 @@ def discovered_effects(search, final, names, prismatic):
         )
 
 
-def _named(rival, effect, names):
+def _rival_name(rival, effect, names):
     """Name a rival of an effect, with its joint if that differs."""
     name = rival.name
     for kind in rival.split_by[:1] if isinstance(rival, Shaped) else ():
@@ -115,45 +112,45 @@ def _named(rival, effect, names):
     return f"{name} on {names[rival.joint]}"
 
 
-def _is_known(effect, estimate, half):
-    """Whether a parameter of an effect is known from zero, half deviations or more."""
-    # A shape alone is no sign that the effect is there.
+def _is_significant(effect, estimate, half):
+    """Whether a parameter is at least `half` standard deviations from zero."""
+    # Shape parameters alone do not show that the effect exists.
     values, deviations = named_values(effect, estimate)
-    seen = [key for key, std in deviations.items() if std > 0]
-    own = [key for key in seen if key not in effect.shape()] or seen
-    away = any(abs(values[key]) > half * deviations[key] for key in own)
-    return any(estimate.coef) and (away or not own)
+    known = [key for key, std in deviations.items() if std > 0]
+    tested = [key for key in known if key not in effect.shape()] or known
+    significant = any(abs(values[key]) > half * deviations[key] for key in tested)
+    return any(estimate.coef) and (significant or not tested)
 
 
 def named_values(effect, estimate):
-    """Parameters by name, and their standard deviations (delta method)."""
+    """Return parameters and their standard deviations (delta method), by name."""
     covariance, k = estimate.covariance, len(estimate.coef)
     x = np.array(estimate.coef, dtype=float)
     scale = np.sqrt(np.maximum(np.diagonal(covariance)[:k], 0.0))
-    # Small compared with the value, where the deviation is not.
+    # Also small relative to the value, which may be below its standard deviation.
     steps = 1e-4 * np.minimum(scale, np.abs(x))
     steps[~(steps > 0)] = 1e-9
     ends = [(x + 0.5 * step, x - 0.5 * step) for step in np.diag(steps)]
-    sides = [tuple(map(effect.parameters, both)) for both in ends]
+    pairs = [tuple(map(effect.parameters, pair)) for pair in ends]
     values, slopes = effect.parameters(x), {}
     for name in values:
-        rises = np.array([above[name] - below[name] for above, below in sides])
-        rises[abs(rises) < _ROUNDING * abs(values[name])] = 0.0
-        slopes[name] = np.r_[rises / steps, np.zeros(len(covariance) - k)]
+        differences = np.array([above[name] - below[name] for above, below in pairs])
+        differences[abs(differences) < _ROUNDING * abs(values[name])] = 0.0
+        slopes[name] = np.r_[differences / steps, np.zeros(len(covariance) - k)]
     for name, slope in zip(estimate.shape, np.eye(len(covariance))[k:]):
         if name not in values:
             values[name], slopes[name] = float(getattr(effect, name)), slope
     deviations = {}
     for name, slope in slopes.items():
-        # Of the coefficients that it depends on; nan if one of these is unknown.
-        seen = slope != 0
-        variance = slope[seen] @ covariance[np.ix_(seen, seen)] @ slope[seen]
+        # nan only if a coefficient that it depends on has an unknown variance.
+        used = slope != 0
+        variance = slope[used] @ covariance[np.ix_(used, used)] @ slope[used]
         deviations[name] = float(np.sqrt(np.maximum(variance, 0.0)))
-    # About the value, of all forms together.
-    for weight, other in estimate.forms:
-        for key, value in other.items():
-            away = np.sqrt(weight) * (value - values[key])
-            deviations[key] = float(np.hypot(deviations[key], away))
+    # Add the variance between the averaged forms, about the reported value.
+    for weight, parameters in estimate.forms:
+        for key, value in parameters.items():
+            deviation = np.sqrt(weight) * (value - values[key])
+            deviations[key] = float(np.hypot(deviations[key], deviation))
     for name, value in effect.shape().items():
         values.setdefault(name, value)
     return values, deviations

@@ -1,4 +1,4 @@
-"""Errors on the held-out part, which is looked at here and only once."""
+"""Errors on the held-out part, which is used here and only once."""
 
 from dataclasses import replace
 
@@ -12,53 +12,52 @@ from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.effects import Sudden
 from sklearn_vbjfa.equations._equations import torque_spread
 
-# Time for which errors are predicted [s].
+# Duration of the motion for which errors are predicted [s].
 NEXT_SECONDS = 50.0
-# Slowest cosines of time whose mean square is the long-run variance. Few of them leave
-# residuals that are slow their full variance, and Student's t knows how few they are
+# Number of the lowest cosines whose mean square estimates the long-run variance. Few of
+# them keep the variance of slow residuals, and Student's t accounts for their number
 # (equal-weighted cosines with fixed-b critical values: Lazarus, Lewis, Stock, Watson,
 # "HAR inference: recommendations for practice", J. Bus. Econ. Stat. 36(4), 2018).
 _COSINES = 10
-# Share of the absolute residuals below the threshold of collision detection.
+# Quantile of the absolute residuals that is the threshold of collision detection.
 _BELOW = 0.999
-# Joints whose curves are drawn, those with the largest errors.
+# Number of joints whose curves are drawn, those with the largest errors.
 _WORST = 3
 
 
 def judge(loop, found, split, near, whole):
-    """Measure the errors of the models of a loop on the held-out part; plain data."""
-    # found: result of the search; near: the split with the rows that the search looked
-    # at. Arrays (nv,) and (2, nv) are over the deviation of the torque.
+    """Compute the errors of the models of a loop on the held-out part, a dict."""
+    # found: result of the search; near: the split with the rows that the search used.
+    # Arrays (nv,) and (2, nv) are over the standard deviation of the torque.
     declared, plain = loop.declared_, loop.baseline_
     completed, view, dt = loop.validation_model_, found.view, declared.dt
-    # No guard is long enough for a memory without end.
+    # The correlation time may be infinite.
     guard = int(min(memory_seconds(found) / whole.dt, whole.n_samples))
     instants = [one.instant for one in found.effects if isinstance(one, Sudden)]
     kept = split.decided(whole.t, instants).guarded(guard)
-    used, seen = view.root.any(axis=0), len(view.states)
+    used, n_rows = view.root.any(axis=0), len(view.states)
 
     def residuals(part, rows):
         """Residuals of each model on some rows of the whole recording."""
-        every = dict.fromkeys((declared, plain, completed))
-        found = {one: one.robot_.residuals_of(part) for one in every}
-        return {one: replace(x, index=rows[x.index]) for one, x in found.items()}
+        models = dict.fromkeys((declared, plain, completed))
+        results = {model: model.robot_.residuals_of(part) for model in models}
+        return {k: replace(x, index=rows[x.index]) for k, x in results.items()}
 
-    def alike(found, used=1.0):
-        """Residuals in the same rows for all models."""
-        # At rest the torque of a joint is predicted as well where its friction has a
-        # memory.
-        weight = found[completed].weight * used
-        return {one: replace(x, weight=weight) for one, x in found.items()}
+    def equally_weighted(results, used=1.0):
+        """Give the residuals of all models the same weights."""
+        # A completed model whose friction has memory also has weight in rows at rest.
+        weight = results[completed].weight * used
+        return {model: replace(x, weight=weight) for model, x in results.items()}
 
     held_out = residuals(kept.held_out(whole), kept.held_out_rows)
     searched = residuals(near.searched(whole), near.rows)
     fitted = searched[plain]
     if near is not split:
         fitted = plain.robot_.residuals_of(split.searched(whole), predicts=False)
-    # A joint whose channel carries no information counts nowhere.
+    # Joints whose channel carries no information have no weight.
     fitted = replace(fitted, weight=fitted.weight * used)
     spread = torque_spread(fitted, held_out[declared])
-    held_out, searched = alike(held_out), alike(searched, used)
+    held_out, searched = equally_weighted(held_out), equally_weighted(searched, used)
     before, after = held_out[declared], held_out[completed]
     weight = after.weight
 
@@ -66,14 +65,14 @@ def judge(loop, found, split, near, whole):
         pairs = ((x[model], x[completed]) for x in (held_out, searched))
         return error_intervals(*pairs, spread, view.step)
 
-    # Rows in which a joint moves throughout have its largest weight.
+    # A weight is largest in rows whose whole filter window is in motion.
     full = np.maximum(weight.max(axis=0), np.finfo(float).tiny)
     seconds = (weight / full).sum(axis=0) * view.step
     values = 2.0 * min(completed.cutoff_, 0.5 / dt) * seconds
-    most = np.full(spread.size, np.nan)
+    threshold = np.full(spread.size, np.nan)
     for j in np.flatnonzero((weight > 0).any(axis=0)):
         residual = after.residual[weight[:, j] > 0, j]
-        most[j] = np.quantile(np.abs(residual), _BELOW)
+        threshold[j] = np.quantile(np.abs(residual), _BELOW)
     error = after.relative_error(spread)
     order = np.argsort(-np.nan_to_num(error, nan=-1.0), kind="stable")
     worst = order[:_WORST].tolist()
@@ -83,14 +82,14 @@ def judge(loop, found, split, near, whole):
             "plain": held_out[plain].relative_error(spread),
             "after": error,
             "spread": spread,
-            "threshold": most,
+            "threshold": threshold,
             "seconds": seconds,
             "enough": values >= FEWEST_VALUES,
             "searched": used,
         },
         "intervals": intervals(declared) | {"added": intervals(plain)["difference"]},
-        # 0 if the search looked at all samples
-        "looked_at": seen if seen < split.rows.size else 0,
+        # 0 if the search used all samples
+        "looked_at": n_rows if n_rows < split.rows.size else 0,
         "settings": {
             "held_out_seconds": len(weight) * float(view.step),
             "guard_seconds": float(guard * dt),
@@ -107,16 +106,16 @@ def judge(loop, found, split, near, whole):
 
 
 def error_intervals(held_out, searched, spread, step):
-    """Return 90 % intervals (2, nv) of an error and its change in the next motion."""
-    # held_out, searched: residuals before and after. An error is a mean over time, and
-    # the next stretch scatters as the held-out one does: the slow variation of the
-    # squared residual in both parts of the recording shows by how much.
+    """Return 90 % intervals (2, nv) of the next motion's error and its change."""
+    # held_out, searched: pairs of residuals, before and after. An error is a mean over
+    # time, whose variance in the next motion follows from the long-run variance of the
+    # squared residual in both parts of the recording.
     index = np.concatenate([searched[0].index, held_out[0].index])
-    order = np.argsort(index, kind="stable")
+    by_time = np.argsort(index, kind="stable")
 
     def in_time(name, k):
         values = [getattr(x[k], name) for x in (searched, held_out)]
-        return np.concatenate(values)[order]
+        return np.concatenate(values)[by_time]
 
     weight = in_time("weight", 0)
     (m, nv), total = weight.shape, weight.sum(axis=0)
@@ -127,23 +126,23 @@ def error_intervals(held_out, searched, spread, step):
     waves = np.outer(np.arange(1, freedom + 1), np.arange(m) + 0.5)
     cosines = np.sqrt(2.0 / m) * np.cos(np.pi * waves / m)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        # Of the logarithm of each error, about its mean over the rows that count.
+        # Linearised logarithm of each error, about its mean over the weighted rows.
         squares = [weight * in_time("residual", k) ** 2 for k in (0, 1)]
-        own = [0.5 * (x / or_one(x.sum(axis=0) / total) - weight) for x in squares]
-        # The variance of a mean over rows that count as in the whole recording.
+        logs = [0.5 * (x / or_one(x.sum(axis=0) / total) - weight) for x in squares]
+        # Variance of a mean for rows weighted as in the whole recording.
         rows = held_out[0].weight
-        reach = len(rows) / rows.sum(axis=0) ** 2
-        reach = reach + (m / total) ** 2 * step / NEXT_SECONDS
+        factor = len(rows) / rows.sum(axis=0) ** 2
+        factor = factor + (m / total) ** 2 * step / NEXT_SECONDS
 
-        def half(part):
-            """Half the interval of what a mean (m, nv) scatters by."""
-            variance = ((cosines @ part) ** 2).mean(axis=0) * reach
+        def half_width(values):
+            """Return the half-width of the interval of the mean of rows (m, nv)."""
+            variance = ((cosines @ values) ** 2).mean(axis=0) * factor
             return special.stdtrit(freedom, 0.95) * np.sqrt(variance)
 
         ends = np.array([[-1.0], [1.0]])
         return {
-            "after": after * np.exp(ends * half(own[1])),
+            "after": after * np.exp(ends * half_width(logs[1])),
             "difference": after
             - before
-            + ends * half(after * own[1] - before * own[0]),
+            + ends * half_width(after * logs[1] - before * logs[0]),
         }

@@ -36,7 +36,7 @@ class EffectEstimate:
     # probabilities and parameters of other forms of the effect, see `Shaped.averaged`
     forms: tuple = ()
 
-    def of_shape(self):
+    def given_shape(self):
         """Return the estimate of the coefficients, were the shape known."""
         k = len(self.coef)
         own, shape = self.covariance[:k], self.covariance[k:, k:]
@@ -205,7 +205,7 @@ class FinalFit:
         H = (C**2).sum(axis=0) - (seen**2).sum(axis=0)
         q = C.T @ y[:, j] - seen.T @ (root.T @ (flat.T @ y[:, joints].ravel()))
         # Evidence is discounted by the scatter between blocks over that of white noise.
-        known = estimate.of_shape().covariance[0, 0]
+        known = estimate.given_shape().covariance[0, 0]
         gain = 0.5 * q**2 / H / max(1.0, known * H[0])
         found, weights = [], [0.0]
         for at in range(1, len(gain), len(_WAYS)):

@@ -1,99 +1,99 @@
-"""Joint torque that is predicted without a name: a bank of terms under the effects."""
+"""Unnamed joint torque: a basis expansion fitted to the residual of the effects."""
 
 import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.effects import UnnamedTorque
 
-# Penalties of the terms of one quantity, over the number of rows, for columns of unit
-# size; infinity leaves them out.
+# Ridge penalties of the terms of one quantity, per row, for columns of unit root mean
+# square; infinity omits the terms.
 _PENALTIES = (np.inf, 1.0, 0.1, 0.01, 0.001)
 _SWEEPS = 2
 
 
 def unnamed_torques(fit, settings):
-    """Find what the residual of a `FinalFit` holds, tuple of `UnnamedTorque`."""
-    view, (motion, residual), found = fit.view, _rest(fit), []
+    """Fit the residual of a `FinalFit`, a tuple of `UnnamedTorque`."""
+    view, (motion, residual), terms = fit.view, _residuals(fit), []
     for joint in np.flatnonzero(view.precision > 0).tolist():
-        found += _of_joint(view, motion, joint, residual[:, joint], settings)
-    return tuple(found)
+        terms += _fit_joint(view, motion, joint, residual[:, joint], settings)
+    return tuple(terms)
 
 
 def that_help(fit, unnamed):
-    """Return the `UnnamedTorque` of joints whose residual in a fit they reduce."""
-    view, (motion, residual) = fit.view, _rest(fit)
-    left = residual.copy()
-    for one in unnamed:
-        torque = view.filtered(one.terms_of(motion)) @ np.array(one.weights)
-        left[:, one.joint] -= torque * view.gains[one.joint] * view.root[:, one.joint]
-    helps = (left**2).sum(axis=0) < (residual**2).sum(axis=0)
-    return tuple(one for one in unnamed if helps[one.joint])
+    """Return each `UnnamedTorque` that reduces the residual of its joint."""
+    view, (motion, residual) = fit.view, _residuals(fit)
+    new = residual.copy()
+    for term in unnamed:
+        torque = view.filtered(term.terms_of(motion)) @ np.array(term.weights)
+        new[:, term.joint] -= torque * view.gains[term.joint] * view.root[:, term.joint]
+    helps = (new**2).sum(axis=0) < (residual**2).sum(axis=0)
+    return tuple(term for term in unnamed if helps[term.joint])
 
 
-def _rest(fit):
-    """Return the motion of a fit, and its residuals (m, nv) in units of their noise."""
+def _residuals(fit):
+    """Return the motion of a fit and its weighted residuals (m, nv)."""
     view, robot = fit.view, fit.identifier.robot_
     motion = view.motion_of(robot.linear_part(robot.theta_))
     return motion, (view.equations.tau - fit.predicted(robot.theta_)) * view.root
 
 
-def _of_joint(view, motion, joint, residual, settings):
-    """Return those of one joint: none if they save no error of left-out blocks."""
-    scales = {"reach": motion.range(joint), "fast": motion.speed(joint)}
-    if not (min(scales.values()) > 0 and residual.any()):
+def _fit_joint(view, motion, joint, residual, settings):
+    """Fit a joint; return no terms if they do not reduce the cross-validated error."""
+    ranges = {"reach": motion.range(joint), "fast": motion.speed(joint)}
+    if not (min(ranges.values()) > 0 and residual.any()):
         return []
-    asked = [UnnamedTorque(joint, of, **scales) for of in UnnamedTorque.kinds]
-    columns = [view.filtered(one.terms_of(motion)) for one in asked]
-    kind = np.repeat(np.arange(len(asked)), [own.shape[1] for own in columns])
+    terms = [UnnamedTorque(joint, of, **ranges) for of in UnnamedTorque.kinds]
+    columns = [view.filtered(term.terms_of(motion)) for term in terms]
+    kind = np.repeat(np.arange(len(terms)), [block.shape[1] for block in columns])
     X = np.hstack(columns) * view.gains[joint] * view.root[:, [joint]]
-    size = np.sqrt((X**2).mean(axis=0))
-    size[size == 0] = 1.0
-    X /= size
-    # Long stretches, as what comes next is, and not blocks among others.
+    scale = np.sqrt((X**2).mean(axis=0))
+    scale[scale == 0] = 1.0
+    X /= scale
+    # Contiguous folds emulate the next recording, which interleaved blocks do not.
     blocks = view.blocks
     fold = blocks.label * blocks.n_folds // blocks.n_blocks
     folds = [fold == f for f in range(blocks.n_folds)]
-    moments = [(X[own].T @ X[own], X[own].T @ residual[own]) for own in folds]
-    penalties = np.take(_best(moments, kind, residual.size), kind)
-    left = residual.copy()
-    for own, without in zip(folds, moments):
-        left[own] -= X[own] @ _weights(moments, without, penalties, residual.size)
-    before, after = blocks.sums(residual**2), blocks.sums(left**2)
+    moments = [(X[rows].T @ X[rows], X[rows].T @ residual[rows]) for rows in folds]
+    penalties = np.take(_best_penalties(moments, kind, residual.size), kind)
+    error = residual.copy()
+    for rows, held_out in zip(folds, moments):
+        error[rows] -= X[rows] @ _weights(moments, held_out, penalties, residual.size)
+    before, after = blocks.sums(residual**2), blocks.sums(error**2)
     gain = before - after
     errors = np.sqrt(gain.size) * gain.std(ddof=1)
     if not gain.sum() > max(
         settings.significance * errors, settings.min_gain * before.sum()
     ):
         return []
-    weights = _weights(moments, (0.0, 0.0), penalties, residual.size) / size
+    weights = _weights(moments, (0.0, 0.0), penalties, residual.size) / scale
     return [
-        clone(one).set_params(weights=tuple(weights[kind == k].tolist()))
-        for k, one in enumerate(asked)
+        clone(term).set_params(weights=tuple(weights[kind == k].tolist()))
+        for k, term in enumerate(terms)
         if weights[kind == k].any()
     ]
 
 
-def _weights(moments, without, penalties, n):
-    """Weights (k,) of all n rows less those of some moments, under penalties (k,)."""
-    out, used = np.zeros(penalties.size), np.isfinite(penalties)
-    G, right = (sum(each) - less for each, less in zip(zip(*moments), without))
-    G = G[np.ix_(used, used)] + n * np.diag(penalties[used])
-    out[used] = np.linalg.solve(G, right[used])
+def _weights(moments, held_out, penalties, n):
+    """Solve the ridge regression without some moments; return weights (k,)."""
+    out, included = np.zeros(penalties.size), np.isfinite(penalties)
+    G, h = (sum(each) - less for each, less in zip(zip(*moments), held_out))
+    G = G[np.ix_(included, included)] + n * np.diag(penalties[included])
+    out[included] = np.linalg.solve(G, h[included])
     return out
 
 
-def _best(moments, kind, n):
-    """Penalty of each kind of terms with which left-out folds are predicted best."""
+def _best_penalties(moments, kind, n):
+    """Choose the penalty of each quantity by cross-validation over the folds."""
 
-    def error(found):
-        penalties, total = np.take(found, kind), 0.0
-        for G, right in moments:
-            w = _weights(moments, (G, right), penalties, n)
-            total += w @ G @ w - 2 * w @ right
+    def squared_error(choice):
+        penalties, total = np.take(choice, kind), 0.0
+        for G, h in moments:
+            w = _weights(moments, (G, h), penalties, n)
+            total += w @ G @ w - 2 * w @ h
         return total
 
-    found = np.full(kind.max() + 1, np.inf)
-    for k in np.tile(np.arange(found.size), _SWEEPS):
-        tried = [np.where(np.arange(found.size) == k, p, found) for p in _PENALTIES]
-        found = min(tried, key=error)
-    return found
+    best = np.full(kind.max() + 1, np.inf)
+    for k in np.tile(np.arange(best.size), _SWEEPS):
+        candidates = [np.where(np.arange(best.size) == k, p, best) for p in _PENALTIES]
+        best = min(candidates, key=squared_error)
+    return best

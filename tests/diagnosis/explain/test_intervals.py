@@ -277,6 +277,6 @@ def test_a_coefficient_is_known_better_at_a_shape(seen):
         covariance[1] = covariance[:, 1] = np.nan
     known = {"coef": np.array([0.15]), "shape": ("vs",), "freedom": 30.0}
     estimate = EffectEstimate(**known, covariance=covariance, forms=((0.5, {}),))
-    own = named_values(Stribeck(vs=0.2), estimate.of_shape())[1]
+    own = named_values(Stribeck(vs=0.2), estimate.given_shape())[1]
     wanted = 1 / 30.0 if seen else np.sqrt(covariance[0, 0])
     assert_allclose(own["Fs"], wanted, rtol=1e-6)

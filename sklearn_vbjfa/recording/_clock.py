@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from sklearn_vbjfa.recording._layout import channel_unit, is_exact, refuse_two
+from sklearn_vbjfa.recording._layout import channel_unit, is_exact, refuse_ambiguous
 from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
 from sklearn_vbjfa.recording._table import (
     SLOWEST,
@@ -227,8 +227,8 @@ def without_odd_rows(table, layout, options, notes):
 
     Returns the table, and the places of its rows on a regular clock.
     """
-    q, tau = layout.of("q"), layout.of("tau") if options.drive is None else ()
-    columns, n = [x.column for x in (*q, *tau, *layout.of("v", "a"))], len(q + tau)
+    q, tau = layout.select("q"), layout.select("tau") if options.drive is None else ()
+    columns, n = [x.column for x in (*q, *tau, *layout.select("v", "a"))], len(q + tau)
     values = [table.values(column) for column in columns]
     every = np.arange(len(table.frame))
     if not values or any(x.dtype.kind not in "iuf" for x in values):
@@ -319,14 +319,14 @@ _APART = 0.1
 
 def time_of(table, layout, options, q):
     """Return stamps (n_rows,) [s] or None, and the role of their column."""
-    times = layout.of("t")
+    times = layout.select("t")
     exact = any(is_exact(x) for x in times)
     if options.dt is not None and not (layout.certain or exact):
         # What else is called time may be anything; the period is given.
         return None, None
     if len(times) > 1 and not layout.what:
         if exact:
-            refuse_two(table, times[0].column, times[1].column)
+            refuse_ambiguous(table, times[0].column, times[1].column)
         raise RecordingRefused(
             f"{table.path}: columns {listed([x.column for x in times])} could all be "
             f"time; give columns='t={times[0].column}', or another of them.",

@@ -13,10 +13,10 @@ import numpy as np
 from sklearn_vbjfa._core._runtime import counted
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording._clock import GAP_PERIODS, STEADY, nanoseconds
-from sklearn_vbjfa.recording._conversion import is_recording, rows_of
+from sklearn_vbjfa.recording._conversion import is_recording, read_rows
 from sklearn_vbjfa.recording._drives import Drive
 from sklearn_vbjfa.recording._grid import on_grid
-from sklearn_vbjfa.recording._layout import ReadOptions, by_names, channel_unit
+from sklearn_vbjfa.recording._layout import ReadOptions, assign_by_name, channel_unit
 from sklearn_vbjfa.recording._recording import Recording
 from sklearn_vbjfa.recording._table import (
     Loss,
@@ -49,8 +49,8 @@ def joined(tables, joints) -> Table:
             "currents or time."
         )
     # Each with its stamps, that of the positions first.
-    found = [(x, by_names(x, joints)) for x in parts]
-    found.sort(key=lambda x: (not x[1].of("t"), "q" not in x[1].kinds))
+    found = [(x, assign_by_name(x, joints)) for x in parts]
+    found.sort(key=lambda x: (not x[1].select("t"), "q" not in x[1].kinds))
     (base, layout), *others = found
     at = _seconds(base, layout)
     rows = np.array(
@@ -124,7 +124,7 @@ def _named_after_file(table: Table, joints):
     first = n != len(joints) > 0 and n in (2, len(joints) + 1)
     if table.nameless and (kind == "t" or first):
         table = replace(table, frame=table.frame.rename(columns={"1": "t"}))
-    plain = by_names(table, joints)
+    plain = assign_by_name(table, joints)
     if kind in ("", "t") or plain.kinds - {"t", "segment"}:
         return table
     columns = [x for x in table.frame if x not in plain.stamps]
@@ -151,7 +151,7 @@ def _names(columns, kind, joints, stem):
 
 def _seconds(table, layout):
     """Return the stamps of a file [s], None if it has none."""
-    for role in layout.of("t")[:1]:
+    for role in layout.select("t")[:1]:
         dates, values = nanoseconds(table, role.column), table.values(role.column)
         if dates is not None:
             return 1e-9 * dates
@@ -306,7 +306,7 @@ def read_recording(
     notes: list[str] = []
     if join:
         tables = (table for one in paths for table in _tables(one, options, notes))
-        files = [rows_of(joined([*tables], options.joints), options)]
+        files = [read_rows(joined([*tables], options.joints), options)]
     else:
         files = []
         try:
@@ -373,11 +373,11 @@ def _recordings(path, tables, options, notes):
     """Return the rows of tables of a path: one recording each, or one in all."""
     whole = (x for x in tables if len(tables) > 1 and is_recording(x, options))
     if len([*itertools.islice(whole, 2)]) < 2:
-        return [rows_of(joined(tables, options.joints), options)]
+        return [read_rows(joined(tables, options.joints), options)]
     notes.append(
         f"{path} is taken as a folder of {len(tables)} recordings, one a file."
     )
-    return [rows_of(tables.pop(0), options) for _ in range(len(tables))]
+    return [read_rows(tables.pop(0), options) for _ in range(len(tables))]
 
 
 def _check_offer(error, paths, options):

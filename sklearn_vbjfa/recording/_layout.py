@@ -327,7 +327,7 @@ def assign_by_name(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
         rf"(?i:({prefix}))(?:[_.\[(]?(?:(?P<joint>{joint})|0*(?P<i>\d{{1,6}}))[\])]?)?",
         re.ASCII,
     )
-    candidates = [_named(x, expression, prefixes) for x in table.frame]
+    candidates = [_match_name(x, expression, prefixes) for x in table.frame]
     roles = [role for role in candidates if role is not None]
     exact = [role for role in roles if role.kind == "t" and is_exact(role)]
     dates = table.frame.select_dtypes(["datetime", "datetimetz"])
@@ -343,7 +343,7 @@ def is_exact(role):
     return split_unit(role.column)[0].lower() == "t"
 
 
-def _named(column, expression, prefixes):
+def _match_name(column, expression, prefixes):
     """Return the role that a column's name implies, or None."""
     # prefixes: kinds by prefix of a name. NFKC turns subscripts into digits.
     name = unicodedata.normalize("NFKC", column).replace("τ", "tau")

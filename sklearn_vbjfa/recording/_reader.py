@@ -1,4 +1,4 @@
-"""Recordings out of files and folders, one by one or joined."""
+"""Reading of recordings from files and folders, separately or joined."""
 
 import itertools
 import re
@@ -32,39 +32,39 @@ from sklearn_vbjfa.recording._table import (
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
 
-def joined(tables, joints) -> Table:
-    """Put tables of one recording side by side, at the stamps of the positions."""
-    # joints: names of the robot's, empty if unknown.
+def join_tables(tables, joints) -> Table:
+    """Join the tables of one recording at the time stamps of the positions."""
+    # joints: joint names of the robot, empty if unknown.
     if len(tables) == 1:
-        # What was read is held no longer than needed.
+        # Leave no reference in the list, which would keep the table in memory.
         return tables.pop()
     path = tables[0].path.parent
     if len(tables) == 2:
         path /= "+".join(table.path.name for table in tables)
-    parts = [x for x in (_named_after_file(x, joints) for x in tables) if x is not None]
-    if len(parts) < 2:
+    named = [x for x in (_name_by_file(x, joints) for x in tables) if x is not None]
+    if len(named) < 2:
         raise ValueError(
             f"{path}: fewer than two of {listed([x.path.name for x in tables])} can be "
             "joined; name them after what they hold: positions, velocities, torques, "
             "currents or time."
         )
-    # Each with its stamps, that of the positions first.
-    found = [(x, assign_by_name(x, joints)) for x in parts]
-    found.sort(key=lambda x: (not x[1].select("t"), "q" not in x[1].kinds))
-    (base, layout), *others = found
-    at = _seconds(base, layout)
+    # Tables with time stamps first, among these the table of positions.
+    layouts = [(x, assign_by_name(x, joints)) for x in named]
+    layouts.sort(key=lambda x: (not x[1].select("t"), "q" not in x[1].kinds))
+    (base, base_layout), *others = layouts
+    t = _seconds(base, base_layout)
     rows = np.array(
-        [_rows(part, base, _seconds(part, own), at) for part, own in others]
+        [_row_indices(part, base, _seconds(part, layout), t) for part, layout in others]
     )
     keep = np.flatnonzero(np.isfinite(rows).all(axis=0))
     if not keep.size:
         raise ValueError(
             f"{path}: the files have no time in common; expected one clock in one unit."
         )
-    notes = [f"{x.path.name}: {y}" for x in parts for y in x.notes]
-    kinds = {x.path.name: ", ".join(sorted(own.kinds)) or "signals" for x, own in found}
+    notes = [f"{x.path.name}: {y}" for x in named for y in x.notes]
+    kinds = {x.path.name: ", ".join(sorted(y.kinds)) or "signals" for x, y in layouts}
     notes.append(
-        f"{len(parts)} files joined to one recording, by the rows of {base.path.name}: "
+        f"{len(named)} files joined to one recording, by the rows of {base.path.name}: "
         f"{listed(f'{name} ({kinds[name]})' for name in sorted(kinds))}."
     )
     lost = len(base.frame) - keep.size
@@ -72,34 +72,34 @@ def joined(tables, joints) -> Table:
         notes.append(
             f"{lost} row(s) of {base.path.name} are not in all files: left out."
         )
-    left_out = {x.path.name for x in tables} - {x.path.name for x in parts}
-    if left_out:
-        notes.append(f"{listed(sorted(left_out))}: not needed, left out.")
+    unused = {x.path.name for x in tables} - {x.path.name for x in named}
+    if unused:
+        notes.append(f"{listed(sorted(unused))}: not needed, left out.")
     frame = base.frame.iloc[keep]
     columns = {x: frame[x] for x in frame}
-    for (part, own), places in zip(others, rows[:, keep]):
-        part = replace(part, frame=part.frame.drop(columns=own.stamps))
-        columns |= _columns_beside(path, columns, part, places, own)
+    for (part, layout), indices in zip(others, rows[:, keep]):
+        part = replace(part, frame=part.frame.drop(columns=layout.stamps))
+        columns |= _align_columns(path, columns, part, indices, layout)
     return Table(
         path=path,
         name=common_folder([table.path for table in tables]),
         frame=imported(path, "pandas").DataFrame(columns, index=frame.index),
         place=f"{base.place} of {base.path.name}",
-        scalars={key: x for one in parts for key, x in one.scalars.items()},
-        joints=next((x.joints for x in parts if x.joints), ()),
+        scalars={key: x for table in named for key, x in table.scalars.items()},
+        joints=next((x.joints for x in named if x.joints), ()),
         notes=tuple(notes),
     )
 
 
-def _columns_beside(path, columns, part, at, layout):
-    """Return the columns of a file at some rows, numbers on lines between them."""
-    found = {}
+def _align_columns(path, columns, part, indices, layout):
+    """Return the columns of a file at fractional row indices, by interpolation."""
+    aligned = {}
     for name in part.frame:
         values = part.values(name)
-        if values.dtype.kind in "iuf" and (at % 1).any():
-            values = np.interp(at, np.arange(len(values)), values)
+        if values.dtype.kind in "iuf" and (indices % 1).any():
+            values = np.interp(indices, np.arange(len(values)), values)
         else:
-            values = values[at.astype(int)]
+            values = values[indices.astype(int)]
         if name in columns and not np.array_equal(columns[name], values):
             channels = (x for x in layout.roles if x.kind not in ("t", "segment"))
             if name in {x.column for x in channels}:
@@ -109,42 +109,42 @@ def _columns_beside(path, columns, part, at, layout):
                     "the column."
                 )
             name = f"{part.path.stem}.{name}"
-        found[name] = values
-    return found
+        aligned[name] = values
+    return aligned
 
 
-def _named_after_file(table: Table, joints):
-    """Return a file, its columns called after it if nothing else says what they are."""
+def _name_by_file(table: Table, joints):
+    """Return a table, with columns named by its file name if they have no channel."""
     stem, n = table.path.stem, table.frame.shape[1]
     kinds = channels_in(stem)
     kind = kinds.pop() if len(kinds) == 1 else ""
     if kind in ("command", "other") or (table.nameless and not kind):
         return None
-    # Of columns without names, time may stand before those of the joints.
-    first = n != len(joints) > 0 and n in (2, len(joints) + 1)
-    if table.nameless and (kind == "t" or first):
+    # Without column names, an additional first column holds the time.
+    has_time = n != len(joints) > 0 and n in (2, len(joints) + 1)
+    if table.nameless and (kind == "t" or has_time):
         table = replace(table, frame=table.frame.rename(columns={"1": "t"}))
-    plain = assign_by_name(table, joints)
-    if kind in ("", "t") or plain.kinds - {"t", "segment"}:
+    assigned = assign_by_name(table, joints)
+    if kind in ("", "t") or assigned.kinds - {"t", "segment"}:
         return table
-    columns = [x for x in table.frame if x not in plain.stamps]
-    names = _names(columns, kind, joints, stem)
+    columns = [x for x in table.frame if x not in assigned.stamps]
+    names = _joint_columns(columns, kind, joints, stem)
     for old, new in names.items():
         unit = split_unit(old)[1] or ("A" if is_current(stem) else "")
         names[old] = f"{new} [{unit}]" if unit else new
     return replace(table, frame=table.frame.rename(columns=names))
 
 
-def _names(columns, kind, joints, stem):
-    """Return the names of columns that are called after joints, or else numbered."""
-    # A single one may have its joint, or a number, in the name of the file.
+def _joint_columns(columns, kind, joints, stem):
+    """Return new names of columns, by joint names if all have one, else by numbers."""
+    # The file name of a single column may contain its joint's name or number.
     single = len(columns) == 1 < len(joints)
     number = re.search(r"\d+$", stem)
-    # The longest name in a column is that of its joint.
+    # If several joint names occur in a column's name, the longest applies.
     texts = [stem] if single else columns
-    found = [max((j for j in joints if j in x), key=len, default="") for x in texts]
-    if all(found) and len(set(found)) == len(found):
-        return {x: f"{kind}_{joint}" for x, joint in zip(columns, found)}
+    joint_of = [max((j for j in joints if j in x), key=len, default="") for x in texts]
+    if all(joint_of) and len(set(joint_of)) == len(joint_of):
+        return {x: f"{kind}_{joint}" for x, joint in zip(columns, joint_of)}
     first = int(number[0]) if single and number else 1
     return {x: f"{kind}{k}" for k, x in enumerate(columns, start=first)}
 
@@ -161,11 +161,11 @@ def _seconds(table, layout):
     return None
 
 
-def _rows(part, base, t, at):
-    """Return where the rows of the base lie in a file, nan for nowhere."""
-    # t, at: stamps of the file and of the base.
+def _row_indices(part, base, t, base_t):
+    """Return fractional row indices in a file of the base's rows, nan if outside."""
+    # t, base_t: time stamps of the file and of the base [s].
     n, name = len(part.frame), base.path.name
-    if t is None or at is None:
+    if t is None or base_t is None:
         if n != len(base.frame):
             raise ValueError(
                 f"{part.path}: has {n} rows and {name} has {len(base.frame)}; files "
@@ -173,7 +173,7 @@ def _rows(part, base, t, at):
                 "or give each a column t."
             )
         return np.arange(float(n))
-    if np.array_equal(t, at):
+    if np.array_equal(t, base_t):
         return np.arange(float(n))
     step = np.diff(t)
     if (step <= 0).any():
@@ -181,28 +181,28 @@ def _rows(part, base, t, at):
             f"{part.path}: time must increase from row to row to join it with {name}; "
             "sort it, and remove duplicates."
         )
-    if not 0.01 < np.ptp(t) / max(np.ptp(at), 1e-300) < 100.0:
+    if not 0.01 < np.ptp(t) / max(np.ptp(base_t), 1e-300) < 100.0:
         raise ValueError(
             f"{part.path}: the times span {np.ptp(t):.4g} and those of {name} "
-            f"{np.ptp(at):.4g}; write both in one unit, or the unit into the name of "
-            "the column (t_ms)."
+            f"{np.ptp(base_t):.4g}; write both in one unit, or the unit into the name "
+            "of the column (t_ms)."
         )
     period = np.median(step)
-    rows = np.interp(at, t, np.arange(n))
-    # Stamps that differ by rounding are the same.
+    rows = np.interp(base_t, t, np.arange(n))
+    # Time stamps that differ by rounding are equal.
     nearest = np.rint(rows).astype(int)
-    rows = np.where(np.abs(t[nearest] - at) <= STEADY * period, nearest, rows)
-    outside = (at < t[0] - STEADY * period) | (at > t[-1] + STEADY * period)
-    # Nothing is put between samples that are far from each other.
-    far = step[np.minimum(rows.astype(int), n - 2)] > GAP_PERIODS * period
-    rows[outside | (far & (rows % 1 != 0))] = np.nan
+    rows = np.where(np.abs(t[nearest] - base_t) <= STEADY * period, nearest, rows)
+    outside = (base_t < t[0] - STEADY * period) | (base_t > t[-1] + STEADY * period)
+    # Do not interpolate across gaps.
+    in_gap = step[np.minimum(rows.astype(int), n - 2)] > GAP_PERIODS * period
+    rows[outside | (in_gap & (rows % 1 != 0))] = np.nan
     return rows
 
 
-# Time in which a file that is being written changes [s].
-_MOMENT = 0.05
-# Files that a note names; more are counted.
-_NAMED = 3
+# Interval within which the size of a file that is being written changes [s].
+_WRITE_INTERVAL = 0.05
+# Maximum number of files named in a note.
+_MAX_NAMES = 3
 
 
 def read_recording(
@@ -297,70 +297,70 @@ def read_recording(
     ...     read_recording(file, columns="q=angle,tau=torque,t=clock")
     Recording 'hinge': 20 samples, 1 joint, dt = 0.01 s
     """
-    given = columns, preset, dt, joint_names, gains, time_unit, drive, urdf, topic
-    options = ReadOptions(*given)
+    arguments = columns, preset, dt, joint_names, gains, time_unit, drive, urdf, topic
+    options = ReadOptions(*arguments)
     paths = [path] if isinstance(path, (str, PathLike)) else [*path]
     paths = list(dict.fromkeys(map(expanded, paths)))
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []
     if join:
-        tables = (table for one in paths for table in _tables(one, options, notes))
-        files = [read_rows(joined([*tables], options.joints), options)]
+        tables = (x for p in paths for x in _read_tables(p, options, notes))
+        files = [read_rows(join_tables([*tables], options.joints), options)]
     else:
         files = []
         try:
-            for one in counted(paths, "reading file", len(paths)):
-                files += _recordings(one, _tables(one, options, notes), options, notes)
+            for p in counted(paths, "reading file", len(paths)):
+                files += _convert(p, _read_tables(p, options, notes), options, notes)
         except RecordingRefused as error:
             if len(paths) > 1 and error.options:
-                _check_offer(error, paths, options)
+                _check_suggestion(error, paths, options)
             raise
     several = len(files) > 1 or not (join or isinstance(path, (str, PathLike)))
-    recording = _recording(files, several, options.urdf, notes)
+    recording = _combine(files, several, options.urdf, notes)
     if options.drive is not None:
-        recording = _driven(recording, options.drive, files)
-    for note in [*notes, *_named(files)]:
+        recording = _apply_drive(recording, options.drive, files)
+    for note in [*notes, *_merge_notes(files)]:
         category = DoubtWarning if isinstance(note, Loss) else UserWarning
         warnings.warn(note, category, stacklevel=2)
     return recording
 
 
-def _driven(recording, drive, files):
-    """Return a recording with the torques that a drive makes of its channels."""
+def _apply_drive(recording, drive, files):
+    """Return a recording with the torques that a drive computes from its channels."""
     units, signals = recording.torque_units, recording.signals
     if drive.gains is None:
         units = tuple("N" if x == "m" else "N m" for x in recording.position_units)
     if drive.aliases:
         signals = {**signals, drive.channel: recording.tau}
-    # The noise of a torque is that of the positions that it is made of.
+    # The noise of these torques results from the noise of the positions.
     recording = replace(
         recording, torque_units=units, signals=signals, torque_noise=None
     )
     try:
         return drive.driven(recording)
     except ValueError as error:
-        raise ValueError(f"{_shortly(x.path for x in files)}: {error}") from error
+        raise ValueError(f"{_shorten(x.path for x in files)}: {error}") from error
 
 
 # -- files and folders -----------------------------------------------------------------
 
 
-def _tables(path, options, notes):
-    """Read the tables of a file or folder, in a folder those with numbers."""
-    inside = tables_in(path)
-    if len(inside) < 2:
-        return [_table(inside[0] if inside else path, options)]
+def _read_tables(path, options, notes):
+    """Read the table of a file, or the tables of a folder that contain numbers."""
+    files = tables_in(path)
+    if len(files) < 2:
+        return [_read_settled(files[0] if files else path, options)]
     others = [x.name for x in sorted(path.iterdir()) if x.is_file()]
-    others = [x for x in others if not x.startswith(".") and path / x not in inside]
+    others = [x for x in others if not x.startswith(".") and path / x not in files]
     tables = []
-    for one in inside:
+    for file in files:
         try:
-            tables.append(_table(one, options))
+            tables.append(_read_settled(file, options))
             if not tables[-1].frame.select_dtypes("number").size:
                 raise NotATable(f"{tables.pop().path}: has no column of numbers.")
         except NotATable as error:
-            others.append(one.name)
+            others.append(file.name)
             reason = error
     if not tables:
         raise reason
@@ -369,110 +369,110 @@ def _tables(path, options, notes):
     return tables
 
 
-def _recordings(path, tables, options, notes):
-    """Return the rows of tables of a path: one recording each, or one in all."""
-    whole = (x for x in tables if len(tables) > 1 and is_recording(x, options))
-    if len([*itertools.islice(whole, 2)]) < 2:
-        return [read_rows(joined(tables, options.joints), options)]
+def _convert(path, tables, options, notes):
+    """Convert tables to one recording each, or to a single one if incomplete."""
+    complete = (x for x in tables if len(tables) > 1 and is_recording(x, options))
+    if len([*itertools.islice(complete, 2)]) < 2:
+        return [read_rows(join_tables(tables, options.joints), options)]
     notes.append(
         f"{path} is taken as a folder of {len(tables)} recordings, one a file."
     )
     return [read_rows(tables.pop(0), options) for _ in range(len(tables))]
 
 
-def _check_offer(error, paths, options):
-    """Check that what a refusal of one file offers reads the others, too."""
+def _check_suggestion(error, paths, options):
+    """Check that the options suggested for one file can read the others, too."""
     offer = {"columns": options.mapping, **error.options}
     offered = replace(options, mapping=offer.pop("columns"), **offer)
     for path in paths:
-        # What cannot be opened is read by no option, but for another topic.
+        # A file that cannot be opened is not affected by options, except the topic.
         tables = []
         try:
-            tables = _tables(path, offered, [])
-            _recordings(path, [*tables], offered, [])
+            tables = _read_tables(path, offered, [])
+            _convert(path, [*tables], offered, [])
         except ValueError as other:
             try:
                 if not tables:
                     raise
-                _recordings(path, tables, options, [])
-            except ValueError as own:
-                if not getattr(own, "options", None):
+                _convert(path, tables, options, [])
+            except ValueError as previous:
+                if not getattr(previous, "options", None):
                     raise
             reason = f"{error.reason}; other files are not so"
             raise RecordingRefused(f"{reason}: convert those that differ.") from other
 
 
-def _table(path, options):
-    """Read the table of a file that nobody writes to meanwhile."""
-    before = _version(path)
+def _read_settled(path, options):
+    """Read the table of a file; refuse one that changes while it is read."""
+    before = _file_versions(path)
     try:
         return read_table(path, options)
     except ValueError:
-        # What is being written shows it within a moment.
-        time.sleep(_MOMENT)
+        # Wait until a file that is still being written has changed.
+        time.sleep(_WRITE_INTERVAL)
         raise
     finally:
-        if _version(path) != before:
+        if _file_versions(path) != before:
             raise ValueError(
                 f"{path} was written to while it was read; wait until the recording "
                 "has ended, then read it again."
             )
 
 
-def _version(path):
-    """Return sizes and times of a file, or of all in a folder; [] for what is none."""
-    found = [path] if path.is_file() else path.rglob("*") if path.is_dir() else []
-    stats = [file.stat() for file in found if file.is_file()]
-    return sorted((one.st_size, one.st_mtime_ns) for one in stats)
+def _file_versions(path):
+    """Return size and modification time of a file, or of all files of a folder."""
+    files = [path] if path.is_file() else path.rglob("*") if path.is_dir() else []
+    stats = [file.stat() for file in files if file.is_file()]
+    return sorted((stat.st_size, stat.st_mtime_ns) for stat in stats)
 
 
 # -- several files of one robot --------------------------------------------------------
 
 
 def common_folder(paths):
-    """Return the name of the folder that holds all files, "" if there is none."""
+    """Return the name of the common parent folder of files, "" if they differ."""
     folders = {expanded(path).parent.resolve() for path in paths}
     return folders.pop().name if len(folders) == 1 else ""
 
 
-def _named(files):
-    """Yield the notes of files with their names; equal ones once."""
+def _merge_notes(files):
+    """Yield each distinct note once, with the paths of its files."""
     names: dict[tuple, dict] = {}
     for file in files:
         for note in file.notes:
             names.setdefault((type(note), str(note)), {})[str(file.path)] = None
-    for (kind, note), of in names.items():
-        yield kind(f"{_shortly(of)}: {note}")
+    for (kind, note), paths in names.items():
+        yield kind(f"{_shorten(paths)}: {note}")
 
 
-def _shortly(paths):
-    """Name files; of many the first."""
+def _shorten(paths):
+    """List paths of files, shortened after the first few."""
     shown = [str(path) for path in paths]
-    more = len(shown) - _NAMED
-    return ", ".join(shown[:_NAMED]) + f" and {more} more" * (more > 0)
+    more = len(shown) - _MAX_NAMES
+    return ", ".join(shown[:_MAX_NAMES]) + f" and {more} more" * (more > 0)
 
 
-def _recording(files, several, urdf, notes):
+def _combine(files, several, urdf, notes):
     first = files[0]
-    for file, what in itertools.product(files, first.robot):
-        one, two = first.robot[what], file.robot[what]
-        if one != two and what != "joints_named":
+    for file, field in itertools.product(files, first.robot):
+        value, other = first.robot[field], file.robot[field]
+        if value != other and field != "joints_named":
             raise ValueError(
-                f"{first.path} has the {what.replace('_', ' ')} {listed(one)} and "
-                f"{file.path} {listed(two)}; expected files with the same joints and "
+                f"{first.path} has the {field.replace('_', ' ')} {listed(value)} and "
+                f"{file.path} {listed(other)}; expected files with the same joints and "
                 "channels: correct one of them, or process them separately."
             )
-    everywhere = set.intersection(*(set(x.channels) for x in files))
-    every = dict.fromkeys(x for file in files for x in file.channels)
-    some = [x for x in every if x not in everywhere]
-    for file, name in itertools.product(files, some):
+    common = set.intersection(*(set(x.channels) for x in files))
+    channels = dict.fromkeys(x for file in files for x in file.channels)
+    lost = [x for x in channels if x not in common]
+    for file, name in itertools.product(files, lost):
         file.channels.pop(name, None)
-    # Recordings are called after their files, those of equal names after their paths.
+    # Recordings are named after their files, by complete paths if names are equal.
     names = [file.name for file in files]
     names = [x if names.count(x) == 1 else str(y.path) for x, y in zip(names, files)]
     fields = on_grid(files, names if several else [""])
-    if some:
-        notes.append(f"column(s) {listed(some)} are not in all files and are left out.")
+    if lost:
+        notes.append(f"column(s) {listed(lost)} are not in all files and are left out.")
     return Recording(
         name=(several and common_folder([x.path for x in files])) or first.name,
         urdf=None if urdf is None else fspath(urdf),

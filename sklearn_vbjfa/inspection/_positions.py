@@ -28,20 +28,20 @@ from sklearn_vbjfa.model import is_prismatic
 
 
 def orders(reading, what):
-    """Return the best order of some channels, by exchanges from the best of starts."""
-    same, joints, names = np.arange(reading.nv), reading.robot.joints, reading.names
+    """Return the best order of some channels, by exchanges from the best start."""
+    identity, joints, names = np.arange(reading.nv), reading.robot.joints, reading.names
     starts, moves = [], []
     if what == "torques":
-        left = reading.rough_crossed
-        rows, columns = scipy.optimize.linear_sum_assignment(left - np.diagonal(left))
-        starts = [same.copy()]
+        cost = reading.rough_crossed
+        rows, columns = scipy.optimize.linear_sum_assignment(cost - np.diagonal(cost))
+        starts = [identity.copy()]
         starts[0][joints[rows]] = joints[columns]
     elif what == "positions and torques":
-        rolled = range(-number.ROLLED, number.ROLLED + 1)
-        starts = [*(np.roll(same, k) for k in rolled), same[::-1]]
+        shifts = range(-number.ROLLED, number.ROLLED + 1)
+        starts = [*(np.roll(identity, k) for k in shifts), identity[::-1]]
         starts += usual_orders(reading)
     for i, j in combinations(joints.tolist(), 2):
-        order = same.copy()
+        order = identity.copy()
         order[[i, j]] = j, i
         moves.append(reordered(order, what))
     change = climbed(reading, moves, [reordered(order, what) for order in starts])
@@ -55,14 +55,14 @@ def orders(reading, what):
 
 
 def reordered(order, what="positions and torques"):
-    """Return the change by which the channels of joints have another order (nv,)."""
+    """Return the change that reorders channels by an order (nv,)."""
     rows = np.eye(order.size)[order]
     return Change(**{name: rows for name in what.split(" and ")})
 
 
 def usual_orders(reading):
-    """Return other orders of joints (nv,) that programs give them, and back."""
-    # By name, or as Pinocchio has them: branches are sorted by name.
+    """Return common orders of joints (nv,) that differ, and their inverses."""
+    # By name, or Pinocchio's: depth first, branches sorted by name.
     parents, names = list(reading.model.parents)[1:], reading.names
 
     def branch(joint):
@@ -76,7 +76,7 @@ def usual_orders(reading):
 
 
 def mirrored(reading, torques):
-    """Return joints whose positions, and perhaps torques, have the other sign."""
+    """Return joints whose positions, and optionally torques, have a wrong sign."""
 
     def negative(joints):
         sign = times(reading.nv, -1.0, joints)
@@ -87,17 +87,17 @@ def mirrored(reading, torques):
 
 
 def coupled(reading):
-    """Return the joint whose position contains that of one of the two before it."""
-    changes, same, parents = {}, np.eye(reading.nv), list(reading.model.parents)
+    """Return the joint whose position contains that of its parent or grandparent."""
+    changes, identity, parents = {}, np.eye(reading.nv), list(reading.model.parents)
     for j in reading.robot.joints.tolist():
-        before = parents[j + 1], parents[parents[j + 1]]
-        alike = [
-            i - 1 for i in before if i and reading.slides[i - 1] == reading.slides[j]
+        ancestors = parents[j + 1], parents[parents[j + 1]]
+        same_kind = [
+            i - 1 for i in ancestors if i and reading.slides[i - 1] == reading.slides[j]
         ]
-        for i, sign in product(alike, (1.0, -1.0)):
-            positions = same.copy()
+        for i, sign in product(same_kind, (1.0, -1.0)):
+            positions = identity.copy()
             positions[j, i] = -sign
-            # Torques of the joints, or of such axes: both do the same work.
+            # Torques of the joints, or of the coupled axes (virtual work).
             for torques in (None, np.linalg.inv(positions).T):
                 change = Change(positions=positions, torques=torques)
                 changes[change] = j, i, "-+" if sign > 0 else "+-"
@@ -105,9 +105,9 @@ def coupled(reading):
     if best is None:
         return None
     j, i, (minus, plus) = changes[best.change]
-    # Motors that turn with two joints share torques, whatever the encoders measure.
-    shared = _shared(reading, best.change, j, i)
-    if best.fall - shared.fall(reading.robot.now) < clear(best.change):
+    # Motors that act on two joints share torques, whatever the encoders measure.
+    shared_torques = _shared(reading, best.change, j, i)
+    if best.fall - shared_torques.fall(reading.robot.now) < clear(best.change):
         return None
     facts = {"name": reading.names[j], "other": reading.names[i], "minus": minus}
     torque = ", and the torque of {other} by that of {other} {plus} that of {name}"
@@ -118,162 +118,162 @@ def coupled(reading):
 
 
 def _shared(reading, change, j, i):
-    """`BodyFit` as logged, with shared torques, friction and rotor of two joints."""
+    """Fit the unchanged log, with shared torques, friction and rotor of two joints."""
     robot, nv, signals = reading.robot, reading.nv, change.signals(reading.signals)
     axis = signals.states[:, nv + j], signals.states[:, 2 * nv + j], signals.sign[:, j]
-    acting = np.zeros((len(axis[0]), nv, 10))
+    torques = np.zeros((len(axis[0]), nv, 10))
     for first, joint, other in ((0, j, i), (5, i, j)):
         columns = *axis, robot.described[:, joint], robot.signals.tau[:, other]
         size = np.sqrt((robot.signals.tau[:, joint] ** 2).mean())
         for k, x in enumerate(columns, start=first):
-            acting[:, joint, k] = size * x / np.sqrt((x**2).mean())
-    return robot.fit(columns=acting, deviation=number.WIDE)
+            torques[:, joint, k] = size * x / np.sqrt((x**2).mean())
+    return robot.fit(columns=torques, deviation=number.WIDE)
 
 
 # -- zeros -----------------------------------------------------------------------------
 
 
 def zeros(reading, few):
-    """Return the zeros of all joints that fit best, or of few of them."""
-    # Of joints whose zero does not matter, such as vertical ones, it stays.
-    free, nv = np.flatnonzero(~reading.slides), reading.nv
+    """Return the best zeros of all joints, or corrections of few of them."""
+    # Zeros that do not affect the torques, such as of vertical axes, are kept.
+    rotary, nv = np.flatnonzero(~reading.slides), reading.nv
 
     def moved_by(x, j):
         return Change(offset=x * np.eye(nv)[j])
 
-    def refined(change, joints):
+    def refined(start, joints):
         steps = [functools.partial(moved_by, j=j) for j in joints]
-        change, errors = stepped(reading, change, steps)
-        return change.offset + np.zeros(nv), errors
+        start, errors = stepped(reading, start, steps)
+        return start.offset + np.zeros(nv), errors
 
-    moves = [moved_by(x, j) for j, x in product(free, number.ANGLES)]
+    moves = [moved_by(x, j) for j, x in product(rotary, number.ANGLES)]
     if not few:
-        # Zeros of neighbours make up for each other.
-        pairs = product(pairwise(free), number.ANGLES, number.ANGLES)
+        # Zeros of neighbouring joints compensate each other.
+        pairs = product(pairwise(rotary), number.ANGLES, number.ANGLES)
         moves += [moved_by(x, j).then(moved_by(y, k)) for (j, k), x, y in pairs]
     step = number.CLEAR_OF_JOINT if few else number.SETTLED
-    place, errors = refined(climbed(reading, moves, step=step), free)
+    offset, errors = refined(climbed(reading, moves, step=step), rotary)
     if few:
-        # Less is an effect, or a link that differs, or not shown.
-        shown = free[np.abs(place[free]) > np.maximum(number.FAR_ZERO, 3 * errors)]
-        place = np.where(np.isin(reading.every, shown), place, 0.0)
-        place, _ = refined(Change(offset=place), shown)
-    place = np.where(reading.slides, 0.0, (place + np.pi) % (2 * np.pi) - np.pi)
-    moved = tuple(np.flatnonzero(np.abs(place) > number.MOVED).tolist())
+        # Smaller corrections may be an effect, a different link, or not identifiable.
+        shown = rotary[np.abs(offset[rotary]) > np.maximum(number.FAR_ZERO, 3 * errors)]
+        offset = np.where(np.isin(reading.every, shown), offset, 0.0)
+        offset, _ = refined(Change(offset=offset), shown)
+    offset = np.where(reading.slides, 0.0, (offset + np.pi) % (2 * np.pi) - np.pi)
+    moved = tuple(np.flatnonzero(np.abs(offset) > number.MOVED).tolist())
     if not moved:
         return None
-    facts = {"values": ", ".join(f"{reading.names[j]} {place[j]:+.2f}" for j in moved)}
-    least = clear_of_all(reading)
+    facts = {"values": ", ".join(f"{reading.names[j]} {offset[j]:+.2f}" for j in moved)}
+    required = clear_of_all(reading)
     if few:
-        # Each brings what a single one must bring.
-        least = max(least, number.CLEAR_OF_JOINT) * len(moved)
+        # Each zero must bring the fall that a single one must bring.
+        required = max(required, number.CLEAR_OF_JOINT) * len(moved)
     variants = len(moves) ** (few * len(moved))
-    args = {"joints": moved, "variants": variants, "facts": facts}
-    found = judged(reading, Change(offset=place), least, **args)
-    # Where bodies are free and friction is large, errors hardly fall.
-    if found is None or found.clear or found.fall < 0.5 * number.CLEAR:
-        return found
-    far = reading.robot.surpasses(found.log_odds)
-    return replace(found, clear=far and not of_another(reading.changed(found.change)))
+    options = {"joints": moved, "variants": variants, "facts": facts}
+    best = judged(reading, Change(offset=offset), required, **options)
+    # As bodies are fitted as well, errors fall only a little if friction is large.
+    if best is None or best.clear or best.fall < 0.5 * number.CLEAR:
+        return best
+    far = reading.robot.surpasses(best.log_odds)
+    return replace(best, clear=far and not of_another(reading.changed(best.change)))
 
 
 # -- units -----------------------------------------------------------------------------
 
 
 def _limits(model):
-    """Lowest and highest positions (nv,), and which joints have limits."""
-    # Pinocchio's "no limit" is the largest number there is.
+    """Return lowest and highest positions (nv,), and which joints have limits."""
+    # Pinocchio's "no limit" is the largest float.
     low = np.maximum(model.lowerPositionLimit, -1e6)
     high = np.minimum(model.upperPositionLimit, 1e6)
     return low, high, (high - low < number.LARGEST_TURN) & (high > low)
 
 
 def _beyond(model, q):
-    """How far each joint moves beyond its limits [rad or m], ndarray of shape (nv,)."""
+    """Return how far each joint moves beyond its limits [rad or m], (nv,)."""
     low, high, limited = _limits(model)
-    # Another zero of the joint or a nominal limit is no proof.
+    # The margin allows for another zero of the joint or a nominal limit.
     margin = 0.125 * (high - low)
-    outside = np.maximum(q.max(axis=0) - high, low - q.min(axis=0)) - margin
-    turned = np.ptp(q, axis=0) - number.LARGEST_TURN
-    return np.maximum(np.where(limited, outside, turned), 0.0)
+    excess = np.maximum(q.max(axis=0) - high, low - q.min(axis=0)) - margin
+    turns = np.ptp(q, axis=0) - number.LARGEST_TURN
+    return np.maximum(np.where(limited, excess, turns), 0.0)
 
 
 def units(reading):
-    """Return positions in degrees, turns, or another unit, such as those of motors."""
+    """Return positions in degrees, turns, or motor positions."""
     revolute, q, model = ~reading.slides, reading.q, reading.model
-    out = _beyond(model, q) * revolute
-    far = (out > number.FAR_BEYOND) & _limits(model)[2]
-    many = np.count_nonzero(out > 0.1) > 0.5 * np.count_nonzero(revolute)
+    beyond = _beyond(model, q) * revolute
+    far = (beyond > number.FAR_BEYOND) & _limits(model)[2]
+    many = np.count_nonzero(beyond > 0.1) > 0.5 * np.count_nonzero(revolute)
     degrees = "degrees", "deg", np.pi / 180
-    tried = [(revolute, *degrees)] if reading.poor else []
+    options = [(revolute, *degrees)] if reading.poor else []
     if far.any() or many:
-        tried = [(x, *degrees) for x in (revolute, far) if x.any()]
-    elif not out.any() and (_speeds(reading) < _fastest(model)).all():
-        tried.append((revolute, "turns", "rev", 2 * np.pi))
-    # Limits that are exceeded by far are evidence as well, and turns of many joints.
-    known = 2 * number.DECISIVE * (far.any() or many)
-    least, found = -np.inf if far.any() else clear_of_all(reading), []
-    for joints, unit, short, factor in tried:
+        options = [(x, *degrees) for x in (revolute, far) if x.any()]
+    elif not beyond.any() and (_speeds(reading) < _fastest(model)).all():
+        options.append((revolute, "turns", "rev", 2 * np.pi))
+    # Positions far beyond limits, or many full turns, are additional evidence.
+    extra = 2 * number.DECISIVE * (far.any() or many)
+    required, matches = -np.inf if far.any() else clear_of_all(reading), []
+    for joints, unit, symbol, factor in options:
         change = Change(positions=times(reading.nv, factor, np.flatnonzero(joints)))
-        # Of a joint without limits any angle may be right.
+        # The converted positions must be within the limits.
         if (_beyond(model, q @ change.positions) * joints > 0).any():
             continue
-        one = judged(reading, change, least, kind=f"position_{unit}")
-        if one is None:
+        match = judged(reading, change, required, kind=f"position_{unit}")
+        if match is None:
             continue
-        j = max(one.joints, key=lambda k: np.ptp(q[:, k]))
-        every = len(one.joints) == np.count_nonzero(revolute)
-        own = "q_{joint}" if reading.named else "q{i}"
-        given = f'give columns="q={own} [{short}]" with the names of your columns'
-        if reading.alone or not every:
-            given = f"add the unit to their names in the header: 'q{j + 1} [{short}]'"
-        facts = {"unit": unit, "given": given}
+        j = max(match.joints, key=lambda k: np.ptp(q[:, k]))
+        all_revolute = len(match.joints) == np.count_nonzero(revolute)
+        column = "q_{joint}" if reading.named else "q{i}"
+        remedy = f'give columns="q={column} [{symbol}]" with the names of your columns'
+        if reading.alone or not all_revolute:
+            remedy = f"add the unit to their names in the header: 'q{j + 1} [{symbol}]'"
+        facts = {"unit": unit, "given": remedy}
         facts |= {"name": reading.names[j], "low": q[:, j].min(), "high": q[:, j].max()}
-        found.append(replace(one, log_odds=one.log_odds + known, facts=facts))
-    best = most_probable(found)
+        matches.append(replace(match, log_odds=match.log_odds + extra, facts=facts))
+    best = most_probable(matches)
     if best is None or best.log_odds + number.PRIOR < number.DECISIVE:
         return best
     return _with_ratios(reading, best)
 
 
 def _with_ratios(reading, best):
-    """Return positions in a unit as those of motors if joints have other factors."""
+    """Return positions in a unit as motor positions if joints have other factors."""
     joints, after = list(best.joints), reading.changed(best.change)
     if after.tell_nothing():
         return best
     nv, starts = reading.nv, [_factor(x, joints, reading.nv) for x in number.RATIOS]
     moves = [_factor(x, j, nv) for x, j in product(number.RATIOS, joints)]
-    more = climbed(after, moves, starts, number.SETTLED)
+    ratios = climbed(after, moves, starts, number.SETTLED)
     steps = [functools.partial(_factor, j=j, nv=nv) for j in joints]
-    more, errors = stepped(after, _factor(0.0, joints, nv).then(more), steps)
-    one, known = judged(after, more, clear_of_all(after)), errors < number.KNOWN_RATIO
-    if one is None or not one.clear or one.log_odds + number.PRIOR < number.DECISIVE:
+    ratios, errors = stepped(after, _factor(0.0, joints, nv).then(ratios), steps)
+    fit, known = judged(after, ratios, clear_of_all(after)), errors < number.KNOWN_RATIO
+    if fit is None or not fit.clear or fit.log_odds + number.PRIOR < number.DECISIVE:
         return best
-    each = [j for j, seen in zip(joints, known) if seen]
-    if not each:
-        # Neither that unit nor any factor, such as where the time is wrong.
+    determined = [j for j, precise in zip(joints, known) if precise]
+    if not determined:
+        # Neither that unit nor a factor, for instance if the sample period is wrong.
         return None
-    each = _each(reading, best.change.then(more), each, errors[known])
-    facts = dict(best.facts) | {"each": each}
+    determined = _each(reading, best.change.then(ratios), determined, errors[known])
+    facts = dict(best.facts) | {"each": determined}
     return replace(best, kind="position_unit", change=None, facts=facts)
 
 
 def gear(reading):
-    """Return the joint whose position has another factor, and by power its torque."""
-    # Where positions do not matter, such as of slides, the masses look the same.
-    turning = [int(j) for j in reading.robot.joints if not reading.slides[j]]
+    """Return the joint whose position, or position and torque, has a gear factor."""
+    # Factors of prismatic positions are not distinguishable from other masses.
+    revolute = [int(j) for j in reading.robot.joints if not reading.slides[j]]
     changes = {}
-    for x, j in product(number.RATIOS, turning):
-        # A wrong gear keeps the power; or the position alone is wrong.
+    for x, j in product(number.RATIOS, revolute):
+        # A wrong gear ratio preserves power; otherwise only the position is wrong.
         for geared in (False, True):
-            make = functools.partial(_factor, j=j, nv=reading.nv, geared=geared)
-            changes[make(x)] = make
+            make_change = functools.partial(_factor, j=j, nv=reading.nv, geared=geared)
+            changes[make_change(x)] = make_change
     best = likely(reading, changes) if changes else None
     if best is None:
         return None
     change, (error,) = stepped(reading, best.change, [changes[best.change]])
     (j,) = best.joints
-    # Less is an effect, or a link that differs, or not shown.
+    # Smaller factors may be an effect, a different link, or not identifiable.
     if abs(np.log(change.positions[j, j])) < max(number.OF_GEAR, 3 * error):
         return None
     power = ", and multiply the torque by it" * (change.torques is not None)
@@ -282,13 +282,13 @@ def gear(reading):
 
 
 def _factor(x, j, nv, geared=False):
-    """Return the change by a factor of joints' positions, exp(x), or gear ratios."""
+    """Return the change that scales joints' positions, or gear ratios, by exp(x)."""
     torques = times(nv, np.exp(-x), j) if geared else None
     return Change(positions=times(nv, np.exp(x), j), torques=torques)
 
 
 def _each(reading, change, joints, errors):
-    """List how much of each joint's position is a radian or metre of the joint."""
+    """List the logged position per radian or metre of each joint, with its error."""
     ratios = 1 / np.diagonal(change.positions)[joints]
     return ", ".join(
         f"{reading.names[j]} {x:.3g} ± {number.INTERVAL * error * x:.1g}"
@@ -297,15 +297,15 @@ def _each(reading, change, joints, errors):
 
 
 def counts(reading):
-    """Return positions neither in radians nor in degrees."""
+    """Return positions that are neither in radians nor in degrees."""
     model, names, q, revolute = reading.model, reading.names, reading.q, ~reading.slides
     degrees = np.where(revolute, np.pi / 180, 1.0)
     far, as_degrees = _beyond(model, q) > number.FAR_BEYOND, _beyond(model, q * degrees)
     travel = np.ptp(q, axis=0)
     whole = (q == np.round(q)).all(axis=0) & (travel >= number.FEWEST_COUNTS)
-    # Whole degrees are degrees.
+    # Whole numbers within the limits in degrees are degrees.
     whole &= ~(far & (as_degrees == 0)) | (travel > 720)
-    # A joint may turn without end, but not at that speed, not even in degrees.
+    # A continuous joint may turn far, but not at an implausible speed even in degrees.
     fast = _speeds(reading) * degrees > _fastest(model)
     fast &= travel * degrees > number.LARGEST_TURN
     joints = np.flatnonzero((far & (as_degrees > 0)) | whole | fast)
@@ -314,10 +314,10 @@ def counts(reading):
     j = max(joints, key=lambda k: travel[k])
     facts = {"name": names[j], "low": q[:, j].min(), "high": q[:, j].max()}
     facts |= {"numbers": "whole numbers" if whole[j] else "values"}
-    # Sines and inertias of such angles are nonsense.
-    turns = "radians or degrees", "encoder counts, mrad", "rad"
-    other = turns if revolute[j] else ("metres", "millimetres or encoder counts", "m")
-    facts |= dict(zip(("units", "guess", "unit"), other))
+    # No log odds are computed: regressors of such angles are meaningless.
+    angles = "radians or degrees", "encoder counts, mrad", "rad"
+    texts = angles if revolute[j] else ("metres", "millimetres or encoder counts", "m")
+    facts |= dict(zip(("units", "guess", "unit"), texts))
     return Proposal(joints=tuple(joints), log_odds=np.inf, facts=facts)
 
 
@@ -325,29 +325,29 @@ def counts(reading):
 
 
 def _fastest(model):
-    """Impossible speeds (nv,) [rad/s or m/s]: five times each limit, given or usual."""
+    """Return implausible speeds (nv,) [rad/s or m/s]: five times the (usual) limit."""
     limit = np.asarray(model.velocityLimit, dtype=float)
     usual = np.where(is_prismatic(model), number.FASTEST_SLIDE, number.FASTEST_TURN)
-    known = (limit > 0) & (limit < 1e3)
-    return number.TOO_FAST * np.where(known, limit, usual)
+    is_given = (limit > 0) & (limit < 1e3)
+    return number.TOO_FAST * np.where(is_given, limit, usual)
 
 
 def _speeds(reading):
-    """Speed of each joint that is seldom exceeded, ndarray of shape (nv,)."""
+    """Return the 99.5 % quantile of each joint's speed, ndarray of shape (nv,)."""
     width, q = number.SPEED_SAMPLES, reading.q
     travel = [np.abs(q[p][width:] - q[p][:-width]) for p in reading.parts]
     return np.quantile(np.concatenate(travel), 0.995, axis=0) / (width * reading.dt)
 
 
 def implausible_speed(reading):
-    """Find a sample period at which no robot moves as recorded, or barely any."""
+    """Report a sample period at which the motion is implausibly fast or slow."""
     speed, limit, dt = _speeds(reading), _fastest(reading.model), reading.dt
     j = int(np.argmax(speed / limit))
-    slow = number.TOO_FAST * speed[j] < number.TOO_SLOW * limit[j]
+    is_slow = number.TOO_FAST * speed[j] < number.TOO_SLOW * limit[j]
     if speed[j] > limit[j]:
-        kind, severity = "wrong_dt:fast", "error"  # accelerations by the square
-    elif slow and dt >= number.LONG_PERIOD:
-        kind, severity = "wrong_dt:slow", "warning"  # such a motion may be on purpose
+        kind, severity = "wrong_dt:fast", "error"
+    elif is_slow and dt >= number.LONG_PERIOD:
+        kind, severity = "wrong_dt:slow", "warning"  # it may be intentional
     else:
         return []
     facts = {"dt": dt, "name": reading.names[j], "speed": speed[j], "limit": limit[j]}
@@ -357,31 +357,31 @@ def implausible_speed(reading):
 
 def periods(reading):
     """Return the best other sample period."""
-    dt, robot, least = reading.dt, reading.robot, clear_of_all(reading)
+    dt, robot, required = reading.dt, reading.robot, clear_of_all(reading)
     # A rate in Hz is the inverse of a period.
-    special = (1 / dt**2,) if dt >= number.LONG_PERIOD else ()
-    fast = number.TOO_FAST * (_speeds(reading) / _fastest(reading.model)).max()
+    inverse = (1 / dt**2,) if dt >= number.LONG_PERIOD else ()
+    fastest = number.TOO_FAST * (_speeds(reading) / _fastest(reading.model)).max()
     changes = [
         Change(period=x)
-        for x in dict.fromkeys([*number.PERIODS, *special])
-        if fast <= number.PLAUSIBLE * x
+        for x in dict.fromkeys([*number.PERIODS, *inverse])
+        if fastest <= number.PLAUSIBLE * x
     ]
-    found = most_probable(
-        judged(reading, x, least, variants=len(changes), joints=reading.every)
+    proposal = most_probable(
+        judged(reading, x, required, variants=len(changes), joints=reading.every)
         for x in changes
     )
-    if found is None or found.log_odds + number.PRIOR <= number.DECISIVE:
+    if proposal is None or proposal.log_odds + number.PRIOR <= number.DECISIVE:
         return None
-    # Another period changes inertia against weight: torques with another weight, of the
-    # weight alone, or with that of springs look alike.
+    # A period changes inertial torques relative to the weight. Alternatives with the
+    # same effect are a scaled weight, the weight alone, or springs.
     weight = robot.weight[:, :, None]
     rivals = (
         robot.fit(columns=weight, deviation=1.0),
         robot.fit(robot.entries - robot.pulled(np.zeros(3))),
     )
-    best = max(one.evidence for one in rivals) - robot.now.evidence
-    if max(best, robot.springs) > found.log_odds - number.RIVAL:
+    best_rival = max(fit.evidence for fit in rivals) - robot.now.evidence
+    if max(best_rival, robot.springs) > proposal.log_odds - number.RIVAL:
         return None
-    period = dt * found.change.period
+    period = dt * proposal.change.period
     remedy = {"dt": float(f"{period:.6g}")}
-    return replace(found, remedy=remedy, facts={"dt": dt, "period": period})
+    return replace(proposal, remedy=remedy, facts={"dt": dt, "period": period})

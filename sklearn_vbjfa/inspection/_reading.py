@@ -1,4 +1,4 @@
-"""A log that is read in one way, its score, and changes judged by the likelihood."""
+"""Interpretations of a log: filtered signals, changes, and their likelihood."""
 
 import functools
 from collections.abc import Mapping
@@ -19,15 +19,15 @@ from sklearn_vbjfa.recording import contiguous_groups
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Change:
-    """Another reading of a log: linear maps of its channels, a clock, or a gravity."""
+    """Correction of a log: linear maps of its channels, sample period, or gravity."""
 
-    # (nv, nv): joint positions, and torques, from the channels; None: as logged.
+    # (nv, nv): maps from logged to joint positions and torques; None: as logged.
     positions: np.ndarray | None = None
     torques: np.ndarray | None = None
     offset: object = 0.0  # float or (nv,): added to the positions [rad or m]
     period: float = 1.0  # factor of the sample period
-    gravity: np.ndarray | None = None  # (3,) [m/s^2]; None for that of the description
-    lag: int = 0  # samples by which torques are late
+    gravity: np.ndarray | None = None  # (3,) [m/s^2]; None: that of the description
+    lag: int = 0  # delay of the torques [samples]
 
     @property
     def moves(self):
@@ -38,14 +38,14 @@ class Change:
     @property
     def joints(self):
         """Joints whose channels it changes, a tuple of int."""
-        changed = np.atleast_1d(self.offset) != 0
-        for mixed in (self.positions, self.torques):
-            if mixed is not None:
-                changed = changed | (mixed != np.eye(len(mixed))).any(axis=1)
-        return tuple(np.flatnonzero(changed).tolist())
+        is_changed = np.atleast_1d(self.offset) != 0
+        for matrix in (self.positions, self.torques):
+            if matrix is not None:
+                is_changed = is_changed | (matrix != np.eye(len(matrix))).any(axis=1)
+        return tuple(np.flatnonzero(is_changed).tolist())
 
     def then(self, other):
-        """Return this change of channels, followed by another one."""
+        """Return this change of channels followed by another one."""
         return Change(
             positions=_product(other.positions, self.positions),
             torques=_product(other.torques, self.torques),
@@ -54,13 +54,13 @@ class Change:
         )
 
     def known(self, values):
-        """Read which samples (n, nv) of positions are known, bool or 0 and 1."""
+        """Map masks (n, nv) of usable samples, bool or 0 and 1, like the positions."""
         if self.positions is None:
             return values
         return ((1.0 - values) @ np.abs(self.positions).T == 0).astype(values.dtype)
 
     def signals(self, signals):
-        """Return filtered signals that are read in this way."""
+        """Return filtered signals after this change."""
         tau, slope = (_mapped(x, self.torques) for x in (signals.tau, signals.slope))
         signals = replace(signals, tau=tau, slope=slope)
         if not self.moves:
@@ -71,9 +71,9 @@ class Change:
         sign = signals.sign
         if self.positions is not None:
             sign = sign @ np.sign(self.positions).T
-            # Of a sum of positions, that of the filtered speed has to do.
-            mixed = (self.positions != 0).sum(axis=1) > 1
-            sign[:, mixed] = np.sign(states[:, 1][:, mixed])
+            # The sign of a sum of speeds is approximated by that of the filtered sum.
+            is_sum = (self.positions != 0).sum(axis=1) > 1
+            sign[:, is_sum] = np.sign(states[:, 1][:, is_sum])
         return replace(
             signals,
             states=states.reshape(len(states), -1),
@@ -91,7 +91,7 @@ def _product(second, first):
 
 
 def times(nv, value, joints=None):
-    """Return the map (nv, nv) that multiplies some joints' channels, or all."""
+    """Return the matrix (nv, nv) that scales the channels of some or all joints."""
     factors = np.ones(nv)
     factors[slice(None) if joints is None else np.array(joints, dtype=int)] = value
     return np.diag(factors)
@@ -107,32 +107,32 @@ class Signals:
     states: np.ndarray  # (n, 3 nv): [q | v | a]
     sign: np.ndarray  # (n, nv): filtered signs of the velocities
     tau: np.ndarray  # (n, nv)
-    slope: np.ndarray  # (n, nv): change of the torques from sample to sample
-    weight: np.ndarray  # (n, nv): 1 where the joint moves and no fault is known, else 0
-    throughout: np.ndarray  # (n, nv): 1 where it does so in the whole low-pass, else 0
-    row: np.ndarray  # (n,): row of the log in the middle of the filter
-    recording: np.ndarray  # (n,): which recording it is of
+    slope: np.ndarray  # (n, nv): change of the torques per sample
+    weight: np.ndarray  # (n, nv): 1 where the joint moves without known fault, else 0
+    throughout: np.ndarray  # (n, nv): 1 if so in the whole filter window, else 0
+    row: np.ndarray  # (n,): row of the log at the centre of the filter
+    recording: np.ndarray  # (n,): index of the recording
 
     def informative(self):
-        """Return which joints have enough rows, ndarray of shape (nv,) of bool."""
+        """Return which joints have enough moving rows, ndarray (nv,) of bool."""
         return self.weight.sum(axis=0) >= number.FEWEST_ROWS
 
-    def thinned(self, most):
-        """Return every k-th row, about `most` of them."""
-        return self.taken(slice(None, None, max(1, len(self.row) // most)))
+    def thinned(self, n_rows):
+        """Return every k-th row, about `n_rows` in all."""
+        return self.taken(slice(None, None, max(1, len(self.row) // n_rows)))
 
     def taken(self, rows):
         return Signals(**{x.name: getattr(self, x.name)[rows] for x in fields(self)})
 
 
 def long_parts(n, groups):
-    """Rows of the recordings that are long enough, and where each is among them."""
+    """Rows of the recordings that are long enough, and the slice of each in them."""
     parts = contiguous_groups(groups, n)
     return thinned([x for x in parts if x.stop - x.start >= number.MIN_SAMPLES], 1)
 
 
 def thinned(parts, k):
-    """Every k-th row of recordings, and where each is among these."""
+    """Every k-th row of recordings, and the slice of each recording in these."""
     rows = [np.arange(part.start, part.stop, k) for part in parts]
     stops = np.cumsum([0, *map(len, rows)]).tolist()
     parts = [slice(a, b) for a, b in pairwise(stops)]
@@ -143,7 +143,7 @@ def filtered(q, tau, dt, parts, usable):
     """Filter q, tau (n, nv) of recordings; None if all are shorter than the filter."""
     # usable (n, nv): samples without known faults.
     cutoff, top = _cutoffs(q, dt, parts)
-    # Signs and derivatives need less noise than single samples have.
+    # Positions are smoothed before differentiation and taking signs.
     smooth, lowpass = _lowpass.design(dt, top, step=1), _lowpass.design(dt, cutoff)
     half = smooth.half
     least = 2 * (half + lowpass.half) + 3
@@ -152,10 +152,10 @@ def filtered(q, tau, dt, parts, usable):
     ]
     if not inner:
         return None
-    # Joint by joint, which takes less memory.
+    # Joint by joint, which needs less memory.
     joints = [
-        _joint_signals(*one, dt, inner, smooth, lowpass)
-        for one in zip(q.T, tau.T, usable.T)
+        _joint_signals(*channels, dt, inner, smooth, lowpass)
+        for channels in zip(q.T, tau.T, usable.T)
     ]
     *states, sign, tau, slope, weight, throughout = np.stack(joints, axis=2)
     row = np.concatenate([p.start + lowpass.centres(p.stop - p.start) for p in inner])
@@ -172,7 +172,7 @@ def filtered(q, tau, dt, parts, usable):
 
 
 def _joint_signals(q, tau, usable, dt, parts, smooth, lowpass):
-    """Filter q, v, a, the sign of v, torque, its slope and both weights, (8, n)."""
+    """Return filtered q, v, a, sign(v), torque, its slope and both weights, (8, n)."""
     half, states = smooth.half, []
     for part in parts:
         x = q[part.start - half : part.stop + half]
@@ -185,16 +185,16 @@ def _joint_signals(q, tau, usable, dt, parts, smooth, lowpass):
         torque = tau[part]
         signals = x, v, a, np.sign(v), torque, np.gradient(torque)
         moves = (np.abs(v) > slow) & usable[part]
-        share = lowpass.average(moves.astype(float))
-        weight = share > number.MOVING, share > number.THROUGHOUT
+        moving_share = lowpass.average(moves.astype(float))
+        weight = moving_share > number.MOVING, moving_share > number.THROUGHOUT
         pieces.append([*lowpass(np.column_stack(signals)).T, *weight])
     return np.concatenate(pieces, axis=1)
 
 
 def _cutoffs(q, dt, parts):
-    """Cut-offs [Hz] of all signals, above the motion, and of the states."""
+    """Return cut-offs [Hz] of the low-pass of all signals and of the states."""
     longest = max(part.stop - part.start for part in parts)
-    # The velocity of a joint at rest is noise.
+    # A joint at rest has only noise.
     fast = np.ptp(q, axis=0) > 1e-3 * np.ptp(q)
     moving = q[:, fast] if fast.any() else q
     frequency, power, gain = _smoothing.acceleration_spectra(
@@ -205,10 +205,10 @@ def _cutoffs(q, dt, parts):
         _smoothing.velocity_bandwidth(frequency, x, gain, variance, most, 0.9)
         for x, variance, most in zip(power.T, noise, top)
     )
-    least = number.CUTOFF_PERIODS / (longest * dt)
-    cutoff = max(number.CUTOFF_PER_BANDWIDTH * bandwidth, least)
+    lowest = number.CUTOFF_PERIODS / (longest * dt)
+    cutoff = max(number.CUTOFF_PER_BANDWIDTH * bandwidth, lowest)
     top = np.clip(top.max(), number.SMOOTH * bandwidth, 2 * cutoff)
-    return float(cutoff), float(max(top, least))
+    return float(cutoff), float(max(top, lowest))
 
 
 # -- readings --------------------------------------------------------------------------
@@ -216,7 +216,7 @@ def _cutoffs(q, dt, parts):
 
 @dataclass(eq=False)
 class Reading:
-    """A log, its filtered signals and the described robot in its motion."""
+    """A log under one interpretation, its filtered signals and its described robot."""
 
     model: object
     names: tuple
@@ -225,24 +225,24 @@ class Reading:
     dt: float
     parts: list  # slices of the recordings
     usable: np.ndarray  # (n, nv): samples without known faults
-    drive: object = None  # what made the torques
+    drive: object = None  # drive that generated the torques; None if measured
     named: bool = False  # whether columns carry the joints' names
     alone: bool = False  # whether it is one of several recordings
 
     def __post_init__(self):
         self.nv, self.every = self.model.nv, tuple(range(self.model.nv))
         self.slides = is_prismatic(self.model)
-        # Whether torques are what motors were commanded.
+        # Whether the torques are computed from position commands.
         self.commanded = self.drive is not None and self.drive.uses_positions
         self.measured, self.turns = not self.commanded, not self.slides.all()
 
     @functools.cached_property
     def signals(self):
         """Filtered signals; None if the log is too short."""
-        found = filtered(self.q, self.tau, self.dt, self.parts, self.usable)
-        most = number.MOST_ENTRIES // (10 * self.nv**2)
-        most = int(np.clip(most, number.LEAST_ROWS, number.MOST_ROWS))
-        return None if found is None else found.thinned(most)
+        signals = filtered(self.q, self.tau, self.dt, self.parts, self.usable)
+        n_rows = number.MOST_ENTRIES // (10 * self.nv**2)
+        n_rows = int(np.clip(n_rows, number.LEAST_ROWS, number.MOST_ROWS))
+        return None if signals is None else signals.thinned(n_rows)
 
     @functools.cached_property
     def bodies(self):
@@ -254,23 +254,23 @@ class Reading:
 
     @property
     def poor(self):
-        """Whether some torque agrees badly enough to look for another reading."""
+        """Whether some torque fits badly enough to test other interpretations."""
         return bool((self.robot.now.left > 2 * np.log(number.GOOD_FIT)).any())
 
     @property
     def weighs(self):
-        """Whether measured torques contain a weight by the description."""
+        """Whether measured torques should contain a weight by the description."""
         return self.measured and not self.bodies.weightless
 
     @property
     def several(self):
-        """Whether several joints are judged."""
+        """Whether several joints are compared with the description."""
         return self.robot.joints.size > 1
 
     @property
     def zeroed(self):
         """Whether all positions begin at zero, as if set there at power-up."""
-        # A log that begins at the zero of the description looks the same.
+        # A log that begins at the zero of the description is not distinguishable.
         near = np.abs(self.q[0]) <= number.AT_ZERO * np.ptp(self.q, axis=0)
         return self.measured and bool(near.all())
 
@@ -280,22 +280,22 @@ class Reading:
         return replace(self, **channels, parts=parts, alone=alone)
 
     def apart(self):
-        """List recordings that agree far worse than others, or with other masses."""
+        """List recordings that fit far worse than others, or with other masses."""
         recordings = self.robot.signals.recording
-        every = np.unique(recordings).tolist()
-        several = 1 < len(every) <= number.MANY
-        return [k for k in every if several and self.robot.is_apart(recordings == k)]
+        indices = np.unique(recordings).tolist()
+        several = 1 < len(indices) <= number.MANY
+        return [k for k in indices if several and self.robot.is_apart(recordings == k)]
 
     def tell_nothing(self):
-        """Whether torques or description are such that nothing can be compared."""
+        """Whether torques or description allow no comparison."""
         if self.signals is None or not self.signals.informative().any():
             return True
         return self.bodies.massless or not self.robot.joints.size
 
     def rough(self, change):
-        """Log of what described torques leave of all torques, a cheap score."""
-        # The bodies are as described, but for the size of their motion's and their
-        # weight's torque.
+        """Return a cheap score: sum over joints of the log unexplained share."""
+        # The described bodies are fixed up to a factor of their inertial torque and
+        # one of their weight.
         signals = change.signals(self._roughly)
         return _left(self.bodies, signals, self.robot.joints, signals.tau).sum()
 
@@ -306,24 +306,24 @@ class Reading:
 
     @functools.cached_property
     def rough_crossed(self):
-        """Scores of each joint's motion and each torque, (n_joints, n_joints)."""
+        """Rough scores of each motion with each torque, (n_joints, n_joints)."""
         signals, joints = self._roughly, self.robot.joints
-        every = [_left(self.bodies, signals, joints, x[:, None]) for x in signals.tau.T]
-        return np.column_stack([every[j] for j in joints])
+        costs = [_left(self.bodies, signals, joints, x[:, None]) for x in signals.tau.T]
+        return np.column_stack([costs[j] for j in joints])
 
     def tried(self, change):
-        """`BodyFit` of a change that keeps the description; None if it fails."""
-        other = self.robot_at(change)
-        return other.fit() if other.joints.size == self.robot.joints.size else None
+        """Return the `BodyFit` after a change, None if it has other usable joints."""
+        robot = self.robot_at(change)
+        return robot.fit() if robot.joints.size == self.robot.joints.size else None
 
     def robot_at(self, change):
-        """Return the described robot in the motion of a change."""
+        """Return the described robot for the signals after a change."""
         signals = change.signals(self.signals)
         entries = None if change.moves else self.robot.entries
         return DescribedRobot(self.bodies, signals, self.robot.times, entries)
 
     def changed(self, change):
-        """Return the log after a change, filtered again."""
+        """Return the log after a change; its signals are filtered again."""
         q = _mapped(self.q, change.positions) + change.offset
         tau, usable = _mapped(self.tau, change.torques), change.known(self.usable)
         dt, model = self.dt * change.period, self.model
@@ -335,7 +335,7 @@ class Reading:
 
 
 def _left(robot, signals, joints, tau):
-    """Log of the share of torques (n, nv or 1) that the described ones leave."""
+    """Log of the share of torques (n, nv or 1) that the description leaves."""
     nv, weight = robot.nv, signals.weight[:, joints].T
     v, a = (x[:, joints] for x in np.split(signals.states, 3, axis=1)[1:])
     bodies = [x[:, joints] for x in robot.described(signals.states)]
@@ -343,22 +343,22 @@ def _left(robot, signals, joints, tau):
     X = X.swapaxes(0, 1) * weight[:, :, None]
     y = np.broadcast_to(tau, (len(v), nv))[:, joints].T * weight
     count = np.maximum(weight.sum(axis=1), 1.0)
-    size = ((y - y.sum(axis=1)[:, None] / count[:, None]) ** 2 * weight).sum(axis=1)
+    total = ((y - y.sum(axis=1)[:, None] / count[:, None]) ** 2 * weight).sum(axis=1)
     y = y - X[:, :, :2].sum(axis=-1)
     gram = X.swapaxes(1, 2) @ X
     square = np.einsum("jkk->jk", gram)
     share = np.r_[number.ROUGH_PRIOR, number.ROUGH_PRIOR, np.full(4, 1e-6)]
     penalty = square * share + 1e-300
     gram = gram + np.eye(6) * penalty[:, None]
-    found = np.linalg.solve(gram, X.swapaxes(1, 2) @ y[:, :, None])
-    left = ((y[:, :, None] - X @ found) ** 2).sum(axis=(1, 2))
-    # What their sizes depart from the described ones counts as an error.
-    left += (found[:, :2, 0] ** 2 * penalty[:, :2]).sum(axis=1)
-    return np.log(np.maximum(left / np.maximum(size, 1e-300), 1e-12))
+    theta = np.linalg.solve(gram, X.swapaxes(1, 2) @ y[:, :, None])
+    residual = ((y[:, :, None] - X @ theta) ** 2).sum(axis=(1, 2))
+    # Deviations of both factors from one count as errors.
+    residual += (theta[:, :2, 0] ** 2 * penalty[:, :2]).sum(axis=1)
+    return np.log(np.maximum(residual / np.maximum(total, 1e-300), 1e-12))
 
 
 def _late(tau, samples, parts, usable):
-    """Torques that are read some samples later, and the samples that remain usable."""
+    """Shift torques to earlier samples; also the samples that remain usable."""
     tau, usable = tau.copy(), usable.copy()
     first, last = max(0, -samples), max(0, samples)
     for part in parts:
@@ -373,102 +373,102 @@ def _late(tau, samples, parts, usable):
 
 @dataclass(frozen=True, kw_only=True)
 class Proposal:
-    """A change that a hypothesis proposes, with the facts of its sentence.
+    """A change that a hypothesis proposes, with the facts of its message.
 
-    One that is not clear explains the torques better than the unchanged log, but leaves
-    errors that are too large to report it; no less probable one is reported either.
+    If `clear` is false, it is more probable than the unchanged log, but leaves errors
+    too large to report it; then no less probable change is reported either.
     """
 
     joints: tuple
     log_odds: float  # against the log as it is, before the prior odds
-    change: Change | None = None  # which undoes what was done
+    change: Change | None = None  # which corrects the fault
     fall: float = 0.0  # sum over joints of the fall of the log squared errors
     clear: bool = True
-    kind: str = ""  # of the sentence and the severity, if not the hypothesis's
-    severity: str = ""
+    kind: str = ""  # key of the message; by default the hypothesis's name
+    severity: str = ""  # by default the hypothesis's
     value: float = np.nan
     remedy: Mapping | None = None
     facts: Mapping = field(default_factory=dict)
 
 
-def judged(reading, change, least=None, *, variants=1, **others):
-    """Return the `Proposal` of a change, clear if squared errors fall by `least`."""
-    # variants: changes of which one is right.
-    fit, now = reading.tried(change), reading.robot.now
+def judged(reading, change, required=None, *, variants=1, **attributes):
+    """Return the `Proposal` of a change; clear if errors fall by `required` [log]."""
+    # variants: number of alternatives tested, which reduces the log odds.
+    fit, baseline = reading.tried(change), reading.robot.now
     if fit is None or not (change.joints or change.moves):
         return None
-    least = clear(change) if least is None else least
+    required = clear(change) if required is None else required
     return Proposal(
-        **{"joints": change.joints, "change": change} | others,
-        log_odds=fit.evidence - now.evidence - np.log(max(variants, 1)),
-        fall=fit.fall(now),
-        clear=fit.fall(now) >= least,
+        **{"joints": change.joints, "change": change} | attributes,
+        log_odds=fit.evidence - baseline.evidence - np.log(max(variants, 1)),
+        fall=fit.fall(baseline),
+        clear=fit.fall(baseline) >= required,
     )
 
 
 def likely(reading, changes):
-    """Return the most probable of some changes that a rough score prefers."""
+    """Return the most probable of the changes with the best rough scores."""
     changes = list(changes)
     gain = reading.rough(Change()) - np.array([reading.rough(x) for x in changes])
-    # What the motion cannot tell from the log as it is may be a rival.
-    best = np.argsort(-gain)[: number.MOST_LIKELY]
-    best = [changes[k] for k in best if gain[k] > -number.SETTLED]
-    return most_probable(judged(reading, x, variants=len(changes)) for x in best)
+    # Changes that score as well as the unchanged log are kept as rivals.
+    candidates = np.argsort(-gain)[: number.MOST_LIKELY]
+    candidates = [changes[k] for k in candidates if gain[k] > -number.SETTLED]
+    return most_probable(judged(reading, x, variants=len(changes)) for x in candidates)
 
 
 def climbed(reading, moves, starts=(), step=number.CLEAR):
-    """Return the change at the end of a climb from a start or a move by more moves."""
-    # step: fall of the rough score that each must bring.
-    end, score, tried = Change(), reading.rough(Change()), [*starts, *moves]
-    while tried:
-        scores = [reading.rough(change) for change in tried]
+    """Combine moves greedily, from the best start or move, and return the change."""
+    # step: least fall of the rough score per move.
+    current, score, candidates = Change(), reading.rough(Change()), [*starts, *moves]
+    while candidates:
+        scores = [reading.rough(change) for change in candidates]
         best = int(np.argmin(scores))
         if scores[best] > score - step:
             break
-        end, score = tried[best], scores[best]
-        tried = [end.then(move) for move in moves]
-    return end
+        current, score = candidates[best], scores[best]
+        candidates = [current.then(move) for move in moves]
+    return current
 
 
 def most_probable(candidates):
     """Return the candidate of the greatest odds; None if there is none."""
-    found = [one for one in candidates if one is not None]
-    return max(found, key=lambda one: one.log_odds, default=None)
+    proposals = [x for x in candidates if x is not None]
+    return max(proposals, key=lambda x: x.log_odds, default=None)
 
 
 def stepped(reading, change, steps):
-    """Improve a change by Gauss-Newton along steps; also their standard errors."""
-    # steps: functions of a number, each to a change that follows.
+    """Refine a change by Gauss-Newton along steps; also their standard errors."""
+    # steps: functions from a step size to the change to append.
     best, errors = reading.tried(change), np.full(len(steps), np.inf)
     for _ in range(number.PASSES if best is not None and steps else 0):
         robot = reading.robot_at(change)
-        ends = [
+        residuals = [
             [_missing(reading, change.then(make(x))) for make in steps]
             for x in (number.SLOPE, -number.SLOPE)
         ]
-        columns = -np.subtract(*ends).transpose(1, 2, 0) / (2 * number.SLOPE)
+        columns = -np.subtract(*residuals).transpose(1, 2, 0) / (2 * number.SLOPE)
         fit = robot.fit(columns=columns, deviation=number.STEP_OF_ZERO)
-        errors, after = fit.errors, change
+        errors, updated = fit.errors, change
         for make, x in zip(steps, fit.factors):
-            after = after.then(make(x))
-        fit = reading.tried(after)
+            updated = updated.then(make(x))
+        fit = reading.tried(updated)
         if fit is None or fit.evidence < best.evidence + 0.1:
             break
-        best, change = fit, after
+        best, change = fit, updated
     return change, errors
 
 
 def _missing(reading, change):
-    """Torques (n, nv) that the described bodies leave."""
+    """Return residual torques (n, nv) of the described bodies after a change."""
     signals, bodies = change.signals(reading.signals), reading.bodies
     return signals.tau - sum(bodies.described(signals.states))
 
 
 def clear(change):
-    """Fall of log squared errors that a change of some joints must bring."""
+    """Return the least fall of log squared errors of a change of some joints."""
     return number.CLEAR_OF_JOINT * len(change.joints)
 
 
 def clear_of_all(reading):
-    """Fall of log squared errors that a change of the whole log must bring."""
+    """Return the least fall of log squared errors of a change of the whole log."""
     return number.CLEAR * reading.robot.joints.size

@@ -1,6 +1,6 @@
-"""Faults that the rows of a log show with little of a robot model: a table of checks.
+"""Checks of the rows of a log that need hardly any robot model.
 
-Most are runs of rows in which a channel keeps its value although the robot moves.
+Most faults are runs of rows in which a channel is constant although the robot moves.
 """
 
 import functools
@@ -18,8 +18,8 @@ from sklearn_vbjfa.model import is_prismatic
 class Rows:
     """Rows of a log, and the faults that checks find in them."""
 
-    # q [rad or m], tau [N m or N] (n, nv): later checks see them without jumps of a
-    # turn and lost rows; parts: slices of the recordings, which hold all rows; rows
+    # q [rad or m], tau [N m or N] (n, nv): unwrapped, and interpolated over lost rows,
+    # by the first checks; parts: slices of the recordings, which hold all rows; rows
     # (n,): row numbers for messages.
 
     def __init__(self, model, names, q, tau, dt, parts, rows):
@@ -30,9 +30,9 @@ class Rows:
         self.label = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
         self.first = np.isin(np.arange(len(q)), [part.start for part in parts])
         self.usable = np.ones(q.shape, dtype=bool)
-        self.counted = np.ones(len(q), dtype=bool)  # rows that have a weight
-        self.held = np.zeros(q.shape[1], dtype=bool)  # torques at a lower rate
-        self.every = 1  # rows until all positions are new
+        self.counted = np.ones(len(q), dtype=bool)  # rows with nonzero weight
+        self.held = np.zeros(q.shape[1], dtype=bool)  # torques updated at a lower rate
+        self.every = 1  # rows per update of all positions
 
     @functools.cached_property
     def still(self):
@@ -51,15 +51,15 @@ class Rows:
         return step
 
     def runs(self, flags):
-        """Return first and last row of each run of flags within a recording."""
+        """Return first and last row of each run of true flags within a recording."""
         flags = flags & self.counted
-        before = np.r_[False, flags[:-1]] & ~self.first
-        starts = np.flatnonzero(flags & ~before)
+        previous = np.r_[False, flags[:-1]] & ~self.first
+        starts = np.flatnonzero(flags & ~previous)
         ends = np.flatnonzero(flags & ~np.r_[flags[1:] & ~self.first[1:], False])
         return list(zip(starts.tolist(), ends.tolist()))
 
     def together(self, first, last):
-        """Whether two rows exist and are of one recording."""
+        """Whether two rows exist and belong to the same recording."""
         inside = 0 <= first and last < len(self.label)
         return inside and self.label[first] == self.label[last]
 
@@ -76,7 +76,7 @@ class Rows:
         return moving
 
     def report(self, kind, joints, severity, runs=(), **facts):
-        """Add a finding, perhaps on runs of rows (first, last)."""
+        """Add a finding, optionally on runs of rows (first, last)."""
         if len(runs):
             longest = max(b - a + 1 for a, b in runs)
             facts |= {"times": len(runs), "row": self.rows[runs[0][0]]}
@@ -107,19 +107,19 @@ def shuffled_rows(names, q, parts):
         return []
 
     def change(k):
-        """Mean squared change (nv,) in k rows, one signal at a time."""
-        each = [[np.square(y[k:] - y[:-k]).sum() for y in x.T] for x in pieces]
-        return np.sum(each, axis=0) / n
+        """Mean squared change (nv,) over k rows, one signal at a time."""
+        sums = [[np.square(y[k:] - y[:-k]).sum() for y in x.T] for x in pieces]
+        return np.sum(sums, axis=0) / n
 
-    square, later = change(1), change(2)
+    square, square_2 = change(1), change(2)
     variance = sizes @ [[y.var() for y in x.T] for x in pieces] / sizes.sum()
-    moves = variance > number.LEAST_MOTION**2
-    least = (square[moves] / (2 * variance[moves])).min(initial=np.inf)
-    # Rows of two robots in turn resemble the row before the last one.
-    turns = moves.any() and (square > number.IN_TURN * later)[moves].all()
-    if not (turns or number.SHUFFLED <= least < np.inf):
+    moving = variance > number.LEAST_MOTION**2
+    smallest = (square[moving] / (2 * variance[moving])).min(initial=np.inf)
+    # If rows of two robots alternate, each resembles the last but one.
+    mixed = moving.any() and (square > number.IN_TURN * square_2)[moving].all()
+    if not (mixed or number.SHUFFLED <= smallest < np.inf):
         return []
-    every, facts = range(len(names)), {"change": np.sqrt(2 * least)}
+    every, facts = range(len(names)), {"change": np.sqrt(2 * smallest)}
     return [finding("shuffled_rows", names, every, "error", **facts)]
 
 
@@ -128,54 +128,54 @@ def _wraps(log):
     # An error: differentiating across a jump gives speeds of hundreds of rad/s.
     revolute = np.flatnonzero(log.revolute).tolist()
     widest = max((np.ptp(log.q[:, j]) for j in revolute), default=0.0)
-    # Degrees, or counts of an encoder, are wrapped as well.
+    # Degrees and encoder counts may be wrapped, too.
     counts = 2.0 ** np.ceil(np.log2(max(widest, 1.0)))
     for turn, text in ((2 * np.pi, "2 pi"), (360.0, "360"), (counts, f"{counts:.0f}")):
-        turns = {j: _turns(log, log.q[:, j], turn) for j in revolute}
-        turns = {j: rows for j, rows in turns.items() if rows.size}
-        if not turns:
+        jumps = {j: _turns(log, log.q[:, j], turn) for j in revolute}
+        jumps = {j: rows for j, rows in jumps.items() if rows.size}
+        if not jumps:
             continue
         log.q = log.q.copy()
-        for j in turns:
+        for j in jumps:
             for part in log.parts:
                 x = np.unwrap(log.q[part, j], period=turn)
-                # Each recording may begin in another turn.
+                # Each recording may begin in a different turn.
                 log.q[part, j] = x - turn * np.round(x.mean() / turn)
-        rows = np.concatenate(list(turns.values()))
+        rows = np.concatenate(list(jumps.values()))
         facts = {"count": rows.size, "row": log.rows[rows.min()], "turn": text}
-        log.report("wrapped_position", list(turns), "error", **facts)
+        log.report("wrapped_position", list(jumps), "error", **facts)
 
 
 def _turns(log, x, turn):
     """Return the rows after jumps by a full turn."""
     step = log.steps(x)
-    over = np.flatnonzero(np.abs(step) > (1 - number.TURN_LEFT) * turn)
-    # Steps as large as a turn everywhere are another fault.
+    jumps = np.flatnonzero(np.abs(step) > (1 - number.TURN_LEFT) * turn)
+    # If many steps are as large as a turn, the channel has another fault.
     widest = max(np.ptp(x[part]) for part in log.parts)
-    if not 0 < over.size <= 0.05 * step.size or widest > 1.1 * turn:
-        return over[:0]
-    rest = step - turn * np.round(step / turn)
-    usual = np.quantile(np.abs(np.delete(step, over)), 0.999)
-    # After unwrapping, the steps must match those of the motion.
-    return over[np.abs(rest[over]) <= 3 * usual + 1e-3 * turn]
+    if not 0 < jumps.size <= 0.05 * step.size or widest > 1.1 * turn:
+        return jumps[:0]
+    remainder = step - turn * np.round(step / turn)
+    typical = np.quantile(np.abs(np.delete(step, jumps)), 0.999)
+    # After unwrapping, the steps must be as small as the others.
+    return jumps[np.abs(remainder[jumps]) <= 3 * typical + 1e-3 * turn]
 
 
 # -- rest and whole rows ---------------------------------------------------------------
 
 
 def still_joints(q, parts):
-    """Joints at rest throughout, but for the noise of their positions, (nv,), bool."""
+    """Return which joints are always at rest, up to position noise, (nv,) of bool."""
     pieces = [q[part] for part in parts if part.stop > part.start]
     travel = np.max([np.ptp(x, axis=0) for x in pieces], axis=0)
-    bends = np.concatenate([np.diff(x, n=3, axis=0) for x in pieces])
-    # The third difference of white noise has 20 times its variance.
-    noise = np.sqrt((bends**2).sum(axis=0) / (20 * max(len(bends), 1)))
+    differences = np.concatenate([np.diff(x, n=3, axis=0) for x in pieces])
+    # The variance of the third difference of white noise is 20 times that of the noise.
+    noise = np.sqrt((differences**2).sum(axis=0) / (20 * max(len(differences), 1)))
     return travel <= number.STILL_TRAVEL * noise
 
 
 def at_rest(names, q, parts):
-    """Return the finding that nothing moves, in rows in any order; None if not."""
-    # Rows out of order look like noise as well, but like more of it.
+    """Return the finding that no joint moves, for rows in any order; else None."""
+    # Shuffled rows of a motion look like noise as well, but with a larger deviation.
     still = q.std(axis=0).max() <= number.LEAST_MOTION
     still = still and still_joints(q, parts).all()
     return _nothing_moves(names, q) if still else None
@@ -189,7 +189,7 @@ def _nothing_moves(names, q):
 
 
 def _rest(log):
-    """Name joints that never move."""
+    """Report joints that never move."""
     if log.still.all():
         log.findings.append(_nothing_moves(log.names, log.q))
         return
@@ -199,9 +199,9 @@ def _rest(log):
 
 
 def _held(log):
-    """Find channels that have new values at a lower rate."""
-    # They lag by half a period and change in steps, which looks like delay, elasticity
-    # and friction at reversals, but they show the recorded motion: a warning.
+    """Find channels that are updated at a lower rate than the rows."""
+    # A warning: they show the recorded motion, but their lag of half a period and their
+    # steps look like delay, elasticity, and friction at reversals.
     moving = np.flatnonzero(~log.still)
     for what, channels in (("position", log.q), ("torque", log.tau)):
         rates = np.array([_rate(log, channels[:, j]) for j in moving])
@@ -218,52 +218,52 @@ def _held(log):
 
 
 def _rate(log, x):
-    """Rows per new value; zero if every row of every recording has one."""
-    found = []
+    """Return the rows per new value of a channel; zero if every row has one."""
+    rates = []
     for part in log.parts:
         y = x[part]
         change = np.flatnonzero(np.diff(y) != 0)
         if change.size <= number.FEWEST_STEPS:
             continue
         steps, gaps = np.abs(y[change + 1] - y[change])[1:], np.diff(change)
-        # A quantised signal changes by its resolution and is constant where it is slow;
-        # steps of several quanta within one row cannot follow rows without any.
+        # A quantised signal is constant where it changes slowly; only held values are
+        # constant before a step of several quanta.
         fast = steps >= number.STEP * np.quantile(steps, 0.02)
         if fast.sum() < max(number.FEWEST_STEPS, number.STEP_SHARE * steps.size):
             continue
         k = np.median(gaps[fast])
-        # If the rates have no integer ratio, some gaps are longer or shorter by a row.
+        # If the ratio of the rates is no integer, gaps differ by a row.
         regular = (np.abs(gaps[fast] - k) <= 1) & (gaps[fast] >= 2)
-        found += [k] if regular.mean() >= number.SAME_RATE else []
-    return float(np.median(found)) if found else 0.0
+        rates += [k] if regular.mean() >= number.SAME_RATE else []
+    return float(np.median(rates)) if rates else 0.0
 
 
 def _lost_rows(log):
-    """Find rows without any torque, or equal to the row before, amid a motion."""
-    # Later checks see a straight line in their place.
+    """Find rows during motion with zero torques, or that repeat the row before."""
+    # They are interpolated for the later checks.
     if log.every > 1:
         return
     empty = (log.tau == 0).all(axis=1)
-    found = _breaks(log, empty, 1)
-    if len(found) >= number.DROPOUT_RUNS or any(b > a for a, b in found):
-        # What some of them show is true of all.
+    runs = _breaks(log, empty, 1)
+    if len(runs) >= number.DROPOUT_RUNS or any(b > a for a, b in runs):
+        # If some zero rows interrupt a motion, all zero rows are reported.
         _report_lost(log, "empty_rows", log.runs(empty), "warning")
     if off := _switched_off(log):
         _report_lost(log, "empty_rows:off", off, "warning")
-    same = (log.steps(log.q) == 0).all(axis=1) & ~log.first
-    same &= (log.steps(log.tau) == 0).all(axis=1)
-    found = _breaks(log, same, number.FROZEN_ROWS - 1)
-    count = sum(b - a + 1 for a, b in found)
-    long = max((b - a + 2 for a, b in found), default=0) >= number.FROZEN_ROWS
+    repeats = (log.steps(log.q) == 0).all(axis=1) & ~log.first
+    repeats &= (log.steps(log.tau) == 0).all(axis=1)
+    runs = _breaks(log, repeats, number.FROZEN_ROWS - 1)
+    count = sum(b - a + 1 for a, b in runs)
+    long = max((b - a + 2 for a, b in runs), default=0) >= number.FROZEN_ROWS
     if long or count >= max(number.FEWEST_REPEATED, number.REPEATED_SHARE * len(log.q)):
-        # A few are recognisable from the motion around them; many make the speed and
-        # the sample period wrong.
-        many = long or count > number.MANY_REPEATED * len(log.q)
-        _report_lost(log, "repeated_rows", found, "warning" if many else "note")
+        # A few are interpolated from their neighbours; many distort the speeds and the
+        # sample period.
+        serious = long or count > number.MANY_REPEATED * len(log.q)
+        _report_lost(log, "repeated_rows", runs, "warning" if serious else "note")
 
 
 def _switched_off(log):
-    """Find runs in which all torques vanish, some at once, although links weigh."""
+    """Find runs in which all torques vanish, some abruptly, although links weigh."""
     step, size = np.abs(log.steps(log.tau)), np.sqrt((log.tau**2).mean(axis=0))
     sudden = (step > number.SUDDEN * np.quantile(step, 0.995, axis=0)).any(axis=1)
     runs = log.runs((np.abs(log.tau) <= number.OFF * size).all(axis=1))
@@ -272,50 +272,50 @@ def _switched_off(log):
         return []
     still = np.pad(log.q[[a for a, _ in runs]], ((0, 0), (0, 2 * log.q.shape[1])))
     weight = np.abs(Bodies(log.model).described(still)[1])
-    found = [runs[k] for k in np.flatnonzero((weight > number.LOADED * size).any(1))]
-    ends = [k for a, b in found for k in (a, b + 1)]
+    loaded = [runs[k] for k in np.flatnonzero((weight > number.LOADED * size).any(1))]
+    ends = [k for a, b in loaded for k in (a, b + 1)]
     ends = [k for k in ends if log.together(k - 1, k) and log.moving[k]]
-    return found if sudden[ends].any() else []
+    return loaded if sudden[ends].any() else []
 
 
 def _breaks(log, flags, least):
-    """Find runs of flagged rows at which a motion jumps, or does not stop."""
-    # least: rows from which on a jump of the position is enough.
-    around = flags | np.r_[False, flags[:-1]]
+    """Find runs of flagged rows at which positions jump, or the motion goes on."""
+    # least: length of runs for which a jump of a position is sufficient.
+    near = flags | np.r_[False, flags[:-1]]
     steps = [np.abs(log.steps(x)) for x in (log.q, log.tau)]
-    if around.all() or not flags.any():
+    if near.all() or not flags.any():
         return []
-    usual = [np.quantile(x[~around], 0.995, axis=0) for x in steps]
-    jumps = [(x > number.SUDDEN * y).any(axis=1) for x, y in zip(steps, usual)]
-    found = []
+    typical = [np.quantile(x[~near], 0.995, axis=0) for x in steps]
+    jumps = [(x > number.SUDDEN * y).any(axis=1) for x, y in zip(steps, typical)]
+    breaks = []
     for a, b in log.runs(flags):
-        # Rows that equal the one before begin a row late.
+        # A run of repeated rows begins one row after the first equal row.
         begin = a if (log.tau[a] == 0).all() or not log.together(a - 1, a) else a - 1
         ends = [k for k in (begin, b + 1) if log.together(k - 1, k)]
         if b - a + 1 >= least and jumps[0][ends].any():
-            new = begin if jumps[0][begin] or log.first[begin] else a
-            found.append((new, b))
+            first = begin if jumps[0][begin] or log.first[begin] else a
+            breaks.append((first, b))
         elif least > 1 or jumps[1][ends].any():
-            if _amid_motion(log, a, b, number.HELD_SPEED * usual[0]):
-                found.append((a, b))
-    return found
+            if _amid_motion(log, a, b, number.HELD_SPEED * typical[0]):
+                breaks.append((a, b))
+    return breaks
 
 
 def _amid_motion(log, a, b, least):
-    """Whether a joint moves faster than `least` (nv,) up to row a - 1 and from b on."""
-    near = number.BESIDE
-    if not log.together(a - 1 - near, b + 1 + near):
+    """Whether a joint moves faster than `least` (nv,) before row a and after row b."""
+    k = number.BESIDE
+    if not log.together(a - 1 - k, b + 1 + k):
         return False
-    into = (log.q[a - 1] - log.q[a - 1 - near]) / near
-    out = (log.q[b + 1 + near] - log.q[b + 1]) / near
-    return bool((np.minimum(into * np.sign(out), np.abs(out)) > least).any())
+    before = (log.q[a - 1] - log.q[a - 1 - k]) / k
+    after = (log.q[b + 1 + k] - log.q[b + 1]) / k
+    return bool((np.minimum(before * np.sign(after), np.abs(after)) > least).any())
 
 
 def _report_lost(log, kind, runs, severity):
-    """Report whole rows that were lost, and put a straight line in their place."""
+    """Report lost rows, and replace them by linear interpolation."""
     log.report(kind, range(len(log.names)), severity, runs)
     lost, rows = _marked(log.q, runs), np.arange(len(log.q))
-    # Only short gaps are bridged well.
+    # Interpolation is accurate in short gaps only.
     gaps = [(max(a - 1, 0), b + 1) for a, b in runs if b - a >= number.BESIDE]
     log.usable[_marked(log.q, gaps)] = False
     log.q, log.tau = log.q.copy(), log.tau.copy()
@@ -329,14 +329,14 @@ def _report_lost(log, kind, runs, severity):
 
 
 def _constant(log):
-    """Find torques that are constant, or nothing, while their joints move."""
+    """Find torques that are constant or zero while their joints move."""
     largest, spread = np.abs(log.tau).max(axis=0), np.ptp(log.tau, axis=0)
-    nothing = largest < number.NOTHING
+    is_zero = largest < number.NOTHING
     joints = np.flatnonzero(
-        ~log.still & ((spread <= number.ROUNDED * largest) | nothing)
+        ~log.still & ((spread <= number.ROUNDED * largest) | is_zero)
     )
     if joints.size:
-        values = (0.0 if nothing[j] else log.tau[0, j] for j in joints)
+        values = (0.0 if is_zero[j] else log.tau[0, j] for j in joints)
         values = " or ".join(dict.fromkeys(f"{x:.6g}" for x in values))
         log.report("constant_torque", joints, "error", values=values)
     log.usable[:, joints] = False
@@ -349,10 +349,10 @@ def _torques(log):
         if _coarse(log, j, x):
             log.usable[:, j] = False
             continue
-        bad = np.zeros(x.shape, dtype=bool)
+        faulty = np.zeros(x.shape, dtype=bool)
         if not log.held[j]:
-            bad = _dropped(log, j, x) | _outliers(log, j, x)
-        log.usable[:, j] &= ~(bad | _clipped(log, j, x, log.moving & ~bad))
+            faulty = _dropped(log, j, x) | _outliers(log, j, x)
+        log.usable[:, j] &= ~(faulty | _clipped(log, j, x, log.moving & ~faulty))
 
 
 def _coarse(log, j, x):
@@ -361,103 +361,102 @@ def _coarse(log, j, x):
     changes = step[step > 0]
     if changes.size == 0:
         return False
-    same = 1.0 - changes.size / step.size
-    # If the torque mostly stays on one quantisation level, a typical change is one
-    # step; if it is sampled so slowly that it passes several, the smallest change is. A
-    # held value is far from the next one, whatever the resolution.
-    size = np.quantile(changes, 0.5 if same >= 0.5 and not log.held[j] else 0.02)
+    repeated = 1.0 - changes.size / step.size
+    # The quantisation step is the median change if the torque mostly stays on one
+    # level, and the smallest change if it passes several levels per sample or is held.
+    size = np.quantile(changes, 0.5 if repeated >= 0.5 and not log.held[j] else 0.02)
     spread = max(x[log.moving].std(), np.finfo(float).tiny)
     if size / np.sqrt(12) < number.COARSE * spread:
         return False
-    # A smaller error is noise, which the noise floor of the joint contains.
+    # Small quantisation errors are part of the joint's noise floor.
     severity = "warning" if np.ptp(x) < number.LEVELS * size else "note"
     log.report("coarse_torque", j, severity, step=size, spread=spread)
     return True
 
 
 def _dropped(log, j, x):
-    """Find torques that keep a value while their joint moves, as lost readings do."""
+    """Find torques that are constant while their joint moves (lost readings)."""
     step = np.abs(log.steps(x))
     repeats = (step == 0) & ~log.first
-    usual = np.median(step[step > 0]) if step.any() else 0.0
-    least = max(number.DROPOUT_STEP * usual, number.LEAST_DROPOUT * x.std())
-    jumps, long, short = np.r_[step > least, False], [], []
+    typical = np.median(step[step > 0]) if step.any() else 0.0
+    required = max(number.DROPOUT_STEP * typical, number.LEAST_DROPOUT * x.std())
+    jumps, long, short = np.r_[step > required, False], [], []
     for a, b in log.runs(repeats & log.moves(log.q[:, [j]])):
-        # Those at an end are of a limit; torques that pass zero slowly stay there, but
-        # do not jump there and back.
+        # Runs at an extreme value are a limit. Short runs must begin and end with a
+        # jump, as torques also stay at zero if they pass it slowly.
         if b - a + 2 >= number.STUCK_RUN and x[b] not in (x.min(), x.max()):
-            # The value that a joint had at rest may arrive late.
+            # The last value of a joint at rest may be logged with a delay.
             if not repeats[a - 1] or (b - a + 2) * log.dt > number.ARRIVES:
                 long.append((a - 1, b))
         elif b > a and jumps[a - 1] and jumps[b + 1]:
             short.append((a - 1, b))
-    # With the pauses between.
-    whole = log.runs(repeats)
-    long = [(a - 1, b) for a, b in whole if any(a <= k <= b for _, k in long)]
-    found = sorted(long + short * (len(short) >= number.DROPOUT_RUNS))
-    bad = _marked(x, found)
-    # What repeats itself everywhere is coarse.
-    if not found or repeats[~bad].mean() > number.STUCK_REPEATS:
-        return np.zeros_like(bad)
-    # Adding zero leaves no minus before it.
-    level = x[found[0][0]] + 0.0
-    log.report("torque_dropouts", j, "warning", found, level=level)
-    return bad
+    # Include the pauses of the joint.
+    all_runs = log.runs(repeats)
+    long = [(a - 1, b) for a, b in all_runs if any(a <= k <= b for _, k in long)]
+    dropouts = sorted(long + short * (len(short) >= number.DROPOUT_RUNS))
+    faulty = _marked(x, dropouts)
+    # A torque that often repeats its value is coarse.
+    if not dropouts or repeats[~faulty].mean() > number.STUCK_REPEATS:
+        return np.zeros_like(faulty)
+    # Adding zero turns -0.0 into 0.0.
+    level = x[dropouts[0][0]] + 0.0
+    log.report("torque_dropouts", j, "warning", dropouts, level=level)
+    return faulty
 
 
 def _outliers(log, j, x):
-    """Find single torques that the rows around contradict."""
-    # A median keeps the steps of friction at reversals.
-    around = scipy.ndimage.median_filter(x, number.MEDIAN)
-    left = np.abs(x - around)
-    usual = number.OUTLIER * np.quantile(left, 0.9) / 1.645
-    bad = left > max(usual, number.WORST * around.std())
-    # Others are noise that the fit averages.
-    size = np.sqrt(np.mean(left**2 * bad))
-    if size < number.WORST * around.std() or bad.mean() > number.STUCK_REPEATS:
-        return np.zeros_like(bad)
-    log.report("torque_outliers", j, "warning", log.runs(bad))
-    return bad
+    """Find single torques that deviate from their neighbours."""
+    # A median filter preserves the steps of friction at reversals.
+    smoothed = scipy.ndimage.median_filter(x, number.MEDIAN)
+    deviation = np.abs(x - smoothed)
+    threshold = number.OUTLIER * np.quantile(deviation, 0.9) / 1.645
+    outliers = deviation > max(threshold, number.WORST * smoothed.std())
+    # Smaller or more frequent deviations are noise.
+    size = np.sqrt(np.mean(deviation**2 * outliers))
+    if size < number.WORST * smoothed.std() or outliers.mean() > number.STUCK_REPEATS:
+        return np.zeros_like(outliers)
+    log.report("torque_outliers", j, "warning", log.runs(outliers))
+    return outliers
 
 
 def _clipped(log, j, x, moving):
-    """Find plateaus at the highest or the lowest torque."""
-    bad, ends, same = [], [], log.steps(x) == 0
+    """Find plateaus at the highest or lowest torque."""
+    plateaus, limits, repeats = [], [], log.steps(x) == 0
     width = number.PLATEAU * np.ptp(x)
-    # Torques that go in steps, with noise, have many values at few levels.
+    # Quantised torques with noise have many values at few levels.
     _, sizes = np.unique(np.floor(x / width), return_counts=True)
-    # If a torque seldom repeats a value, one plateau is proof enough; if it often does,
-    # it stays at a limit for longer than elsewhere.
-    rare, between = same.mean() < 0.25, np.minimum(x.max() - x, x - x.min()) > width
-    usual = max((b - a + 2 for a, b in log.runs(same & moving & between)), default=0)
-    # No drive has the limit zero: these are sizes, or readings that were lost.
+    # If a torque rarely repeats a value, one plateau is sufficient; otherwise plateaus
+    # must be longer at the limit than elsewhere.
+    rare, between = repeats.mean() < 0.25, np.minimum(x.max() - x, x - x.min()) > width
+    usual = max((b - a + 2 for a, b in log.runs(repeats & moving & between)), default=0)
+    # Zero is no limit of a drive: absolute values, or lost readings.
     for level in {x.max(), x.min()} - {0.0}:
-        away = np.abs(x - level)
-        inside = (away <= width) & moving
-        runs = [x for x in log.runs(inside) if x[1] - x[0] + 1 >= number.PLATEAU_RUN]
-        most = max((b - a + 1 for a, b in runs), default=0)
-        near = ((away > width) & (away <= 6 * width) & moving).sum() / 5
-        dense = inside.sum() >= number.DENSITY * max(near, 0.5)
-        longer = inside.sum() >= np.quantile(sizes, 0.75) if rare else most >= 5 * usual
-        exact = (x[_marked(x, runs)] == level).all() and most >= number.LONG_PLATEAU
+        distance = np.abs(x - level)
+        close = (distance <= width) & moving
+        runs = [x for x in log.runs(close) if x[1] - x[0] + 1 >= number.PLATEAU_RUN]
+        span = max((b - a + 1 for a, b in runs), default=0)
+        near = ((distance > width) & (distance <= 6 * width) & moving).sum() / 5
+        dense = close.sum() >= number.DENSITY * max(near, 0.5)
+        longer = close.sum() >= np.quantile(sizes, 0.75) if rare else span >= 5 * usual
+        exact = (x[_marked(x, runs)] == level).all() and span >= number.LONG_PLATEAU
         if dense and longer and (len(runs) >= number.PLATEAU_RUNS or (rare and exact)):
-            ends.append(level)
-            bad += runs
-    found = _marked(x, bad)
-    if ends:
-        where = " and ".join(f"{level:.4g}" for level in sorted(ends))
-        if len(ends) == 2 and np.isclose(ends[0], -ends[1], rtol=number.PLATEAU):
-            where = f"+-{max(ends):.4g}"
-        severity = "warning" if found.mean() > number.MANY_CLIPPED else "note"
-        log.report("clipped_torque", j, severity, sorted(bad), where=where)
-    return found
+            limits.append(level)
+            plateaus += runs
+    clipped = _marked(x, plateaus)
+    if limits:
+        where = " and ".join(f"{level:.4g}" for level in sorted(limits))
+        if len(limits) == 2 and np.isclose(limits[0], -limits[1], rtol=number.PLATEAU):
+            where = f"+-{max(limits):.4g}"
+        severity = "warning" if clipped.mean() > number.MANY_CLIPPED else "note"
+        log.report("clipped_torque", j, severity, sorted(plateaus), where=where)
+    return clipped
 
 
 # -- positions -------------------------------------------------------------------------
 
 
 def _positions(log):
-    """Find positions that are stuck, or jump."""
+    """Find positions that are stuck or jump."""
     stands = _stands(log) if log.every == 1 else None
     for j in np.flatnonzero(~log.still):
         if stands is not None:
@@ -468,17 +467,17 @@ def _positions(log):
 
 
 def _stands(log):
-    """Mark rows (n, nv) in which a position keeps its value, but for some noise."""
+    """Mark rows (n, nv) in which a position is constant up to noise."""
     width = number.LEAST_STOP
-    kept = np.zeros(log.q.shape, dtype=bool)
+    stopped = np.zeros(log.q.shape, dtype=bool)
     for part in log.parts:
         x = log.q[part]
         high = scipy.ndimage.maximum_filter1d(x, width, axis=0)
         travel = high - scipy.ndimage.minimum_filter1d(x, width, axis=0)
         inside = travel <= number.STANDS * np.quantile(travel, 0.99, axis=0)
-        # All rows of the windows in which it does.
-        kept[part] = scipy.ndimage.maximum_filter1d(inside, width, axis=0, origin=-1)
-    return kept
+        # Mark all rows of these windows.
+        stopped[part] = scipy.ndimage.maximum_filter1d(inside, width, axis=0, origin=-1)
+    return stopped
 
 
 def _stuck(log, j, stands):
@@ -488,50 +487,50 @@ def _stuck(log, j, stands):
     change = np.abs(np.diff(step))[moves[1:] & moves[:-1]]
     if not change.size:
         return _marked(x, [])
-    usual = number.SUDDEN * np.quantile(change, number.USUAL)
-    fast, found, stops = max(usual, 0.5 * np.median(speed[moves])), [], False
-    # Third differences are those of the noise. Of a noise that is far above the
-    # resolution no value comes twice, at rest or not.
+    threshold = number.SUDDEN * np.quantile(change, number.USUAL)
+    fast, stuck, sudden_stop = max(threshold, 0.5 * np.median(speed[moves])), [], False
+    # Third differences estimate the noise. If it is far above the resolution, values
+    # rarely repeat, even at rest.
     noise = np.median(np.abs(np.diff(x, n=3, prepend=x[:3]))[moves])
     noisy = noise > number.NOISY * speed[speed > 0].min()
-    same, others = (step == 0) & ~log.first, ~log.still
-    others[j], repeats = False, same.sum()
+    repeats, others = (step == 0) & ~log.first, ~log.still
+    others[j], n_repeats = False, repeats.sum()
     for a, b in log.runs(stands[:, j]):
         if b - a <= number.LEAST_STOP:
             continue
-        inside = log.parts[log.label[a]]
-        ends = speed[max(a - 1, inside.start) : a + 1], speed[b + 1 : inside.stop][:2]
+        part = log.parts[log.label[a]]
+        ends = speed[max(a - 1, part.start) : a + 1], speed[b + 1 : part.stop][:2]
         sudden = np.concatenate(ends).max(initial=0.0) > fast
-        # When several joints stop together, the robot paused.
+        # If all joints stop together, the robot pauses.
         pauses = stands[a + 3 : b - 1, others].all(axis=0).any()
-        rest = repeats - same[a : b + 1].sum()
-        dead = noisy and b - a > number.DEAD_RUN and rest < number.SELDOM * len(x)
-        dead = dead and same[a : b + 1].mean() > number.EXACT
+        elsewhere = n_repeats - repeats[a : b + 1].sum()
+        dead = noisy and b - a > number.DEAD_RUN and elsewhere < number.SELDOM * len(x)
+        dead = dead and repeats[a : b + 1].mean() > number.EXACT
         if (sudden or dead) and not pauses:
-            found.append((a, b))
-            stops = stops or sudden
-    if found:
-        level = x[max(found, key=lambda run: run[1] - run[0])[0]]
-        severity = "error" if stops else "warning"
-        if _marked(x, found).mean() <= number.STUCK_SHARE:
+            stuck.append((a, b))
+            sudden_stop = sudden_stop or sudden
+    if stuck:
+        level = x[max(stuck, key=lambda run: run[1] - run[0])[0]]
+        severity = "error" if sudden_stop else "warning"
+        if _marked(x, stuck).mean() <= number.STUCK_SHARE:
             severity = "note"
-        log.report("stuck_position", j, severity, found, level=level)
-    return _marked(x, [(a, min(b + 1, len(x) - 1)) for a, b in found])
+        log.report("stuck_position", j, severity, stuck, level=level)
+    return _marked(x, [(a, min(b + 1, len(x) - 1)) for a, b in stuck])
 
 
 def disorder(names, q, parts):
-    """Find rows of positions (n, nv) out of order, or else borders of recordings."""
-    found = []
-    # The samples of a signal are next to each other.
+    """Find positions (n, nv) out of time order, or else jumps between recordings."""
+    jumps = []
+    # Column-major order, since signals are processed one by one.
     q = np.asfortranarray(q)
     for j, x in enumerate(q.T):
-        found += _jumping(names, j, x, _jumps(x, parts), range(len(q)))
-    borders = [one for one in found if one.severity == "warning"]
+        jumps += _jumping(names, j, x, _jumps(x, parts), range(len(q)))
+    borders = [x for x in jumps if x.severity == "warning"]
     return shuffled_rows(names, q, parts) or borders
 
 
 def _jumps(x, parts):
-    """Rows after steps of a position that its neighbours contradict."""
+    """Return the rows after steps of a position that its neighbours contradict."""
     jumps, least = [], number.LEAST_JUMP * np.ptp(x)
     for part in parts:
         step = np.diff(x[part])
@@ -539,21 +538,21 @@ def _jumps(x, parts):
         bends = np.abs(np.diff(step)).max(initial=0.0)
         if step.size < number.FEWEST_AROUND or bends <= 0.4 * least:
             continue
-        # The next steps are left out: an interpolated jump takes two of them.
-        near = [step[:-6], step[1:-5], step[2:-4], step[4:-2], step[5:-1], step[6:]]
-        usual = np.median(near, axis=0)
-        over = np.abs(step[3:-3] - usual)
-        # The quantile keeps the scale above zero if the joint stands.
-        middle, high = np.quantile(over, [0.5, 0.9])
+        # Adjacent steps are left out, since an interpolated jump takes two.
+        nearby = [step[:-6], step[1:-5], step[2:-4], step[4:-2], step[5:-1], step[6:]]
+        expected = np.median(nearby, axis=0)
+        excess = np.abs(step[3:-3] - expected)
+        # The quantile keeps the scale positive if the joint rests most of the time.
+        middle, high = np.quantile(excess, [0.5, 0.9])
         scale = max(middle / 0.6745, high / 1.645, np.finfo(float).tiny)
-        far = (over > number.OUTLIER * scale) & (over > least)
-        far &= over > 2.5 * np.abs(usual)
-        jumps += list(part.start + 4 + np.flatnonzero(far))
+        is_jump = (excess > number.OUTLIER * scale) & (excess > least)
+        is_jump &= excess > 2.5 * np.abs(expected)
+        jumps += list(part.start + 4 + np.flatnonzero(is_jump))
     return jumps if len(jumps) <= number.MOST_OUTLIERS * x.size else []
 
 
 def _jumping(names, j, x, jumps, rows):
-    """Return the finding on jumps of a position at some rows, in a list."""
+    """Return the finding on jumps of a position at some rows, or no finding."""
     if not jumps:
         return []
     # A single wrong sample is a jump there and back.
@@ -563,27 +562,27 @@ def _jumping(names, j, x, jumps, rows):
     return [finding("position_jumps", names, j, severity, **facts)]
 
 
-# -- channels that hold another one ----------------------------------------------------
+# -- copied channels -------------------------------------------------------------------
 
 
 def _copies(log):
-    """Find positions that equal each other, and torques but for a factor."""
-    # Joints may well be moved alike.
+    """Find equal positions, and torques that are equal up to a factor."""
+    # Positions may be proportional, as joints may have similar reference motions.
     for what, values in (("position", log.q), ("torque", log.tau)):
         share = 0 if what == "position" else number.COPY
         centred = values - values.mean(axis=0)
         square, copies = (centred**2).sum(axis=0), set()
-        varies = np.flatnonzero((np.ptp(values, axis=0) > 0) & (square > 0))
-        for k, j in combinations(varies, 2):
+        varying = np.flatnonzero((np.ptp(values, axis=0) > 0) & (square > 0))
+        for k, j in combinations(varying, 2):
             factor = centred[:, k] @ centred[:, j] / square[k] if share else 1.0
-            left = centred[:, j] - factor * centred[:, k]
-            if left @ left <= share**2 * square[j] and j not in copies:
+            residual = centred[:, j] - factor * centred[:, k]
+            if residual @ residual <= share**2 * square[j] and j not in copies:
                 copies.add(j)
                 facts = {"first": log.names[k], "second": log.names[j], "what": what}
                 log.report(f"copied_{what}", [k, j], "error", factor=factor, **facts)
 
 
-# Each reports what it finds; later checks leave out samples that it marks.
+# Each check reports findings and marks samples as unusable for the later ones.
 CHECKS = (
     _wraps,
     _rest,

@@ -1,12 +1,12 @@
-"""The sentences of all findings, by kind."""
+"""Messages of all findings, by kind."""
 
 import numpy as np
 
 from sklearn_vbjfa.recording import ChannelFinding, listed_joints
 
-# {who}: the joints by name; {names}: all of them; {evidence}: log odds against the log
-# as it is, and the factor by which squared torque errors fall. A colon separates a kind
-# from its variant.
+# {who}: names of the joints concerned; {names}: of all; {evidence}: log odds against
+# the unchanged log, and the factor by which squared torque errors fall. A colon
+# separates a kind from its variant.
 _HELD = (
     "The {what} of {who} has a new value only every {k} rows: it is late by {late:.3g} "
     "ms and goes in steps. Keep one row for each new {what} (dt={dt:.6g})."
@@ -181,8 +181,8 @@ SENTENCES = {
 def finding(
     kind, names, joints, severity, *, value=np.nan, remedy=None, rivals=(), **facts
 ):
-    """Return a finding on some joints, in the words of its kind."""
-    # kind: with a variant, if it has some; rivals: kinds that are nearly as probable.
+    """Return a finding on some joints, with the message of its kind."""
+    # kind: with its variant, if any; rivals: kinds that are nearly as probable.
     joints = tuple(int(j) for j in np.atleast_1d(joints))
     facts = {"who": listed_joints(names, joints), "names": ", ".join(names)} | facts
     message = SENTENCES[kind].format(**facts)

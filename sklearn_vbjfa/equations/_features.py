@@ -244,7 +244,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         own = np.arange(self.n_joints_)
         self._body_places = np.ascontiguousarray(places[:, :, :10])
         # Entries of friction among those of `support_`, (nv, n_friction).
-        self.declared_places_ = places[own, own, 10:]
+        self.declared_indices_ = places[own, own, 10:]
 
     def _check_width(self, X):
         nv = self.n_joints_
@@ -296,7 +296,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
             out = np.empty((X.shape[0], self.n_entries_))
         self._regressor.entries(X, self._body_places, out)
         declared = self.declared(X, rest) if declared is None else declared
-        out[:, self.declared_places_.ravel()] = declared.reshape(len(out), -1)
+        out[:, self.declared_indices_.ravel()] = declared.reshape(len(out), -1)
         return out
 
     def last_body(self, X):

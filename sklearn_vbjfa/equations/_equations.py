@@ -424,7 +424,7 @@ class Segment:
             numbering and numbering.parts(self.number, outputs),
             numbering and numbering.recording(self.number),
             noise=self.halves is not None,
-            feedback_difference=self._feedback_difference(lowpass, window),
+            drive_noise=self._drive_noise(lowpass, window),
         )
         for first, rows, difference in self._filtered(lowpass, window, outputs):
             sums.add(first, rows, difference)
@@ -442,7 +442,7 @@ class Segment:
         ranges = SignalRanges.of([q, np.abs(v), directions], weight > 0)
         return span, tau, weight, ranges
 
-    def _feedback_difference(self, lowpass, span):
+    def _drive_noise(self, lowpass, span):
         """Torque of a drive from the even samples minus that from the odd samples."""
         if self.halves is None or self.feedback is None:
             return None
@@ -585,7 +585,7 @@ def equations(segments, lowpass):
     """Return the `Equations` of the segments that are as long as the filter."""
     segments = [x for x in segments if lowpass.centres(x.n_rows).size]
     edges = np.cumsum([0, *(lowpass.centres(x.n_rows).size for x in segments)])
-    # Parameters first: untouched zeros, most entries of many joints, take no memory.
+    # Parameters first: with many joints most entries are zero, and take no memory.
     shape = segments[0]._regressors[0].support.shape
     entries = np.zeros((shape[0] * shape[1], edges[-1]))
     results = [

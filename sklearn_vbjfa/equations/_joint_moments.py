@@ -11,13 +11,13 @@ from sklearn_vbjfa._core._linear_systems import block_variance, branches
 from sklearn_vbjfa._core._moments import Scatter
 from sklearn_vbjfa.equations._ranges import SignalRanges, sum_ranges
 
-# Number of blocks over all recordings of a fit, and the fewest rows per block: 2.5
-# periods of the cut-off.
+# Number of blocks over all recordings of a fit, and fewest rows per block, which are
+# 2.5 periods of the cut-off.
 _BLOCKS = 40
 _FEWEST_ROWS = 10
-# Stretches of a single recording that may differ as recordings do, each of them long.
+# Stretches of a single recording that are compared as separate recordings.
 _STRETCHES = 4
-# Parts of blocks that are kept before parts of the same block are merged.
+# Largest number of parts of blocks before parts of the same block are merged.
 _MOST_PARTS = 4 * _BLOCKS
 
 
@@ -27,9 +27,9 @@ class BlockAssignment:
 
     rows: int  # per block
     together: int = 1  # recordings per block, if there are more recordings than blocks
-    # (n, 2) of each recording: block of each row, where these are phases of a motion
+    # (n, 2) of each recording: block of each row, if blocks are phases of a motion
     keys: list | None = None
-    # recordings whose moments are kept as those of one; None of a single recording
+    # recordings per group whose moments are kept together; None for one recording
     several: int | None = None
 
     @classmethod
@@ -44,18 +44,17 @@ class BlockAssignment:
             )
         motion, phase = np.unique(phases[0], return_inverse=True)[1], phases[1].copy()
         spans = []
-        for own in (motion == k for k in range(motion.max() + 1)):
-            phase[own] -= phase[own].min()
-            spans.append(int(phase[own].max()) + 1)
-        made = cls.of(spans)
-        number = (phase // made.rows).astype(int) if made.together == 1 else 0 * motion
-        keys = np.column_stack([motion // made.together, number])
+        for mask in (motion == k for k in range(motion.max() + 1)):
+            phase[mask] -= phase[mask].min()
+            spans.append(int(phase[mask].max()) + 1)
+        base = cls.of(spans)
+        number = (phase // base.rows).astype(int) if base.together == 1 else 0 * motion
+        keys = np.column_stack([motion // base.together, number])
         keys = np.split(keys, np.cumsum(lengths)[:-1])
-        return replace(made, keys=keys, several=several)
+        return replace(base, keys=keys, several=several)
 
     def recording(self, number):
-        """Key of a recording, given by its number, among several; None of one alone."""
-        # Group of recordings that it is kept in, and how many are in one.
+        """Return the group of a recording and the group size; None for a single one."""
         if self.several is None:
             return None
         return number // self.several, self.several
@@ -64,10 +63,10 @@ class BlockAssignment:
         # Returns keys (n_parts, 2), recording and block number of each part, and starts
         # (n_parts,), the first row of each part within the slice.
         if self.keys is not None:
-            own = self.keys[recording][rows]
-            new = (np.diff(own, axis=0) != 0).any(axis=1)
-            starts = np.flatnonzero(np.r_[True, new])
-            return own[starts], starts
+            keys = self.keys[recording][rows]
+            changes = (np.diff(keys, axis=0) != 0).any(axis=1)
+            starts = np.flatnonzero(np.r_[True, changes])
+            return keys[starts], starts
         if self.together > 1:
             return np.array([[recording // self.together, 0]]), np.zeros(1, dtype=int)
         numbers = np.arange(rows.start // self.rows, -(-rows.stop // self.rows))
@@ -90,78 +89,78 @@ def _merge_blocks(first, second):
     """Merge tuples of BlockMoments of disjoint rows; None if either is None."""
     if first is None or second is None:
         return None
-    both = first + second
-    if sum(moments.keys.shape[0] for moments in both) > _MOST_PARTS:
-        return (_join(both),)
-    return both
+    parts = first + second
+    if sum(moments.keys.shape[0] for moments in parts) > _MOST_PARTS:
+        return (_join(parts),)
+    return parts
 
 
-def _join(several):
-    """Sum `BlockMoments` of one robot by their keys."""
-    keys = np.concatenate([moments.keys for moments in several])
-    unique, at = np.unique(keys, axis=0, return_inverse=True)
-    if len(several) == 1 and np.array_equal(unique, keys):
-        return several[0]
+def _join(parts):
+    """Sum `BlockMoments` of one robot by key."""
+    keys = np.concatenate([moments.keys for moments in parts])
+    unique, index = np.unique(keys, axis=0, return_inverse=True)
+    if len(parts) == 1 and np.array_equal(unique, keys):
+        return parts[0]
 
-    def summed(parts):
-        out = np.zeros((len(unique), *parts[0].shape[1:]))
-        for k, own in zip(at.ravel(), itertools.chain(*parts)):
-            out[k] += own
+    def summed(arrays):
+        out = np.zeros((len(unique), *arrays[0].shape[1:]))
+        for k, values in zip(index.ravel(), itertools.chain(*arrays)):
+            out[k] += values
         return out
 
     return BlockMoments(
         keys=unique,
-        n=summed([moments.n for moments in several]),
-        columns=several[0].columns,
-        G=tuple(map(summed, zip(*[moments.G for moments in several]))),
-        g=tuple(map(summed, zip(*[moments.g for moments in several]))),
+        n=summed([moments.n for moments in parts]),
+        columns=parts[0].columns,
+        G=tuple(map(summed, zip(*[moments.G for moments in parts]))),
+        g=tuple(map(summed, zip(*[moments.g for moments in parts]))),
     )
 
 
 def block_scatter(stats, weight, theta):
     """Compare an estimate's scatter between blocks with that of white residuals."""
     # weight (nv,): weights of the joints; theta (p,): estimate. Entries that are zero
-    # in the total moments count as zero in the blocks. Returns a `BlockVariance`.
+    # in the total moments are set to zero in the blocks. Returns a `BlockVariance`.
     blocks = _join(stats.blocks)
-    found, scores = _weighted_parts(stats, blocks, weight, theta)
+    grams, scores = _weighted_parts(stats, blocks, weight, theta)
     squares = stats.yy - 2 * stats.g @ theta + stats.products(theta) @ theta
     noise = weight @ np.maximum(squares, 0.0) / stats.n[weight > 0].sum()
-    return block_variance(found, scores, blocks.keys, float(noise))
+    return block_variance(grams, scores, blocks.keys, float(noise))
 
 
 def weighted_parts(stats, parts, weight, theta):
     """Keys (n, 2), weighted Gram matrices (n, p, p), scores (n, p) of joined parts."""
     joined = _join(parts)
-    found, scores = _weighted_parts(stats, joined, weight, theta)
-    whole = np.zeros((*scores.shape, theta.size))
-    for columns, grams in found:
-        whole[:, columns[:, None], columns] = grams
-    return joined.keys, whole, scores
+    branch_grams, scores = _weighted_parts(stats, joined, weight, theta)
+    total = np.zeros((*scores.shape, theta.size))
+    for columns, grams in branch_grams:
+        total[:, columns[:, None], columns] = grams
+    return joined.keys, total, scores
 
 
 def _weighted_parts(stats, blocks, weight, theta):
     """Weighted Gram matrices (n, k, k) and scores (n, p) of `BlockMoments`."""
-    # The former for each branch, joints that share columns, with these (k,).
+    # Gram matrices by branch (joints that share columns), each with its columns (k,).
     count = blocks.keys.shape[0]
     scores = np.zeros((count, theta.size))
-    # The scores do not sum to zero with input noise or a prior: shared by all rows.
+    # With input noise or a prior scores do not sum to zero: subtract the mean.
     excess = weight[:, None] * (stats.g - stats.products(theta))
     excess /= np.where(stats.n > 0, stats.n, 1.0)[:, None]
     scores -= blocks.n @ excess
-    found, support = [], np.zeros(stats.g.shape, dtype=bool)
+    branch_grams, support = [], np.zeros(stats.g.shape, dtype=bool)
     for j in np.flatnonzero(weight):
         support[j, stats.parts[j][0]] = True
     for joints, columns in branches(support):
         grams = np.zeros((count, columns.size, columns.size))
-        found.append((columns, grams))
+        branch_grams.append((columns, grams))
         for j in joints:
-            own = stats.parts[j][0]
-            at, here = np.searchsorted(columns, own), own - blocks.columns[j].start
-            G = blocks.G[j][:, here[:, None], here]
+            used = stats.parts[j][0]
+            at, cols = np.searchsorted(columns, used), used - blocks.columns[j].start
+            G = blocks.G[j][:, cols[:, None], cols]
             grams[:, at[:, None], at] += weight[j] * G
-            left = blocks.g[j][:, here] - G @ theta[own]
-            scores[:, own] += weight[j] * left
-    return found, scores
+            score = blocks.g[j][:, cols] - G @ theta[used]
+            scores[:, used] += weight[j] * score
+    return branch_grams, scores
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,20 +169,20 @@ class JointMoments:
 
     n: np.ndarray  # (nv,): sum of the weights of the joint's rows
     n_rows: np.ndarray  # (nv,): number of the joint's rows with positive weight
-    # sums of w phi phi' over the rows phi of each joint's regressor, nv pairs: range of
-    # its columns and matrix of these, as whole ones are mostly zeros with many joints
+    # sums of w phi phi' over the rows phi of each joint's regressor: nv pairs of column
+    # range and matrix of these columns (with many joints, full ones are mostly zero)
     G: tuple
     g: np.ndarray  # (nv, p): sum of w phi tau
     yy: np.ndarray  # (nv,): sum of w tau^2
     noise: tuple | None = None  # contribution of input noise to G, if measured
-    # (nv, p) or None: contribution to g of noise that inputs and torques have in common
+    # (nv, p) or None: contribution to g of noise common to inputs and torques
     in_common: np.ndarray | None = None
     # G and g by blocks of time, if the time order of the rows is known
     blocks: tuple | None = None
-    # the same by recordings, see `BlockAssignment.recording`, if there are several
+    # G and g by recordings, see `BlockAssignment.recording`, if there are several
     recordings: tuple | None = None
-    # ranges of positions, speeds and directions in the joint's rows with weight, where
-    # the states are known
+    # ranges of positions, speeds and directions in the joint's rows with positive
+    # weight, if the states are known
     ranges: SignalRanges | None = None
 
     def in_stretches(self):
@@ -192,11 +191,11 @@ class JointMoments:
         blocks = _join(self.blocks)
         count = len(blocks.keys)
         stretch = _STRETCHES * np.arange(count) // max(count, 1)
-        # as recordings are kept, each by itself
+        # each stretch is a group of one recording
         keys = np.column_stack([stretch, np.ones_like(stretch)])
-        own = (_join((replace(blocks, keys=keys),)),)
+        recordings = (_join((replace(blocks, keys=keys),)),)
         few = count < 2 * _STRETCHES
-        return replace(self, blocks=None, recordings=None if few else own)
+        return replace(self, blocks=None, recordings=None if few else recordings)
 
     def zeroed(self, entries):
         """Return the moments with regressor entries (nv, p), bool, set to zero."""
@@ -209,20 +208,20 @@ class JointMoments:
 
     @functools.cached_property
     def parts(self):
-        """Columns that are not zero in the rows of each joint, and their moments."""
-        # A joint has rows of the bodies that it moves alone.
+        """Nonzero columns of each joint, and their moments."""
+        # Rows of a joint are nonzero only for the bodies that it moves.
         return _parts_of(self.G)
 
     @functools.cached_property
     def noise_parts(self):
-        """The same of the input noise; None if it is not measured."""
+        """Like `parts`, for the input noise; None if it is not measured."""
         return None if self.noise is None else _parts_of(self.noise)
 
     def products(self, theta):
         """Products of the moments of each joint with parameters (p,), (nv, p)."""
         out = np.zeros(self.g.shape)
-        for row, (own, moments) in zip(out, self.parts):
-            row[own] = moments @ theta[own]
+        for row, (columns, moments) in zip(out, self.parts):
+            row[columns] = moments @ theta[columns]
         return out
 
     def gram(self, weight):
@@ -236,20 +235,20 @@ class JointMoments:
         return np.maximum(squares, 1e-13 * self.yy)
 
     def split_residual(self, theta):
-        """Split residuals into input noise and the rest, deviations (nv,) each."""
-        # The first is the input noise through the parameters; the second is nan for a
-        # joint without rows.
+        """Split residuals into input noise and remainder, standard deviations (nv,)."""
+        # The first is the input noise propagated by the parameters. The second is nan
+        # for a joint without rows.
         n = np.where(self.n > 0, self.n, np.nan)
-        through = np.zeros(n.size)
+        propagated = np.zeros(n.size)
         if self.noise is not None:
-            through = squares_of(self.noise_parts, theta) / n
-            through = np.maximum(through, 0.0)  # rounding
-        rest = self.residual_squares(theta) / n - through
-        return np.sqrt(through), np.sqrt(np.maximum(rest, 0.0))
+            propagated = squares_of(self.noise_parts, theta) / n
+            propagated = np.maximum(propagated, 0.0)  # rounding
+        rest = self.residual_squares(theta) / n - propagated
+        return np.sqrt(propagated), np.sqrt(np.maximum(rest, 0.0))
 
     def total(self, weight):
         """Return the `Scatter` of all joints' rows, with weights (nv,)."""
-        # Without what noise in common adds to the products of inputs and torques.
+        # Remove the contribution of common noise to the products of input and torque.
         g = self.g if self.in_common is None else self.g - self.in_common
         return Scatter(
             n_samples=float(self.n[weight > 0].sum()),
@@ -267,48 +266,48 @@ class JointMoments:
 
 
 def _parts_of(matrices):
-    """Columns that are not zero in matrices of ranges, and these without the others."""
-    found = []
-    for columns, one in matrices:
-        own = np.flatnonzero(one.diagonal())
-        found.append((columns.start + own, one[np.ix_(own, own)]))
-    return found
+    """Return the nonzero columns of each matrix, and its submatrix of these."""
+    parts = []
+    for columns, matrix in matrices:
+        nonzero = np.flatnonzero(matrix.diagonal())
+        parts.append((columns.start + nonzero, matrix[np.ix_(nonzero, nonzero)]))
+    return parts
 
 
 def _summed(parts, weight, p):
-    """Sum matrices by their parts with weights (nv,), (p, p)."""
+    """Sum the matrices of `_parts_of` with weights (nv,), (p, p)."""
     out = np.zeros((p, p))
-    for factor, (own, one) in zip(weight, parts):
-        out[np.ix_(own, own)] += factor * one
+    for factor, (columns, matrix) in zip(weight, parts):
+        out[np.ix_(columns, columns)] += factor * matrix
     return out
 
 
 def squares_of(parts, theta):
-    """Return theta' M theta of matrices by their parts, (nv,)."""
-    return np.array([theta[own] @ one @ theta[own] for own, one in parts])
+    """Return theta' M theta of the matrices of `_parts_of`, (nv,)."""
+    return np.array([theta[at] @ matrix @ theta[at] for at, matrix in parts])
 
 
 def _kept(matrices, keep):
-    """Return matrices of ranges whose other rows and columns than `keep` are zero."""
+    """Set rows and columns outside `keep` (nv, p) to zero in matrices of ranges."""
     pairs = zip(keep, matrices)
-    return tuple((at, one * np.outer(own[at], own[at])) for own, (at, one) in pairs)
+    return tuple((at, G * np.outer(mask[at], mask[at])) for mask, (at, G) in pairs)
 
 
 def piece_moments(Phi, tau, weight):
     """Moments of rows Phi (n, nv, p), tau (n, nv) with weights (n, nv)."""
     n, nv, p = Phi.shape
-    every = joint_entries(np.ones((nv, p), dtype=bool), np.arange(nv * p))
-    sums = MomentSums(every, p, tau, weight)
+    entries = joint_entries(np.ones((nv, p), dtype=bool), np.arange(nv * p))
+    sums = MomentSums(entries, p, tau, weight)
     sums.add(0, Phi.reshape(n, -1).copy())
     return sums.moments()
 
 
 class MomentSums:
-    """Moments of a piece, whose rows come block by block and are not kept."""
+    """Accumulate the moments of a piece from its rows, block by block."""
 
-    # entries: of `joint_entries`, those that are zero in every motion are nowhere;
-    # parts, recording: see `BlockAssignment`; apart (n, nv): torque of the even samples
-    # minus that of the odd ones, of a drive that makes it of positions.
+    # entries: of `joint_entries`, without entries that are zero in every motion; parts,
+    # recording: see `BlockAssignment`; drive_noise (n, nv): torque of a drive
+    # with position feedback, from the even samples minus that from the odd ones.
 
     def __init__(
         self,
@@ -320,7 +319,7 @@ class MomentSums:
         recording=None,
         *,
         noise=False,
-        apart=None,
+        drive_noise=None,
     ):
         self._entries, self._tau, self._weight = entries, tau, weight
         self._ranges = tuple(_range(columns) for _, columns in entries)
@@ -331,66 +330,65 @@ class MomentSums:
         self._G = [np.zeros((starts.size, k, k)) for k in widths]
         self._g = [np.zeros((starts.size, k)) for k in widths]
         self._noise = [np.zeros((1, k, k)) for k in widths] if noise else None
-        self._apart = apart if noise else None
+        self._drive_noise = drive_noise if noise else None
         self._common = [np.zeros((1, k)) for k in widths]
-        # Where rows have one weight, or none, they need not be multiplied with it.
+        # If all nonzero weights of a joint are equal, sums are multiplied, not rows.
         highest, self._out = weight.max(axis=0, initial=0.0), weight == 0
-        alike = ((weight == highest) | self._out).all(axis=0)
-        self._factors = np.where(alike, highest, np.nan).tolist()
+        uniform = ((weight == highest) | self._out).all(axis=0)
+        self._factors = np.where(uniform, highest, np.nan).tolist()
         self._gaps = self._out.any(axis=0).tolist()
 
     def add(self, first, rows, difference=None):
         """Add entries (n, n_entries) of rows from the piece's row `first` on."""
-        # Rows that do not count are set to zero. difference: of two regressors from
-        # separate halves of the samples; it has the noise of both, their mean a quarter
-        # of its square.
+        # Rows without weight are set to zero. difference: of the regressors from the
+        # two halves of the samples; a quarter of its square is the noise of their mean.
         stop = first + rows.shape[0]
         for i, (start, end) in enumerate(zip(self._starts.tolist(), self._ends)):
-            own = slice(max(start, first), min(end, stop))
-            if own.start < own.stop:
-                here = slice(own.start - first, own.stop - first)
-                apart = None if difference is None else difference[here]
-                self._add(i, own, rows[here], apart)
+            span = slice(max(start, first), min(end, stop))
+            if span.start < span.stop:
+                local = slice(span.start - first, span.stop - first)
+                noise = None if difference is None else difference[local]
+                self._add(i, span, rows[local], noise)
 
-    def _add(self, part, own, rows, difference):
-        for j, (where, _) in enumerate(self._entries):
+    def _add(self, part, span, rows, difference):
+        for j, (columns, _) in enumerate(self._entries):
             factor = self._factors[j]
-            values, torque = rows[:, where], self._tau[own, j]
-            apart = None if difference is None else difference[:, where]
-            also = None if self._apart is None else self._apart[own, j]
+            values, torque = rows[:, columns], self._tau[span, j]
+            noise = None if difference is None else difference[:, columns]
+            feedback = None if self._drive_noise is None else self._drive_noise[span, j]
             if not math.isnan(factor):
-                for one in (values, apart) if self._gaps[j] else ():
-                    if one is not None:
-                        one[self._out[own, j]] = 0.0
+                for array in (values, noise) if self._gaps[j] else ():
+                    if array is not None:
+                        array[self._out[span, j]] = 0.0
             else:
-                factor, root = 1.0, np.sqrt(self._weight[own, j])
+                factor, root = 1.0, np.sqrt(self._weight[span, j])
                 values, torque = values * root[:, None], torque * root
-                apart = None if apart is None else apart * root[:, None]
-                also = None if also is None else also * root
+                noise = None if noise is None else noise * root[:, None]
+                feedback = None if feedback is None else feedback * root
             self._G[j][part] += _gram(values, factor)
             self._g[j][part] += factor * (torque @ values)
-            if apart is not None:
-                self._noise[j][0] += _gram(apart, 0.25 * factor)
-                if also is not None:
-                    self._common[j][0] += 0.25 * factor * (also @ apart)
+            if noise is not None:
+                self._noise[j][0] += _gram(noise, 0.25 * factor)
+                if feedback is not None:
+                    self._common[j][0] += 0.25 * factor * (feedback @ noise)
 
     def moments(self):
         weight, tau = self._weight, self._tau
         G, g, n = self._wide(self._G), self._wide(self._g), weight.sum(axis=0)
-        total = [own.sum(axis=0) for own in G], [own.sum(axis=0) for own in g]
+        total = [x.sum(axis=0) for x in G], [x.sum(axis=0) for x in g]
         blocks = recordings = noise = common = None
         if self._keys is not None:
             by_part = np.add.reduceat(weight, self._starts, axis=0)
             blocks = _merge_blocks((), (self._parts(self._keys, by_part, G, g),))
         if self._recording is not None:
-            whole = [[own[None] for own in sums] for sums in total]
+            whole = [[x[None] for x in sums] for sums in total]
             key = np.array([self._recording])
             recordings = (self._parts(key, n[None], *whole),)
         if self._noise is not None:
-            wide = [own[0] for own in self._wide(self._noise)]
+            wide = [x[0] for x in self._wide(self._noise)]
             noise = tuple(zip(self._ranges, wide))
-        if self._apart is not None:
-            common = self._dense([own[0] for own in self._wide(self._common)])
+        if self._drive_noise is not None:
+            common = self._dense([x[0] for x in self._wide(self._common)])
         return JointMoments(
             n=n,
             n_rows=(weight > 0).sum(axis=0),
@@ -409,29 +407,29 @@ class MomentSums:
         )
 
     def _dense(self, sums):
-        """Put sums of the ranges of columns into rows of all columns, (nv, p)."""
+        """Expand sums over column ranges to rows of all columns, (nv, p)."""
         out = np.zeros((len(sums), self._p))
-        for row, part, own in zip(out, self._ranges, sums):
-            row[part] = own
+        for row, part, values in zip(out, self._ranges, sums):
+            row[part] = values
         return out
 
     def _wide(self, sums):
-        """Put sums (n, k) or (n, k, k) of entries into the ranges of their columns."""
+        """Expand sums (n, k) or (n, k, k) of entries to the ranges of their columns."""
         out = []
-        for own, (_, columns), part in zip(sums, self._entries, self._ranges):
-            width, k = part.stop - part.start, own.ndim - 1
+        for total, (_, columns), part in zip(sums, self._entries, self._ranges):
+            width, k = part.stop - part.start, total.ndim - 1
             if width > columns.size:
-                wide = np.zeros((len(own), *k * (width,)))
+                wide = np.zeros((len(total), *k * (width,)))
                 at = k * (columns - part.start,)
-                wide[np.ix_(np.arange(len(own)), *at)] = own
-                own = wide
-            out.append(own)
+                wide[np.ix_(np.arange(len(total)), *at)] = total
+                total = wide
+            out.append(total)
         return out
 
 
 def _gram(rows, factor):
-    """Matrix of products of the columns of rows (n, k), times a factor."""
-    # One array on both sides: half of the products do.
+    """Gram matrix of the columns of rows (n, k), times a factor."""
+    # With one array on both sides, BLAS computes only half of the products.
     gram = rows.T @ rows
     if factor != 1.0:
         gram *= factor
@@ -439,33 +437,33 @@ def _gram(rows, factor):
 
 
 def _range(columns):
-    """Range from the first to the last of columns (k,) in order, a slice."""
+    """Return the slice from the first to the last of sorted columns (k,)."""
     return slice(int(columns[0]), int(columns[-1]) + 1) if columns.size else slice(0, 0)
 
 
 def joint_entries(support, used):
-    """Pair for each joint the places of its entries in a row with their columns."""
-    # support (nv, p); used (n_entries,): places of entries in a flattened matrix. Those
-    # of a joint are a slice where they follow one another.
+    """Pair for each joint the positions of its entries in a row with their columns."""
+    # support (nv, p); used (n_entries,): indices of the entries in a flattened matrix.
+    # Positions are a slice if they are contiguous.
     joints, columns = np.divmod(used, support.shape[1])
-    found = []
+    pairs = []
     for j in range(support.shape[0]):
-        own = np.flatnonzero(joints == j)
-        own = own[np.argsort(columns[own])]
-        places = _range(own)
-        adjacent = places.stop - places.start == own.size
-        found.append((places if adjacent else own, columns[own]))
-    return found
+        positions = np.flatnonzero(joints == j)
+        positions = positions[np.argsort(columns[positions])]
+        span = _range(positions)
+        adjacent = span.stop - span.start == positions.size
+        pairs.append((span if adjacent else positions, columns[positions]))
+    return pairs
 
 
 def sum_moments(several):
-    """Sum of `JointMoments` of disjoint rows, or of pieces; None if there are none."""
+    """Sum `JointMoments` of disjoint rows or pieces; None if there are none."""
     total = None
     for moments in several:
         if total is None:
             total = moments
             continue
-        both = total.in_common, moments.in_common
+        common = total.in_common, moments.in_common
         total = replace(
             total,
             n=total.n + moments.n,
@@ -474,7 +472,7 @@ def sum_moments(several):
             g=total.g + moments.g,
             yy=total.yy + moments.yy,
             noise=None if total.noise is None else _added(total.noise, moments.noise),
-            in_common=None if any(x is None for x in both) else sum(both),
+            in_common=None if any(x is None for x in common) else sum(common),
             blocks=_merge_blocks(total.blocks, moments.blocks),
             recordings=_merge_blocks(total.recordings, moments.recordings),
             ranges=sum_ranges([total.ranges, moments.ranges]),
@@ -483,4 +481,4 @@ def sum_moments(several):
 
 
 def _added(total, G):
-    return tuple((part, own + other) for (part, own), (_, other) in zip(total, G))
+    return tuple((part, x + y) for (part, x), (_, y) in zip(total, G))

@@ -1,4 +1,4 @@
-"""Requirements on a recording, and choices before any equation: filter, standstill."""
+"""Requirements on a recording, and choices of its filter and standstill speeds."""
 
 import itertools
 import warnings
@@ -34,70 +34,69 @@ from sklearn_vbjfa.recording import (
 
 
 def in_parallel(function, tasks, n_jobs):
-    # Uses threads unless a `joblib.parallel_config` says otherwise: nearly all time is
-    # spent in compiled code, and nothing has to be copied. Each has one BLAS thread:
+    # Uses threads unless a `joblib.parallel_config` sets another backend: compiled code
+    # takes nearly all the time, and nothing is copied. Each has one BLAS thread:
     # matrices are small, and sums must not depend on the number of threads.
     settings = {"prefer": "threads", "return_as": "generator"}
     with one_blas_thread():
         yield from Parallel(n_jobs, **settings)(delayed(function)(*x) for x in tasks)
 
 
-# Quantile that defines a joint's top speed: the fastest, without outliers.
-_FAST = 0.995
-# Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of the
+# Quantile of the speeds that defines a joint's top speed, robust to outliers.
+_TOP_QUANTILE = 0.995
+# Parallel filtering after Gautier: the cut-off is five times the bandwidth of the
 # motion, high enough for friction at reversals, low enough to reject vibration.
 CUTOFF_PER_BANDWIDTH = 5.0
-# ... and at least this [Hz], or that share of the sampling rate: below it few robots
-# vibrate, and the friction of a slow motion that reverses is lost,
+# Lower limits of the cut-off [Hz], and in units of the sampling rate: few robots
+# vibrate below it, and friction of slow motion with reversals would be lost.
 _LOWEST_CUTOFF, _LOWEST_SHARE = 5.0, 0.3
-# ... and its length must remain a small fraction of the longest recording.
+# Fewest periods of the cut-off in the longest recording: it must exceed the filter.
 SHORTEST_CUTOFF_PERIODS = 36.0
 # Share of the states' cut-off up to which their smoother, whose gain falls with the
-# sixth power, loses less than 5 %.
-_FAITHFUL = 0.6
+# sixth power, attenuates by less than 5 %.
+_PASSBAND_SHARE = 0.6
 # Below this fraction of its top speed a joint counts as standing still: its friction
 # may then take any value inside the stiction band.
 STANDSTILL_SHARE = 0.02
-# ... and below this one of the fastest joint's, whose own speed is rounding, or if it
-# never moves by more than so many deviations of its encoder's noise.
+# A joint also stands still below the first share of the fastest joint's speed, which
+# is rounding, or if it never moves by more than so many deviations of encoder noise.
 _ROUNDING, _NOISE = 1e-9, 5.0
-# A joint that passes zero without stopping is up to that speed as long as it takes from
-# there to three times that; one that stops is longer by this factor.
-_STOPS = 1.2
+# A joint that reverses without stopping is below the standstill speed for as long as
+# between one and three times that speed; one that stops, longer by this factor.
+_STOP_RATIO = 1.2
 # Fits until the load in the effects' columns agrees with the parameters: the load is
-# mostly gravity and inertia, which a first fit without those effects gets right.
+# mostly gravity and inertia, which a first fit without those effects estimates well.
 _LOAD_PASSES = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """How a recording becomes equations."""
+    """Settings that turn a recording into equations."""
 
     dt: float | None  # [s]
-    # estimates states from positions; None if states are given
+    # estimator of states from positions; None if states are given
     state_estimator: StateEstimator | None
     cutoff: float  # of the low-pass of regressor and torques [Hz]
-    # (nv,): speeds at or below which equations are masked; none if negative
+    # (nv,): speeds at or below which equations are masked; negative masks none
     standstill: np.ndarray
     effects: tuple[Effect, ...] = ()  # effects that add columns to the regressor
     # whether the regressor accepts a measured covariance of the input noise
     corrects_noise: bool = False
-    # (nv,): whether a joint stops where it reverses: its friction there is unknown
+    # (nv,): whether a joint stops at reversals, where its friction is unknown
     stops: np.ndarray | None = None
-    # (nv,): period of a sine as fast as the motion [s], if nothing is filtered
+    # (nv,): period of a sine of the motion's top speed and acceleration [s]
     fastest_period: np.ndarray | None = None
     # first and last time of the rows [s], if effects need the clock
     time: tuple[float, float] | None = None
-    # whether effects that are in the model have the derivatives by their values for
-    # columns; they have zeros otherwise, as the model holds the values
+    # whether the columns of effects in the model (`InModel`) are derivatives by their
+    # values; zeros otherwise, as the model contains the values
     tangents: bool = False
-    # for each effect, what its motion is held within, None where nothing is held; empty
-    # for a fit
+    # for each effect, range to which its motion is clipped, or None; empty for a fit
     ranges: tuple[EffectRange | None, ...] = ()
-    # (nv,): half of the jump that an acceleration makes when its joint turns round, see
-    # `corners` [rad/s^2 or m/s^2]; None where it is not known
+    # (nv,): half of the acceleration jump when a joint reverses [rad/s^2 or m/s^2], see
+    # `corners`; None if unknown
     corners: np.ndarray | None = None
-    # joints whose rows at rest are not masked, besides those with friction with memory
+    # joints with unmasked rows at rest, in addition to those with friction with memory
     resting: tuple[int, ...] = ()
 
     @cached_property
@@ -105,7 +104,7 @@ class Plan:
         return _lowpass.design(self.dt or 1.0, self.cutoff)
 
     def clock(self, recording):
-        """Return the time of each row [s]; stamped only if effects need it."""
+        """Return the time of each row [s], from stamps only if effects need them."""
         t = recording.t if self.timed else None
         return check_clock(t, recording.n_samples, recording.dt)
 
@@ -117,12 +116,12 @@ class Plan:
     @property
     def lag(self):
         """Lag [s] of all recorded torques; None if it is not declared."""
-        found = [e.lag for e in self.effects if isinstance(e, TorqueLag)]
-        return found[0] if found else None
+        lags = [e.lag for e in self.effects if isinstance(e, TorqueLag)]
+        return lags[0] if lags else None
 
     def applied(self, recording):
-        own = replace(recording, tau=recording.torques(self.delay))
-        return with_torques_shifted(own, self.lag) if self.lag else bridged(own)
+        delayed = replace(recording, tau=recording.torques(self.delay))
+        return with_torques_shifted(delayed, self.lag) if self.lag else bridged(delayed)
 
     @property
     def timed(self):
@@ -130,7 +129,7 @@ class Plan:
         return any("time" in effect.needs for effect in self.effects)
 
     def passes(self):
-        # Those in the model have no columns in a fit; their values are corrected after.
+        # Effects in the model have no columns in a fit; they are corrected afterwards.
         if not needs_load(e for e in self.effects if not isinstance(e, InModel)):
             return [self]
         plain = tuple(e for e in self.effects if "load" not in e.needs)
@@ -139,12 +138,12 @@ class Plan:
     @property
     def masked(self):
         """Speeds (nv,) at or below which equations are masked, none if negative."""
-        # Friction with memory knows the torque of a joint at rest.
-        return np.where(self._remembered, -1.0, self.standstill)
+        # Friction with memory defines the torque of a joint at rest.
+        return np.where(self._unmasked, -1.0, self.standstill)
 
     @property
-    def _remembered(self):
-        """Joints (nv,), bool, with an effect in place of Coulomb friction."""
+    def _unmasked(self):
+        """Joints (nv,), bool, whose equations at rest are used."""
         out = np.zeros(self.standstill.size, dtype=bool)
         out[[e.joint for e in self.effects if isinstance(e, Bank)]] = True
         out[list(self.resting)] = True
@@ -152,16 +151,16 @@ class Plan:
 
     @property
     def turning(self):
-        """`Rest` of the velocities of a fit, None if their signs are as they are."""
-        # A fit masks joints that may be standing, but those with memory.
-        own, nothing = self._reversals(self.state_estimator), 0.0 * self.standstill
-        speed = np.where(self._remembered, np.maximum(self.standstill, 0.0), 0.0)
-        if not (own or speed.any()):
+        """`Rest` of the velocities of a fit, None if their signs need no averaging."""
+        # A fit masks joints that may be at rest, except those with memory.
+        reversals, zeros = self._reversals(self.state_estimator), 0.0 * self.standstill
+        speed = np.where(self._unmasked, np.maximum(self.standstill, 0.0), 0.0)
+        if not (reversals or speed.any()):
             return None
-        return Rest(speed=speed, time=self._stands, noise=nothing, **own)
+        return Rest(speed=speed, time=self._rest_times, noise=zeros, **reversals)
 
     def _reversals(self, estimator):
-        """How the velocities of an estimator turn, see `Rest`."""
+        """Return the arguments of `Rest` that describe reversals, for an estimator."""
         if self.corners is None or estimator is None:
             return {}
         rounding = estimator.rounding()
@@ -169,20 +168,20 @@ class Plan:
 
     def rest(self, estimator=None):
         """Return the `Rest`, for mean velocity signs, of an estimator's velocities."""
-        # None for velocities that are known: a joint stands where those of the fit do
-        # not tell that it moves. Negative speeds mask nothing.
-        speed, own = np.maximum(self.standstill, 0.0), self._reversals(estimator)
+        # estimator: None for known velocities: a joint is at rest where the velocities
+        # of the fit do not exceed their noise. Negative speeds mask nothing.
+        speed, reversals = np.maximum(self.standstill, 0.0), self._reversals(estimator)
         noise = 0.0 * speed
         if estimator is not None:
             noise = estimator.velocity_noise()
         elif self.state_estimator is not None:
             least = _NOISE * self.state_estimator.velocity_noise()
             speed = np.where(least > 0, np.minimum(least, speed), speed)
-        return Rest(speed=speed, time=self._stands, noise=noise, **own)
+        return Rest(speed=speed, time=self._rest_times, noise=noise, **reversals)
 
     @property
-    def _stands(self):
-        """Times (nv,) for which a joint stands at least [s], see `Rest`."""
+    def _rest_times(self):
+        """Shortest times (nv,) for which a joint rests [s], see `Rest`."""
         if not np.isfinite(self.cutoff) and self.fastest_period is not None:
             # unknown for rows of a running robot
             return self.fastest_period
@@ -200,7 +199,7 @@ def make_plan(settings, effects, lengths, estimator, facts):
         state_estimator=estimator,
         cutoff=cutoff,
         standstill=facts.standstill(settings.fit_options.standstill, estimator),
-        # Where it reverses, a joint stops more often than not.
+        # A joint stops in more than half of its reversals.
         stops=2 * facts.slow[1] > facts.slow[0],
         effects=effects,
         corrects_noise=corrects_noise(settings.regressor),
@@ -223,15 +222,15 @@ def check_effects(effects, nv):
     """Return the effects as a tuple of instances, rejecting invalid ones."""
     if isinstance(effects, (str, Effect)):
         effects = (effects,)
-    found = tuple(resolve([effect])[0] for effect in effects)
-    for effect in found:
+    resolved = tuple(resolve([effect])[0] for effect in effects)
+    for effect in resolved:
         effect.check()
         effect.check_joints(nv)
-    keys = [(effect.key(), tuple(sorted(effect.shape().items()))) for effect in found]
+    keys = [(x.key(), tuple(sorted(x.shape().items()))) for x in resolved]
     for key in keys:
         if keys.count(key) > 1:
             raise ValueError(f"effects holds {key[0][0]} on joint {key[0][1]} twice.")
-    return found
+    return resolved
 
 
 def needs_load(effects):
@@ -256,7 +255,7 @@ def parameter_names(features, effects):
 
 def effect_indices(effects, first):
     """Pair effects with the ranges of their coefficients among the parameters."""
-    # first: place of the first one, behind those of the features.
+    # first: index of the first one, after those of the features.
     widths = (len(effect.coefficients) for effect in effects)
     ends = itertools.accumulate(widths, initial=first)
     return list(zip(effects, itertools.starmap(range, itertools.pairwise(ends))))
@@ -267,12 +266,12 @@ def effect_indices(effects, first):
 
 def n_fastest(n):
     """Return how many of n speeds lie at or above the top-speed quantile."""
-    return n - int(np.floor(_FAST * (n - 1)))
+    return n - int(np.floor(_TOP_QUANTILE * (n - 1)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotionFacts:
-    """Range of positions and fastest speeds."""
+    """Statistics of a motion: range of positions, top speeds, stops."""
 
     n: int
     # (nv,): range of the positions [rad or m]
@@ -282,7 +281,7 @@ class MotionFacts:
     travel: np.ndarray
     # (k, nv): largest speeds of each joint [rad/s or m/s], in any order
     fastest: np.ndarray
-    # (2, nv): how often a joint is slow between faster motion, and how often it stops
+    # (2, nv): number of slow phases between faster motion, and number of stops
     slow: np.ndarray
     # (nv,): `_fastest_period` [s], if all states were available together
     period: np.ndarray | None = None
@@ -317,10 +316,10 @@ class MotionFacts:
         """Return the 99.5th percentiles of the speeds (nv,) over all samples."""
         return _top_quantile(self.fastest, self.n)
 
-    def standstill(self, given, estimator):
+    def standstill(self, setting, estimator):
         """Return the speeds (nv,) of `resolve_standstill`, by an estimator or None."""
-        limit = resolve_standstill(given, self.fast())
-        if estimator is None or not isinstance(given, str):
+        limit = resolve_standstill(setting, self.fast())
+        if estimator is None or not isinstance(setting, str):
             return limit
         still = self.travel <= _NOISE * np.sqrt(estimator.noise_variance_)
         return np.where(still & ~still.all(), self.fastest.max(axis=0), limit)
@@ -328,11 +327,11 @@ class MotionFacts:
 
 def _fastest_period(facts, accelerations):
     """Return periods (nv,) [s] of sines of the joints' top speed and acceleration."""
-    # That is 2 pi times top speed over top acceleration (n, nv); zero without.
-    fast = facts.fast()
-    strong = _top_quantile(_largest(accelerations, n_fastest(facts.n)), facts.n)
-    out = np.zeros_like(fast)
-    return np.divide(2 * np.pi * fast, strong, out=out, where=strong > 0)
+    # 2 pi times top speed over top acceleration; zero without acceleration.
+    speed = facts.fast()
+    acceleration = _top_quantile(_largest(accelerations, n_fastest(facts.n)), facts.n)
+    out = np.zeros_like(speed)
+    return np.divide(2 * np.pi * speed, acceleration, out=out, where=acceleration > 0)
 
 
 def observe(recording, estimator, halves, n_jobs):
@@ -342,11 +341,11 @@ def observe(recording, estimator, halves, n_jobs):
         keep = n_fastest(recording.n_samples)
         return smooth(recording, estimator, halves, keep, n_jobs)
     states = RecordingStates.of_rows(recording.segments, recording.states)
-    whole = states.own[0] if len(states.own) == 1 else np.concatenate(states.own)
-    q, v, a = np.split(whole, 3, axis=1)
-    keep = n_fastest(whole.shape[0])
-    every = [MotionFacts.of(q[x], v[x], keep, n_jobs) for x in recording.segments]
-    facts = reduce(lambda one, other: one.merge(other, keep), every)
+    X = states.own[0] if len(states.own) == 1 else np.concatenate(states.own)
+    q, v, a = np.split(X, 3, axis=1)
+    keep = n_fastest(X.shape[0])
+    parts = [MotionFacts.of(q[x], v[x], keep, n_jobs) for x in recording.segments]
+    facts = reduce(lambda x, y: x.merge(y, keep), parts)
     return states, replace(facts, period=_fastest_period(facts, a))
 
 
@@ -356,35 +355,35 @@ def smooth(recording, estimator, halves, keep, n_jobs):
     # Returns `RecordingStates` and `MotionFacts`.
     parts = recording.segments
     tasks = ((recording.q[part], part.start, estimator, halves, keep) for part in parts)
-    done = in_parallel(smooth_with_facts, tasks, n_jobs)
-    own, both, facts = [], ([], []), None
-    for states, apart, one in counted(done, "states", len(parts)):
-        own.append(states)
-        for half, of_half in zip(both, apart or ()):
-            half.append(of_half)
-        # The fastest rows of each are merged at once: those of all would be many.
-        facts = one if facts is None else facts.merge(one, keep)
-    return RecordingStates(own=own, halves=both if halves else None), facts
+    results = in_parallel(smooth_with_facts, tasks, n_jobs)
+    full, by_half, facts = [], ([], []), None
+    for states, pair, new in counted(results, "states", len(parts)):
+        full.append(states)
+        for half, half_states in zip(by_half, pair or ()):
+            half.append(half_states)
+        # Merging at once keeps only the fastest rows of all segments in memory.
+        facts = new if facts is None else facts.merge(new, keep)
+    return RecordingStates(own=full, halves=by_half if halves else None), facts
 
 
 def smooth_with_facts(x, start, estimator, halves, keep):
     states = estimator.smooth(x, start)
-    both = estimator.smooth_halves(x, start) if halves else None
+    pair = estimator.smooth_halves(x, start) if halves else None
     positions, speeds = (states.derivative(slice(None), order) for order in range(2))
-    return states, both, MotionFacts.of(positions, speeds, keep)
+    return states, pair, MotionFacts.of(positions, speeds, keep)
 
 
 def _speeds(v, keep):
-    """Return the fastest speeds of a joint (n,), and how often it is slow and stops."""
+    """Return the top speeds of a joint (n,), and its counts of `_count_stops`."""
     v = np.ascontiguousarray(v)
     fastest = _largest_of(v, keep)
     limit = STANDSTILL_SHARE * _top_quantile(fastest[:, None], v.size)[0]
-    return fastest, _slow(v, limit)
+    return fastest, _count_stops(v, limit)
 
 
-def _slow(v, limit):
-    """Count how often a joint is slow between faster motion, and how often it stops."""
-    # v (n,); limit: speed at standstill. v is linear between samples.
+def _count_stops(v, limit):
+    """Count slow phases of a joint between faster motion, and those with a stop."""
+    # v (n,): linear between samples; limit: standstill speed.
     low, high = np.minimum(v[:-1], v[1:]), np.maximum(v[:-1], v[1:])
     near = (low < 3 * limit) & (high > -3 * limit) & (limit > 0)
     near |= (low == high) & (np.abs(low) == 3 * limit)
@@ -398,11 +397,11 @@ def _slow(v, limit):
         np.divide(inside, high - low, out=share, where=high != low)
         counts.append(np.diff(np.r_[0.0, np.cumsum(share)][ends], axis=0)[0])
     below, slow = counts
-    return below.size, np.count_nonzero(2 * below > _STOPS * (slow - below))
+    return below.size, np.count_nonzero(2 * below > _STOP_RATIO * (slow - below))
 
 
 def _largest(values, keep):
-    """Largest sizes of values (n, k), at most `keep` of each column, in any order."""
+    """Largest magnitudes of values (n, k), at most `keep` by column, in any order."""
     return np.transpose([_largest_of(x, keep) for x in values.T])
 
 
@@ -410,17 +409,17 @@ def _largest_of(values, keep):
     sizes = np.abs(values)
     if sizes.size <= keep:
         return sizes
-    # A tenth of them shows from which size on there are about twice as many.
-    some = sizes[::10]
-    place = max(some.size - keep // 5 - 2, 0)
-    above = sizes[sizes >= np.partition(some, place)[place]]
+    # A tenth of the values gives a threshold that about twice as many exceed.
+    sample = sizes[::10]
+    place = max(sample.size - keep // 5 - 2, 0)
+    above = sizes[sizes >= np.partition(sample, place)[place]]
     above = above if above.size >= keep else sizes
     return np.partition(above, above.size - keep)[above.size - keep :]
 
 
 def _top_quantile(largest, n):
-    """Return the 99.5th percentiles of n sizes from the largest of them, (k,)."""
-    position = _FAST * (n - 1)
+    """Return the 99.5th percentiles (k,) of n magnitudes from the largest of them."""
+    position = _TOP_QUANTILE * (n - 1)
     below = int(np.floor(position))
     # ascending; the first has rank `below` among all n
     top = np.sort(largest, axis=0)[-(n - below) :]
@@ -435,8 +434,8 @@ def cutoff_of(bandwidth, dt):
 
 def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
     """Return the cut-off of the low-pass [Hz], infinity for none."""
-    # Torques that a drive makes of positions have these in all their band, and the
-    # smoothed states only where they are faithful.
+    # A drive with position feedback turns the full band of the positions into torque;
+    # the smoothed states contain it only in their passband.
     if not isinstance(cutoff, str):
         if cutoff is None:
             return np.inf
@@ -450,14 +449,14 @@ def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
     length = longest * dt
     frequency = cutoff_of(state_estimator.bandwidth_.max(), dt)
     if drive is not None and drive.uses_positions:
-        frequency = min(frequency, _FAITHFUL * state_estimator.cutoff_.min())
+        frequency = min(frequency, _PASSBAND_SHARE * state_estimator.cutoff_.min())
     frequency = max(frequency, SHORTEST_CUTOFF_PERIODS / length)
     return float(frequency) if frequency < 0.4 / dt else np.inf
 
 
 def resolve_standstill(standstill, fast):
     """Return the speeds (nv,) at or below which a joint counts as standing still."""
-    # `fast` (nv,) are the 99.5th percentiles of the joints' speeds.
+    # fast (nv,): 99.5th percentiles of the speeds of the joints.
     nv = fast.size
     if standstill is None:
         return np.full(nv, -1.0)
@@ -478,11 +477,11 @@ def resolve_standstill(standstill, fast):
 
 # -- requirements on a recording; each error says how to meet them ---------------------
 
-# A sample period [s] too long for any robot; one too long if the fastest joint is
-# slower than this [rad/s or m/s], as it appears if time is not in seconds.
+# Sample period [s] too long for any robot; sample period too long if the fastest joint
+# is slower than this speed [rad/s or m/s], as with a time that is not in seconds.
 _SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.02
-# Speeds beyond the robot's limit by this factor: degrees for radians make 57, and are
-# reported elsewhere. Where the robot has no limit [rad/s or m/s].
+# Largest ratio of a speed to the robot's limit (degrees instead of radians give 57 and
+# are reported elsewhere); the limit if there is none, or a larger one [rad/s or m/s].
 _TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
 
 
@@ -503,9 +502,8 @@ def check_widths(names, X, y=None):
 
 def check_speed(dt, fast, model):
     """Reject a sample period dt [s] at which the robot could not move as recorded."""
-    # A period in ms or Hz makes speeds that are a thousandth of, or a thousand times,
-    # those of robots. fast (nv,): 99.5th percentiles of the speeds [rad/s or m/s];
-    # model: for the velocity limits.
+    # A period in ms or Hz changes the speeds by a factor of a thousand. fast (nv,):
+    # 99.5th percentiles of the speeds [rad/s or m/s]; model: for velocity limits.
     top = float(np.max(fast, initial=0.0))
     if dt is None or not top > 0:
         return
@@ -549,7 +547,7 @@ def check_channels(names, positions, torques):
             "brake held. Check the recording, or leave the joint out (joint_names)."
         )
     for j in np.flatnonzero(~moves):
-        # In the words of `inspect_channels`, of which one alone is shown.
+        # Same message as in `inspect_channels`, so that it is shown once.
         facts = {"range": 0.0, "mean": positions[0, j]}
         still = finding("still_joint", names, j, "warning", **facts)
         warnings.warn(still.message, DoubtWarning, stacklevel=5)
@@ -595,7 +593,7 @@ def check_count(stats, standstill, n_parameters):
 def check_weight(sample_weight, shape):
     """Return validated weights for torques of this shape (n, nv); ones for None."""
     if sample_weight is None:
-        # A number for each value of a long recording would be as large as that.
+        # Allocated weights would take as much memory as the torques.
         return np.broadcast_to(1.0, shape)
     weight = np.asarray(sample_weight, dtype=float)
     if weight.shape not in {shape, shape[:1]}:

@@ -36,9 +36,9 @@ _INERTIA = ("kg m^2", "kg m^2")
 class Follower(OnAllJoints):
     """Body of a joint that follows another joint (mimic), declared automatically."""
 
-    # joint: that leads; all joints that carry the body feel it. of: name of the joint
-    # that follows. chain: joints from the base to the body, each as a `ChainJoint`, of
-    # the description, which effects do not correct. gravity: in the base's axes.
+    # joint: leading joint; the body loads all joints that carry it. of: name of the
+    # following joint. chain: joints from the base to the body, as a `ChainJoint` each,
+    # from the description, uncorrected by effects. gravity: in the axes of the base.
 
     name = "follower"
     label = "body of a joint that follows another joint"
@@ -83,8 +83,8 @@ class Follower(OnAllJoints):
         states = [rate * x[:, joints] for x in (motion.q, motion.v, motion.a)]
         states[0] += offset
         out = np.zeros((motion.q.shape[0], motion.n_joints, len(INERTIAL_NAMES)))
-        for joint, factor, own in zip(joints, rate, last_body_columns(tree, *states)):
-            out[:, joint] += factor * own
+        for joint, factor, body in zip(joints, rate, last_body_columns(tree, *states)):
+            out[:, joint] += factor * body
         return out
 
     def simulated(self, table, *coef):
@@ -123,9 +123,9 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
     parameter_units_ : tuple of str
         Their units.
     model_ : pinocchio.Model
-        The loaded model; within `RobotIdentifier`, as its effects correct it.
+        The loaded model; within `RobotIdentifier`, corrected by its effects.
     nominal_ : pinocchio.Model
-        The loaded model, not corrected.
+        The loaded model without corrections.
     followers_ : tuple
         Bodies of the joints that follow others, which are not among the joints.
     gains_ : ndarray of shape (nv,)
@@ -208,26 +208,26 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
             columns = INERTIAL_NAMES + self.friction_
             names += [f"{name}:{column}" for column in columns]
             units += ["kg"] + 3 * ["kg m"] + 6 * ["kg m^2"]
-            own = [declared(column).units[0] for column in self.friction_]
-            units += [both[int(prismatic)] for both in own]
+            pairs = [declared(column).units[0] for column in self.friction_]
+            units += [pair[int(prismatic)] for pair in pairs]
         self.parameter_names_ = tuple(names)
         self.parameter_units_ = tuple(units)
         self._set_regressor()
         return self
 
     def corrected(self, effects):
-        """Return features of the robot as some effects correct it."""
-        # What channels read is in `gains_`, and not yet in the matrices.
+        """Return the features of the robot corrected by effects."""
+        # The gains of channels are in `gains_`, not in the matrices.
         corrections = [effect for effect in effects if isinstance(effect, InModel)]
         if not corrections and self.model_ is self.nominal_:
             return self
         robot = CorrectedModel(self.nominal_)
         for effect in corrections:
             effect.correct(robot)
-        found = copy.copy(self)
-        found.model_, found.gains_ = robot.model, robot.gains
-        found._set_regressor()
-        return found
+        features = copy.copy(self)
+        features.model_, features.gains_ = robot.model, robot.gains
+        features._set_regressor()
+        return features
 
     @property
     def description(self):
@@ -236,15 +236,15 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
 
     def _set_regressor(self):
         self._regressor = TreeRegressor(self.model_)
-        # Which of the entries is which.
+        # Index of each element among the entries of `support_`, -1 for none.
         support = self.support_
         self.n_entries_ = np.count_nonzero(support)
-        places = np.where(support, np.cumsum(support).reshape(support.shape) - 1, -1)
-        places = places.reshape(self.n_joints_, self.n_joints_, -1)
-        own = np.arange(self.n_joints_)
-        self._body_places = np.ascontiguousarray(places[:, :, :10])
-        # Entries of friction among those of `support_`, (nv, n_friction).
-        self.declared_indices_ = places[own, own, 10:]
+        index = np.where(support, np.cumsum(support).reshape(support.shape) - 1, -1)
+        index = index.reshape(self.n_joints_, self.n_joints_, -1)
+        joints = np.arange(self.n_joints_)
+        self._body_indices = np.ascontiguousarray(index[:, :, :10])
+        # Indices of the friction columns, (nv, n_friction).
+        self.declared_indices_ = index[joints, joints, 10:]
 
     def _check_width(self, X):
         nv = self.n_joints_
@@ -289,12 +289,11 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
 
     def entries(self, X, rest=None, declared=None, out=None):
         """Entries of ``np.nonzero(support_)`` alone, (n, n_entries)."""
-        # rest: `Rest`, by which velocity signs are replaced by their means; declared:
-        # friction columns, where they are known; out: rows that are filled instead of
-        # new ones, which may be longer.
+        # rest: `Rest`, replaces velocity signs by their means; declared: friction
+        # columns, if computed already; out: array to fill, may have more rows.
         if out is None:
             out = np.empty((X.shape[0], self.n_entries_))
-        self._regressor.entries(X, self._body_places, out)
+        self._regressor.entries(X, self._body_indices, out)
         declared = self.declared(X, rest) if declared is None else declared
         out[:, self.declared_indices_.ravel()] = declared.reshape(len(out), -1)
         return out
@@ -344,21 +343,21 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
 
 # -- names and checks of the columns ---------------------------------------------------
 
-# Scalers hit their target to rounding; by chance, columns of different units do not.
+# Scalers reach their target up to rounding, unscaled columns of different units do not.
 _EXACT = 1e-6
-# So few rows may have any statistic exactly.
+# With so few rows any statistic may be exact by chance.
 _FEW_VALUES = 3
 
 
 def parameter_names_of(names, nv):
-    """Read the names of the p parameters off those of the nv * p columns."""
-    # Columns are such as "tau_joint_1/joint_2:m" with any prefix, as
-    # `ColumnTransformer` adds. None where they are not those of `RigidBodyFeatures`,
-    # ValueError where only some are.
+    """Derive the names of the p parameters from those of the nv * p columns."""
+    # Columns are named like "tau_joint_1/joint_2:m", with any prefix, such as that of
+    # `ColumnTransformer`. None if no column is one of `RigidBodyFeatures`, ValueError
+    # if only some are.
     names = [] if names is None else [str(name) for name in names]
     if not any(re.search("(^|__)tau_.+/.+:", name) for name in names):
         return None
-    # The first column is the mass of the first joint's own body.
+    # The first column is the mass of the body of the first joint.
     first = re.fullmatch(r"((?:.*__)?tau_(.+)/)\2:m", names[0])
     if first is not None:
         blocks = np.array(names, dtype=object).reshape(nv, -1)
@@ -375,17 +374,17 @@ def parameter_names_of(names, nv):
 
 
 def check_as_computed(X):
-    """Refuse columns that a scaler has changed."""
+    """Reject columns that a scaler has changed."""
     V = X[:, X.max(axis=0) > X.min(axis=0)]
     if V.shape[0] <= _FEW_VALUES or V.shape[1] < 2:
         return
-    ends = V.min(axis=0), V.max(axis=0)
-    one = (np.abs(V.std(axis=0) - 1.0) <= _EXACT).all()
-    if one or max(map(np.ptp, ends)) <= _EXACT * np.abs(V).max():
-        alike = "a standard deviation of 1" if one else "one range"
+    extremes = V.min(axis=0), V.max(axis=0)
+    standardised = (np.abs(V.std(axis=0) - 1.0) <= _EXACT).all()
+    if standardised or max(map(np.ptp, extremes)) <= _EXACT * np.abs(V).max():
+        equal = "a standard deviation of 1" if standardised else "one range"
         raise ValueError(
             f"X is not as RigidBodyFeatures computes it: all {V.shape[1]} columns that "
-            f"vary have {alike}, as scalers leave them. All joints share one parameter "
+            f"vary have {equal}, as scalers leave them. All joints share one parameter "
             "vector in SI units, so that no scaler or PCA can stand between the "
             "features and JointTorqueRegressor. Leave it out (columns get unit mean "
             "square inside), or put it into the regressor: "
@@ -397,45 +396,45 @@ def check_as_computed(X):
 
 
 def with_followers(effects, features):
-    """Return the bodies of a robot's followers, and behind them declared effects."""
-    # Followers among the declared ones are taken from the robot instead.
-    declared = tuple(one for one in effects if not isinstance(one, Follower))
+    """Return effects for the bodies of followers, and then the declared effects."""
+    # The followers of the robot replace those among the declared effects.
+    declared = tuple(x for x in effects if not isinstance(x, Follower))
     followers = [
-        Follower(joint=one.leader, of=one.name, chain=one.chain, gravity=one.gravity)
-        for one in features.followers_
+        Follower(joint=x.leader, of=x.name, chain=x.chain, gravity=x.gravity)
+        for x in features.followers_
     ]
     return (*followers, *declared)
 
 
 def follower_parameters(effects, coefficients):
     """Return the inertial parameters (10,) of followers, by the joints' names."""
-    # effects, coefficients: all effects of a robot and what each was found to be.
+    # effects, coefficients: all effects of a robot with their estimated coefficients.
     return {
-        effect.of: np.asarray(own)
-        for effect, own in zip(effects, coefficients)
+        effect.of: np.asarray(values)
+        for effect, values in zip(effects, coefficients)
         if isinstance(effect, Follower)
     }
 
 
 def following_joints(effects, coefficients, names):
-    """Return the followers as MJCF has them, a tuple of `FollowingJoint`."""
-    # effects, coefficients: all effects of a robot and what each was found to be;
+    """Return the followers for an MJCF file, a tuple of `FollowingJoint`."""
+    # effects, coefficients: all effects of a robot with their estimated coefficients;
     # names: joints of the robot.
-    found = [
+    followers = [
         pair for pair in zip(effects, coefficients) if isinstance(pair[0], Follower)
     ]
-    # What carries others has a shorter way to the base.
-    found.sort(key=lambda pair: len(pair[0].chain))
-    ways = {tuple(effect.chain): effect.of for effect, _ in found}
+    # Carriers before the bodies they carry: their chain to the base is shorter.
+    followers.sort(key=lambda pair: len(pair[0].chain))
+    carriers = {tuple(effect.chain): effect.of for effect, _ in followers}
     joints = []
-    for effect, own in found:
+    for effect, body in followers:
         *above, last = (ChainJoint(*row) for row in effect.chain)
-        carrier = ways.get(tuple(effect.chain[:-1]))
+        carrier = carriers.get(tuple(effect.chain[:-1]))
         if carrier is None and above:
             carrier = names[above[-1].joint]
         joints.append(
             FollowingJoint(
-                name=effect.of, carrier=carrier, link=last, body=np.asarray(own)
+                name=effect.of, carrier=carrier, link=last, body=np.asarray(body)
             )
         )
     return tuple(joints)
@@ -443,5 +442,5 @@ def following_joints(effects, coefficients, names):
 
 def nominal_followers(features):
     """Inertial parameters of the followers in the description, (n, 10)."""
-    found = [body.parameters for body in features.followers_]
-    return np.reshape(found, (-1, 10))
+    bodies = [body.parameters for body in features.followers_]
+    return np.reshape(bodies, (-1, 10))

@@ -50,7 +50,7 @@ CUTOFF_PER_BANDWIDTH = 5.0
 # Lower limits of the cut-off [Hz], and in units of the sampling rate: few robots
 # vibrate below it, and friction of slow motion with reversals would be lost.
 _LOWEST_CUTOFF, _LOWEST_SHARE = 5.0, 0.3
-# Fewest periods of the cut-off in the longest recording: it must exceed the filter.
+# Fewest periods of the cut-off in the longest recording, as the filter must be short.
 SHORTEST_CUTOFF_PERIODS = 36.0
 # Share of the states' cut-off up to which their smoother, whose gain falls with the
 # sixth power, attenuates by less than 5 %.

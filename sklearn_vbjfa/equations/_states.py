@@ -11,12 +11,12 @@ from sklearn_vbjfa.recording import check_cutoff, check_dt, contiguous_groups
 
 # Shortest recording that the spline can be fitted to.
 _MIN_SAMPLES = 8
-# From so many on, spectra show noise and bandwidth.
+# Fewest samples for estimates of noise and bandwidth from spectra.
 SAMPLES_FOR_NOISE = 2 * _MIN_SAMPLES
-# The state cut-off of least acceleration error, times this: smoothing of the motion
-# biases the parameters however long the recording; noise is corrected for.
+# Factor on the cut-off of least acceleration error: the bias from smoothing the motion
+# does not decrease with the length of the recording, whereas noise is corrected for.
 _LIGHTER_SMOOTHING = 1.25
-# Frequencies at which the gain of the smoother on noise is summed.
+# Number of frequencies in sums of the smoother's noise gain.
 _NOISE_GRID = 2048
 
 
@@ -44,8 +44,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         Cut-off frequencies [Hz]; infinity where nothing is smoothed.
     noise_variance_ : ndarray of shape (nv,)
         Variance of the white noise in the positions [rad^2 or m^2], measured from the
-        upper half of the spectrum of the second differences; nan for a recording too
-        short to tell.
+        upper half of the spectrum of the second differences; nan if the recording is
+        too short.
     bandwidth_ : ndarray of shape (nv,)
         Frequency [Hz] below which 99 % of the power of the velocity lies; 0 for a
         joint that does not move.
@@ -78,8 +78,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
     True
     """
 
-    # Nothing may be differentiated across the border of two recordings, in any fold:
-    # with metadata routing, labels that are passed are taken.
+    # Never differentiate across the border of two recordings, in any fold: metadata
+    # routing passes the labels on request.
     __metadata_request__fit = {"groups": True}  # noqa: RUF012
     __metadata_request__transform = {"groups": True}  # noqa: RUF012
 
@@ -117,8 +117,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return self._choose(longest, moving, spectra)
 
     def _choose(self, longest, moving, spectra):
-        # `moving` (nv,) tells which joints do, `spectra` what `acceleration_spectra`
-        # says of all of them; None where all recordings are too short.
+        # moving (nv,): joints that move; spectra: `acceleration_spectra` of all joints,
+        # None if all recordings are too short.
         dt, nv = check_dt(self.dt), self.n_features_in_
         self.noise_variance_ = np.full(nv, np.nan)
         self.bandwidth_ = np.zeros(nv)
@@ -128,9 +128,9 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                 f"cutoff must be 'auto', a frequency in Hz, or None; got "
                 f"{self.cutoff!r}."
             )
-        chosen = np.full(nv, np.inf)
+        cutoffs = np.full(nv, np.inf)
         if spectra is not None:
-            chosen = self._analyse(moving, spectra, dt)
+            cutoffs = self._analyse(moving, spectra, dt)
         elif auto:
             raise ValueError(
                 f"cutoff='auto' needs a recording of at least {SAMPLES_FOR_NOISE} "
@@ -138,15 +138,15 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                 "enough). Give cutoff in Hz."
             )
         if not auto:
-            asked = np.asarray(self.cutoff, dtype=object)
-            if asked.shape not in {(), (nv,)}:
+            requested = np.asarray(self.cutoff, dtype=object)
+            if requested.shape not in {(), (nv,)}:
                 raise ValueError(
                     f"cutoff must be one frequency or one for each of the {nv} joints; "
-                    f"got an array of shape {asked.shape}."
+                    f"got an array of shape {requested.shape}."
                 )
-            asked = np.broadcast_to(asked, (nv,))
-            chosen = np.array([check_cutoff(c, dt) for c in asked])
-        self.cutoff_ = chosen
+            requested = np.broadcast_to(requested, (nv,))
+            cutoffs = np.array([check_cutoff(c, dt) for c in requested])
+        self.cutoff_ = cutoffs
         return self
 
     def _analyse(self, moving, spectra, dt):
@@ -188,8 +188,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return states
 
     def velocity_noise(self):
-        """Estimate deviations (nv,) of velocities [rad/s or m/s]; zero if unknown."""
-        # By white encoder noise, behind the smoother.
+        """Estimate the std (nv,) of velocity noise [rad/s or m/s]; zero if unknown."""
+        # White encoder noise through the smoother.
         frequency = np.linspace(0.0, 0.5 / self.dt, _NOISE_GRID)
         noise = np.zeros(self.n_features_in_)
         for j, (cutoff, variance) in enumerate(zip(self.cutoff_, self.noise_variance_)):
@@ -203,7 +203,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
 
     def rounding(self):
         """Compute the mean absolute time (nv,) over which the smoother averages [s]."""
-        # By half of it times the jump of a velocity's slope, the corner is rounded.
+        # Times half an acceleration jump, it is the velocity error at the jump.
         return np.array([_smoothing.rounding(cutoff) for cutoff in self.cutoff_])
 
     def smooth(self, x, start):
@@ -219,8 +219,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
 
     def smooth_halves(self, x, start):
         """Return `SplineStates` of the even and of the odd samples, a pair."""
-        # Their encoder noise is independent (white noise assumed) while the motion is
-        # the same: their regressors differ by noise alone.
+        # Their encoder noise is independent (white noise assumed), and their motion the
+        # same: their regressors differ by noise alone.
         if x.shape[0] < 2 * _MIN_SAMPLES:
             raise ValueError(
                 f"A recording must have at least {2 * _MIN_SAMPLES} samples to be "
@@ -271,17 +271,17 @@ class StateEstimator(TransformerMixin, BaseEstimator):
             Names.
         """
         check_is_fitted(self)
-        seen = getattr(self, "feature_names_in_", None)
-        names = seen if input_features is None else input_features
+        fitted = getattr(self, "feature_names_in_", None)
+        names = fitted if input_features is None else input_features
         names = range(self.n_features_in_) if names is None else names
         if len(names) != self.n_features_in_:
             raise ValueError(
                 "input_features should have length equal to number of features "
                 f"({self.n_features_in_}), got {len(names)}."
             )
-        if seen is not None and list(names) != list(seen):
+        if fitted is not None and list(names) != list(fitted):
             raise ValueError(
-                f"input_features is not equal to feature_names_in_, {list(seen)}."
+                f"input_features is not equal to feature_names_in_, {list(fitted)}."
             )
         return np.array(
             [f"{kind}_{name}" for kind in "qva" for name in names], dtype=object
@@ -289,10 +289,9 @@ class StateEstimator(TransformerMixin, BaseEstimator):
 
 
 class SplineStates:
-    """States of one recording, evaluated on demand from one spline a joint."""
+    """States of one recording, evaluated on demand from one spline per joint."""
 
-    # Takes a slice of rows as an array of states would, and keeps the coefficients
-    # alone.
+    # Indexed by a slice of rows like an array of states, but stores coefficients only.
 
     def __init__(self, splines, n):
         self._splines = splines
@@ -301,8 +300,8 @@ class SplineStates:
     def __getitem__(self, rows):
         """States [q | v | a] of a slice of rows, (n, 3 * nv)."""
         start, stop, step = rows.indices(self.shape[0])
-        # The samples of a signal are next to each other, as they are evaluated and as
-        # the regressors take them.
+        # The samples of a signal are contiguous, as they are evaluated and as the
+        # regressors read them.
         columns = np.empty((3, len(self._splines), stop - start))
         for order, signals in enumerate(columns):
             self._evaluate(start, stop, order, signals)
@@ -316,17 +315,17 @@ class SplineStates:
         return signals.T
 
     def _evaluate(self, start, stop, order, out):
-        """Write derivatives of an order for some rows, (nv, n)."""
+        """Write the derivatives of one order for a range of rows to `out`, (nv, n)."""
         for signal, spline in zip(out, self._splines):
             spline(start, stop, order, out=signal)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingStates:
-    """States of a recording's segments, and those of half of its samples each."""
+    """States of a recording's segments, from all samples and from half of them."""
 
-    own: list  # (n, 3 * nv): one a segment
-    # those from the even and from the odd samples, whose noise is independent
+    own: list  # (n, 3 * nv) for each segment
+    # states from the even and from the odd samples, whose noise is independent
     halves: tuple | None = None
 
     @classmethod
@@ -336,7 +335,7 @@ class RecordingStates:
 
     @classmethod
     def of(cls, recording, estimator):
-        """Smooth the positions of a recording, or take its states (no estimator)."""
+        """Smooth the positions of a recording, or use its states without estimator."""
         if estimator is None:
             return cls.of_rows(recording.segments, recording.inputs)
         parts = recording.segments
@@ -346,20 +345,20 @@ class RecordingStates:
 def fit_states(dt, cutoff, X, groups):
     """Fit a state estimator for identification, with slightly raised cut-offs."""
     estimator = StateEstimator(dt, cutoff=cutoff)
-    return lighter(estimator.fit(X, groups=groups))
+    return raise_cutoffs(estimator.fit(X, groups=groups))
 
 
 def choose_states(dt, cutoff, longest, moving, spectra):
-    """`fit_states` from what `acceleration_spectra` says of all recordings."""
-    # longest: rows of the longest one; moving (nv,): joints that move; spectra: None
-    # where all recordings are too short.
+    """Return the estimator of `fit_states` from `acceleration_spectra`."""
+    # longest: rows of the longest recording; moving (nv,): joints that move; spectra:
+    # of all recordings, None if all are too short.
     estimator = StateEstimator(dt, cutoff=cutoff)
     estimator.n_features_in_ = moving.size
-    return lighter(estimator._choose(longest, moving, spectra))
+    return raise_cutoffs(estimator._choose(longest, moving, spectra))
 
 
-def lighter(estimator):
-    """Slightly raise the cut-offs that a fitted state estimator chose itself."""
+def raise_cutoffs(estimator):
+    """Slightly raise automatic cut-offs of a fitted state estimator."""
     if not isinstance(estimator.cutoff, str):
         return estimator
     raised = np.minimum(_LIGHTER_SMOOTHING * estimator.cutoff_, 1 / (3 * estimator.dt))
@@ -369,17 +368,17 @@ def lighter(estimator):
 
 def _with_cutoffs(estimator, cutoffs):
     finite = [c if np.isfinite(c) else None for c in cutoffs]
-    other = StateEstimator(estimator.dt, cutoff=finite)
+    changed = StateEstimator(estimator.dt, cutoff=finite)
     fitted = {k: v for k, v in vars(estimator).items() if k.endswith("_")}
-    vars(other).update(fitted, cutoff_=cutoffs)
-    return other
+    vars(changed).update(fitted, cutoff_=cutoffs)
+    return changed
 
 
 def select_joints(estimator, joints):
-    own = _with_cutoffs(estimator, estimator.cutoff_[joints])
-    own.n_features_in_ = own.cutoff_.size
-    own.noise_variance_ = estimator.noise_variance_[joints]
-    return own
+    selected = _with_cutoffs(estimator, estimator.cutoff_[joints])
+    selected.n_features_in_ = selected.cutoff_.size
+    selected.noise_variance_ = estimator.noise_variance_[joints]
+    return selected
 
 
 def limit_cutoffs(estimator, cutoff):

@@ -1,4 +1,4 @@
-"""Ranges of signals in the rows that were fitted, and of the effects made of them."""
+"""Ranges of signals in the fitted rows, and of the effects that depend on them."""
 
 from dataclasses import dataclass, replace
 
@@ -6,34 +6,34 @@ import numpy as np
 
 from sklearn_vbjfa.effects import HELD, resolve
 
-# A prediction is outside where it leaves the range of the fit by more than this share
+# A prediction is out of range if it leaves the range of the fit by more than this share
 # of its width: there the standard deviation of a straight line through evenly spread
 # data is 1.31 times that at the end of the range (Legendre polynomials).
 _MARGIN = 0.2
-# Share of the rows that may be farther out: peaks of a random motion, and outliers.
+# Share of rows that may lie farther out: peaks of a random motion, and outliers.
 _OUTLIERS = 0.005
-# Share of a value by which two computations of the same motion may differ.
+# Relative difference of two computations of the same motion.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SignalRanges:
-    """Lowest and highest values of signals in the rows of each joint that count."""
+    """Lowest and highest values of signals in the rows of each joint with weight."""
 
-    # (k, nv): of k signals of each joint; infinite, of the wrong order, without a row
+    # (k, nv): of k signals of each joint; inf and -inf, respectively, without such rows
     lowest: np.ndarray
     highest: np.ndarray
 
     @classmethod
     def of(cls, signals, counts):
-        """Ranges of signals (k arrays of shape (n, nv)) in rows that count, (n, nv)."""
+        """Ranges of signals (k arrays of shape (n, nv)) in rows `counts` (n, nv)."""
         return cls(
             lowest=-np.array([_highest(-x, counts) for x in signals]),
             highest=np.array([_highest(x, counts) for x in signals]),
         )
 
     def pairs(self):
-        """Return (lowest, highest) by signal and joint; nan where there is no row."""
+        """Return (lowest, highest) by signal and joint; nan without rows."""
         return [
             [
                 (float(low), float(high)) if low <= high else _UNKNOWN
@@ -47,27 +47,27 @@ _UNKNOWN = (float("nan"), float("nan"))
 
 
 def _highest(values, counts):
-    # Joint by joint, which is twice as fast.
+    # Contiguous columns: twice as fast.
     columns = np.ascontiguousarray(np.where(counts, values, -np.inf).T)
     return columns.max(axis=1, initial=-np.inf)
 
 
-def sum_ranges(several):
-    """Merge `SignalRanges`; None if one of them is not known."""
-    if any(one is None for one in several):
+def sum_ranges(ranges):
+    """Merge `SignalRanges`; None if one of them is unknown."""
+    if any(x is None for x in ranges):
         return None
     return SignalRanges(
-        lowest=np.min([one.lowest for one in several], axis=0),
-        highest=np.max([one.highest for one in several], axis=0),
+        lowest=np.min([x.lowest for x in ranges], axis=0),
+        highest=np.max([x.highest for x in ranges], axis=0),
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class EffectRange:
-    """Ranges (lowest, highest) of its joint's signals that an effect was fitted on."""
+    """Ranges (lowest, highest) of the joint signals that an effect was fitted on."""
 
     # Of signals in the band of the fit, in rows with weight in which the joint moves;
-    # the speed in either direction; directions from -1, backward, to 1, forward.
+    # speed: absolute values; direction: from -1 (backward) to 1 (forward).
     name: str
     joint: int
     position: tuple[float, float]
@@ -77,8 +77,8 @@ class EffectRange:
     depends: tuple[str, ...] = ()
 
     def ends(self, quantity):
-        """Between which velocities, positions or loads the effect follows a signal."""
-        # With the margin, so that what is held counts as outside.
+        """Return the limits to which a signal of the effect is clipped."""
+        # The margin is included, so that every clipped value counts as out of range.
         low, high = getattr(self, quantity)
         if quantity not in self.depends or np.isnan(high - low):
             return -np.inf, np.inf
@@ -89,26 +89,26 @@ class EffectRange:
         return -largest, largest
 
     def within(self, motion):
-        """Return a `Motion` with the signals of the joint held within the `ends`."""
-        held = {}
+        """Return a `Motion` with the signals of the joint clipped to the `ends`."""
+        clipped = {}
         for quantity, name in HELD.items():
             low, high = self.ends(quantity)
             values = getattr(motion, name)
             if values is None or low == -np.inf == -high:
                 continue
-            held[name] = values.copy()
-            held[name][:, self.joint] = np.clip(values[:, self.joint], low, high)
-        return replace(motion, **held, _speeds={}) if held else motion
+            clipped[name] = values.copy()
+            clipped[name][:, self.joint] = np.clip(values[:, self.joint], low, high)
+        return replace(motion, **clipped, _speeds={}) if clipped else motion
 
     def excess(self, quantity, values):
-        """How far values (n,) are outside a range; zero where it is not known."""
+        """Distance of values (n,) from the range; zero inside, or if it is unknown."""
         low, high = getattr(self, quantity)
         values = np.asarray(values, dtype=float)
         beyond = np.maximum(low - values, values - high)
         return np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
 
     def margin(self, quantity):
-        """How far outside a range a prediction follows the law; nan if unknown."""
+        """Distance from the range up to which a law is extrapolated; nan if unknown."""
         low, high = getattr(self, quantity)
         # A range of speeds counts twice, for both directions.
         sides = 2.0 if quantity == "speed" else 1.0
@@ -116,9 +116,9 @@ class EffectRange:
 
 
 def clipped_motions(effects, ranges, motion):
-    """Return the `Motion` that each effect's columns are made from, in its range."""
-    held = ranges or [None] * len(effects)
-    return [motion if one is None else one.within(motion) for one in held]
+    """Return the `Motion` of each effect, clipped to its range if it has one."""
+    limits = ranges or [None] * len(effects)
+    return [motion if x is None else x.within(motion) for x in limits]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,44 +127,44 @@ class OutsideRange:
 
     names: tuple  # effects that were not fitted there
     joint: int  # joint, from zero
-    quantity: str  # what is outside
+    quantity: str  # signal that is out of range
     fitted: tuple  # range of the fit
-    reached: float  # farthest value, but for the farthest half per cent of the rows
-    share: float  # rows that lie outside by more than the margin, see `EffectRange`
-    # those of them whose torque is held beyond the margin; others go on by their law
+    reached: float  # farthest value, without the farthest half per cent of the rows
+    share: float  # share of rows outside by more than the margin, see `EffectRange`
+    # those of `names` whose torque is held beyond the margin; others are extrapolated
     held: tuple = ()
 
 
 def outside(ranges, signals, held):
-    """Find what lies outside the ranges of effects, a tuple of `OutsideRange`."""
-    # signals: (n,) in the rows to judge, by quantity and joint; held: whether
-    # predictions hold each effect within its range.
-    found = {}
-    for one, holds in zip(ranges, held, strict=True):
-        for quantity in one.depends:
-            place = one.joint, quantity
-            judged = _judged(one, quantity, signals[quantity, one.joint], holds)
-            if judged is not None:
-                found.setdefault(place, []).append(judged)
+    """Find signals outside the ranges of effects, a tuple of `OutsideRange`."""
+    # signals: (n,) in the rows to check, by quantity and joint; held: whether
+    # predictions clip each effect to its range.
+    violations = {}
+    for effect, holds in zip(ranges, held, strict=True):
+        for quantity in effect.depends:
+            key = effect.joint, quantity
+            new = _violation(effect, quantity, signals[quantity, effect.joint], holds)
+            if new is not None:
+                violations.setdefault(key, []).append(new)
     return tuple(
         replace(
-            max(several, key=lambda one: one.share),
-            names=tuple(dict.fromkeys(name for one in several for name in one.names)),
-            held=tuple(dict.fromkeys(name for one in several for name in one.held)),
+            max(same_key, key=lambda x: x.share),
+            names=tuple(dict.fromkeys(name for x in same_key for name in x.names)),
+            held=tuple(dict.fromkeys(name for x in same_key for name in x.held)),
         )
-        for _, several in sorted(found.items())
+        for _, same_key in sorted(violations.items())
     )
 
 
-def _judged(effect, quantity, values, holds):
+def _violation(effect, quantity, values, holds):
     """Return the `OutsideRange` of one effect and signal (n,), None if it is inside."""
     excess = effect.excess(quantity, values)
     far = values[excess > effect.margin(quantity)]
     outliers = int(_OUTLIERS * values.size)
     if not far.size > _OUTLIERS * values.size:
         return None
-    # Slower motion and the other direction are outside, but not beyond an end. Of two
-    # values on either side, equally far, the larger one counts.
+    # Slower motion and the other direction are out of range, but not clipped. Of two
+    # values equally far on either side, the larger one counts.
     low, high = effect.ends(quantity)
     beyond = bool(((far < low) | (far > high)).any())
     farthest = far[np.lexsort((far, effect.excess(quantity, far)))]
@@ -182,14 +182,14 @@ def _judged(effect, quantity, values, holds):
 def effect_ranges(friction, effects, motion, load=None):
     """Return an `EffectRange` for each joint's declared friction, then each effect."""
     # friction: names of the declared columns; effects: tuple of Effect; motion:
-    # `SignalRanges` of positions, speeds and directions; load: that of the loads, if it
-    # is known.
+    # `SignalRanges` of positions, speeds and directions; load: that of the loads, or
+    # None.
     positions, speeds, directions = motion.pairs()
     nv = len(positions)
     loads = nv * [_UNKNOWN] if load is None else load.pairs()[0]
     declared = resolve(friction) if friction else ()
-    used = [(effect, joint) for joint in range(nv) for effect in declared]
-    used += [(effect, effect.joint) for effect in effects]
+    pairs = [(effect, joint) for joint in range(nv) for effect in declared]
+    pairs += [(effect, effect.joint) for effect in effects]
     return tuple(
         EffectRange(
             name=effect.name,
@@ -200,5 +200,5 @@ def effect_ranges(friction, effects, motion, load=None):
             direction=directions[joint],
             depends=effect.depends,
         )
-        for effect, joint in used
+        for effect, joint in pairs
     )

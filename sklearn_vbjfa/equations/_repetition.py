@@ -4,32 +4,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Rows are looked at every so many seconds, and fewer than this many of them.
-_STEP, _MOST = 0.04, 20_000
-# Velocities repeat if they differ by less than this share of their power, and have
-# differed by more than this one since: a slow motion resembles itself a little later.
-_SAME, _OTHER = 0.03, 0.5
-# The smallest lag is the period that is so many times as good as the best one.
-_ALIKE, _LEAST = 3.0, 1e-3
-# A joint moves if its speed is this share of that of the fastest.
+# Time between compared rows [s], and their largest number.
+_STEP, _MAX_ROWS = 0.04, 20_000
+# Velocities repeat if they differ by less than the first share of their power, after a
+# difference above the second one: a slow motion resembles itself a little later.
+_TOLERANCE, _DIFFERENT = 0.03, 0.5
+# The period is the smallest lag whose difference is below this multiple of the least
+# one, or below this value.
+_RATIO, _FLOOR = 3.0, 1e-3
+# A joint moves if its speed exceeds this share of that of the fastest joint.
 _MOVES = 0.02
-# A motion repeats if it is there more often than this.
-_AGAIN = 1.5
+# A motion repeats if it occurs more often than this.
+_MIN_COUNT = 1.5
 # Share of the shorter of two recordings in which they are compared.
 _OVERLAP = 0.8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Repetition:
-    """Which motions there are, and when each recording goes through them."""
+    """Distinct motions, and the times at which recordings repeat them."""
 
-    begins: np.ndarray  # (r,): when recordings begin [s]
+    begins: np.ndarray  # (r,): start times of recordings [s]
     motion: np.ndarray  # (r,): motion of each recording, from zero
-    delay: np.ndarray  # (r,): how far in its motion each recording begins [s]
-    # (m,): periods of the motions [s], infinite for one that does not repeat by itself
+    delay: np.ndarray  # (r,): time within its motion at which a recording begins [s]
+    # (m,): periods of the motions [s], infinite for one that is not periodic
     period: np.ndarray
-    # repeated motions: their "seconds", how many times they are there, "count", and in
-    # which "recordings", from zero
+    # repeated motions: duration ("seconds"), number of repetitions ("count"), and
+    # "recordings", from zero
     repeated: tuple[dict, ...]
 
     def __bool__(self):
@@ -47,11 +48,11 @@ class Repetition:
 
 
 def find_repetition(q, t, parts):
-    """Look for motion that repeats in positions (n, nv); false if nothing does."""
+    """Find repeated motion in positions (n, nv); the result is false without any."""
     # q: at times t (n,) [s]; parts: slices of the recordings.
     seconds = np.array([np.ptp(t[part]) for part in parts])
     rows = sum(part.stop - part.start for part in parts)
-    step = max(_STEP, seconds.sum() / _MOST, seconds.sum() / max(rows, 1))
+    step = max(_STEP, seconds.sum() / _MAX_ROWS, seconds.sum() / max(rows, 1))
     speeds = [_speeds(q[part], t[part], step) for part in parts]
     power = np.array([(v**2).sum(axis=0) for v in speeds]).sum(axis=0)
     moves = power > _MOVES**2 * power.max(initial=0.0)
@@ -67,15 +68,15 @@ def find_repetition(q, t, parts):
         else:
             delay.append(delay[first[m]] + step * shifts[m])
         motion.append(m)
-        period[m] = min(period[m], step * _own_period(v))
+        period[m] = min(period[m], step * _period(v))
     motion, delay, repeated = np.array(motion), np.array(delay), []
-    for k, own in enumerate(period):
-        at = np.flatnonzero(motion == k)
-        length = min(own, (delay + seconds)[at].max() - delay[at].min())
-        count = seconds[at].sum() / length if length else 0.0
-        if count > _AGAIN:
-            found = {"seconds": float(length), "count": float(count)}
-            repeated.append(found | {"recordings": tuple(at.tolist())})
+    for k, cycle in enumerate(period):
+        members = np.flatnonzero(motion == k)
+        length = min(cycle, (delay + seconds)[members].max() - delay[members].min())
+        count = seconds[members].sum() / length if length else 0.0
+        if count > _MIN_COUNT:
+            entry = {"seconds": float(length), "count": float(count)}
+            repeated.append(entry | {"recordings": tuple(members.tolist())})
     return Repetition(
         begins=np.array([t[part.start] for part in parts]),
         motion=motion,
@@ -86,7 +87,7 @@ def find_repetition(q, t, parts):
 
 
 def _speeds(q, t, step):
-    """Return mean velocities (m, nv) in intervals of a length."""
+    """Return mean velocities (m, nv) in intervals of `step` seconds."""
     if len(q) < 2:
         return np.zeros((0, q.shape[1]))
     edges = np.arange(t[0], t[-1], step)
@@ -96,7 +97,7 @@ def _speeds(q, t, step):
 
 
 def _differences(a, b):
-    """Return lags, overlaps, and the largest share in which a(i), b(i + lag) differ."""
+    """Return lags, overlaps, and largest relative differences of a(i), b(i + lag)."""
     from scipy.signal import fftconvolve
 
     def products(x, y):
@@ -112,37 +113,39 @@ def _differences(a, b):
     return lags, overlap, np.nan_to_num(share, nan=0.0).max(axis=1, initial=0.0)
 
 
-def _own_period(v):
+def _period(v):
     """Return the smallest lag, in rows, after which a motion repeats, or infinity."""
     n = len(v)
     if n < 4 or not v.size:
         return np.inf
     lags, _, share = _differences(v, v)
-    # Two periods end at half of the recording, and a dip needs its far side.
+    # A period is at most half of the recording; a minimum needs rows on both sides.
     share = share[(lags >= 0) & (lags <= n // 2 + 2)]
-    other = np.flatnonzero(share > _OTHER)
-    if not other.size:
+    different = np.flatnonzero(share > _DIFFERENT)
+    if not different.size:
         return np.inf
     dips = np.flatnonzero((share[1:-1] <= share[:-2]) & (share[1:-1] <= share[2:])) + 1
-    found = [_dip(share, k) for k in dips if k > other[0] and share[k] < _SAME]
-    least = max(_ALIKE * min((value for _, value in found), default=0.0), _LEAST)
-    return next((place for place, value in found if value <= least), np.inf)
+    minima = [
+        _minimum(share, k) for k in dips if k > different[0] and share[k] < _TOLERANCE
+    ]
+    least = max(_RATIO * min((value for _, value in minima), default=0.0), _FLOOR)
+    return next((place for place, value in minima if value <= least), np.inf)
 
 
 def _shift(a, b):
-    """Return the row of a motion at which another recording begins, None for none."""
+    """Return the row of motion `a` at which recording `b` begins, None for none."""
     if min(len(a), len(b)) < 4 or not a.size:
         return None
     lags, overlap, share = _differences(a, b)
     share = np.where(overlap >= _OVERLAP * min(len(a), len(b)), share, np.inf)
     best = int(np.argmin(share))
-    return -(lags[0] + _dip(share, best)[0]) if share[best] < _SAME else None
+    return -(lags[0] + _minimum(share, best)[0]) if share[best] < _TOLERANCE else None
 
 
-def _dip(share, best):
-    """Return place and value of a minimum between rows, by the parabola around it."""
-    near = share[max(best - 1, 0) : best + 2]
-    slope, bend = near[0] - near[-1], near[0] - 2 * share[best] + near[-1]
-    if near.size < 3 or not 0 < bend < np.inf:
+def _minimum(share, best):
+    """Return position and value of a minimum between rows, by parabolic fit."""
+    values = share[max(best - 1, 0) : best + 2]
+    slope, bend = values[0] - values[-1], values[0] - 2 * share[best] + values[-1]
+    if values.size < 3 or not 0 < bend < np.inf:
         return float(best), float(share[best])
     return best + 0.5 * slope / bend, float(share[best] - slope**2 / (8 * bend))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa.recording._clock import SAME_DT, time_of, without_odd_rows
+from sklearn_vbjfa.recording._clock import SAME_DT, read_time, remove_odd_rows
 from sklearn_vbjfa.recording._drives import PDDrive
 from sklearn_vbjfa.recording._grid import FileRows
 from sklearn_vbjfa.recording._layout import (
@@ -225,7 +225,7 @@ def read_rows(table, options) -> FileRows:
             )
         options = replace(options, dt=options.dt or dt)
     layout = find_layout(table, options, robot)
-    table, rows = without_odd_rows(table, layout, options, notes)
+    table, rows = remove_odd_rows(table, layout, options, notes)
     roles, names = _sort_roles(table, layout, options, robot, notes)
     channels, units = _convert_units(table, roles, options, notes)
     prismatic = _check_units(table, roles, units, names, robot)
@@ -251,7 +251,7 @@ def read_rows(table, options) -> FileRows:
             [x[j] for j in order] for x in (names, prismatic, torque_units)
         )
         channels = {kind: values[:, order] for kind, values in channels.items()}
-    t, time = time_of(table, layout, options, channels["q"])
+    t, time = read_time(table, layout, options, channels["q"])
     labels = _labels(table, layout)
     signals = _signals(table, layout, time, notes)
     motor_units = [unit for unit in torque_units if unit not in ("N m", "N")]

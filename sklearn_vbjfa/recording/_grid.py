@@ -1,4 +1,4 @@
-"""Recordings on a uniform time grid: segments, gaps, interpolation, several files."""
+"""Resampling on a uniform time grid: segments, gaps, interpolation, several files."""
 
 import itertools
 from collections import Counter, namedtuple
@@ -21,44 +21,44 @@ from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._recording import contiguous_groups
 from sklearn_vbjfa.recording._table import Loss
 
-# Fewer samples than this between two gaps cannot be differentiated and held out from.
+# Minimum number of samples between gaps, for differentiation and held-out data.
 _MIN_SAMPLES = 16
-# The lower quartile of the size of a normal variable, in standard deviations.
+# Lower quartile of the absolute value of a standard normal variable.
 _QUARTILE = 0.3186
-# More rows than this share with the stamp of the one before are refused.
-_REPEATED = 0.1
+# Files in which more than this share of rows repeats a time stamp are refused.
+_MAX_REPEATED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """Rows of one recording: its name, times (n,) [s], and channels, n rows each."""
+    """One recording: name, times (n,) [s], and channels with n rows each."""
 
     name: str
     t: np.ndarray
     channels: dict[str, np.ndarray]
-    noise: np.ndarray | None = None  # of torques (nv,), if they were interpolated
+    noise: np.ndarray | None = None  # std of torque noise (nv,), if interpolated
 
 
 # -- interpolation ---------------------------------------------------------------------
 
 
 def interpolate(t, channels, dt: float):
-    """Interpolate channels (n, ...) at t (n,) [s], from 0 on, on multiples of dt."""
-    # Positions "q" follow a cubic spline; commands hold the value that came last; all
-    # else, being noisier, follows straight lines.
+    """Interpolate channels (n, ...) from times t (n,) [s] on multiples of dt."""
+    # Positions "q" are interpolated by a cubic spline, commands by a zero-order hold,
+    # and all other channels, which are noisier, linearly.
 
-    # Rounding of t must not cost the last point.
+    # The tolerance keeps the last grid point despite rounding of t.
     grid = dt * np.arange(int(np.floor(t[-1] / dt + STEADY)) + 1)
     query = np.minimum(grid, t[-1])
     resampled = {}
     for key, values in channels.items():
         rows = values.reshape(t.size, -1).astype(float)
         if key == "q" and t.size > 2:
-            # A joint that stands does not move by rounding.
-            still, first = np.ptp(rows, axis=0) == 0, rows[0]
-            rows = np.where(still, first, CubicSpline(t, rows)(query))
+            # Rounding of the spline must not move a joint at rest.
+            constant, first = np.ptp(rows, axis=0) == 0, rows[0]
+            rows = np.where(constant, first, CubicSpline(t, rows)(query))
         elif key in COMMANDS:
-            # Stamps that rounding moves past the grid point count.
+            # The tolerance includes stamps that rounding moved past the grid point.
             rows = rows[np.searchsorted(t, query + STEADY * dt, side="right") - 1]
         else:
             rows = np.column_stack([np.interp(query, t, x) for x in rows.T])
@@ -69,15 +69,15 @@ def interpolate(t, channels, dt: float):
 # -- recordings without gaps -----------------------------------------------------------
 
 
-def _pieces(log, dt, ends=()):
-    """Cut a log before some rows, put what is between on multiples of dt."""
-    # Times rise in each piece; one of too few rows is left out.
+def _split(log, dt, starts=()):
+    """Split a log at `starts` and resample each piece on multiples of dt."""
+    # Times must increase within a piece; pieces with too few rows are dropped.
     bounds = [
         (first, stop)
-        for first, stop in itertools.pairwise([0, *ends, log.t.size])
+        for first, stop in itertools.pairwise([0, *starts, log.t.size])
         if stop - first >= min(_MIN_SAMPLES, log.t.size)
     ]
-    made = []
+    logs = []
     for k, (first, stop) in enumerate(bounds, start=1):
         t = log.t[first:stop] - log.t[first]
         rows = {key: x[first:stop] for key, x in log.channels.items()}
@@ -85,51 +85,51 @@ def _pieces(log, dt, ends=()):
         if np.abs(t - grid).max() >= SAME_DT * dt:
             errors = np.abs(prediction_errors(t, rows["tau"]))
             if errors.size:
-                # The lower quartile passes over jumps, such as those of friction.
+                # The lower quartile is robust to jumps, such as those of friction.
                 noise = np.quantile(errors, 0.25, axis=0) / _QUARTILE
             grid, rows = interpolate(t, rows, dt)
         name = f"{log.name} [{k}]" if len(bounds) > 1 else log.name
-        made.append(Log(name, grid, rows, noise))
-    return made
+        logs.append(Log(name, grid, rows, noise))
+    return logs
 
 
-def _fields(pieces, dt: float) -> dict:
-    """Concatenate pieces into the array fields of a `Recording`."""
+def _to_fields(logs, dt: float) -> dict:
+    """Concatenate logs into the array fields of a `Recording`."""
     signals = {
-        key: np.concatenate([one.channels[key] for one in pieces])
-        for key in pieces[0].channels
+        key: np.concatenate([log.channels[key] for log in logs])
+        for key in logs[0].channels
     }
     return {
         **{key: signals.pop(key, None) for key in ("q", "tau", "v")},
-        "t": np.concatenate([one.t for one in pieces]),
+        "t": np.concatenate([log.t for log in logs]),
         "dt": dt,
-        "groups": np.repeat(np.arange(len(pieces)), [one.t.size for one in pieces]),
-        "group_names": distinct(one.name for one in pieces),
+        "groups": np.repeat(np.arange(len(logs)), [log.t.size for log in logs]),
+        "group_names": unique_names(log.name for log in logs),
         "signals": signals,
     }
 
 
-def distinct(names):
-    """Return names as a tuple, repeated ones with a number."""
-    seen, found = Counter(), []
+def unique_names(names):
+    """Return names as a tuple, with numbers appended to repeated names."""
+    counts, unique = Counter(), []
     for name in names:
-        seen[name] += 1
-        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
-    return tuple(found)
+        counts[name] += 1
+        unique.append(name if counts[name] == 1 else f"{name} ({counts[name]})")
+    return tuple(unique)
 
 
-# A step of a log of a measured set above this many periods begins another piece.
+# A log of a measured data set is split at steps of more than this many periods.
 _LOG_GAP_PERIODS = 10.0
 
 
 def join(logs, *, dt: float, resample=True) -> dict:
     """Concatenate logs into the array fields of a `Recording`."""
-    # With `resample` each log is put on multiples of dt; one with long gaps becomes
-    # several recordings, "name [1]", "name [2]", ...
+    # With `resample`, each log is interpolated on multiples of dt, and split at long
+    # gaps into recordings "name [1]", "name [2]", ...
     if resample:
         gaps = [np.flatnonzero(np.diff(x.t) > _LOG_GAP_PERIODS * dt) for x in logs]
-        logs = [one for x, gap in zip(logs, gaps) for one in _pieces(x, dt, gap + 1)]
-    return _fields(logs, dt)
+        logs = [log for x, gap in zip(logs, gaps) for log in _split(x, dt, gap + 1)]
+    return _to_fields(logs, dt)
 
 
 # -- files of a user -------------------------------------------------------------------
@@ -140,10 +140,10 @@ class FileRows:
     """The rows of a file, in the units and joint order of the package."""
 
     path: Path  # as messages name it
-    name: str  # without endings
-    where: Callable[[int], str]  # a row in words
-    t: np.ndarray  # stamps (n,) [s]
-    dt: float | None  # sample period as given [s]
+    name: str  # file name without suffixes
+    where: Callable[[int], str]  # location of a row for messages
+    t: np.ndarray  # time stamps (n,) [s]
+    dt: float | None  # sample period given by the user or the file [s]
     labels: np.ndarray | None  # of recordings
     channels: dict[str, np.ndarray]  # "q", "tau", and maybe "v" and others
     robot: dict  # joints and units, as fields of a `Recording`
@@ -151,74 +151,74 @@ class FileRows:
 
 
 # A segment of `FileRows`: its name, rows and `TimeStamps`.
-_Run = namedtuple("_Run", "file name rows stamps")
+_Segment = namedtuple("_Segment", "file name rows stamps")
 
 
-def on_grid(files, names) -> dict:
-    """Cut files at segments and gaps, return the array fields of a `Recording`."""
-    # names: of the files, "" for one alone.
-    runs = [list(_runs(file, name)) for file, name in zip(files, names)]
-    ordered = sorted(itertools.chain(*runs), key=lambda run: run.stamps.dt)
-    slow, fast = ordered[-1], ordered[0]
+def resample_files(files, names) -> dict:
+    """Split files at segments and gaps; return the array fields of a `Recording`."""
+    # names: names of the files, "" for a single one.
+    by_file = [list(_segments(file, name)) for file, name in zip(files, names)]
+    by_period = sorted(itertools.chain(*by_file), key=lambda x: x.stamps.dt)
+    slow, fast = by_period[-1], by_period[0]
     if slow.stamps.dt > (1 + 2 * DT_TOLERANCE) * fast.stamps.dt:
         raise ValueError(
             f"{fast.file.path} has a sample period of {fast.stamps.dt:.6g} s and "
             f"{slow.file.path} one of {slow.stamps.dt:.6g} s: resample one of them, or "
             "process them separately."
         )
-    # The median.
-    dt = ordered[(len(ordered) - 1) // 2].stamps.dt
-    pieces = [piece for own in runs for piece in _of_file(own, dt)]
-    fields = _fields(pieces, dt)
-    noisy = [one for one in pieces if one.noise is not None]
-    if noisy:
-        squares, sizes = zip(*((one.noise**2, one.t.size) for one in noisy))
+    # Median of the sample periods.
+    dt = by_period[(len(by_period) - 1) // 2].stamps.dt
+    pieces = [piece for segments in by_file for piece in _resample_file(segments, dt)]
+    fields = _to_fields(pieces, dt)
+    interpolated = [log for log in pieces if log.noise is not None]
+    if interpolated:
+        squares, sizes = zip(*((log.noise**2, log.t.size) for log in interpolated))
         fields["torque_noise"] = np.sqrt(np.average(squares, axis=0, weights=sizes))
     return fields
 
 
-def _runs(file, name):
-    """Yield the segments of a file with what their stamps show."""
+def _segments(file, name):
+    """Yield the segments of a file with an analysis of their time stamps."""
     parts = contiguous_groups(file.labels, file.t.size)
     names = [name or "recording"]
     if file.labels is not None:
         labels = (str(file.labels[part.start]).removesuffix(".0") for part in parts)
-        names = [f"{name} {x}".strip() for x in distinct(labels)]
-    again = np.r_[False, np.diff(file.t) == 0]
-    again[[part.start for part in parts]] = False
-    if again.mean() > _REPEATED:
-        again[:] = False
-    if again.any():
+        names = [f"{name} {x}".strip() for x in unique_names(labels)]
+    repeated = np.r_[False, np.diff(file.t) == 0]
+    repeated[[part.start for part in parts]] = False
+    if repeated.mean() > _MAX_REPEATED:
+        repeated[:] = False
+    if repeated.any():
         file.notes.append(
-            f"{again.sum()} row(s) have the stamp of the one before: left out."
+            f"{repeated.sum()} row(s) have the stamp of the one before: left out."
         )
-    for own, part in zip(names, parts):
-        rows = np.arange(part.start, part.stop)[~again[part]]
+    for label, part in zip(names, parts):
+        rows = np.arange(part.start, part.stop)[~repeated[part]]
         t, positions = file.t[rows], file.channels["q"][rows]
         try:
-            found = inspect_time_stamps(
+            stamps = inspect_time_stamps(
                 t, file.dt, lambda k, rows=rows: file.where(rows[k]), positions
             )
         except ValueError as error:
             raise ValueError(f"{file.path}: {error}") from None
-        yield _Run(file, own, rows, found)
+        yield _Segment(file, label, rows, stamps)
 
 
-def _of_file(runs, dt):
-    """Return the pieces of a file on the grid; note what they lack."""
-    file, pieces, short = runs[0].file, [], 0
-    for _, name, rows, found in runs:
-        # Late stamps alone do not make another period.
-        unsure = max(SAME_DT * dt, 3 * np.std(found.steps) / rows.size)
-        period = dt if abs(found.dt - dt) < unsure else found.dt
-        t = file.t[rows] if found.irregular == "sampled" else period * found.slots
+def _resample_file(segments, dt):
+    """Return the resampled pieces of a file; append notes on gaps to it."""
+    file, pieces, n_short = segments[0].file, [], 0
+    for _, name, rows, stamps in segments:
+        # A difference within the standard error of jittering stamps is no other period.
+        tolerance = max(SAME_DT * dt, 3 * np.std(stamps.steps) / rows.size)
+        period = dt if abs(stamps.dt - dt) < tolerance else stamps.dt
+        t = file.t[rows] if stamps.irregular == "sampled" else period * stamps.slots
         channels = file.channels
         if rows.size < file.t.size:
             channels = {key: x[rows] for key, x in channels.items()}
-        made = _pieces(Log(name, t, channels), dt, found.gaps + 1)
-        short += found.gaps.size + 1 - len(made)
-        pieces += made
-    file.notes.extend(_irregularities(file, runs, dt, short))
+        resampled = _split(Log(name, t, channels), dt, stamps.gaps + 1)
+        n_short += stamps.gaps.size + 1 - len(resampled)
+        pieces += resampled
+    file.notes.extend(_timing_notes(file, segments, dt, n_short))
     if not pieces:
         raise ValueError(
             f"{file.path}: no {_MIN_SAMPLES} samples follow one another without a gap "
@@ -227,36 +227,36 @@ def _of_file(runs, dt):
     return pieces
 
 
-# What irregular stamps mean, by their kind.
-_IRREGULAR = {
+# Interpretation of irregular time stamps, by kind.
+_EXPLANATIONS = {
     "sampled": "the positions say that the robot was sampled at these times; all is "
     "interpolated on a uniform grid",
     "late": "the sampling was regular by the positions; rows are taken as equidistant",
 }
 
 
-def _irregularities(file, runs, dt, short):
+def _timing_notes(file, segments, dt, n_short):
     """Yield notes on irregular stamps, gaps and missing rows."""
-    for what, meaning in _IRREGULAR.items():
-        odd = [run.stamps.steps for run in runs if run.stamps.irregular == what]
-        if odd:
-            steps = np.concatenate(odd)
+    for kind, meaning in _EXPLANATIONS.items():
+        irregular = [x.stamps.steps for x in segments if x.stamps.irregular == kind]
+        if irregular:
+            steps = np.concatenate(irregular)
             yield (
                 f"time stamps are irregular (steps of {steps.min():.4g} to "
                 f"{steps.max():.4g} s, a period of {dt:.4g} s): {meaning}."
             )
-    gaps = np.concatenate([run.rows[run.stamps.gaps] for run in runs])
+    gaps = np.concatenate([x.rows[x.stamps.gaps] for x in segments])
     if gaps.size:
         yield Loss(
             f"{gaps.size} gap(s) of {GAP_PERIODS:g} periods or more in time, the first "
             f"after {file.where(gaps[0])}: the recording is split there."
         )
-    if short:
+    if n_short:
         yield Loss(
-            f"{short} piece(s) of fewer than {_MIN_SAMPLES} samples between gaps are "
+            f"{n_short} piece(s) of fewer than {_MIN_SAMPLES} samples between gaps are "
             "left out."
         )
-    slots = [run.stamps.slots for run in runs if run.stamps.irregular != "sampled"]
+    slots = [x.stamps.slots for x in segments if x.stamps.irregular != "sampled"]
     missing = sum(int((np.diff(x).clip(1) - 1).sum()) for x in slots)
     if missing:
         yield f"{missing} single sample(s) are missing and were interpolated."

@@ -15,7 +15,7 @@ from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording._clock import GAP_PERIODS, STEADY, nanoseconds
 from sklearn_vbjfa.recording._conversion import is_recording, read_rows
 from sklearn_vbjfa.recording._drives import Drive
-from sklearn_vbjfa.recording._grid import on_grid
+from sklearn_vbjfa.recording._grid import resample_files
 from sklearn_vbjfa.recording._layout import ReadOptions, assign_by_name, channel_unit
 from sklearn_vbjfa.recording._recording import Recording
 from sklearn_vbjfa.recording._table import (
@@ -470,7 +470,7 @@ def _combine(files, several, urdf, notes):
     # Recordings are named after their files, by complete paths if names are equal.
     names = [file.name for file in files]
     names = [x if names.count(x) == 1 else str(y.path) for x, y in zip(names, files)]
-    fields = on_grid(files, names if several else [""])
+    fields = resample_files(files, names if several else [""])
     if lost:
         notes.append(f"column(s) {listed(lost)} are not in all files and are left out.")
     return Recording(

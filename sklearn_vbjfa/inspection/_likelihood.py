@@ -189,7 +189,7 @@ class DescribedRobot:
 
     def surpasses(self, log_odds):
         """Whether log odds far exceed those of invented inertias and of springs."""
-        return log_odds > max(self.invented, self.springs) + number.FAR
+        return log_odds > max(self.invented, self.springs) + number.FAR_ODDS
 
     @property
     def sizes(self):

@@ -65,7 +65,7 @@ def motion_of(recording, model=None):
 
 def one_speed(speed):
     """Return the range of speeds (n,), not empty, if it is narrow; else None."""
-    ends = np.quantile(speed, [0.5 - 0.5 * number.MIDDLE, 0.5 + 0.5 * number.MIDDLE])
+    ends = np.quantile(speed, [0.5 - 0.5 * number.CENTRAL, 0.5 + 0.5 * number.CENTRAL])
     return ends if ends[1] - ends[0] < number.ONE_SPEED * ends.mean() else None
 
 

@@ -37,7 +37,7 @@ def orders(reading, what):
         starts = [identity.copy()]
         starts[0][joints[rows]] = joints[columns]
     elif what == "positions and torques":
-        shifts = range(-number.ROLLED, number.ROLLED + 1)
+        shifts = range(-number.SHIFTS, number.SHIFTS + 1)
         starts = [*(np.roll(identity, k) for k in shifts), identity[::-1]]
         starts += usual_orders(reading)
     for i, j in combinations(joints.tolist(), 2):
@@ -159,7 +159,7 @@ def zeros(reading, few):
         offset = np.where(np.isin(reading.every, shown), offset, 0.0)
         offset, _ = refined(Change(offset=offset), shown)
     offset = np.where(reading.slides, 0.0, (offset + np.pi) % (2 * np.pi) - np.pi)
-    moved = tuple(np.flatnonzero(np.abs(offset) > number.MOVED).tolist())
+    moved = tuple(np.flatnonzero(np.abs(offset) > number.LEAST_ZERO).tolist())
     if not moved:
         return None
     facts = {"values": ", ".join(f"{reading.names[j]} {offset[j]:+.2f}" for j in moved)}
@@ -274,7 +274,7 @@ def gear(reading):
     change, (error,) = stepped(reading, best.change, [changes[best.change]])
     (j,) = best.joints
     # Smaller factors may be an effect, a different link, or not identifiable.
-    if abs(np.log(change.positions[j, j])) < max(number.OF_GEAR, 3 * error):
+    if abs(np.log(change.positions[j, j])) < max(number.LEAST_GEAR, 3 * error):
         return None
     power = ", and multiply the torque by it" * (change.torques is not None)
     facts = {"each": _each(reading, change, [j], [error]), "power": power}

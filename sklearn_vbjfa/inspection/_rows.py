@@ -116,7 +116,7 @@ def shuffled_rows(names, q, parts):
     moving = variance > number.LEAST_MOTION**2
     smallest = (square[moving] / (2 * variance[moving])).min(initial=np.inf)
     # If rows of two robots alternate, each resembles the last but one.
-    mixed = moving.any() and (square > number.IN_TURN * square_2)[moving].all()
+    mixed = moving.any() and (square > number.ALTERNATING * square_2)[moving].all()
     if not (mixed or number.SHUFFLED <= smallest < np.inf):
         return []
     every, facts = range(len(names)), {"change": np.sqrt(2 * smallest)}
@@ -266,13 +266,13 @@ def _switched_off(log):
     """Find runs in which all torques vanish, some abruptly, although links weigh."""
     step, size = np.abs(log.steps(log.tau)), np.sqrt((log.tau**2).mean(axis=0))
     sudden = (step > number.SUDDEN * np.quantile(step, 0.995, axis=0)).any(axis=1)
-    runs = log.runs((np.abs(log.tau) <= number.OFF * size).all(axis=1))
+    runs = log.runs((np.abs(log.tau) <= number.OFF_SHARE * size).all(axis=1))
     runs = [(a, b) for a, b in runs if b - a + 2 >= number.STUCK_RUN]
     if not runs:
         return []
     still = np.pad(log.q[[a for a, _ in runs]], ((0, 0), (0, 2 * log.q.shape[1])))
     weight = np.abs(Bodies(log.model).described(still)[1])
-    loaded = [runs[k] for k in np.flatnonzero((weight > number.LOADED * size).any(1))]
+    loaded = [runs[k] for k in np.flatnonzero((weight > number.OFF_LOAD * size).any(1))]
     ends = [k for a, b in loaded for k in (a, b + 1)]
     ends = [k for k in ends if log.together(k - 1, k) and log.moving[k]]
     return loaded if sudden[ends].any() else []
@@ -303,7 +303,7 @@ def _breaks(log, flags, least):
 
 def _amid_motion(log, a, b, least):
     """Whether a joint moves faster than `least` (nv,) before row a and after row b."""
-    k = number.BESIDE
+    k = number.NEAR_ROWS
     if not log.together(a - 1 - k, b + 1 + k):
         return False
     before = (log.q[a - 1] - log.q[a - 1 - k]) / k
@@ -316,7 +316,7 @@ def _report_lost(log, kind, runs, severity):
     log.report(kind, range(len(log.names)), severity, runs)
     lost, rows = _marked(log.q, runs), np.arange(len(log.q))
     # Interpolation is accurate in short gaps only.
-    gaps = [(max(a - 1, 0), b + 1) for a, b in runs if b - a >= number.BESIDE]
+    gaps = [(max(a - 1, 0), b + 1) for a, b in runs if b - a >= number.NEAR_ROWS]
     log.usable[_marked(log.q, gaps)] = False
     log.q, log.tau = log.q.copy(), log.tau.copy()
     for part in log.parts:
@@ -331,9 +331,9 @@ def _report_lost(log, kind, runs, severity):
 def _constant(log):
     """Find torques that are constant or zero while their joints move."""
     largest, spread = np.abs(log.tau).max(axis=0), np.ptp(log.tau, axis=0)
-    is_zero = largest < number.NOTHING
+    is_zero = largest < number.ZERO
     joints = np.flatnonzero(
-        ~log.still & ((spread <= number.ROUNDED * largest) | is_zero)
+        ~log.still & ((spread <= number.ROUNDING * largest) | is_zero)
     )
     if joints.size:
         values = (0.0 if is_zero[j] else log.tau[0, j] for j in joints)
@@ -474,7 +474,7 @@ def _stands(log):
         x = log.q[part]
         high = scipy.ndimage.maximum_filter1d(x, width, axis=0)
         travel = high - scipy.ndimage.minimum_filter1d(x, width, axis=0)
-        inside = travel <= number.STANDS * np.quantile(travel, 0.99, axis=0)
+        inside = travel <= number.STOP_RANGE * np.quantile(travel, 0.99, axis=0)
         # Mark all rows of these windows.
         stopped[part] = scipy.ndimage.maximum_filter1d(inside, width, axis=0, origin=-1)
     return stopped
@@ -492,7 +492,7 @@ def _stuck(log, j, stands):
     # Third differences estimate the noise. If it is far above the resolution, values
     # rarely repeat, even at rest.
     noise = np.median(np.abs(np.diff(x, n=3, prepend=x[:3]))[moves])
-    noisy = noise > number.NOISY * speed[speed > 0].min()
+    noisy = noise > number.DEAD_NOISE * speed[speed > 0].min()
     repeats, others = (step == 0) & ~log.first, ~log.still
     others[j], n_repeats = False, repeats.sum()
     for a, b in log.runs(stands[:, j]):
@@ -503,9 +503,9 @@ def _stuck(log, j, stands):
         sudden = np.concatenate(ends).max(initial=0.0) > fast
         # If all joints stop together, the robot pauses.
         pauses = stands[a + 3 : b - 1, others].all(axis=0).any()
-        elsewhere = n_repeats - repeats[a : b + 1].sum()
-        dead = noisy and b - a > number.DEAD_RUN and elsewhere < number.SELDOM * len(x)
-        dead = dead and repeats[a : b + 1].mean() > number.EXACT
+        other = n_repeats - repeats[a : b + 1].sum()
+        dead = noisy and b - a > number.DEAD_RUN and other < number.REPEATED * len(x)
+        dead = dead and repeats[a : b + 1].mean() > number.DEAD_SHARE
         if (sudden or dead) and not pauses:
             stuck.append((a, b))
             sudden_stop = sudden_stop or sudden

@@ -48,7 +48,7 @@ def weightless(reading):
         np.linalg.norm(x.mean(axis=0)[reading.slides])
         for x in (robot.signals.tau, pull)
     )
-    if not affected or offset > number.HELD * weight > 0:
+    if not affected or offset > number.SLIDE_LOAD * weight > 0:
         return None
     columns = np.stack([moving, robot.weight], axis=-1)
     mean = np.zeros_like(moving)
@@ -84,7 +84,7 @@ def weight_alone(reading):
     inertia, weight = fit.factors
     unclear = abs(inertia) + error[0] > number.NO_WEIGHT or weight < error[1]
     # Torques of a gravity model contain no friction.
-    if unclear or (fit.power > number.SURE).any():
+    if unclear or (fit.power > number.SIGMAS).any():
         return None
     still = robot.fit(robot.entries - robot.pulled(np.zeros(3))).evidence
     facts = {"part": inertia, "error": error[0]}

@@ -44,7 +44,7 @@ def signs(reading):
     scores = {}
     for wrong in dict.fromkeys(map(frozenset, sets)):
         fit = robot.fit(tau=tau @ times(nv, -1.0, list(wrong)), joints=judged)
-        opposed = {j for j, power in zip(judged, fit.power) if power < -number.SURE}
+        opposed = {j for j, power in zip(judged, fit.power) if power < -number.SIGMAS}
         # Friction must not contradict a flipped sign.
         if not opposed & wrong:
             scores[wrong] = fit
@@ -228,7 +228,7 @@ def mixed(reading):
     torques, each, names = np.eye(reading.nv), [], reading.names
     for k, (joint, other) in enumerate(((i, j), (j, i))):
         size, share = fit.factors[2 * k : 2 * k + 2]
-        clear_share = abs(share) > 3 * fit.errors[2 * k + 1] + number.OF_GEAR
+        clear_share = abs(share) > 3 * fit.errors[2 * k + 1] + number.LEAST_GEAR
         # Friction shared by two drives has the same effect, but a small own factor.
         if clear_share and 1 / number.SCALE < abs(size) < number.SCALE:
             torques[joint, [joint, other]] = 1 / size, -share / size
@@ -263,7 +263,7 @@ def of_another(reading):
     """Return torques that are unrelated to, or far smaller than, the described ones."""
     robot = reading.robot
     size, left = np.nanmedian(robot.sizes[robot.joints]), np.exp(0.5 * robot.now.left)
-    is_small = size < 1 / number.SCALE and np.median(left) > number.OF_ANOTHER
+    is_small = size < 1 / number.SCALE and np.median(left) > number.UNEXPLAINED
     if not is_small and (left > number.UNFOLLOWED).sum() < max(2, left.size / 3):
         return None
     facts = {"size": size, "share": percent(np.median(left))}
@@ -332,9 +332,9 @@ def unsigned(reading):
         if residual < number.GOOD_FIT**2 * sizes.var() * sizes.size:
             continue
         result = columns @ most_explaining(columns, sizes)
-        minority = min((result < 0).mean(), (result > 0).mean())
+        share = min((result < 0).mean(), (result > 0).mean())
         signed = ((sizes - np.abs(result)) ** 2).sum()
-        is_unsigned |= number.SIGN_GAIN * signed < residual and minority > number.RARE
+        is_unsigned |= number.SIGN_GAIN * signed < residual and share > number.MINORITY
     remedy = {"drive": "current signed=no"}
     result = Proposal(joints=tuple(one_way), log_odds=np.inf, remedy=remedy)
     return result if is_unsigned else None
@@ -351,7 +351,7 @@ def signed_columns(states, rigid):
 def most_explaining(columns, sizes):
     """Fit coefficients of columns to absolute values (n,), with unknown signs."""
     # Alternates between signs and `signed_columns` coefficients, on a subset of rows.
-    subset = slice(None, None, max(len(sizes) // number.LOOKED_AT, 1))
+    subset = slice(None, None, max(len(sizes) // number.SIGN_ROWS, 1))
     columns, sizes = columns[subset], sizes[subset]
     # All coefficients but the offset are nonnegative: the negative of a torque has the
     # same absolute values.

@@ -37,11 +37,11 @@ def design(arguments, folder):
             "give --urdf FILE (robot description) or --report FOLDER (output of "
             "identify)."
         )
-    out = _input.expanded(arguments.out or "motion.csv")
+    out = _input.expand(arguments.out or "motion.csv")
     _input.check_file(out, "--out", arguments.force)
     found = {}
     if arguments.report:
-        found = read_report(_input.expanded(arguments.report))
+        found = read_report(_input.expand(arguments.report))
         robot = _identified(arguments, found, folder)
     else:
         robot = _described(arguments, folder)
@@ -93,7 +93,7 @@ def _motion(arguments, robot, found):
 
 def _described(arguments, folder):
     urdf, held = _input.robot(arguments, arguments.joints, folder)
-    given = _input.expanded(arguments.urdf)
+    given = _input.expand(arguments.urdf)
     known = replace(KnownRobot.of(str(urdf)), description=str(given))
     return _Robot(known, known.features.model_, str(given), held, 0.01)
 
@@ -101,7 +101,7 @@ def _described(arguments, folder):
 def _identified(arguments, found, folder):
     for name in {"urdf", "joints", "base_orientation"} & set(arguments.typed):
         raise ValueError(f"{spelled(name)} is taken from the report; leave it out.")
-    report = _input.expanded(arguments.report)
+    report = _input.expand(arguments.report)
     path = (report if report.is_dir() else report.parent) / "identified.json"
     robot = load_identified(path)
     provenance, model = found.get("provenance", {}), robot.features_.nominal_

@@ -78,11 +78,11 @@ def design_poses(arguments, folder):
     """Choose poses for gravity compensation, and write them in their order."""
     from sklearn_vbjfa.gravity import gravity_poses
 
-    out = _input.expanded(arguments.out or "poses.csv")
+    out = _input.expand(arguments.out or "poses.csv")
     _input.check_file(out, "--out", arguments.force)
     fitted, joints = None, arguments.joints
     if arguments.report:
-        fitted = load_identified(_input.expanded(arguments.report) / "identified.json")
+        fitted = load_identified(_input.expand(arguments.report) / "identified.json")
         joints = fitted.joint_names_
     urdf, _ = _input.robot(arguments, joints, folder)
     n, seed = arguments.poses, arguments.seed

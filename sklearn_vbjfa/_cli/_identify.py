@@ -32,7 +32,7 @@ def identify(arguments, folder):
     effects = () if arguments.no_search else arguments.effects
     effects = "all" if effects is None else effects
     out = _input.output_folder(arguments, "report")
-    ranges = arguments.ranges and _input.expanded(arguments.ranges)
+    ranges = arguments.ranges and _input.expand(arguments.ranges)
     if ranges:
         _input.check_file(ranges, "--ranges", arguments.force)
     settings = _input.settings(arguments)
@@ -52,7 +52,7 @@ def identify(arguments, folder):
     provenance = {
         "export": tuple(export),
         "file": files[0] if len(files) == 1 else files,
-        "description": str(_input.expanded(arguments.urdf)),
+        "description": str(_input.expand(arguments.urdf)),
         "options": dict(arguments.typed),
         "held": held,
         "files": _FILES[1:],
@@ -151,5 +151,5 @@ def search(recording, urdf, *, effects="all", options=None, **settings):
         **settings,
     )
     return EffectDiscovery(identifier, effects=effects).fit_recording(
-        recording, OfferedSignals.of_file(recording)
+        recording, OfferedSignals.from_recording(recording)
     )

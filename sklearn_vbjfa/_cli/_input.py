@@ -13,7 +13,7 @@ from sklearn_vbjfa.inspection import inspect_as
 from sklearn_vbjfa.model import load_model, load_reduced, movable_joints, write_reduced
 from sklearn_vbjfa.model._loading import load_folded
 from sklearn_vbjfa.physical import ProjectionError
-from sklearn_vbjfa.recording import common_folder, expanded
+from sklearn_vbjfa.recording import common_folder, expand
 
 # How a cell begins that a spreadsheet computes.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -76,7 +76,7 @@ def settings(arguments):
 
 
 def paths(arguments):
-    return tuple(map(expanded, arguments.recording))
+    return tuple(map(expand, arguments.recording))
 
 
 def named(arguments):
@@ -147,7 +147,7 @@ def robot(arguments, joints, folder):
     """Check a description; return one in which other joints are fixed, and these."""
     if arguments.urdf is None:
         raise ValueError("give --urdf FILE, the robot description (URDF or MJCF).")
-    urdf = expanded(arguments.urdf)
+    urdf = expand(arguments.urdf)
     if not urdf.is_file():
         raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
     base = arguments.base_orientation
@@ -176,7 +176,7 @@ def _reduced(urdf, moving, folder, base=None):
 def output_folder(arguments, what):
     """Return the folder for files, refused before the work if it cannot take them."""
     # what: end of its name if none is given.
-    out = expanded(arguments.out) if arguments.out else _default_folder(arguments, what)
+    out = expand(arguments.out) if arguments.out else _default_folder(arguments, what)
     check_folder(out)
     # Hidden files are those of folders and editors.
     held = sorted(x.name for x in out.iterdir()) if out.is_dir() else []

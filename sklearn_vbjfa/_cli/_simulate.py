@@ -27,7 +27,7 @@ def simulate(arguments, folder):
     if arguments.model is None:
         raise ValueError("give --model FILE, the identified.json of identify.")
     out = _input.output_folder(arguments, "simulation")
-    path = _input.expanded(arguments.model)
+    path = _input.expand(arguments.model)
     robot = load_identified(path / "identified.json" if path.is_dir() else path)
     recording = _recording(arguments, robot, folder)
     with _input.blaming(arguments):
@@ -107,7 +107,7 @@ def _recording(arguments, robot, folder):
 
 def _columns_of(model):
     """Return the option --columns of the report beside a saved robot, or None."""
-    path = _input.expanded(model)
+    path = _input.expand(model)
     path = (path if path.is_dir() else path.parent) / "report.json"
     if not path.is_file():
         return None
@@ -118,7 +118,7 @@ def _columns_of(model):
 
 def _windows(arguments, robot, recording):
     """Simulate windows from torques, or from commands under a drive of positions."""
-    drive, signals = arguments.drive, OfferedSignals.of_file(recording)
+    drive, signals = arguments.drive, OfferedSignals.from_recording(recording)
     settings = {"window": arguments.window, "signals": signals}
     if drive is not None and drive.uses_positions:
         if any(isinstance(x, CommandDelay) for x in robot.effects_):

@@ -39,12 +39,12 @@ from sklearn_vbjfa.inspection import common_lag, refusal
 from sklearn_vbjfa.model import DoubtWarning, joint_names, load_model
 from sklearn_vbjfa.recording import (
     OfferedSignals,
-    carries_names,
+    carries_joint_names,
     check_clock,
     check_dt,
     positions_and_signals,
     recording_names,
-    survey,
+    scan_signals,
     take_arrays,
     take_rows,
     with_torques_shifted,
@@ -215,7 +215,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             commanded, signals = drive.split_signals(whole.tau, signals)
             whole = drive.driven(replace(whole, signals=commanded))
         names = recording_names(groups, [part.start for part in whole.segments])
-        named = carries_names(X, self.joint_names_)
+        named = carries_joint_names(X, self.joint_names_)
         whole = replace(whole, joints_named=named, group_names=names)
         self._fit(whole, library, signals, beside)
         for found in self.report_.outcome.findings["channels"]:
@@ -256,7 +256,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             part = split_in_time(self.identifier, whole, self.test_size).searched(whole)
             fitted = clone(self.identifier).fit_inspected(part)
             whole = signed(fitted.robot_, whole)
-        signals, unusable = survey(signals, beside, whole, (*library, *declared))
+        signals, unusable = scan_signals(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
             outcome, self._expectation = self._close(whole, library, unusable)

@@ -28,7 +28,7 @@ from sklearn_vbjfa.equations._plan import (
 )
 from sklearn_vbjfa.equations._states import choose_states
 from sklearn_vbjfa.fit._estimate import from_moments
-from sklearn_vbjfa.recording import check_dt, expanded, read_recording, recordings_in
+from sklearn_vbjfa.recording import check_dt, expand, read_recording, recordings_in
 
 __all__ = ["fit_recordings"]
 # Results that are in memory together.
@@ -160,7 +160,7 @@ def _on_workers(tasks):
 def _paths(source):
     """Return the files of a folder, or those of a list, each once."""
     if isinstance(source, (str, PathLike)):
-        folder = expanded(source)
+        folder = expand(source)
         source = recordings_in(folder) if folder.is_dir() else ()
     paths = list(dict.fromkeys(map(str, source)))
     if not paths:

@@ -15,7 +15,7 @@ from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import (
     OfferedSignals,
     check_time_stamps,
-    check_useful,
+    check_useful_signals,
     positions_and_signals,
     signals_for,
     take_arrays,
@@ -106,7 +106,7 @@ def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
         X, y, groups, weight, t, dt=dt, joint_names=names, signals=used
     )
     _check_rows(identifier, recording)
-    check_useful(signals, recording)
+    check_useful_signals(signals, recording)
     if identifier.drive is None:
         return recording
     recording = identifier.drive.driven(replace(recording, signals=channels))

@@ -23,7 +23,7 @@ from sklearn_vbjfa.recording import (
     bridged,
     check_dt,
     contiguous_groups,
-    in_order,
+    findings_in_order,
     recording_names,
 )
 
@@ -253,7 +253,7 @@ def inspect_channels(
     shuffled = shuffled_rows(names, q, all_parts)
     rows, parts = long_parts(len(q), groups)
     if shuffled or not parts:
-        return in_order(shuffled)
+        return findings_in_order(shuffled)
     if len(rows) < len(q):
         q, tau = q[rows], tau[rows]
     log = Rows(model, names, q, tau, dt, parts, rows)
@@ -264,7 +264,7 @@ def inspect_channels(
         check(log)
     log.usable[:, log.still] = False
     if "copied_position" in {x.kind for x in log.findings}:
-        return in_order(log.findings)
+        return findings_in_order(log.findings)
     q, tau, usable = log.q, log.tau, log.usable
     if log.every > 1:
         # Held positions are compared at their update rate.
@@ -285,7 +285,7 @@ def inspect_channels(
         # Faulty rows do not show whether the log is of another robot.
         excluded.add("other_robot")
     findings = [x for x in findings if x.kind not in excluded]
-    return in_order(log.findings + findings)
+    return findings_in_order(log.findings + findings)
 
 
 def _compare(reading):

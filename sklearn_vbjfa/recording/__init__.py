@@ -8,14 +8,14 @@ _MODULES = {
     "_signals": (
         "ChannelFinding",
         "OfferedSignals",
-        "carries_names",
-        "check_useful",
+        "carries_joint_names",
+        "check_useful_signals",
         "fault",
-        "in_order",
+        "findings_in_order",
         "listed_joints",
         "positions_and_signals",
         "signals_for",
-        "survey",
+        "scan_signals",
         "torques_in_order",
     ),
     "_drives": (
@@ -42,7 +42,7 @@ _MODULES = {
     "_clock": ("check_time_stamps", "inspect_time_stamps"),
     "_grid": ("Log", "interpolate", "join"),
     "_table": ("RecordingRefused", "listed", "quoted"),
-    "formats": ("expanded", "recordings_in"),
+    "formats": ("expand", "recordings_in"),
 }
 __all__: list[str] = []
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

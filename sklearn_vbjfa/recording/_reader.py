@@ -29,7 +29,7 @@ from sklearn_vbjfa.recording._table import (
     listed,
     split_unit,
 )
-from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
+from sklearn_vbjfa.recording.formats import expand, read_table, tables_in
 
 
 def join_tables(tables, joints) -> Table:
@@ -300,7 +300,7 @@ def read_recording(
     arguments = columns, preset, dt, joint_names, gains, time_unit, drive, urdf, topic
     options = ReadOptions(*arguments)
     paths = [path] if isinstance(path, (str, PathLike)) else [*path]
-    paths = list(dict.fromkeys(map(expanded, paths)))
+    paths = list(dict.fromkeys(map(expand, paths)))
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []
@@ -431,7 +431,7 @@ def _file_versions(path):
 
 def common_folder(paths):
     """Return the name of the common parent folder of files, "" if they differ."""
-    folders = {expanded(path).parent.resolve() for path in paths}
+    folders = {expand(path).parent.resolve() for path in paths}
     return folders.pop().name if len(folders) == 1 else ""
 
 

@@ -62,7 +62,7 @@ class ChannelFinding:
     rivals: tuple[str, ...] = ()
 
 
-def in_order(findings):
+def findings_in_order(findings):
     """Return findings as a tuple, worst first."""
     return tuple(sorted(findings, key=lambda f: SEVERITIES.index(f.severity)))
 
@@ -81,7 +81,7 @@ class OfferedSignals(dict):
     """Columns that came with the motion, by name, as read, that nobody asked for."""
 
     @classmethod
-    def of_file(cls, recording):
+    def from_recording(cls, recording):
         """Take the other columns of a file, one by one, without those of joints."""
         columns = cls()
         for name, values in recording.signals.items():
@@ -173,7 +173,7 @@ def signals_for(effects, given, offered, n_samples):
     return found | {name: x for name, x in read.items() if x is not None}
 
 
-def check_useful(given, recording):
+def check_useful_signals(given, recording):
     """Refuse signals, given by name, that are not a condition of the robot."""
     if isinstance(given, OfferedSignals):
         return
@@ -183,14 +183,14 @@ def check_useful(given, recording):
             raise ValueError(f"signals: {name!r} {reason}.")
 
 
-def survey(given, offered, recording, effects):
+def scan_signals(given, offered, recording, effects):
     """Choose the signals of a recording that a search for effects may use."""
     # Returns a dict of arrays (n_samples,), and a `ChannelFinding` on those `offered`
     # that are left out. Of those asked for by name, by the caller or by an effect, none
     # is: they are refused.
     n_samples = recording.n_samples
     found, wanted, offered = _asked_for(effects, given, offered, n_samples)
-    check_useful(found, recording)
+    check_useful_signals(found, recording)
     reasons = {}
     for name in [name for name in offered if name not in found]:
         values, reason = as_numbers(offered[name], n_samples)
@@ -299,7 +299,7 @@ def positions_and_signals(X, names):
     return X[[column for kind in kinds for column in found[kind]]], signals
 
 
-def carries_names(X, names):
+def carries_joint_names(X, names):
     """Return whether columns of a data frame carry the names of joints."""
     return any(x in _columns_of(X) for name in names for x in (name, f"q_{name}"))
 

@@ -9,7 +9,7 @@ from sklearn_vbjfa.recording import (
     OfferedSignals,
     fault,
     positions_and_signals,
-    survey,
+    scan_signals,
     take_arrays,
 )
 
@@ -120,27 +120,27 @@ def test_what_is_offered_is_taken_or_said():
         torque=TAU[:, 0],
         gap=np.where(T > 1, T, np.nan),
     )
-    found, said = survey(None, offered, MEASURED, (Uses(),))
+    found, said = scan_signals(None, offered, MEASURED, (Uses(),))
     assert list(found) == ["warm"]
     (one,) = said
     names = "Column(s) 'label', 'torque', 'gap' are not used as signals: "
     assert one.message.startswith(names + "'label' holds 'a' and not numbers; 'torque'")
     assert (one.kind, one.joints, one.severity) == ("unusable_signal", (), "note")
     many = OfferedSignals({f"c{k}": np.ones(N) for k in range(30)})
-    _, (one,) = survey(None, many, MEASURED, (Uses(),))
+    _, (one,) = scan_signals(None, many, MEASURED, (Uses(),))
     assert "'c4' and 25 more are not" in one.message
     assert len(one.message) < 400
-    asked, _ = survey({"tool": SIGNALS["steps"]}, offered, MEASURED, (Uses(),))
+    asked, _ = scan_signals({"tool": SIGNALS["steps"]}, offered, MEASURED, (Uses(),))
     assert set(asked) == {"tool", "warm"}
-    one, _ = survey(None, offered, MEASURED, (Uses("warm"),))
+    one, _ = scan_signals(None, offered, MEASURED, (Uses("warm"),))
     assert list(one) == ["warm"]
     for name in ("label", "gap"):
         with pytest.raises(ValueError, match=f"The column '{name}' "):
-            survey(None, offered, MEASURED, (Uses(name),))
+            scan_signals(None, offered, MEASURED, (Uses(name),))
     with pytest.raises(ValueError, match="'torque' is the torque of hip"):
-        survey(None, offered, MEASURED, (Uses("torque"),))
+        scan_signals(None, offered, MEASURED, (Uses("torque"),))
     with pytest.raises(ValueError, match="'warm', which is a column of X as well"):
-        survey({"warm": WARM}, offered, MEASURED, ())
+        scan_signals({"warm": WARM}, offered, MEASURED, ())
 
 
 # -- data frames and files
@@ -178,6 +178,6 @@ def test_other_columns_of_a_file_are_signals_by_their_names(kind, tmp_path):
         else:
             frame.to_parquet(source)
     found = read_recording(source)
-    offered = OfferedSignals.of_file(found)
+    offered = OfferedSignals.from_recording(found)
     assert list(offered) == ["Temp °C"]
     np.testing.assert_allclose(offered["Temp °C"], WARM, rtol=1e-9)

@@ -106,7 +106,7 @@ def _content(path, stream):
 # -- folders ---------------------------------------------------------------------------
 
 
-def expanded(path):
+def expand(path):
     """Return a path in which ~ is the home folder; file:// may stand before it."""
     path = Path(str(path).removeprefix("file://"))
     with contextlib.suppress(RuntimeError):
@@ -122,7 +122,7 @@ def tables_in(path):
 
 def recordings_in(path):
     """Return the tables, bags and data sets of a folder, or itself if it is one."""
-    path = expanded(path)
+    path = expand(path)
     if any((path / mark).is_file() for mark in _MARKS):
         return [path]
     return sorted([*_tables(path), *(x for x in path.iterdir() if _is_one(x))])

@@ -1,4 +1,4 @@
-"""What an effect is: columns of a joint's torque, computed from the motion."""
+"""Base classes of effects: columns of joint torques, computed from the motion."""
 
 import functools
 from dataclasses import dataclass
@@ -18,11 +18,11 @@ VISCOSITY, INERTIA = ("N m s/rad", "N s/m"), ("kg m^2", "kg")
 ANGLE, RATIO = ("rad", "rad"), ("", "")
 
 
-# A subclass with one of these has another torque than its base: what its base says of
-# that torque elsewhere does not hold for it.
-_TORQUE = frozenset({"law", "columns"})
-_OF_TORQUE = frozenset({"law", "terms", "simulated", "files", "alike"})
-# Signals of a `Motion` that an effect may need, in words.
+# A subclass that defines one of these has another torque than its base class, so that
+# the other descriptions of the torque are not inherited.
+_DEFINITIONS = frozenset({"law", "columns"})
+_DESCRIPTIONS = frozenset({"law", "terms", "simulated", "files", "alike"})
+# Signals of a `Motion` that an effect may need, and their descriptions.
 _BODIES = "the rigid-body dynamics"
 _NEEDS = {
     "time": ("t", "time stamps"),
@@ -32,24 +32,24 @@ _NEEDS = {
     "load": ("load", "the load, the torque of the rigid bodies"),
     "command": ("command", "the commands of a drive, or recorded torques"),
 }
-_NONE = "the format has no such torque"
+_NOT_IN_FORMAT = "the format has no such torque"
 
 
 @dataclass(frozen=True, kw_only=True)
 class InFiles:
-    """What simulations and files of other programs have of an effect."""
+    """Support of an effect in simulations, URDF and MJCF files."""
 
-    simulation: str = ""  # why a simulation leaves it out, if it does
-    urdf: str = _NONE  # what URDF lacks of it; empty if all of it is there
-    mjcf: str = _NONE  # what MJCF lacks of it
-    # what MJCF has: "constant", "spring" or "ref", with the coefficient
+    simulation: str = ""  # reason why simulations omit it, if they do
+    urdf: str = _NOT_IN_FORMAT  # what URDF cannot hold of it; empty if it holds all
+    mjcf: str = _NOT_IN_FORMAT  # what MJCF cannot hold of it
+    # MJCF elements, "constant", "spring" or "ref", and the coefficients in them
     places: tuple[tuple[str, str], ...] = ()
-    # joint parameter of the files, and declared friction, that it adds to
+    # joint parameter of the files, and declared friction, to which it is added
     parameter: str = ""
 
     @classmethod
     def nowhere(cls, reason):
-        """Return that of an effect that neither format has, and why."""
+        """Return the support of an effect that neither format can hold, and why."""
         return cls(urdf=reason, mjcf=reason)
 
 
@@ -57,8 +57,8 @@ class Effect(TransformerMixin, BaseEstimator):
     """Base class of joint torques that are linear in their coefficients.
 
     A subclass needs `name`, `coefficients`, `units`, and its torque as `law` or
-    `columns`; all other attributes have defaults. Its base classes say of what kind it
-    is: `Shaped` has shape parameters, `Converted` has other parameters than its
+    `columns`; all other attributes have defaults. Its base classes state its
+    kind: `Shaped` has shape parameters, `Converted` has other parameters than its
     coefficients, `Stateful` has memory, as a `Bank` of elements, `OfTime` changes with
     time, at an instant if it is `Sudden`, `OfSignals` with recorded signals, `InModel`
     corrects the rigid-body model, `OnAllJoints` acts on other joints, and `OfRobot`
@@ -90,17 +90,17 @@ class Effect(TransformerMixin, BaseEstimator):
     continuous : tuple of str
         Shape parameters that are searched between the values of `shapes` as well.
     bounded : bool
-        Whether they do not: the torque is bounded by itself, or as straight as viscous
-        friction.
+        Whether predictions do not hold it constant: the torque is bounded, or linear as
+        viscous friction is.
     record : str
         What a recording must contain for the effect to be identifiable, and to be
         distinguished from its rivals.
     terms : tuple of (str, str, ...)
         Terms of the compiled forward dynamics, with coefficients and shape parameters.
     files : InFiles
-        What simulations, URDF and MJCF files have of it.
+        Its support in simulations, URDF and MJCF files.
     alike : bool
-        Whether a mirrored joint has the same coefficients.
+        Whether joints with equal drives have equal coefficients.
 
     Examples
     --------
@@ -135,17 +135,17 @@ class Effect(TransformerMixin, BaseEstimator):
 
     def __init_subclass__(cls, **kwargs):
         super().__init_subclass__(**kwargs)
-        if not _TORQUE.isdisjoint(vars(cls)):
-            for said in _OF_TORQUE - vars(cls).keys():
-                setattr(cls, said, vars(Effect)[said])
+        if not _DEFINITIONS.isdisjoint(vars(cls)):
+            for name in _DESCRIPTIONS - vars(cls).keys():
+                setattr(cls, name, vars(Effect)[name])
 
     def __init__(self, joint=0):
         self.joint = joint
 
-    # -- what a new effect says ---------------------------------------------------
+    # -- defined by subclasses ----------------------------------------------------
 
     def law(self, maths):
-        """Return a function of a state, floats and arrays alike, or None without one.
+        """Return the columns as a function of a state, or None if there is none.
 
         ``maths`` has ``exp``, ``cos``, ``sin``, ``sqrt``, and ``sign(joint)``, which
         returns a function of a joint's velocity and acceleration. Signals of a state
@@ -164,62 +164,62 @@ class Effect(TransformerMixin, BaseEstimator):
             raise NotImplementedError(
                 f"{type(self).__name__} must define columns(motion)."
             )
-        found = law(rows_of(motion))
-        out = np.empty((len(found), motion.q.shape[0]))
-        for column, values in zip(out, found):
+        terms = law(rows_of(motion))
+        out = np.empty((len(terms), motion.q.shape[0]))
+        for column, values in zip(out, terms):
             column[:] = values
         return out.T
 
     def simulated(self, table, *coef):
-        """Enter it into a `TermTable` of forward dynamics; False if it has no terms."""
-        known = dict(zip(self.coefficients, coef))
-        done = bool(self.terms)
+        """Add its terms to a `TermTable` of forward dynamics; False if not possible."""
+        values = dict(zip(self.coefficients, coef))
+        complete = bool(self.terms)
         for kind, *names in self.terms:
-            numbers = [known[n] if n in known else getattr(self, n) for n in names]
-            done &= table.add(kind, self.joint, *numbers)
-        return done
+            arguments = [values[n] if n in values else getattr(self, n) for n in names]
+            complete &= table.add(kind, self.joint, *arguments)
+        return complete
 
     def shapes(self, motion):
         """Shape parameters to search, a list of dicts for `set_params`."""
         return [{}]
 
     def first_shapes(self, motion):
-        """Those of `shapes` that a search compares with other effects."""
+        """Return those of `shapes` that a search compares with other effects."""
         return self.shapes(motion)
 
     def applies(self, motion):
-        """Say why the effect cannot be looked for; empty if it can.
+        """Return why the effect cannot be identified; empty if it can.
 
-        A reason that begins with "needs" is one that another recording may remove.
+        A reason that begins with "needs" may not hold for another recording.
         """
-        for need, (signal, what) in _NEEDS.items():
+        for need, (signal, description) in _NEEDS.items():
             if need in self.needs and getattr(motion, signal) is None:
-                return f"needs {what}"
+                return f"needs {description}"
         return ""
 
     def plausible(self, coef):
-        """Whether fitted coefficients are of the sign and size the effect has."""
+        """Whether fitted coefficients have a sign and size that the effect can have."""
         return self.natural(coef)
 
     def natural(self, coef):
-        """Whether no coefficient is negative that cannot be; see `nonnegative`."""
+        """Whether the signs of coefficients are possible; see `nonnegative`."""
         fitted = dict(zip(self.coefficients, coef))
         return all(fitted[name] >= 0 for name in self.nonnegative)
 
     def opposite(self):
         """Return the effect with the opposite sign, as of a delay; None for others.
 
-        If it explains nearly as much, the cause is symmetric: a search takes neither.
+        If it explains nearly as much, the cause is symmetric: a search accepts neither.
         """
         return None
 
     def excludes(self):
-        """Return the keys of effects that a search puts not beside this one, a set."""
+        """Return the keys of effects that a search does not combine with it, a set."""
         opposite = self.opposite()
         return {self.key()} | (set() if opposite is None else {opposite.key()})
 
     def parameters(self, coef):
-        """Return what an engineer calls the coefficients, symbol -> value."""
+        """Return the physical parameters, symbol -> value."""
         return dict(zip(self.coefficients, map(float, coef)))
 
     def in_file(self, coef):
@@ -227,7 +227,7 @@ class Effect(TransformerMixin, BaseEstimator):
         return np.asarray(coef, dtype=float)
 
     def completed(self):
-        """Return the effect with the part of the term that it replaces."""
+        """Return the effect including the declared term that it replaces."""
         return self
 
     def linearised_at(self, coef):
@@ -236,7 +236,7 @@ class Effect(TransformerMixin, BaseEstimator):
 
     def parameter_units(self, prismatic=False):
         """Units of `parameters` and of the shape parameters, symbol -> unit."""
-        return _of_kind(zip(self.coefficients, self.units), prismatic)
+        return _select_units(zip(self.coefficients, self.units), prismatic)
 
     def prefix(self, joint_name):
         """Return the beginning of the names of its parameters."""
@@ -244,13 +244,13 @@ class Effect(TransformerMixin, BaseEstimator):
 
     @property
     def constant(self):
-        """Coefficient of a constant torque, an `Offset` as well; empty for none."""
-        found = (names[0] for kind, *names in self.terms if kind == "constant")
-        return next(found, "")
+        """Coefficient of a constant torque, as in `Offset`; empty for none."""
+        constants = (names[0] for kind, *names in self.terms if kind == "constant")
+        return next(constants, "")
 
     @classmethod
     def describe(cls, shape, joint_label):
-        """Return a label for a sentence, with what a shape (a mapping) chooses.
+        """Return a label for sentences, with the choices in a shape (a mapping).
 
         ``joint_label`` turns a joint, counted from zero, into its label.
         """
@@ -263,7 +263,7 @@ class Effect(TransformerMixin, BaseEstimator):
     @classmethod
     @functools.cache
     def _get_param_names(cls):
-        # The search asks a hundred thousand times what never changes.
+        # Cached, because a search calls it some 100,000 times.
         return super()._get_param_names()
 
     def shape(self):
@@ -281,7 +281,7 @@ class Effect(TransformerMixin, BaseEstimator):
 
     @property
     def joints(self):
-        """Joints that it names, a tuple."""
+        """Joints among its parameters, a tuple."""
         return (self.joint,)
 
     def acts_on(self, nv):
@@ -295,7 +295,7 @@ class Effect(TransformerMixin, BaseEstimator):
         return out
 
     def check_joints(self, nv):
-        """Raise ValueError for joints that a robot with `nv` of them has not."""
+        """Raise ValueError for joints that a robot with `nv` joints does not have."""
         for joint in self.joints:
             if not 0 <= joint < nv:
                 raise ValueError(
@@ -305,16 +305,16 @@ class Effect(TransformerMixin, BaseEstimator):
 
     @property
     def tuned(self):
-        """Parameters that do not make it another use, a tuple."""
+        """Parameters that are not part of its `key`, a tuple."""
         return self.continuous
 
     @property
     def slow(self):
-        """Whether it could imitate whatever changes slowly."""
+        """Whether it could imitate any slow change of the torque."""
         return isinstance(self, OfTime)
 
     def key(self):
-        """Tell two uses of the effect apart: all but what is `tuned`."""
+        """Return what distinguishes it in a model: all that is not `tuned`."""
         fixed = {k: v for k, v in self.shape().items() if k not in self.tuned}
         return (self.name, self.joint, tuple(sorted(fixed.items())))
 
@@ -366,11 +366,11 @@ class Effect(TransformerMixin, BaseEstimator):
             q=q,
             v=v,
             a=a,
-            t=_checked("t", t, (n,)),
-            load=_checked("load", load, (n, nv)),
+            t=_check_signal("t", t, (n,)),
+            load=_check_signal("load", load, (n, nv)),
             parts=tuple(contiguous_groups(groups, n)),
             signals={
-                name: _checked(f"signals[{name!r}]", values, (n,))
+                name: _check_signal(f"signals[{name!r}]", values, (n,))
                 for name, values in ({} if signals is None else signals).items()
             },
         )
@@ -393,17 +393,17 @@ class Shaped(Effect):
     positive : tuple of str
         Those that must be greater than zero, or tuples of such.
     averaged : tuple of (str, tuple)
-        One with few values, and these, over which intervals are averaged, of an effect
-        with one coefficient.
+        One with few values, and these values, over which intervals are averaged; only
+        for effects with one coefficient.
     coarse : tuple of str
-        Continuous ones with which the torque changes in single rows.
+        Continuous ones, changes of which move the torque of single samples by steps.
     cyclic : tuple of str
-        Angles [rad], the same again after a turn.
+        Angles [rad], with a period of one turn.
     choices : tuple of (str, tuple)
-        Those with few values, and these.
+        Those with few values, and these values.
     split_by : tuple of str
-        Those that make it another effect to an engineer (which signal): where several
-        explain as much as the best, a search reports them as its rivals.
+        Those whose values mean different causes (which signal): a search reports values
+        that explain as much as the best one as its rivals.
     """
 
     shape_units: tuple = ()
@@ -415,22 +415,22 @@ class Shaped(Effect):
     split_by: tuple[str, ...] = ()
 
     def forms(self):
-        """Return the effect with each value of what is `averaged`, a list."""
+        """Return the effect with each value of the `averaged` parameter, a list."""
         name, values = self.averaged or ("", ())
         return [clone(self).set_params(**{name: value}) for value in values]
 
     def check(self):
         """Raise ValueError for bad choices and shape parameters out of range, too."""
         super().check()
-        for name, known in self.choices:
-            if getattr(self, name) not in known:
+        for name, allowed in self.choices:
+            if getattr(self, name) not in allowed:
                 raise ValueError(
-                    f"{name} of {self.name} must be one of {list(known)}; got "
+                    f"{name} of {self.name} must be one of {list(allowed)}; got "
                     f"{getattr(self, name)!r}."
                 )
         for name in self.positive:
-            found = getattr(self, name)
-            for value in found if isinstance(found, (tuple, list)) else [found]:
+            setting = getattr(self, name)
+            for value in setting if isinstance(setting, (tuple, list)) else [setting]:
                 if not (isinstance(value, Real) and 0 < value < np.inf):
                     raise ValueError(
                         f"{name} of {self.name} must be positive and finite; got "
@@ -438,55 +438,55 @@ class Shaped(Effect):
                     )
 
     def parameter_units(self, prismatic=False):
-        own = _of_kind(self.shape_units, prismatic)
-        return super().parameter_units(prismatic) | own
+        units = _select_units(self.shape_units, prismatic)
+        return super().parameter_units(prismatic) | units
 
 
 class Converted(Effect):
-    """An effect whose `parameters` are others than its coefficients.
+    """An effect whose `parameters` differ from its coefficients.
 
     Attributes
     ----------
     named_units : tuple of (str, (str, str))
-        Their symbols and units.
+        Symbols and units of the parameters.
     """
 
     named_units: tuple = ()
 
     def parameter_units(self, prismatic=False):
-        return _of_kind(self.named_units, prismatic)
+        return _select_units(self.named_units, prismatic)
 
 
 class Stateful(Effect):
-    """An effect whose columns depend on other rows than their own.
+    """An effect whose columns depend on earlier or later samples.
 
-    Torques state by state include it if it has a `law`, which may keep what it needs of
-    earlier states; a new function remembers nothing.
+    Torques of single states include it if it has a `law`, which may store earlier
+    states; each call of `law` returns a function without them.
     """
 
 
 class Bank(Stateful):
     """Elements of positive size in place of Coulomb friction, one for each column.
 
-    A search leaves out the others, and rows at rest are fitted.
+    A search drops elements whose size is not positive, and fits samples at rest.
     """
 
 
 class OfTime(Effect):
-    """An effect that changes with time: a search counts its slow changes alone."""
+    """An effect that changes with time: a search judges it by slow changes alone."""
 
     needs: tuple[str, ...] = ("time",)
 
 
 class Sudden(Shaped, OfTime):
-    """An effect that begins at its shape parameter `instant`, which has no interval."""
+    """An effect that begins at the shape parameter `instant`, without interval."""
 
     shape_units = (("instant", TIME),)
     tuned = ("instant",)
 
 
 class OfSignals(Effect):
-    """An effect of recorded signals, with the names of those that it uses."""
+    """An effect of recorded signals; `recorded` holds their names."""
 
     needs = ("signals",)
     recorded: tuple[str, ...] = ()
@@ -509,12 +509,12 @@ class OfRobot(OnAllJoints):
         return self.name
 
 
-def _of_kind(units, prismatic):
-    return {name: both[int(bool(prismatic))] for name, both in units}
+def _select_units(units, prismatic):
+    return {name: pair[int(bool(prismatic))] for name, pair in units}
 
 
-def _checked(name, values, shape):
-    """Return an argument as an array of floats of this shape, or None."""
+def _check_signal(name, values, shape):
+    """Return an argument as an array of floats of a shape, or None."""
     if values is None:
         return None
     values = check_array(values, ensure_2d=False, dtype=np.float64)

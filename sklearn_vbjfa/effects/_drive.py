@@ -1,4 +1,4 @@
-"""Effects of drives, and bodies that a drive moves through another joint."""
+"""Effects of drives, and of drives that act on several joints."""
 
 import numpy as np
 from sklearn.base import clone
@@ -18,19 +18,19 @@ from sklearn_vbjfa.effects._base import (
 )
 from sklearn_vbjfa.effects._position import Spring
 
-# Shares of the own joint's speed in w to try: none, sum and difference, and others; and
-# ratios of springs.
+# Ratios of the joint's own velocity in w to try: none, sum and difference, and others;
+# and ratios of springs.
 _PLAIN, _RATIOS = (0.0, 1.0, -1.0), (0.5, 0.7, 1.4, 2.0)
 _RATIOS_OF_SPRINGS = (0.25, 0.5, 1.0, 2.0, 4.0)
-# In a simulation the sign of w turns over at least this speed [rad/s or m/s].
+# Smallest speed at which simulations smooth the sign of w [rad/s or m/s].
 _SLOW = 1e-3
-# Compliance of the finite difference: deflections of this share of the positions'
-# spread, small enough to be linear and large enough for the rounding.
+# Step of the finite difference: largest deflection as a share of the joint's range,
+# small enough to be linear and large enough compared with rounding errors.
 _DEFLECTION = 1e-4
 
 
 class ToAnother(Shaped):
-    """An effect of the motion of a second joint."""
+    """An effect that depends on the motion of a second joint."""
 
     def __init__(self, joint=0, other=1):
         super().__init__(joint)
@@ -42,8 +42,8 @@ class ToAnother(Shaped):
 
     @classmethod
     def describe(cls, shape, joint_label):
-        named = {name: joint_label(shape[name]) for name in {"other"} & shape.keys()}
-        return super().describe({**shape, **named}, joint_label)
+        labels = {name: joint_label(shape[name]) for name in {"other"} & shape.keys()}
+        return super().describe({**shape, **labels}, joint_label)
 
     def applies(self, motion):
         if motion.n_joints < 2:
@@ -67,7 +67,7 @@ class Coupling(ToAnother):
     """Friction and inertia due to the motion of a second joint.
 
     tau = Fvm w + Fcm sign(w) + Iam dw/dt, where w is the other joint's velocity plus
-    ratio times the own one: drives in series through a differential or coupled wrist
+    ratio times its own: drives in series through a differential or coupled wrist
     (ratio 1 or -1), or a tendon over both joints. Source: Gautier, Janot and Vandanjon
     (2013), wrist of the Staubli TX40, :doi:`10.1109/TCST.2012.2185697`.
 
@@ -102,26 +102,26 @@ class Coupling(ToAnother):
         return {clone(self).set_params(ratio=ratio).key() for ratio in ratios}
 
     def law(self, maths):
-        j, k, own = self.joint, self.other, self.ratio
-        sign = maths.sign(k, j) if own else maths.sign(k)
+        j, k, ratio = self.joint, self.other, self.ratio
+        sign = maths.sign(k, j) if ratio else maths.sign(k)
 
         def torque(state):
-            w, dw = state.v[k] + own * state.v[j], state.a[k] + own * state.a[j]
+            w, dw = state.v[k] + ratio * state.v[j], state.a[k] + ratio * state.a[j]
             return w, sign(w, dw), dw
 
         return torque
 
     def simulated(self, table, Fvm, Fcm, Iam):
-        j, k, own = self.joint, self.other, self.ratio
-        table.coupling[j, [k, j]] += Fvm, own * Fvm
-        table.inertia[j, [k, j]] += Iam, own * Iam
-        # The sign turns over the speeds at which both joints may be standing: friction
-        # of a sum of speeds does not hold one joint alone.
-        slow = table.slow(k) + abs(own) * table.slow(j)
-        return table.add("coupled_dry", j, Fcm, k, own, max(slow, _SLOW))
+        j, k, ratio = self.joint, self.other, self.ratio
+        table.coupling[j, [k, j]] += Fvm, ratio * Fvm
+        table.inertia[j, [k, j]] += Iam, ratio * Iam
+        # The sign is smoothed over the speeds at which both joints may be sticking:
+        # friction of a sum of velocities does not hold a single joint.
+        slow = table.slow(k) + abs(ratio) * table.slow(j)
+        return table.add("coupled_dry", j, Fcm, k, ratio, max(slow, _SLOW))
 
     def shapes(self, motion):
-        """All other joints, alone and together with this one."""
+        """All other joints, alone and combined with this one."""
         kinds = motion.prismatic
         ratios = (*_PLAIN, *_RATIOS, *(-ratio for ratio in _RATIOS))
         return [
@@ -135,15 +135,15 @@ class Coupling(ToAnother):
 class CouplingSpring(ToAnother, Converted, OnAllJoints):
     """Spring over two joints, such as a tendon, tau = k (q - ratio q_other - q0).
 
-    It acts on the other joint with -ratio times that torque, as its energy is that of
-    one deflection. Source: Khalil and Dombre (2004), chapter 9.
+    The other joint's torque is -ratio times as large, because the energy depends on the
+    common deflection. Source: Khalil and Dombre (2004), chapter 9.
 
     Parameters
     ----------
     other : int, default=1
         Second joint.
     ratio : float, default=1.0
-        Deflection by the second joint over that by the first, of the opposite sign.
+        Deflection per position of the second joint, over that of the first, negated.
     """
 
     name = "coupling_spring"
@@ -164,27 +164,27 @@ class CouplingSpring(ToAnother, Converted, OnAllJoints):
         self.ratio = ratio
 
     def columns(self, motion):
-        way = np.zeros((motion.n_joints, 1))
-        way[[self.joint, self.other], 0] = 1.0, -self.ratio
-        deflection = motion.q @ way
-        return np.hstack([deflection, np.ones_like(deflection)])[:, None] * way
+        weights = np.zeros((motion.n_joints, 1))
+        weights[[self.joint, self.other], 0] = 1.0, -self.ratio
+        deflection = motion.q @ weights
+        return np.hstack([deflection, np.ones_like(deflection)])[:, None] * weights
 
     def simulated(self, table, k, c):
-        ends = ((self.joint, 1.0), (self.other, -self.ratio))
-        for (j, own), (other, partner) in (ends, ends[::-1]):
-            table.add("spring", j, k * own * own)
-            table.add("coupled_spring", j, k * own * partner, other)
-            table.add("constant", j, c * own)
+        joints = ((self.joint, 1.0), (self.other, -self.ratio))
+        for (j, weight), (other, other_weight) in (joints, joints[::-1]):
+            table.add("spring", j, k * weight * weight)
+            table.add("coupled_spring", j, k * weight * other_weight, other)
+            table.add("constant", j, c * weight)
         return True
 
     def shapes(self, motion):
-        """All joints behind, with ratios of either sign."""
+        """All joints with higher index, with ratios of either sign."""
         return [
-            shape | {"ratio": way * ratio}
+            shape | {"ratio": sign * ratio}
             for shape in super().shapes(motion)
             if shape["other"] > self.joint
             for ratio in _RATIOS_OF_SPRINGS
-            for way in (1.0, -1.0)
+            for sign in (1.0, -1.0)
         ]
 
     parameters = Spring.parameters
@@ -219,16 +219,16 @@ class Elastic(Converted, Stateful, OnAllJoints):
         j = self.joint
         torque = motion.load[:, j]
         rate = motion.derivative(torque)
-        curve = motion.derivative(rate)
-        size = max(np.abs(torque).max(), np.finfo(float).tiny)
-        compliance = _DEFLECTION * max(motion.range(j), 1e-9) / size
-        moved = []
+        second = motion.derivative(rate)
+        largest = max(np.abs(torque).max(), np.finfo(float).tiny)
+        compliance = _DEFLECTION * max(motion.range(j), 1e-9) / largest
+        torques = []
         for side in (-0.5, 0.5):
             states = [motion.q.copy(), motion.v.copy(), motion.a.copy()]
-            for state, lag in zip(states, (torque, rate, curve)):
-                state[:, j] -= side * compliance * lag
-            moved.append(motion.rigid(*states))
-        return ((moved[1] - moved[0]) / compliance)[:, :, None]
+            for state, derivative in zip(states, (torque, rate, second)):
+                state[:, j] -= side * compliance * derivative
+            torques.append(motion.rigid(*states))
+        return ((torques[1] - torques[0]) / compliance)[:, :, None]
 
     def parameters(self, coef):
         compliance = float(coef[0])

@@ -1,4 +1,4 @@
-"""What a robot declares by name, and friction as a function of velocity and load."""
+"""Declared terms of joints, and friction as a function of velocity and load."""
 
 from sklearn_vbjfa.effects._base import (
     INERTIA,
@@ -11,7 +11,7 @@ from sklearn_vbjfa.effects._base import (
     Shaped,
 )
 
-# Stribeck speeds to try, as shares of the joint's fastest speed.
+# Stribeck speeds to try, as shares of the joint's largest speed.
 _STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6)
 
 
@@ -63,7 +63,7 @@ class Coulomb(Effect):
 
 
 class Offset(Effect):
-    """Constant torque, tau = c: a sensor's zero, a drive's bias.
+    """Constant torque, tau = c: zero offset of a sensor, bias of a drive.
 
     Source: Khalil and Dombre (2004), chapter 12.
     """
@@ -85,7 +85,7 @@ class Offset(Effect):
 class RotorInertia(Effect):
     """Inertia of the motor's rotor seen from the joint, tau = Ir a.
 
-    On the first joints of an arm it lies in the span of the links' inertias. Source:
+    On the first joints of an arm it is a linear combination of link inertias. Source:
     Khalil and Dombre (2004), chapter 9.
     """
 
@@ -121,17 +121,17 @@ class AsymmetricFriction(Effect):
     units = (TORQUE, VISCOSITY)
     contains = ("coulomb", "viscous")
     depends = ("speed", "direction")
-    # As viscous friction is, whose halves these are.
+    # Linear in each direction, as viscous friction is.
     bounded = True
     record = "both directions at several speeds"
-    # Half the difference of dry friction is a constant, at rest as well.
+    # Half the difference of Coulomb friction is a constant, also at rest.
     terms = (("constant", "dFc"), ("absolute", "dFv"))
     files = InFiles(places=(("constant", "dFc"),))
 
     def law(self, maths):
         j = self.joint
-        # At rest friction is anywhere between its values of the two directions, whose
-        # mean is the same constant as in motion.
+        # At rest friction lies between its values of the two directions, whose mean is
+        # the same constant as in motion.
         if maths.rest is not None:
             return lambda state: (1.0, abs(state.v[j]))
         return lambda state: (1.0 * (state.v[j] != 0), abs(state.v[j]))
@@ -140,7 +140,7 @@ class AsymmetricFriction(Effect):
 class Stribeck(Shaped):
     """Stribeck friction, tau = Fs exp(-abs(v / vs)^k) sign(v).
 
-    What friction has at low speed above its Coulomb level. Source: Armstrong-Helouvry,
+    Friction at low speed in excess of the Coulomb level. Source: Armstrong-Helouvry,
     Dupont and Canudas de Wit (1994), section 2, :doi:`10.1016/0005-1098(94)90209-7`.
 
     Parameters
@@ -182,7 +182,7 @@ class Stribeck(Shaped):
         return torque
 
     def shapes(self, motion):
-        """Speeds up to two thirds of the fastest, both exponents."""
+        """Stribeck speeds up to 0.6 of the joint's largest speed, both exponents."""
         fast = motion.speed(self.joint)
         return [{"vs": s * fast, "k": k} for k in (1, 2) for s in _STRIBECK]
 
@@ -190,7 +190,7 @@ class Stribeck(Shaped):
 class ViscousQuadratic(Effect):
     """Quadratic viscous friction, tau = F2 v abs(v).
 
-    Drag of fans and fluids; its negative, friction that grows less than in proportion
+    Drag of fans and fluids; if negative, friction that grows less than proportionally
     to speed, as in lubricated gears. Source: Carvalho Bittencourt and Gunnarsson
     (2012), :doi:`10.1115/1.4006589`.
     """
@@ -212,7 +212,7 @@ class ViscousQuadratic(Effect):
 
 
 class LoadFriction(Effect):
-    """Friction in proportion to the load, tau = mu abs(tau_load) sign(v).
+    """Friction proportional to the load, tau = mu abs(tau_load) sign(v).
 
     Gears and bearings press harder under load. The load is the torque of the rigid
     bodies of the model. Source: Hamon, Gautier and Garrec (2010), section 3,
@@ -238,11 +238,11 @@ class LoadFriction(Effect):
 
 
 class GearLoss(LoadFriction):
-    """Friction over the load that differs with the direction of power.
+    """Load-dependent friction that differs between the directions of power.
 
     tau = mud abs(tau_load) sign(v) while the drive moves the load, and mub
     abs(tau_load) sign(v) while the load moves the drive: the efficiencies of a gear
-    forward and backward. It is `LoadFriction` of their mean, and half of their
+    forward and backward. It equals `LoadFriction` with their mean plus half of their
     difference times the load, as a `TorqueGain` adds. Source: Hamon, Gautier and Garrec
     (2010), :doi:`10.1109/IROS.2010.5649189`.
     """
@@ -267,8 +267,8 @@ class GearLoss(LoadFriction):
         def torque(state):
             load = state.load[j]
             loss = abs(load) * sign(state.v[j], state.a[j])
-            # Driving, it has the sign of the load.
-            along = 0.5 + 0.5 * maths.sign_of(load * loss)
-            return along * loss, (1.0 - along) * loss
+            # It has the sign of the load while the drive moves the load.
+            driving = 0.5 + 0.5 * maths.sign_of(load * loss)
+            return driving * loss, (1.0 - driving) * loss
 
         return torque

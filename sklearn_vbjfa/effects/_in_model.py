@@ -1,9 +1,9 @@
-"""Effects whose value is part of the robot model: its geometry, and what it reads.
+"""Effects that correct the robot model: its geometry, and the gains of its channels.
 
-All other effects add torque to the robot of the description. These change the robot:
-its base leans, an encoder's zero or an axis is elsewhere, a channel has another gain.
-The derivative of the torque at the present value is a column like any other, and the
-model is corrected and linearised again until the value stays.
+All other effects add torque to the described robot. These change the robot: its base is
+tilted, the zero of an encoder or an axis is shifted, the gain of a channel differs.
+The column is the derivative of the torque at the present value; the model is corrected
+and linearised again until the value converges.
 """
 
 from numbers import Real
@@ -24,16 +24,16 @@ from sklearn_vbjfa.effects._base import (
 )
 from sklearn_vbjfa.effects._channels import model_torque
 
-# Size of a column beside the largest of its effect below which it is rounding.
+# Columns smaller than this share of the largest of the effect are rounding errors.
 _ROUNDING = 1e-9
 # Step of central differences of rotations.
 _STEP = 1e-5
 
 
 def cross_axes(direction):
-    """Two axes of a frame across a direction (3,), ndarray (2, 3)."""
-    # The coordinate axes other than the one nearest to the direction, in the order x,
-    # y, z, made perpendicular to it and to each other.
+    """Return two axes perpendicular to a direction (3,), ndarray (2, 3)."""
+    # The two coordinate axes that are not nearest to the direction, in the order x, y,
+    # z, orthogonalised against it and each other.
     n = np.asarray(direction, dtype=float)
     n = n / np.linalg.norm(n)
     first, second = np.delete(np.eye(3), np.argmax(np.abs(n)), axis=0)
@@ -44,45 +44,45 @@ def cross_axes(direction):
 
 
 def rotation(vector):
-    """Matrix (3, 3) of a turn by a rotation vector (3,) [rad]."""
+    """Return the matrix (3, 3) of a rotation vector (3,) [rad]."""
     return Rotation.from_rotvec(vector).as_matrix()
 
 
-def turned_by(vector, change):
-    """Turn d (3,), of rotation(w) [d], that a change of the rotation vector w makes."""
-    # rotation(w + h c) = rotation(w) rotation(h d) to first order in h.
+def body_rotation(vector, change):
+    """Return the body-frame rotation vector (3,) by a change of a rotation vector."""
+    # d of rotation(w + h c) = rotation(w) rotation(h d), to first order in h.
     step = _STEP * np.asarray(change)
     before, after = Rotation.from_rotvec([vector - step, vector + step])
     return (before.inv() * after).as_rotvec() / (2 * _STEP)
 
 
 def without_rounding(columns):
-    """Columns (n, nv, k); negligible ones are zero."""
-    # About an axis along a joint before it a turn does nothing: its derivative is the
-    # rounding of zero, which a regression in scaled columns would take for information.
+    """Set negligible columns of an array (n, nv, k) to zero."""
+    # A rotation about the axis of an earlier joint has no effect. Its derivative is a
+    # rounding error, which a regression with scaled columns would use.
     size = np.sqrt((columns**2).sum(axis=(0, 1)))
     return np.where(size > _ROUNDING * size.max(initial=0.0), columns, 0.0)
 
 
 class InModel(Effect):
-    """An effect whose values are part of the robot model.
+    """An effect whose values are parameters of the robot model.
 
     The `coefficients` are parameters of ``__init__``: the present values. The columns
     are the derivatives of the torque by them; a fitted coefficient is a correction.
-    `RobotIdentifier` iterates these corrections, so that in ``theta_`` the parameters
-    of the effect are the values themselves.
+    `RobotIdentifier` iterates these corrections, so that ``theta_`` contains the values
+    themselves.
 
     Attributes
     ----------
     nominal : tuple of float
-        Values that correct nothing.
+        Values of the uncorrected model.
     limit : float
         Values farther than this from the nominal ones are implausible.
     of_bodies : bool
-        Whether it may replace bodies that are not as described, so that its values are
+        Whether errors of the described bodies could imitate it, so that its values are
         fitted with free bodies.
     precedence : int
-        Among effects with equal columns the lowest gives its name to all.
+        Of effects with equal columns, the one with the lowest precedence is reported.
     """
 
     needs: tuple[str, ...] = ("geometry", "load")
@@ -125,8 +125,8 @@ class InModel(Effect):
     def natural(self, coef):
         """Whether the corrected values are within `bounds`."""
         low, high = self.bounds()
-        found = self.values + np.asarray(coef)
-        return bool(((low <= found) & (found <= high)).all())
+        values = self.values + np.asarray(coef)
+        return bool(((low <= values) & (values <= high)).all())
 
     def linearised_at(self, coef):
         """Return the effect with its values corrected by coefficients (k,)."""
@@ -140,13 +140,13 @@ class InModel(Effect):
 
 
 class BaseTilt(InModel, OfRobot):
-    r"""The base is not level: gravity points elsewhere in its frame.
+    r"""The base is not level: gravity has another direction in its frame.
 
     Gravity in the frame of the base is g = R_y(pitch) R_x(roll) g_0, with g_0 that of
-    the robot description: it is turned about the base's x axis and then about its y
-    axis. A robot whose gravity is along x or y in its base (on a wall) is turned about
-    the other two axes, in their order. The base itself leans the opposite way. Source:
-    Khalil and Dombre (2004), chapter 11.
+    the robot description: it is rotated about the base's x axis and then about its y
+    axis. If gravity is along x or y of the base (robots on a wall), it is rotated about
+    the other two axes, in their order. The base itself is tilted the opposite way.
+    Source: Khalil and Dombre (2004), chapter 11.
 
     Parameters
     ----------
@@ -181,18 +181,18 @@ class BaseTilt(InModel, OfRobot):
         return reason
 
     def correct(self, robot):
-        _, _, roll, pitch = self._turns(robot.nominal_gravity)
+        _, _, roll, pitch = self._rotations(robot.nominal_gravity)
         robot.tilt(pitch @ roll)
 
-    def _turns(self, gravity):
-        """Axes of roll and pitch, and the turns by them, two matrices (3, 3)."""
+    def _rotations(self, gravity):
+        """Return the axes of roll and pitch, and both rotations, matrices (3, 3)."""
         first, second = np.delete(np.eye(3), np.argmax(np.abs(gravity)), axis=0)
         roll, pitch = rotation(self.roll * first), rotation(self.pitch * second)
         return first, second, roll, pitch
 
     def columns(self, motion):
         gravity = motion.derivatives.nominal_gravity
-        first, second, roll, pitch = self._turns(gravity)
+        first, second, roll, pitch = self._rotations(gravity)
         changes = [
             pitch @ np.cross(first, roll @ gravity),
             np.cross(second, pitch @ roll @ gravity),
@@ -203,13 +203,13 @@ class BaseTilt(InModel, OfRobot):
 class JointZero(InModel, OnAllJoints):
     r"""The zero of an encoder is off: it reads the position plus a constant.
 
-    q = q_measured - zero, in everything that the rigid bodies do; velocity and
-    acceleration are not touched. Source: Khalil and Dombre (2004), chapter 11.
+    q = q_measured - zero in the rigid-body dynamics; velocity and acceleration do not
+    change. Source: Khalil and Dombre (2004), chapter 11.
 
     Parameters
     ----------
     zero : float, default=0.0
-        Present value [rad or m]: what is read where the joint is at zero.
+        Present value [rad or m]: reading of the encoder at the joint's zero.
     """
 
     name = "joint_zero"
@@ -239,15 +239,14 @@ class JointZero(InModel, OnAllJoints):
 
 
 class JointAxis(InModel, OnAllJoints):
-    r"""The axis of a joint is not where the robot description has it.
+    r"""The axis of a joint differs from the robot description.
 
-    The placement M of the joint, in what carries it, is M exp(w) with the rotation
-    vector w = about_x e_1 + about_y e_2, and all that the joint carries is carried
-    along: a wrong ``rpy`` of its origin. e_1 and e_2 are x and y of the joint's frame
-    for a joint that turns about z, y and z for one about x, x and z for one about y (in
-    between: the two coordinate axes other than the nearest to the joint's, made
-    perpendicular to it). Source: Hayati and Mirmirani (1985),
-    :doi:`10.1002/rob.4620020406`.
+    The placement M of the joint in its parent becomes M exp(w) with the rotation vector
+    w = about_x e_1 + about_y e_2, and all bodies that the joint carries move with it: a
+    wrong ``rpy`` of its origin. e_1 and e_2 are x and y of the joint's frame if the
+    joint's axis is z, y and z if it is x, x and z if it is y (otherwise the two
+    coordinate axes that are not nearest to the joint's, orthogonalised against it).
+    Source: Hayati and Mirmirani (1985), :doi:`10.1002/rob.4620020406`.
 
     Parameters
     ----------
@@ -280,21 +279,21 @@ class JointAxis(InModel, OnAllJoints):
         )
 
     def columns(self, motion):
-        made = motion.derivatives
-        axes = cross_axes(made.axes[self.joint])
+        derivatives = motion.derivatives
+        axes = cross_axes(derivatives.axes[self.joint])
         vector = self.values @ axes
-        # A zero that was moved comes behind the turn, with axes of its own.
-        behind = made.nominal_rotation(self.joint) @ rotation(vector)
-        behind = behind.T @ made.rotation(self.joint)
-        turns = [behind.T @ turned_by(vector, axis) for axis in axes]
-        return without_rounding(made.by_turn(self.joint, np.transpose(turns)))
+        # A corrected zero moves the joint after this rotation, in the rotated axes.
+        after = derivatives.nominal_rotation(self.joint) @ rotation(vector)
+        after = after.T @ derivatives.rotation(self.joint)
+        turns = [after.T @ body_rotation(vector, axis) for axis in axes]
+        return without_rounding(derivatives.by_turn(self.joint, np.transpose(turns)))
 
 
 class TorqueGain(InModel):
     r"""A torque channel has another gain than the others.
 
-    It reads gain times the torque, friction included: a torque constant, a gear ratio
-    or a load cell's scale that is wrong. Source: Gautier and Briot (2014),
+    It measures gain times the torque, friction included: an error of a torque constant,
+    a gear ratio or the scale of a load cell. Source: Gautier and Briot (2014),
     :doi:`10.1115/1.4027506`.
 
     Parameters
@@ -341,50 +340,50 @@ class TorqueGain(InModel):
         return super().applies(motion)
 
     def columns(self, motion):
-        # Rows of the joint are multiplied with the gain, which the derivative has not.
+        # Equations of the joint are multiplied by the gain, the derivative is not.
         return model_torque(motion, self.joint)[:, None] / self.gain
 
 
-class _OfTheClock(InModel, OfRobot):
-    """A delay of all channels [s]: it corrects times, and not the robot model."""
+class _ClockCorrection(InModel, OfRobot):
+    """A delay of all channels [s]: it corrects times instead of the robot model."""
 
     units = (TIME,)
     nominal = (0.0,)
     limit = 0.1
     of_bodies = False
     needs = ("command",)
-    beginning = ""  # of the names of its parameters
-    way = 1.0  # whether the torques by commands act later or earlier
+    parameter_prefix = ""
+    sign = 1.0  # 1 if commanded torques act later, -1 if earlier
 
     def correct(self, robot):
         """Leave the robot model unchanged."""
 
     def prefix(self, joint_name):
-        return self.beginning
+        return self.parameter_prefix
 
     def columns(self, motion):
-        known = motion.command, motion.parts, motion.t
-        late = self.way * self.values[0]
-        return self.way * interpolate(*known, late, 1)[:, :, None]
+        commands = motion.command, motion.parts, motion.t
+        delay = self.sign * self.values[0]
+        return self.sign * interpolate(*commands, delay, 1)[:, :, None]
 
 
-class CommandDelay(_OfTheClock):
-    r"""The drive follows its commands later than the log says.
+class CommandDelay(_ClockCorrection):
+    r"""The drive executes its commands later than logged.
 
-    With c(t) what of the torque follows from commands alone, K q_d + D v_d + tau_ff of
-    a `PDDrive`, the drive makes tau(t) + c(t - delay) - c(t) where tau(t) is its law at
-    no delay. Where the robot follows closely, v_d is nearly v, and a delay nearly
-    viscous friction of K times the delay. Source: Bjelonic and others (2025), delay of
+    With the commanded part c(t) of the torque, K q_d + D v_d + tau_ff of a `PDDrive`,
+    the torque is tau(t) + c(t - delay) - c(t), where tau(t) is the drive's law without
+    delay. If the robot tracks closely, v_d is nearly v, and the delay is nearly viscous
+    friction of K times the delay. Source: Bjelonic and others (2025), delay of
     the command of a drive.
 
     Parameters
     ----------
     delay : float, default=0.0
-        Present value [s], within 0.1 s; negative if the logged positions are old.
+        Present value [s], within 0.1 s; negative if the logged positions lag.
     """
 
     name = "command_delay"
-    beginning = "drive"
+    parameter_prefix = "drive"
     label = "delayed command"
     files = InFiles.nowhere("torques of the file act at once")
     formula = r"c(t - \mathrm{delay}) - c(t)"
@@ -396,12 +395,12 @@ class CommandDelay(_OfTheClock):
         self.delay = delay
 
 
-class TorqueLag(_OfTheClock):
+class TorqueLag(_ClockCorrection):
     r"""All torques are recorded later than the positions.
 
-    A recorded torque :math:`\tau(t + \mathrm{lag})` belongs to the motion at t: two
+    The torque of the motion at t is recorded as :math:`\tau(t + \mathrm{lag})`: two
     clocks, or a delay of the torque channels. `RobotIdentifier.fit` declares the effect
-    where `inspect_recording` finds a lag.
+    if `inspect_recording` finds a lag.
 
     Parameters
     ----------
@@ -410,13 +409,13 @@ class TorqueLag(_OfTheClock):
     """
 
     name = "torque_lag"
-    beginning = "torques"
+    parameter_prefix = "torques"
     label = "lag of all torques"
     files = InFiles.nowhere("a property of the log")
     formula = r"\tau(t + \mathrm{lag})"
     coefficients = ("lag",)
     record = "faster motion"
-    way = -1.0
+    sign = -1.0
 
     def __init__(self, joint=0, lag=0.0):
         super().__init__(joint)

@@ -1,4 +1,4 @@
-"""The library of effects by name, and those that a robot declares by name."""
+"""The library of effects by name, and the terms that a robot can declare."""
 
 import numpy as np
 from sklearn.base import clone
@@ -51,10 +51,10 @@ _LIBRARY = {
 
 
 def closure(effect, library):
-    """Names, a set, of all effects that an effect contains, directly or not."""
-    inside = [one for one in library if one.name in effect.contains]
-    others = [one for one in library if one not in inside]
-    return set(effect.contains).union(*(closure(one, others) for one in inside))
+    """Return the names of all effects that an effect contains, also indirectly."""
+    contained = [part for part in library if part.name in effect.contains]
+    others = [part for part in library if part not in contained]
+    return set(effect.contains).union(*(closure(part, others) for part in contained))
 
 
 def available():
@@ -75,20 +75,20 @@ def available():
 
 
 def resolve(effects="all"):
-    """Return the effects of "all", names, classes and instances, one of each."""
+    """Return effects, without duplicates, from names, classes, instances or "all"."""
     if isinstance(effects, str) and effects == "all":
         return tuple(effect() for effect in _LIBRARY.values())
     if isinstance(effects, (str, Effect, type)):
         effects = (effects,)
-    found = tuple(_one(effect) for effect in effects)
-    names = [effect.name for effect in found]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ValueError(f"effects names {', '.join(twice)} twice.")
-    return found
+    resolved = tuple(_resolve_one(effect) for effect in effects)
+    names = [effect.name for effect in resolved]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise ValueError(f"effects names {', '.join(repeated)} twice.")
+    return resolved
 
 
-def _one(effect):
+def _resolve_one(effect):
     if isinstance(effect, str):
         if effect not in _LIBRARY:
             raise ValueError(
@@ -106,7 +106,7 @@ def _one(effect):
     )
 
 
-# -- effects that a robot declares by name: one column on every joint -----------------
+# -- declared effects: one column for each joint --------------------------------------
 
 _DECLARED = {
     e.name: e for e in resolve(["viscous", "coulomb", "offset", "rotor_inertia"])
@@ -123,7 +123,7 @@ def declared(name):
 
 
 def check_declared(friction):
-    """Return the names as a tuple, refusing unknown and repeated ones."""
+    """Return names of declared effects, a tuple; refuse unknown and repeated ones."""
     names = (friction,) if isinstance(friction, str) else tuple(friction)
     unknown = [name for name in names if name not in _DECLARED]
     if unknown:
@@ -136,7 +136,7 @@ def check_declared(friction):
 
 
 def declared_columns(names, v, a, rest=None):
-    """Columns of all joints, (n, nv, len(names)); signs are means with a `Rest`."""
+    """Columns of all joints, (n, nv, len(names)), with mean signs given a `Rest`."""
     out = np.zeros((*np.shape(v), len(names)))
     motion = Motion(q=v, v=v, a=a, rest=rest)
     for k, name in enumerate(names):

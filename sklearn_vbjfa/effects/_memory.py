@@ -1,4 +1,4 @@
-"""Dry friction and play that remember the positions a joint came from."""
+"""Dry friction and play that depend on earlier positions of the joint."""
 
 import functools
 import math
@@ -23,12 +23,12 @@ from sklearn_vbjfa.effects._motion import Arrays
 
 # Widths of play to try, as shares of half of the joint's range.
 _WIDTHS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
-# Displacements of the bank to try beside none, as shares of the joint's range: their
-# number, and the smallest and the largest one.
+# Displacements of a bank, besides zero, as shares of the joint's range: their number,
+# and the smallest and the largest one.
 _COUNT, _SMALLEST, _LARGEST = 14, 3e-5, 0.25
-# Stribeck speeds of the bank to try, as shares of the joint's fastest speed.
+# Stribeck speeds of a bank to try, as shares of the joint's largest speed.
 _SPEEDS = (0.04, 0.08, 0.16, 0.32)
-# Banks of elements, with the symbols and units of their sizes.
+# Banks of elements, with symbols and units of their sizes.
 _BANKS = {
     "displacements": ("F", TORQUE),
     "loaded": ("mu", RATIO),
@@ -38,15 +38,15 @@ _AT_ONCE = (
     "turns round at once: stiffness before sliding, and friction that depends on load "
     "or speed"
 )
-# Points of the curve on which the displacement at half of the friction is looked for.
+# Points of the curve from which the displacement at half of the friction is read.
 _CURVE = 200
-# Mean sign of a velocity from which on its joint moves.
+# Smallest mean sign of the velocity of a moving joint.
 _MOVES = 0.99
 
 
 @functools.cache
 def _compiled(function):
-    """Compile a recursion over samples, when it is used first."""
+    """Compile a recursion over samples at its first use."""
     # Numba takes a second to import.
     from sklearn_vbjfa._core._compiler import compiler
 
@@ -56,16 +56,16 @@ def _compiled(function):
 def elements(
     q, displacements, level=1.0, falls=False, creeps=False, before=(), sign=None
 ):
-    """States (n, k) of elements that slip at, or creep towards, a level."""
-    # level (n,): of the elements that fall, bool (k,); that of the others is 1.
-    # before: positions that the joint came through, at the first of which z is zero.
-    # sign (n,): of the velocity, in the mean; None takes the ways from row to row.
+    """Return states (n, k) of elements that slip at, or creep towards, a level."""
+    # level (n,): of the elements marked in `falls`, bool (k,); that of the others is 1.
+    # before: earlier positions of the joint, z is zero at the first one.
+    # sign (n,): mean sign of the velocity; None for the sign of each step.
     d = np.asarray(displacements, dtype=float)
     sign = np.sign(np.diff(q, prepend=q[:1])) if sign is None else sign
     z = np.zeros((q.size, d.size))
     if len(before):
-        # At a constant level the ends of each way are enough.
-        ends = _compiled(_turned)(np.append(before, q[0]))
+        # At a constant level the states depend on the reversals alone.
+        ends = _compiled(_reversals)(np.append(before, q[0]))
         z[0] = elements(ends, d, creeps=creeps)[-1]
     level, falls = np.broadcast_to(level, q.shape), np.broadcast_to(falls, d.shape)
     arrays = (np.ascontiguousarray(x) for x in (q, d, level, falls, sign))
@@ -73,58 +73,58 @@ def elements(
     return z
 
 
-def _elements(q, d, level, falls, sign, creeps, moves, z):
-    """Continue states z (n, k) from the first row on."""
-    way = 1.0
+def _elements(q, d, level, falls, sign, creeps, threshold, z):
+    """Compute states z (n, k) from that of the first row."""
+    direction = 1.0
     for i in range(q.size):
-        before = max(i - 1, 0)
-        step = q[i] - q[before]
+        previous = max(i - 1, 0)
+        step = q[i] - q[previous]
         if step != 0:
-            way = 1.0 if step > 0 else -1.0
+            direction = 1.0 if step > 0 else -1.0
         for k in range(d.size):
-            most = level[i] if falls[k] else 1.0
+            limit = level[i] if falls[k] else 1.0
             if d[k] == 0:
-                held = sign[i] if abs(sign[i]) > moves else z[before, k]
-                z[i, k] = np.sign(held) * most
+                side = sign[i] if abs(sign[i]) > threshold else z[previous, k]
+                z[i, k] = np.sign(side) * limit
                 continue
-            own, moved = way * z[before, k], way * step / d[k]
+            aligned, travel = direction * z[previous, k], direction * step / d[k]
             if creeps:
-                own = most + (own - most) * math.exp(-moved / most)
+                aligned = limit + (aligned - limit) * math.exp(-travel / limit)
             else:
-                own = min(own + moved, most)
-            z[i, k] = way * own
+                aligned = min(aligned + travel, limit)
+            z[i, k] = direction * aligned
 
 
-def _turned(q):
-    """Positions at which a motion (n,) begins, turns, and ends."""
-    found = [q[0]]
+def _reversals(q):
+    """Return the positions at which a motion (n,) begins, reverses and ends."""
+    positions = [q[0]]
     for i in range(1, q.size - 1):
-        if (q[i] - found[-1]) * (q[i + 1] - q[i]) < 0:
-            found.append(q[i])
-    found.append(q[-1])
-    return np.array(found)
+        if (q[i] - positions[-1]) * (q[i + 1] - q[i]) < 0:
+            positions.append(q[i])
+    positions.append(q[-1])
+    return np.array(positions)
 
 
 def came_from(before):
-    """Return a function of a joint for `Motion`, of positions (k, nv) before parts."""
+    """Return `Motion.before`, from the positions (k, nv) before each part."""
 
     @functools.cache
     def ends(joint):
-        ways = (np.ascontiguousarray(q[:, joint]) for q in before)
-        return [_compiled(_turned)(q) if q.size else q for q in ways]
+        paths = (np.ascontiguousarray(q[:, joint]) for q in before)
+        return [_compiled(_reversals)(q) if q.size else q for q in paths]
 
     return ends if before else None
 
 
 def play(q, width):
-    """Play operator: the position follows q within half the width."""
+    """Apply the play operator: the position follows q within half the width."""
     out = np.array(q, dtype=float)
     _compiled(_play)(out, 0.5 * width)
     return out
 
 
 def _play(q, half):
-    """Replace positions (n,) by those that follow them."""
+    """Apply the play operator to positions (n,) in place."""
     for i in range(1, q.size):
         q[i] = min(max(q[i - 1], q[i] - half), q[i] + half)
 
@@ -136,7 +136,7 @@ class MaxwellSlip(Shaped, Converted, Bank):
     z' = s min(s z + abs(dq) / d, g), s = sign(dq): the Maxwell slip model. Or it creeps
     towards its level, s z' = g + (s z - g) exp(-abs(dq) / (d g)), as bristles do. The
     level is 1, or falls with speed, g = 1 + exp(-(v / vs)^2). An element without
-    displacement is Coulomb friction, z = g sign(v). The torque is kept at rest.
+    displacement is Coulomb friction, z = g sign(v). The torque persists at rest.
     Source: Al-Bender, Lampaert and Swevers (2005), :doi:`10.1109/TAC.2005.858676`;
     Canudas de Wit, Olsson, Astrom and Lischinsky (1995), :doi:`10.1109/9.376053`.
 
@@ -156,9 +156,9 @@ class MaxwellSlip(Shaped, Converted, Bank):
 
     Notes
     -----
-    The elements are taken to be relaxed, z = 0, in the first row of each recording; an
-    element has forgotten that once the joint has moved by twice its displacement
-    without turning round.
+    The elements are assumed to be relaxed, z = 0, in the first row of each recording.
+    An element does not depend on that after the joint has moved by twice its
+    displacement without reversal.
     """
 
     name = "maxwell_slip"
@@ -214,7 +214,7 @@ class MaxwellSlip(Shaped, Converted, Bank):
 
     @property
     def contains(self):
-        """Names of what elements of constant level and no displacement are."""
+        """Names of the effects that elements without displacement are equal to."""
         return ("coulomb", "load_friction") if self.loaded else ("coulomb",)
 
     @property
@@ -242,9 +242,9 @@ class MaxwellSlip(Shaped, Converted, Bank):
 
     @property
     def named_units(self):
-        named = {"Fc": TORQUE, "half": POSITION, "mu": RATIO, "Fs": TORQUE}
-        found = self.parameters(np.ones(len(self.coefficients)))
-        return tuple((name, named[name]) for name in found)
+        units = {"Fc": TORQUE, "half": POSITION, "mu": RATIO, "Fs": TORQUE}
+        symbols = self.parameters(np.ones(len(self.coefficients)))
+        return tuple((name, units[name]) for name in symbols)
 
     def check(self):
         super().check()
@@ -261,60 +261,60 @@ class MaxwellSlip(Shaped, Converted, Bank):
 
     def columns(self, motion):
         j, d = self.joint, np.concatenate(self._banks)
-        plain, loaded, _ = self._split(np.arange(d.size))
-        falls = np.arange(d.size) >= plain.size + loaded.size
+        constant, loaded, _ = self._split(np.arange(d.size))
+        falls = np.arange(d.size) >= constant.size + loaded.size
         level = 1.0 + np.exp(-((motion.v[:, j] / self.vs) ** 2))
         sign = Arrays(motion.rest).sign(j)(motion.v[:, j], motion.a[:, j])
         before = motion.before(j) if motion.before else [()] * len(motion.parts)
         z = np.empty((level.size, d.size))
-        for part, known in zip(motion.parts, before, strict=True):
-            own = level[part], falls, self._creeps, known, sign[part]
-            z[part] = elements(motion.q[part, j], d, *own)
+        for part, earlier in zip(motion.parts, before, strict=True):
+            arguments = level[part], falls, self._creeps, earlier, sign[part]
+            z[part] = elements(motion.q[part, j], d, *arguments)
         if loaded.size:
             z[:, loaded] *= np.abs(motion.load[:, [j]])
         return z
 
     def _split(self, values):
-        """Split what there is of each element (k, ...) by the kinds of elements."""
+        """Split values of the elements (k, ...) by banks."""
         edges = np.cumsum([len(bank) for bank in self._banks])
         return np.split(values, edges[:-1])
 
     def law(self, maths):
         j, vs, exp, creeps = self.joint, self.vs, maths.exp, self._creeps
-        plain, loaded, falling = self._banks
-        d = [float(one) for one in (*plain, *loaded, *falling)]
-        first, second = len(plain), len(plain) + len(loaded)
-        last, way, side, z, sign = None, 1.0, 0.0, [0.0] * len(d), maths.sign(j)
+        constant, loaded, falling = self._banks
+        d = [float(x) for x in (*constant, *loaded, *falling)]
+        first, second = len(constant), len(constant) + len(loaded)
+        last, direction, side, z, sign = None, 1.0, 0.0, [0.0] * len(d), maths.sign(j)
 
         def torque(state):
-            nonlocal last, way, side
+            nonlocal last, direction, side
             q = state.q[j]
             step = 0.0 if last is None else q - last
             last = q
             if step:
-                way = 1.0 if step > 0 else -1.0
-            now = sign(state.v[j], state.a[j])
-            if abs(now) > _MOVES:
-                side = 1.0 if now > 0 else -1.0
-            fall = 1.0 + exp(-((state.v[j] / vs) ** 2)) if falling else 1.0
+                direction = 1.0 if step > 0 else -1.0
+            mean_sign = sign(state.v[j], state.a[j])
+            if abs(mean_sign) > _MOVES:
+                side = 1.0 if mean_sign > 0 else -1.0
+            falling_level = 1.0 + exp(-((state.v[j] / vs) ** 2)) if falling else 1.0
             for k, displacement in enumerate(d):
-                level = fall if k >= second else 1.0
+                level = falling_level if k >= second else 1.0
                 if displacement == 0:
                     z[k] = side * level
                     continue
-                own, moved = way * z[k], way * step / displacement
+                aligned, travel = direction * z[k], direction * step / displacement
                 if creeps:
-                    own = level + (own - level) * exp(-moved / level)
+                    aligned = level + (aligned - level) * exp(-travel / level)
                 else:
-                    own = min(own + moved, level)
-                z[k] = way * own
+                    aligned = min(aligned + travel, level)
+                z[k] = direction * aligned
             load = abs(state.load[j]) if loaded else 0.0
-            return *z[:first], *(load * one for one in z[first:second]), *z[second:]
+            return *z[:first], *(load * x for x in z[first:second]), *z[second:]
 
         return torque
 
     def simulated(self, table, *coef):
-        """Enter each element into a `TermTable`."""
+        """Add each element to a `TermTable`."""
         coef = self._split(np.asarray(coef, dtype=float))
         kinds = zip(self._banks, coef, (0.0, 0.0, self.vs), (0.0, 1.0, 0.0))
         for bank, sizes, vs, of_load in kinds:
@@ -333,27 +333,27 @@ class MaxwellSlip(Shaped, Converted, Bank):
         bank = tuple(reach * np.geomspace(_SMALLEST, _LARGEST, _COUNT))
         if not (reach > 0 and fast > 0):
             return []
-        # Without displacement those that follow the load or fall are other effects.
-        plain = {"displacements": (0.0, *bank), "loaded": (), "falling": ()}
-        plain |= {"vs": _SPEEDS[0] * fast, "element": "stop"}
-        found = [
-            plain | {"falling": bank, "vs": s * fast, "element": element}
+        # Loaded or falling elements without displacement are other effects.
+        base = {"displacements": (0.0, *bank), "loaded": (), "falling": ()}
+        base |= {"vs": _SPEEDS[0] * fast, "element": "stop"}
+        others = [
+            base | {"falling": bank, "vs": s * fast, "element": element}
             for element in ("stop", "bristle")
             for s in _SPEEDS
         ]
         if motion.load is not None:
-            found.append(plain | {"loaded": bank})
-        return [plain, *found]
+            others.append(base | {"loaded": bank})
+        return [base, *others]
 
     def first_shapes(self, motion):
-        """Banks whose elements slip; those that creep follow where one is found."""
+        """Return the banks of slipping elements; creeping ones follow if they help."""
         shapes = self.shapes(motion)
         return [shape for shape in shapes if self._creeps or shape["element"] == "stop"]
 
     def only(self, used):
-        """Return the effect with some of its elements, by a mask (k,)."""
+        """Return the effect with the elements in a mask (k,)."""
         pairs = zip(self._banks, self._split(used))
-        return self._of_banks(np.asarray(bank)[own] for bank, own in pairs)
+        return self._of_banks(np.asarray(bank)[mask] for bank, mask in pairs)
 
     def finer(self):
         """Return the effect with further elements around each element."""
@@ -364,8 +364,8 @@ class MaxwellSlip(Shaped, Converted, Bank):
 
     def _of_banks(self, banks):
         """Return the effect with other displacements."""
-        found = {name: tuple(bank.tolist()) for name, bank in zip(_BANKS, banks)}
-        return type(self)(**self.get_params(deep=False) | found)
+        changes = {name: tuple(bank.tolist()) for name, bank in zip(_BANKS, banks)}
+        return type(self)(**self.get_params(deep=False) | changes)
 
     def completed(self):
         """Return the effect with an element of no displacement, Coulomb friction."""
@@ -374,41 +374,41 @@ class MaxwellSlip(Shaped, Converted, Bank):
 
     def in_file(self, coef):
         """Return the sizes of the elements at high speed, zero for the loaded ones."""
-        plain, loaded, falling = self._split(np.array(coef, dtype=float))
-        return np.concatenate([plain, 0.0 * loaded, falling])
+        constant, loaded, falling = self._split(np.array(coef, dtype=float))
+        return np.concatenate([constant, 0.0 * loaded, falling])
 
     def virgin_curve(self, coef, displacement):
         """Torque (n,) of a relaxed joint moved by displacements (n,) [rad or m].
 
-        That of the elements that do not follow the load, well above the Stribeck speed.
+        Without the loaded elements, and well above the Stribeck speed.
         """
-        plain, _, falling = self._split(np.asarray(coef, dtype=float))
+        constant, _, falling = self._split(np.asarray(coef, dtype=float))
         d = np.concatenate([self.displacements, self.falling])
         x = np.asarray(displacement, dtype=float)[:, None]
-        moved = np.where(d > 0, x / or_one(d), np.inf)
-        curve = 1.0 - np.exp(-moved) if self._creeps else np.minimum(moved, 1.0)
-        return curve @ np.concatenate([plain, falling])
+        travel = np.where(d > 0, x / or_one(d), np.inf)
+        curve = 1.0 - np.exp(-travel) if self._creeps else np.minimum(travel, 1.0)
+        return curve @ np.concatenate([constant, falling])
 
     def parameters(self, coef):
         """Total friction Fc, displacement `half`, and sums mu and Fs."""
-        # Fc well above the Stribeck speed, and Fs more at very low speed; half of what
-        # builds up with the displacement is reached at `half`.
-        plain, loaded, falling = self._split(np.asarray(coef, dtype=float))
-        found = {}
-        if plain.size or falling.size:
+        # Fc holds well above the Stribeck speed, Fs is added at very low speed; `half`
+        # is the displacement at which half of the torque's increase is reached.
+        constant, loaded, falling = self._split(np.asarray(coef, dtype=float))
+        values = {}
+        if constant.size or falling.size:
             d = np.concatenate([self.displacements, self.falling])
-            least = d[d > 0].min(initial=np.inf)
-            fine = np.geomspace(least / 10, d.max() * 10, _CURVE) if d.any() else d
+            smallest = d[d > 0].min(initial=np.inf)
+            fine = np.geomspace(smallest / 10, d.max() * 10, _CURVE) if d.any() else d
             ends = np.unique(np.r_[0.0, d, fine])
             curve = self.virgin_curve(coef, ends)
-            middle, grows = 0.5 * (curve[0] + curve[-1]), curve[-1] > curve[0]
-            half = np.interp(middle, curve, ends) if grows else 0.0
-            found |= {"Fc": float(plain.sum() + falling.sum()), "half": float(half)}
+            middle, increases = 0.5 * (curve[0] + curve[-1]), curve[-1] > curve[0]
+            half = np.interp(middle, curve, ends) if increases else 0.0
+            values |= {"Fc": float(constant.sum() + falling.sum()), "half": float(half)}
         if loaded.size:
-            found["mu"] = float(loaded.sum())
+            values["mu"] = float(loaded.sum())
         if falling.size:
-            found["Fs"] = float(falling.sum())
-        return found
+            values["Fs"] = float(falling.sum())
+        return values
 
 
 class Backlash(Shaped, Stateful):

@@ -1,7 +1,7 @@
-"""The motion of which effects are functions.
+"""Signals of recordings, from which effects compute their torques.
 
-A law is written once, for floats and for arrays: `Arrays` and `Floats` have the
-functions that it is made of, `State` the signals by joint.
+A law is written once, for floats and for arrays: `Arrays` and `Floats` provide the
+mathematical functions, `State` the signals by joint.
 """
 
 import math
@@ -11,111 +11,111 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import erf
 
-# Speeds are scaled by this quantile of a joint's speed: its fastest, without outliers.
+# Quantile of a joint's speed that counts as its maximum, so that outliers do not.
 FAST = 0.995
-# An interval of speeds below this share of the noise is none.
+# Intervals of velocity narrower than this multiple of the noise are neglected.
 _NARROW = 1e-3
 _TINY = float(np.finfo(float).tiny)
-# Signals of a motion that a fit holds within the ranges that it has seen.
+# Signals of a `Motion` that predictions clip to the ranges of the fit.
 HELD = {"position": "q", "speed": "v", "load": "load"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rest:
-    """Speed of joints that may be at rest."""
+    """Parameters of the mean sign of the velocity of joints that may be at rest."""
 
-    # The sign of a velocity is its mean over what the true velocity may be, s(v, a) =
+    # The sign of a velocity is its expectation over the true velocity, s(v, a) =
     # E[sign(v + u + e)], u ~ U(-w, w), e ~ N(0, sigma^2), w = v_s / (1 + |a| T / v_s).
     # Without u this is erf(v / (sqrt(2) sigma)). Below the speed v_s a joint may stick;
-    # one that turns round passes those speeds without standing, by abs(a) T in time T.
+    # a joint that reverses does not, its velocity changes by abs(a) T within time T.
 
-    # (nv,): v_s, at or below which a joint may be standing [rad/s or m/s]
+    # (nv,): v_s, speed up to which a joint may be sticking [rad/s or m/s]
     speed: np.ndarray
-    # (nv,): T, for which a joint stands at least [s]: the fastest period; 0 if unknown
+    # (nv,): T, shortest time of sticking [s]: the fastest period; 0 if unknown
     time: np.ndarray
     noise: np.ndarray  # (nv,): sigma, of the velocities [rad/s or m/s]
-    # (nv,) each: half of the jump of the acceleration where the true velocity turns, of
-    # which the estimated one rounds the corner, and the time over which it does so, see
+    # (nv,) each: half of the jump of the acceleration where the true velocity changes
+    # sign, a corner that smoothing rounds off, and the time over which it does so, see
     # `StateEstimator.rounding` [rad/s^2 or m/s^2, s]
     corner: np.ndarray | float = 0.0
     rounding: np.ndarray | float = 0.0
-    span: float = 0.0  # time around a row over which its sign is averaged [s]
+    span: float = 0.0  # time over which the sign of a sample is averaged [s]
 
     def pick(self, *joints):
-        """Return the part of a joint, or of the sum of the speeds of several."""
-        own, shape = list(joints), self.speed.shape
+        """Return the parameters of one joint, or of the sum of several joint speeds."""
+        indices, shape = list(joints), self.speed.shape
         return Rest(
-            speed=self.speed[own].sum(keepdims=True),
-            time=self.time[own].max(keepdims=True),
-            noise=np.sqrt((self.noise[own] ** 2).sum(keepdims=True)),
-            corner=np.broadcast_to(self.corner, shape)[own].sum(keepdims=True),
-            rounding=np.broadcast_to(self.rounding, shape)[own].max(keepdims=True),
+            speed=self.speed[indices].sum(keepdims=True),
+            time=self.time[indices].max(keepdims=True),
+            noise=np.sqrt((self.noise[indices] ** 2).sum(keepdims=True)),
+            corner=np.broadcast_to(self.corner, shape)[indices].sum(keepdims=True),
+            rounding=np.broadcast_to(self.rounding, shape)[indices].max(keepdims=True),
             span=self.span,
         )
 
     def sign(self, v, a):
         """Mean sign of velocities (n, nv) with accelerations (n, nv)."""
-        # Where the jump is larger than the acceleration can be, the joint stays.
+        # If abs(a) is less than half the jump, the joint sticks after the reversal.
         v = v + self.rounding * np.clip(a, -self.corner, self.corner)
-        passed = np.abs(a) * self.time
-        # vs / (1 + passed / vs), and zero where vs is
-        width = self.speed**2 / np.maximum(self.speed + passed, _TINY)
+        change = np.abs(a) * self.time
+        # v_s / (1 + change / v_s), zero if v_s is zero
+        width = self.speed**2 / np.maximum(self.speed + change, _TINY)
         width = width + 0.5 * self.span * np.abs(a)
-        columns = [_mean_sign(*column) for column in zip(v.T, width.T, self.noise)]
-        return np.column_stack(columns)
+        signs = [_mean_sign(*signals) for signals in zip(v.T, width.T, self.noise)]
+        return np.column_stack(signs)
 
 
 def _mean_sign(v, width, noise):
     """Mean sign of one joint's velocities (n,), see `Rest`."""
     if not noise > 0:
-        # Where the interval is empty this is the sign.
+        # An empty interval leaves the sign itself.
         inside = np.abs(v) < width
         return np.divide(v, width, out=np.sign(v), where=inside)
-    plain = erf(v / (np.sqrt(2) * noise))
-    # An interval that is narrow beside the noise changes nothing, and a difference of
-    # its ends would be one of rounding.
+    normal_mean = erf(v / (np.sqrt(2) * noise))
+    # An interval much narrower than the noise has no effect, and the difference of its
+    # ends would be a rounding error.
     wide = width > _NARROW * noise
     w = np.where(wide, width, 1.0)
-    spread = (_mean_size(v + w, noise) - _mean_size(v - w, noise)) / (2 * w)
-    return np.where(wide, spread, plain)
+    interval_mean = (_mean_abs(v + w, noise) - _mean_abs(v - w, noise)) / (2 * w)
+    return np.where(wide, interval_mean, normal_mean)
 
 
-def _mean_size(v, noise):
-    """Mean of abs(v + e) for normal e, whose derivative is the mean sign."""
+def _mean_abs(v, noise):
+    """Mean of abs(v + e) for normal e; its derivative is the mean sign."""
     x = v / (np.sqrt(2) * noise)
     return v * erf(x) + noise * np.sqrt(2 / np.pi) * np.exp(-(x**2))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """Signals of one or several recordings, all at the full sample rate."""
+    """Signals of one or several recordings at the full sample rate."""
 
     q: np.ndarray  # (n, nv): positions [rad or m], with velocities and accelerations
     v: np.ndarray
     a: np.ndarray
-    t: np.ndarray | None = None  # (n,): time [s], rising over all recordings
+    t: np.ndarray | None = None  # (n,): time [s], increasing over all recordings
     load: np.ndarray | None = None  # (n, nv): torques of the rigid bodies [N m or N]
     torque: np.ndarray | None = None  # (n, nv): torques of the whole model
-    parts: tuple = ()  # slices: recordings, across whose borders there is no memory
+    parts: tuple = ()  # slices of the recordings; effects are reset between them
     prismatic: np.ndarray | None = None  # (nv,), bool
     rigid: Callable | None = None  # (q, v, a) -> torques (n, nv) of the rigid bodies
     # () -> regressor of the last body's inertial parameters, (n, nv, 10)
     last_body: Callable | None = None
-    # of the rigid bodies' torques by the robot's geometry; see `InModel`
+    # of the rigid-body torques by the geometry, `TorqueDerivatives`; see `InModel`
     derivatives: object | None = None
-    bandwidth: float = np.inf  # highest frequency that will be looked at [Hz]
-    # when recordings begin [s], if their first rows are left out here
+    bandwidth: float = np.inf  # highest frequency of the fit [Hz]
+    # start times of the recordings [s], if their first rows are not included
     begins: tuple | None = None
-    # for the mean sign of velocities; None takes the sign itself, as a fit does, whose
-    # equations are masked where a joint may be standing
+    # for the mean sign of velocities; None for the sign itself, as in a fit, where
+    # equations of joints that may be sticking are masked
     rest: Rest | None = None
-    # first time of the fit [s]: before it an effect of time is as it was then
+    # first time of the fit [s]: effects of time are constant before it
     since: float | None = None
-    signals: Mapping = field(default_factory=dict)  # (n,) by name, in their own units
-    command: np.ndarray | None = None  # (n, nv): torques by commands, `CommandDelay`
-    # joint -> where it turned before each part, (k,); None if unknown
+    signals: Mapping = field(default_factory=dict)  # (n,) by name
+    command: np.ndarray | None = None  # (n, nv): commanded torques, `CommandDelay`
+    # joint -> positions of its reversals before each part, (k,); None if unknown
     before: Callable | None = None
-    # (nv, n_waves): waves of the position [1/rad or 1/m] that stand out above the band
+    # (nv, n_waves): peaks above the low-pass, in periods per position [1/rad or 1/m]
     waves: np.ndarray | None = None
     _speeds: dict = field(default_factory=dict, repr=False)
 
@@ -131,12 +131,12 @@ class Motion:
 
     @property
     def later(self):
-        """When recordings begin [s], but for the first."""
+        """Start times of all recordings but the first [s]."""
         starts = self.begins or [self.t[part.start] for part in self.parts]
         return np.asarray(starts[1:], dtype=float)
 
     def speed(self, joint):
-        """Fastest speed of a joint, outliers aside [rad/s or m/s]."""
+        """Largest speed of a joint without outliers [rad/s or m/s]."""
         if joint not in self._speeds:
             self._speeds[joint] = float(np.quantile(np.abs(self.v[:, joint]), FAST))
         return self._speeds[joint]
@@ -146,7 +146,7 @@ class Motion:
         return float(np.ptp(self.q[:, joint]))
 
     def derivative(self, signal):
-        """Differentiate columns (n, ...) in time, recording by recording."""
+        """Differentiate columns (n, ...) with respect to time in each recording."""
         out = np.zeros_like(signal)
         for part in self.parts:
             if part.stop - part.start > 2:
@@ -154,11 +154,11 @@ class Motion:
         return out
 
 
-# -- what laws are made of -----------------------------------------------------------
+# -- functions and signals of laws ---------------------------------------------------
 
 
 class Arrays:
-    """Functions of signals (n,) of a recording; see `Effect.law`."""
+    """Mathematical functions of arrays (n,) for `Effect.law`."""
 
     exp, cos, sin, sqrt, sign_of = np.exp, np.cos, np.sin, np.sqrt, np.sign
 
@@ -166,7 +166,7 @@ class Arrays:
         self.rest = rest
 
     def sign(self, *joints):
-        """Return (v, a) -> mean sign of the speed of a joint, or of a sum of speeds."""
+        """Return (v, a) -> mean sign of a joint velocity, or of a sum of velocities."""
         if self.rest is None:
             return lambda v, a: np.sign(v)
         rest = self.rest.pick(*joints)
@@ -174,7 +174,7 @@ class Arrays:
 
 
 class Floats:
-    """The same of the numbers of one state, whose velocities have no noise."""
+    """The same functions of floats of one state, whose velocities are noise-free."""
 
     exp, cos, sin, sqrt = math.exp, math.cos, math.sin, math.sqrt
 
@@ -186,7 +186,7 @@ class Floats:
         self.rest = rest
 
     def sign(self, *joints) -> Callable:
-        """Return (v, a) -> mean sign of a speed, as `Arrays.sign`."""
+        """Return (v, a) -> mean sign of a velocity, as `Arrays.sign`."""
         rest = None if self.rest is None else self.rest.pick(*joints)
         speed = 0.0 if rest is None else float(rest.speed[0])
         time = 0.0 if rest is None else float(rest.time[0])
@@ -203,31 +203,31 @@ class Floats:
 
 @dataclass(slots=True)
 class State:
-    """One state: floats by joint; or, of `rows_of`, signals (n,) by joint."""
+    """Signals by joint: floats of one state, or arrays (n,) from `rows_of`."""
 
     q: list = field(default_factory=list)
     v: list = field(default_factory=list)
     a: list = field(default_factory=list)
-    # [s]; known_t is not earlier than the fit
+    # [s]; clipped_t is never before the first time of the fit
     t: float | None = None
-    known_t: float | None = None
-    # torques of the rigid bodies and of the whole model for effects of the load
+    clipped_t: float | None = None
+    # torques of the rigid bodies and of the whole model, for load-dependent effects
     load: list | None = None
     torque: list | None = None
-    signals: dict = field(default_factory=dict)  # what is recorded beside the motion
+    signals: dict = field(default_factory=dict)  # recorded signals by name
 
 
 def rows_of(motion):
-    """Return the signals of a `Motion` as those of a `State`."""
-    load, torque, known_t = motion.load, motion.torque, motion.t
-    if known_t is not None and motion.since is not None:
-        known_t = np.maximum(known_t, motion.since)
+    """Return the signals of a `Motion` as a `State` of arrays."""
+    load, torque, clipped_t = motion.load, motion.torque, motion.t
+    if clipped_t is not None and motion.since is not None:
+        clipped_t = np.maximum(clipped_t, motion.since)
     return State(
         q=motion.q.T,
         v=motion.v.T,
         a=motion.a.T,
         t=motion.t,
-        known_t=known_t,
+        clipped_t=clipped_t,
         load=None if load is None else load.T,
         torque=None if torque is None else torque.T,
         signals=motion.signals,

@@ -15,21 +15,21 @@ from sklearn_vbjfa.effects._base import (
 )
 
 # Longest and shortest period of a ripple to try on a revolute joint [rad], the shortest
-# of one that stands out above the low-pass (twice the teeth of a harmonic drive), and
-# most periods within the range of the motion, of a ripple and of friction.
+# of a peak above the low-pass (twice the teeth of a harmonic drive), and the largest
+# number of periods in the range of the motion, of a ripple and of friction.
 _LONGEST, _SHORTEST, _FINEST = np.radians([75.0, 2.0, 0.5])
-_MOST, _FEW = 60.0, 6.0
-# Linkages to try: shorter over longer distance from the axis, and angles [degrees].
+_MOST_RIPPLES, _MOST_FRICTION = 60.0, 6.0
+# Linkages to try: ratios of the distances from the axis, and angles [degrees].
 _RATIOS = (0.2, 0.5, 0.85)
 _ANGLES = tuple(range(0, 360, 15))
-# Neighbouring periods differ by this many cycles over the range of the motion.
+# Difference of adjacent periods of the grid, in cycles over the range of the motion.
 _CYCLES = 0.3
 
 
 class Spring(Converted):
     """Linear spring, tau = k (q - q0): balancing springs, hoses, cables, flexures.
 
-    It is the torque that the drive must produce; the spring's is -k (q - q0). Source:
+    This is the torque of the drive; the spring's own torque is -k (q - q0). Source:
     Khalil and Dombre (2004), chapter 9.
     """
 
@@ -57,15 +57,15 @@ class Spring(Converted):
 class Counterbalance(Shaped):
     """Counterbalance: hydraulic, gas spring, coil spring or weight on a linkage.
 
-    A balancer pulls between a point of the link, at the distance r from the joint's
-    axis, and a fixed point at the distance L. With x = q - angle, where the two points
+    The balancer pulls between a point of the link, at the distance r from the joint's
+    axis, and a fixed point at the distance L. With x = q - angle, such that the points
     are nearest at x = 0, and ratio = r / L, its length is L l(x) and the drive must
     produce tau = (Fr / l + krL) sin x, l = sqrt(1 + ratio^2 - 2 ratio cos x): Fr
     for the part of the force that does not depend on the length, times r, and krL for
     the stiffness, times r and L. A gas spring pushes (Fr < 0).
 
-    Whatever else turns with the joint is a periodic function of the angle, of which two
-    harmonics are kept: tau = a cos q + b sin q + c cos 2q + d sin 2q + e. Source:
+    Any other balancer that turns with the joint is a periodic function of the angle.
+    Two harmonics are kept: tau = a cos q + b sin q + c cos 2q + d sin 2q + e. Source:
     Khalil and Dombre (2004), chapter 9 (harmonics); law of cosines (linkage).
 
     Parameters
@@ -153,7 +153,7 @@ class Counterbalance(Shaped):
         return linkage if self.form == "linkage" else harmonics
 
     def shapes(self, motion):
-        """Linkages all around the joint, and the harmonics."""
+        """Linkages at all angles, and the harmonics."""
         linkages = [
             {"form": "linkage", "ratio": ratio, "angle": float(angle)}
             for ratio in _RATIOS
@@ -165,9 +165,9 @@ class Counterbalance(Shaped):
 class Ripple(Shaped, Converted):
     """Periodic torque, tau = A cos(2 pi q / period - phase).
 
-    Cogging of motors, teeth of gears, the waves of a harmonic drive. A joint may have
-    several, whose periods differ by more than a half. Source: Tuttle and Seering
-    (1996), a model of the harmonic drive.
+    Cogging of motors, teeth of gears, waves of a harmonic drive. A joint may have
+    several, whose periods differ by more than half an octave. Source: Tuttle and
+    Seering (1996), a model of the harmonic drive.
 
     Parameters
     ----------
@@ -194,50 +194,50 @@ class Ripple(Shaped, Converted):
         self.period = period
 
     def law(self, maths):
-        j, waves, cos, sin = self.joint, 2 * np.pi / self.period, maths.cos, maths.sin
+        j, scale, cos, sin = self.joint, 2 * np.pi / self.period, maths.cos, maths.sin
 
         def torque(state):
-            angle = waves * state.q[j]
+            angle = scale * state.q[j]
             return cos(angle), sin(angle)
 
         return torque
 
     @property
-    def _band(self):
-        """Number of the half octave of the period."""
+    def _octave(self):
+        """Index of the half octave that holds the period."""
         return int(np.floor(2 * np.log2(self.period)))
 
     def key(self):
-        """Periods of one half octave are one use of the effect."""
-        return (self.name, self.joint, self._band)
+        """All periods of a half octave are one effect of the joint."""
+        return (self.name, self.joint, self._octave)
 
     def excludes(self):
-        return {(self.name, self.joint, self._band + step) for step in (-1, 0, 1)}
+        return {(self.name, self.joint, self._octave + step) for step in (-1, 0, 1)}
 
     def shapes(self, motion):
-        """Periods that the motion crosses and the low-pass lets through."""
+        """Periods that the motion covers and the low-pass transmits."""
         reach = motion.range(self.joint)
         if not reach > 0:
             return []
-        angle = not motion.prismatic[self.joint]
-        longest, shortest = self._ends(reach, angle)
-        # The slower fifth of the motion must take longer for a period than what the
-        # low-pass lets through.
-        moving = np.abs(motion.v[:, self.joint])
-        slow = np.quantile(moving[moving > 0.02 * motion.speed(self.joint)], 0.2)
+        revolute = not motion.prismatic[self.joint]
+        longest, shortest = self._period_limits(reach, revolute)
+        # In the slowest fifth of the motion, the ripple must have a frequency below the
+        # low-pass.
+        speed = np.abs(motion.v[:, self.joint])
+        slow = np.quantile(speed[speed > 0.02 * motion.speed(self.joint)], 0.2)
         shortest = max(shortest, slow / motion.bandwidth)
-        waves = np.arange(1 / longest, 1 / shortest, _CYCLES / reach)
-        found = np.zeros(0) if motion.waves is None else motion.waves[self.joint]
-        found = found[(found * longest > 1) & (found * _FINEST * angle < 1)]
-        around = found[:, None] + np.array([-1, 0, 1]) * _CYCLES / reach
-        return [{"period": float(1 / w)} for w in (*waves, *around.ravel())]
+        frequencies = np.arange(1 / longest, 1 / shortest, _CYCLES / reach)
+        peaks = np.zeros(0) if motion.waves is None else motion.waves[self.joint]
+        peaks = peaks[(peaks * longest > 1) & (peaks * _FINEST * revolute < 1)]
+        around = peaks[:, None] + np.array([-1, 0, 1]) * _CYCLES / reach
+        return [{"period": float(1 / f)} for f in (*frequencies, *around.ravel())]
 
     @staticmethod
-    def _ends(reach, angle):
+    def _period_limits(reach, revolute):
         """Return the longest and the shortest period for a range of positions."""
-        if angle:
-            return min(reach, _LONGEST), max(reach / _MOST, _SHORTEST)
-        return reach, reach / _MOST
+        if revolute:
+            return min(reach, _LONGEST), max(reach / _MOST_RIPPLES, _SHORTEST)
+        return reach, reach / _MOST_RIPPLES
 
     def parameters(self, coef):
         c, s = (float(x) for x in coef)
@@ -247,8 +247,8 @@ class Ripple(Shaped, Converted):
 class FrictionByPosition(Ripple):
     """Dry friction whose level varies with the position, A cos(...) sign(v).
 
-    An eccentric wheel, a bent screw, or a seal that rubs more in some places. Its mean
-    is that of `Coulomb`; a turn of the joint is a period. Source: Armstrong-Helouvry,
+    An eccentric wheel, a bent screw, or a seal with uneven friction. The mean
+    is that of `Coulomb`; the longest period is a turn. Source: Armstrong-Helouvry,
     Dupont and Canudas de Wit (1994), section 2, :doi:`10.1016/0005-1098(94)90209-7`.
 
     Parameters
@@ -266,21 +266,21 @@ class FrictionByPosition(Ripple):
     terms = (("dry_ripple", "c", "s", "period"),)
 
     def key(self):
-        """All periods are one use of the effect."""
+        """All periods are one effect of the joint."""
         return (self.name, self.joint, ())
 
     def excludes(self):
         return {self.key()}
 
     def law(self, maths):
-        j, wave, sign = self.joint, super().law(maths), maths.sign(self.joint)
+        j, ripple, sign = self.joint, super().law(maths), maths.sign(self.joint)
 
         def torque(state):
-            way = sign(state.v[j], state.a[j])
-            return tuple(way * one for one in wave(state))
+            direction = sign(state.v[j], state.a[j])
+            return tuple(direction * column for column in ripple(state))
 
         return torque
 
     @staticmethod
-    def _ends(reach, angle):
-        return (2 * np.pi if angle else 2 * reach), reach / _FEW
+    def _period_limits(reach, revolute):
+        return (2 * np.pi if revolute else 2 * reach), reach / _MOST_FRICTION

@@ -1,4 +1,4 @@
-"""What joints need beyond the named effects, as sums of small terms."""
+"""Joint torques beyond the named effects, as weighted sums of terms."""
 
 import itertools
 
@@ -9,7 +9,7 @@ from sklearn_vbjfa.effects._friction import Stribeck, ViscousQuadratic
 from sklearn_vbjfa.effects._memory import MaxwellSlip
 from sklearn_vbjfa.effects._position import Ripple, Spring
 
-# Stribeck speeds in shares of the joint's fastest one, displacements and periods in
+# Stribeck speeds as shares of the joint's largest speed, displacements and periods as
 # shares of its range.
 _SPEEDS = (0.05, 0.15, 0.4)
 _LOADED, _SLIPS = (1e-4, 0.01, 0.1), (0.001, 0.006, 0.035, 0.2)
@@ -17,11 +17,11 @@ _PERIODS = (2.0, 1.0, 0.5)
 
 
 class UnnamedTorque(Shaped, Stateful):
-    """A joint torque that is predicted but not named, share * sum_k w_k c_k.
+    """A joint torque without a named cause, share * sum_k w_k c_k.
 
     The terms c_k are those of library effects on one quantity. `EffectDiscovery` finds
-    the weights and adds the torque to the fitted model, with a share of one: no other
-    parameter moves because of it. Beyond the range of the fit it is held constant.
+    the weights and adds the torque to the fitted model with a share of one, without
+    changing other parameters. Beyond the range of the fit it is held constant.
 
     Parameters
     ----------
@@ -89,9 +89,9 @@ class UnnamedTorque(Shaped, Stateful):
         return torque
 
     def simulated(self, table, share):
-        """Enter its terms into a `TermTable`; False if it has not all of them."""
-        left = iter(self.weights)
+        """Add its terms to a `TermTable`; False if one is not possible."""
+        weights = iter(self.weights)
         return all(
-            part.simulated(table, *(share * next(left) for _ in part.coefficients))
+            part.simulated(table, *(share * next(weights) for _ in part.coefficients))
             for part in self.parts
         )

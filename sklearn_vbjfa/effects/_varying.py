@@ -17,18 +17,18 @@ from sklearn_vbjfa.effects._base import (
 )
 from sklearn_vbjfa.effects._motion import Floats, State
 
-# What may vary, and the units of its coefficient.
+# Declared terms that may vary, and units of the coefficient.
 _VARIED = {"coulomb": TORQUE, "offset": TORQUE, "viscous": VISCOSITY}
 # Time constants to try, as shares of the recording's length.
 _CONSTANTS = (0.1, 0.2, 0.4, 0.8, 3.0, 30.0)
 # Number of instants to try.
 _INSTANTS = 24
-# Distance of a payload's centre of mass from the last body's frame [m].
+# Largest distance of a payload's centre of mass from the last body's frame [m].
 _FARTHEST = 1.0
 
 
 class Varied(Shaped):
-    """Friction or offset times a `_factor`, a function of a `State`."""
+    """Friction or offset times `_factor`, a function of a `State`."""
 
     contains = ("offset", "coulomb", "viscous")
     choices = (("of", tuple(_VARIED)),)
@@ -45,9 +45,9 @@ class Varied(Shaped):
         factor = self._factor(Floats(None))
 
         def level(t, signals):
-            known = t if table.since is None else max(t, table.since)
-            own = {name: signals(name, t) for name in getattr(self, "recorded", ())}
-            return size * factor(State(known_t=known, signals=own))
+            clipped_t = t if table.since is None else max(t, table.since)
+            values = {name: signals(name, t) for name in getattr(self, "recorded", ())}
+            return size * factor(State(clipped_t=clipped_t, signals=values))
 
         return table.add_level(self.joint, self.of, level)
 
@@ -58,9 +58,9 @@ class Drift(Varied, OfTime):
     tau = D (exp(-s) / (1 - exp(-S)) - 1 / S) times 1, sign(v) or v, s = (t - begin) / T
     and S = (end - begin) / T: the grease gets thinner, the strain gauge warmer. D is
     the decrease from `begin` to `end`, linear if T is long; the mean between them is
-    that of `Offset`, `Coulomb` and `Viscous`. After the last time of the fit it goes on
-    fading; before the first one it is as it was then. Source: Carvalho Bittencourt and
-    Gunnarsson (2012), :doi:`10.1115/1.4006589`.
+    that of `Offset`, `Coulomb` and `Viscous`. After the last time of the fit it
+    continues to decay, before the first it is constant. Source: Carvalho Bittencourt
+    and Gunnarsson (2012), :doi:`10.1115/1.4006589`.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Drift(Varied, OfTime):
         T [s] of the decay.
     begin, end : float, default=0.0 and infinity
         Times [s] between which its mean is zero; with infinity D exp(-(t - begin) / T).
-        A search takes the first and the last time of the recording.
+        A search uses the first and the last time of the recording.
     """
 
     name = "drift"
@@ -108,7 +108,7 @@ class Drift(Varied, OfTime):
         exp, constant, begin = maths.exp, self.time_constant, self.begin
         length = (self.end - begin) / constant
         size, mean = -1.0 / math.expm1(-length), 1.0 / length
-        return lambda state: size * exp((begin - state.known_t) / constant) - mean
+        return lambda state: size * exp((begin - state.clipped_t) / constant) - mean
 
     def shapes(self, motion):
         """Time constants from a tenth of the recording to a linear change."""
@@ -127,19 +127,19 @@ class Signal(Varied, OfSignals):
 
     tau = k (s - reference) times 1, sign(v) or v: s is a recorded column, such as the
     temperature of a gear, the supply voltage, a load cell, or the state of a tool. The
-    value at the reference is that of `Offset`, `Coulomb` and `Viscous`. It is hidden
-    where the signal only rises or falls, as a drift with time does, and where it
-    follows the state of the joint. Source: Carvalho Bittencourt and Gunnarsson (2012),
-    :doi:`10.1115/1.4006589`.
+    value at the reference is that of `Offset`, `Coulomb` and `Viscous`. It is not
+    identifiable if the signal only rises or falls, as a drift with time does, or if it
+    is a function of the joint's state. Source: Carvalho Bittencourt and Gunnarsson
+    (2012), :doi:`10.1115/1.4006589`.
 
     Parameters
     ----------
     signal : str, default=""
-        Name of the recorded column s. A search tries all columns that it is given.
+        Name of the recorded column s. A search tries all recorded signals.
     of : {"coulomb", "offset", "viscous"}, default="coulomb"
         What varies.
     reference : float, default=0.0
-        Value of the signal, in its own unit, around which it varies. A search takes the
+        Value of the signal, in its own unit, around which it varies. A search uses the
         mean over the recording.
     """
 
@@ -151,7 +151,7 @@ class Signal(Varied, OfSignals):
     )
     coefficients = ("k",)
     split_by = ("signal", "of")
-    tuned = ("reference",)  # another one is the same but for the plainer effect
+    tuned = ("reference",)  # its value only changes the coefficient of the plain term
     record = "the same motion at several values of the signal, rising and falling"
     files = InFiles.nowhere(
         "varies with a recorded signal; the file has what holds at its reference"
@@ -170,7 +170,7 @@ class Signal(Varied, OfSignals):
 
     @property
     def slow(self):
-        """Whether the signal alone is a torque."""
+        """Whether the torque is proportional to the signal alone."""
         return self.of == "offset"
 
     @property
@@ -179,7 +179,7 @@ class Signal(Varied, OfSignals):
 
     def applies(self, motion):
         if not self.signal:
-            # A recording without signals is no reason to record some.
+            # Not "needs": reports do not advise to record signals.
             return "" if motion.signals else "the recording has no signals"
         if self.signal in motion.signals:
             return ""
@@ -193,7 +193,7 @@ class Signal(Varied, OfSignals):
         return lambda state: state.signals[name] - reference
 
     def shapes(self, motion):
-        """All signals that vary, and all that may vary with them."""
+        """All signals that vary, with each term that they may change."""
         return [
             {"signal": name, "of": of, "reference": float(np.mean(values))}
             for name, values in motion.signals.items()
@@ -206,16 +206,16 @@ class Payload(Sudden, OnAllJoints):
     """The last body's mass and first moments change at an instant.
 
     tau = Phi_n(q, v, a) (dm, dmcx, dmcy, dmcz, dI) for t >= instant, with the columns
-    of the last body's regressor: something was picked up, put down or lost. It counts
-    as a ball at its centre of mass c = dmc / dm, of inertia dm (c'c 1 - c c') + d 1 in
-    the body's frame: the first part follows from the mass and the moments, to first
-    order around `centre`; d, that of the ball itself, is a coefficient. Source: Khalil,
+    of the last body's regressor: something was picked up, put down or lost. It is
+    modelled as a ball at its centre of mass c = dmc / dm, whose inertia in the body's
+    frame is dm (c'c 1 - c c') + d 1: the first part follows from mass and moments, to
+    first order around `centre`; d, about the centre, is a coefficient. Source: Khalil,
     Gautier and Lemoine (2007), :doi:`10.1109/ROBOT.2007.364241`.
 
     Parameters
     ----------
     instant : float, default=0.0
-        Time of the change [s]; it stays after the last time of the fit.
+        Time of the change [s], which is permanent.
     centre : tuple of three floats, default=(0.0, 0.0, 0.0)
         Centre of mass [m] in the last body's frame around which the inertia is
         linearised.
@@ -239,7 +239,7 @@ class Payload(Sudden, OnAllJoints):
         self.centre = centre
 
     def shape(self):
-        """Return the instant; the centre is where the columns are linearised."""
+        """Return the instant; the centre is only the point of linearisation."""
         return {"instant": self.instant}
 
     def applies(self, motion):
@@ -249,47 +249,47 @@ class Payload(Sudden, OnAllJoints):
 
     def columns(self, motion):
         after = motion.t >= self.instant
-        columns = motion.last_body() @ _ball(np.asarray(self.centre, dtype=float))
+        columns = motion.last_body() @ _jacobian(np.asarray(self.centre, dtype=float))
         return columns * after[:, None, None]
 
     def inertial(self, coef):
         """Return the changes (10,) of the last body's inertial parameters."""
-        return _ball(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
+        return _jacobian(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
 
     def simulated(self, table, *coef):
         table.payloads.append((float(self.instant), self.inertial(coef)))
         return True
 
     def linearised_at(self, coef):
-        """Linearise the inertia at the centre of mass that was found."""
+        """Linearise the inertia at the estimated centre of mass."""
         mass, *moments = coef[:4]
         centre = np.array(moments) / mass if mass else np.zeros(3)
-        # Farther out it is no payload: mass and moments are hardly known.
+        # A centre farther out means that mass and moments are hardly determined.
         if not np.linalg.norm(centre) <= _FARTHEST:
             return self
         return Payload(self.joint, self.instant, tuple(map(float, centre)))
 
     def shapes(self, motion):
-        """Instants all over the recording."""
+        """Instants that cover the recording."""
         t, starts = motion.t, motion.later
-        shares = np.linspace(t[0], t[-1], _INSTANTS + 2)[1:-1]
-        # Between two recordings all instants are one: the start of the second.
-        border = np.searchsorted(t, starts)
-        taken = np.isin(np.searchsorted(t, shares), border)
-        instants = np.unique(np.concatenate([shares[~taken], starts]))
+        grid = np.linspace(t[0], t[-1], _INSTANTS + 2)[1:-1]
+        # All instants between two recordings are equivalent to the second one's start.
+        starting_rows = np.searchsorted(t, starts)
+        between = np.isin(np.searchsorted(t, grid), starting_rows)
+        instants = np.unique(np.concatenate([grid[~between], starts]))
         return [{"instant": float(s)} for s in instants]
 
 
-def _ball(c):
-    """Inertial parameters (10, 5) by mass, first moments and own inertia of a ball."""
+def _jacobian(c):
+    """Inertial parameters (10, 5) by mass, first moments and inertia of a ball."""
     # The inertia (s's 1 - s s') / m of a point is homogeneous in mass m and moments
     # s, so that its tangent at s = m c passes through zero.
-    one = np.eye(3)
+    eye = np.eye(3)
     out = np.zeros((10, 5))
     out[:4, :4] = np.eye(4)
-    slopes = [np.outer(c, c) - (c @ c) * one]
-    slopes += [2 * x * one - np.outer(e, c) - np.outer(c, e) for x, e in zip(c, one)]
-    for column, slope in enumerate([*slopes, one]):
+    slopes = [np.outer(c, c) - (c @ c) * eye]
+    slopes += [2 * x * eye - np.outer(e, c) - np.outer(c, e) for x, e in zip(c, eye)]
+    for column, slope in enumerate([*slopes, eye]):
         # Ixx, Ixy, Iyy, Ixz, Iyz, Izz
         out[4:, column] = slope[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
     return out

@@ -70,7 +70,7 @@ class TorqueModel:
         for effect, coef in zip(self.effects, self.coefficients):
             if isinstance(effect, OfChannel) and t.size > 1:
                 j = effect.joint
-                out[:, j] = effect.taken_back(coef, out[:, j], t)
+                out[:, j] = effect.corrected(coef, out[:, j], t)
         return out
 
 
@@ -244,7 +244,7 @@ class Stepper:
                 "another motion."
             )
         self._last = self._row.t = t
-        self._row.known_t = t if since is None else max(t, since)
+        self._row.clipped_t = t if since is None else max(t, since)
 
     def _read(self, signals):
         signals = {} if signals is None else signals

@@ -111,7 +111,7 @@ _CORRELATION_TIMES = 10.0
 # Blocks wanted. What a poor first model lacks is correlated for as long as the motion
 # is; it is not noise, and must not make the blocks so long that few are left. Noise
 # that stays correlated for longer than a block is taken out before blocks are compared.
-_WANTED = (40, 60)
+_BLOCK_RANGE = (40, 60)
 # The fewest with which anything can be said: the smallest p-value is 2^-12.
 FEWEST = 12
 # Folds take every eighth block: to a fold of neighbours one would have to extrapolate,
@@ -170,7 +170,7 @@ def phase_blocks(motion, phase, correlation, filter_length):
     length = np.array([np.ptp(phase[motion == k]) for k in range(names.size)])
     total = float(length.sum())
     least = max(_CORRELATION_TIMES * correlation, filter_length)
-    wanted = min(np.clip(total / least, *_WANTED), total / filter_length)
+    wanted = min(np.clip(total / least, *_BLOCK_RANGE), total / filter_length)
     count = np.maximum(1, np.round(wanted * length / max(total, filter_length)))
     share = (phase - low[motion]) / np.maximum(length, filter_length)[motion]
     place = np.minimum(np.floor(share * count[motion]), count[motion] - 1)
@@ -200,7 +200,7 @@ def make_blocks(time, starts, correlation, filter_length, order=None):
             f"{FEWEST * filter_length:.3g} s besides the held-out data, or raise the "
             "identifier's cutoff."
         )
-    wanted = int(np.clip(total / least, *_WANTED))
+    wanted = int(np.clip(total / least, *_BLOCK_RANGE))
     wanted = min(wanted, int(total / filter_length))
     label = np.empty(time.size, dtype=int)
     counts = []

@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
-from sklearn_vbjfa.diagnosis.search._posterior import in_order
+from sklearn_vbjfa.diagnosis.search._posterior import sort_findings
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import OfRobot, ToAnother
 from sklearn_vbjfa.equations._features import RigidBodyFeatures
@@ -15,9 +15,15 @@ from sklearn_vbjfa.model import import_pinocchio
 
 # A robot of up to this many joints is searched as a whole, in which an effect may join
 # two branches, such as a coupling through a common drive: so are arms, and most hands.
-_TOGETHER = 7
+_MAX_JOINTS = 7
 # Fields of a fitted robot that have a value for each joint.
-_OF_ROBOT = ("noise_floor_", "torque_noise_", "output_noise_", "joint_weights", "waves")
+_JOINT_FIELDS = (
+    "noise_floor_",
+    "torque_noise_",
+    "output_noise_",
+    "joint_weights",
+    "waves",
+)
 # Fields of a recording, beside those with rows, that have a column for each joint.
 _COLUMNS = ("torque_noise", "feedback")
 
@@ -34,7 +40,7 @@ class Branch:
         # What acts on one branch is all that its parameters were fitted to.
         features = RigidBodyFeatures(self.model, friction=whole.features_.friction_)
         plan, known = whole.plan, {}
-        for name in _OF_ROBOT:
+        for name in _JOINT_FIELDS:
             value = getattr(whole, name)
             known[name] = None if value is None else value[self.joints]
         for name in ("theta_", "theta_unconstrained_"):
@@ -102,7 +108,7 @@ def branches_of(robot, library, max_effects):
     roots = np.unique(root)
     own = [type(effect).__module__.split(".")[0] for effect in library]
     if (
-        model.nv <= _TOGETHER
+        model.nv <= _MAX_JOINTS
         or roots.size == 1
         or max_effects is not None
         or robot.effects_
@@ -112,11 +118,11 @@ def branches_of(robot, library, max_effects):
     found = []
     for first in roots:
         joints = [int(k) for k in np.flatnonzero(root == first)]
-        found.append(Branch(joints=joints, model=_alone(model, joints)))
+        found.append(Branch(joints=joints, model=_branch_model(model, joints)))
     return found
 
 
-def _alone(model, joints):
+def _branch_model(model, joints):
     """Build the model of some joints that no other joint carries."""
     pin = import_pinocchio()
     alone = pin.Model()
@@ -140,7 +146,7 @@ def _alone(model, joints):
 
 
 def put_together(view, motion, branches, found):
-    """Put what was `Found` on the branches of a robot together."""
+    """Put what was `SearchResult` on the branches of a robot together."""
     findings, residual = {}, np.zeros_like(view.target)
     for branch, own in zip(branches, found):
         residual[branch.joints] = own.residual
@@ -152,7 +158,7 @@ def put_together(view, motion, branches, found):
             findings.setdefault(effect.key(), one)
     return replace(
         found[0],
-        findings=in_order(findings.values()),
+        findings=sort_findings(findings.values()),
         view=view,
         motion=motion,
         residual=residual,

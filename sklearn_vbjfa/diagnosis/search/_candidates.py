@@ -11,17 +11,17 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._runtime import counted
 from sklearn_vbjfa.diagnosis.search._problem import Columns
-from sklearn_vbjfa.diagnosis.search._refine import jump
+from sklearn_vbjfa.diagnosis.search._refine import best_jump
 from sklearn_vbjfa.effects import Bank, InModel, Shaped, Sudden, closure
 
 # Share of the error that its mirror image saves of what an effect with a direction
 # saves: more is nothing with a direction.
 _MIRROR = 0.5
 # Log odds below which nothing of the geometry is a candidate.
-_NO_CHANCE = -20.0
+_GEOMETRY_ODDS = -20.0
 # Half square sum [nats] by which a joint's weighted residual has to change for the
 # joint to be looked at again, when nothing else is left and before.
-_CHANGED, _MUCH = 0.5, 10.0
+_CHANGED, _CHANGED_MUCH = 0.5, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Family:
         return fit.groups(self.columns).part(self.at)
 
     def member(self, c, scale):
-        """Return the effect with one of the shapes as a `Member`."""
+        """Return the effect with one of the shapes as a `SelectedEffect`."""
         return self.columns.member(self.at.start + c, scale)
 
 
@@ -75,9 +75,9 @@ class Candidate:
     best: int  # the best of them
     log_odds: float  # posterior log odds that the model lacks it, shapes averaged
     coef: np.ndarray  # (k,): of the best shape
-    # whether its evidence has been tempered by its scatter in time, see `Fit.excess`;
+    # whether its evidence has been tempered by its scatter in time, see `Fit.overdispersion`;
     # it is an upper bound before
-    tempered: bool = False
+    discounted: bool = False
     # log odds by which it compares with others, see `Overdispersion.as_usual`
     order: float = 0.0
 
@@ -125,13 +125,13 @@ class Candidates:
         self.log_prior = np.log(settings.expected / max(self.count, 1))
         # Log odds above which an effect is in the model.
         self.least = float(logit(settings.min_probability))
-        self._known = {}
+        self._cache = {}
 
     # -- of one family --------------------------------------------------------------
 
     def candidate(self, fit, family, excess=None):
         """Return the best shape of a family given a fit as a `Candidate`, or None."""
-        scale, least = self.settings.scale, self._no_chance(family)
+        scale, least = self.settings.scale, self._min_evidence(family)
         if excess is None:
             evidence = fit.evidence(family.columns, scale)[family.at]
             if not evidence.max() > least:
@@ -147,7 +147,7 @@ class Candidates:
             effect = family.effects[c]
             free[c] = effect.plausible(coefs[c, : len(effect.coefficients)])
         if family.opposite_keys:
-            free &= _one_sided(family, groups.gain(), free)
+            free &= _is_directed(family, groups.gain(), free)
         if not free.any():
             return None
         evidence = np.where(free, evidence, -np.inf)
@@ -161,32 +161,34 @@ class Candidates:
             coef=coefs[best],
         )
 
-    def _no_chance(self, family):
+    def _min_evidence(self, family):
         """Log evidence of a shape up to which an effect decides nothing."""
         # Rivals are within so many nats of a member, spectra take one of each joint.
         near = -max(self.settings.rivals, np.log(len(self.families)))
-        least = _NO_CHANCE if isinstance(family.effects[0], InModel) else near
+        least = _GEOMETRY_ODDS if isinstance(family.effects[0], InModel) else near
         return least - self.log_prior
 
-    def tempered(self, fit, candidate):
+    def discounted(self, fit, candidate):
         """Discount the evidence of a candidate by its scatter in time; or None."""
-        if candidate.tempered:
+        if candidate.discounted:
             return candidate
         family, coef = candidate.family, candidate.coef
         if isinstance(candidate.effect, Sudden):
             # Beside its instant a jump leaves a residual of its own size.
             scale = self.settings.scale
-            near = fit.problem.shaped([jump(fit, candidate.effect, scale, near=True)])
+            near = fit.problem.shaped(
+                [best_jump(fit, candidate.effect, scale, near=True)]
+            )
             coef = fit.groups(near).coefficients()[0]
-            excess = fit.excess(near, 0, coef, self.noise)
+            excess = fit.overdispersion(near, 0, coef, self.noise)
         else:
             place = family.at.start + candidate.best
-            excess = fit.excess(family.columns, place, coef, self.noise)
+            excess = fit.overdispersion(family.columns, place, coef, self.noise)
         usual = self.candidate(fit, candidate.family, excess.as_usual())
         if usual is None or not np.isfinite(excess.freedom):
-            return usual and replace(usual, tempered=True)
+            return usual and replace(usual, discounted=True)
         strict = self.candidate(fit, candidate.family, excess)
-        return strict and replace(strict, tempered=True, order=usual.order)
+        return strict and replace(strict, discounted=True, order=usual.order)
 
     def shapes(self, member):
         """Count the shapes among which a member was chosen."""
@@ -208,19 +210,19 @@ class Candidates:
         )
         return [candidate for candidate in found if candidate is not None]
 
-    def forget(self):
+    def reset(self):
         """Look at all joints again, and at what was refused."""
-        self.rejected, self._known = set(), {}
+        self.rejected, self._cache = set(), {}
 
-    def refuse(self, candidate):
+    def reject(self, candidate):
         """Leave out an effect until all are looked at again."""
         self.rejected.update(candidate.family.keys)
-        self._known.pop(candidate.effect.joint, None)
+        self._cache.pop(candidate.effect.joint, None)
 
     def best(self, fit):
         """Best tempered candidate of each joint that has a probable one, list."""
         # Joints that others have hardly changed are looked at once nothing is left.
-        for changed in (_MUCH, _CHANGED):
+        for changed in (_CHANGED_MUCH, _CHANGED):
             found = [self._best_on(fit, j, changed) for j in self.families]
             found = [one for one in found if one is not None]
             if found:
@@ -229,10 +231,10 @@ class Candidates:
 
     def probable(self):
         """All that is probable on the joints as they were last looked at, list."""
-        own = [o for _, _, known in self._known.values() for o in known]
+        own = [o for _, _, known in self._cache.values() for o in known]
         return [o for o in own if o.log_odds > self.least]
 
-    def waits(self, fit, candidate):
+    def is_deferred(self, fit, candidate):
         """Whether something that a candidate contains is in the model already."""
         # Then it comes when nothing else does.
         names, joint = closure(candidate.effect, self.library), candidate.effect.joint
@@ -243,25 +245,25 @@ class Candidates:
         """Best tempered candidate of a joint, None if nothing is probable."""
         white = fit.residual[joint] * np.sqrt(fit.base.weights[joint])
         members = {m.effect.key() for m in fit.members if joint in m.joints}
-        if joint in self._known:
-            before, there, _ = self._known[joint]
+        if joint in self._cache:
+            before, there, _ = self._cache[joint]
             if there != members or 0.5 * ((white - before) ** 2).sum() > changed:
-                del self._known[joint]
-        if joint not in self._known:
-            self._known[joint] = white, members, self.on(fit, joint)
-        known = self._known[joint][2]
+                del self._cache[joint]
+        if joint not in self._cache:
+            self._cache[joint] = white, members, self.on(fit, joint)
+        known = self._cache[joint][2]
         while True:
             probable = [o for o in known if o.log_odds > self.least]
             if not probable:
                 return None
-            best = min(probable, key=lambda o: (self.waits(fit, o), -o.order))
-            if best.tempered:
-                return self._plainer(fit, best, known)
+            best = min(probable, key=lambda o: (self.is_deferred(fit, o), -o.order))
+            if best.discounted:
+                return self._simpler(fit, best, known)
             known.remove(best)
-            if (sure := self.tempered(fit, best)) is not None:
+            if (sure := self.discounted(fit, best)) is not None:
                 known.append(sure)
 
-    def _plainer(self, fit, best, candidates):
+    def _simpler(self, fit, best, candidates):
         """Plainer effect that a candidate contains, if that is probable alone."""
         # What contains it comes beside it: a prior of heredity (H. Chipman, "Bayesian
         # variable selection with related predictors", Canadian J. of Statistics 24(1),
@@ -270,17 +272,17 @@ class Candidates:
         within = [
             o for o in candidates if o.effect.name in names and o.log_odds > self.least
         ]
-        sure = [o for o in self.surest(fit, within) if o.log_odds > self.least]
+        sure = [o for o in self.best_discounted(fit, within) if o.log_odds > self.least]
         return sure[0] if sure else best
 
-    def surest(self, fit, candidates, margin=0.0):
+    def best_discounted(self, fit, candidates, margin=0.0):
         """Return tempered candidates within a margin of the best, the best first."""
         # Tempering takes evidence only, so that what is below the best of those that
         # are tempered need not be.
         found, open_ = [], sorted(candidates, key=lambda o: o.order)
         best = -np.inf
         while open_ and open_[-1].order > best - margin:
-            candidate = self.tempered(fit, open_.pop())
+            candidate = self.discounted(fit, open_.pop())
             if candidate is not None:
                 found.append(candidate)
                 best = max(best, candidate.order)
@@ -294,7 +296,7 @@ class Candidates:
         for candidate in sorted(candidates, key=lambda o: -o.log_odds):
             if best is not None and candidate.log_odds <= best.log_odds:
                 break
-            if isinstance(candidate.effect, Bank) and not candidate.tempered:
+            if isinstance(candidate.effect, Bank) and not candidate.discounted:
                 candidate = self.candidate(fit, candidate.family, Overdispersion())
             if best is None or (candidate and candidate.log_odds > best.log_odds):
                 best = candidate
@@ -307,18 +309,20 @@ class Candidates:
         member, base = fit.members[i], fit.without(i)
         joints = [j for j in member.joints if j in self.families]
         found = [o for j in joints for o in self.on(base, j)]
-        near = self.surest(base, found, self.settings.rivals)
+        near = self.best_discounted(base, found, self.settings.rivals)
         if isinstance(member.effect, InModel):
             # What turns the robot alike with more values than are needed.
             known = {o.effect.key() for o in near}
-            as_well = self._as_well(base, found, member)
+            as_well = self._equivalent_geometry(base, found, member)
             near += [o for o in as_well if o.effect.key() not in known]
         return near
 
-    def _as_well(self, base, candidates, member):
+    def _equivalent_geometry(self, base, candidates, member):
         """Effects of the geometry that explain as much as a member does."""
         candidates = [
-            self.tempered(base, o) for o in candidates if isinstance(o.effect, InModel)
+            self.discounted(base, o)
+            for o in candidates
+            if isinstance(o.effect, InModel)
         ]
         gains = {
             o: 0.5 * o.family.groups(base).gain()[o.best]
@@ -333,7 +337,7 @@ class Candidates:
         """Posterior log odds of each member given the others."""
         # As `usual` those by which they compare, see `Overdispersion.as_usual`.
         found, scale = [], self.settings.scale
-        both = zip(fit.members, fit.own_groups, fit.excesses(self.noise))
+        both = zip(fit.members, fit.member_groups, fit.overdispersions(self.noise))
         for member, groups, excess in both:
             tempered = groups.discounted(excess.as_usual() if usual else excess)
             evidence = float(tempered.evidence(scale)[0])
@@ -341,7 +345,7 @@ class Candidates:
         return np.array(found) + self.log_prior
 
 
-def _one_sided(family, gain, free):
+def _is_directed(family, gain, free):
     """Which shapes are of a direction that their mirror image does not share."""
     best = {}
     for key, own, allowed in zip(family.keys, gain, free):

@@ -92,7 +92,7 @@ class Spectrum:
         # took of them), under a prior for its second differences, with the deviation
         # `smoothness`: a band of few cosines is what its neighbours make of it.
         variance, log_prior = np.full(power.shape, np.inf), 0.0
-        bend = _bends(octave) / smoothness
+        bend = _second_differences(octave) / smoothness
         for j in np.flatnonzero(power.any(axis=1)):
             own = np.maximum(power[j], _ROUNDING * power[j].max())
             known = freedom[j] > 0.5
@@ -125,7 +125,7 @@ class Spectrum:
         return np.divide(1.0, weights, out=np.zeros(weights.shape), where=weights > 0)
 
 
-def _bends(octave):
+def _second_differences(octave):
     """Second differences of values at unequal places, (n - 2, n)."""
     n = octave.size
     out = np.zeros((max(n - 2, 0), n))

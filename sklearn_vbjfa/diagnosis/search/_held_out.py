@@ -12,7 +12,7 @@ from sklearn_vbjfa.effects import InModel, OnAllJoints
 # Folds of a single recording, stretches one after the other.
 _FOLDS = 8
 # Recordings from which on each is left out as a whole: another motion.
-_RECORDINGS = 3
+_MIN_RECORDINGS = 3
 # Ridge of the declared columns, over the mean square of a column: rounding.
 _RIDGE = 1e-9
 # Share of the mean error below which a block's is rounding.
@@ -75,21 +75,21 @@ class HeldOut:
         self.edges = np.r_[view.blocks.starts, view.index.size]
         # A block lies in one fold, but for the one in which a fold ends.
         own = self.fold[order][self.edges[:-1]]
-        self.of_row = np.unique(
+        self.row_fold = np.unique(
             np.repeat(own, np.diff(self.edges)), return_inverse=True
         )[1]
-        self.rows = [self.of_row == k for k in range(self.of_row.max() + 1)]
+        self.rows = [self.row_fold == k for k in range(self.row_fold.max() + 1)]
         Z, y = view.Z[used][:, order], view.target[used][:, order]
         self.A = np.concatenate([Z, y[:, :, None]], axis=2)
         self.gram = np.array([[A[own].T @ A[own] for own in self.rows] for A in self.A])
-        self._known = WeakKeyDictionary()
+        self._cache = WeakKeyDictionary()
 
     def columns(self, member):
         """Columns (nj, m, k) of a member, row by row."""
-        if member.columns not in self._known:
+        if member.columns not in self._cache:
             columns = self.view.columns([member.effect], self.motion)
-            self._known[member.columns] = columns[:, self.order, 0]
-        return self._known[member.columns]
+            self._cache[member.columns] = columns[:, self.order, 0]
+        return self._cache[member.columns]
 
     def fitted(self, fit):
         """Leave out each fold of a `Fit`; returns a `HeldOutFit`."""
@@ -104,7 +104,7 @@ class HeldOutFit:
         self.held, self.fit = held, fit
         self._r = r = held.A.shape[2] - 1
         self._places = [slice(r + s.start, r + s.stop) for s in fit.places]
-        self._columns = [self._acting(j) for j in held.used_joints]
+        self._columns = [self._joint_terms(j) for j in held.used_joints]
         # What the joints weigh with the members there.
         power = (fit.residual[held.used_joints] ** 2).sum(axis=1)
         target = held.view.target[held.used_joints]
@@ -118,23 +118,23 @@ class HeldOutFit:
         if zero.any():
             gram, rows = total[:r, :r] + precision[:r, :r], held.view.one_sided[zero]
             precision[:r, :r] += precision_at_zero(gram, rows)
-        self._done = np.r_[np.zeros(r), fit.done]
+        self._applied = np.r_[np.zeros(r), fit.applied]
         # by the numbers of members that are left out
         self._factors, self._thetas, self._without = [], {(): []}, {}
         for own in by_fold:
             left = total - own
             self._factors.append(linalg.cho_factor(left[:-1, :-1] + precision))
-            right = left[:-1, -1] - prior * self._done
+            right = left[:-1, -1] - prior * self._applied
             self._thetas[()].append(linalg.cho_solve(self._factors[-1], right))
 
-    def _acting(self, j):
+    def _joint_terms(self, j):
         """Places (p_j,) of the coefficients that act on a joint, and columns."""
         found = [
             (np.r_[place], self.held.columns(member)[member.joints.index(j)])
             for place, member in zip(self._places, self.fit.members)
             if j in member.joints
         ]
-        none = np.zeros(0, int), np.zeros((self.held.of_row.size, 0))
+        none = np.zeros(0, int), np.zeros((self.held.row_fold.size, 0))
         return tuple(np.concatenate(own, axis=-1) for own in zip(none, *found))
 
     def _products(self, p):
@@ -155,7 +155,7 @@ class HeldOutFit:
         """Residuals (m,) of the j-th joint, with the coefficients of each fold."""
         theta, (at, X), A = np.transpose(thetas), self._columns[j], self.held.A[j]
         fitted = A[:, :-1] @ theta[: self._r] + X @ theta[at]
-        return A[:, -1] - fitted[np.arange(len(A)), self.held.of_row]
+        return A[:, -1] - fitted[np.arange(len(A)), self.held.row_fold]
 
     @property
     def squares(self):
@@ -172,7 +172,7 @@ class HeldOutFit:
         own = np.searchsorted(self.held.used_joints, joint)
         return float(self.without((), [own]).sum())
 
-    def _own(self, i):
+    def _joints_of(self, i):
         """Numbers of the joints that count for a member, and their weights."""
         effect = self.fit.members[i].effect
         # In noise, of the robot, what acts on all.
@@ -193,18 +193,20 @@ class HeldOutFit:
         """Coefficients of each fold without members."""
         if numbers not in self._thetas:
             place = np.concatenate([np.r_[self._places[i]] for i in numbers])
-            unit, self._thetas[numbers] = np.eye(self._done.size)[:, place], []
+            unit, self._thetas[numbers] = np.eye(self._applied.size)[:, place], []
             for factor, theta in zip(self._factors, self._thetas[()]):
                 inverse = linalg.cho_solve(factor, unit)
                 # What leaving columns out does to the others, by the block inverse.
-                away = np.linalg.solve(inverse[place], theta[place] + self._done[place])
+                away = np.linalg.solve(
+                    inverse[place], theta[place] + self._applied[place]
+                )
                 self._thetas[numbers].append(theta - inverse @ away)
         return self._thetas[numbers]
 
     def share_of(self, i, absent=(), plain=None):
         """Largest share of a joint's squared error that a member saves."""
         # Of the error without it, or without members `plain` if this is larger.
-        joints, _ = self._own(i)
+        joints, _ = self._joints_of(i)
         asked = (*absent, i), absent, (*absent, i) if plain is None else plain
         without, own, most = (self.without(x, joints).sum(axis=0) for x in asked)
         size = np.maximum(np.maximum(without, most), _SMALLEST)
@@ -217,7 +219,7 @@ class HeldOutFit:
 
     def gain_of(self, i, absent=()):
         """Return what a member saves, others being absent."""
-        (joints, weight), both = self._own(i), ((*absent, i), absent)
+        (joints, weight), both = self._joints_of(i), ((*absent, i), absent)
         errors = (self.without(x, joints) @ weight for x in both)
         return CrossValidatedGain.of(*errors)
 
@@ -234,7 +236,7 @@ class HeldOutFit:
             own[:] = self._residual(self._thetas[()], j)
         for own, weight, A, (at, X) in zip(found, self.weight, held.A, self._columns):
             for factor, fold in zip(self._factors, held.rows):
-                columns = np.zeros((fold.sum(), self._done.size))
+                columns = np.zeros((fold.sum(), self._applied.size))
                 columns[:, : self._r], columns[:, at] = A[fold, :-1], X[fold]
                 unknown = columns.T * linalg.cho_solve(factor, columns.T)
                 own[fold] /= np.sqrt(1.0 + weight * unknown.sum(axis=0))
@@ -247,7 +249,7 @@ def fold_of(view):
     if view.repetition:
         return view.blocks.fold
     origins = np.unique(view.origin)
-    if origins.size >= _RECORDINGS:
+    if origins.size >= _MIN_RECORDINGS:
         return np.searchsorted(origins, view.origin)
     pieces = -(-_FOLDS // origins.size)
     fold = np.empty(view.origin.size, int)

@@ -13,30 +13,30 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     Fit,
     Problem,
     declared_weights,
+    reweighted,
     spectrum_of,
-    weighed,
 )
 from sklearn_vbjfa.diagnosis.search._refine import (
     best_shape,
-    searched,
-    stepped,
+    gauss_newton,
+    search_shapes,
     with_shape,
 )
 from sklearn_vbjfa.effects import Bank, InModel, OnAllJoints, Sudden, closure
 
 # Times that load, spectrum and geometry are made anew.
-_TURNS = 2
+_ROUNDS = 2
 # A model is tuned on another recording until its evidence [nats] stays, or for so many
 # times without a better one: load and shapes may go to and fro.
-_STAYS, _TURNING = 0.5, 4
+_CONVERGED, _PATIENCE = 0.5, 4
 # Share of a motion's power below the frequency up to which it is said to reach.
-_MOTION = 0.9
+_POWER_SHARE = 0.9
 # Share of the log odds of the most probable candidate from which others come with it.
-_NEAR = 0.2
+_ODDS_SHARE = 0.2
 # Share of what a name must save that an effect must save to be in the model.
-LEAST = 0.5
+ENTRY_SHARE = 0.5
 # Nats within which the first in precedence gives its name to equal columns.
-_EQUAL = 0.5
+_TIE = 0.5
 
 
 class Path:
@@ -60,29 +60,29 @@ class Path:
     def run(self):
         """Search; returns the last `Fit`."""
         fit, seen = self.begin(), None
-        for self.turn in range(_TURNS):
+        for self.turn in range(_ROUNDS):
             say(f"round {self.turn + 1}")
             self.candidates = self._candidates(fit)
-            base = self._spectrum(fit.holding(False))
+            base = self._spectrum(fit.with_held(False))
             fit = self._climb(self.scaled(Fit(base, fit.members)))
-            names = keys_of(fit)
+            names = effect_keys(fit)
             if names == seen or not fit.members:
                 break
             seen = names
-            fit = anew(fit)
+            fit = relinearise(fit)
         return fit
 
     def _candidates(self, fit):
         return Candidates(fit.problem, self.library, self.settings, self.forgetful)
 
-    def grown(self):
+    def forward_selection(self):
         """Add the best candidates to the declared columns, joint by joint."""
-        fit = weighed(self.begin())
+        fit = reweighted(self.begin())
         self.candidates = self._candidates(fit)
-        self.candidates.noise, been = fit, {keys_of(fit)}
-        while (new := self._grown(fit, been)) is not None:
+        self.candidates.noise, been = fit, {effect_keys(fit)}
+        while (new := self._forward_step(fit, been)) is not None:
             fit = new
-            been.add(keys_of(fit))
+            been.add(effect_keys(fit))
         return fit
 
     def _spectrum(self, fit):
@@ -98,7 +98,7 @@ class Path:
                 near = [o for o in candidates.on(fit, joint) if o.log_odds > least]
                 if self.view.repetition:
                     # What comes again with each phase would all be taken for effects.
-                    near = candidates.surest(fit, near)
+                    near = candidates.best_discounted(fit, near)
                 best = candidates.most_probable(fit, near)
                 if best is not None and best.log_odds > least:
                     one = best.family.member(best.best, self.settings.scale)
@@ -114,31 +114,31 @@ class Path:
 
     def _climb(self, fit):
         """Add, drop, refine and exchange until nothing is more probable."""
-        been, refined, again = {keys_of(fit)}, frozenset(), True
+        been, refined, again = {effect_keys(fit)}, frozenset(), True
         # Members and others of their joints beside which nothing is more probable.
         self._compared, held = set(), set()
         while True:
             # What is held judges what is there: much would make up for it.
-            new = None if held else self._grown(fit, been)
-            if new is None and fit.members and keys_of(fit) != refined:
+            new = None if held else self._forward_step(fit, been)
+            if new is None and fit.members and effect_keys(fit) != refined:
                 # Shapes that were found before the others of their joints were there.
-                joints = {joint for _, joint, _ in keys_of(fit) ^ refined}
-                refined = keys_of(fit)
+                joints = {joint for _, joint, _ in effect_keys(fit) ^ refined}
+                refined = effect_keys(fit)
                 new = self._pruned(self.refined(fit, joints))
             elif new is None and self.candidates.rejected and again:
                 # What was refused beside another model.
                 again = False
-                self.candidates.forget()
+                self.candidates.reset()
                 continue
             if new is None:
                 new = self._exchanged(fit, been)
             if new is None:
                 # The fit of the robot has no friction that would drive either.
-                new = fit.within_signs(self.settings.known)
+                new = fit.with_valid_signs(self.settings.known)
                 if new is fit:
                     return fit
                 new = self._pruned(self.scaled(new))
-                pattern = new.problem.held.tobytes(), keys_of(new)
+                pattern = new.problem.held.tobytes(), effect_keys(new)
                 if pattern in held:
                     return fit
                 if not held:
@@ -146,44 +146,44 @@ class Path:
                     been, self._compared = set(), set()
                 held.add(pattern)
             fit = new
-            been.add(keys_of(fit))
+            been.add(effect_keys(fit))
 
     # -- moves ------------------------------------------------------------------------
 
-    def _grown(self, fit, been):
+    def _forward_step(self, fit, been):
         """Add the best candidate of every joint; None if there is none."""
-        while chosen := self._chosen(fit):
-            new = self._added(fit, chosen)
-            again = keys_of(new) in been
+        while chosen := self._next_candidates(fit):
+            new = self._with_candidates(fit, chosen)
+            again = effect_keys(new) in been
             there = {(m.effect.name, m.effect.joint) for m in new.members}
             for candidate in chosen:
                 own = candidate.effect.name, candidate.effect.joint
                 if again or own not in there:
                     # What was refused, has gone again, or led back.
-                    self.candidates.refuse(candidate)
+                    self.candidates.reject(candidate)
             if not again:
                 return new
         return None
 
-    def _chosen(self, fit):
+    def _next_candidates(self, fit):
         """Candidates that come into the model together."""
         best = self.candidates.best(fit)
         most = np.inf if self.max_effects is None else self.max_effects
         if not best or len(fit.members) >= most:
             return []
-        waiting = [self.candidates.waits(fit, o) for o in best]
+        waiting = [self.candidates.is_deferred(fit, o) for o in best]
         if not all(waiting):
             best = [o for o, waits in zip(best, waiting) if not waits]
         best.sort(key=lambda o: -o.order)
         first = best[0]
         # What is far less probable may stand for what the first one lacks.
-        best = [o for o in best if o.order > _NEAR * first.order]
+        best = [o for o in best if o.order > _ODDS_SHARE * first.order]
         if isinstance(first.effect, InModel):
             # The first in precedence of those of the geometry that say the same.
             near = [
                 o
                 for o in self.candidates.probable()
-                if isinstance(o.effect, InModel) and o.order > first.order - _EQUAL
+                if isinstance(o.effect, InModel) and o.order > first.order - _TIE
             ]
             return [min(near, key=lambda o: (o.effect.precedence, -o.order))]
         if isinstance(first.effect, OnAllJoints):
@@ -192,21 +192,21 @@ class Path:
         own = [o for o in best if not isinstance(o.effect, (InModel, OnAllJoints))]
         return own[: int(min(most - len(fit.members), len(own)))]
 
-    def _added(self, fit, chosen):
+    def _with_candidates(self, fit, chosen):
         """Return a fit with candidates, without what becomes improbable by that."""
         first = len(fit.members)
         fit = Fit(fit.base, [*fit.members, *(self._member(fit, o) for o in chosen)])
         numbers = range(first, len(fit.members))
-        new = self.scaled(stepped(fit, numbers))
-        left_out, stands = self.held_out(new), self._stand(new, first)
+        new = self.scaled(gauss_newton(fit, numbers))
+        left_out, stands = self.held_out(new), self._remain_probable(new, first)
         # What predicts other motion no better is refused beside this model.
-        least = LEAST * self.settings.min_gain
+        least = ENTRY_SHARE * self.settings.min_gain
         kept = [i for i in numbers if stands[i - first] and left_out.helps(i, least)]
         if len(kept) < len(chosen):
             members = [*new.members[:first], *(new.members[i] for i in kept)]
             new = self.scaled(Fit(new.base, members))
         for k in range(len(kept)):
-            new = self._absorbed(new, first + k)
+            new = self._without_contained(new, first + k)
         return self._pruned(new)
 
     def _member(self, fit, candidate):
@@ -220,7 +220,7 @@ class Path:
         own = fit.groups(member.columns).best_scale(scale)[0]
         return replace(member, scale=float(own))
 
-    def _stand(self, fit, first):
+    def _remain_probable(self, fit, first):
         """Which of the last members remain probable after a refit, a list."""
         # What its first derivative promises need not hold: a gain that is hidden looks
         # like whatever the joint lacks. And bodies take the load from friction that
@@ -235,7 +235,7 @@ class Path:
             (1 + isinstance(fit.members[i].effect, InModel) for i in asked), default=0
         )
         for _ in range(turns):
-            fit = anew(fit)
+            fit = relinearise(fit)
             odds = self.candidates.log_odds(fit)
             for i in asked:
                 natural = fit.members[i].effect.natural(fit.coefficients(i))
@@ -244,7 +244,7 @@ class Path:
                 break
         return sure
 
-    def _absorbed(self, fit, i):
+    def _without_contained(self, fit, i):
         """Leave out what a member contains if that does as well alone."""
         # Its shape was found beside them, where it stood for what they had left over.
         if i >= len(fit.members):
@@ -266,7 +266,7 @@ class Path:
             if candidate is None:
                 continue
             alone = base.beside(self._member(base, candidate))
-            alone = self.scaled(stepped(alone, [len(base.members)]))
+            alone = self.scaled(gauss_newton(alone, [len(base.members)]))
             own, both, none = (
                 self.held_out(one).error_of(joint) for one in (alone, fit, base)
             )
@@ -290,7 +290,7 @@ class Path:
         effect = fit.members[i].effect
         fit = self.scaled(fit.without(i))
         # The robot is not corrected by it any more.
-        return anew(fit) if isinstance(effect, InModel) else fit
+        return relinearise(fit) if isinstance(effect, InModel) else fit
 
     def refined(self, fit, joints=None):
         """Search the shapes of members again, of all joints or some."""
@@ -300,7 +300,7 @@ class Path:
             if (isinstance(member.effect, (Bank, Sudden)) or member.effect.continuous)
             and (joints is None or member.effect.joint in joints)
         ]
-        return self.scaled(searched(fit, shaped, self.settings.scale))
+        return self.scaled(search_shapes(fit, shaped, self.settings.scale))
 
     def scaled(self, fit):
         """Return a fit with the most probable scale of each member."""
@@ -319,7 +319,7 @@ class Path:
         odds = candidates.log_odds(fit, usual=True)
         for i in np.argsort(odds):
             member, base = fit.members[i], fit.without(i)
-            among = among_others(fit, i)
+            among = context_key(fit, i)
             if among in self._compared:
                 continue
             self._compared.add(among)
@@ -332,31 +332,31 @@ class Path:
             ]
             for candidate in near[:3]:
                 new = base.beside(self._member(base, candidate))
-                new = self.scaled(stepped(new, [len(base.members)]))
+                new = self.scaled(gauss_newton(new, [len(base.members)]))
                 *others, own = candidates.log_odds(new, usual=True)
                 # What contains a member takes its place only with that of others, which
                 # it makes improbable.
                 worst = min([0.0, *others])
                 contains = member.effect.name in closure(candidate.effect, self.library)
-                if own - worst < odds[i] + _EQUAL or (contains and worst == 0.0):
+                if own - worst < odds[i] + _TIE or (contains and worst == 0.0):
                     continue
                 new = self._pruned(new)
                 better = self.held_out(new).error() <= self.held_out(fit).error()
-                if better and keys_of(new) not in been:
+                if better and effect_keys(new) not in been:
                     return new
         return None
 
     # -- what is asked of a model ---------------------------------------------------
 
-    def own_odds(self, fit, known):
+    def member_odds(self, fit, known):
         """Posterior log odds of each member, with the spectrum that each model has."""
         # What is slow may be noise: without an effect the spectrum takes its place.
         # known: those of members among the same others of their joints, which stay.
         fit, scale = spectrum_of(fit, self.settings), self.settings.scale
         whole, share, found = fit.log_evidence(), fit.base.share, []
-        both = zip(fit.members, fit.own_groups, fit.excesses(fit))
+        both = zip(fit.members, fit.member_groups, fit.overdispersions(fit))
         for i, (member, groups, excess) in enumerate(both):
-            among = among_others(fit, i)
+            among = context_key(fit, i)
             if among in known:
                 found.append(known[among])
                 continue
@@ -387,20 +387,20 @@ class Path:
         frequency, power = np.concatenate(found, axis=1)
         order = np.argsort(frequency, kind="stable")
         share = np.cumsum(power[order])
-        highest = frequency[order][np.searchsorted(share, _MOTION * share[-1])]
+        highest = frequency[order][np.searchsorted(share, _POWER_SHARE * share[-1])]
         return effect.corner > self.settings.above_motion * highest
 
-    def placed(self, effects):
+    def fit_effects(self, effects):
         """Return the most probable model with given effects, on the load they give."""
         fit, scale = self.begin(), self.settings.scale
-        for _ in range(_TURNS):
+        for _ in range(_ROUNDS):
             members = [fit.problem.shaped([e]).member(scale=scale) for e in effects]
-            fit = anew(self.scaled(weighed(Fit(fit.base, members))))
+            fit = relinearise(self.scaled(reweighted(Fit(fit.base, members))))
             effects = [m.effect for m in fit.members]
-        return self.scaled(weighed(fit))
+        return self.scaled(reweighted(fit))
 
 
-def anew(fit):
+def relinearise(fit):
     """Linearise effects where they are found, correct the robot, take its load."""
     members, coefs = [], [fit.coefficients(i) for i in range(len(fit.members))]
     for member, coef in zip(fit.members, coefs):
@@ -441,14 +441,14 @@ def tuned_on(view, effects, settings):
         return ()
     path = Path(view.with_rest(remembering(effects)), (), settings)
     # In the weights in which the model is fitted to it.
-    fit, before = path.placed(effects), -np.inf
+    fit, before = path.fit_effects(effects), -np.inf
     best, most, since = fit, -np.inf, 0
-    while since < _TURNING:
-        fit = weighed(anew(path.refined(fit)))
+    while since < _PATIENCE:
+        fit = reweighted(relinearise(path.refined(fit)))
         now, since = fit.log_evidence(), since + 1
-        if now > most + _STAYS:
+        if now > most + _CONVERGED:
             best, most, since = fit, now, 0
-        if abs(now - before) < _STAYS:
+        if abs(now - before) < _CONVERGED:
             best = fit
             break
         before = now
@@ -460,13 +460,13 @@ def remembering(effects):
     return {effect.joint for effect in effects if isinstance(effect, Bank)}
 
 
-def among_others(fit, i):
+def context_key(fit, i):
     """Key of a member with those of the others of its joints."""
     joints = fit.members[i].joints
     own = [m.effect.key() for m in fit.members if m.joints == joints]
     return fit.members[i].effect.key(), frozenset(own)
 
 
-def keys_of(fit):
+def effect_keys(fit):
     """Keys of a fit's effects, a frozenset."""
     return frozenset(m.effect.key() for m in fit.members)

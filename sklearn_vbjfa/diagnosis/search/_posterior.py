@@ -7,7 +7,12 @@ import numpy as np
 from scipy.special import expit, ndtr, ndtri
 
 from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain, HeldOut
-from sklearn_vbjfa.diagnosis.search._path import LEAST, Path, anew, remembering
+from sklearn_vbjfa.diagnosis.search._path import (
+    ENTRY_SHARE,
+    Path,
+    relinearise,
+    remembering,
+)
 from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Bank, Effect, InModel, Motion, OfChannel
@@ -109,7 +114,7 @@ class Finding:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Found:
+class SearchResult:
     """The most probable model on the rows of a search."""
 
     findings: tuple  # its effects, those that have a name first
@@ -147,13 +152,15 @@ def search(view, library, settings, alpha, max_effects=None):
     while True:
         view = view.with_rest(resting)
         path = Path(view, library, settings, max_effects, forgetful)
-        fit, odds, worths = _settled(path, path.run())
+        fit, odds, worths = _final_model(path, path.run())
         found = remembering(member.effect for member in fit.members)
         if resting <= found:
             break
         # Nothing else explains the torque of a joint that rests.
         resting &= found
-    worths = worths | (worthwhile := _worthwhile(path.held_out(fit), settings.min_gain))
+    worths = worths | (
+        worthwhile := _sufficient_gains(path.held_out(fit), settings.min_gain)
+    )
     usual = path.candidates.log_odds(fit, usual=True)
     problem, motion, findings = fit.problem, fit.problem.motion, []
     for i, (member, own) in enumerate(zip(fit.members, odds)):
@@ -162,14 +169,14 @@ def search(view, library, settings, alpha, max_effects=None):
             o.effect
             for o in path.candidates.rivals(fit, i)
             if o.effect.key() != member.effect.key()
-            and _takes_place(path, o, fit, i, usual[i] - settings.rivals)
+            and _can_replace(path, o, fit, i, usual[i] - settings.rivals)
         )
         warning = _warning(fit, member, evidence, needed, path)
         warning = warning or ("" if i in worthwhile else SMALL)
         own = {"effect": member.effect.completed(), "evidence": evidence}
         findings.append(Finding(**own, rivals=rivals, warning=warning))
-    return Found(
-        findings=in_order(findings),
+    return SearchResult(
+        findings=sort_findings(findings),
         view=problem.view,
         motion=motion,
         # As the held-out part is: stretches between others.
@@ -183,20 +190,20 @@ def search(view, library, settings, alpha, max_effects=None):
     )
 
 
-def _takes_place(path, candidate, fit, i, least):
+def _can_replace(path, candidate, fit, i, least):
     """Whether a rival is as probable in the place of a member, without its torque."""
     geometry = [isinstance(o.effect, InModel) for o in (fit.members[i], candidate)]
     if geometry == [False, True] and candidate.order > least:
         # Columns of the geometry are made of a torque that holds the member's.
-        rest, family = anew(fit.without(i)), candidate.family
+        rest, family = relinearise(fit.without(i)), candidate.family
         columns = rest.problem.shaped(family.columns.effects)
         candidate = path.candidates.candidate(rest, replace(family, columns=columns))
-        candidate = candidate and path.candidates.tempered(rest, candidate)
+        candidate = candidate and path.candidates.discounted(rest, candidate)
     return all(geometry) or bool(candidate and candidate.order > least)
 
 
 # Share of the squared error of moving and resting rows that it saves at least.
-_AT_REST = 0.5
+_REST_SHARE = 0.5
 
 
 def _friction_at_rest(view, library, settings):
@@ -208,7 +215,7 @@ def _friction_at_rest(view, library, settings):
         return view, set(), set()
     view = view.with_rest(resting)
     path = Path(view, banks, settings)
-    fit = path.grown()
+    fit = path.forward_selection()
     left_out = path.held_out(fit)
     # The whole error counts: in blocks without a rest there is nothing to save.
     gains = [left_out.gain_of(i) for i in range(len(fit.members))]
@@ -216,25 +223,25 @@ def _friction_at_rest(view, library, settings):
         member.effect.joint
         for i, (member, own) in enumerate(zip(fit.members, gains))
         if own.gain > settings.significance * own.gain_std
-        and left_out.share_of(i) > _AT_REST
+        and left_out.share_of(i) > _REST_SHARE
     }
     forgetful = resting - remembering(member.effect for member in fit.members)
     return view, known & resting, forgetful
 
 
-def in_order(findings):
+def sort_findings(findings):
     """Sort findings: names first, and those that save the most before others."""
     return tuple(sorted(findings, key=lambda f: (bool(f.warning), -f.evidence.gain)))
 
 
-def _settled(path, fit):
+def _final_model(path, fit):
     """Drop what speaks against the whole; the rest with log odds and gains."""
     # What the spectrum of the whole model makes improbable goes, what predicts other
     # motion worse, and what has a sign or size that it cannot have.
     known = {}
     while True:
         last = not known
-        odds, left_out = path.own_odds(fit, known), path.held_out(fit)
+        odds, left_out = path.member_odds(fit, known), path.held_out(fit)
         worths = {i: left_out.gain_of(i) for i in range(odds.size)}
         if not worths:
             return fit, odds, worths
@@ -245,7 +252,7 @@ def _settled(path, fit):
                 if member.effect.natural(fit.coefficients(i))
                 # In most blocks as well, or nobody would call it probable.
                 and ndtr(own.errors) >= path.settings.min_probability
-                and left_out.share_of(i) > LEAST * path.settings.min_gain
+                and left_out.share_of(i) > ENTRY_SHARE * path.settings.min_gain
                 else -np.inf
                 for i, (member, own) in enumerate(zip(fit.members, worths.values()))
             ]
@@ -258,7 +265,7 @@ def _settled(path, fit):
         fit = path.dropped(fit, worst)
 
 
-def _worthwhile(left_out, worth):
+def _sufficient_gains(left_out, worth):
     """Gains of members that each save enough given the others, by number."""
     # The one that saves least goes, and the others are fitted without it, until each
     # saves a share of the error that the plain terms leave, of one joint at least.

@@ -17,7 +17,7 @@ from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 from sklearn_vbjfa.effects import Bank, InModel
 
 
-def products(edges, one, other):
+def band_products(edges, one, other):
     """Products of columns (n, ...) and (n, ...) in each band, (n_bands, p, q)."""
     one, other = one.reshape(len(one), -1), other.reshape(len(other), -1)
     return np.array([one[a:b].T @ other[a:b] for a, b in itertools.pairwise(edges)])
@@ -29,7 +29,7 @@ _TINY = np.finfo(float).tiny
 # Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
 _RIDGE = 1e-9
 # How much better than by the data a term is known that is held at zero.
-_HELD = 1e6
+_ZERO_PRECISION = 1e6
 
 
 class Columns:
@@ -71,21 +71,21 @@ class Columns:
 
     def _products(self, of):
         pairs = zip(self.joints, self.values)
-        return np.array([products(self.edges, of[j], own) for j, own in pairs])
+        return np.array([band_products(self.edges, of[j], own) for j, own in pairs])
 
     def member(self, c=0, scale=1.0):
-        """Return one of the shapes as a `Member`."""
+        """Return one of the shapes as a `SelectedEffect`."""
         k, columns = len(self.effects[c].coefficients), self
         if self.shape != (1, k):
             own = np.ascontiguousarray(self.values[:, :, c : c + 1, :k])
             unit = self.unit[c : c + 1, :k]
             known = self.joints, own, unit, self.edges, self.load
             columns = Columns(self.effects[c : c + 1], *known)
-        return Member(columns=columns, scale=scale)
+        return SelectedEffect(columns=columns, scale=scale)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Member:
+class SelectedEffect:
     """An effect in the model, with one shape."""
 
     columns: Columns
@@ -112,17 +112,17 @@ class Member:
         return self.unit.size
 
     @functools.cached_property
-    def done(self):
+    def applied(self):
         """What of its coefficients the equations have already, (k,)."""
         if not isinstance(self.effect, InModel):
             return np.zeros(self.width)
         return self.effect.values - np.asarray(self.effect.nominal)
 
 
-def _together(joint, columns):
+def _joint_columns(joint, columns):
     """Columns (n, p) of members on a joint, and their products by band."""
     X = np.hstack([x.values[x.joints.index(joint), :, 0] for x in columns])
-    return X, products(columns[0].edges, X, X)
+    return X, band_products(columns[0].edges, X, X)
 
 
 class Problem:
@@ -149,7 +149,7 @@ class Problem:
         self.used_joints = view.precision > 0
         self.held = np.zeros(view.one_sided.shape[:2], dtype=bool)
         # Most joints of a fit have the members that they had in one before.
-        self.together = functools.lru_cache(_together)
+        self.joint_columns = functools.lru_cache(_joint_columns)
 
     @property
     def edges(self):
@@ -159,13 +159,13 @@ class Problem:
     @functools.cached_property
     def gram(self):
         """Products of the columns by joint and band, (nv, n_bands, r, r)."""
-        return np.array([products(self.edges, Z, Z) for Z in self.Z])
+        return np.array([band_products(self.edges, Z, Z) for Z in self.Z])
 
     @functools.cached_property
     def right(self):
         """Products of these with the torques, (nv, n_bands, r)."""
         pairs = zip(self.Z, self.y)
-        return np.array([products(self.edges, Z, y)[:, :, 0] for Z, y in pairs])
+        return np.array([band_products(self.edges, Z, y)[:, :, 0] for Z, y in pairs])
 
     @functools.cached_property
     def power(self):
@@ -185,7 +185,7 @@ class Problem:
         """Return `Columns` of an effect with some shapes, list of Effect."""
         key, joints = self._key(effects), effects[0].acts_on(self.view.nv)
         load = self.motion if any("load" in e.needs for e in effects) else None
-        found = self.view.made.get(key)
+        found = self.view.cache.get(key)
         if found is None or found.load is not load:
             values, size = self.view.shaped(effects, self.motion, self.cosines)
             # An effect of all joints has the torque of that which it moves the most.
@@ -215,7 +215,7 @@ class Problem:
         return [kind(**known | shape) for shape in shapes(self.motion)]
 
 
-def _lower(L, right, turned=False):
+def _solve_lower(L, right, turned=False):
     """Solve a lower triangular system (r, ...), or that of its transpose."""
     # SciPy's own function checks for longer than such small systems take.
     if not right.size:
@@ -228,8 +228,8 @@ def _lower(L, right, turned=False):
 def precision_at_zero(gram, rows):
     """Precision (r, r) with which sums `rows` (h, r) of coefficients are zero."""
     # gram (r, r): precision of the coefficients by the data.
-    power = (_lower(linalg.cholesky(gram, lower=True), rows.T) ** 2).sum(axis=0)
-    return (_HELD / power * rows.T) @ rows
+    power = (_solve_lower(linalg.cholesky(gram, lower=True), rows.T) ** 2).sum(axis=0)
+    return (_ZERO_PRECISION / power * rows.T) @ rows
 
 
 class Base:
@@ -248,8 +248,8 @@ class Base:
         if problem.held.any():
             G += precision_at_zero(G, problem.view.one_sided[problem.held])
         self.L = linalg.cholesky(G, lower=True)
-        self.t = _lower(self.L, np.tensordot(density, problem.right, 2))
-        self._known, self._crossed = WeakKeyDictionary(), WeakKeyDictionary()
+        self.t = _solve_lower(self.L, np.tensordot(density, problem.right, 2))
+        self._cache, self._cross_cache = WeakKeyDictionary(), WeakKeyDictionary()
 
     @property
     def log_prior(self):
@@ -275,7 +275,7 @@ class Base:
         """Inverse of the Gram matrix, (r, r)."""
         return linalg.cho_solve((self.L, True), np.eye(self.L.shape[0]))
 
-    def promised_less(self, white):
+    def score_variance_ratio(self, white):
         """How much less than the variance of whitened scores the weights promise."""
         # white (nv, n, c).
         if self.spectrum is None:
@@ -284,39 +284,41 @@ class Base:
         noise = self.density * self.spectrum.noise(self.problem.cosines)
         return np.tensordot(noise, power, 2) / np.maximum(power.sum((0, 1)), _TINY)
 
-    def undone(self, member):
+    def without_correction(self, member):
         """Return the same before a member's corrections, as far as these are linear."""
-        done = member.done
+        done = member.applied
         if not done.any():
             return self
         y, other = self.problem.y.copy(), copy.copy(self)
         for j, own in zip(member.joints, member.columns.values):
             y[j] += own[:, 0] @ done
         other.problem = self.problem.changed(y=y)
-        other._known = WeakKeyDictionary()
+        other._cache = WeakKeyDictionary()
         other.t = self.t + self.beside(member.columns).T @ done
         return other
 
-    def over(self, joints, products):
+    def weighted_sum(self, joints, products):
         """Sum products by joint and band (nj, n_bands, ...) with their weights."""
         density = self.density[list(joints)].ravel()
         found = density @ products.reshape(density.size, -1)
         return found.reshape(products.shape[2:])
 
     def beside(self, columns):
-        """Moments of `Columns` and the declared ones, `Beside`."""
-        if columns not in self._known:
+        """Moments of `Columns` and the declared ones, `ReducedMoments`."""
+        if columns not in self._cache:
             own, (c, k) = columns.joints, columns.shape
-            T = _lower(self.L, self.over(own, columns.declared(self.problem.Z)))
-            right = self.over(own, columns.right(self.problem.y))
-            gram = self.over(own, columns.gram)
+            T = _solve_lower(
+                self.L, self.weighted_sum(own, columns.declared(self.problem.Z))
+            )
+            right = self.weighted_sum(own, columns.right(self.problem.y))
+            gram = self.weighted_sum(own, columns.gram)
             H, q = gram - _blocks(T, c, k), (right - self.t @ T).reshape(c, k)
-            self._known[columns] = Beside(T=T, gram=gram, H=H, q=q)
-        return self._known[columns]
+            self._cache[columns] = ReducedMoments(T=T, gram=gram, H=H, q=q)
+        return self._cache[columns]
 
-    def crossed(self, members, columns):
+    def cross_products(self, members, columns):
         """Weighted products of members' columns with others, (p, c * k)."""
-        known = self._crossed.setdefault(columns, WeakKeyDictionary())
+        known = self._cross_cache.setdefault(columns, WeakKeyDictionary())
         for one in (m.columns for m in members if m.columns not in known):
             known[one] = np.zeros((one.unit.size, columns.unit.size))
             for j in set(one.joints).intersection(columns.joints):
@@ -330,7 +332,7 @@ class Base:
 # Moments of c groups of k columns and the declared ones: T (r, c * k), L^-1 times their
 # products; the groups' Gram matrices, and H, what is left of them, (c, k, k); q (c, k),
 # products with what is left of the torques.
-Beside = namedtuple("Beside", "T gram H q")
+ReducedMoments = namedtuple("ReducedMoments", "T gram H q")
 
 
 def _blocks(T, c, k):
@@ -361,33 +363,33 @@ class Fit:
         deviation = [np.where(m.unit > 0, m.scale * m.unit, 1.0) for m in self.members]
         self.prior = np.concatenate([np.zeros(0), *deviation]) ** -2.0
         self._B, self._H, self._q = self._moments() if reduced is None else reduced
-        right = self._q - self.prior * self.done
+        right = self._q - self.prior * self.applied
         S = self._H + np.diag(self.prior)
         self._factor = linalg.cholesky(S, lower=True) if right.size else S
-        self._t = _lower(self._factor, right)
-        self._coef = _lower(self._factor, self._t, turned=True)
-        self.theta = _lower(base.L, base.t - self._B @ self._coef, turned=True)
-        self._beside, self._evidence = WeakKeyDictionary(), WeakKeyDictionary()
+        self._t = _solve_lower(self._factor, right)
+        self._coef = _solve_lower(self._factor, self._t, turned=True)
+        self.theta = _solve_lower(base.L, base.t - self._B @ self._coef, turned=True)
+        self._groups, self._evidence = WeakKeyDictionary(), WeakKeyDictionary()
 
     def _moments(self):
         """Products of the members' columns: B, H, and q."""
         own = [self.base.beside(m.columns) for m in self.members]
         B = np.hstack([np.zeros((self.base.L.shape[0], 0)), *(x.T for x in own)])
         H = -B.T @ B
-        for j, (at, _, gram) in self._acting.items():
+        for j, (at, _, gram) in self._joint_terms.items():
             H[at[:, None], at] += np.tensordot(self.base.density[j], gram, 1)
         return B, H, np.concatenate([np.zeros(0), *(x.q[0] for x in own)])
 
     @functools.cached_property
-    def _acting(self):
-        """Coefficients that act on each joint, and see `_together`, a dict."""
+    def _joint_terms(self):
+        """Coefficients that act on each joint, and see `_joint_columns`, a dict."""
         found, numbers = {}, np.arange(len(self.prior))
         for place, member in zip(self.places, self.members):
             for j in member.joints:
                 found.setdefault(j, []).append((numbers[place], member.columns))
         for j, own in found.items():
             places, columns = zip(*own)
-            found[j] = np.concatenate(places), *self.problem.together(j, columns)
+            found[j] = np.concatenate(places), *self.problem.joint_columns(j, columns)
         return found
 
     @property
@@ -418,14 +420,14 @@ class Fit:
     def _sum(self, theta, coef):
         """Sum of the columns with coefficients (r, ...) and (p, ...), (nv, n, ...)."""
         out = self.problem.Z @ theta
-        for j, (at, X, _) in self._acting.items():
+        for j, (at, X, _) in self._joint_terms.items():
             out[j] += X @ coef[at]
         return out
 
     @property
-    def done(self):
+    def applied(self):
         """What of the coefficients the equations have already, (p,)."""
-        return np.concatenate([np.zeros(0), *(m.done for m in self.members)])
+        return np.concatenate([np.zeros(0), *(m.applied for m in self.members)])
 
     def powers(self):
         """Residual powers and freedom left by joint and band, two (nv, n_bands)."""
@@ -434,11 +436,11 @@ class Fit:
         edges, fill = cosines.edges, cosines.fill[:, None]
         power = np.add.reduceat(self.residual**2, edges[:-1], axis=1)
         # What the fit takes: products by band with the covariance of all coefficients.
-        E = _lower(base.L, self._B, turned=True)
+        E = _solve_lower(base.L, self._B, turned=True)
         covariance, cross = self.covariance, E @ self.covariance
         whole = base.inverse + cross @ E.T
         taken = np.tensordot(problem.gram, whole, 2)
-        for j, (at, _, gram) in self._acting.items():
+        for j, (at, _, gram) in self._joint_terms.items():
             taken[j] += np.tensordot(gram, covariance[at[:, None], at], 2)
         for place, member in zip(self.places, self.members):
             own = member.columns.declared(problem.Z)
@@ -450,10 +452,10 @@ class Fit:
 
     def groups(self, columns):
         """Second moments of the shapes of `Columns` beside this model, `Groups`."""
-        if columns not in self._beside:
+        if columns not in self._groups:
             own, (c, k) = self.base.beside(columns), columns.shape
-            cross = self.base.crossed(self.members, columns)
-            D = _lower(self._factor, cross - self._B.T @ own.T)
+            cross = self.base.cross_products(self.members, columns)
+            D = _solve_lower(self._factor, cross - self._B.T @ own.T)
             groups = Groups(
                 H=own.H - _blocks(D, c, k),
                 q=own.q - (self._t @ D).reshape(c, k),
@@ -461,8 +463,8 @@ class Fit:
                 unit=columns.unit,
                 positive=isinstance(columns.effects[0], Bank),
             )
-            self._beside[columns] = groups, D
-        return self._beside[columns][0]
+            self._groups[columns] = groups, D
+        return self._groups[columns][0]
 
     def evidence(self, columns, scale):
         """Log evidence (c,) of shapes beside this model; of a bank, at the most."""
@@ -487,7 +489,7 @@ class Fit:
         used = (self.problem.view.root.T > 0) & self.problem.used_joints[:, None]
         return np.where(used.reshape(*used.shape, *(1,) * (found.ndim - 2)), found, 0.0)
 
-    def excess(self, columns, c, coef, noise):
+    def overdispersion(self, columns, c, coef, noise):
         """Overdispersion of one shape's score beside this model."""
         # coef (k,): direction of its coefficients that counts; noise: the fit under the
         # same weights that leaves the noise.
@@ -495,34 +497,34 @@ class Fit:
         k = columns.shape[1]
         place = slice(c * k, (c + 1) * k)
         T = self.base.beside(columns).T[:, place] @ coef
-        D = self._beside[columns][1][:, place] @ coef
-        members = _lower(self._factor, D, turned=True)
-        declared = _lower(self.base.L, T - self._B @ members, turned=True)
+        D = self._groups[columns][1][:, place] @ coef
+        members = _solve_lower(self._factor, D, turned=True)
+        declared = _solve_lower(self.base.L, T - self._B @ members, turned=True)
         left = -self._sum(declared, members)
         left[list(columns.joints)] += columns.values[:, :, c] @ coef
-        return self._scattered(left[:, :, None], [columns.effects[c]], noise)[0]
+        return self._score_dispersions(left[:, :, None], [columns.effects[c]], noise)[0]
 
-    def excesses(self, noise):
+    def overdispersions(self, noise):
         """Overdispersion of each member's score given the others, a list."""
         if not self.members:
             return []
         # Their columns, less what the others explain of them, by the block inverse.
         C, directions = self.covariance, np.zeros((self._coef.size, len(self.members)))
         for i, (place, member) in enumerate(zip(self.places, self.members)):
-            coef = self._coef[place] + member.done
+            coef = self._coef[place] + member.applied
             directions[:, i] = C[:, place] @ np.linalg.solve(C[place, place], coef)
-        theta = -_lower(self.base.L, self._B @ directions, turned=True)
+        theta = -_solve_lower(self.base.L, self._B @ directions, turned=True)
         left = self._sum(theta, directions)
-        return self._scattered(left, [m.effect for m in self.members], noise)
+        return self._score_dispersions(left, [m.effect for m in self.members], noise)
 
-    def _scattered(self, left, effects, noise):
+    def _score_dispersions(self, left, effects, noise):
         """Overdispersion of scores by columns (nv, n, c) beside everything else."""
         # The variance of a score between blocks of time over that which its second
         # moments promise (the sandwich over the Hessian), at least one, with its
         # degrees of freedom. The variance of slow changes of the score counts where it
         # is larger: that of independent blocks is as large at all frequencies.
         white = left * np.sqrt(self.base.weights)[:, :, None]
-        rows, less = self._rows(white), self.base.promised_less(white)
+        rows, less = self._rows(white), self.base.score_variance_ratio(white)
         power = np.einsum("jmc,jmc->mc", rows, rows)
         promised = power.sum(axis=0)
         products = np.einsum("jmc,jm->mc", rows, noise.scores)
@@ -565,35 +567,35 @@ class Fit:
         ratio = float(max(usual, left))
         return Overdispersion(ratio=ratio, freedom=freedom, usual=usual)
 
-    def holding(self, held):
+    def with_held(self, held):
         """Return the same with other declared friction at zero, see `Problem`."""
         problem = self.problem
         made = problem.changed(held=np.broadcast_to(held, problem.held.shape))
         return Fit(self.base.on(made), self.members)
 
-    def within_signs(self, errors):
+    def with_valid_signs(self, errors):
         """Return the same with declared friction at zero that would drive."""
         # errors: standard errors by which it is negative before it is held; once held,
         # what is left of it says which sign it would have.
         held, rows = self.problem.held, self.problem.view.one_sided
-        ways = _lower(self.base.L, rows.reshape(held.size, -1).T)
-        ties = _lower(self._factor, self._B.T @ ways)
+        ways = _solve_lower(self.base.L, rows.reshape(held.size, -1).T)
+        ties = _solve_lower(self._factor, self._B.T @ ways)
         variance = (ways**2).sum(axis=0) + (ties**2).sum(axis=0)
         least = errors * np.sqrt(variance).reshape(held.shape)
         wrong = rows @ self.theta < np.where(held, 0.0, -least)
         # The elements of a bank stand for dry friction as well.
         banks = (m.effect for m in self.members if isinstance(m.effect, Bank))
         wrong[[bank.joint for bank in banks]] = False
-        return self if (wrong == held).all() else self.holding(wrong)
+        return self if (wrong == held).all() else self.with_held(wrong)
 
     @functools.cached_property
     def covariance(self):
         """Posterior covariance of the members' coefficients."""
-        half = _lower(self._factor, np.eye(self._coef.size))
+        half = _solve_lower(self._factor, np.eye(self._coef.size))
         return half.T @ half
 
     @functools.cached_property
-    def own_groups(self):
+    def member_groups(self):
         """Second moments of each member given the others, list of `Groups`."""
         # By the block inverse, without another fit.
         found = []
@@ -602,7 +604,7 @@ class Fit:
             gram = self.base.beside(member.columns).gram
             groups = Groups(
                 H=inverse[None] - np.diag(self.prior[place]),
-                q=(inverse @ (self._coef[place] + member.done))[None],
+                q=(inverse @ (self._coef[place] + member.applied))[None],
                 own=np.diagonal(gram, axis1=1, axis2=2),
                 unit=member.unit[None],
             )
@@ -611,7 +613,7 @@ class Fit:
 
     def rescaled(self, scale):
         """Return the same with the most probable scale of each member."""
-        scales = [float(own.best_scale(scale)[0]) for own in self.own_groups]
+        scales = [float(own.best_scale(scale)[0]) for own in self.member_groups]
         members = [replace(m, scale=own) for m, own in zip(self.members, scales)]
         return Fit(self.base, members, (self._B, self._H, self._q))
 
@@ -624,7 +626,7 @@ class Fit:
         volume_of_noise = 0.5 * (count * np.log(density[heard])).sum()
         power = (density[heard] * problem.power[heard]).sum()
         power -= self.base.t @ self.base.t + self._t @ self._t
-        power += self.prior @ self.done**2
+        power += self.prior @ self.applied**2
         volume = np.log(np.diagonal(self.base.L)).sum()
         volume += np.log(np.diagonal(self._factor)).sum()
         volume -= 0.5 * np.log(self.prior).sum()
@@ -642,7 +644,7 @@ class Fit:
     def without(self, i):
         """Fit without a member, to a robot that it has not corrected."""
         rest = *self.members[:i], *self.members[i + 1 :]
-        base = self.base.undone(self.members[i])
+        base = self.base.without_correction(self.members[i])
         if base is not self.base:
             return Fit(base, rest)
         kept = np.delete(np.arange(self.n_coefficients), self.places[i])
@@ -652,10 +654,10 @@ class Fit:
 
 def declared_weights(problem):
     """Make the base under the weights of the joints in the fit of the robot."""
-    return _flat(problem, problem.view.precision * problem.cosines.fill)
+    return _uniform_base(problem, problem.view.precision * problem.cosines.fill)
 
 
-def _flat(problem, weights):
+def _uniform_base(problem, weights):
     """Make the base under one weight for each joint (nv,)."""
     bands = problem.cosines.octave.size
     return Base(problem, np.repeat(weights[:, None], bands, axis=1))
@@ -672,19 +674,21 @@ def spectrum_of(fit, settings, rounds=3, share=None):
     # differs from that by plain weights more than by chance (after J. Hausman,
     # Econometrica 46(6), 1978, doi 10.2307/1913827).
     if share is not None:
-        return _following(fit, settings, rounds, share)
+        return _spectral_fit(fit, settings, rounds, share)
     problem = fit.problem
-    plain = weighed(Fit(declared_weights(problem), fit.members))
-    most = _by_chance(plain.base, _spectrum(plain, settings), settings.significance)
+    plain = reweighted(Fit(declared_weights(problem), fit.members))
+    most = _chance_deviation(
+        plain.base, _spectrum(plain, settings), settings.significance
+    )
     for start, share in ((fit, 1.0), *((plain, own) for own in _SHARES)):
-        found = _following(start, settings, rounds, share)
+        found = _spectral_fit(start, settings, rounds, share)
         away = ((found.residual - plain.residual) ** 2).sum(axis=1)
         if (away <= most)[problem.used_joints].all():
             break
     return found
 
 
-def _following(fit, settings, rounds, share):
+def _spectral_fit(fit, settings, rounds, share):
     """Return a fit under weights by a power of the spectrum of its residual."""
     problem = fit.problem
     for _ in range(rounds):
@@ -705,7 +709,7 @@ def _spectrum(fit, settings):
     return Spectrum.of(power, freedom, octave, settings.spectrum_roughness)
 
 
-def _by_chance(plain, spectrum, chance):
+def _chance_deviation(plain, spectrum, chance):
     """How far (nv,) right weights lead from plain ones by chance, a square sum."""
     # They scatter less than plain ones, from which they differ by less than these do:
     # the mean of that, and so many deviations.
@@ -717,10 +721,10 @@ def _by_chance(plain, spectrum, chance):
     return np.einsum("jpp->j", own) + chance * deviation
 
 
-def weighed(fit):
+def reweighted(fit):
     """Return a fit under one weight for each joint, by its residual."""
     problem = fit.problem
     power = (fit.residual**2).mean(axis=1)
     heard = problem.used_joints & (power > 0)
     own = np.where(heard, problem.cosines.fill / np.where(heard, power, 1.0), 0.0)
-    return Fit(_flat(problem, own), fit.members)
+    return Fit(_uniform_base(problem, own), fit.members)

@@ -10,9 +10,9 @@ from sklearn_vbjfa.effects import Bank, Effect, Sudden
 
 # A search ends where a step promises less [nats], or after this many steps; a shape
 # whose own step promises less stays.
-WORTH, MOST_STEPS = 0.05, 4
+MIN_GAIN, MOST_STEPS = 0.05, 4
 # Shares of a step that are taken until one leads up.
-SHARES = (1.0, 0.5, 0.25)
+STEP_SHARES = (1.0, 0.5, 0.25)
 # Step of the derivatives in shares of the way between the grid's next points: of smooth
 # columns, and of those that change in single rows.
 _DERIVATIVE, _COARSE = 0.01, 0.1
@@ -24,9 +24,9 @@ _JUMPS = 3
 # Rows left out: so many times as long as between two rows.
 _GAP = 1.5
 # Prior deviation of a step, over the way between the grid's points: none.
-_FREE = 1e3
+_FLAT_PRIOR = 1e3
 # Period of an angle.
-_TURN = 2 * np.pi
+_PERIOD = 2 * np.pi
 
 
 def _bracket(effect, name, motion):
@@ -41,7 +41,7 @@ def _bracket(effect, name, motion):
         ]
     )
     if name in effect.cyclic and grid.size > 1:
-        grid = np.concatenate([grid - _TURN, grid, grid + _TURN])
+        grid = np.concatenate([grid - _PERIOD, grid, grid + _PERIOD])
         at = int(np.argmin(np.abs(grid - value)))
         return value, grid[at - 1], grid[at + 1], -np.inf, np.inf, False
     grid = grid[np.sign(grid) == np.sign(value)]
@@ -55,7 +55,7 @@ def _bracket(effect, name, motion):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class ShapePoint:
     """An effect among its shapes, and how far a step may lead."""
 
     effect: Effect
@@ -98,7 +98,7 @@ class Place:
         shape = {}
         for name, u, is_log in zip(self.names, values.tolist(), self.logarithmic):
             value = float(np.exp(u)) if is_log else u
-            shape[name] = value % _TURN if name in self.effect.cyclic else value
+            shape[name] = value % _PERIOD if name in self.effect.cyclic else value
         return clone(self.effect).set_params(**shape)
 
     def around(self):
@@ -121,17 +121,17 @@ class Place:
         change = around.values[:, :, 1:] - around.values[:, :, :1]
         slopes = change @ coef / self.steps
         values = np.concatenate([around.values[:, :, 0], slopes], axis=2)
-        free = np.full(self.values.size, _FREE / member.scale) * self.width
+        free = np.full(self.values.size, _FLAT_PRIOR / member.scale) * self.width
         unit = np.concatenate([member.unit, free])[None]
         known = [member.effect], member.joints, values[:, :, None], unit, around.edges
         return replace(member, columns=Columns(*known))
 
 
-def stepped(fit, numbers):
+def gauss_newton(fit, numbers):
     """Search the shapes of members, which trade against each other, at once."""
     # By Gauss and Newton: the derivatives of the columns are further columns.
     problem, motion = fit.problem, fit.problem.motion
-    places = {i: Place.of(fit.members[i].effect, motion) for i in numbers}
+    places = {i: ShapePoint.of(fit.members[i].effect, motion) for i in numbers}
     places = {i: place for i, place in places.items() if place is not None}
     families = {i: problem.shaped(p.around()) for i, p in places.items()}
     for _ in range(MOST_STEPS):
@@ -140,12 +140,12 @@ def stepped(fit, numbers):
             known = members[i], families[i], fit.coefficients(i)
             members[i] = place.with_derivatives(*known)
         linear = Fit(fit.base, members)
-        ways = {i: _promised(linear, i, fit.members[i].width) for i in places}
-        ways = {i: way for i, (way, promised) in ways.items() if promised > WORTH}
-        if not ways or linear.explained - fit.explained < WORTH:
+        ways = {i: _newton_step(linear, i, fit.members[i].width) for i in places}
+        ways = {i: way for i, (way, promised) in ways.items() if promised > MIN_GAIN}
+        if not ways or linear.explained - fit.explained < MIN_GAIN:
             break
         places = {i: places[i] for i in ways}
-        for share in SHARES:
+        for share in STEP_SHARES:
             moved = {i: place.moved(share * ways[i]) for i, place in places.items()}
             made = {i: problem.shaped(p.around()) for i, p in moved.items()}
             new = list(fit.members)
@@ -160,7 +160,7 @@ def stepped(fit, numbers):
     return fit
 
 
-def _promised(linear, i, width):
+def _newton_step(linear, i, width):
     """Step (d,) of a member's shape, and what that takes off the error [nats]."""
     place = linear.places[i]
     rows = slice(place.start + width, place.stop)
@@ -175,24 +175,24 @@ def best_shape(fit, effect, scale):
     """Return an effect, its shape searched between those of its grid."""
     # Smooth parameters are left to the steps with all that comes beside it.
     if isinstance(effect, Bank):
-        return bank(fit, effect, fit.problem.shapes(effect), scale)
+        return best_bank(fit, effect, fit.problem.shapes(effect), scale)
     if isinstance(effect, Sudden):
-        return jump(fit, effect, scale)
+        return best_jump(fit, effect, scale)
     return effect
 
 
-def searched(fit, numbers, scale):
+def search_shapes(fit, numbers, scale):
     """Search the shapes of members again, all at once or one by one."""
-    fit = stepped(fit, numbers)
+    fit = gauss_newton(fit, numbers)
     for i in numbers:
         effect, rest = fit.members[i].effect, fit.without(i)
         if isinstance(effect, Bank):
-            found = bank(rest, effect, fit.problem.shapes(effect), scale)
+            found = best_bank(rest, effect, fit.problem.shapes(effect), scale)
         elif isinstance(effect, Sudden):
-            found = jump(rest, effect, scale)
+            found = best_jump(rest, effect, scale)
         else:
             forms = (with_shape(fit, i, form) for form in effect.forms())
-            forms = [stepped(form, [i]) for form in forms]
+            forms = [gauss_newton(form, [i]) for form in forms]
             fit = max([fit, *forms], key=Fit.log_evidence)
             continue
         fit = with_shape(fit, i, found)
@@ -206,7 +206,7 @@ def with_shape(fit, i, effect):
     return Fit(fit.base, members)
 
 
-def bank(fit, effect, shapes, scale):
+def best_bank(fit, effect, shapes, scale):
     """Return the best of banks with the elements of positive size given a fit."""
     # Those that do not depend on the load stay when that changes.
     problem, kinds, best = fit.problem, {}, []
@@ -228,7 +228,7 @@ def bank(fit, effect, shapes, scale):
 # -- instants of jumps
 
 
-def jump(fit, effect, scale, near=False):
+def best_jump(fit, effect, scale, near=False):
     """Return an effect that jumps with its most probable instant, or one near it."""
 
     def evidence(effects):
@@ -276,13 +276,13 @@ def instant(effects, evidence, motion):
     known = evidence(effects)
     found, most = effects[int(np.argmax(known))], float(known.max())
     grid = np.unique([shape["instant"] for shape in found.shapes(motion)])
-    between, value = _between(motion), found.instant
+    between, value = _gaps(motion), found.instant
     if grid.size > 1:
         step = _AROUND * np.diff(grid).max()
         low, high = value - step, value + step
         for _ in range(2):
             places = np.linspace(low, high, _INSTANTS)
-            shared = _shared(motion, between, places)
+            shared = _representative_instants(motion, between, places)
             tried = [clone(found).set_params(instant=float(s)) for s in shared]
             known = evidence(tried)
             best = int(np.argmax(known))
@@ -300,7 +300,7 @@ def instant(effects, evidence, motion):
     return found
 
 
-def _shared(motion, between, places):
+def _representative_instants(motion, between, places):
     """Instants (c,) that represent others: those of rows, or between recordings."""
     times = np.asarray(motion.t, dtype=float)
     shared = times.copy()
@@ -309,7 +309,7 @@ def _shared(motion, between, places):
     return shared[np.searchsorted(times[:-1], places)]
 
 
-def _between(motion):
+def _gaps(motion):
     """List (row, instant before it, how many that is) where rows are not neighbours."""
     # The instant at which a recording begins, or the middle of what is left out.
     times = np.asarray(motion.t, dtype=float)

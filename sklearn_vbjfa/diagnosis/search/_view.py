@@ -19,7 +19,7 @@ from sklearn_vbjfa.equations._equations import make_motion, pick_load_free
 from sklearn_vbjfa.recording import check_clock
 
 # Most samples that are looked at.
-_SAMPLES = 20_000
+_MAX_SAMPLES = 20_000
 # A stretch is so many times longer than the low-pass, which takes its ends.
 _LENGTHS = 30
 
@@ -49,7 +49,7 @@ def stretches(parts, moving, lowpass):
     # Of recordings, or pieces of them, `parts`, in which some joints move, `moving`
     # (n, nv): all rows of few.
     n = len(moving)
-    share = min(1.0, _SAMPLES * stride(lowpass) / n)
+    share = min(1.0, _MAX_SAMPLES * stride(lowpass) / n)
     length = min(_LENGTHS * (2 * lowpass.half + 1), int(share * n) // 2)
     if share == 1.0:
         kept = list(parts)
@@ -61,7 +61,7 @@ def stretches(parts, moving, lowpass):
             parts, key=lambda p: (p.stop - p.start, *moving[p].sum(axis=0))
         ):
             due += share * (part.stop - part.start)
-            found = _within(part, weight[part], int(due), length)
+            found = _spread_stretches(part, weight[part], int(due), length)
             due -= sum(one.stop - one.start for one in found)
             kept += found
         kept.sort(key=lambda one: one.start)
@@ -74,7 +74,7 @@ def even_weight(moving):
     return (moving / np.maximum(moving.sum(axis=0), 1)).sum(axis=1)
 
 
-def _within(part, weight, most, length):
+def _spread_stretches(part, weight, most, length):
     """Stretches of a recording, at most so many rows together, slices."""
     n = weight.size
     if most < min(length, n):
@@ -99,13 +99,13 @@ _RANK = 1e-12
 # Share of a parameter that may lie outside of them.
 _DETERMINED = 1e-6
 # Numbers of the columns that are filtered together.
-_AT_ONCE = 1 << 20
+_CHUNK_SIZE = 1 << 20
 # Numbers of the cosines of columns that are kept after their use.
-_KEPT_NUMBERS = 1 << 24
+_CACHE_SIZE = 1 << 24
 # Views of a corrected robot that are kept: a search goes to and fro between few.
-_KEPT = 6
+_CACHED_VIEWS = 6
 # Rests of a joint from which on its torque at rest is looked at.
-_RESTS = 10
+_MIN_RESTS = 10
 
 
 class RecordingView:
@@ -142,9 +142,9 @@ class RecordingView:
         self._begins, self.repetition = begins, repetition
         weight = recording.weight.astype(float)
         weight[:, list(leave_out)] = 0.0
-        self._given = replace(recording, weight=weight, t=clock), states
+        self._source = replace(recording, weight=weight, t=clock), states
         self._root, self._corrections = self, frozenset()
-        self._corrected, self.made, self._recent = {}, WeakValueDictionary(), {}
+        self._corrected, self.cache, self._recent = {}, WeakValueDictionary(), {}
         self._set_equations()
         self.moving = self.equations.weight
         self.recorded = self.equations.index
@@ -171,7 +171,7 @@ class RecordingView:
         if not key:
             return root
         if key not in root._corrected:
-            if len(root._corrected) >= _KEPT:
+            if len(root._corrected) >= _CACHED_VIEWS:
                 root._corrected.pop(next(iter(root._corrected)))
             other = copy.copy(root)
             other.robot, other._corrections = root.robot.corrected(wanted), key
@@ -191,7 +191,7 @@ class RecordingView:
             for j, own in enumerate(edges.T):
                 lengths = np.flatnonzero(own < 0) - np.flatnonzero(own > 0)
                 count[j] += (lengths > length).sum()
-        return np.flatnonzero((count >= _RESTS) & self.root.any(axis=0)).tolist()
+        return np.flatnonzero((count >= _MIN_RESTS) & self.root.any(axis=0)).tolist()
 
     def with_rest(self, joints):
         """Return the view in which rows at rest count on some joints."""
@@ -202,7 +202,7 @@ class RecordingView:
         plan = replace(other.robot.plan, resting=joints)
         other.robot = replace(other.robot, plan=plan)
         other._root, other._corrected = other, {}
-        other.made, other._recent = WeakValueDictionary(), {}
+        other.cache, other._recent = WeakValueDictionary(), {}
         other._set_equations()
         other._set_coordinates()
         return other
@@ -225,7 +225,7 @@ class RecordingView:
 
     def _set_equations(self):
         """Make the filtered equations of the declared model."""
-        recording, states = self._given
+        recording, states = self._source
         self.equations = self.robot.equations(recording, states)
         tau = self.equations.tau
         self.root = np.sqrt(self.equations.weight)
@@ -234,7 +234,7 @@ class RecordingView:
 
     def _set_samples(self, all_samples):
         """Take the samples of which columns are made."""
-        recording, states = self._given
+        recording, states = self._source
         every = 1 if all_samples else stride(self._lowpass)
         rows, self.parts = coarser_rows(recording.segments, self._lowpass, every)
         t = recording.t
@@ -259,7 +259,7 @@ class RecordingView:
         )
         # What the low-pass spreads in time: the width of its main lobe.
         length = max(1.0 / robot.cutoff_, self.step)
-        t, order = self.recorded * (robot.dt or 1.0), self._by_content()
+        t, order = self.recorded * (robot.dt or 1.0), self._content_order()
         self.spans = make_blocks(t, self.starts, correlation, length, order)
         self.blocks = self.spans
         self.phases, self.repeats = None, 1.0
@@ -277,7 +277,7 @@ class RecordingView:
             [np.arange(bounds[k], bounds[k + 1]) for k in order]
         )
 
-    def _by_content(self):
+    def _content_order(self):
         """Order of the parts by what is in them, so that folds ignore how they came."""
         keys = []
         for start, end in itertools.pairwise([*self.starts, self.index.size]):
@@ -339,13 +339,13 @@ class RecordingView:
         most = max(len(effect.coefficients) for effect in effects)
         out = np.empty((len(joints), self.index.size, len(effects), most))
         scale = (self.gains * self.root)[:, joints, None, None]
-        at_once = max(1, _AT_ONCE // (n * most * len(joints)))
+        at_once = max(1, _CHUNK_SIZE // (n * most * len(joints)))
         for first in range(0, len(effects), at_once):
             some = effects[first : first + at_once]
             # Side by side, with zeros where a shape has fewer columns than others.
             made = np.zeros((len(joints), len(some), most, n))
             for c, effect in enumerate(some):
-                own = self._made(effect, motion).reshape(n, len(joints), -1)
+                own = self._checked_columns(effect, motion).reshape(n, len(joints), -1)
                 made[:, c, : own.shape[2]] = own.transpose(1, 2, 0)
             rows = self.filtered(made.reshape(-1, n).T).reshape(-1, *made.shape[:3])
             out[:, :, first : first + at_once] = np.moveaxis(rows * scale, 1, 0)
@@ -360,12 +360,12 @@ class RecordingView:
     def keep(self, key, columns):
         """Keep `Columns` while they are in use, or were asked for last."""
         self._recent.pop(key, None)
-        self.made[key] = self._recent[key] = columns
-        while sum(x.values.size for x in self._recent.values()) > _KEPT_NUMBERS:
+        self.cache[key] = self._recent[key] = columns
+        while sum(x.values.size for x in self._recent.values()) > _CACHE_SIZE:
             self._recent.pop(next(iter(self._recent)))
         return columns
 
-    def _made(self, effect, motion):
+    def _checked_columns(self, effect, motion):
         """Columns of an effect at the samples, checked for custom effects."""
         columns = np.asarray(effect.columns(motion))
         n, k = motion.q.shape[0], len(effect.coefficients)

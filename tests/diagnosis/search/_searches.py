@@ -46,7 +46,7 @@ class Search:
         return Path(self.view, self.library, self.settings, self.max_effects)
 
     def run(self):
-        """Search, and return what was `Found`."""
+        """Search, and return what was `SearchResult`."""
         return posterior(
             self.view, self.library, self.settings, self.alpha, self.max_effects
         )

@@ -124,7 +124,7 @@ def test_what_the_robot_declares_is_corrected_from_the_start():
 
 def placed(now, effects):
     """Return the view of a search, and its model with given effects."""
-    return now.view, now.path().placed(effects)
+    return now.view, now.path().fit_effects(effects)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ THREE = np.repeat([0, 1, 2], CLEAN.t.size // 3)
 def made(groups=None):
     """Fit three effects, of which the last is not there, to one recording or three."""
     now = search(TORQUE, ["coulomb", "spring"], groups=groups)
-    return now.path().placed(EFFECTS)
+    return now.path().fit_effects(EFFECTS)
 
 
 @pytest.fixture(scope="module", params=[None, THREE], ids=["one", "three"])
@@ -107,7 +107,7 @@ def test_residuals_are_over_the_deviation_of_their_prediction(fitted):
 def test_friction_that_is_held_at_zero_is_so_in_each_fold():
     fit = made()
     free = HeldOut(fit.problem.view).fitted(fit).squares
-    fit = fit.holding([[True], [False]])
+    fit = fit.with_held([[True], [False]])
     found = HeldOut(fit.problem.view).fitted(fit)
     assert_allclose(found.squares, literal(fit, found, [0, 1, 2]), rtol=1e-3)
     assert found.squares[:, 0].sum() > 2.0 * free[:, 0].sum()

@@ -13,12 +13,16 @@ from sklearn_vbjfa.diagnosis import SearchSettings
 from sklearn_vbjfa.diagnosis.search import (
     Columns,
     Fit,
-    Member,
     Problem,
+    SelectedEffect,
     Spectrum,
     spectrum_of,
 )
-from sklearn_vbjfa.diagnosis.search._problem import Base, _by_chance, _together
+from sklearn_vbjfa.diagnosis.search._problem import (
+    Base,
+    _chance_deviation,
+    _joint_columns,
+)
 from sklearn_vbjfa.effects import Coulomb, Drift, JointZero, Offset, Payload, Spring
 from tests.diagnosis._recordings import record
 from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring
@@ -35,7 +39,7 @@ class Made(Problem):
         bands = np.arange(N + 1)
         self.Z, self.y, self.used_joints = Z, y, heard
         self.view = SimpleNamespace(one_sided=np.zeros((NV, 1, R)))
-        self.held, self.together = np.zeros((NV, 1), dtype=bool), _together
+        self.held, self.joint_columns = np.zeros((NV, 1), dtype=bool), _joint_columns
         self.cosines = SimpleNamespace(
             fill=np.ones(NV), band=bands[:-1], edges=bands, octave=bands[:-1]
         )
@@ -84,7 +88,7 @@ def dense(fit):
         X[list(own.joints)] = own.columns.values[:, :, 0]
         blocks.append(X)
         precision.append(1.0 / (own.scale * own.unit) ** 2)
-        mean.append(-own.done)
+        mean.append(-own.applied)
     root = np.sqrt(fit.base.weights)
     A = (np.concatenate(blocks, axis=2) * root[:, :, None]).reshape(NV * N, -1)
     return A, (fit.problem.y * root).ravel(), np.concatenate(precision), np.hstack(mean)
@@ -120,8 +124,8 @@ def test_friction_that_would_drive_is_held_at_zero_until_it_would_not():
     row = np.array([0.0, 1.0, -2.0, 0.5])
     row *= -np.sign(row @ free.theta)
     free.problem.view.one_sided[1, 0] = row
-    held = free.within_signs(3.0)
-    assert held.within_signs(3.0) is held
+    held = free.with_valid_signs(3.0)
+    assert held.with_valid_signs(3.0) is held
     # Least squares among coefficients for which it is zero.
     A, b, precision, mean = dense(free)
     basis = np.eye(A.shape[1])[:, 1:]
@@ -130,7 +134,7 @@ def test_friction_that_would_drive_is_held_at_zero_until_it_would_not():
     found = np.linalg.lstsq(X, np.r_[b, np.sqrt(precision) * mean], rcond=None)[0]
     assert_allclose(held.theta, (basis @ found)[:R], atol=1e-4)
     free.problem.view.one_sided[:] *= -1
-    assert_allclose(held.within_signs(3.0).theta, free.theta, rtol=1e-9)
+    assert_allclose(held.with_valid_signs(3.0).theta, free.theta, rtol=1e-9)
 
 
 def test_friction_is_not_held_for_what_may_be_noise():
@@ -138,8 +142,8 @@ def test_friction_is_not_held_for_what_may_be_noise():
     row = np.array([0.0, 1.0, -2.0, 0.5])
     errors = row @ free.theta / np.sqrt(row @ solution(free)[1][:R, :R] @ row)
     free.problem.view.one_sided[0, 0] = -np.sign(errors) * row
-    assert free.within_signs(1.01 * abs(errors)) is free
-    assert free.within_signs(0.99 * abs(errors)) is not free
+    assert free.with_valid_signs(1.01 * abs(errors)) is free
+    assert free.with_valid_signs(0.99 * abs(errors)) is not free
 
 
 def log_density(fit):
@@ -197,7 +201,7 @@ def test_columns_of_a_thousand_times_the_weight_make_the_ridge_no_prior():
 def test_a_member_beside_the_others_is_a_group_beside_a_fit_without_it(i):
     """The third is in the equations already, which its absence must undo."""
     fit = of(MEMBERS)
-    own, refit = fit.own_groups[i], fit.without(i).groups(MEMBERS[i].columns)
+    own, refit = fit.member_groups[i], fit.without(i).groups(MEMBERS[i].columns)
     assert_allclose(own.H, refit.H, rtol=1e-6)
     assert_allclose(own.q, refit.q, rtol=1e-6)
     assert_allclose(own.evidence(0.1), refit.evidence(0.1), rtol=1e-6)
@@ -208,7 +212,7 @@ def test_a_member_beside_the_others_is_a_group_beside_a_fit_without_it(i):
     rows = np.vstack([A, np.diag(np.sqrt(precision))])
     values = np.r_[b, np.sqrt(precision) * mean]
     free = np.linalg.lstsq(rows, values, rcond=None)[0]
-    expected = free[place] + MEMBERS[i].done
+    expected = free[place] + MEMBERS[i].applied
     assert_allclose(own.coefficients()[0], expected, rtol=1e-5)
 
 
@@ -254,7 +258,7 @@ def test_integrating_the_scale_is_the_sum_of_fits_with_one():
     ratio = scales / 0.1
     prior = ratio / (1 + ratio**2)
     logs = [
-        rest.beside(Member(columns=own.columns, scale=scale)).log_evidence()
+        rest.beside(SelectedEffect(columns=own.columns, scale=scale)).log_evidence()
         for scale in scales
     ]
     logs = np.array(logs) - rest.log_evidence()
@@ -271,7 +275,7 @@ TORQUE = CLEAN.torque(joint_2=coulomb(1.0), joint_1=spring(4.0, 1.0))
 @pytest.fixture(scope="module")
 def fitted():
     path = search(TORQUE, ["coulomb", "spring", "ripple"]).path()
-    return spectrum_of(path.placed([Spring(0), Coulomb(1)]), SearchSettings())
+    return spectrum_of(path.fit_effects([Spring(0), Coulomb(1)]), SearchSettings())
 
 
 @pytest.mark.parametrize("repeats", [1.0, 3.0])
@@ -342,16 +346,16 @@ def test_the_scatter_of_a_score_is_that_of_its_blocks(fitted):
     coef = np.array([1.0, 0.2])
     scores, promised = literal_scores(fitted, own.member(), coef)
     plain = scores.var(ddof=1) * scores.size / promised
-    found = fitted.excess(own, 0, coef, fitted)
+    found = fitted.overdispersion(own, 0, coef, fitted)
     assert found.ratio >= max(1.0, plain) * (1 - 1e-6)
     # Of white noise there is little more.
     assert found.ratio < 3.0
     # Its size does not matter, nor that of the direction.
-    again = fitted.excess(own, 0, 1e3 * coef, fitted)
+    again = fitted.overdispersion(own, 0, 1e3 * coef, fitted)
     assert again.ratio == pytest.approx(found.ratio, rel=1e-6)
     # Ten times the noise has a hundred times the variance.
     loud, louder = (
-        fitted.excess(own, 0, coef, leaving(size * fitted.scores)).ratio
+        fitted.overdispersion(own, 0, coef, leaving(size * fitted.scores)).ratio
         for size in (10, 100)
     )
     assert louder == pytest.approx(100 * loud, rel=1e-6)
@@ -368,8 +372,8 @@ def test_an_effect_that_comes_and_goes_is_worth_less(fitted):
     shape[1] = direction
     slow[1] = sign * fitted.problem.cosines.rows(shape)[1]
     slow *= rows.std() / slow[1].std()
-    white = fitted.excess(own, 0, coef, leaving(rows))
-    assert fitted.excess(own, 0, coef, leaving(slow)).ratio > 3.0 * white.ratio
+    white = fitted.overdispersion(own, 0, coef, leaving(rows))
+    assert fitted.overdispersion(own, 0, coef, leaving(slow)).ratio > 3.0 * white.ratio
 
 
 @pytest.mark.parametrize(
@@ -385,7 +389,7 @@ def test_functions_of_time_are_told_by_the_slowest_changes(fitted, effect, taken
     # A score that changes its sign a few times.
     turns = np.cos(1.5 * np.pi * np.arange(rows.shape[1]) / rows.shape[1])
     noise = fitted.scores + 9.0 * rows * turns * fitted.scores.std() / rows.std()
-    found = fitted.excess(own, 0, coef, leaving(noise))
+    found = fitted.overdispersion(own, 0, coef, leaving(noise))
     scores, promised = literal_scores(fitted, own.member(), coef, noise)
     order = fitted.problem.view.span_order
     power = dct(scores[order], norm="ortho")[1:] ** 2 * scores.size / promised
@@ -420,7 +424,7 @@ def test_weights_promise_less_of_slow_scores_than_these_scatter(share):
     noise = np.sqrt(variance) * rng.normal(size=(20000, NV, N))
     scores = np.einsum("sjn,jn->s", noise, columns * base.weights)
     promised = (columns**2 * base.weights).sum()
-    (found,) = base.promised_less((columns * np.sqrt(base.weights))[:, :, None])
+    (found,) = base.score_variance_ratio((columns * np.sqrt(base.weights))[:, :, None])
     assert found == pytest.approx(np.mean(scores**2) / promised, rel=0.05)
     assert found == pytest.approx(1.0) if share == 1.0 else found > 2.0
 
@@ -438,7 +442,7 @@ def test_right_weights_lead_less_far_from_plain_ones_than_these_scatter():
         ((base.problem.Z @ x.T) ** 2).sum(axis=1)[:2] for x in (thetas[:, 0], apart)
     )
     for chance in (0.0, 1.645):
-        most = _by_chance(plain, base.spectrum, chance)[:2]
+        most = _chance_deviation(plain, base.spectrum, chance)[:2]
         expected = scatter.mean(axis=1) + chance * scatter.std(axis=1)
         assert_allclose(most, expected, rtol=0.1)
     assert (away.mean(axis=1) < scatter.mean(axis=1)).all()

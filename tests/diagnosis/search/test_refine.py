@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.diagnosis.search._refine import Place, instant
+from sklearn_vbjfa.diagnosis.search._refine import ShapePoint, instant
 from tests.diagnosis.search._searches import CLEAN, search, stribeck
 
 MOTION = search(CLEAN.torque(), ["stribeck"]).view.motion(None)
@@ -14,10 +14,10 @@ GRID = sorted({s["vs"] for s in effects.Stribeck(1).shapes(MOTION)})
 
 
 def test_bounds_are_the_next_points_of_the_grid():
-    inner = Place.of(effects.Stribeck(1, vs=GRID[2]), MOTION)
+    inner = ShapePoint.of(effects.Stribeck(1, vs=GRID[2]), MOTION)
     assert inner.at(inner.low).vs == pytest.approx(GRID[1])
     assert inner.at(inner.high).vs == pytest.approx(GRID[3])
-    last = Place.of(effects.Stribeck(1, vs=GRID[-1]), MOTION)
+    last = ShapePoint.of(effects.Stribeck(1, vs=GRID[-1]), MOTION)
     assert last.at(last.high).vs == pytest.approx(GRID[-1])
 
 
@@ -109,7 +109,7 @@ def test_another_form_is_taken_where_it_is_more_probable():
     robot = CLEAN.robot(friction=("viscous", "coulomb"))
     torque = CLEAN.torque(joint_2=stribeck(1.0))
     path = search(torque, ["stribeck"], robot=robot).path()
-    fit = path.refined(path.placed([effects.Stribeck(1, vs=0.4, k=2)]))
+    fit = path.refined(path.fit_effects([effects.Stribeck(1, vs=0.4, k=2)]))
     (member,) = fit.members
     assert member.effect.k == 1
     assert member.effect.vs == pytest.approx(0.3, rel=0.15)

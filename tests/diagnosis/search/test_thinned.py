@@ -25,7 +25,7 @@ def moving(n, joints=2):
 @pytest.fixture
 def few(monkeypatch):
     """Let recordings be long from 1500 samples on."""
-    monkeypatch.setattr(_thinned, "_SAMPLES", 1500)
+    monkeypatch.setattr(_thinned, "_MAX_SAMPLES", 1500)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def test_stretches_do_not_grow_with_the_recording():
     counts = []
     for n in (10**6, 4 * 10**6):
         rows, label = _thinned.stretches([slice(0, n)], moving(n), LOWPASS)
-        most = _thinned._SAMPLES * _thinned.stride(LOWPASS)
+        most = _thinned._MAX_SAMPLES * _thinned.stride(LOWPASS)
         assert 0.9 * most < rows.size <= most
         counts.append(label.max())
         # Each is much longer than the filter that takes its ends.

@@ -17,13 +17,7 @@ from sklearn_vbjfa.model import import_pinocchio
 # two branches, such as a coupling through a common drive: so are arms, and most hands.
 _MAX_JOINTS = 7
 # Fields of a fitted robot that have a value for each joint.
-_JOINT_FIELDS = (
-    "noise_floor_",
-    "torque_noise_",
-    "output_noise_",
-    "joint_weights",
-    "waves",
-)
+_BY_JOINT = ("noise_floor_", "torque_noise_", "output_noise_", "joint_weights", "waves")
 # Fields of a recording, beside those with rows, that have a column for each joint.
 _COLUMNS = ("torque_noise", "feedback")
 
@@ -40,7 +34,7 @@ class Branch:
         # What acts on one branch is all that its parameters were fitted to.
         features = RigidBodyFeatures(self.model, friction=whole.features_.friction_)
         plan, known = whole.plan, {}
-        for name in _JOINT_FIELDS:
+        for name in _BY_JOINT:
             value = getattr(whole, name)
             known[name] = None if value is None else value[self.joints]
         for name in ("theta_", "theta_unconstrained_"):

@@ -11,7 +11,7 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._runtime import counted
 from sklearn_vbjfa.diagnosis.search._problem import Columns
-from sklearn_vbjfa.diagnosis.search._refine import best_jump
+from sklearn_vbjfa.diagnosis.search._refine import jump
 from sklearn_vbjfa.effects import Bank, InModel, Shaped, Sudden, closure
 
 # Share of the error that its mirror image saves of what an effect with a direction
@@ -75,8 +75,7 @@ class Candidate:
     best: int  # the best of them
     log_odds: float  # posterior log odds that the model lacks it, shapes averaged
     coef: np.ndarray  # (k,): of the best shape
-    # whether its evidence has been tempered by its scatter in time, see `Fit.overdispersion`;
-    # it is an upper bound before
+    # whether its evidence is discounted, see `Fit.overdispersion`; else an upper bound
     discounted: bool = False
     # log odds by which it compares with others, see `Overdispersion.as_usual`
     order: float = 0.0
@@ -176,9 +175,7 @@ class Candidates:
         if isinstance(candidate.effect, Sudden):
             # Beside its instant a jump leaves a residual of its own size.
             scale = self.settings.scale
-            near = fit.problem.shaped(
-                [best_jump(fit, candidate.effect, scale, near=True)]
-            )
+            near = fit.problem.shaped([jump(fit, candidate.effect, scale, near=True)])
             coef = fit.groups(near).coefficients()[0]
             excess = fit.overdispersion(near, 0, coef, self.noise)
         else:

@@ -192,15 +192,13 @@ class HeldOutFit:
     def _refitted(self, numbers):
         """Coefficients of each fold without members."""
         if numbers not in self._thetas:
-            place = np.concatenate([np.r_[self._places[i]] for i in numbers])
-            unit, self._thetas[numbers] = np.eye(self._applied.size)[:, place], []
+            at = np.concatenate([np.r_[self._places[i]] for i in numbers])
+            unit, self._thetas[numbers] = np.eye(self._applied.size)[:, at], []
             for factor, theta in zip(self._factors, self._thetas[()]):
                 inverse = linalg.cho_solve(factor, unit)
                 # What leaving columns out does to the others, by the block inverse.
-                away = np.linalg.solve(
-                    inverse[place], theta[place] + self._applied[place]
-                )
-                self._thetas[numbers].append(theta - inverse @ away)
+                change = np.linalg.solve(inverse[at], theta[at] + self._applied[at])
+                self._thetas[numbers].append(theta - inverse @ change)
         return self._thetas[numbers]
 
     def share_of(self, i, absent=(), plain=None):

@@ -75,13 +75,13 @@ class SearchSettings:
     most: int = 6
 
     def __post_init__(self):
-        asked = dict.fromkeys(
+        rules = dict.fromkeys(
             (x.name for x in fields(self)), (Real, np.inf, "positive")
         )
-        share = Real, 1, "positive and below 1"
-        asked |= {"min_probability": share, "min_gain": share}
-        asked |= {"most": (Integral, np.inf, "a positive integer")}
-        for name, (kind, limit, expected) in asked.items():
+        fraction = Real, 1, "positive and below 1"
+        rules |= {"min_probability": fraction, "min_gain": fraction}
+        rules |= {"most": (Integral, np.inf, "a positive integer")}
+        for name, (kind, limit, expected) in rules.items():
             value = getattr(self, name)
             valid = isinstance(value, kind) and not isinstance(value, bool)
             if not (valid and 0 < value < limit):
@@ -152,29 +152,27 @@ def search(view, library, settings, alpha, max_effects=None):
     while True:
         view = view.with_rest(resting)
         path = Path(view, library, settings, max_effects, forgetful)
-        fit, odds, worths = _final_model(path, path.run())
-        found = remembering(member.effect for member in fit.members)
-        if resting <= found:
+        fit, odds, gains = _final_model(path, path.run())
+        bank_joints = remembering(member.effect for member in fit.members)
+        if resting <= bank_joints:
             break
         # Nothing else explains the torque of a joint that rests.
-        resting &= found
-    worths = worths | (
-        worthwhile := _sufficient_gains(path.held_out(fit), settings.min_gain)
-    )
-    usual = path.candidates.log_odds(fit, usual=True)
+        resting &= bank_joints
+    gains = gains | (large := _sufficient_gains(path.held_out(fit), settings.min_gain))
+    log_odds = path.candidates.log_odds(fit, usual=True)
     problem, motion, findings = fit.problem, fit.problem.motion, []
-    for i, (member, own) in enumerate(zip(fit.members, odds)):
-        evidence = Evidence(log_odds=float(own), **vars(worths[i]))
+    for i, (member, entry) in enumerate(zip(fit.members, odds)):
+        evidence = Evidence(log_odds=float(entry), **vars(gains[i]))
         rivals = tuple(
             o.effect
             for o in path.candidates.rivals(fit, i)
             if o.effect.key() != member.effect.key()
-            and _can_replace(path, o, fit, i, usual[i] - settings.rivals)
+            and _can_replace(path, o, fit, i, log_odds[i] - settings.rivals)
         )
         warning = _warning(fit, member, evidence, needed, path)
-        warning = warning or ("" if i in worthwhile else SMALL)
-        own = {"effect": member.effect.completed(), "evidence": evidence}
-        findings.append(Finding(**own, rivals=rivals, warning=warning))
+        warning = warning or ("" if i in large else SMALL)
+        entry = {"effect": member.effect.completed(), "evidence": evidence}
+        findings.append(Finding(**entry, rivals=rivals, warning=warning))
     return SearchResult(
         findings=sort_findings(findings),
         view=problem.view,
@@ -190,16 +188,16 @@ def search(view, library, settings, alpha, max_effects=None):
     )
 
 
-def _can_replace(path, candidate, fit, i, least):
+def _can_replace(path, candidate, fit, i, threshold):
     """Whether a rival is as probable in the place of a member, without its torque."""
     geometry = [isinstance(o.effect, InModel) for o in (fit.members[i], candidate)]
-    if geometry == [False, True] and candidate.order > least:
+    if geometry == [False, True] and candidate.order > threshold:
         # Columns of the geometry are made of a torque that holds the member's.
-        rest, family = relinearise(fit.without(i)), candidate.family
-        columns = rest.problem.shaped(family.columns.effects)
-        candidate = path.candidates.candidate(rest, replace(family, columns=columns))
-        candidate = candidate and path.candidates.discounted(rest, candidate)
-    return all(geometry) or bool(candidate and candidate.order > least)
+        reduced, family = relinearise(fit.without(i)), candidate.family
+        columns = reduced.problem.shaped(family.columns.effects)
+        candidate = path.candidates.candidate(reduced, replace(family, columns=columns))
+        candidate = candidate and path.candidates.discounted(reduced, candidate)
+    return all(geometry) or bool(candidate and candidate.order > threshold)
 
 
 # Share of the squared error of moving and resting rows that it saves at least.
@@ -216,17 +214,17 @@ def _friction_at_rest(view, library, settings):
     view = view.with_rest(resting)
     path = Path(view, banks, settings)
     fit = path.forward_selection()
-    left_out = path.held_out(fit)
+    validation = path.held_out(fit)
     # The whole error counts: in blocks without a rest there is nothing to save.
-    gains = [left_out.gain_of(i) for i in range(len(fit.members))]
-    known = {
+    gains = [validation.gain_of(i) for i in range(len(fit.members))]
+    predicted = {
         member.effect.joint
-        for i, (member, own) in enumerate(zip(fit.members, gains))
-        if own.gain > settings.significance * own.gain_std
-        and left_out.share_of(i) > _REST_SHARE
+        for i, (member, gain) in enumerate(zip(fit.members, gains))
+        if gain.gain > settings.significance * gain.gain_std
+        and validation.share_of(i) > _REST_SHARE
     }
     forgetful = resting - remembering(member.effect for member in fit.members)
-    return view, known & resting, forgetful
+    return view, predicted & resting, forgetful
 
 
 def sort_findings(findings):
@@ -238,46 +236,46 @@ def _final_model(path, fit):
     """Drop what speaks against the whole; the rest with log odds and gains."""
     # What the spectrum of the whole model makes improbable goes, what predicts other
     # motion worse, and what has a sign or size that it cannot have.
-    known = {}
+    cache = {}
     while True:
-        last = not known
-        odds, left_out = path.member_odds(fit, known), path.held_out(fit)
-        worths = {i: left_out.gain_of(i) for i in range(odds.size)}
-        if not worths:
-            return fit, odds, worths
+        exact = not cache
+        odds, validation = path.member_odds(fit, cache), path.held_out(fit)
+        gains = {i: validation.gain_of(i) for i in range(odds.size)}
+        if not gains:
+            return fit, odds, gains
         worst = int(np.argmin(odds))
         if odds[worst] > path.candidates.least:
-            gains = [
-                own.gain
+            scores = [
+                gain.gain
                 if member.effect.natural(fit.coefficients(i))
                 # In most blocks as well, or nobody would call it probable.
-                and ndtr(own.errors) >= path.settings.min_probability
-                and left_out.share_of(i) > ENTRY_SHARE * path.settings.min_gain
+                and ndtr(gain.errors) >= path.settings.min_probability
+                and validation.share_of(i) > ENTRY_SHARE * path.settings.min_gain
                 else -np.inf
-                for i, (member, own) in enumerate(zip(fit.members, worths.values()))
+                for i, (member, gain) in enumerate(zip(fit.members, gains.values()))
             ]
-            worst = int(np.argmin(gains))
-            if gains[worst] > 0:
-                if last:
-                    return fit, odds, worths
-                known = {}
+            worst = int(np.argmin(scores))
+            if scores[worst] > 0:
+                if exact:
+                    return fit, odds, gains
+                cache = {}
                 continue
         fit = path.dropped(fit, worst)
 
 
-def _sufficient_gains(left_out, worth):
+def _sufficient_gains(validation, min_gain):
     """Gains of members that each save enough given the others, by number."""
     # The one that saves least goes, and the others are fitted without it, until each
     # saves a share of the error that the plain terms leave, of one joint at least.
-    kept, absent = list(range(len(left_out.fit.members))), []
-    plain = tuple(kept)
+    kept, absent = list(range(len(validation.fit.members))), []
+    members = tuple(kept)
     while kept:
-        shares = [left_out.share_of(i, absent, plain) for i in kept]
+        shares = [validation.share_of(i, absent, members) for i in kept]
         worst = int(np.argmin(shares))
-        if shares[worst] > worth:
+        if shares[worst] > min_gain:
             break
         absent.append(kept.pop(worst))
-    return {i: left_out.gain_of(i, absent) for i in kept}
+    return {i: validation.gain_of(i, absent) for i in kept}
 
 
 def _warning(fit, member, evidence, needed, path):

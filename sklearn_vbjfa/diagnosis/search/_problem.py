@@ -215,7 +215,7 @@ class Problem:
         return [kind(**known | shape) for shape in shapes(self.motion)]
 
 
-def _solve_lower(L, right, turned=False):
+def _solve(L, right, turned=False):
     """Solve a lower triangular system (r, ...), or that of its transpose."""
     # SciPy's own function checks for longer than such small systems take.
     if not right.size:
@@ -228,7 +228,7 @@ def _solve_lower(L, right, turned=False):
 def precision_at_zero(gram, rows):
     """Precision (r, r) with which sums `rows` (h, r) of coefficients are zero."""
     # gram (r, r): precision of the coefficients by the data.
-    power = (_solve_lower(linalg.cholesky(gram, lower=True), rows.T) ** 2).sum(axis=0)
+    power = (_solve(linalg.cholesky(gram, lower=True), rows.T) ** 2).sum(axis=0)
     return (_ZERO_PRECISION / power * rows.T) @ rows
 
 
@@ -248,7 +248,7 @@ class Base:
         if problem.held.any():
             G += precision_at_zero(G, problem.view.one_sided[problem.held])
         self.L = linalg.cholesky(G, lower=True)
-        self.t = _solve_lower(self.L, np.tensordot(density, problem.right, 2))
+        self.t = _solve(self.L, np.tensordot(density, problem.right, 2))
         self._cache, self._cross_cache = WeakKeyDictionary(), WeakKeyDictionary()
 
     @property
@@ -297,7 +297,7 @@ class Base:
         other.t = self.t + self.beside(member.columns).T @ done
         return other
 
-    def weighted_sum(self, joints, products):
+    def weighted(self, joints, products):
         """Sum products by joint and band (nj, n_bands, ...) with their weights."""
         density = self.density[list(joints)].ravel()
         found = density @ products.reshape(density.size, -1)
@@ -307,11 +307,9 @@ class Base:
         """Moments of `Columns` and the declared ones, `ReducedMoments`."""
         if columns not in self._cache:
             own, (c, k) = columns.joints, columns.shape
-            T = _solve_lower(
-                self.L, self.weighted_sum(own, columns.declared(self.problem.Z))
-            )
-            right = self.weighted_sum(own, columns.right(self.problem.y))
-            gram = self.weighted_sum(own, columns.gram)
+            T = _solve(self.L, self.weighted(own, columns.declared(self.problem.Z)))
+            right = self.weighted(own, columns.right(self.problem.y))
+            gram = self.weighted(own, columns.gram)
             H, q = gram - _blocks(T, c, k), (right - self.t @ T).reshape(c, k)
             self._cache[columns] = ReducedMoments(T=T, gram=gram, H=H, q=q)
         return self._cache[columns]
@@ -366,9 +364,9 @@ class Fit:
         right = self._q - self.prior * self.applied
         S = self._H + np.diag(self.prior)
         self._factor = linalg.cholesky(S, lower=True) if right.size else S
-        self._t = _solve_lower(self._factor, right)
-        self._coef = _solve_lower(self._factor, self._t, turned=True)
-        self.theta = _solve_lower(base.L, base.t - self._B @ self._coef, turned=True)
+        self._t = _solve(self._factor, right)
+        self._coef = _solve(self._factor, self._t, turned=True)
+        self.theta = _solve(base.L, base.t - self._B @ self._coef, turned=True)
         self._groups, self._evidence = WeakKeyDictionary(), WeakKeyDictionary()
 
     def _moments(self):
@@ -436,7 +434,7 @@ class Fit:
         edges, fill = cosines.edges, cosines.fill[:, None]
         power = np.add.reduceat(self.residual**2, edges[:-1], axis=1)
         # What the fit takes: products by band with the covariance of all coefficients.
-        E = _solve_lower(base.L, self._B, turned=True)
+        E = _solve(base.L, self._B, turned=True)
         covariance, cross = self.covariance, E @ self.covariance
         whole = base.inverse + cross @ E.T
         taken = np.tensordot(problem.gram, whole, 2)
@@ -455,7 +453,7 @@ class Fit:
         if columns not in self._groups:
             own, (c, k) = self.base.beside(columns), columns.shape
             cross = self.base.cross_products(self.members, columns)
-            D = _solve_lower(self._factor, cross - self._B.T @ own.T)
+            D = _solve(self._factor, cross - self._B.T @ own.T)
             groups = Groups(
                 H=own.H - _blocks(D, c, k),
                 q=own.q - (self._t @ D).reshape(c, k),
@@ -498,8 +496,8 @@ class Fit:
         place = slice(c * k, (c + 1) * k)
         T = self.base.beside(columns).T[:, place] @ coef
         D = self._groups[columns][1][:, place] @ coef
-        members = _solve_lower(self._factor, D, turned=True)
-        declared = _solve_lower(self.base.L, T - self._B @ members, turned=True)
+        members = _solve(self._factor, D, turned=True)
+        declared = _solve(self.base.L, T - self._B @ members, turned=True)
         left = -self._sum(declared, members)
         left[list(columns.joints)] += columns.values[:, :, c] @ coef
         return self._score_dispersions(left[:, :, None], [columns.effects[c]], noise)[0]
@@ -513,7 +511,7 @@ class Fit:
         for i, (place, member) in enumerate(zip(self.places, self.members)):
             coef = self._coef[place] + member.applied
             directions[:, i] = C[:, place] @ np.linalg.solve(C[place, place], coef)
-        theta = -_solve_lower(self.base.L, self._B @ directions, turned=True)
+        theta = -_solve(self.base.L, self._B @ directions, turned=True)
         left = self._sum(theta, directions)
         return self._score_dispersions(left, [m.effect for m in self.members], noise)
 
@@ -578,8 +576,8 @@ class Fit:
         # errors: standard errors by which it is negative before it is held; once held,
         # what is left of it says which sign it would have.
         held, rows = self.problem.held, self.problem.view.one_sided
-        ways = _solve_lower(self.base.L, rows.reshape(held.size, -1).T)
-        ties = _solve_lower(self._factor, self._B.T @ ways)
+        ways = _solve(self.base.L, rows.reshape(held.size, -1).T)
+        ties = _solve(self._factor, self._B.T @ ways)
         variance = (ways**2).sum(axis=0) + (ties**2).sum(axis=0)
         least = errors * np.sqrt(variance).reshape(held.shape)
         wrong = rows @ self.theta < np.where(held, 0.0, -least)
@@ -591,7 +589,7 @@ class Fit:
     @functools.cached_property
     def covariance(self):
         """Posterior covariance of the members' coefficients."""
-        half = _solve_lower(self._factor, np.eye(self._coef.size))
+        half = _solve(self._factor, np.eye(self._coef.size))
         return half.T @ half
 
     @functools.cached_property
@@ -676,10 +674,8 @@ def spectrum_of(fit, settings, rounds=3, share=None):
     if share is not None:
         return _spectral_fit(fit, settings, rounds, share)
     problem = fit.problem
-    plain = reweighted(Fit(declared_weights(problem), fit.members))
-    most = _chance_deviation(
-        plain.base, _spectrum(plain, settings), settings.significance
-    )
+    plain = with_joint_weights(Fit(declared_weights(problem), fit.members))
+    most = _chance_limit(plain.base, _spectrum(plain, settings), settings.significance)
     for start, share in ((fit, 1.0), *((plain, own) for own in _SHARES)):
         found = _spectral_fit(start, settings, rounds, share)
         away = ((found.residual - plain.residual) ** 2).sum(axis=1)
@@ -709,7 +705,7 @@ def _spectrum(fit, settings):
     return Spectrum.of(power, freedom, octave, settings.spectrum_roughness)
 
 
-def _chance_deviation(plain, spectrum, chance):
+def _chance_limit(plain, spectrum, chance):
     """How far (nv,) right weights lead from plain ones by chance, a square sum."""
     # They scatter less than plain ones, from which they differ by less than these do:
     # the mean of that, and so many deviations.
@@ -721,7 +717,7 @@ def _chance_deviation(plain, spectrum, chance):
     return np.einsum("jpp->j", own) + chance * deviation
 
 
-def reweighted(fit):
+def with_joint_weights(fit):
     """Return a fit under one weight for each joint, by its residual."""
     problem = fit.problem
     power = (fit.residual**2).mean(axis=1)

@@ -127,7 +127,7 @@ class ShapePoint:
         return replace(member, columns=Columns(*known))
 
 
-def gauss_newton(fit, numbers):
+def step_shapes(fit, numbers):
     """Search the shapes of members, which trade against each other, at once."""
     # By Gauss and Newton: the derivatives of the columns are further columns.
     problem, motion = fit.problem, fit.problem.motion
@@ -175,24 +175,24 @@ def best_shape(fit, effect, scale):
     """Return an effect, its shape searched between those of its grid."""
     # Smooth parameters are left to the steps with all that comes beside it.
     if isinstance(effect, Bank):
-        return best_bank(fit, effect, fit.problem.shapes(effect), scale)
+        return bank(fit, effect, fit.problem.shapes(effect), scale)
     if isinstance(effect, Sudden):
-        return best_jump(fit, effect, scale)
+        return jump(fit, effect, scale)
     return effect
 
 
 def search_shapes(fit, numbers, scale):
     """Search the shapes of members again, all at once or one by one."""
-    fit = gauss_newton(fit, numbers)
+    fit = step_shapes(fit, numbers)
     for i in numbers:
         effect, rest = fit.members[i].effect, fit.without(i)
         if isinstance(effect, Bank):
-            found = best_bank(rest, effect, fit.problem.shapes(effect), scale)
+            found = bank(rest, effect, fit.problem.shapes(effect), scale)
         elif isinstance(effect, Sudden):
-            found = best_jump(rest, effect, scale)
+            found = jump(rest, effect, scale)
         else:
             forms = (with_shape(fit, i, form) for form in effect.forms())
-            forms = [gauss_newton(form, [i]) for form in forms]
+            forms = [step_shapes(form, [i]) for form in forms]
             fit = max([fit, *forms], key=Fit.log_evidence)
             continue
         fit = with_shape(fit, i, found)
@@ -206,7 +206,7 @@ def with_shape(fit, i, effect):
     return Fit(fit.base, members)
 
 
-def best_bank(fit, effect, shapes, scale):
+def bank(fit, effect, shapes, scale):
     """Return the best of banks with the elements of positive size given a fit."""
     # Those that do not depend on the load stay when that changes.
     problem, kinds, best = fit.problem, {}, []
@@ -228,7 +228,7 @@ def best_bank(fit, effect, shapes, scale):
 # -- instants of jumps
 
 
-def best_jump(fit, effect, scale, near=False):
+def jump(fit, effect, scale, near=False):
     """Return an effect that jumps with its most probable instant, or one near it."""
 
     def evidence(effects):

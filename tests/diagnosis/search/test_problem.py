@@ -20,7 +20,7 @@ from sklearn_vbjfa.diagnosis.search import (
 )
 from sklearn_vbjfa.diagnosis.search._problem import (
     Base,
-    _chance_deviation,
+    _chance_limit,
     _joint_columns,
 )
 from sklearn_vbjfa.effects import Coulomb, Drift, JointZero, Offset, Payload, Spring
@@ -442,7 +442,7 @@ def test_right_weights_lead_less_far_from_plain_ones_than_these_scatter():
         ((base.problem.Z @ x.T) ** 2).sum(axis=1)[:2] for x in (thetas[:, 0], apart)
     )
     for chance in (0.0, 1.645):
-        most = _chance_deviation(plain, base.spectrum, chance)[:2]
+        most = _chance_limit(plain, base.spectrum, chance)[:2]
         expected = scatter.mean(axis=1) + chance * scatter.std(axis=1)
         assert_allclose(most, expected, rtol=0.1)
     assert (away.mean(axis=1) < scatter.mean(axis=1)).all()

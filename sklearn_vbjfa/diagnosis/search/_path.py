@@ -348,7 +348,7 @@ class Path:
     # -- evaluation -------------------------------------------------------------------
 
     def member_odds(self, fit, cache):
-        """Compute posterior log odds of members; each reduced model has its spectrum."""
+        """Compute log odds of members, refitting the spectrum without each of them."""
         # Slow effects compete with coloured noise. cache: log odds by `context_key`.
         fit, scale = spectrum_of(fit, self.settings), self.settings.scale
         total, share, log_odds = fit.log_evidence(), fit.base.share, []

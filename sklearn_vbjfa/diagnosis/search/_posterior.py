@@ -28,7 +28,7 @@ class SearchSettings:
     Parameters
     ----------
     expected : float, default=1.0
-        Number of missing effects that is expected a priori. The prior odds of each
+        Prior expectation of the number of missing effects. The prior odds of each
         candidate (a joint and an effect) are this number over that of all candidates.
     scale : float, default=0.1
         Scale of the half-Cauchy prior of an effect's size: its torque over the standard
@@ -92,13 +92,13 @@ class SearchSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence(CrossValidatedGain):
-    """Evidence for an effect given the others of its model."""
+    """Evidence for an effect given the other effects of its model."""
 
     log_odds: float  # logarithm of the posterior odds that the model lacks it
 
     @property
     def probability(self):
-        """Probability: the posterior one, or that it helps elsewhere, if less."""
+        """Posterior probability, at most that of a cross-validated improvement."""
         return float(min(expit(self.log_odds), ndtr(self.errors)))
 
 
@@ -107,30 +107,27 @@ class Finding:
     """An effect of the most probable model."""
 
     effect: Effect  # with its shape
-    evidence: Evidence  # what speaks for it
-    # effects that would take its place within the rivals' nats, the best first
-    rivals: tuple = ()
-    warning: str = ""  # why it has no name, "" for a name
+    evidence: Evidence
+    rivals: tuple = ()  # effects that could replace it, the best first
+    warning: str = ""  # why it is not reported, "" if it is
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchResult:
-    """The most probable model on the rows of a search."""
+    """Most probable model of a recording."""
 
-    findings: tuple  # its effects, those that have a name first
-    view: RecordingView  # recording, with the robot as its effects correct it
+    findings: tuple  # effects of the model, reported ones first
+    view: RecordingView  # recording, with the corrected robot
     motion: Motion  # signals, with the load of the model
-    # (nv, m): residuals of rows that were not fitted, scaled by the root of the weights
+    # (nv, m): cross-validated residuals, times the square roots of the weights
     residual: np.ndarray
-    # candidates (a joint and an effect) among which prior odds are shared out
-    n_candidates: int
-    needed: float  # log odds from which on an effect has a name
+    n_candidates: int  # number of pairs of joint and effect, for the prior odds
+    needed: float  # least log odds of a reported effect
     settings: SearchSettings
     library: tuple  # effects that were tried on every joint
-    fit: Fit | None = None  # None for a robot that was searched branch by branch
-    families: dict | None = None  # of the effects that were tried, by joint
-    # what was found on each, of a robot that was searched branch by branch
-    branches: tuple = ()
+    fit: Fit | None = None  # None after a search branch by branch
+    families: dict | None = None  # candidate effects by joint
+    branches: tuple = ()  # pairs of branch and result of a search branch by branch
 
     @property
     def effects(self):
@@ -138,7 +135,7 @@ class SearchResult:
         return tuple(finding.effect for finding in self.findings)
 
 
-# Why an effect that is probable has no name; what its values say is in `explain`.
+# Why a probable effect is not reported; `explain` has reasons from its values.
 UNDECIDED = "undecided"
 CHANCE = "lowers no error on other stretches of time beyond chance"
 SMALL = "saves too little to be named"
@@ -156,7 +153,7 @@ def search(view, library, settings, alpha, max_effects=None):
         bank_joints = remembering(member.effect for member in fit.members)
         if resting <= bank_joints:
             break
-        # Nothing else explains the torque of a joint that rests.
+        # Rows at rest need presliding friction.
         resting &= bank_joints
     gains = gains | (large := _sufficient_gains(path.held_out(fit), settings.min_gain))
     log_odds = path.candidates.log_odds(fit, usual=True)
@@ -177,7 +174,7 @@ def search(view, library, settings, alpha, max_effects=None):
         findings=sort_findings(findings),
         view=problem.view,
         motion=motion,
-        # As the held-out part is: stretches between others.
+        # Folds interleaved in time, as the held-out part is.
         residual=HeldOut(problem.view, problem.view.blocks.fold).fitted(fit).residual,
         fit=fit,
         families=path.candidates.families,
@@ -189,10 +186,10 @@ def search(view, library, settings, alpha, max_effects=None):
 
 
 def _can_replace(path, candidate, fit, i, threshold):
-    """Whether a rival is as probable in the place of a member, without its torque."""
+    """Check if a rival is as probable in place of a member, without its torque."""
     geometry = [isinstance(o.effect, InModel) for o in (fit.members[i], candidate)]
     if geometry == [False, True] and candidate.order > threshold:
-        # Columns of the geometry are made of a torque that holds the member's.
+        # Geometric columns are derivatives of a torque that includes the member's.
         reduced, family = relinearise(fit.without(i)), candidate.family
         columns = reduced.problem.shaped(family.columns.effects)
         candidate = path.candidates.candidate(reduced, replace(family, columns=columns))
@@ -200,13 +197,13 @@ def _can_replace(path, candidate, fit, i, threshold):
     return all(geometry) or bool(candidate and candidate.order > threshold)
 
 
-# Share of the squared error of moving and resting rows that it saves at least.
+# Least share of a joint's squared error that presliding friction must save.
 _REST_SHARE = 0.5
 
 
 def _friction_at_rest(view, library, settings):
-    """View, joints whose torque at rest friction with memory predicts, and others."""
-    # The plain terms predict none there.
+    """Return a view, the joints with presliding friction at rest, and those without."""
+    # The declared friction terms predict no torque at rest.
     banks = [effect for effect in library if isinstance(effect, Bank)]
     resting = set(view.at_rest())
     if not banks or not resting:
@@ -215,7 +212,7 @@ def _friction_at_rest(view, library, settings):
     path = Path(view, banks, settings)
     fit = path.forward_selection()
     validation = path.held_out(fit)
-    # The whole error counts: in blocks without a rest there is nothing to save.
+    # Test the total gain: blocks without standstill have nothing to save.
     gains = [validation.gain_of(i) for i in range(len(fit.members))]
     predicted = {
         member.effect.joint
@@ -228,14 +225,14 @@ def _friction_at_rest(view, library, settings):
 
 
 def sort_findings(findings):
-    """Sort findings: names first, and those that save the most before others."""
+    """Sort findings: reported ones first, then by decreasing gain."""
     return tuple(sorted(findings, key=lambda f: (bool(f.warning), -f.evidence.gain)))
 
 
 def _final_model(path, fit):
-    """Drop what speaks against the whole; the rest with log odds and gains."""
-    # What the spectrum of the whole model makes improbable goes, what predicts other
-    # motion worse, and what has a sign or size that it cannot have.
+    """Drop unsupported members one by one; return fit, log odds and gains."""
+    # Unsupported: improbable given the spectrum of the whole model, no cross-validated
+    # gain, or an impossible sign or size.
     cache = {}
     while True:
         exact = not cache
@@ -248,7 +245,7 @@ def _final_model(path, fit):
             scores = [
                 gain.gain
                 if member.effect.natural(fit.coefficients(i))
-                # In most blocks as well, or nobody would call it probable.
+                # It must help in most blocks to be called probable.
                 and ndtr(gain.errors) >= path.settings.min_probability
                 and validation.share_of(i) > ENTRY_SHARE * path.settings.min_gain
                 else -np.inf
@@ -264,9 +261,9 @@ def _final_model(path, fit):
 
 
 def _sufficient_gains(validation, min_gain):
-    """Gains of members that each save enough given the others, by number."""
-    # The one that saves least goes, and the others are fitted without it, until each
-    # saves a share of the error that the plain terms leave, of one joint at least.
+    """Return the gains of members with a sufficient gain given the others, by index."""
+    # Eliminate the smallest gain and refit the others, until each saves a share of the
+    # error that the friction terms leave on at least one joint.
     kept, absent = list(range(len(validation.fit.members))), []
     members = tuple(kept)
     while kept:
@@ -279,7 +276,7 @@ def _sufficient_gains(validation, min_gain):
 
 
 def _warning(fit, member, evidence, needed, path):
-    """Say why an effect is not named, whatever it saves; "" if nothing is."""
+    """Return why an effect is not reported apart from a small gain, "" if it is."""
     if evidence.log_odds < needed:
         return UNDECIDED
     if not evidence.errors > max(path.settings.significance, ndtri(expit(needed))):

@@ -103,7 +103,7 @@ class HeldOutFit:
     def __init__(self, held, fit):
         self.held, self.fit = held, fit
         self._r = r = held.A.shape[2] - 1
-        self._places = [slice(r + s.start, r + s.stop) for s in fit.places]
+        self._slices = [slice(r + s.start, r + s.stop) for s in fit.slices]
         self._columns = [self._joint_terms(j) for j in held.used_joints]
         # What the joints weigh with the members there.
         power = (fit.residual[held.used_joints] ** 2).sum(axis=1)
@@ -131,7 +131,7 @@ class HeldOutFit:
         """Places (p_j,) of the coefficients that act on a joint, and columns."""
         found = [
             (np.r_[place], self.held.columns(member)[member.joints.index(j)])
-            for place, member in zip(self._places, self.fit.members)
+            for place, member in zip(self._slices, self.fit.members)
             if j in member.joints
         ]
         none = np.zeros(0, int), np.zeros((self.held.row_fold.size, 0))
@@ -192,7 +192,7 @@ class HeldOutFit:
     def _refitted(self, numbers):
         """Coefficients of each fold without members."""
         if numbers not in self._thetas:
-            at = np.concatenate([np.r_[self._places[i]] for i in numbers])
+            at = np.concatenate([np.r_[self._slices[i]] for i in numbers])
             unit, self._thetas[numbers] = np.eye(self._applied.size)[:, at], []
             for factor, theta in zip(self._factors, self._thetas[()]):
                 inverse = linalg.cho_solve(factor, unit)

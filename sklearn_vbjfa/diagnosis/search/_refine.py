@@ -162,7 +162,7 @@ def step_shapes(fit, numbers):
 
 def _newton_step(linear, i, width):
     """Step (d,) of a member's shape, and what that takes off the error [nats]."""
-    place = linear.places[i]
+    place = linear.slices[i]
     rows = slice(place.start + width, place.stop)
     way = linear.coefficients(i)[width:]
     return way, 0.5 * way @ np.linalg.solve(linear.covariance[rows, rows], way)

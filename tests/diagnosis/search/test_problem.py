@@ -111,7 +111,7 @@ def test_a_fit_is_least_squares_with_the_prior(members):
     fit = of(members)
     found, _ = solution(fit)
     assert_allclose(fit.theta, found[:R], rtol=1e-6)
-    for i, place in enumerate(fit.places):
+    for i, place in enumerate(fit.slices):
         own = slice(R + place.start, R + place.stop)
         assert_allclose(fit.coefficients(i), found[own], rtol=1e-6)
     A, b, *_ = dense(fit)
@@ -207,7 +207,7 @@ def test_a_member_beside_the_others_is_a_group_beside_a_fit_without_it(i):
     assert_allclose(own.evidence(0.1), refit.evidence(0.1), rtol=1e-6)
     # Least squares with the group, all its value included, is the fit without prior.
     A, b, precision, mean = dense(fit)
-    place = slice(R + fit.places[i].start, R + fit.places[i].stop)
+    place = slice(R + fit.slices[i].start, R + fit.slices[i].stop)
     precision[place] = 0.0
     rows = np.vstack([A, np.diag(np.sqrt(precision))])
     values = np.r_[b, np.sqrt(precision) * mean]
@@ -304,7 +304,7 @@ def test_powers_by_band_leave_the_freedom_that_the_fit_has_not_taken(
 def rows_of(fit, j):
     """Columns of the members in a joint's equations, (n, p)."""
     found = np.zeros((fit.problem.y.shape[1], fit.n_coefficients))
-    for place, own in zip(fit.places, fit.members):
+    for place, own in zip(fit.slices, fit.members):
         if j in own.joints:
             found[:, place] = own.columns.values[own.joints.index(j), :, 0]
     return found

@@ -42,11 +42,11 @@ _TIE = 0.5
 class Path:
     """Search for the most probable set of effects, at most `max_effects`."""
 
-    # library: effects to try on every joint; forgetful: see `Candidates`.
+    # library: effects to try on every joint; no_bank: see `Candidates`.
 
-    def __init__(self, view, library, settings, max_effects=None, forgetful=()):
+    def __init__(self, view, library, settings, max_effects=None, no_bank=()):
         self.view, self.library, self.settings = view, library, settings
-        self.max_effects, self.turn, self.forgetful = max_effects, 0, forgetful
+        self.max_effects, self.turn, self.no_bank = max_effects, 0, no_bank
         self._held = None
 
     # -- search -----------------------------------------------------------------------
@@ -73,7 +73,7 @@ class Path:
         return fit
 
     def _candidates(self, fit):
-        return Candidates(fit.problem, self.library, self.settings, self.forgetful)
+        return Candidates(fit.problem, self.library, self.settings, self.no_bank)
 
     def forward_selection(self):
         """Add the best candidates to the declared columns, joint by joint."""

@@ -145,10 +145,10 @@ SLOW_FILTER = "a filter within the motion's own frequencies"
 def search(view, library, settings, alpha, max_effects=None):
     """Find the most probable effects of a recording, and the reported ones."""
     needed = float(np.log((1.0 - alpha) / alpha))
-    view, resting, forgetful = _friction_at_rest(view, library, settings)
+    view, resting, no_bank = _friction_at_rest(view, library, settings)
     while True:
         view = view.with_rest(resting)
-        path = Path(view, library, settings, max_effects, forgetful)
+        path = Path(view, library, settings, max_effects, no_bank)
         fit, odds, gains = _final_model(path, path.run())
         bank_joints = remembering(member.effect for member in fit.members)
         if resting <= bank_joints:
@@ -220,8 +220,8 @@ def _friction_at_rest(view, library, settings):
         if gain.gain > settings.significance * gain.gain_std
         and validation.share_of(i) > _REST_SHARE
     }
-    forgetful = resting - remembering(member.effect for member in fit.members)
-    return view, predicted & resting, forgetful
+    no_bank = resting - remembering(member.effect for member in fit.members)
+    return view, predicted & resting, no_bank
 
 
 def sort_findings(findings):

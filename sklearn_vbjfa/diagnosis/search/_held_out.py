@@ -1,4 +1,4 @@
-"""What each effect is worth on time, or recordings, that were not fitted."""
+"""Cross-validated gain of each effect, over folds of time or recordings."""
 
 from dataclasses import dataclass
 from weakref import WeakKeyDictionary
@@ -9,33 +9,33 @@ from scipy import linalg, special
 from sklearn_vbjfa.diagnosis.search._problem import precision_at_zero
 from sklearn_vbjfa.effects import InModel, OnAllJoints
 
-# Folds of a single recording, stretches one after the other.
+# Folds of a single recording: consecutive stretches.
 _FOLDS = 8
-# Recordings from which on each is left out as a whole: another motion.
+# From this number of recordings on, each is one fold, so that motions differ.
 _MIN_RECORDINGS = 3
-# Ridge of the declared columns, over the mean square of a column: rounding.
+# Ridge of the declared columns, relative to their mean squared norm, against rounding.
 _RIDGE = 1e-9
-# Share of the mean error below which a block's is rounding.
+# Share of the mean error below which the error of a block is rounding.
 _TINY = 1e-6
 _SMALLEST = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, kw_only=True)
 class CrossValidatedGain:
-    """What an effect saves on stretches of time that were not fitted."""
+    """Reduction of the cross-validated error by an effect."""
 
-    # share of the squared error that it saves: of its joint, or of the robot in units
-    # of noise for what acts on all
+    # relative reduction of the squared error: of its joint, or of all joints in units
+    # of noise for an effect on all joints
     gain: float
     gain_std: float  # from the scatter between blocks of time
-    # mean logarithm of the ratio of the errors without and with it, over its standard
-    # error: a few blocks do not decide alone
+    # mean log ratio of the errors without and with it, over its standard error; the
+    # logarithm keeps few blocks from dominating
     errors: float
-    n_blocks: int  # blocks in which it changes anything
+    n_blocks: int  # blocks whose error it changes
 
     @property
     def p_value(self):
-        """One-sided t test over blocks that the second errors are smaller."""
+        """P-value of a one-sided t test over blocks for smaller errors."""
         return float(special.stdtr(max(self.n_blocks - 1, 1), -self.errors))
 
     @classmethod
@@ -46,7 +46,7 @@ class CrossValidatedGain:
         count = int(changed.sum())
         if count < 2 or total == 0:
             return cls(gain=0.0, gain_std=0.0, errors=0.0, n_blocks=count)
-        # A block that is fitted exactly would decide alone.
+        # Without this floor a block that is fitted exactly would dominate.
         tiny = _TINY * before.mean()
         ratio = np.log((before + tiny) / (after + tiny))[changed]
         error = ratio.std(ddof=1) / np.sqrt(count)
@@ -59,57 +59,56 @@ class CrossValidatedGain:
 
 
 class HeldOut:
-    """Regressions of all joints that leave out one fold of time after the other."""
+    """Data of all joints for cross-validation over folds of time."""
 
-    # Folds are whole recordings where there are three or more, else stretches of each,
-    # unless `fold` (m,) is given. edges (n_blocks + 1,), first row of each block;
-    # of_row (m,), fold of each row; A (nj, m, r + 1), declared columns and torques of
-    # the joints that count, and gram (nj, n_folds, r + 1, r + 1), their products by
-    # fold.
+    # Folds are the recordings if there are three or more, else stretches of each,
+    # unless `fold` (m,) is given. edges (n_blocks + 1,): first row of each block;
+    # row_fold (m,): fold of each row; A (nj, m, r + 1): declared columns and torques of
+    # the used joints; gram (nj, n_folds, r + 1, r + 1): their Gram matrices by fold.
 
     def __init__(self, view, fold=None):
         self.view = view
-        self.used_joints = used = np.flatnonzero(view.precision > 0)
+        self.used_joints = joints = np.flatnonzero(view.precision > 0)
         self.fold = fold_of(view) if fold is None else fold
         self.order = order = view.blocks.order
         self.edges = np.r_[view.blocks.starts, view.index.size]
-        # A block lies in one fold, but for the one in which a fold ends.
-        own = self.fold[order][self.edges[:-1]]
+        # Each block belongs to the fold of its first row.
+        folds = self.fold[order][self.edges[:-1]]
         self.row_fold = np.unique(
-            np.repeat(own, np.diff(self.edges)), return_inverse=True
+            np.repeat(folds, np.diff(self.edges)), return_inverse=True
         )[1]
         self.rows = [self.row_fold == k for k in range(self.row_fold.max() + 1)]
-        Z, y = view.Z[used][:, order], view.target[used][:, order]
+        Z, y = view.Z[joints][:, order], view.target[joints][:, order]
         self.A = np.concatenate([Z, y[:, :, None]], axis=2)
-        self.gram = np.array([[A[own].T @ A[own] for own in self.rows] for A in self.A])
+        self.gram = np.array([[A[at].T @ A[at] for at in self.rows] for A in self.A])
         self._cache = WeakKeyDictionary()
 
     def columns(self, member):
-        """Columns (nj, m, k) of a member, row by row."""
+        """Return the columns (nj, m, k) of a member in time."""
         if member.columns not in self._cache:
             columns = self.view.columns([member.effect], self.motion)
             self._cache[member.columns] = columns[:, self.order, 0]
         return self._cache[member.columns]
 
     def fitted(self, fit):
-        """Leave out each fold of a `Fit`; returns a `HeldOutFit`."""
+        """Cross-validate a `Fit`, and return a `HeldOutFit`."""
         self.motion = fit.problem.motion
         return HeldOutFit(self, fit)
 
 
 class HeldOutFit:
-    """A model on folds of time that were not fitted; see `HeldOut`."""
+    """A cross-validated model, see `HeldOut`."""
 
     def __init__(self, held, fit):
         self.held, self.fit = held, fit
         self._r = r = held.A.shape[2] - 1
         self._slices = [slice(r + s.start, r + s.stop) for s in fit.slices]
         self._columns = [self._joint_terms(j) for j in held.used_joints]
-        # What the joints weigh with the members there.
+        # Weights of the joints by the residuals of the fit.
         power = (fit.residual[held.used_joints] ** 2).sum(axis=1)
         target = held.view.target[held.used_joints]
-        least = _TINY**2 * (target**2).sum(axis=1)
-        self.weight = held.view.rows[held.used_joints] / np.maximum(power, least)
+        smallest = _TINY**2 * (target**2).sum(axis=1)
+        self.weight = held.view.rows[held.used_joints] / np.maximum(power, smallest)
         by_fold = self._products(r + fit.n_coefficients)
         total = by_fold.sum(axis=0)
         ridge = _RIDGE * max(np.trace(total[:r, :r]) / max(r, 1), 1.0)
@@ -119,131 +118,131 @@ class HeldOutFit:
             gram, rows = total[:r, :r] + precision[:r, :r], held.view.one_sided[zero]
             precision[:r, :r] += precision_at_zero(gram, rows)
         self._applied = np.r_[np.zeros(r), fit.applied]
-        # by the numbers of members that are left out
+        # by the indices of the members that are left out
         self._factors, self._thetas, self._without = [], {(): []}, {}
-        for own in by_fold:
-            left = total - own
-            self._factors.append(linalg.cho_factor(left[:-1, :-1] + precision))
-            right = left[:-1, -1] - prior * self._applied
+        for fold in by_fold:
+            training = total - fold
+            self._factors.append(linalg.cho_factor(training[:-1, :-1] + precision))
+            right = training[:-1, -1] - prior * self._applied
             self._thetas[()].append(linalg.cho_solve(self._factors[-1], right))
 
     def _joint_terms(self, j):
-        """Places (p_j,) of the coefficients that act on a joint, and columns."""
-        found = [
+        """Return indices (p_j,) of coefficients that act on a joint, and columns."""
+        terms = [
             (np.r_[place], self.held.columns(member)[member.joints.index(j)])
             for place, member in zip(self._slices, self.fit.members)
             if j in member.joints
         ]
-        none = np.zeros(0, int), np.zeros((self.held.row_fold.size, 0))
-        return tuple(np.concatenate(own, axis=-1) for own in zip(none, *found))
+        empty = np.zeros(0, int), np.zeros((self.held.row_fold.size, 0))
+        return tuple(np.concatenate(parts, axis=-1) for parts in zip(empty, *terms))
 
     def _products(self, p):
-        """Weighted products of all columns and torques by fold, the torques last."""
+        """Compute weighted Gram matrices of all columns and torques (last) by fold."""
         held = self.held
-        first, out = np.r_[: self._r, p], np.zeros((len(held.rows), p + 1, p + 1))
-        both = zip(self.weight, held.A, held.gram, self._columns)
-        for weight, A, gram, (at, X) in both:
-            out[:, first[:, None], first] += weight * gram
-            for own, rows in zip(out, held.rows):
+        base, products = np.r_[: self._r, p], np.zeros((len(held.rows), p + 1, p + 1))
+        joints = zip(self.weight, held.A, held.gram, self._columns)
+        for weight, A, gram, (at, X) in joints:
+            products[:, base[:, None], base] += weight * gram
+            for moments, rows in zip(products, held.rows):
                 cross = weight * (X[rows].T @ A[rows])
-                own[at[:, None], first] += cross
-                own[first[:, None], at] += cross.T
-                own[at[:, None], at] += weight * (X[rows].T @ X[rows])
-        return out
+                moments[at[:, None], base] += cross
+                moments[base[:, None], at] += cross.T
+                moments[at[:, None], at] += weight * (X[rows].T @ X[rows])
+        return products
 
     def _residual(self, thetas, j):
-        """Residuals (m,) of the j-th joint, with the coefficients of each fold."""
+        """Compute residuals (m,) of the j-th joint by the coefficients of each fold."""
         theta, (at, X), A = np.transpose(thetas), self._columns[j], self.held.A[j]
         fitted = A[:, :-1] @ theta[: self._r] + X @ theta[at]
         return A[:, -1] - fitted[np.arange(len(A)), self.held.row_fold]
 
     @property
     def squares(self):
-        """Squared errors of blocks (n_blocks, nj), of the model."""
+        """Squared errors of the model by block, (n_blocks, nj)."""
         return self.without((), range(len(self._columns)))
 
     def error(self):
-        """Logarithms of the joints' mean squared errors, their rows as weights."""
+        """Return the log mean squared errors of the joints, weighted by their rows."""
         rows = self.held.view.rows[self.held.used_joints]
         return float(rows @ np.log(self.squares.sum(axis=0) / rows))
 
     def error_of(self, joint):
-        """Squared error of one joint."""
-        own = np.searchsorted(self.held.used_joints, joint)
-        return float(self.without((), [own]).sum())
+        """Return the squared error of one joint."""
+        index = np.searchsorted(self.held.used_joints, joint)
+        return float(self.without((), [index]).sum())
 
     def _joints_of(self, i):
-        """Numbers of the joints that count for a member, and their weights."""
+        """Return indices and weights of the joints whose error a member changes."""
         effect = self.fit.members[i].effect
-        # In noise, of the robot, what acts on all.
+        # Errors of several joints are added in units of noise.
         if isinstance(effect, (OnAllJoints, InModel)):
             return np.arange(self.weight.size), self.weight
         return np.searchsorted(self.held.used_joints, [effect.joint]), np.ones(1)
 
     def without(self, numbers, joints):
-        """Squared errors (n_blocks, nj) of joints without members, others refitted."""
-        known = self._without.setdefault(tuple(numbers), {})
+        """Return squared errors (n_blocks, nj) of a refit without some members."""
+        errors = self._without.setdefault(tuple(numbers), {})
         for j in joints:
-            if j not in known:
+            if j not in errors:
                 squares = self._residual(self._refitted(tuple(numbers)), j) ** 2
-                known[j] = np.add.reduceat(squares, self.held.edges[:-1])
-        return np.stack([known[j] for j in joints], axis=1)
+                errors[j] = np.add.reduceat(squares, self.held.edges[:-1])
+        return np.stack([errors[j] for j in joints], axis=1)
 
     def _refitted(self, numbers):
-        """Coefficients of each fold without members."""
+        """Return the coefficients of each fold without some members."""
         if numbers not in self._thetas:
             at = np.concatenate([np.r_[self._slices[i]] for i in numbers])
             unit, self._thetas[numbers] = np.eye(self._applied.size)[:, at], []
             for factor, theta in zip(self._factors, self._thetas[()]):
                 inverse = linalg.cho_solve(factor, unit)
-                # What leaving columns out does to the others, by the block inverse.
+                # Change of the other coefficients, by the block inverse.
                 change = np.linalg.solve(inverse[at], theta[at] + self._applied[at])
                 self._thetas[numbers].append(theta - inverse @ change)
         return self._thetas[numbers]
 
     def share_of(self, i, absent=(), plain=None):
-        """Largest share of a joint's squared error that a member saves."""
-        # Of the error without it, or without members `plain` if this is larger.
+        """Return the largest share of a joint's squared error that a member saves."""
+        # Relative to the error without it, or without members `plain` if larger.
         joints, _ = self._joints_of(i)
-        asked = (*absent, i), absent, (*absent, i) if plain is None else plain
-        without, own, most = (self.without(x, joints).sum(axis=0) for x in asked)
-        size = np.maximum(np.maximum(without, most), _SMALLEST)
-        return float(((without - own) / size).max())
+        excluded = (*absent, i), absent, (*absent, i) if plain is None else plain
+        without, full, base = (self.without(x, joints).sum(axis=0) for x in excluded)
+        size = np.maximum(np.maximum(without, base), _SMALLEST)
+        return float(((without - full) / size).max())
 
     def helps(self, i, least=0.0):
-        """Whether a member saves more than a share, in the mean of the blocks too."""
-        own = self.gain_of(i)
-        return own.gain > 0 and own.errors > 0 and self.share_of(i) > least
+        """Check if a member saves more than a share of the error, in most blocks."""
+        gain = self.gain_of(i)
+        return gain.gain > 0 and gain.errors > 0 and self.share_of(i) > least
 
     def gain_of(self, i, absent=()):
-        """Return what a member saves, others being absent."""
-        (joints, weight), both = self._joints_of(i), ((*absent, i), absent)
-        errors = (self.without(x, joints) @ weight for x in both)
+        """Return the gain of a member in a model without members `absent`."""
+        (joints, weight), excluded = self._joints_of(i), ((*absent, i), absent)
+        errors = (self.without(x, joints) @ weight for x in excluded)
         return CrossValidatedGain.of(*errors)
 
     @property
     def residual(self):
-        """Residuals (nv, m) of rows that were not fitted, scaled by their roots."""
-        # Each over the deviation, in units of noise, with which the other folds predict
-        # its row: where a fold is a motion of its own, that is extrapolation.
+        """Cross-validated residuals (nv, m), times the square roots of the weights."""
+        # Divided by their predicted standard deviation in units of noise, which is
+        # large if the other folds have to be extrapolated.
         held = self.held
-        out = np.zeros_like(held.view.target)
-        rows = np.arange(out.shape[1])[held.order]
-        found = np.zeros((len(self._columns), rows.size))
-        for j, own in enumerate(found):
-            own[:] = self._residual(self._thetas[()], j)
-        for own, weight, A, (at, X) in zip(found, self.weight, held.A, self._columns):
+        scaled = np.zeros_like(held.view.target)
+        rows = np.arange(scaled.shape[1])[held.order]
+        residual = np.zeros((len(self._columns), rows.size))
+        for j, r in enumerate(residual):
+            r[:] = self._residual(self._thetas[()], j)
+        for r, weight, A, (at, X) in zip(residual, self.weight, held.A, self._columns):
             for factor, fold in zip(self._factors, held.rows):
                 columns = np.zeros((fold.sum(), self._applied.size))
                 columns[:, : self._r], columns[:, at] = A[fold, :-1], X[fold]
-                unknown = columns.T * linalg.cho_solve(factor, columns.T)
-                own[fold] /= np.sqrt(1.0 + weight * unknown.sum(axis=0))
-        out[held.used_joints[:, None], rows] = found
-        return out
+                variance = columns.T * linalg.cho_solve(factor, columns.T)
+                r[fold] /= np.sqrt(1.0 + weight * variance.sum(axis=0))
+        scaled[held.used_joints[:, None], rows] = residual
+        return scaled
 
 
 def fold_of(view):
-    """Fold of each filtered row: recordings, or stretches of one or two, (m,)."""
+    """Return the fold of each row: recordings, or stretches of one or two, (m,)."""
     if view.repetition:
         return view.blocks.fold
     origins = np.unique(view.origin)
@@ -252,6 +251,6 @@ def fold_of(view):
     pieces = -(-_FOLDS // origins.size)
     fold = np.empty(view.origin.size, int)
     for k, origin in enumerate(origins):
-        own = np.flatnonzero(view.origin == origin)
-        fold[own] = k * pieces + np.arange(own.size) * pieces // own.size
+        rows = np.flatnonzero(view.origin == origin)
+        fold[rows] = k * pieces + np.arange(rows.size) * pieces // rows.size
     return fold

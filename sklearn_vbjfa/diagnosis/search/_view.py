@@ -1,4 +1,4 @@
-"""A recording as the search for effects sees it: filtered rows, blocks, columns."""
+"""Recording for the search for effects: filtered equations, blocks, columns."""
 
 import copy
 import itertools
@@ -18,110 +18,109 @@ from sklearn_vbjfa.effects import InModel, OnAllJoints, came_from, declared
 from sklearn_vbjfa.equations._equations import make_motion, pick_load_free
 from sklearn_vbjfa.recording import check_clock
 
-# Most samples that are looked at.
+# Maximum number of samples that are searched.
 _MAX_SAMPLES = 20_000
-# A stretch is so many times longer than the low-pass, which takes its ends.
+# Length of a stretch over that of the low-pass, which shortens both ends.
 _LENGTHS = 30
 
 
 def coarser_rows(parts, lowpass, every):
-    """Return rows that are every so many of some parts, and the parts of these."""
-    # Those on which the outputs of the low-pass stand, so that the coarser one has the
-    # same.
+    """Thin the rows of parts by an integer factor; return rows and thinned parts."""
+    # The outputs of the coarser low-pass lie on the samples of those of the original.
     if every == 1:
         return slice(None), tuple(parts)
     half = lowpass.half // every
-    rows, made, first = [], [], 0
+    rows, slices, first = [], [], 0
     for part in parts:
         count = lowpass.centres(part.stop - part.start).size
-        most = (
+        length = (
             2 * half + (count - 1) * (lowpass.step // every) + 1 if count else 2 * half
         )
-        own = np.arange(part.start + lowpass.half % every, part.stop, every)[:most]
-        rows.append(own)
-        made.append(slice(first, first + own.size))
-        first += own.size
-    return np.concatenate(rows), tuple(made)
+        index = np.arange(part.start + lowpass.half % every, part.stop, every)[:length]
+        rows.append(index)
+        slices.append(slice(first, first + index.size))
+        first += index.size
+    return np.concatenate(rows), tuple(slices)
 
 
 def stretches(parts, moving, lowpass):
-    """Return the rows that a search looks at, and the number of the stretch of each."""
-    # Of recordings, or pieces of them, `parts`, in which some joints move, `moving`
-    # (n, nv): all rows of few.
+    """Return the rows to search, and the index of the stretch of each row."""
+    # parts: recordings or pieces of them; moving (n, nv): whether joints move. Short
+    # recordings are searched completely.
     n = len(moving)
     share = min(1.0, _MAX_SAMPLES * stride(lowpass) / n)
     length = min(_LENGTHS * (2 * lowpass.half + 1), int(share * n) // 2)
     if share == 1.0:
-        kept = list(parts)
+        chosen = list(parts)
     else:
         weight = even_weight(moving)
-        kept, due = [], 0.0
-        # Short recordings come in turns, which do not know the order of these.
+        chosen, budget = [], 0.0
+        # Allot rows by increasing length, independent of the order of the recordings.
         for part in sorted(
             parts, key=lambda p: (p.stop - p.start, *moving[p].sum(axis=0))
         ):
-            due += share * (part.stop - part.start)
-            found = _spread_stretches(part, weight[part], int(due), length)
-            due -= sum(one.stop - one.start for one in found)
-            kept += found
-        kept.sort(key=lambda one: one.start)
-    rows = [np.arange(one.start, one.stop) for one in kept]
-    return np.concatenate(rows), np.repeat(np.arange(len(kept)), list(map(len, rows)))
+            budget += share * (part.stop - part.start)
+            slices = _spread_stretches(part, weight[part], int(budget), length)
+            budget -= sum(x.stop - x.start for x in slices)
+            chosen += slices
+        chosen.sort(key=lambda x: x.start)
+    rows = [np.arange(x.start, x.stop) for x in chosen]
+    return np.concatenate(rows), np.repeat(np.arange(len(chosen)), list(map(len, rows)))
 
 
 def even_weight(moving):
-    """Motion in each row, all joints counting the same, however little they do."""
+    """Sum the motion of the joints in each row, each normalised to the same total."""
     return (moving / np.maximum(moving.sum(axis=0), 1)).sum(axis=1)
 
 
-def _spread_stretches(part, weight, most, length):
-    """Stretches of a recording, at most so many rows together, slices."""
+def _spread_stretches(part, weight, budget, length):
+    """Select stretches of a recording, at most `budget` rows in all, slices."""
     n = weight.size
-    if most < min(length, n):
+    if budget < min(length, n):
         return []
-    count = max(min(most, n) // length, 1)
-    size = min(most // count, n // count)
-    done = np.cumsum(weight)
-    if not done[-1] > 0:
-        done = np.arange(1.0, n + 1)
-    # In the middle of as many intervals of equal motion.
-    middle = np.searchsorted(done, (np.arange(count) + 0.5) / count * done[-1])
-    first, found = 0, []
+    count = max(min(budget, n) // length, 1)
+    size = min(budget // count, n // count)
+    total = np.cumsum(weight)
+    if not total[-1] > 0:
+        total = np.arange(1.0, n + 1)
+    # Centre them on as many intervals of equal motion.
+    middle = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
+    first, slices = 0, []
     for left, row in zip(range(count - 1, -1, -1), middle.tolist()):
         start = min(max(row - size // 2, first), n - (left + 1) * size)
-        found.append(slice(part.start + start, part.start + start + size))
+        slices.append(slice(part.start + start, part.start + start + size))
         first = start + size
-    return found
+    return slices
 
 
-# Directions of the scaled Gram matrix below this are never used.
+# Relative eigenvalues of the scaled Gram matrix below this count as zero.
 _RANK = 1e-12
-# Share of a parameter that may lie outside of them.
+# Share of an identifiable parameter that may lie in the null space.
 _DETERMINED = 1e-6
-# Numbers of the columns that are filtered together.
+# Values that are filtered at once.
 _CHUNK_SIZE = 1 << 20
-# Numbers of the cosines of columns that are kept after their use.
+# Values of unused columns that are cached.
 _CACHE_SIZE = 1 << 24
-# Views of a corrected robot that are kept: a search goes to and fro between few.
+# Views of a corrected robot that are cached: a search alternates between few.
 _CACHED_VIEWS = 6
-# Rests of a joint from which on its torque at rest is looked at.
+# Minimum number of standstills of a joint for the use of its torque at rest.
 _MIN_RESTS = 10
 
 
 class RecordingView:
-    """Filtered equations of a recording, and effects' columns behind that filter."""
+    """Filtered equations of a recording, and filtered columns of effects."""
 
     # robot: fitted with the declared model; leave_out: joints whose channel carries no
-    # information; begins: when recordings begin [s].
-    # Samples of effects' columns, of a long recording every `stride`-th: states (n, 3
-    # nv), clock (n,) [s] or None, signals (n,) by name.
-    # Filtered rows: index (m,), sample at the middle of each; moving (m, nv), weights
-    # without rows at rest; root (m, nv) of the weights and target (nv, m), torques
-    # scaled by it; starts, first row of each part; origin (m,), its recording; Z (nv,
-    # m, r) and back (p, r), see `reduced`; one_sided (nv, n, r), rows of it that lead
-    # to the declared friction, which cannot be negative. blocks: folds and tempering;
-    # phases: motion of each row and time in it [s], None where none repeats; precision
-    # (nv,): weights of the joints; made: all `Columns`.
+    # information; begins: start times of the recordings [s].
+    # Samples for columns of effects, of a long recording every `stride`-th: states (n,
+    # 3 nv), clock (n,) [s] or None, signals (n,) by name.
+    # Filtered rows: index (m,), central sample of each; moving (m, nv), weights without
+    # rows at rest; root (m, nv), square roots of the weights; target (nv, m), torques
+    # times these; starts, first row of each part; origin (m,), recording of each row; Z
+    # (nv, m, r) and back (p, r), see `reduced`; one_sided (nv, n_terms, r), rows of
+    # `back` for nonnegative friction terms. blocks: blocks and folds; phases: motion of
+    # each row and time in it [s], None without repetition; precision (nv,): weights of
+    # the joints; cache: all `Columns`.
 
     def __init__(
         self,
@@ -158,13 +157,12 @@ class RecordingView:
         self._set_coordinates()
 
     def corrected(self, effects):
-        """Return the view whose robot is corrected by effects that are in the model."""
-        # Itself if they correct what its own robot is corrected by. Rows, blocks and
-        # weights are the same; equations and coordinates are another robot's.
-        own = {effect.key() for effect in self._root.robot.effects_}
-        wanted = [e for e in effects if isinstance(e, InModel)]
-        wanted = [e for e in wanted if e.corrects or e.key() in own]
-        key = frozenset((e.key(), tuple(e.values.tolist())) for e in wanted)
+        """Return the view of the robot with the corrections of effects."""
+        # Rows, blocks and weights stay the same; equations and coordinates change.
+        keys = {effect.key() for effect in self._root.robot.effects_}
+        corrections = [e for e in effects if isinstance(e, InModel)]
+        corrections = [e for e in corrections if e.corrects or e.key() in keys]
+        key = frozenset((e.key(), tuple(e.values.tolist())) for e in corrections)
         if key == self._corrections:
             return self
         root = self._root
@@ -173,58 +171,58 @@ class RecordingView:
         if key not in root._corrected:
             if len(root._corrected) >= _CACHED_VIEWS:
                 root._corrected.pop(next(iter(root._corrected)))
-            other = copy.copy(root)
-            other.robot, other._corrections = root.robot.corrected(wanted), key
-            other._set_equations()
-            other._set_coordinates()
-            root._corrected[key] = other
+            view = copy.copy(root)
+            view.robot, view._corrections = root.robot.corrected(corrections), key
+            view._set_equations()
+            view._set_coordinates()
+            root._corrected[key] = view
         return root._corrected[key]
 
     def at_rest(self):
-        """Joints that rest often, each time for longer than the low-pass remembers."""
+        """Return the joints that often stand still for longer than the low-pass."""
         v = self.states[:, self.nv : 2 * self.nv]
         still = np.abs(v) <= self.robot.plan.masked
         length = max(1.0 / (self.robot.cutoff_ * (self.dt or 1.0)), 1.0)
         count = np.zeros(self.nv, dtype=int)
         for part in self.parts:
             edges = np.diff(still[part].astype(int), axis=0, prepend=0, append=0)
-            for j, own in enumerate(edges.T):
-                lengths = np.flatnonzero(own < 0) - np.flatnonzero(own > 0)
+            for j, edge in enumerate(edges.T):
+                lengths = np.flatnonzero(edge < 0) - np.flatnonzero(edge > 0)
                 count[j] += (lengths > length).sum()
         return np.flatnonzero((count >= _MIN_RESTS) & self.root.any(axis=0)).tolist()
 
     def with_rest(self, joints):
-        """Return the view in which rows at rest count on some joints."""
+        """Return a view that includes rows at rest of some joints."""
         joints = tuple(sorted({*joints}))
         if joints == self.robot.plan.resting:
             return self
-        other = copy.copy(self._root)
-        plan = replace(other.robot.plan, resting=joints)
-        other.robot = replace(other.robot, plan=plan)
-        other._root, other._corrected = other, {}
-        other.cache, other._recent = WeakValueDictionary(), {}
-        other._set_equations()
-        other._set_coordinates()
-        return other
+        view = copy.copy(self._root)
+        plan = replace(view.robot.plan, resting=joints)
+        view.robot = replace(view.robot, plan=plan)
+        view._root, view._corrected = view, {}
+        view.cache, view._recent = WeakValueDictionary(), {}
+        view._set_equations()
+        view._set_coordinates()
+        return view
 
     def without(self, columns):
-        """Return the same view whose equations lack some declared columns."""
+        """Return a view without some declared columns."""
         if not columns:
             return self
         Phi = self.equations.Phi.copy("K")
         Phi[:, :, columns] = 0.0
-        other = copy.copy(self)
-        other.equations = replace(self.equations, Phi=Phi)
-        other._set_coordinates()
-        return other
+        view = copy.copy(self)
+        view.equations = replace(self.equations, Phi=Phi)
+        view._set_coordinates()
+        return view
 
     @property
     def gains(self):
-        """What torque channels read over the torque, (nv,)."""
+        """Gains of the torque channels, reading over torque, (nv,)."""
         return self.robot.features_.gains_
 
     def _set_equations(self):
-        """Make the filtered equations of the declared model."""
+        """Set the filtered equations of the declared model."""
         recording, states = self._source
         self.equations = self.robot.equations(recording, states)
         tau = self.equations.tau
@@ -233,7 +231,7 @@ class RecordingView:
         self.nv = tau.shape[1]
 
     def _set_samples(self, all_samples):
-        """Take the samples of which columns are made."""
+        """Select the samples from which columns are computed."""
         recording, states = self._source
         every = 1 if all_samples else stride(self._lowpass)
         rows, self.parts = coarser_rows(recording.segments, self._lowpass, every)
@@ -242,13 +240,13 @@ class RecordingView:
         self.signals = {name: x[rows] for name, x in recording.signals.items()}
         command, self.before = recording.command, came_from(recording.before)
         self.command = None if command is None else command[rows]
-        places = np.arange(recording.n_samples)[rows]
-        self.index = np.searchsorted(places, self.recorded)
+        numbers = np.arange(recording.n_samples)[rows]
+        self.index = np.searchsorted(numbers, self.recorded)
         self.dt = None if self.robot.dt is None else self.robot.dt * every
         self._lowpass = coarser(self._lowpass, every)
 
     def _set_blocks(self):
-        """Take blocks and joint weights from the robot's fit."""
+        """Set blocks and joint weights by the robot's fit."""
         robot = self.robot
         weights = robot.joint_weights
         self.precision = np.where(self.root.any(axis=0), weights, 0.0)
@@ -257,7 +255,7 @@ class RecordingView:
         correlation = correlation_time(
             residual, self.equations.weight, self.step, self.starts
         )
-        # What the low-pass spreads in time: the width of its main lobe.
+        # Main lobe width of the low-pass.
         length = max(1.0 / robot.cutoff_, self.step)
         t, order = self.recorded * (robot.dt or 1.0), self._content_order()
         self.spans = make_blocks(t, self.starts, correlation, length, order)
@@ -270,7 +268,7 @@ class RecordingView:
             self.blocks = phase_blocks(*self.phases, correlation, length)
             once = self.blocks.n_blocks * self.blocks.length
             self.repeats = max(self.index.size * self.step / once, 1.0)
-        # Blocks in an order that does not know in which order the parts came.
+        # Order of the blocks, independent of the order of the parts.
         parts = self.spans.label[np.r_[self.starts, self.index.size - 1]]
         bounds = [*parts[:-1], parts[-1] + 1]
         self.span_order = np.concatenate(
@@ -278,7 +276,7 @@ class RecordingView:
         )
 
     def _content_order(self):
-        """Order of the parts by what is in them, so that folds ignore how they came."""
+        """Sort the parts by content, so that folds do not depend on their order."""
         keys = []
         for start, end in itertools.pairwise([*self.starts, self.index.size]):
             rows = self.index[[start, (start + end) // 2, end - 1]]
@@ -286,31 +284,31 @@ class RecordingView:
         return sorted(range(len(keys)), key=keys.__getitem__)
 
     def _set_coordinates(self):
-        """Express the regressor in the directions that the data determine."""
-        self.Z, self.back, known = reduced(self.equations, self.precision)
-        own = self.nv, 10 + len(self.declared)
-        rows = (self.back * known[:, None])[: own[0] * own[1]].reshape(*own, -1)
-        # Rotors are bodies, which a search leaves free altogether.
+        """Set the regressor in base parameters."""
+        self.Z, self.back, mask = reduced(self.equations, self.precision)
+        size = self.nv, 10 + len(self.declared)
+        rows = (self.back * mask[:, None])[: size[0] * size[1]].reshape(*size, -1)
+        # Rotor inertias are free, as all inertial parameters in a search.
         terms = [declared(name) for name in self.declared]
         one_sided = [bool(term.nonnegative and term.depends) for term in terms]
         self.one_sided = rows[:, 10:][:, one_sided]
 
     @property
     def rows(self):
-        """Weight of each joint's rows together, (nv,)."""
+        """Total weight of each joint's rows, (nv,)."""
         return (self.root.T**2).sum(axis=1)
 
     def motion(self, theta, effects=(), coefs=()):
-        """Signals of the samples; the load from reduced coordinates or None."""
-        # Effects, with the coefficients of all of them, are part of the torque.
+        """Return signals, with the load of reduced coordinates theta or none."""
+        # The load includes the torque of effects with their coefficients `coefs`.
         rigid, parameters = self.robot.features_.n_parameters_, None
         if theta is not None:
-            plain = pick_load_free(effects, coefs)
-            parameters = np.concatenate([(self.back @ theta)[:rigid], plain])
+            load_free = pick_load_free(effects, coefs)
+            parameters = np.concatenate([(self.back @ theta)[:rigid], load_free])
         return self.motion_of(parameters, effects)
 
     def motion_of(self, parameters, effects=()):
-        """Signals of the samples, with the load of parameters; see `make_motion`."""
+        """Return signals, with the load of parameters; see `make_motion`."""
         robot = self.robot
         motion = make_motion(
             robot.features_,
@@ -330,35 +328,35 @@ class RecordingView:
     # -- columns of effects -----------------------------------------------------------
 
     def filtered(self, columns):
-        """Filter columns (n, ...) of the samples as the torques were."""
+        """Filter columns (n, ...) like the torques."""
         return np.concatenate([self._lowpass(columns[part]) for part in self.parts])
 
     def columns(self, effects, motion):
-        """Columns (nj, m, c, k) of an effect with several shape parameters."""
+        """Compute filtered, weighted columns (nj, m, c, k) of an effect with shapes."""
         joints, n = effects[0].acts_on(self.nv), motion.q.shape[0]
-        most = max(len(effect.coefficients) for effect in effects)
-        out = np.empty((len(joints), self.index.size, len(effects), most))
+        width = max(len(effect.coefficients) for effect in effects)
+        out = np.empty((len(joints), self.index.size, len(effects), width))
         scale = (self.gains * self.root)[:, joints, None, None]
-        at_once = max(1, _CHUNK_SIZE // (n * most * len(joints)))
-        for first in range(0, len(effects), at_once):
-            some = effects[first : first + at_once]
-            # Side by side, with zeros where a shape has fewer columns than others.
-            made = np.zeros((len(joints), len(some), most, n))
-            for c, effect in enumerate(some):
-                own = self._checked_columns(effect, motion).reshape(n, len(joints), -1)
-                made[:, c, : own.shape[2]] = own.transpose(1, 2, 0)
-            rows = self.filtered(made.reshape(-1, n).T).reshape(-1, *made.shape[:3])
-            out[:, :, first : first + at_once] = np.moveaxis(rows * scale, 1, 0)
+        step = max(1, _CHUNK_SIZE // (n * width * len(joints)))
+        for first in range(0, len(effects), step):
+            chunk = effects[first : first + step]
+            # Pad with zeros if a shape has fewer columns than others.
+            raw = np.zeros((len(joints), len(chunk), width, n))
+            for c, effect in enumerate(chunk):
+                X = self._checked_columns(effect, motion).reshape(n, len(joints), -1)
+                raw[:, c, : X.shape[2]] = X.transpose(1, 2, 0)
+            rows = self.filtered(raw.reshape(-1, n).T).reshape(-1, *raw.shape[:3])
+            out[:, :, first : first + step] = np.moveaxis(rows * scale, 1, 0)
         return out
 
     def shaped(self, effects, motion, cosines):
-        """Cosines (nj, n, c, k) of an effect's columns, and their sizes (nj, c, k)."""
+        """Compute cosines (nj, n, c, k) of an effect's columns, and RMS (nj, c, k)."""
         rows = self.columns(effects, motion)
         size = np.sqrt((rows**2).mean(axis=1))
         return cosines(rows, effects[0].acts_on(self.nv)), size
 
     def keep(self, key, columns):
-        """Keep `Columns` while they are in use, or were asked for last."""
+        """Cache `Columns` that are in use or were used last."""
         self._recent.pop(key, None)
         self.cache[key] = self._recent[key] = columns
         while sum(x.values.size for x in self._recent.values()) > _CACHE_SIZE:
@@ -366,7 +364,7 @@ class RecordingView:
         return columns
 
     def _checked_columns(self, effect, motion):
-        """Columns of an effect at the samples, checked for custom effects."""
+        """Compute columns of an effect, with checks for custom effects."""
         columns = np.asarray(effect.columns(motion))
         n, k = motion.q.shape[0], len(effect.coefficients)
         name = f"Effect {effect.name!r} on {self.robot.joint_names_[effect.joint]}"
@@ -385,31 +383,31 @@ class RecordingView:
         return columns
 
     def in_equations(self, effect, motion):
-        """Columns of an effect in all joints' equations, (m, nv, k), not weighted."""
+        """Compute unweighted filtered columns for all joints, (m, nv, k)."""
         columns = self.filtered(effect.columns(motion))
         return effect.in_all(columns, self.nv) * self.gains[:, None]
 
 
 def reduced(equations, precision):
-    """Express a regressor in the directions that the data determine."""
-    # Returns it in reduced coordinates (nv, m, r), rows scaled by the root of their
-    # weight, the matrix (p, r) that leads back to the parameters, and which of these
-    # the data determine (p,).
+    """Express a regressor in base parameters."""
+    # Returns the reduced regressor (nv, m, r), rows times the square root of their
+    # weight, the matrix (p, r) from reduced to full parameters, and which of these are
+    # identifiable (p,).
     weight, Phi = equations.weight, equations.Phi
-    # Of each joint the columns that it has alone: a tree has branches.
-    places = [np.flatnonzero(own) for own in Phi.any(axis=0)]
+    # Nonzero columns of each joint: the joints of a tree share few.
+    supports = [np.flatnonzero(used) for used in Phi.any(axis=0)]
     G, rows = np.zeros((Phi.shape[2], Phi.shape[2])), []
-    for j, (own, factor) in enumerate(zip(places, precision)):
-        rows.append(Phi[:, j, own] * np.sqrt(weight[:, [j]]))
-        G[np.ix_(own, own)] += factor * (rows[j].T @ rows[j])
+    for j, (used, factor) in enumerate(zip(supports, precision)):
+        rows.append(Phi[:, j, used] * np.sqrt(weight[:, [j]]))
+        G[np.ix_(used, used)] += factor * (rows[j].T @ rows[j])
     eigen = scaled_eigen(G, _RANK)
     back = eigen.known_vectors / eigen.scale[:, None]
     back *= np.sqrt(max(float((weight * precision).sum()), 1.0))
-    # Those of a branch together: what is zero between them takes no memory.
+    # Sort by branch: zeros between branches take no memory.
     back = back[:, np.argsort((back != 0).argmax(axis=0), kind="stable")]
     Z = np.zeros((len(rows), back.shape[1], Phi.shape[0])).transpose(0, 2, 1)
-    for own, part, made in zip(places, rows, Z):
-        seen = np.flatnonzero(back[own].any(axis=0))
-        made[:, seen] = part @ back[np.ix_(own, seen)]
-    known = (eigen.known_vectors**2).sum(axis=1) > 1.0 - _DETERMINED
-    return Z, back, known
+    for used, X, target in zip(supports, rows, Z):
+        nonzero = np.flatnonzero(back[used].any(axis=0))
+        target[:, nonzero] = X @ back[np.ix_(used, nonzero)]
+    determined = (eigen.known_vectors**2).sum(axis=1) > 1.0 - _DETERMINED
+    return Z, back, determined

@@ -1,4 +1,4 @@
-"""A robot of many joints searched branch by branch, and what was found put together."""
+"""Search of a robot with many joints, branch by branch."""
 
 from dataclasses import dataclass, replace
 
@@ -13,12 +13,12 @@ from sklearn_vbjfa.equations._features import RigidBodyFeatures
 from sklearn_vbjfa.equations._states import select_joints
 from sklearn_vbjfa.model import import_pinocchio
 
-# A robot of up to this many joints is searched as a whole, in which an effect may join
-# two branches, such as a coupling through a common drive: so are arms, and most hands.
+# Robots of up to this many joints are searched as a whole, so that effects may couple
+# branches, such as through a common drive.
 _MAX_JOINTS = 7
-# Fields of a fitted robot that have a value for each joint.
+# Fields of a fitted robot with a value for each joint.
 _BY_JOINT = ("noise_floor_", "torque_noise_", "output_noise_", "joint_weights", "waves")
-# Fields of a recording, beside those with rows, that have a column for each joint.
+# Fields of a recording with a column for each joint but without rows.
 _COLUMNS = ("torque_noise", "feedback")
 
 
@@ -26,20 +26,20 @@ _COLUMNS = ("torque_noise", "feedback")
 class Branch:
     """A branch of a robot as a separate robot."""
 
-    joints: list  # its joints among those of the robot, rising
+    joints: list  # its joints in the robot, ascending
     model: object
 
-    def robot(self, whole):
-        """Return the branch of a fitted robot without effects."""
-        # What acts on one branch is all that its parameters were fitted to.
-        features = RigidBodyFeatures(self.model, friction=whole.features_.friction_)
-        plan, known = whole.plan, {}
+    def robot(self, robot):
+        """Restrict a fitted robot without effects to the branch."""
+        # Its parameters do not affect the torques of other branches.
+        features = RigidBodyFeatures(self.model, friction=robot.features_.friction_)
+        plan, fields = robot.plan, {}
         for name in _BY_JOINT:
-            value = getattr(whole, name)
-            known[name] = None if value is None else value[self.joints]
+            value = getattr(robot, name)
+            fields[name] = None if value is None else value[self.joints]
         for name in ("theta_", "theta_unconstrained_"):
-            by_joint = getattr(whole, name).reshape(len(plan.standstill), -1)
-            known[name] = by_joint[self.joints].ravel()
+            by_joint = getattr(robot, name).reshape(len(plan.standstill), -1)
+            fields[name] = by_joint[self.joints].ravel()
         changes = {"standstill": plan.standstill[self.joints]}
         for name in ("stops", "fastest_period", "corners"):
             value = getattr(plan, name)
@@ -47,16 +47,16 @@ class Branch:
         if plan.state_estimator is not None:
             estimator = select_joints(plan.state_estimator, self.joints)
             changes["state_estimator"] = estimator
-        known |= {"features_": features.load(), "plan": replace(plan, **changes)}
-        return replace(whole, **known)
+        fields |= {"features_": features.load(), "plan": replace(plan, **changes)}
+        return replace(robot, **fields)
 
     def recording(self, recording):
-        """Return the columns of a recording that belong to the branch."""
+        """Restrict a recording to the joints of the branch."""
         rows = [name for name, width in recording.WIDTHS.items() if width == 1]
-        given = {name: getattr(recording, name) for name in (*_COLUMNS, *rows)}
+        values = {name: getattr(recording, name) for name in (*_COLUMNS, *rows)}
         columns = {
             name: value[..., self.joints]
-            for name, value in given.items()
+            for name, value in values.items()
             if value is not None
         }
         if recording.states is not None:
@@ -64,21 +64,21 @@ class Branch:
             columns["states"] = states[:, :, self.joints].reshape(len(states), -1)
         columns["before"] = tuple(q[:, self.joints] for q in recording.before)
         for name in ("joint_names", "position_units", "torque_units"):
-            whole = getattr(recording, name)
-            columns[name] = tuple(whole[j] for j in self.joints)
+            all_joints = getattr(recording, name)
+            columns[name] = tuple(all_joints[j] for j in self.joints)
         return replace(recording, **columns)
 
-    def view(self, whole, recording, leave_out, **known):
+    def view(self, robot, recording, leave_out, **keywords):
         """Return the `RecordingView` of the branch of a fitted robot."""
-        mute, own = self.local(leave_out), self.recording(recording)
-        return RecordingView(self.robot(whole), own, mute, **known)
+        silent, part = self.local(leave_out), self.recording(recording)
+        return RecordingView(self.robot(robot), part, silent, **keywords)
 
     def local(self, joints):
-        """Numbers in the branch of those of some joints that belong to it."""
+        """Return the indices in the branch of those joints that belong to it."""
         return [k for k, j in enumerate(self.joints) if j in joints]
 
     def on_robot(self, effect):
-        """Return an effect of the branch as one of the robot."""
+        """Renumber the joints of an effect of the branch as in the robot."""
         if isinstance(effect, OfRobot):
             return effect
         shape = effect.get_params(deep=False)
@@ -88,87 +88,86 @@ class Branch:
 
 
 def root_joints(model):
-    """First joint of the branch of each joint of a robot, ndarray of shape (nv,)."""
+    """Return the first joint of the branch of each joint, ndarray of shape (nv,)."""
     return np.array([model.supports[j][1] - 1 for j in range(1, model.njoints)])
 
 
 def branches_of(robot, library, max_effects):
-    """Return the branches to search one by one, list of Branch; one is the whole."""
-    # Of a fitted declared model. A limit on the number of effects, an effect on a joint
-    # that is declared already, and one's own effects, of which nobody knows which
-    # joints they look at, ask for the whole robot.
+    """Return the branches to search separately, or the whole robot, as a list."""
+    # A limit on the number of effects, declared effects, and custom effects, which may
+    # depend on any joint, require a search of the whole robot.
     model = robot.features_.model_
     root = root_joints(model)
     roots = np.unique(root)
-    own = [type(effect).__module__.split(".")[0] for effect in library]
+    packages = [type(effect).__module__.split(".")[0] for effect in library]
     if (
         model.nv <= _MAX_JOINTS
         or roots.size == 1
         or max_effects is not None
         or robot.effects_
-        or set(own) != {__name__.split(".")[0]}
+        or set(packages) != {__name__.split(".")[0]}
     ):
         return [Branch(joints=list(range(model.nv)), model=model)]
-    found = []
+    branches = []
     for first in roots:
         joints = [int(k) for k in np.flatnonzero(root == first)]
-        found.append(Branch(joints=joints, model=_branch_model(model, joints)))
-    return found
+        branches.append(Branch(joints=joints, model=_branch_model(model, joints)))
+    return branches
 
 
 def _branch_model(model, joints):
-    """Build the model of some joints that no other joint carries."""
+    """Build the model of a branch."""
     pin = import_pinocchio()
-    alone = pin.Model()
-    alone.name, alone.gravity = model.name, model.gravity
-    number = {0: 0}
+    branch = pin.Model()
+    branch.name, branch.gravity = model.name, model.gravity
+    index = {0: 0}
     for j in joints:
-        own = j + 1
-        number[own] = alone.addJoint(
-            number[int(model.parents[own])],
-            model.joints[own],
-            model.jointPlacements[own],
-            model.names[own],
+        joint = j + 1
+        index[joint] = branch.addJoint(
+            index[int(model.parents[joint])],
+            model.joints[joint],
+            model.jointPlacements[joint],
+            model.names[joint],
             model.effortLimit[[j]],
             model.velocityLimit[[j]],
             model.lowerPositionLimit[[j]],
             model.upperPositionLimit[[j]],
         )
-        inertia = model.inertias[own]
-        alone.appendBodyToJoint(number[own], inertia, pin.SE3.Identity())
-    return alone
+        inertia = model.inertias[joint]
+        branch.appendBodyToJoint(index[joint], inertia, pin.SE3.Identity())
+    return branch
 
 
-def put_together(view, motion, branches, found):
-    """Put what was `SearchResult` on the branches of a robot together."""
+def put_together(view, motion, branches, results):
+    """Merge the results of branches, list of SearchResult."""
     findings, residual = {}, np.zeros_like(view.target)
-    for branch, own in zip(branches, found):
-        residual[branch.joints] = own.residual
-        for one in own.findings:
-            effect = branch.on_robot(one.effect)
-            rivals = tuple(map(branch.on_robot, one.rivals))
-            one = replace(one, effect=effect, rivals=rivals)
-            # What belongs to the whole robot several branches may have found.
-            findings.setdefault(effect.key(), one)
+    for branch, result in zip(branches, results):
+        residual[branch.joints] = result.residual
+        for finding in result.findings:
+            effect = branch.on_robot(finding.effect)
+            rivals = tuple(map(branch.on_robot, finding.rivals))
+            finding = replace(finding, effect=effect, rivals=rivals)
+            # Several branches may have an effect of the whole robot.
+            findings.setdefault(effect.key(), finding)
     return replace(
-        found[0],
+        results[0],
         findings=sort_findings(findings.values()),
         view=view,
         motion=motion,
         residual=residual,
-        n_candidates=sum(own.n_candidates for own in found),
+        n_candidates=sum(result.n_candidates for result in results),
         fit=None,
-        branches=tuple(zip(branches, found)),
+        branches=tuple(zip(branches, results)),
     )
 
 
 def tuned_apart(found, view_of):
-    """Return a robot's effects with shapes that suit another recording."""
-    # view_of: makes the `RecordingView` of a branch in that recording.
-    known = {}
-    for branch, own in found.branches:
-        if own.effects:
-            tuned = tuned_on(view_of(branch), own.effects, own.settings)
-            for before, after in zip(own.effects, tuned):
-                known.setdefault(branch.on_robot(before).key(), branch.on_robot(after))
-    return tuple(known[effect.key()] for effect in found.effects)
+    """Refit the shapes of effects to another recording, branch by branch."""
+    # view_of: returns the `RecordingView` of a branch in that recording.
+    final = {}
+    for branch, result in found.branches:
+        if result.effects:
+            tuned = tuned_on(view_of(branch), result.effects, result.settings)
+            for before, after in zip(result.effects, tuned):
+                final.setdefault(branch.on_robot(before).key(), branch.on_robot(after))
+    return tuple(final[effect.key()] for effect in found.effects)

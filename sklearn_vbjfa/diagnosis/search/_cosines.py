@@ -1,4 +1,4 @@
-"""Rows of a recording in frequency: discrete cosines, and the residual's spectrum."""
+"""Discrete cosine transform of a recording's rows, and the residual's spectrum."""
 
 import itertools
 from dataclasses import dataclass
@@ -8,27 +8,27 @@ from scipy import fft, special
 
 from sklearn_vbjfa.diagnosis.search._blocks import Bridge
 
-# Bands of frequency in an octave, and the fewest cosines in one.
+# Frequency bands per octave, and the minimum number of cosines in a band.
 _PER_OCTAVE, _FEWEST = 2, 2
 # Spectral density below this share of the largest is rounding.
 _ROUNDING = 1e-12
 
 
 class Cosines:
-    """Discrete cosines of a recording's rows, each part (a recording) for itself."""
+    """Discrete cosine transform of rows, separately for each part (a recording)."""
 
-    # Stationary residuals are nearly independent there, with the spectrum as their
+    # The cosines of stationary residuals are nearly independent, with the spectrum as
     # variance (P. Whittle, Arkiv for Matematik 2, 1953, doi 10.1007/BF02590998). Rows
-    # that do not count are bridged by straight lines. band (n,): that of each cosine;
-    # edges (n_bands + 1,): where bands begin and the last one ends; octave (n_bands,):
-    # log2 of their frequencies; fill (nv,): share of the rows that count.
+    # without weight are interpolated linearly. band (n,): band of each cosine; edges
+    # (n_bands + 1,): bounds of the bands; octave (n_bands,): log2 of their frequencies;
+    # fill (nv,): share of the rows with weight.
 
     def __init__(self, view):
         m = view.index.size
         self._parts = list(itertools.pairwise([*view.starts, m]))
         used = view.root > 0
         self.fill = used.mean(axis=0)
-        self._bridges = [Bridge.of(own, view.starts) for own in used.T]
+        self._bridges = [Bridge.of(rows, view.starts) for rows in used.T]
         frequency = np.empty(m)
         for a, b in self._parts:
             frequency[a:b] = np.arange(b - a) / (2.0 * (b - a) * view.step)
@@ -41,7 +41,7 @@ class Cosines:
         self.edges = np.searchsorted(self.band, np.arange(self.octave.size + 1))
 
     def __call__(self, rows, joints):
-        """Cosines (nj, n, ...) of rows (nj, m, ...) of some joints."""
+        """Transform rows (nj, m, ...) of some joints to cosines (nj, n, ...)."""
         whole = rows.copy()
         for i, j in enumerate(joints):
             if self._bridges[j] is not None:
@@ -51,7 +51,7 @@ class Cosines:
         return whole[:, self._kept]
 
     def rows(self, cosines):
-        """Rows (nj, m, ...) of cosines (nj, n, ...)."""
+        """Transform cosines (nj, n, ...) back to rows (nj, m, ...)."""
         whole = np.zeros((cosines.shape[0], self._n_rows, *cosines.shape[2:]))
         whole[:, self._kept] = cosines
         for a, b in self._parts:
@@ -60,11 +60,11 @@ class Cosines:
 
 
 def _bands(frequency, lowest):
-    """Band of each cosine, and the middle of each band in octaves."""
+    """Return the band of each cosine, and the centre of each band in octaves."""
     octave = np.log2(np.maximum(frequency, lowest) / lowest)
     label = np.floor(_PER_OCTAVE * octave + 1e-9).astype(int)
     count = np.bincount(label)
-    # Bands with too few cosines go with the next one above.
+    # Merge bands with too few cosines with the next higher one.
     merged, total, at = np.empty(count.size, int), 0, 0
     for k, n in enumerate(count):
         merged[k], total = at, total + n
@@ -81,52 +81,52 @@ def _bands(frequency, lowest):
 class Spectrum:
     """Variance of a residual's cosines by joint and band."""
 
-    variance: np.ndarray  # (nv, n_bands): infinite for a joint that does not count
-    log_prior: float  # logarithm of its prior density, but for a constant
+    variance: np.ndarray  # (nv, n_bands): infinite for an unused joint
+    log_prior: float  # log prior density, up to a constant
 
     @classmethod
     def of(cls, power, freedom, octave, smoothness):
-        """Estimate it from sums of squares of a residual by bands, (nv, n_bands)."""
-        # The logarithm of each band's mean square, unbiased, with the variance of that
-        # of a chi-squared variable of `freedom` (cosines that count, less what the fit
-        # took of them), under a prior for its second differences, with the deviation
-        # `smoothness`: a band of few cosines is what its neighbours make of it.
+        """Estimate it from sums of squared residuals by band, (nv, n_bands)."""
+        # Smooth the unbiased log mean square of each band, with the variance of the log
+        # of a chi-squared variable of `freedom` (cosines with weight less parameters of
+        # the fit), under a Gaussian prior on second differences with standard deviation
+        # `smoothness`. Bands with few cosines follow their neighbours.
         variance, log_prior = np.full(power.shape, np.inf), 0.0
-        bend = _second_differences(octave) / smoothness
+        D = _second_differences(octave) / smoothness
         for j in np.flatnonzero(power.any(axis=1)):
-            own = np.maximum(power[j], _ROUNDING * power[j].max())
-            known = freedom[j] > 0.5
-            half = 0.5 * np.where(known, freedom[j], 1.0)
+            y = np.maximum(power[j], _ROUNDING * power[j].max())
+            valid = freedom[j] > 0.5
+            half = 0.5 * np.where(valid, freedom[j], 1.0)
             # Mean and variance of the logarithm of chi^2 / freedom.
-            value = np.log(own / (2 * half)) - special.digamma(half) + np.log(half)
-            weight = np.where(known, 1.0 / special.polygamma(1, half), 0.0)
-            normal = np.diag(weight) + bend.T @ bend
-            normal += 1e-9 * np.trace(normal) * np.eye(own.size)
+            value = np.log(y / (2 * half)) - special.digamma(half) + np.log(half)
+            weight = np.where(valid, 1.0 / special.polygamma(1, half), 0.0)
+            normal = np.diag(weight) + D.T @ D
+            normal += 1e-9 * np.trace(normal) * np.eye(y.size)
             smooth = np.linalg.solve(normal, weight * value)
             variance[j] = np.exp(smooth)
-            log_prior -= 0.5 * float(((bend @ smooth) ** 2).sum())
+            log_prior -= 0.5 * float(((D @ smooth) ** 2).sum())
         return cls(variance=variance, log_prior=log_prior)
 
     def weights(self, cosines, share=1.0):
-        """Weights by band (nv, n_bands), by a power of it; see `spectrum_of`."""
-        # Those of a bridged recording count less. Their mean, weighted by the spectrum,
-        # is that of all of it.
-        heard = np.isfinite(self.variance)
-        whole = np.where(heard, self.variance, 1.0)
-        inverse = whole**-share
+        """Return weights (nv, n_bands) by a power of the spectrum (`spectrum_of`)."""
+        # Interpolated rows reduce the weights. Normalise them so that their mean, times
+        # the spectrum, is that of full spectral weighting.
+        used = np.isfinite(self.variance)
+        variance = np.where(used, self.variance, 1.0)
+        inverse = variance**-share
         count = np.diff(cosines.edges)
-        mean = (inverse * whole) @ count / count.sum()
-        own = cosines.fill[:, None] * inverse / mean[:, None]
-        return np.where(heard, own, 0.0)
+        mean = (inverse * variance) @ count / count.sum()
+        weights = cosines.fill[:, None] * inverse / mean[:, None]
+        return np.where(used, weights, 0.0)
 
     def noise(self, cosines):
-        """Variance by band (nv, n_bands) of weighted cosines; zero where none count."""
+        """Return the noise variance (nv, n_bands), 1 over the weights, or zero."""
         weights = self.weights(cosines)
         return np.divide(1.0, weights, out=np.zeros(weights.shape), where=weights > 0)
 
 
 def _second_differences(octave):
-    """Second differences of values at unequal places, (n - 2, n)."""
+    """Return the operator of second differences on an uneven grid, (n - 2, n)."""
     n = octave.size
     out = np.zeros((max(n - 2, 0), n))
     for i in range(n - 2):

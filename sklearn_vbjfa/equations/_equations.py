@@ -536,7 +536,7 @@ def build_segments(
 
     prepared, parts = plan.applied(recording), recording.segments
     average = states.halves is not None and plan.corrects_noise
-    rows = len(parts) * [None] if average else rows_of(states.own)
+    rows = len(parts) * [None] if average else rows_of(states.full)
     halves = len(parts) * [None]
     if states.halves is not None:
         halves = list(zip(*[rows_of(x, 1 + k) for k, x in enumerate(states.halves)]))
@@ -546,7 +546,7 @@ def build_segments(
     return [
         Segment(
             first=part.start,
-            states=states.own[i],
+            states=states.full[i],
             rows=rows[i],
             halves=halves[i],
             torque=prepared.tau[part],

@@ -341,7 +341,7 @@ def observe(recording, estimator, halves, n_jobs):
         keep = n_fastest(recording.n_samples)
         return smooth(recording, estimator, halves, keep, n_jobs)
     states = RecordingStates.of_rows(recording.segments, recording.states)
-    X = states.own[0] if len(states.own) == 1 else np.concatenate(states.own)
+    X = states.full[0] if len(states.full) == 1 else np.concatenate(states.full)
     q, v, a = np.split(X, 3, axis=1)
     keep = n_fastest(X.shape[0])
     parts = [MotionFacts.of(q[x], v[x], keep, n_jobs) for x in recording.segments]
@@ -363,7 +363,7 @@ def smooth(recording, estimator, halves, keep, n_jobs):
             half.append(half_states)
         # Merging at once keeps only the fastest rows of all segments in memory.
         facts = new if facts is None else facts.merge(new, keep)
-    return RecordingStates(own=full, halves=by_half if halves else None), facts
+    return RecordingStates(full=full, halves=by_half if halves else None), facts
 
 
 def smooth_with_facts(x, start, estimator, halves, keep):

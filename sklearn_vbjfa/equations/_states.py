@@ -324,14 +324,14 @@ class SplineStates:
 class RecordingStates:
     """States of a recording's segments, from all samples and from half of them."""
 
-    own: list  # (n, 3 * nv) for each segment
+    full: list  # (n, 3 * nv) for each segment
     # states from the even and from the odd samples, whose noise is independent
     halves: tuple | None = None
 
     @classmethod
     def of_rows(cls, segments, states):
         """Divide states (n, 3 * nv) of all rows among the segments."""
-        return cls(own=[states[part] for part in segments])
+        return cls(full=[states[part] for part in segments])
 
     @classmethod
     def of(cls, recording, estimator):
@@ -339,7 +339,7 @@ class RecordingStates:
         if estimator is None:
             return cls.of_rows(recording.segments, recording.inputs)
         parts = recording.segments
-        return cls(own=[estimator.smooth(recording.q[x], x.start) for x in parts])
+        return cls(full=[estimator.smooth(recording.q[x], x.start) for x in parts])
 
 
 def fit_states(dt, cutoff, X, groups):

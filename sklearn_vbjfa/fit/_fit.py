@@ -97,10 +97,10 @@ class FitData:
             both = zip(*[estimator.smooth_halves(q[x], x.start) for x in parts])
         else:
             command = recording.command / feedback[0]
-            both = self.states.own, [estimator.smooth(command[x], 0) for x in parts]
+            both = self.states.full, [estimator.smooth(command[x], 0) for x in parts]
         pieces = []
         for own in both:
-            made = replace(self, states=RecordingStates(own=list(own)))
+            made = replace(self, states=RecordingStates(full=list(own)))
             pieces.append(equations(made.segments(robot), robot.plan.lowpass))
         # An equation counts only where the joint moves in both.
         x, z = pieces
@@ -703,7 +703,7 @@ def with_corners(robot, source):
     terms, inertia = _joints_of(robot, source)
     recording = source.recording
     command = recording.command + recording.torques(plan.delay) - recording.tau
-    own = source.states.own, plan, robot.features_
+    own = source.states.full, plan, robot.features_
     rows = regressor_rows(recording, *own, theta=robot.load_parameters)
     torques = [np.concatenate([x.effects(robot.theta_) for x in rows]), command]
     further, commanded = _jumps_of(torques, robot, source)
@@ -771,7 +771,7 @@ def _jumps_of(torques, robot, source):
     # of the signs.
     estimator, groups = robot.plan.state_estimator, source.recording.groups
     nv = source.recording.nv
-    speed = np.concatenate([own[slice(None)] for own in source.states.own])
+    speed = np.concatenate([own[slice(None)] for own in source.states.full])
     signs = np.sign(speed.reshape(len(speed), -1)[:, nv : 2 * nv])
     signs, *torques = (
         x - estimator.transform(x, groups=groups)[:, :nv] for x in (signs, *torques)
@@ -790,7 +790,7 @@ def _joints_of(robot, source):
     terms |= dict(zip(features.friction_, robot.bodies(robot.theta_)[:, 10:].T))
     rotors = np.diag(np.maximum(terms["rotor_inertia"], 0.0))
     a, found = np.vstack([np.zeros(nv), np.eye(nv)]), []
-    for own in source.states.own:
+    for own in source.states.full:
         for i in np.unique(np.linspace(0, own.shape[0] - 1, _ROWS).astype(int)):
             q = np.tile(own[slice(i, i + 1)].reshape(-1)[:nv], (nv + 1, 1))
             still, *columns = features.torques(q, 0.0 * a, a, robot.inertial())

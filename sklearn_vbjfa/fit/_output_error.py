@@ -80,7 +80,7 @@ class Windows:
         # at each end; recordings shorter than a window are left out.
         nv = predictor.features_.n_joints_
         picked, start = [], []
-        for part, own in zip(recording.segments, states.own):
+        for part, own in zip(recording.segments, states.full):
             n = part.stop - part.start
             first = (n % rows) // 2
             for at in range(first, n - rows + 1, rows):

@@ -64,7 +64,7 @@ def expected(sizes, predicted):
 def _first(features, source, bodies):
     """Torques (n, nv) with likely signs, and joints (nv,) that these explain badly."""
     sizes = source.recording.tau
-    own = np.vstack([states[slice(None)] for states in source.states.own])
+    own = np.vstack([states[slice(None)] for states in source.states.full])
     made = signed_columns(own, features.torques(*np.split(own, 3, axis=1), bodies))
     found = [most_explaining(x, sizes[:, j]) for j, x in enumerate(made)]
     predicted = np.column_stack([x @ coef for x, coef in zip(made, found)])

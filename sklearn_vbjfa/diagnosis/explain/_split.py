@@ -121,7 +121,7 @@ def _bare(identifier, recording, parts):
     limit = np.maximum(facts.standstill(options.standstill, estimator), 0.0)
     longest = max(part.stop - part.start for part in parts)
     cutoff = resolve_cutoff(identifier.cutoff, longest, dt, estimator, identifier.drive)
-    speeds = (np.abs(derivative(own, slice(None), 1)) for own in states.own)
+    speeds = (np.abs(derivative(own, slice(None), 1)) for own in states.full)
     return Split(
         moving=np.concatenate([speed > limit for speed in speeds]),
         half=_lowpass.design(dt, cutoff).half,

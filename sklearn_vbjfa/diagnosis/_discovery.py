@@ -23,10 +23,10 @@ from sklearn_vbjfa.diagnosis.explain import (
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.diagnosis.search._branches import (
     branches_of,
-    put_together,
-    tuned_apart,
+    merge_branches,
+    tune_branch_shapes,
 )
-from sklearn_vbjfa.diagnosis.search._path import remembering, tuned_on
+from sklearn_vbjfa.diagnosis.search._path import slip_joints, tune_shapes
 from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
 from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
@@ -209,7 +209,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             If a channel may be wrong, such as torques in an unexpected unit.
         """
         library = self._check_parameters()
-        whole, beside = self._recording(X, y, groups, sample_weight, t)
+        whole, columns = self._recording(X, y, groups, sample_weight, t)
         drive = self.identifier.drive
         if drive is not None:
             commanded, signals = drive.split_signals(whole.tau, signals)
@@ -217,10 +217,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         names = recording_names(groups, [part.start for part in whole.segments])
         named = carries_joint_names(X, self.joint_names_)
         whole = replace(whole, joints_named=named, group_names=names)
-        self._fit(whole, library, signals, beside)
-        for found in self.report_.outcome.findings["channels"]:
-            if found.severity == "warning":
-                warnings.warn(found.message, DoubtWarning, stacklevel=3)
+        self._fit(whole, library, signals, columns)
+        for fault in self.report_.outcome.findings["channels"]:
+            if fault.severity == "warning":
+                warnings.warn(fault.message, DoubtWarning, stacklevel=3)
         return self
 
     @one_blas_thread()
@@ -240,23 +240,23 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             Fitted estimator.
         """
         library = self._check_parameters()
-        given = recording.inputs, recording.tau, recording.groups, recording.weight
-        whole, _ = self._recording(*given, None)
-        kept = ("command", "feedback", "torque_units", "joints_named", "group_names")
-        whole = replace(whole, **{name: getattr(recording, name) for name in kept})
+        arrays = recording.inputs, recording.tau, recording.groups, recording.weight
+        whole, _ = self._recording(*arrays, None)
+        names = ("command", "feedback", "torque_units", "joints_named", "group_names")
+        whole = replace(whole, **{name: getattr(recording, name) for name in names})
         return self._fit(whole, library, signals, OfferedSignals())
 
-    def _fit(self, whole, library, signals, beside):
+    def _fit(self, whole, library, signals, columns):
         """Search in a checked recording with its signals, and set the results."""
         check_rows_suffice(self.identifier, whole)
         declared = check_effects(self.identifier.effects, whole.nv)
         drive = self.identifier.drive
         if drive is not None and drive.unsigned and whole.command is None:
-            # Signs of rows that are not fitted follow from what was.
+            # The fitted rows determine the torque signs of the others.
             part = split_in_time(self.identifier, whole, self.test_size).searched(whole)
             fitted = clone(self.identifier).fit_inspected(part)
             whole = signed(fitted.robot_, whole)
-        signals, unusable = scan_signals(signals, beside, whole, (*library, *declared))
+        signals, unusable = scan_signals(signals, columns, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with show_progress(self.verbose):
             outcome, self._expectation = self._close(whole, library, unusable)
@@ -269,52 +269,52 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         return self
 
     def _check_parameters(self):
-        """Check what was given; return the library to search."""
+        """Check the parameters, and return the library of effects to search."""
         self._validate_params()
-        given = self.identifier
-        if given.criterion != "torque":
+        declared = self.identifier
+        if declared.criterion != "torque":
             raise ValueError(
-                f'identifier must have criterion="torque"; got {given.criterion!r}. '
+                f'identifier must have criterion="torque"; got {declared.criterion!r}. '
                 'Refine later: loop.identifier_.set_params(criterion="simulation").'
             )
         library = resolve(self.effects)
-        if given.asked_gains is not None:
-            # They are declared on every channel.
-            library = [one for one in library if not isinstance(one, TorqueGain)]
-        drive = given.drive
+        if declared.asked_gains is not None:
+            # Unknown gains are declared on every channel.
+            library = [e for e in library if not isinstance(e, TorqueGain)]
+        drive = declared.drive
         if drive is None or not drive.uses_positions:
             return library
-        # Effects that its simulation cannot have would change the values of the others.
-        left = {one.name: unfollowed(one) for one in library if unfollowed(one)}
-        if left and not isinstance(self.effects, str):
-            names = "; ".join(f"{name} ({why})" for name, why in left.items())
+        # Effects that its simulation cannot include would bias the other parameters.
+        excluded = {e.name: unfollowed(e) for e in library if unfollowed(e)}
+        if excluded and not isinstance(self.effects, str):
+            names = "; ".join(f"{name} ({why})" for name, why in excluded.items())
             message = f"Not available with {type(drive).__name__}: {names}."
             warnings.warn(message, UserWarning, stacklevel=4)
-        return [one for one in library if one.name not in left]
+        return [e for e in library if e.name not in excluded]
 
     def _recording(self, X, y, groups, sample_weight, t):
-        """Make a `Recording` with a clock of the arguments of a fit; other columns."""
+        """Return a `Recording` with time, and the other columns of X."""
         self.joint_names_ = names = joint_names(load_model(self.identifier.model))
         X, y, columns = checked_arrays(self, names, X, y)
         weight = check_weight(sample_weight, y.shape)
         dt = check_dt(self.identifier.dt)
         t = check_clock(t, X.shape[0], dt)
-        made = take_arrays(X, y, groups, weight, t, dt=dt, joint_names=names)
-        return made, columns
+        recording = take_arrays(X, y, groups, weight, t, dt=dt, joint_names=names)
+        return recording, columns
 
     def _close(self, whole, library, unusable):
-        """Close the loop on a checked recording; return what `make_outcome` does."""
+        """Search, validate and fit the completed model; return an `Outcome`."""
         say("channels")
         channels = self.identifier.findings(whole) if whole.states is None else ()
         measured = self.identifier.drive is None and self.identifier.gains is None
-        wrong = refusal(channels, whole.torque_units if measured else ())
-        if wrong is not None:
-            raise wrong
+        fault = refusal(channels, whole.torque_units if measured else ())
+        if fault is not None:
+            raise fault
         silent = [j for f in channels if f.kind in NO_INFORMATION for j in f.joints]
         self.torque_lag_ = 0.0
         if lag := common_lag(channels):
-            again = clone(self.identifier).fit_inspected(whole, lag, compare=False)
-            self.torque_lag_ = again.torque_lag_
+            refit = clone(self.identifier).fit_inspected(whole, lag, compare=False)
+            self.torque_lag_ = refit.torque_lag_
             whole = with_torques_shifted(whole, self.torque_lag_)
         say("declared model")
         split = split_in_time(self.identifier, whole, self.test_size)
@@ -322,90 +322,90 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.declared_ = clone(self.identifier).fit_inspected(part, compare=False)
         self.baseline_ = self.declared_
         if set(declarable()) - set(self.declared_.features_.friction_):
-            # Plain terms that are declared as effects of single joints would be twice.
-            own = tuple(
+            # Do not duplicate friction terms that are declared on single joints.
+            kept = tuple(
                 effect
                 for effect in self.identifier.effects
                 if effect.name not in declarable() or any(effect.shape().values())
             )
-            bare = clone(self.identifier).set_params(friction=declarable(), effects=own)
-            self.baseline_ = bare.fit_inspected(part, compare=False)
+            new = clone(self.identifier).set_params(friction=declarable(), effects=kept)
+            self.baseline_ = new.fit_inspected(part, compare=False)
         begins = tuple(whole.t[rows.start] for rows in whole.segments)
         repetition = find_repetition(whole.q, whole.t, whole.segments)
-        known = {"begins": begins, "repetition": repetition}
+        timing = {"begins": begins, "repetition": repetition}
         lowpass = self.baseline_.robot_.plan.lowpass
         moving = split.moving[split.rows]
-        kept, pieces = stretches(part.segments, moving, lowpass)
-        near = split
-        if kept.size < split.rows.size:
-            near = replace(split, rows=split.rows[kept], pieces=pieces)
+        chosen, pieces = stretches(part.segments, moving, lowpass)
+        thinned = split
+        if chosen.size < split.rows.size:
+            thinned = replace(split, rows=split.rows[chosen], pieces=pieces)
         say("search")
-        given = {"origin": whole.groups[near.rows], **known}
-        found = self._search(near.searched(whole), silent, given, library)
+        keywords = {"origin": whole.groups[thinned.rows], **timing}
+        result = self._search(thinned.searched(whole), silent, keywords, library)
         say("held-out judgement")
-        named, unnamed = self.baseline_, ()
-        if found.effects:
-            named = self._with(found.effects, named, part)
+        model, torques = self.baseline_, ()
+        if result.effects:
+            model = self._fit_with(result.effects, model, part)
         if isinstance(self.effects, str) and self.identifier.drive is None:
-            fit = FinalFit(self.baseline_, named, found.view)
-            unnamed = unnamed_torques(fit, found.settings)
-        self.validation_model_ = named.beside(unnamed)
+            fit = FinalFit(self.baseline_, model, result.view)
+            torques = unnamed_torques(fit, result.settings)
+        self.validation_model_ = model.beside(torques)
         del part  # a copy of most rows
-        judged = judge(self, found, split, near, whole)
+        judged = judge(self, result, split, thinned, whole)
         say("final model")
         rows, pieces = stretches(whole.segments, split.moving, lowpass)
-        seen = take_rows(whole, rows, pieces)
-        given = {"origin": whole.groups[rows], "all_samples": True, **known}
-        final = self._final(found, named, whole, seen, silent, given)
-        self.identifier_ = final.identifier.beside(that_help(final, unnamed))
+        sample = take_rows(whole, rows, pieces)
+        keywords = {"origin": whole.groups[rows], "all_samples": True, **timing}
+        final = self._fit_final(result, model, whole, sample, silent, keywords)
+        self.identifier_ = final.identifier.beside(that_help(final, torques))
         say("explaining")
         channels = (*channels, *unusable)
-        return make_outcome(self, found, final, judged, channels, whole)
+        return make_outcome(self, result, final, judged, channels, whole)
 
-    def _search(self, part, silent, known, library):
-        """Search the robot, or its branches one by one where there are many joints."""
+    def _search(self, part, silent, keywords, library):
+        """Search the robot, or each branch of a robot with many joints."""
         robot = self.baseline_.robot_
         settings = SearchSettings() if self.settings is None else self.settings
-        view = RecordingView(robot, part, silent, **known)
+        view = RecordingView(robot, part, silent, **keywords)
         branches = branches_of(self.baseline_, library, self.max_effects)
-        heard = [b for b in branches if view.precision[b.joints].any()]
-        if len(branches) == 1 or not heard:
-            library = library if heard else ()
+        used = [b for b in branches if view.precision[b.joints].any()]
+        if len(branches) == 1 or not used:
+            library = library if used else ()
             return search(view, library, settings, self.alpha, self.max_effects)
-        # As many effects are expected of all branches together as of one robot.
-        share = replace(settings, expected=settings.expected / len(heard))
-        views = (branch.view(robot, part, silent, **known) for branch in heard)
-        found = [search(alone, library, share, self.alpha) for alone in views]
+        # The branches share the prior expectation of the number of effects.
+        share = replace(settings, expected=settings.expected / len(used))
+        views = (branch.view(robot, part, silent, **keywords) for branch in used)
+        results = [search(v, library, share, self.alpha) for v in views]
         theta = robot.linear_part(self.baseline_.theta_unconstrained_)
-        return put_together(view, view.motion_of(theta), heard, found)
+        return merge_branches(view, view.motion_of(theta), used, results)
 
-    def _with(self, effects, begin, recording, **settings):
-        """Fit the model with the plain terms and effects; begin: where values start."""
-        plain = self.baseline_
-        settings["effects"] = (*plain.effects_, *effects)
-        if plain.gains_ is not None:
-            # Channels that were the units of gains stay that.
-            names = plain.joint_names_
-            settings["gains"] = tuple(names[j] for j in plain.gains_.references)
-        again = clone(plain).set_params(**settings)
-        return again.fit_inspected(recording, compare=False, before=begin.robot_)
+    def _fit_with(self, effects, start, recording, **settings):
+        """Fit the baseline model with effects, starting from the values of a model."""
+        baseline = self.baseline_
+        settings["effects"] = (*baseline.effects_, *effects)
+        if baseline.gains_ is not None:
+            # Keep the reference channels of the gains.
+            names = baseline.joint_names_
+            settings["gains"] = tuple(names[j] for j in baseline.gains_.references)
+        model = clone(baseline).set_params(**settings)
+        return model.fit_inspected(recording, compare=False, before=start.robot_)
 
-    def _final(self, found, begin, whole, seen, silent, known):
-        """Fit the completed model to all data, in the band that was judged."""
+    def _fit_final(self, result, start, whole, subset, silent, keywords):
+        """Fit the completed model to all data, in the validated frequency band."""
         band, options, judged = {}, self.identifier.fit_options, self.validation_model_
         if isinstance(self.identifier.cutoff, str):
             band["cutoff"] = judged.cutoff_ if np.isfinite(judged.cutoff_) else None
         if isinstance(options.standstill, str):
             band["options"] = replace(options, standstill=judged.standstill_)
-        view = RecordingView(self.baseline_, seen, silent, **known)
-        view = view.with_rest(remembering(found.effects))
-        if found.branches:
-            part = self.baseline_.robot_, seen, silent
-            effects = tuned_apart(found, lambda b: b.view(*part, **known))
+        view = RecordingView(self.baseline_, subset, silent, **keywords)
+        view = view.with_rest(slip_joints(result.effects))
+        if result.branches:
+            data = self.baseline_.robot_, subset, silent
+            effects = tune_branch_shapes(result, lambda b: b.view(*data, **keywords))
         else:
-            effects = tuned_on(view, found.effects, found.settings)
-        named = self._with(effects, begin, whole, **band)
-        return FinalFit(self.baseline_, named, view, seen.n_samples / whole.n_samples)
+            effects = tune_shapes(view, result.effects, result.settings)
+        model = self._fit_with(effects, start, whole, **band)
+        return FinalFit(self.baseline_, model, view, subset.n_samples / whole.n_samples)
 
     @wraps(RobotIdentifier.predict)
     def predict(self, X, groups=None, t=None, signals=None):
@@ -415,8 +415,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     def expected_error(self, X, groups=None, t=None, signals=None):
         """Predict the error of the completed model on another motion.
 
-        It is the error on held-out data, larger for motion beyond that of the fit, and
-        what friction, gains, offsets and the load differ by between recordings.
+        The error on held-out data is increased for motion beyond that of the fit, and
+        for the variation of friction, gains, offsets and load between recordings.
 
         Parameters
         ----------
@@ -428,14 +428,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         error : ndarray of shape (nv,)
             Median of the RMS error over `torque_std_`; nan without held-out data.
         interval : ndarray of shape (2, nv)
-            Ends between which it is in nine of ten recordings.
+            Bounds of the 90 % prediction interval.
         """
         predicted = self.predict(X, groups, t, signals)
-        robot, spread = self.identifier_, self.torque_std_
+        robot, scale = self.identifier_, self.torque_std_
         X, _ = positions_and_signals(X, self.joint_names_)
         states = np.asarray(robot.robot_.states(X, groups))
         speeds = np.abs(np.split(states, 3, axis=1)[1])
         moving = (speeds > np.maximum(robot.standstill_, 0.0)).astype(float)
-        motion = motions_of(robot, states, predicted, moving, spread)
+        motion = motions_of(robot, states, predicted, moving, scale)
         error, low, high = self._expectation.of(motion)[:, :-1]
         return error, np.stack([low, high])

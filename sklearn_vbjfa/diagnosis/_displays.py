@@ -10,7 +10,7 @@ from sklearn_vbjfa.fit._identifier import RobotIdentifier
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.recording import check_clock
 
-# Points of one panel: more are a blot, and slow.
+# Maximum number of points per panel, for legibility and speed.
 _POINTS = 4000
 _COLOURS = {"measured": "0.25", "before": "0.72", "after": "tab:blue"}
 
@@ -24,17 +24,16 @@ class TorqueDisplay:
     time : ndarray of shape (m,)
         Time [s]; rows without a sample period are counted.
     measured, before : ndarray of shape (m, nv)
-        Measured torques after the low-pass, and those that the declared model predicts
-        [N m or N].
+        Low-pass filtered torques, and those predicted by the declared model [N m or N].
     after : ndarray of shape (m, nv), default=None
-        Torques that the completed model predicts [N m or N].
+        Torques predicted by the completed model [N m or N].
     joint_names, units : sequence of str
-        Joints, and the units of their torques.
+        Joint names and torque units.
 
     Attributes
     ----------
     figure_, axes_, lines_ : Figure, ndarray of Axes (nv,), list of Line2D
-        Those of `plot`; the lines of each joint are measured, before, after.
+        Set by `plot`; the lines of each joint are measured, before, after.
     """
 
     time: np.ndarray
@@ -49,7 +48,7 @@ class TorqueDisplay:
     def from_estimator(
         cls, estimator, X, y, groups=None, t=None, joints=None, signals=None
     ):
-        """Make the display of a fitted model and a recording.
+        """Create the display from a fitted model and a recording.
 
         Parameters
         ----------
@@ -68,14 +67,14 @@ class TorqueDisplay:
         check_is_fitted(estimator)
         alone = isinstance(estimator, RobotIdentifier)
         models = (estimator,) if alone else (estimator.declared_, estimator.identifier_)
-        found = [m.residuals(X, y, groups, t=t, signals=signals) for m in models]
-        clock, index = check_clock(t, np.shape(X)[0], models[-1].dt), found[0].index
+        residuals = [m.residuals(X, y, groups, t=t, signals=signals) for m in models]
+        clock, index = check_clock(t, np.shape(X)[0], models[-1].dt), residuals[0].index
         slides = is_prismatic(models[-1].features_.model_)
         chosen = list(range(slides.size) if joints is None else joints)
-        predicted = (r.predicted[:, chosen] for r in found)
+        predicted = (r.predicted[:, chosen] for r in residuals)
         return cls(
             time=index if clock is None else clock[index],
-            measured=found[0].torque[:, chosen],
+            measured=residuals[0].torque[:, chosen],
             **dict(zip(("before", "after"), predicted)),
             joint_names=tuple(models[-1].joint_names_[j] for j in chosen),
             units=tuple("N" if slides[j] else "N m" for j in chosen),
@@ -97,7 +96,7 @@ class TorqueDisplay:
         count = len(self.joint_names)
         if ax is None:
             try:
-                # By name, so that nothing here imports an optional package.
+                # Matplotlib is optional; import it on first use.
                 pyplot = importlib.import_module("matplotlib.pyplot")
             except ImportError as error:
                 message = "A display needs matplotlib: pip install matplotlib."

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._path import tuned_on
+from sklearn_vbjfa.diagnosis.search._path import tune_shapes
 from sklearn_vbjfa.diagnosis.search._posterior import sort_findings
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import OfRobot, ToAnother
@@ -138,7 +138,7 @@ def _branch_model(model, joints):
     return branch
 
 
-def put_together(view, motion, branches, results):
+def merge_branches(view, motion, branches, results):
     """Merge the results of branches, list of SearchResult."""
     findings, residual = {}, np.zeros_like(view.target)
     for branch, result in zip(branches, results):
@@ -161,13 +161,13 @@ def put_together(view, motion, branches, results):
     )
 
 
-def tuned_apart(found, view_of):
+def tune_branch_shapes(merged, view_of):
     """Refit the shapes of effects to another recording, branch by branch."""
     # view_of: returns the `RecordingView` of a branch in that recording.
     final = {}
-    for branch, result in found.branches:
+    for branch, result in merged.branches:
         if result.effects:
-            tuned = tuned_on(view_of(branch), result.effects, result.settings)
+            tuned = tune_shapes(view_of(branch), result.effects, result.settings)
             for before, after in zip(result.effects, tuned):
                 final.setdefault(branch.on_robot(before).key(), branch.on_robot(after))
-    return tuple(final[effect.key()] for effect in found.effects)
+    return tuple(final[effect.key()] for effect in merged.effects)

@@ -435,11 +435,11 @@ def relinearise(fit):
     return Fit(base.on(problem), updated)
 
 
-def tuned_on(view, effects, settings):
+def tune_shapes(view, effects, settings):
     """Refit the shapes of effects to another recording, tuple of Effect."""
     if not effects:
         return ()
-    path = Path(view.with_rest(remembering(effects)), (), settings)
+    path = Path(view.with_rest(slip_joints(effects)), (), settings)
     # One weight per joint, as in the fit of the robot.
     fit, previous = path.fit_effects(effects), -np.inf
     best, most, stalled = fit, -np.inf, 0
@@ -455,7 +455,7 @@ def tuned_on(view, effects, settings):
     return tuple(member.effect.completed() for member in best.members)
 
 
-def remembering(effects):
+def slip_joints(effects):
     """Return the joints with presliding friction (a `Bank`), a set of int."""
     return {effect.joint for effect in effects if isinstance(effect, Bank)}
 

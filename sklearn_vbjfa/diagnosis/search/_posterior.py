@@ -11,7 +11,7 @@ from sklearn_vbjfa.diagnosis.search._path import (
     ENTRY_SHARE,
     Path,
     relinearise,
-    remembering,
+    slip_joints,
 )
 from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
@@ -150,7 +150,7 @@ def search(view, library, settings, alpha, max_effects=None):
         view = view.with_rest(resting)
         path = Path(view, library, settings, max_effects, no_bank)
         fit, odds, gains = _final_model(path, path.run())
-        bank_joints = remembering(member.effect for member in fit.members)
+        bank_joints = slip_joints(member.effect for member in fit.members)
         if resting <= bank_joints:
             break
         # Rows at rest need presliding friction.
@@ -220,7 +220,7 @@ def _friction_at_rest(view, library, settings):
         if gain.gain > settings.significance * gain.gain_std
         and validation.share_of(i) > _REST_SHARE
     }
-    no_bank = resting - remembering(member.effect for member in fit.members)
+    no_bank = resting - slip_joints(member.effect for member in fit.members)
     return view, predicted & resting, no_bank
 
 

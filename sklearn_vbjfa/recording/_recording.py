@@ -1,4 +1,4 @@
-"""Recordings, which are read, loaded, simulated and fitted."""
+"""The `Recording` class and its validation, selection and resampling."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import pinocchio as pin
 
 
-def _number(value):
+def _to_float(value):
     try:
         return np.nan if isinstance(value, str) else float(value)
     except (TypeError, ValueError):
@@ -22,7 +22,7 @@ def _number(value):
 
 def check_dt(dt):
     """Return the sample period as a positive finite float."""
-    value = _number(dt)
+    value = _to_float(dt)
     if not 0 < value < np.inf:
         raise ValueError(
             f"dt must be the sample period in seconds, positive and finite; got {dt!r}."
@@ -32,7 +32,7 @@ def check_dt(dt):
 
 def check_cutoff(cutoff, dt):
     """Return a cut-off in Hz as a float; infinity for None."""
-    value = np.inf if cutoff is None else _number(cutoff)
+    value = np.inf if cutoff is None else _to_float(cutoff)
     if not value > 0:
         raise ValueError(
             "cutoff must be a positive frequency in Hz, 'auto', or None for no "
@@ -47,7 +47,7 @@ def check_cutoff(cutoff, dt):
 
 
 def check_clock(t, n_samples, dt):
-    """Return the time of each row [s], rising over all; multiples of dt without t."""
+    """Return the increasing times of all rows [s], multiples of dt if t is None."""
     if t is None:
         return None if dt is None else np.arange(n_samples) * check_dt(dt)
     time = np.asarray(t, dtype=float)
@@ -105,10 +105,10 @@ class Recording:
         Standard deviation of the white noise of a torque sample [see `torque_units`],
         measured before rows were interpolated; None if no row was.
     command : ndarray of shape (n_samples, nv) or None, default=None
-        The part of `tau` that a drive made of commands alone; see `PDDrive`.
+        The part of `tau` that a drive computed from commands alone; see `PDDrive`.
     feedback : ndarray of shape (2, nv) or None, default=None
-        Gains with which it made the rest of measured positions and velocities: noise of
-        positions is noise of `tau`, that many times.
+        Gains of the feedback part of `tau` on measured positions and velocities, which
+        amplify the noise of positions.
     signals : mapping of str to ndarray, default={}
         Other channels on the same rows; the loader gives their units.
     before : tuple of ndarray of shape (k, nv), default=()
@@ -153,7 +153,7 @@ class Recording:
     citation: str = ""
     description: str = ""
 
-    # Fields with a value for each row: columns for each joint, 0 for one in all.
+    # Fields with a value per row: number of columns per joint, 0 for one-dimensional.
     WIDTHS: ClassVar = {"t": 0, "states": 3} | dict.fromkeys(
         ("q", "tau", "v", "weight", "command"), 1
     )
@@ -181,8 +181,8 @@ class Recording:
         labels = self.groups[[part.start for part in self.segments]]
         names = [*dict.fromkeys(self.group_names)]
         is_int = self.groups.dtype.kind in "iu"
-        whole = len(names) == len(self.group_names) and is_int
-        if not whole or labels.tolist() != [*range(len(names))]:
+        valid = len(names) == len(self.group_names) and is_int
+        if not valid or labels.tolist() != [*range(len(names))]:
             raise ValueError(
                 "groups must hold the integers from 0 on in contiguous blocks, one for "
                 f"each of the different group_names {self.group_names}; got blocks "
@@ -247,8 +247,8 @@ class Recording:
                 "has no commands: give them as in the fit (drive=PDDrive(...)), or "
                 "predict torques without measured ones."
             )
-        late = interpolate(self.command, self.segments, self.clock, delay)
-        return self.tau + (late - self.command)
+        delayed = interpolate(self.command, self.segments, self.clock, delay)
+        return self.tau + (delayed - self.command)
 
     def select(self, *names_or_labels: str | int) -> "Recording":
         """Keep some of the recordings.
@@ -276,8 +276,8 @@ class Recording:
                 f"names {names} or the labels 0 to {len(names) - 1}."
             )
         kept = sorted({labels[x] for x in names_or_labels})
-        made = take_rows(self, [self.segments[label] for label in kept], kept)
-        return replace(made, group_names=tuple(names[label] for label in kept))
+        selected = take_rows(self, [self.segments[label] for label in kept], kept)
+        return replace(selected, group_names=tuple(names[label] for label in kept))
 
     def robot_model(self) -> "pin.Model":
         """Nominal model of the robot, with one degree of freedom per joint.
@@ -305,37 +305,37 @@ class Recording:
 
 
 def bridged(recording):
-    """Return it with straight lines for torques without weight, as filters need."""
+    """Interpolate torques of zero weight linearly, since filters need all samples."""
     if recording.weight is None or (recording.weight > 0).all():
         return recording
     tau, rows = recording.tau.copy(), np.arange(recording.n_samples)
     for part in recording.segments:
-        for y, own in zip(tau[part].T, recording.weight[part].T > 0):
-            if own.any():
-                y[:] = np.interp(rows[part], rows[part][own], y[own])
+        for y, weighted in zip(tau[part].T, recording.weight[part].T > 0):
+            if weighted.any():
+                y[:] = np.interp(rows[part], rows[part][weighted], y[weighted])
     return replace(recording, tau=tau)
 
 
 def with_torques_shifted(recording, lag):
-    """Return a recording whose torques are read later by a lag [s]."""
-    # Torques between rows are interpolated; rows at the ends of recordings whose
-    # torques lie outside have no weight, others the least of their two neighbours'.
-    parts, given = recording.segments, recording.weight
+    """Return a recording with torques read at times later by a lag [s]."""
+    # Torques between rows are interpolated, with the smaller of their two neighbours'
+    # weights. Rows whose torques lie outside the recording have zero weight.
+    parts, old_weight = recording.segments, recording.weight
     tau = interpolate(bridged(recording).tau, parts, recording.clock, -lag)
-    given = np.ones(tau.shape) if given is None else given
+    old_weight = np.ones(tau.shape) if old_weight is None else old_weight
     weight = np.zeros(tau.shape)
     for part in parts:
-        at = np.arange(part.stop - part.start) + lag / recording.dt
-        inside = (at >= 0) & (at <= at.size - 1)
-        near = (way(at[inside]).astype(int) for way in (np.floor, np.ceil))
-        weight[part][inside] = np.minimum(*(given[part][rows] for rows in near))
+        index = np.arange(part.stop - part.start) + lag / recording.dt
+        inside = (index >= 0) & (index <= index.size - 1)
+        near = (rounded(index[inside]).astype(int) for rounded in (np.floor, np.ceil))
+        weight[part][inside] = np.minimum(*(old_weight[part][rows] for rows in near))
     return replace(recording, tau=tau, weight=weight)
 
 
 def take_arrays(
     X, y, groups=None, weight=None, t=None, *, dt, joint_names, signals=None
 ):
-    """Make a recording of the validated arguments of a fit or a prediction."""
+    """Build a recording from the validated arguments of a fit or a prediction."""
     # X: positions (n_samples, nv) or states (n_samples, 3 nv); y, weight (n_samples,
     # nv), None for zero torques; groups: labels in any form; t: time stamps; dt [s];
     # signals (n_samples,) by name.
@@ -346,7 +346,7 @@ def take_arrays(
         tau=np.zeros((len(X), nv)) if y is None else y,
         t=None if t is None else np.asarray(t, dtype=float),
         dt=None if dt is None else check_dt(dt),
-        **_labelled(segments),
+        **_segment_labels(segments),
         joint_names=tuple(joint_names),
         position_units=nv * ("",),
         torque_units=nv * ("",),
@@ -357,52 +357,52 @@ def take_arrays(
 
 
 def recording_names(groups, starts):
-    """Return what each recording is called: its label, or its number from 1."""
+    """Return the name of each recording: its label, or its number from 1."""
     numbers = [str(k) for k in range(len(starts) + 1)]
     labels = numbers[1:] if groups is None else [*map(str, np.asarray(groups)[starts])]
     return tuple(numbers[1:] if labels == numbers[:-1] else labels)
 
 
-def _labelled(segments):
-    """Return labels and names of recordings that follow one another."""
+def _segment_labels(segments):
+    """Return the fields `groups` and `group_names` of consecutive segments."""
     names = tuple(str(k) for k in range(len(segments)))
     lengths = [part.stop - part.start for part in segments]
     return {"groups": np.repeat(np.arange(len(names)), lengths), "group_names": names}
 
 
 def take_rows(recording, rows, groups):
-    """Make a recording of some rows (ascending), in new segments."""
-    # rows (n_kept,), or slices; groups (n_kept,): labels of the segments in any form,
-    # one for each of the slices.
+    """Return a recording of some rows (ascending), in new segments."""
+    # rows: (n_kept,) or slices; groups: segment labels in any form, (n_kept,) or one
+    # per slice.
     if not isinstance(rows, np.ndarray):
-        groups = np.repeat(list(groups), [own.stop - own.start for own in rows])
-        rows = np.concatenate([np.arange(own.start, own.stop) for own in rows])
+        groups = np.repeat(list(groups), [part.stop - part.start for part in rows])
+        rows = np.concatenate([np.arange(part.start, part.stop) for part in rows])
     segments = contiguous_groups(groups, rows.size)
 
-    def taken(x):
+    def select(x):
         if x is not None and not x.strides[0]:
-            # One number for all rows takes no memory.
+            # A value broadcast over all rows needs no memory: keep it a view.
             return np.broadcast_to(x[0], (rows.size, *x.shape[1:]))
         return None if x is None else x[rows]
 
     return replace(
         recording,
-        **{key: taken(getattr(recording, key)) for key in recording.WIDTHS},
-        **_labelled(segments),
+        **{key: select(getattr(recording, key)) for key in recording.WIDTHS},
+        **_segment_labels(segments),
         signals={key: values[rows] for key, values in recording.signals.items()},
         before=tuple(_positions_before(recording, rows[x.start]) for x in segments),
     )
 
 
 def _positions_before(recording, row):
-    """Positions (k, nv) of the recording that a row belongs to, before that row."""
+    """Return the positions (k, nv) that precede a row in its recording."""
     k = int(recording.groups[row])
-    known = recording.q[recording.segments[k].start : row]
-    return np.concatenate([recording.before[k], known]) if recording.before else known
+    before = recording.q[recording.segments[k].start : row]
+    return np.concatenate([recording.before[k], before]) if recording.before else before
 
 
 def _check(name: str, values: Any, shape: tuple[int, ...]) -> None:
-    """Reject what is not an array of finite numbers in a shape."""
+    """Raise an error unless values are a finite numeric array of the given shape."""
     is_array = isinstance(values, np.ndarray) and values.dtype.kind in "biuf"
     if not is_array or not np.isfinite(values).all():
         kind = getattr(values, "dtype", type(values).__name__)

@@ -1,4 +1,4 @@
-"""A file's content as a data frame, names and units of its columns, and refusals."""
+"""Tables read from files, names and units of their columns, and error classes."""
 
 import contextlib
 import difflib
@@ -16,28 +16,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-# Bytes that a file may hold when unpacked: some hours of a robot at 1 kHz.
-LARGEST = 1 << 30
-# Entries of a list, and characters of a name or cell, that messages quote at most.
-_ENTRIES, _CHARACTERS = 20, 60
+# Maximum size of an unpacked file [byte]: some hours of a robot at 1 kHz.
+MAX_BYTES = 1 << 30
+# Maximum number of list entries, and of characters of a name or cell, in messages.
+_MAX_ENTRIES, _MAX_LENGTH = 20, 60
 
 
 class Loss(str):
-    """A note on a part of a recording, or of its robot, that is left out."""
+    """A note on a part of a recording or robot that is left out."""
 
     __slots__ = ()
 
 
 class RecordingRefused(ValueError):
-    """A file that is not read, maybe with other options that read it.
+    """Error for a file that cannot be read, with options that would read it.
 
     Attributes
     ----------
     reason : str
         Why the file is refused, without the options.
     options : dict of str to str, tuple or None
-        The options, by the names of `read_recording`; None for one to leave out. Empty
-        if none would do.
+        Arguments of `read_recording` to change; None for one to leave out. Empty if
+        none is known.
     """
 
     def __init__(self, reason, options=None):
@@ -49,37 +49,37 @@ class RecordingRefused(ValueError):
 
 
 class NotATable(RecordingRefused):
-    """A file that holds no table of numbers at all, such as a text to be read."""
+    """Error for a file that contains no table of numbers, such as prose."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Named columns of equal length, numbers or text, out of a file.
+    """Columns of a file, of equal length, with numbers or text.
 
-    The index of the frame has the number by which messages call each row.
+    The index of the frame contains the row numbers used in messages.
     """
 
-    path: Path  # as messages name it
-    name: str = ""  # of the recording, if not that of the file
+    path: Path  # as shown in messages
+    name: str = ""  # of the recording, if it differs from the file name
     frame: Any  # a data frame
-    place: str = "row {}"  # a row in messages
-    # single values, and arrays of another length
+    place: str = "row {}"  # format of a row number in messages
+    # single values, and arrays whose length is not the number of rows
     scalars: Mapping[str, np.ndarray] = field(default_factory=dict)
-    # joints whose columns are called q_<joint> and tau_<joint> for certain
+    # joints if the columns are certain to be named q_<joint> and tau_<joint>
     joints: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
     def nameless(self) -> bool:
-        """Whether columns are called by their places, from "1" on."""
+        """Whether columns have no names, only their numbers, from "1" on."""
         return all(name.isdecimal() for name in self.frame)
 
     def values(self, name) -> np.ndarray:
-        """Return a column: numbers, dates, or text as objects."""
+        """Return a column as an array of numbers, dates, or objects for text."""
         return self.frame[name].to_numpy()
 
     def numbers(self, name) -> np.ndarray:
-        """Return a column as finite floats; an error names the wrong cell."""
+        """Return a column as finite floats; an error names the first invalid cell."""
         values = self.values(name)
         if values.dtype.kind not in "biuf":
             raise ValueError(
@@ -98,12 +98,12 @@ class Table:
         return values
 
     def with_dates(self) -> "Table":
-        """Return the table with one column of dates for stamps that have two."""
+        """Merge time stamps in two columns, such as s and ns, to a column of dates."""
         pandas, frame = imported(self.path, "pandas"), self.frame.copy(deep=False)
         numbers = [name for name in frame if frame[name].dtype.kind in "iuf"]
-        for name, (end, rests) in itertools.product(numbers, _NAMES["clocks"].items()):
-            for rest, unit in rests.items() if name.endswith(end) else ():
-                other = name.removesuffix(end) + rest
+        for name, (end, parts) in itertools.product(numbers, _CONFIG["clocks"].items()):
+            for part, unit in parts.items() if name.endswith(end) else ():
+                other = name.removesuffix(end) + part
                 if other in numbers:
                     date = pandas.to_datetime(frame[name], unit="s", errors="coerce")
                     date += pandas.to_timedelta(frame.pop(other), unit=unit)
@@ -111,22 +111,22 @@ class Table:
         return replace(self, frame=frame)
 
     def where(self, row) -> str:
-        """Name a row in words."""
+        """Return the location of a row for messages."""
         return self.place.format(self.frame.index[row])
 
 
-# -- files that are damaged, too large or empty, packages that are missing -------------
+# -- damaged, large or empty files, and missing packages -------------------------------
 
 
 @contextlib.contextmanager
 def parsing(path, what, remedy):
-    """Turn whatever a parser raises on a damaged file into one refusal."""
+    """Convert any exception of a parser on a damaged file to one clear ValueError."""
     try:
         yield
     except (RecordingRefused, ImportError):
         raise
     except Exception as error:
-        # rosbags quotes what an error held as a tuple.
+        # rosbags prints the arguments of an error as a tuple.
         reason = re.sub(r"\(['\"](.*?)['\"],\)", r"\1", " ".join(str(error).split()))
         reason = reason.rstrip(".")[:200] or type(error).__name__
         raise ValueError(
@@ -135,22 +135,22 @@ def parsing(path, what, remedy):
 
 
 def check_size(path, size):
-    """Refuse what is packed small and fills the memory."""
-    if size > LARGEST:
+    """Refuse files that would fill the memory when unpacked."""
+    if size > MAX_BYTES:
         raise RecordingRefused(
             f"{path}: is too large to be read at once, {size / (1 << 30):.1f} GiB of "
-            f"at most {LARGEST / (1 << 30):.0f}; save a shorter recording."
+            f"at most {MAX_BYTES / (1 << 30):.0f}; save a shorter recording."
         )
 
 
 def no_rows(path):
-    """Return the refusal of a file without data."""
-    what = "is empty, no rows of data; expected one per sample"
-    return RecordingRefused(f"{path}: {what}")
+    """Return the error for a file without data."""
+    reason = "is empty, no rows of data; expected one per sample"
+    return RecordingRefused(f"{path}: {reason}")
 
 
 def check_names(path, names, what):
-    """Refuse a name that comes twice."""
+    """Raise an error if a name occurs twice."""
     ((first, count),) = Counter(names).most_common(1)
     if count > 1:
         raise RecordingRefused(
@@ -160,50 +160,50 @@ def check_names(path, names, what):
 
 
 def imported(path, module):
-    """Import a module that a file needs, or say how to install it."""
+    """Import a module required to read a file; an error tells how to install it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
         package = module.partition(".")[0].replace("_", "-")
         raise ImportError(
             f"{path}: reading it needs {package}: pip install "
-            f'"sklearn-vbjfa[{_NAMES["extras"][package]}]"'
+            f'"sklearn-vbjfa[{_CONFIG["extras"][package]}]"'
         ) from error
 
 
-# -- what a file holds, quoted ---------------------------------------------------------
+# -- contents of files in messages -----------------------------------------------------
 
 
 def quoted(value):
-    """Write a value as Python does; of a long one the beginning."""
+    """Return the repr of a value, truncated if long."""
     text = repr(value)
-    left = len(text) - _CHARACTERS
-    return f"{text[:_CHARACTERS]} and {left} characters more" if left > 0 else text
+    n_more = len(text) - _MAX_LENGTH
+    return f"{text[:_MAX_LENGTH]} and {n_more} characters more" if n_more > 0 else text
 
 
 def listed(names):
-    """List names with commas; of many the first."""
-    names = [x if len(x) <= _CHARACTERS else quoted(x) for x in map(str, names)]
-    if len(names) > _ENTRIES:
-        names[_ENTRIES - 1 :] = [f"and {len(names) - _ENTRIES + 1} more"]
+    """Join names with commas, truncated if there are many."""
+    names = [x if len(x) <= _MAX_LENGTH else quoted(x) for x in map(str, names)]
+    if len(names) > _MAX_ENTRIES:
+        names[_MAX_ENTRIES - 1 :] = [f"and {len(names) - _MAX_ENTRIES + 1} more"]
     return ", ".join(names)
 
 
-# Channels of joints, and which of them a command has the unit of.
+# Channels of joints, and the measured channel whose unit a command shares.
 KINDS = ("q", "tau", "v", "a")
 MEASURED = {"q_desired": "q", "v_desired": "v", "tau_ff": "tau"}
-# What one may write for a time, where a unit is asked for, in seconds.
+# Units of time that an option accepts, in seconds.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "days": 86400.0}
-# Periods of robots that move [s].
+# Plausible sample periods of a moving robot [s].
 _FASTEST, SLOWEST = 2e-5, 1.0
-# Units, words and presets.
-_NAMES = tomllib.loads(
+# Units, words and presets, see ``names.toml``.
+_CONFIG = tomllib.loads(
     resources.files("sklearn_vbjfa.recording").joinpath("names.toml").read_text("utf-8")
 )
 
 
 class Unit(NamedTuple):
-    """A unit: its base and its size in it."""
+    """A unit: its base unit and its size in that unit."""
 
     base: str
     factor: float
@@ -216,36 +216,36 @@ _UNITS = {
         for spellings, size in sizes.items()
         for spelling in spellings.split()
     }
-    for kind, bases in _NAMES["units"].items()
+    for kind, bases in _CONFIG["units"].items()
 }
-# How units of derivatives of positions end.
+# Endings of the units of velocities and accelerations.
 _RATES = {"v": ("/s", "/sec", "ps"), "a": ("/s^2", "/s2", "/s²", "/s/s", "ps2")}
-EXPECTED = _NAMES["expected"]
-# The last part of a name, which may be a unit.
+EXPECTED = _CONFIG["expected"]
+# A name with a last part that may be a unit.
 LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
 _IN_BRACKETS = re.compile(r"(.*?)\s*(?:\[([^][]*)\]|\(([^()]*)\)|\s/\s*(\S+))")
 
 
 def unit_of(kind: str, text: str) -> Unit | None:
     """Return the unit of a channel of a kind (q, v, a, tau, t), None if unknown."""
-    plain = re.sub(r"[\s*·.⋅]|(?<=N)-(?=m)", "", text.strip())
+    compact = re.sub(r"[\s*·.⋅]|(?<=N)-(?=m)", "", text.strip())
     kind = MEASURED.get(kind, kind)
-    for end in _RATES.get(kind, ()):
-        if plain.lower().endswith(end):
-            return unit_of("q", plain[: -len(end)])
-    known = _UNITS.get(kind, {})
-    # Capitals matter for milli and mega, ampere and atto; words may have any.
-    words = plain.lower() if len(plain) > 2 or plain == "NM" else plain
-    return known.get(plain) or known.get(words)
+    for suffix in _RATES.get(kind, ()):
+        if compact.lower().endswith(suffix):
+            return unit_of("q", compact[: -len(suffix)])
+    units = _UNITS.get(kind, {})
+    # Case distinguishes milli from mega and ampere from atto, but not words.
+    key = compact.lower() if len(compact) > 2 or compact == "NM" else compact
+    return units.get(compact) or units.get(key)
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return a name without the unit in brackets at its end, and that unit."""
+    """Split a name into the name proper and the unit in brackets at its end, or ""."""
     match = _IN_BRACKETS.fullmatch(name)
     if match is None:
         return name, ""
     unit = next(x for x in match.groups()[1:] if x is not None).strip()
-    # Of q[1] and pos(elbow) these are the joints.
+    # In q[1] and pos_[{joint}] the brackets contain the joint, not a unit.
     if not match[1] or unit.isdecimal() or "{" in unit:
         return name, ""
     return match[1], unit
@@ -255,50 +255,50 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def usual_step(t):
-    """Return the middle one of the steps by which a clock rises, 0 without any."""
-    # Of rows that are out of order as if they were sorted.
+    """Return the median of the positive steps of a clock, 0 if there is none."""
+    # Sort first, since rows may be out of order.
     step = np.diff(np.sort(t))
     step = step[step > 0]
     return float(np.median(step)) if step.size else 0.0
 
 
 def unit_of_steps(step):
-    """Return the unit of time in which steps are those of a robot, "" for none."""
-    known = (x for x, size in TIME_UNITS.items() if _FASTEST < step * size < SLOWEST)
-    return next(known, "")
+    """Return the unit of time for which a step is a plausible period, or ""."""
+    units = (x for x, size in TIME_UNITS.items() if _FASTEST < step * size < SLOWEST)
+    return next(units, "")
 
 
 # -- words -----------------------------------------------------------------------------
 
-COMMAND_NAMES = {kind: words.split() for kind, words in _NAMES["commands"].items()}
-_KIND_OF = {word: x for x, words in _NAMES["words"].items() for word in words.split()}
-# The least similarity of a word to one of these.
-_SIMILAR = 0.85
+COMMAND_NAMES = {kind: words.split() for kind, words in _CONFIG["commands"].items()}
+_KIND_OF = {word: x for x, words in _CONFIG["words"].items() for word in words.split()}
+# Minimum similarity of a misspelled word to one of these.
+_CUTOFF = 0.85
 
 
 def kinds_in(name):
-    """Return the kinds that the words of a name mean, also misspelled, a set of str."""
+    """Return the kinds of channel that words of a name denote, even if misspelled."""
     text = re.sub(r"\{\w+\}", " ", split_unit(name)[0])
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
     words = [x.lower() for x in re.findall(r"[^\W\d_]+", text)]
-    near = [difflib.get_close_matches(x, _KIND_OF, 1, _SIMILAR) for x in words]
-    return {_KIND_OF[word] for (word,) in filter(None, near)}
+    close = [difflib.get_close_matches(x, _KIND_OF, 1, _CUTOFF) for x in words]
+    return {_KIND_OF[word] for (word,) in filter(None, close)}
 
 
 def channels_in(name):
-    """Return the kinds that a name means; torques and currents are both "tau"."""
+    """Return the channels that a name denotes; torque and current are both "tau"."""
     return {"tau" if x in ("torque", "current") else x for x in kinds_in(name)}
 
 
 def is_current(name):
-    """Return whether a name says that it is a motor's current, and no torque."""
+    """Return whether a name denotes a motor current and not a torque."""
     kinds = kinds_in(name)
     return "current" in kinds and "torque" not in kinds
 
 
-# What a known log may lack; see ``names.toml``.
-_LACKING = {"v": "", "commands": {}, "motors": [], "segment": ""}
+# Defaults of optional entries of presets, see ``names.toml``.
+_LOG_DEFAULTS = {"v": "", "commands": {}, "motors": [], "segment": ""}
 PRESETS = {
-    name: [SimpleNamespace(**_LACKING | log) for log in logs]
-    for name, logs in _NAMES["presets"].items()
+    name: [SimpleNamespace(**_LOG_DEFAULTS | log) for log in logs]
+    for name, logs in _CONFIG["presets"].items()
 }

@@ -13,11 +13,11 @@ from sklearn_vbjfa._core._runtime import one_blas_thread, say, show_progress
 from sklearn_vbjfa.diagnosis.explain import (
     NO_INFORMATION,
     FinalFit,
-    judge,
+    held_out_errors,
     make_outcome,
-    motions_of,
+    motion_statistics,
     split_in_time,
-    that_help,
+    supported_terms,
     unnamed_torques,
 )
 from sklearn_vbjfa.diagnosis.report._report import Report
@@ -351,13 +351,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             torques = unnamed_torques(fit, result.settings)
         self.validation_model_ = model.beside(torques)
         del part  # a copy of most rows
-        judged = judge(self, result, split, thinned, whole)
+        judged = held_out_errors(self, result, split, thinned, whole)
         say("final model")
         rows, pieces = stretches(whole.segments, split.moving, lowpass)
         sample = take_rows(whole, rows, pieces)
         keywords = {"origin": whole.groups[rows], "all_samples": True, **timing}
         final = self._fit_final(result, model, whole, sample, silent, keywords)
-        self.identifier_ = final.identifier.beside(that_help(final, torques))
+        self.identifier_ = final.identifier.beside(supported_terms(final, torques))
         say("explaining")
         channels = (*channels, *unusable)
         return make_outcome(self, result, final, judged, channels, whole)
@@ -436,6 +436,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         states = np.asarray(robot.robot_.states(X, groups))
         speeds = np.abs(np.split(states, 3, axis=1)[1])
         moving = (speeds > np.maximum(robot.standstill_, 0.0)).astype(float)
-        motion = motions_of(robot, states, predicted, moving, scale)
+        motion = motion_statistics(robot, states, predicted, moving, scale)
         error, low, high = self._expectation.of(motion)[:, :-1]
         return error, np.stack([low, high])

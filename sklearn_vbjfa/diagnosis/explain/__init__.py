@@ -6,17 +6,17 @@ from sklearn_vbjfa import _lazily
 _MODULES = {
     "_curves": "torque_curves",
     "_effects": "DiscoveredEffect named_values",
-    "_errors": "NEXT_SECONDS error_intervals judge",
+    "_errors": "NEXT_SECONDS error_intervals held_out_errors",
     "_final": "EffectEstimate FinalFit",
     "_gaps": """
         ABOVE_FLOOR Dependence NO_INFORMATION NotIdentifiable Unexplained dependences
         motion_signals
     """,
-    "_next": "Expectation Motions motions_of",
+    "_next": "ExpectedError MotionStatistics motion_statistics",
     "_outcome": "Fact JointErrors Outcome make_outcome parameter_values",
-    "_recordings": "Contradiction Parts contradictions",
+    "_recordings": "Contradiction RecordingMoments contradictions",
     "_split": "split_in_time",
-    "_unnamed": "that_help unnamed_torques",
+    "_unnamed": "supported_terms unnamed_torques",
 }
 __all__ = []
 __getattr__, __dir__ = _lazily(

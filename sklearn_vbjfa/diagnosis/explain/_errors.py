@@ -25,7 +25,7 @@ _BELOW = 0.999
 _WORST = 3
 
 
-def judge(loop, found, split, near, whole):
+def held_out_errors(loop, found, split, near, whole):
     """Compute the errors of the models of a loop on the held-out part, a dict."""
     # found: result of the search; near: the split with the rows that the search used.
     # Arrays (nv,) and (2, nv) are over the standard deviation of the torque.

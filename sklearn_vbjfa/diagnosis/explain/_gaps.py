@@ -57,11 +57,9 @@ def dependences(residual, weight, signals, blocks):
             count = np.bincount(bins, train, _BINS)
             remaining[fold] -= (total / np.where(count > 0, count, np.inf))[test_bins]
         errors = (blocks.sums(weight * x**2) for x in (residual, remaining))
-        fold = CrossValidatedGain.of(*errors)
-        if fold.gain > 0 and fold.p_value < _LEVEL / len(signals):
-            matches.append(
-                Dependence(signal=name, share=fold.gain, p_value=fold.p_value)
-            )
+        cv = CrossValidatedGain.of(*errors)
+        if cv.gain > 0 and cv.p_value < _LEVEL / len(signals):
+            matches.append(Dependence(signal=name, share=cv.gain, p_value=cv.p_value))
     return tuple(sorted(matches, key=lambda d: -d.share))
 
 

@@ -16,8 +16,8 @@ from sklearn_vbjfa.diagnosis.explain._gaps import (
     not_identifiable,
     unexplained,
 )
-from sklearn_vbjfa.diagnosis.explain._next import Expectation, motions_of
-from sklearn_vbjfa.diagnosis.explain._recordings import Parts, contradictions
+from sklearn_vbjfa.diagnosis.explain._next import ExpectedError, motion_statistics
+from sklearn_vbjfa.diagnosis.explain._recordings import RecordingMoments, contradictions
 from sklearn_vbjfa.effects import OfTime, UnnamedTorque, declarable, resolve
 from sklearn_vbjfa.equations._features import nominal_followers
 from sklearn_vbjfa.inspection import motion_of
@@ -27,52 +27,52 @@ from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._corrections import corrections_of
 from sklearn_vbjfa.robot._posterior import body_places
 
-# Position or velocity that is no limit of a joint.
+# Position or velocity limits above this count as unlimited.
 _UNLIMITED = 1e3
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointErrors:
-    """Errors of a joint on held-out data, over the deviation of its torque."""
+    """Errors of a joint on held-out data, over the standard deviation of its torque."""
 
     joint: int  # from zero
     name: str
     unit: str  # of the torque, "N m" or "N"
-    # RMS error of the declared model, with the four friction terms, and completed
+    # RMS error of the declared model, with four friction terms, and completed
     before: float
     plain: float
     after: float
-    floor: float  # that of noise alone; nan if unknown
+    floor: float  # due to noise alone; nan if unknown
     # ends of the 90 % intervals over the next 50 s of the same motion: of the error
     # "after", and of after minus before ("difference") and after minus plain ("added")
     intervals: dict
-    spread: float = math.nan  # deviation of the torque while the robot moves [N m or N]
+    spread: float = math.nan  # standard deviation of the torque in motion [N m or N]
     # 99.9 % quantile of the absolute residual "after" [N m or N]
     threshold: float = math.nan
     seconds: float = math.nan  # held-out time in which the joint moves [s]
-    enough: bool = True  # whether that is enough for a verdict
-    searched: bool = True  # whether its channels show enough to be searched
+    enough: bool = True  # whether that suffices for a verdict
+    searched: bool = True  # whether its channels carry enough information
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fact:
-    """A value that the fit found, with its interval and its source."""
+    """An identified value with its interval and source."""
 
     kind: str  # "parameter", "mass" or "next recording"
-    name: str  # of the parameter or of the body
+    name: str  # of the parameter or body
     joint: int | None  # from zero; None for the robot, and for the mean of its joints
     value: float
     interval: tuple  # 90 %; (nan, nan) where it is unknown
     unit: str = ""
     # whether the recording determines it ("yes", "in combination", "from the
-    # description", "no"), or where differences between recordings are known from
+    # description", "no"), or the source of the variance between recordings
     source: str = "yes"
     described: float = math.nan  # value of the robot description
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
-    """Results of a discovery; the report is made from it."""
+    """Results of a discovery, from which the report is made."""
 
     errors: tuple[JointErrors, ...]  # one for each joint
     # Tuples by kind: "effects", "possible", "unexplained", "not_identifiable",
@@ -82,53 +82,53 @@ class Outcome:
     # declared model ("name", "joints", "friction", ...), "added" terms, "gains" and
     # "corrections" of the exported model, "library" of effects
     robot: dict
-    # of pictures: "residuals", "torques"; "index" of the held-out rows
+    # for figures: "residuals", "torques"; "index" of the held-out rows
     curves: dict
     provenance: dict  # recordings, settings and versions; files and date if known
 
     @property
     def searched(self):
-        """Whether effects were looked for."""
+        """Whether effects were searched for."""
         return len(self.provenance["settings"].get("effects", "all")) > 0
 
     def column(self, name):
         """Return an attribute of the errors of all joints, (nv,)."""
-        return np.array([getattr(one, name) for one in self.errors])
+        return np.array([getattr(joint, name) for joint in self.errors])
 
     def facts_of(self, kind):
         """Return the facts of a kind, a tuple."""
-        return tuple(one for one in self.facts if one.kind == kind)
+        return tuple(fact for fact in self.facts if fact.kind == kind)
 
 
 def make_outcome(loop, search, final, judged, channels, whole):
-    """Collect the results of a loop: an `Outcome`, and the `Expectation` of errors."""
+    """Return the `Outcome` of a loop, and the `ExpectedError` of other motions."""
     # The models of the loop were fitted to the rows of the search, `final` to all data;
-    # `judged` is returned by `judge`; `whole` is all data.
+    # `judged` is returned by `held_out_errors`; `whole` is all data.
     identifier, columns = final.identifier, judged["columns"]
     spread, after = columns["spread"], columns["after"]
     prismatic = is_prismatic(identifier.features_.model_)
-    # More data show more of the noise; the declared model's would hold what it lacks.
+    # Of the most data; missing effects would raise the floor of the declared model.
     floor = identifier.noise_floor_
     floor = np.where(np.isfinite(floor), floor, loop.validation_model_.noise_floor_)
     with np.errstate(divide="ignore", invalid="ignore"):
         columns |= {"floor": floor / spread}
         low, high = judged["intervals"]["after"]
         scatter = np.log(high / low) / (2 * HALF_WIDTH)
-    parts = Parts.of(final)
+    parts = RecordingMoments.of(final)
     left_out, alone = np.empty((0, spread.size)), after
     if parts is not None:
         left_out, alone = parts.left_out(spread), parts.alone(spread)
     states, weight = final.view.states[final.view.index], final.view.equations.weight
     predicted = final.predicted(identifier.theta_)
-    motion = motions_of(identifier, states, predicted, weight, spread)
+    motion = motion_statistics(identifier, states, predicted, weight, spread)
     timed = any(isinstance(effect, OfTime) for effect in identifier.effects_)
-    known = columns["floor"], scatter, left_out, alone, motion, timed
-    expectation = Expectation(after, *known)
-    # A robot whose torques are explained to their noise is the described one.
+    data = columns["floor"], scatter, left_out, alone, motion, timed
+    expectation = ExpectedError(after, *data)
+    # If all torques are explained up to noise, the description fits the robot.
     explained = (low <= ABOVE_FLOOR[0] * columns["floor"])[columns["enough"]]
     if explained.size and explained.all():
-        channels = tuple(one for one in channels if one.kind != "other_robot")
-    names, known = identifier.joint_names_, np.where(columns["enough"], after, np.nan)
+        channels = tuple(c for c in channels if c.kind != "other_robot")
+    names, errors = identifier.joint_names_, np.where(columns["enough"], after, np.nan)
     effects = tuple(discovered_effects(search, final, names, prismatic))
     judged_effects = loop.validation_model_.effects_
     parameters = parameter_values(identifier)
@@ -150,7 +150,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "effects": tuple(e for e in effects if not e.warning),
             "possible": tuple(e for e in effects if e.warning),
             "unnamed": tuple(e for e in judged_effects if isinstance(e, UnnamedTorque)),
-            "unexplained": unexplained(search, names, spread, floor, known, low),
+            "unexplained": unexplained(search, names, spread, floor, errors, low),
             "not_identifiable": not_identifiable(search, names),
             "channels": channels,
             "contradictions": contradictions(parts, spread, loop.alpha),
@@ -179,7 +179,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
 
 
 def _robot(loop, search, identifier, whole):
-    """Describe the declared model, and what of the completed one is no finding."""
+    """Describe the declared model, and properties of the completed one."""
     robot, drive = loop.declared_, loop.declared_.drive
     features, plain = robot.features_, loop.baseline_.features_.friction_
     model = features.model_
@@ -197,14 +197,14 @@ def _robot(loop, search, identifier, whole):
         "cutoff": float(robot.cutoff_),
         # lowest and highest position and speed of each joint
         "limits": np.where(unknown, np.inf, limits),
-        # whose inputs replace measured torques
+        # its inputs replace measured torques
         "drive": drive and {"kind": type(drive).__name__, **drive.facts(whole)},
         "motion": motion_of(whole, features.nominal_),
         "gains": identifier.gains_,
         "corrections": corrections_of(identifier),
         "common_size": identifier.common_size_,
         "library": {effect.name: effect for effect in library},
-        # joints with declared effects that a simulation goes without
+        # joints with declared effects that a simulation omits
         "unsimulated": [x.joint for x in robot.effects_ if x.files.simulation],
     }
 
@@ -239,10 +239,10 @@ def parameter_values(robot):
     """Return the parameters of a fitted identifier, a tuple of Fact."""
     features, nominal = robot.features_, np.full(robot.theta_.size, np.nan)
     if robot.gains_ is None or robot.gains_.absolute:
-        # An unknown gain of the torque channels is in every value.
+        # Unknown gains of the torque channels scale all values.
         bodies = nominal_parameters(features.nominal_), nominal_followers(features)
         nominal[body_places(robot)] = np.vstack(bodies)
-    # nan without a finite deviation
+    # nan if the standard deviation is not finite
     half = HALF_WIDTH * np.where(
         np.isfinite(robot.theta_std_), robot.theta_std_, np.nan
     )
@@ -255,10 +255,10 @@ def parameter_values(robot):
             value=value,
             interval=tuple(interval),
             unit=unit,
-            source=known,
+            source=source,
             described=described,
         )
-        for name, value, interval, unit, known, described in zip(
+        for name, value, interval, unit, source, described in zip(
             robot.parameter_names_,
             robot.theta_.tolist(),
             ends,
@@ -270,13 +270,13 @@ def parameter_values(robot):
 
 
 def _joint_of(name, joints):
-    """Joint of a parameter's name, from zero; None for one of the robot."""
-    found = [j for j, joint in enumerate(joints) if name.startswith(f"{joint}:")]
-    return max(found, key=lambda j: len(joints[j]), default=None)
+    """Return the joint of a parameter name, from zero; None for the robot."""
+    matches = [j for j, joint in enumerate(joints) if name.startswith(f"{joint}:")]
+    return max(matches, key=lambda j: len(joints[j]), default=None)
 
 
 def _masses(robot, parameters):
-    """Yield the masses of bodies as facts, which are among the parameters."""
+    """Yield the masses of bodies as facts."""
     model = robot.features_.model_
     nominal = nominal_parameters(model)[:, 0].tolist()
     rows = zip(body_names(model), body_places(robot)[:, 0], nominal)
@@ -286,7 +286,7 @@ def _masses(robot, parameters):
 
 
 def _expected(expectation, names):
-    """Yield the errors that are expected of the next recording of such motion."""
+    """Yield the expected errors of a next recording with the same motion."""
     joints = [*enumerate(names), (None, "mean of the joints")]
     for (joint, name), (error, low, high) in zip(joints, expectation.of().T.tolist()):
         yield Fact(

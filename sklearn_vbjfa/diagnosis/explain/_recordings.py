@@ -1,4 +1,4 @@
-"""Recordings against each other: fits without some of them, and contradictions."""
+"""Comparison of recordings: fits with recordings left out, and contradictions."""
 
 import functools
 import itertools
@@ -10,49 +10,48 @@ from scipy import stats
 from sklearn_vbjfa._core._linear_systems import or_one, scaled_eigen
 from sklearn_vbjfa.effects import Coulomb, Offset, Viscous
 
-# Parts of a recording: they show how much one robot differs from itself.
+# Parts of a recording, between which the variation of a single robot is estimated.
 _PARTS = 3
-# A recording suffers if most of its squared error comes from the other recordings.
+# Largest ratio of squared errors, separate over common fit, of inconsistent recordings.
 _MOST = 0.5
-# Directions that the data determine less than this share are left alone.
+# Relative eigenvalue threshold for the rank of Gram matrices.
 _KNOWN = 1e-9
-# What may differ on joints, with its columns: offset, viscous and Coulomb friction, and
-# the torque of the robot of the other recordings.
+# Possible causes of a deviation, with the columns that they use: offset, viscous and
+# Coulomb friction, and the torque predicted from the other recordings.
 _CAUSES = {"offset": [0], "gain": [3], "friction": [1, 2], "model": [0, 1, 2, 3]}
 _COLUMNS = 4
-# Nats by which all columns must explain more than the best cause to be one.
+# Log evidence by which "model" must exceed every other cause [nats].
 _NATS = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """A recording whose torques on a joint are not those of the robot of the others."""
+    """A recording whose torques on a joint are inconsistent with the others."""
 
     recording: int  # from zero
     joint: int  # from zero
-    # errors over the deviation of the torque, on parts of the recording that were not
-    # fitted: by a fit to the rest of this recording, and by one to the rest of all
+    # errors over the standard deviation of the torque, on held-out parts of the
+    # recording: of a fit to its other parts, and of a fit to all other data
     alone: float
     together: float
-    # what differs: "offset", "gain" (of the torque), "friction" or "payload"; "model"
-    # for more
+    # "offset", "gain" (of the torque), "friction", "payload"; else "model"
     cause: str
-    # of an offset: how much larger it is [N m or N]; of a gain: how many times as large
-    # the torque is; of a payload: its mass [kg]; else nan
+    # difference of the offset [N m or N], ratio of the torques of a gain, or mass of a
+    # payload [kg]; else nan
     value: float
     p_value: float  # of the F test, times the number of tests
 
 
-class Parts:
-    """Second moments of the equations of each joint, by recordings and their thirds."""
+class RecordingMoments:
+    """Second moments of the equations of each joint, by thirds of recordings."""
 
-    # The design of a joint has the parameters that move it, an offset, viscous and
-    # Coulomb friction, and the torque. Moments are a list over joints of (n_parts, k,
-    # k); `recording` names the recording of each part.
+    # The design matrix of a joint holds its nonzero columns, an offset, viscous and
+    # Coulomb friction, and the torque. `moments` is a list over joints of (n_parts, k,
+    # k); `recording` (n_parts,) is the recording of each part.
 
     @classmethod
     def of(cls, fit):
-        """Divide a `FinalFit`; None for a single recording, or if no channel counts."""
+        """Divide a `FinalFit`; None for one recording, or if no joint has a weight."""
         several = np.unique(fit.view.origin).size > 1
         return cls(fit) if several and fit.view.precision.any() else None
 
@@ -62,67 +61,67 @@ class Parts:
         names, self.origin = np.unique(self.view.origin, return_inverse=True)
         self.count = names.size
         Phi, tau = fit.columns(), self.view.equations.tau
-        self.columns = [np.flatnonzero(own) for own in (Phi != 0).any(axis=0)]
+        self.columns = [np.flatnonzero(row) for row in (Phi != 0).any(axis=0)]
         self._designs = []
-        for j, own in enumerate(self.columns):
+        for j, at in enumerate(self.columns):
             terms = [fit.in_equations(e(joint=j)) for e in (Offset, Viscous, Coulomb)]
             terms = [term[:, j, 0] for term in terms]
-            self._designs.append(np.column_stack([Phi[:, j, own], *terms, tau[:, j]]))
-        # Thirds of the blocks of time, and not blocks in turns: slow noise would be
-        # known from both neighbours.
+            self._designs.append(np.column_stack([Phi[:, j, at], *terms, tau[:, j]]))
+        # Contiguous thirds: between interleaved blocks, slow noise would be correlated
+        # with both neighbours.
         block = np.r_[0, np.cumsum(np.diff(self.view.spans.label) != 0)]
         self.n_blocks = int(block[-1]) + 1
         part = np.zeros(block.size, dtype=int)
         for r in range(self.count):
-            own = self.origin == r
-            place = np.unique(block[own], return_inverse=True)[1]
-            part[own] = _PARTS * r + place * _PARTS // max(place[-1] + 1, _PARTS)
+            rows = self.origin == r
+            place = np.unique(block[rows], return_inverse=True)[1]
+            part[rows] = _PARTS * r + place * _PARTS // max(place[-1] + 1, _PARTS)
         _, first, part = np.unique(part, return_index=True, return_inverse=True)
         self.recording = self.origin[first]
         self.moments = [self.moments_of(j, part) for j in range(self.nv)]
         weights = self.view.equations.weight.T
         self.weights = np.array([np.bincount(part, w, first.size) for w in weights]).T
-        # The description of the bodies, as moments (p, p), (p,).
+        # Prior of the bodies, from the description: precision (p, p), times mean (p,).
         p, rigid = Phi.shape[2], self.features.n_parameters_
         self._prior = np.zeros((p, p)), np.zeros(p)
         described = fit.identifier.described()
         if described is not None:
-            own = fit.identifier.robot_.joint_weights[self.used]
-            ratio = np.mean(self.view.precision[self.used] / own)
+            fitted = fit.identifier.robot_.joint_weights[self.used]
+            ratio = np.mean(self.view.precision[self.used] / fitted)
             metric, centre = described[0][:rigid, :rigid] * ratio, described[1][:rigid]
             self._prior[0][:rigid, :rigid] = metric
             self._prior[1][:rigid] = metric @ centre
 
     def moments_of(self, j, part):
-        """Moments of the design of a joint in each part of the rows (n_parts, k, k)."""
+        """Compute moments of the design of a joint, for each part (n_parts, k, k)."""
         rows = self._designs[j]
         weighted = rows * self.view.equations.weight[:, [j]]
-        parts = (part == p for p in range(part.max() + 1))
-        return np.array([weighted[own].T @ rows[own] for own in parts])
+        masks = (part == p for p in range(part.max() + 1))
+        return np.array([weighted[m].T @ rows[m] for m in masks])
 
     def solve(self, chosen, precision=None):
-        """Fit to some parts with the description as prior: matrix and solution (p,)."""
+        """Fit chosen parts, with the prior; return the eigensystem and theta (p,)."""
         precision = self.view.precision if precision is None else precision
         G, g = (values.copy() for values in self._prior)
         for j in np.flatnonzero(self.used):
-            own, n = self.columns[j], self.columns[j].size
+            columns, n = self.columns[j], self.columns[j].size
             moments = precision[j] * self.moments[j][chosen].sum(axis=0)
-            G[np.ix_(own, own)] += moments[:n, :n]
-            g[own] += moments[:n, -1]
+            G[np.ix_(columns, columns)] += moments[:n, :n]
+            g[columns] += moments[:n, -1]
         eigen = scaled_eigen(G, _KNOWN)
         return eigen, eigen.solve(g)
 
     def squares(self, chosen, fitted):
-        """Weighted squared errors of some parts by a fit to others, by joint, (nv,)."""
-        found, (_, theta) = [], self.solve(fitted)
-        for own, moments in zip(self.columns, self.moments):
-            left = np.r_[-theta[own], 0.0, 0.0, 0.0, 1.0]
-            found.append(left @ moments[chosen].sum(axis=0) @ left)
-        return np.maximum(found, 0.0)
+        """Return weighted squared errors (nv,) on chosen parts, of a fit to others."""
+        errors, (_, theta) = [], self.solve(fitted)
+        for columns, moments in zip(self.columns, self.moments):
+            left = np.r_[-theta[columns], 0.0, 0.0, 0.0, 1.0]
+            errors.append(left @ moments[chosen].sum(axis=0) @ left)
+        return np.maximum(errors, 0.0)
 
     def left_out(self, spread):
-        """Errors (r, nv) on each recording of fits to the others, over the spread."""
-        # Recordings of one motion are left out together.
+        """Return errors (r, nv) on each recording of fits to the other recordings."""
+        # Recordings of the same motion are left out together.
         repetition = self.view.repetition
         motion = repetition.motion if repetition else np.arange(self.count)
         names = np.unique(motion)
@@ -130,94 +129,94 @@ class Parts:
             return np.empty((0, spread.size))
         out = np.full((names.size, spread.size), np.nan)
         for row, name in zip(out, names):
-            own = np.isin(self.recording, np.flatnonzero(motion == name))
-            squares = self.squares(own, ~own)
-            weight = self.weights[own].sum(axis=0)
+            test = np.isin(self.recording, np.flatnonzero(motion == name))
+            squares = self.squares(test, ~test)
+            weight = self.weights[test].sum(axis=0)
             used = (weight > 0) & self.used
             row[used] = np.sqrt(squares[used] / weight[used]) / spread[used]
         return out
 
     @functools.cached_property
     def _errors(self):
-        """Squares of errors on the parts of each recording, (r, nv) twice."""
-        # Of fits to the rest of the recording, and to the rest of all.
+        """Squared errors on held-out parts of each recording, (2, r, nv)."""
+        # Of fits to the rest of the recording, and to the rest of all recordings.
         squares = np.zeros((2, self.count, self.nv))
         for r in range(self.count):
-            here = self.recording == r
-            for p in np.flatnonzero(here) if here.sum() >= _PARTS else ():
-                out = np.arange(here.size) == p
-                squares[0, r] += self.squares(out, here & ~out)
-                squares[1, r] += self.squares(out, ~out)
+            same = self.recording == r
+            for p in np.flatnonzero(same) if same.sum() >= _PARTS else ():
+                test = np.arange(same.size) == p
+                squares[0, r] += self.squares(test, same & ~test)
+                squares[1, r] += self.squares(test, ~test)
         return squares
 
     @functools.cached_property
-    def own_squares(self):
-        """Squares of errors of fits to each recording alone, (r, nv)."""
-        each = [self.recording == r for r in range(self.count)]
-        return np.array([self.squares(own, own) for own in each])
+    def separate_squares(self):
+        """Squared errors of a separate fit to each recording, (r, nv)."""
+        masks = [self.recording == r for r in range(self.count)]
+        return np.array([self.squares(m, m) for m in masks])
 
     @functools.cached_property
     def partitions(self):
-        """Moments in thirds of time, positions and speeds, with their recordings."""
-        # The parameters of a wrong model vary with position and speed.
+        """Pairs of moments and recordings, for thirds of time, position and speed."""
+        # Parameters fitted with an incomplete model vary with position and speed.
         nv, states = self.nv, self.view.states[self.view.index]
-        weight, found = self.view.equations.weight, [(self.moments, self.recording)]
+        weight, pairs = self.view.equations.weight, [(self.moments, self.recording)]
         for values in (states[:, :nv], np.abs(states[:, nv : 2 * nv])):
             moments = [
                 self.moments_of(j, _thirds(self.origin, values[:, j], weight[:, j]))
                 for j in range(nv)
             ]
-            found.append((moments, np.repeat(np.arange(self.count), _PARTS)))
-        return found
+            pairs.append((moments, np.repeat(np.arange(self.count), _PARTS)))
+        return pairs
 
     def alone(self, spread):
-        """Errors (nv,) on parts of recordings of fits to their rest, nan for none."""
+        """Return errors (nv,) on held-out parts, of fits within recordings."""
         whole = self._errors[0].any(axis=1)
         rows = self.weights[whole[self.recording]].sum(axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.sqrt(self._errors[0].sum(axis=0) / rows) / spread
 
-    def suffering(self, spread):
-        """Joints of recordings that a fit to these alone predicts better, a dict."""
-        found = {}
+    def inconsistent(self, spread):
+        """Return errors of both fits, by (recording, joint) with a worse common fit."""
+        errors = {}
         for r, (alone, together) in enumerate(zip(*self._errors)):
             rows = self.weights[self.recording == r].sum(axis=0) * self.used
             better = (rows > 0) & (together > 0) & (alone <= _MOST * together)
             for j in np.flatnonzero(better).tolist():
                 pair = np.sqrt(np.array([alone[j], together[j]]) / rows[j]) / spread[j]
-                found[r, j] = dict(zip(("alone", "together"), pair.tolist()))
-        return found
+                errors[r, j] = dict(zip(("alone", "together"), pair.tolist()))
+        return errors
 
 
 # -- contradictions --------------------------------------------------------------------
 
 
 def contradictions(parts, spread, alpha):
-    """Return the `Contradiction`s of `Parts` or None, by recordings."""
-    suffering = {} if parts is None else parts.suffering(spread)
-    if not suffering:
+    """Find each `Contradiction` between recordings; none if parts is None."""
+    errors = {} if parts is None else parts.inconsistent(spread)
+    if not errors:
         return ()
-    # Of two, the one that does not suffer may be the one that differs.
+    # Of two recordings, either may be the one that deviates.
     suspects = range(parts.count)
     if parts.count > 2:
-        suspects = sorted({r for r, _ in suffering})
-    joints = sorted({j for _, j in suffering})
+        suspects = sorted({r for r, _ in errors})
+    joints = sorted({j for _, j in errors})
     left = list(range(parts.count))
     while suspects := [r for r in suspects if r in left]:
-        # Others suffer from the one that differs until it is left out.
+        # A deviating recording also makes others inconsistent until it is left out.
         trials = {r: _Deviations(parts, r, left) for r in suspects}
-        tested = {(r, j): one.test(j) for r, one in trials.items() for j in joints}
+        tested = {(r, j): x.test(j) for r, x in trials.items() for j in joints}
         r, j = max(tested, key=lambda key: tested[key][0])
         if not tested[r, j][1] < alpha:
             break
         left.remove(r)
-    apart = [r for r in range(parts.count) if r not in left]
-    each = (_Deviations(parts, r, [*left, r]) for r in apart)
-    return tuple(x for one in each for x in one.named(joints, alpha, suffering))
+    removed = [r for r in range(parts.count) if r not in left]
+    deviations = (_Deviations(parts, r, [*left, r]) for r in removed)
+    return tuple(x for d in deviations for x in d.significant(joints, alpha, errors))
 
 
 class _Deviations:
-    """Deviations of a recording from one robot, by joints."""
+    """Deviations of a recording from the robot of other recordings, by joints."""
 
     # tau = Phi theta + E_j u_j + noise: deviations u_j of the recording in four columns
     # E_j of a joint. F = (explained by the recording) / (explained by parts of single
@@ -225,25 +224,25 @@ class _Deviations:
     # "The Analysis of Variance", 1959, section 5.3).
 
     def __init__(self, parts, recording, recordings):
-        # recordings: that are fitted, with this one.
+        # recordings: the fitted ones, including this one.
         self._parts, self._recording, self._recordings = parts, recording, recordings
         kept = np.isin(parts.recording, recordings)
-        self._own = parts.recording == recording
-        # Weights of the joints by fits to each recording alone: in a common fit the
-        # differences would count as noise.
-        squares = parts.own_squares[recordings].sum(axis=0)
-        known, total = parts.used & (squares > 0), parts.weights[kept].sum(axis=0)
-        self._noise = np.where(known, total / or_one(squares), 0.0)
+        self._rows = parts.recording == recording
+        # Joint weights from separate fits: in a common fit, differences between
+        # recordings would count as noise.
+        squares = parts.separate_squares[recordings].sum(axis=0)
+        used, total = parts.used & (squares > 0), parts.weights[kept].sum(axis=0)
+        self._noise = np.where(used, total / or_one(squares), 0.0)
         self._eigen, self._theta = parts.solve(kept, self._noise)
-        others, self._columns = parts.solve(kept & ~self._own)[1], []
-        for own in parts.columns:
-            columns = np.eye(own.size + 3, _COLUMNS, -own.size)
-            columns[: own.size, 3] = others[own]
+        others, self._columns = parts.solve(kept & ~self._rows)[1], []
+        for places in parts.columns:
+            columns = np.eye(places.size + 3, _COLUMNS, -places.size)
+            columns[: places.size, 3] = others[places]
             self._columns.append(columns)
 
     def _fitted(self, added, shared=False):
-        """Fit columns by joints; return the gain, theta and the coefficients."""
-        # shared: whether those of all joints are the same.
+        """Fit added columns by joints; return the gain, theta and the coefficients."""
+        # shared: whether all joints have the same coefficients.
         edges = np.cumsum([0, *(A.shape[1] for A in added.values())])
         places = [slice(a, b) for a, b in itertools.pairwise(edges)]
         if shared:
@@ -251,12 +250,13 @@ class _Deviations:
         cross, h = np.zeros((self._theta.size, edges[-1])), np.zeros(edges[-1])
         H = np.zeros((edges[-1], edges[-1]))
         for (j, A), at in zip(added.items(), places):
-            own = self._parts.columns[j]
-            moments = self._noise[j] * self._parts.moments[j][self._own].sum(axis=0)
-            made = moments[:-1, :-1] @ A
-            cross[own, at] += made[: own.size]
+            columns = self._parts.columns[j]
+            moments = self._noise[j] * self._parts.moments[j][self._rows].sum(axis=0)
+            GA = moments[:-1, :-1] @ A
+            cross[columns, at] += GA[: columns.size]
             h[at] += A.T @ moments[:-1, -1]
-            H[at, at] += A.T @ made
+            H[at, at] += A.T @ GA
+        # Schur complement: theta is eliminated.
         left = self._eigen.solve(cross)
         H, h = H - cross.T @ left, h - cross.T @ self._theta
         coef = scaled_eigen(H, _KNOWN).solve(h)
@@ -264,60 +264,60 @@ class _Deviations:
         return float(coef @ h), self._theta - left @ coef, coefs
 
     def _within(self, j, coef, theta):
-        """Squares that columns of a joint explain of parts of single recordings."""
-        # Per parameter, with their number, of the partition whose parts differ most.
-        A, n, found = self._columns[j], self._parts.columns[j].size, []
-        known = np.zeros((self._parts.count, A.shape[0]))
-        known[:, :n] = theta[self._parts.columns[j]]
-        known[self._recording] += A @ coef
+        """Squares per parameter that thirds of recordings explain on a joint."""
+        # With the degrees of freedom, for the partition with the largest variance.
+        A, n, sizes = self._columns[j], self._parts.columns[j].size, []
+        fitted = np.zeros((self._parts.count, A.shape[0]))
+        fitted[:, :n] = theta[self._parts.columns[j]]
+        fitted[self._recording] += A @ coef
         for moments, recording in self._parts.partitions:
             M = self._noise[j] * moments[j]
-            left = M[:, :-1, -1] - (M[:, :-1, :-1] @ known[recording, :, None])[..., 0]
+            left = M[:, :-1, -1] - (M[:, :-1, :-1] @ fitted[recording, :, None])[..., 0]
             scores, grams = left @ A, A.T @ M[:, :-1, :-1] @ A
             total = np.zeros(2)
             for own in (recording == r for r in self._recordings):
                 total += sum(map(_gain, scores[own], grams[own]))
                 total -= _gain(scores[own].sum(axis=0), grams[own].sum(axis=0))
             size = total[0] / total[1] if total[1] > 0 else np.inf
-            found.append((size, total[1] if total[1] > 0 else 1))
-        return max(found)
+            sizes.append((size, total[1] if total[1] > 0 else 1))
+        return max(sizes)
 
     def test(self, j, joints=()):
-        """F statistic of the deviation on a joint, its p-value and unit."""
-        # joints: others that may differ as well.
+        """Return F statistic, p-value and variance unit of the deviation on a joint."""
+        # joints: others that may deviate as well.
         added = {k: self._columns[k] for k in {*joints, j}}
         gain, theta, coefs = self._fitted(added)
         size, freedom = self._within(j, coefs[j], theta)
         del added[j]
-        # A recording may differ by what its thirds differ by: it is no mean over them.
+        # Recordings may differ as much as single thirds, more than means of thirds do.
         unit = 1.0 + _PARTS * (max(size, 1.0) - 1.0)
         F = (gain - self._fitted(added)[0]) / unit / _COLUMNS
         count = self._parts.count * self._parts.nv
         return F, min(float(stats.f.sf(F, _COLUMNS, freedom)) * count, 1.0), unit
 
-    def named(self, joints, alpha, suffering):
-        """Yield the `Contradiction` of each joint that differs."""
+    def significant(self, joints, alpha, errors):
+        """Yield the `Contradiction` of each joint with a significant deviation."""
         tested = {j: self.test(j, joints) for j in joints}
-        tested = {j: one for j, one in tested.items() if one[1] < alpha}
+        tested = {j: x for j, x in tested.items() if x[1] < alpha}
         unit = max((unit for *_, unit in tested.values()), default=1.0)
         cause, values = self._cause(tested, unit)
         for j, (_, p_value, _) in tested.items():
             r, value = self._recording, values.get(j, np.nan)
-            known = {"alone": np.nan, "together": np.nan, "p_value": p_value}
-            known |= suffering.get((r, j), {})
-            yield Contradiction(recording=r, joint=j, cause=cause, value=value, **known)
+            about = {"alone": np.nan, "together": np.nan, "p_value": p_value}
+            about |= errors.get((r, j), {})
+            yield Contradiction(recording=r, joint=j, cause=cause, value=value, **about)
 
     def _cause(self, joints, unit):
-        """Name the simplest difference that explains nearly all; values by joints."""
+        """Choose the cause of highest evidence (Schwarz); return values by joints."""
         parts, trials, model = self._parts, [], self._parts.features.model_
-        for name, own in _CAUSES.items():
-            trials.append((name, {j: self._columns[j][:, own] for j in joints}))
-        # A load on the last body of a branch acts on several joints.
+        for name, chosen in _CAUSES.items():
+            trials.append((name, {j: self._columns[j][:, chosen] for j in joints}))
+        # A payload on the last body of a branch acts on several joints.
         for body in np.setdiff1d(np.arange(parts.nv), np.subtract(model.parents, 1)):
-            own = parts.features.n_parameters_ // parts.nv * body + np.arange(10)
-            load = [np.equal.outer(np.r_[x, [-1] * 3], own) for x in parts.columns]
+            indices = parts.features.n_parameters_ // parts.nv * body + np.arange(10)
+            load = [np.equal.outer(np.r_[x, [-1] * 3], indices) for x in parts.columns]
             trials.append(("payload", dict(enumerate(map(np.float64, load)))))
-        best, found = -np.inf, None
+        best, choice = -np.inf, None
         for name, columns in trials:
             shared = name == "payload"
             gain, _, coefs = self._fitted(columns, shared)
@@ -325,30 +325,30 @@ class _Deviations:
             score = 0.5 * (gain / unit - count * np.log(parts.n_blocks))
             if (score := score - _NATS * (name == "model")) <= best:
                 continue
-            # Of a load on an axis the mass has no torque.
-            rest = {j: A[:, 1:] for j, A in columns.items()} if shared else {}
-            unknown = shared and gain - self._fitted(rest, True)[0] < 2 * _NATS * unit
+            # The mass of a payload on the joint axis exerts no torque.
+            no_m = {j: A[:, 1:] for j, A in columns.items()} if shared else {}
+            unknown = shared and gain - self._fitted(no_m, True)[0] < 2 * _NATS * unit
             if unknown or name in ("friction", "model"):
                 coefs = {}
             values = {j: float(x[0]) + (name == "gain") for j, x in coefs.items()}
-            best, found = score, (name, values)
-        return found
+            best, choice = score, (name, values)
+        return choice
 
 
 def _gain(h, H):
-    """Squares that columns explain, and how many of these are determined."""
+    """Return squares that columns explain, and the rank of these."""
     eigen = scaled_eigen(H, _KNOWN)
     return np.array([float(h @ eigen.solve(h)), eigen.rank])
 
 
 def _thirds(recording, values, weight):
-    """Divide rows of recordings (m,) into thirds by the size of a signal."""
+    """Divide the rows of recordings (m,) into thirds by the values of a signal."""
     part = np.zeros(values.size, dtype=int)
     for number in range(recording.max() + 1):
-        own = np.flatnonzero(recording == number)
-        order = own[np.argsort(values[own], kind="stable")]
-        done = np.cumsum(weight[order])
-        share = done / or_one(done[-1])
+        rows = np.flatnonzero(recording == number)
+        order = rows[np.argsort(values[rows], kind="stable")]
+        cumulative = np.cumsum(weight[order])
+        share = cumulative / or_one(cumulative[-1])
         third = np.minimum((_PARTS * share).astype(int), _PARTS - 1)
         part[order] = _PARTS * number + third
     return part

@@ -19,7 +19,7 @@ def unnamed_torques(fit, settings):
     return tuple(terms)
 
 
-def that_help(fit, unnamed):
+def supported_terms(fit, unnamed):
     """Return each `UnnamedTorque` that reduces the residual of its joint."""
     view, (motion, residual) = fit.view, _residuals(fit)
     new = residual.copy()

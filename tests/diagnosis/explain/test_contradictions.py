@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import EffectDiscovery
-from sklearn_vbjfa.diagnosis.explain import FinalFit, Parts, contradictions
+from sklearn_vbjfa.diagnosis.explain import FinalFit, RecordingMoments, contradictions
 from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.recording import take_arrays
 from tests.diagnosis._recordings import TWO_MOTIONS, record
@@ -26,7 +26,7 @@ def compared(recordings, spoil=lambda k, torque, r: torque, bodies="free"):
         X, y, groups, np.ones_like(y), dt=robot.dt, joint_names=robot.joint_names_
     )
     fit = FinalFit(robot, robot, RecordingView(robot, measured))
-    return fit, contradictions(Parts.of(fit), SPREAD, 0.05)
+    return fit, contradictions(RecordingMoments.of(fit), SPREAD, 0.05)
 
 
 def second(change):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.diagnosis.explain import Expectation, Motions
+from sklearn_vbjfa.diagnosis.explain import ExpectedError, MotionStatistics
 from sklearn_vbjfa.diagnosis.explain._next import _COMMON, _KINDS, _LARGEST, _WIDTH
 from tests.diagnosis._recordings import SPRINGY
 
@@ -18,7 +18,7 @@ def motion(fast=1.0, friction=0.8, seed=0, nv=1):
     rng = np.random.default_rng(seed)
     v, a, load = fast * rng.standard_normal((3, 500, nv))
     ones = np.ones((500, nv))
-    return Motions(v, a, load, friction * np.sign(v), ones, np.ones(nv))
+    return MotionStatistics(v, a, load, friction * np.sign(v), ones, np.ones(nv))
 
 
 def described(expectation, of=None):
@@ -44,7 +44,7 @@ def expected(
     left_out = np.reshape(left_out, (-1, 1)).astype(float)
     fitted = motion(friction=friction)
     known = np.array([left]), np.array([floor]), np.array([SCATTER])
-    expectation = Expectation(*known, left_out, np.array([alone]), fitted, timed)
+    expectation = ExpectedError(*known, left_out, np.array([alone]), fitted, timed)
     return described(expectation, of)
 
 
@@ -125,7 +125,7 @@ def test_it_grows_with_the_distance_from_what_was_fitted():
 def test_a_joint_that_was_not_judged_has_none():
     known = np.array([0.1, np.nan]), np.array([0.05, 0.05]), np.full(2, SCATTER)
     left_out = np.array([[0.1, np.nan], [0.2, np.nan], [0.1, np.nan]])
-    found = described(Expectation(*known, left_out, known[0], motion(nv=2)))
+    found = described(ExpectedError(*known, left_out, known[0], motion(nv=2)))
     assert np.isnan(found.error[1])
     assert np.isnan(found.interval[:, 1]).all()
     assert found.error[0] == pytest.approx(found.mean)

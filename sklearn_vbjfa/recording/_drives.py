@@ -1,4 +1,4 @@
-"""Drives: control laws that give torques from commands, currents or voltages."""
+"""Drives: control laws that map commands, currents or voltages to torques."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,55 +11,54 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._smoothing import held, interpolate
 from sklearn_vbjfa.recording._recording import check_dt
 
-# Channels of joints that are commands, by their names in `Recording.signals`.
+# Names of command channels of joints in `Recording.signals`.
 COMMANDS = ("q_desired", "v_desired", "tau_ff", "kp", "kd")
-# Channels of joints that are what motors were given.
+# Names of motor channels: current, voltage and supply voltage.
 OF_MOTORS = ("current", "voltage", "supply")
-# A joint that is at its limit of torque for a larger share of the rows shows nothing
-# of what it would do.
-_MOSTLY = 0.5
-# Frequency below which drives' velocities are compared with the positions' [Hz].
-_SLOW = 10.0
-# Drives set their torque at least so often, if nothing else is known [s].
-_PERIOD = 1e-3
-# What was commanded before a recording is not known: longest delay, as a share of it.
-_UNKNOWN = 0.1
+# A joint that is saturated in a larger share of the samples is refused.
+_MAX_SATURATED = 0.5
+# Cut-off frequency for the lag of recorded velocities against positions [Hz].
+_LAG_CUTOFF = 10.0
+# Control period of drives in simulation, if it is not given [s].
+_DEFAULT_PERIOD = 1e-3
+# Maximum delay as a share of a recording: commands before its start are unknown.
+_MAX_DELAY = 0.1
 
 
 class Drive(BaseEstimator):
-    """Control law of the motors: channels that it takes, and torques that it makes.
+    """Control law of the motors, which computes torques from recorded channels.
 
-    Its method `driven` takes a recording with the channels (n_samples, nv) of the drive
-    in `signals`. It returns the recording with `tau` of the law at no delay, and
-    `command`; it raises a ValueError if channels are missing or do not suit the drive.
+    The method `driven` takes a recording with the channels (n_samples, nv) of the drive
+    in `signals`. It returns the recording with `tau` by the law without delay, and
+    `command`; it raises a ValueError if channels are missing or do not fit the drive.
     """
 
-    channel = ""  # channel that `RobotIdentifier.fit` takes as y
+    channel = ""  # channel passed as y to `RobotIdentifier.fit`
     extra_channels: tuple[str, ...] = ()  # further channels of joints, in `signals`
-    uses_positions = False  # whether torques are made of measured positions
+    uses_positions = False  # whether torques depend on measured positions
     known_delay: float | None = 0.0  # of its commands [s]; None to estimate it
-    unsigned = False  # whether only sizes of torques are known
-    scale_parameter = ""  # setting by which its channel is multiplied
+    unsigned = False  # whether only magnitudes of torques are known
+    scale_parameter = ""  # parameter that multiplies the channel
     gains: str | None = None  # "unknown" where torques are known up to factors
-    # names of its channel in files that have it in place of torques
+    # column names of the channel in files that contain it instead of torques
     aliases: tuple[str, ...] = ()
 
     def facts(self, recording):
-        """Return what a report says of the drive, a dict of numbers and lists."""
+        """Return data on the drive for the report, a dict of numbers and lists."""
         return {}
 
     def split_signals(self, y, signals):
-        """Split signals that were given for a fit, with y, into those of the drive."""
+        """Split y and the signals of a fit into channels of the drive and others."""
         others = dict(signals or {})
-        own = {name: others.pop(name) for name in self.extra_channels if name in others}
-        return {self.channel: y, **own}, others if own else signals
+        channels = {x: others.pop(x) for x in self.extra_channels if x in others}
+        return {self.channel: y, **channels}, others if channels else signals
 
     def _channel(self, recording, name):
-        """Channel (n, nv) of a recording; None if it has none."""
+        """Return a channel (n, nv) of a recording, None if missing."""
         if name not in recording.signals:
             return None
         values = recording.signals[name].reshape(recording.n_samples, -1)
-        # One supply feeds all joints.
+        # A single supply voltage may feed all joints.
         if values.shape[1] != recording.nv and (name, values.shape[1]) != ("supply", 1):
             raise ValueError(
                 f"{name} must have one column per joint, shape {recording.q.shape}; "
@@ -68,55 +67,55 @@ class Drive(BaseEstimator):
         return values
 
     def driven(self, recording):
-        """Return a recording of the torques of its channel; see `Drive`.
+        """Return a recording with the torques of the channel; see `Drive`.
 
-        Without this channel the recorded torques are taken for it. `command` is None
-        until signs are known.
+        If the channel is missing, the recorded torques are used instead. `command` is
+        None if signs are unknown.
         """
         tau, names = self._channel(recording, self.channel), recording.joint_names
         tau = recording.tau if tau is None else tau
         factor = self._setting(self.scale_parameter, names, recording)
         tau = tau if factor is None else tau * factor
-        below = np.flatnonzero((tau < 0).any(axis=0)) if self.unsigned else ()
-        if len(below):
+        negative = np.flatnonzero((tau < 0).any(axis=0)) if self.unsigned else ()
+        if len(negative):
             raise ValueError(
                 f"{type(self).__name__}(signed=False) expects magnitudes, and "
-                f"{names[below[0]]} has negative currents; use signed=True."
+                f"{names[negative[0]]} has negative currents; use signed=True."
             )
         return replace(recording, tau=tau, command=None if self.unsigned else tau)
 
     def _setting(self, name, joints, recording=None):
-        """Return a setting (nv,), or the channel (n, nv) of a recording, or None."""
-        given, what = getattr(self, name), f"{type(self).__name__}: {name}"
-        if given is None and recording is not None:
+        """Return a parameter (nv,), a recorded channel (n, nv) if not set, or None."""
+        value, label = getattr(self, name), f"{type(self).__name__}: {name}"
+        if value is None and recording is not None:
             return self._channel(recording, name)
-        if isinstance(given, str) and given == "unknown":
+        if isinstance(value, str) and value == "unknown":
             return None
-        if isinstance(given, Mapping):
-            given = [_of_joint(what, given, joint) for joint in joints]
+        if isinstance(value, Mapping):
+            value = [_joint_value(label, value, joint) for joint in joints]
         try:
-            values = np.broadcast_to(np.asarray(given, dtype=float), len(joints)).copy()
+            values = np.broadcast_to(np.asarray(value, dtype=float), len(joints)).copy()
         except (TypeError, ValueError):
             values = np.full(1, np.nan)
         if np.isnan(values).any():
             raise ValueError(
-                f"{what} must be one number, or one for each joint in the order "
-                f"{', '.join(joints)}; got {given!r}."
+                f"{label} must be one number, or one for each joint in the order "
+                f"{', '.join(joints)}; got {value!r}."
             )
         if name != "torque_constant" and (values < 0).any():
-            raise ValueError(f"{what} must not be negative; got {given!r}.")
+            raise ValueError(f"{label} must not be negative; got {value!r}.")
         return values
 
 
-def _of_joint(what, given, joint):
-    """Return the number that is given by a part of a joint's name."""
-    keys = [joint] if joint in given else [key for key in given if key in joint]
+def _joint_value(label, settings, joint):
+    """Return the value of a joint from a dict whose keys are parts of joint names."""
+    keys = [joint] if joint in settings else [key for key in settings if key in joint]
     if len(keys) != 1:
         raise ValueError(
-            f"{what} must have one key in each joint's name; {len(keys)} of "
-            f"{', '.join(map(repr, given))} are in {joint!r}."
+            f"{label} must have one key in each joint's name; {len(keys)} of "
+            f"{', '.join(map(repr, settings))} are in {joint!r}."
         )
-    return given[keys[0]]
+    return settings[keys[0]]
 
 
 class PDDrive(Drive):
@@ -127,8 +126,8 @@ class PDDrive(Drive):
         \tau(t) = K_p\,(q_d(t - d) - q(t)) + K_d\,(v_d(t - d) - v(t))
                   + \tau_{ff}(t - d),
 
-    whose gains are known and whose delay d is found: `RobotIdentifier` has it as a
-    parameter ``drive:delay`` of the robot.
+    with known gains and a delay d that is estimated: `RobotIdentifier` has it as the
+    parameter ``drive:delay``.
 
     Parameters
     ----------
@@ -171,7 +170,7 @@ class PDDrive(Drive):
     channel = "q_desired"
     uses_positions = True
     extra_channels = COMMANDS[1:]
-    # settings to check if the order of magnitude of the torques is wrong
+    # parameters to check if the order of magnitude of the torques is wrong
     numbers = (
         "kp [N m/rad] and kd [N m s/rad] (not per degree, nor in units of the "
         "firmware), and the unit of the positions"
@@ -186,7 +185,7 @@ class PDDrive(Drive):
 
     @property
     def known_delay(self):
-        """Known delay [s]; None if it is to be found."""
+        """Given delay [s], None if it is to be estimated."""
         if isinstance(self.delay, Real) and np.isfinite(self.delay):
             return float(self.delay)
         if not isinstance(self.delay, str) or self.delay != "auto":
@@ -196,30 +195,30 @@ class PDDrive(Drive):
         return None
 
     def commands(self, recording):
-        """Return the part of the torques (n_samples, nv) that follows from commands.
+        """Return the part of the torques (n, nv) due to commands alone [N m or N].
 
-        A row acts from its time to that of the next one, a delay later [N m or N].
+        Each row acts from its time to the time of the next row, plus the delay.
         """
-        aim, rate, ahead = (
+        position, velocity, feedforward = (
             self._channel(recording, name)
             for name in ("q_desired", "v_desired", "tau_ff")
         )
-        if aim is None:
+        if position is None:
             raise ValueError(
                 "PDDrive needs the channel 'q_desired' of each joint: give y=q_desired "
                 "to fit, or columns q_desired_<joint> to the reader."
             )
         kp, kd = self.law(recording.joint_names, recording)
-        command = kp * aim
-        command = command if rate is None else command + kd * rate
-        return command if ahead is None else command + ahead
+        command = kp * position
+        command = command if velocity is None else command + kd * velocity
+        return command if feedforward is None else command + feedforward
 
     def driven(self, recording):
-        """Return a recording of the torques that the law asks for; see `Drive`."""
+        """Return a recording with the torques of the control law; see `Drive`."""
         command = self.commands(recording)
         kp, kd = self.law(recording.joint_names, recording)
         parts, clock = recording.segments, recording.clock
-        if _changes(recording.q, parts) and not _changes(command, parts):
+        if _varies(recording.q, parts) and not _varies(command, parts):
             raise ValueError(
                 "The commands are constant while joints move: they are not those that "
                 "the robot followed. Record the commands of the same time and mode."
@@ -229,47 +228,47 @@ class PDDrive(Drive):
         command = held(command, parts, clock, self.known_delay or 0.0)
         q, v = recording.q, velocities(recording)
         if self.period is not None:
-            # A torque that is held acts half a period late; of the command it is a
-            # part of the delay.
-            late = 0.5 * recording.dt / self.updates_per_sample(recording.dt)
-            q, v = (interpolate(x, parts, clock, late) for x in (q, v))
+            # A zero-order hold delays the feedback by half a control period on average.
+            # For the command, this is part of the estimated delay.
+            hold_delay = 0.5 * recording.dt / self.updates_per_sample(recording.dt)
+            q, v = (interpolate(x, parts, clock, hold_delay) for x in (q, v))
         tau = command - kp * q - kd * v
-        shares = [np.mean(np.broadcast_to(x, tau.shape), axis=0) for x in (kp, kd)]
-        made = replace(recording, tau=tau, command=command, feedback=np.array(shares))
-        return made if self.saturation is None else self._saturated(made)
+        gains = [np.mean(np.broadcast_to(x, tau.shape), axis=0) for x in (kp, kd)]
+        driven = replace(recording, tau=tau, command=command, feedback=np.array(gains))
+        return driven if self.saturation is None else self._exclude_saturated(driven)
 
-    def _saturated(self, recording):
-        """Mark samples at the limit of torque, which the law does not tell."""
-        names, most = recording.joint_names, self.torque_limits(recording.joint_names)
-        full = np.abs(recording.tau) >= most
-        share = full.mean(axis=0)
+    def _exclude_saturated(self, recording):
+        """Set the weights of saturated samples to zero and clip their torques."""
+        names, limits = recording.joint_names, self.torque_limits(recording.joint_names)
+        mask = np.abs(recording.tau) >= limits
+        share = mask.mean(axis=0)
         j = int(np.argmax(share))
-        if share[j] > _MOSTLY:
+        if share[j] > _MAX_SATURATED:
             raise ValueError(
-                f"{names[j]} is at its limit of {most[j]:.4g} for "
+                f"{names[j]} is at its limit of {limits[j]:.4g} for "
                 f"{100 * share[j]:.0f} % of the samples: its torque is unreliable. "
                 "Check the limit, or record a slower motion."
             )
-        weight = np.ones(full.shape) if recording.weight is None else recording.weight
+        weight = np.ones(mask.shape) if recording.weight is None else recording.weight
         return replace(
             recording,
-            tau=np.clip(recording.tau, -most, most),
-            weight=np.where(full, 0.0, weight),
+            tau=np.clip(recording.tau, -limits, limits),
+            weight=np.where(mask, 0.0, weight),
         )
 
     def facts(self, recording):
-        """Delay as given [s] or None, and the share of each joint at its limit."""
-        most = self.torque_limits(recording.joint_names)
-        share = (np.abs(recording.tau) >= most).mean(axis=0)
+        """Return the given delay [s] or None, and the saturated share of each joint."""
+        limits = self.torque_limits(recording.joint_names)
+        share = (np.abs(recording.tau) >= limits).mean(axis=0)
         return {"delay": self.known_delay, "saturated": share.tolist()}
 
     # -- in simulation -----------------------------------------------------------------
 
     def updates_per_sample(self, dt):
-        """Return how often torques are set in a sample period."""
+        """Return the number of control periods in a sample period."""
         if self.period is None:
-            return max(round(dt / _PERIOD), 1)
-        # A hundredth of a period is the jitter of clocks.
+            return max(round(dt / _DEFAULT_PERIOD), 1)
+        # One per cent of a period allows for clock jitter.
         if not (isinstance(self.period, Real) and 0 < self.period <= 1.01 * dt):
             raise ValueError(
                 "PDDrive: period must be a positive time in s, at most the sample "
@@ -278,15 +277,15 @@ class PDDrive(Drive):
         return max(round(dt / self.period), 1)
 
     def torque_limits(self, names):
-        """Return the largest torque of joints, (nv,); infinite where none is given."""
+        """Return the torque limits of joints (nv,), infinite if not given."""
         if self.saturation is None:
             return np.full(len(names), np.inf)
         return self._setting("saturation", names)
 
     def law(self, names, recording=None):
-        """Gains of position and velocity, (nv,) or, if recorded, (n, nv)."""
-        found = {x: self._setting(x, names, recording) for x in ("kp", "kd")}
-        for name, values in found.items():
+        """Return position and velocity gains, (nv,) or, if recorded, (n, nv)."""
+        gains = {x: self._setting(x, names, recording) for x in ("kp", "kd")}
+        for name, values in gains.items():
             if values is None:
                 raise ValueError(
                     f"PDDrive: {name} is missing: give {name}=, a number for each of "
@@ -295,11 +294,11 @@ class PDDrive(Drive):
                 )
             if (values < 0).any():
                 raise ValueError(f"PDDrive: {name} must not be negative.")
-        return tuple(found.values())
+        return tuple(gains.values())
 
 
 class CurrentDrive(Drive):
-    r"""Motor currents, signed or as sizes.
+    r"""Motor currents, signed or as magnitudes.
 
     .. math:: \tau = k_t \, i
 
@@ -307,11 +306,11 @@ class CurrentDrive(Drive):
     ----------
     torque_constant : "unknown", float or array-like of shape (nv,), default="unknown"
         Torque of the joint by current, gear ratio included, k_t [N m/A]. ``"unknown"``
-        does not change y and finds the gains of the channels, as ``gains="unknown"``.
+        keeps y unchanged and estimates the gains, as with ``gains="unknown"``.
     signed : bool, default=True
-        Whether currents have their sign. False for sizes, as some drives log them: the
-        sign is then that of the torque of the model, and both signs in proportion to
-        their probability where that is near zero.
+        Whether currents are signed. False for magnitudes, as some drives log them: the
+        sign is then that of the modelled torque, or, where this is near zero, both
+        signs weighted by their probability.
 
     Examples
     --------
@@ -335,7 +334,7 @@ class CurrentDrive(Drive):
 
     @property
     def unsigned(self):
-        """Whether only sizes of torques are known."""
+        """Whether only magnitudes of torques are known."""
         return not self.signed
 
 
@@ -344,7 +343,7 @@ class VoltageDrive(Drive):
 
     .. math:: \tau = \frac{k_t}{R} V - \frac{k_t^2}{R} v
 
-    Torques are in volts. Their gains are found, as with ``gains="unknown"``.
+    Torques are in volts. Their gains are estimated, as with ``gains="unknown"``.
 
     Parameters
     ----------
@@ -374,15 +373,15 @@ class VoltageDrive(Drive):
         self.supply = supply
 
 
-def _changes(values, parts):
-    """Whether a channel (n, nv) changes inside any recording."""
+def _varies(values, parts):
+    """Return whether a channel (n, nv) varies within any recording."""
     return any(np.ptp(values[part], axis=0).any() for part in parts)
 
 
 def check_delay(delay, recording):
-    """Refuse a delay [s] before which too much of a recording has no known command."""
+    """Refuse a delay [s] that leaves too much of a recording without commands."""
     time = check_dt(recording.dt) * recording.n_samples / len(recording.segments)
-    if abs(delay) > _UNKNOWN * time:
+    if abs(delay) > _MAX_DELAY * time:
         raise ValueError(
             f"The delay of the commands is {delay:.3g} s, more than a tenth of a "
             f"recording of {time:.3g} s: first commands are unknown. Record longer, or "
@@ -391,74 +390,74 @@ def check_delay(delay, recording):
 
 
 def velocities(recording):
-    """Velocities (n, nv): those of states, or slopes of the positions, as they came."""
-    # Drives make theirs of the same encoder, some milliseconds late by a filter, and
-    # what they log has noise of the whole band: only its lag is taken.
+    """Return velocities (n, nv) of states, or of positions delayed as in the drive."""
+    # Drives filter the velocity of the same encoder, which delays it by milliseconds.
+    # The logged velocity is noisy at all frequencies: only its lag is used.
     if recording.states is not None:
         return recording.states[:, recording.nv : 2 * recording.nv]
-    q, known = recording.q, (recording.segments, recording.clock)
+    q, rows = recording.q, (recording.segments, recording.clock)
     lags = velocity_lags(recording).tolist()
     return np.column_stack(
-        [interpolate(q[:, j], *known, lag, order=1) for j, lag in enumerate(lags)]
+        [interpolate(q[:, j], *rows, lag, order=1) for j, lag in enumerate(lags)]
     )
 
 
 def velocity_lags(recording):
-    """Delay (nv,) of recorded velocities [s], zeros where there are none."""
-    # By least squares on accelerations, where the motion is.
+    """Return the delay (nv,) of recorded velocities [s], zeros if not recorded."""
+    # Least squares of the velocity difference on accelerations, at low frequencies.
     if recording.states is not None or recording.v is None:
         return np.zeros(recording.nv)
     q, parts, clock = recording.q, recording.segments, recording.clock
-    lowpass = _lowpass.design(recording.dt, min(_SLOW, 0.2 / recording.dt))
-    long = [part for part in parts if part.stop - part.start > 2 * lowpass.half]
-    if not long:
+    lowpass = _lowpass.design(recording.dt, min(_LAG_CUTOFF, 0.2 / recording.dt))
+    used = [part for part in parts if part.stop - part.start > 2 * lowpass.half]
+    if not used:
         return np.zeros(recording.nv)
-    # Accelerations of all rows: filtered ones are further apart.
-    slope, bend = (interpolate(q, parts, clock, order=k) for k in (1, 2))
-    own, theirs, faster = (
-        np.concatenate([lowpass(x[part]) for part in long])
-        for x in (slope, recording.v, bend)
+    # Differentiate at the full sampling rate, before the low-pass decimates.
+    velocity, acceleration = (interpolate(q, parts, clock, order=k) for k in (1, 2))
+    v, v_recorded, a = (
+        np.concatenate([lowpass(x[part]) for part in used])
+        for x in (velocity, recording.v, acceleration)
     )
-    power = (faster**2).sum(axis=0)
-    return ((own - theirs) * faster).sum(axis=0) / np.where(power > 0, power, 1.0)
+    power = (a**2).sum(axis=0)
+    return ((v - v_recorded) * a).sum(axis=0) / np.where(power > 0, power, 1.0)
 
 
-# Drives by the name that a text begins with.
+# Drives by the first word of a text.
 DRIVES = {"pd": PDDrive, "current": CurrentDrive, "voltage": VoltageDrive}
 
 
 def parse_drive(text):
-    """Return the drive that a text says, such as "pd kp=20,20,40 kd=1 delay=auto"."""
+    """Parse a drive from a text such as "pd kp=20,20,40 kd=1 delay=auto"."""
     kind, *parts = text.split() or [""]
     if kind not in DRIVES:
         raise ValueError(
             f"drive must begin with its kind, one of {', '.join(DRIVES)}, such as "
             f'"pd kp=20,20,40 kd=1,1,2"; got {text!r}.'
         )
-    known, given = list(DRIVES[kind]().get_params()), {}
+    allowed, params = list(DRIVES[kind]().get_params()), {}
     for part in parts:
         name, _, value = part.partition("=")
-        if name not in known or not value or name in given:
+        if name not in allowed or not value or name in params:
             raise ValueError(
                 f"drive has {part!r}; expected, each once, NAME=VALUE without blanks, "
-                f"of {', '.join(known)}."
+                f"of {', '.join(allowed)}."
             )
-        given[name] = _SWITCHES[value] if value in _SWITCHES else _numbers(part, value)
-    return DRIVES[kind](**given)
+        params[name] = _KEYWORDS[value] if value in _KEYWORDS else _parse(part, value)
+    return DRIVES[kind](**params)
 
 
-_SWITCHES = {"none": None, "true": True, "yes": True, "false": False, "no": False}
+_KEYWORDS = {"none": None, "true": True, "yes": True, "false": False, "no": False}
 
 
-def _numbers(part, text):
-    """Return the number of NAME=VALUE, several, several by joints' names, or a word."""
+def _parse(part, text):
+    """Parse VALUE of NAME=VALUE: a number, a list, a dict by joint name, or a word."""
     pairs = [x.rpartition(":")[::2] for x in text.split(",")]
     joints, values = {joint for joint, _ in pairs}, [value for _, value in pairs]
     try:
         values = np.array(values, dtype=float).tolist()
     except ValueError:
         if len(pairs) == 1 and joints == {""}:
-            # The drive knows the word or refuses it.
+            # The drive validates the word.
             return text
         values = [np.nan]
     by_joint = "" not in joints and len(joints) == len(pairs)

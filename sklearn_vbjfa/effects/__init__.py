@@ -1,6 +1,6 @@
 """Effects that a rigid-body model may lack, each a small transformer.
 
-Names that are not in ``__all__`` are for other rooms of the package and for tests.
+Names that are not in ``__all__`` are for other subpackages and for tests.
 """
 
 from typing import TYPE_CHECKING

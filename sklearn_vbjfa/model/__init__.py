@@ -2,7 +2,7 @@
 
 from sklearn_vbjfa import _lazily
 
-# For users there is `sklearn_vbjfa.load_model`; the rest is for other rooms.
+# Public as `sklearn_vbjfa.load_model`; the rest is for other subpackages.
 _MODULES = {
     "_dynamics": (
         "CorrectedModel",
@@ -42,4 +42,4 @@ __getattr__, __dir__ = _lazily(__name__, _MODULES)
 
 
 class DoubtWarning(UserWarning):
-    """Part of what was given is left out of a result, or the result may be wrong."""
+    """Part of the input is not used in a result, or the result may be wrong."""

@@ -1,8 +1,8 @@
 """Regressor rows of many samples, compiled by Numba.
 
-Bodies and joints are seen in the world's axes, as in `sklearn_vbjfa.model._dynamics`.
-Each sample goes through the tree once: a body's forces and moments by its ten
-parameters are projected on the joint that moves it and on those that carry that joint.
+All vectors are in world axes, as in `sklearn_vbjfa.model._dynamics`. Each sample passes
+the tree once: a body's forces and moments by its ten parameters are projected on the
+joint that moves it and on all joints that carry that joint.
 """
 
 import math
@@ -57,10 +57,10 @@ def combine(a, x, y, z):
 
 @compiled
 def turn(axis, cosine, sine):
-    """Return the axes of a frame turned about an axis, in that frame, by rows."""
+    """Return the axes, by rows, of a frame rotated about an axis of that frame."""
     u, v, w = axis
-    rest = 1.0 - cosine
-    x, y, z = rest * u, rest * v, rest * w
+    versine = 1.0 - cosine
+    x, y, z = versine * u, versine * v, versine * w
     return (
         (x * u + cosine, x * v + w * sine, x * w - v * sine),
         (y * u - w * sine, y * v + cosine, y * w + u * sine),
@@ -69,20 +69,20 @@ def turn(axis, cosine, sine):
 
 
 @compiled
-def get(state, at):
-    return state[at], state[at + 1], state[at + 2]
+def get(state, start):
+    return state[start], state[start + 1], state[start + 2]
 
 
 @compiled
-def put(state, at, x):
-    state[at], state[at + 1], state[at + 2] = x[0], x[1], x[2]
+def put(state, start, x):
+    state[start], state[start + 1], state[start + 2] = x[0], x[1], x[2]
 
 
 @inlined
-def _forces_and_moments(p, x, y, z, field, w, dw):
-    """Return a body's forces by m, mc, and moments about the origin by all ten."""
-    # Acceleration of the tip of an axis relative to its tail: M e_k with
-    # M = [dw]x + w w' - |w|^2, by its columns.
+def _forces_and_moments(p, x, y, z, accel, w, dw):
+    """Return a body's forces by m and mc, and moments about the origin by all ten."""
+    # Relative acceleration of the ends of an axis e_k: M e_k, with the columns of
+    # M = [dw]x + w w' - |w|^2.
     square = dot(w, w)
     m1 = w[0] * w[0] - square, w[0] * w[1] + dw[2], w[0] * w[2] - dw[1]
     m2 = w[0] * w[1] - dw[2], w[1] * w[1] - square, w[1] * w[2] + dw[0]
@@ -90,15 +90,15 @@ def _forces_and_moments(p, x, y, z, field, w, dw):
     dx = combine(x, m1, m2, m3)
     dy = combine(y, m1, m2, m3)
     dz = combine(z, m1, m2, m3)
-    # A moment of inertia sums the squares of the other two coordinates, a product of
-    # inertia is a mixed second moment times minus one.
+    # A moment of inertia sums the second moments of the other two coordinates, a
+    # product of inertia is a mixed second moment with negative sign.
     xx, yy, zz = cross(x, dx), cross(y, dy), cross(z, dz)
     half = combine((0.5, 0.5, 0.5), xx, yy, zz)
     moments = (
-        cross(p, field),
-        axpy(1.0, cross(p, dx), cross(x, field)),
-        axpy(1.0, cross(p, dy), cross(y, field)),
-        axpy(1.0, cross(p, dz), cross(z, field)),
+        cross(p, accel),
+        axpy(1.0, cross(p, dx), cross(x, accel)),
+        axpy(1.0, cross(p, dy), cross(y, accel)),
+        axpy(1.0, cross(p, dz), cross(z, accel)),
         axpy(-1.0, xx, half),
         axpy(1.0, cross(dx, y), cross(dy, x)),
         axpy(-1.0, yy, half),
@@ -106,43 +106,43 @@ def _forces_and_moments(p, x, y, z, field, w, dw):
         axpy(1.0, cross(dy, z), cross(dz, y)),
         axpy(-1.0, zz, half),
     )
-    return (field, dx, dy, dz), moments
+    return (accel, dx, dy, dz), moments
 
 
-# What is kept of a body: its axes, origin, acceleration of the origin less gravity,
-# angular velocity and acceleration, and its joint's screw.
-ORIGIN, _FIELD, _SPEED, _GAIN, ANGULAR, LINEAR, STATE = 9, 12, 15, 18, 21, 24, 27
+# Layout of a body's motion: axes, origin, acceleration of the origin minus gravity,
+# angular velocity, angular acceleration, and angular and linear part of its screw.
+ORIGIN, _ACCEL, _OMEGA, _ALPHA, ANGULAR, LINEAR, STATE = 9, 12, 15, 18, 21, 24, 27
 
 
 @inlined
-def advance(known, tree, j, q, v, a):
-    """Write what is kept of body j; return its forces and moments by parameters."""
+def advance(motions, tree, j, q, v, a):
+    """Write the motion of body j; return its forces and moments by parameters."""
     turns, slides, parent = tree.turns[j], tree.slides[j], tree.parents[j]
     if parent >= 0:
-        above = known[parent]
-        e1, e2, e3 = get(above, 0), get(above, 3), get(above, 6)
-        p, field = get(above, ORIGIN), get(above, _FIELD)
-        w, dw = get(above, _SPEED), get(above, _GAIN)
+        parent_body = motions[parent]
+        e1, e2, e3 = get(parent_body, 0), get(parent_body, 3), get(parent_body, 6)
+        p, accel = get(parent_body, ORIGIN), get(parent_body, _ACCEL)
+        w, dw = get(parent_body, _OMEGA), get(parent_body, _ALPHA)
     else:
         e1, e2, e3 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-        p, field, w = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        p, accel, w = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         dw = vector(tree.base_angular)
-    # Axes of the joint at zero, about or along one direction of which it moves.
+    # Axes of the joint at zero; it moves about or along a direction in these axes.
     x = combine(vector(tree.frames[j, 0]), e1, e2, e3)
     y = combine(vector(tree.frames[j, 1]), e1, e2, e3)
     z = combine(vector(tree.frames[j, 2]), e1, e2, e3)
     direction = vector(tree.axes[j])
     axis = combine(direction, x, y, z)
-    across = cross(w, axis)
+    coriolis = cross(w, axis)
     offset = combine(vector(tree.offsets[j]), e1, e2, e3)
-    field = axpy(1.0, field, vector(tree.base[j]))
+    accel = axpy(1.0, accel, vector(tree.base[j]))
     if slides != 0.0:
         offset = axpy(slides * q, axis, offset)
-        field = axpy(2.0 * slides * v, across, field)
-        field = axpy(slides * a, axis, field)
+        accel = axpy(2.0 * slides * v, coriolis, accel)
+        accel = axpy(slides * a, axis, accel)
     p = axpy(1.0, p, offset)
-    field = axpy(1.0, cross(w, cross(w, offset)), field)
-    field = axpy(1.0, cross(dw, offset), field)
+    accel = axpy(1.0, cross(w, cross(w, offset)), accel)
+    accel = axpy(1.0, cross(dw, offset), accel)
     if turns != 0.0:
         angle = turns * q
         turned = turn(direction, math.cos(angle), math.sin(angle))
@@ -152,49 +152,49 @@ def advance(known, tree, j, q, v, a):
             combine(turned[2], x, y, z),
         )
         w = axpy(turns * v, axis, w)
-        dw = axpy(turns * a, axis, axpy(turns * v, across, dw))
-    own = known[j]
-    put(own, 0, x)
-    put(own, 3, y)
-    put(own, 6, z)
-    put(own, ORIGIN, p)
-    put(own, _FIELD, field)
-    put(own, _SPEED, w)
-    put(own, _GAIN, dw)
+        dw = axpy(turns * a, axis, axpy(turns * v, coriolis, dw))
+    body = motions[j]
+    put(body, 0, x)
+    put(body, 3, y)
+    put(body, 6, z)
+    put(body, ORIGIN, p)
+    put(body, _ACCEL, accel)
+    put(body, _OMEGA, w)
+    put(body, _ALPHA, dw)
     angular = scaled(turns, axis)
-    put(own, ANGULAR, angular)
-    put(own, LINEAR, axpy(slides, axis, cross(p, angular)))
-    return _forces_and_moments(p, x, y, z, field, w, dw)
+    put(body, ANGULAR, angular)
+    put(body, LINEAR, axpy(slides, axis, cross(p, angular)))
+    return _forces_and_moments(p, x, y, z, accel, w, dw)
 
 
 @compiled
-def fill(states, tree, places, out):
+def fill(states, tree, indices, out):
     """Write entries of regressor matrices in states (n, 3 nv) into rows (n, k)."""
-    # places (nv, nv, 10): column of `out` for each torque, body and parameter, -1 for
-    # none. Columns without an entry are left alone.
+    # indices (nv, nv, 10): column of `out` for each torque, body and parameter, -1 for
+    # none. Other columns are not changed.
     nv = tree.parents.size
-    known = np.zeros((nv, STATE))
+    motions = np.zeros((nv, STATE))
     for state, row in zip(states, out):
         for j in range(nv):
-            now = state[j], state[nv + j], state[2 * nv + j]
-            forces, moments = advance(known, tree, j, now[0], now[1], now[2])
-            # The joint itself and all those above it.
+            sample = state[j], state[nv + j], state[2 * nv + j]
+            forces, moments = advance(motions, tree, j, sample[0], sample[1], sample[2])
+            # The joint itself and all joints that carry it.
             i = j
             while i >= 0:
-                angular, linear = get(known[i], ANGULAR), get(known[i], LINEAR)
+                angular, linear = get(motions[i], ANGULAR), get(motions[i], LINEAR)
                 for k in range(10):
-                    at = places[i, j, k]
-                    if at >= 0:
+                    column = indices[i, j, k]
+                    if column >= 0:
                         torque = dot(angular, moments[k])
                         if k < 4:
                             torque += dot(linear, forces[k])
-                        row[at] = torque
+                        row[column] = torque
                 i = tree.parents[i]
 
 
 @inlined
 def wrench(body, forces, moments):
-    """Return the force and the moment that a body (10,) takes."""
+    """Return the force and moment that a body of parameters (10,) requires."""
     force = moment = (0.0, 0.0, 0.0)
     for k in range(10):
         moment = axpy(body[k], moments[k], moment)
@@ -207,19 +207,19 @@ def wrench(body, forces, moments):
 def torques(states, tree, bodies, out):
     """Write the torques (n, nv) of bodies (nv, 10) in states (n, 3 nv)."""
     nv = tree.parents.size
-    known, carried = np.zeros((nv, STATE)), np.empty((nv, 6))
+    motions, wrenches = np.zeros((nv, STATE)), np.empty((nv, 6))
     for state, row in zip(states, out):
         for j in range(nv):
-            now = state[j], state[nv + j], state[2 * nv + j]
-            forces, moments = advance(known, tree, j, now[0], now[1], now[2])
+            sample = state[j], state[nv + j], state[2 * nv + j]
+            forces, moments = advance(motions, tree, j, sample[0], sample[1], sample[2])
             force, moment = wrench(bodies[j], forces, moments)
-            put(carried[j], 0, force)
-            put(carried[j], 3, moment)
+            put(wrenches[j], 0, force)
+            put(wrenches[j], 3, moment)
         for j in range(nv - 1, -1, -1):
-            force, moment = get(carried[j], 0), get(carried[j], 3)
-            row[j] = dot(get(known[j], LINEAR), force)
-            row[j] += dot(get(known[j], ANGULAR), moment)
+            force, moment = get(wrenches[j], 0), get(wrenches[j], 3)
+            row[j] = dot(get(motions[j], LINEAR), force)
+            row[j] += dot(get(motions[j], ANGULAR), moment)
             parent = tree.parents[j]
             if parent >= 0:
                 for k in range(6):
-                    carried[parent, k] += carried[j, k]
+                    wrenches[parent, k] += wrenches[j, k]

@@ -1,6 +1,6 @@
-"""Robot models: read from a description or built, and written as text for keeping.
+"""Robot models: read from a description or built, and written as text for saved files.
 
-What of a description does not enter the model is said in one warning.
+One warning lists the contents of a description that are not part of the model.
 """
 
 import os
@@ -36,15 +36,15 @@ from sklearn_vbjfa.model._urdf import (
     write_tree,
 )
 
-# A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
-# below which a warning says so. (What was identified and projected lies between it and
-# what counts as solid.)
-_POSSIBLE = 1e-12
+# Smallest pseudo-inertia eigenvalue of a body, in units of its own mass and length,
+# without a warning. (Identified and projected bodies lie between this and the limit of
+# solid bodies.)
+_CONSISTENT = 1e-12
 # Masses and levers of the double pendulum's links.
 _M1, _R1 = 0.5593806151425046, 0.3
 _M2, _R2 = 0.6043459469186889, 0.18377686083653508
-# How the one warning of what does not enter the model begins.
-_LEFT_OUT = "The robot description"
+# Beginning of the warning about contents that are not part of the model.
+_WARNING = "The robot description"
 
 
 def load_model(model, base_orientation=None):
@@ -56,9 +56,9 @@ def load_model(model, base_orientation=None):
         Path of a URDF or MJCF file, or a model.
     base_orientation : array-like of 4 floats, default=None
         Orientation in the world of a base that is free, a quaternion w, x, y, z; by
-        default that of the description. A free joint that is the only one and carries
-        all other joints, as of a quadruped or a humanoid, is held: the base stands
-        still, and gravity pulls as it does in this orientation.
+        default that of the description. A single free joint that carries all other
+        joints, as in a quadruped or a humanoid, is fixed: the base does not move, and
+        gravity has the direction that belongs to this orientation.
 
     Returns
     -------
@@ -82,12 +82,12 @@ def load_model(model, base_orientation=None):
     Warns
     -----
     UserWarning
-        If something in the file does not enter the model: a body without mass or with
-        an inertia that no solid body has is taken for the nearest solid one, springs,
+        If contents of the file are not part of the model: a body without mass or with
+        an inertia that no solid body has is replaced by the nearest solid one, springs,
         damping, friction and tendons of an MJCF file are ignored, and a joint that
         follows another one and carries joints that do not counts as a separate joint.
         Bodies that other mimic joints move are fixed at the pose where their leaders
-        are at zero. A base that is held is named with its orientation.
+        are at zero. The orientation of a fixed base is reported.
 
     See Also
     --------
@@ -106,17 +106,17 @@ def load_model(model, base_orientation=None):
 
 
 def load_folded(model, base_orientation=None):
-    """As `load_model`, without the joints that follow others, and with their bodies."""
+    """Load a model as `load_model` does; return it as `Folded`, with followers."""
     pin = import_pinocchio()
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
-        return _folded(parse_description(path), path, base=base_orientation)
+        return _build(parse_description(path), path, base=base_orientation)
     if isinstance(model, pin.Model):
-        called = f"The model {model.name!r}"
-        given = Description(model=model.copy(), called=called)
-        held, said = hold_base(given, base_orientation)
-        _warn(said, model.name, stacklevel=4)
-        return Folded.without(check_joints(held.model))
+        label = f"The model {model.name!r}"
+        description = Description(model=model.copy(), label=label)
+        robot, messages = hold_base(description, base_orientation)
+        _warn(messages, model.name, stacklevel=4)
+        return Folded.without_followers(check_joints(robot.model))
     raise TypeError(
         "model must be the path of a URDF or MJCF file or a pinocchio.Model, got "
         f"{type(model).__name__}."
@@ -124,39 +124,39 @@ def load_folded(model, base_orientation=None):
 
 
 def load_reduced(path, moving, base_orientation=None):
-    """As `load_model`, of a description of which only some joints move."""
-    # The others are held at zero, and what they carry is one body with its parent. A
-    # joint that follows one that moves is as in `load_model`, unless it is named.
+    """Load a model as `load_model` does, in which only some joints move."""
+    # The others are fixed at zero, and their bodies are joined to those of the parents.
+    # A follower of a moving joint is treated as in `load_model`, unless it is named.
     path = Path(path)
-    return _folded(parse_description(path), path, moving, base_orientation).still
+    return _build(parse_description(path), path, moving, base_orientation).still
 
 
 def movable_joints(path):
     """Names of the joints that are neither fixed nor follow others, in file order."""
-    # Those that follow others are listed if they cannot be folded, see `load_model`; a
-    # free joint that is held there is not.
+    # Followers are listed if they cannot be folded, see `load_model`; the free joint of
+    # a fixed base is not.
     path = Path(path)
     robot, _ = hold_base(_read(parse_description(path), path), None)
-    folded = foldable(robot.carriers, robot.links, robot.called)
+    folded = foldable(robot.carriers, robot.links, robot.label)
     return tuple(name for name in robot.in_file_order if name not in folded)
 
 
 def write_reduced(path, target, moving, base_orientation=None):
-    """Write a copy of a description in which all but some joints are fixed at zero."""
-    # Of an MJCF file the copy is a URDF of its bodies and joints. Returns the joints
-    # that were fixed, without that of a free base.
+    """Write a copy of a description in which only some joints are not fixed at zero."""
+    # The copy of an MJCF file is a URDF with its bodies and joints. Returns the fixed
+    # joints, without that of a free base.
     path = Path(path)
     tree = parse_description(path)
     is_mjcf = _is_mjcf(tree, path)
     whole = _read(tree, path)
     robot, _ = hold_base(whole, base_orientation)
-    reduced = robot.held(moving)
+    reduced = robot.with_moving(moving)
     if is_mjcf:
         reduced.check()
-        usual = import_pinocchio().Model().gravity.linear
-        if not np.allclose(reduced.model.gravity.linear, usual):
+        standard = import_pinocchio().Model().gravity.linear
+        if not np.allclose(reduced.model.gravity.linear, standard):
             raise ValueError(
-                f"{reduced.called} has another gravity than {usual} m/s^2, which a "
+                f"{reduced.label} has another gravity than {standard} m/s^2, which a "
                 "copy without the held joints would lose; take them out of the file "
                 "itself."
             )
@@ -165,27 +165,27 @@ def write_reduced(path, target, moving, base_orientation=None):
         tree, base = parse_description(path), None
         if base_orientation is not None:
             (name,) = whole.free
-            placed = whole.model.jointPlacements[whole.model.getJointId(name)]
-            base = name, placed.rotation.T @ rotation_of(base_orientation)
+            placement = whole.model.jointPlacements[whole.model.getJointId(name)]
+            base = name, placement.rotation.T @ rotation_of(base_orientation)
         hold_in_urdf(tree, reduced.names, reduced.links, base)
         write_tree(tree, target)
     return tuple(name for name in robot.in_file_order if name not in reduced.names)
 
 
 def description_text(folded):
-    """Return the URDF of a robot as a text, XML without declaration."""
+    """Return the URDF of a robot as text, XML without declaration."""
     return folded.text or text_of_tree(folded.full, folded.links)
 
 
 def load_text(text, path):
-    """Return the model of a URDF that was read before, as `load_folded`, in silence."""
+    """Return the model of a saved URDF as `load_folded` does, without warning."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", _LEFT_OUT, UserWarning)
-        return _folded(parse_text(text.encode(), path), Path(path)).model
+        warnings.filterwarnings("ignore", _WARNING, UserWarning)
+        return _build(parse_text(text.encode(), path), Path(path)).model
 
 
 def _is_mjcf(tree, path):
-    """Whether a description is one of MuJoCo and no URDF, by its root."""
+    """Whether a description is MJCF and not URDF, from its root element."""
     tag = tree.getroot().tag
     if tag not in ("robot", "mujoco"):
         raise ValueError(
@@ -201,53 +201,53 @@ def _read(tree, path):
     return read_urdf(tree, path)
 
 
-def _folded(tree, path, moving=None, base=None):
-    """Build and check a robot, `Folded`; say what of it does not enter the model."""
-    # moving: joints that are not held, None for all; base: orientation of a free base.
+def _build(tree, path, moving=None, base=None):
+    """Build and check a robot, `Folded`; warn about contents that are not modelled."""
+    # moving: joints that are not fixed, None for all; base: orientation of a free base.
     is_urdf = not _is_mjcf(tree, path)
     text = ElementTree.tostring(tree.getroot(), "unicode") if is_urdf else None
-    robot, said = hold_base(_read(tree, path), base)
+    robot, messages = hold_base(_read(tree, path), base)
     if moving is not None:
-        robot = robot.held(moving)
+        robot = robot.with_moving(moving)
     robot.check()
     links = robot.links
-    folded = foldable(robot.carriers, links, robot.called)
-    found = replace(fold(robot.model, folded), text=text)
-    apart = [name for name in links if name not in folded]
-    said = [*said, *robot.left_out]
-    _warn([*said, *_left_out(apart, found.full)], path.name)
-    for one in (found.model, found.still):
-        with_extension(one, _POSSIBLE)
-    return found
+    folded = foldable(robot.carriers, links, robot.label)
+    result = replace(fold(robot.model, folded), text=text)
+    separate = [name for name in links if name not in folded]
+    messages = [*messages, *robot.left_out]
+    _warn([*messages, *_left_out(separate, result.full)], path.name)
+    for built in (result.model, result.still):
+        with_extension(built, _CONSISTENT)
+    return result
 
 
-def _warn(said, name, stacklevel=5):
-    """Say in one warning what of a robot does not enter the model."""
-    if said:
-        text = f"{_LEFT_OUT} {name!r}: {'; '.join(said)}."
+def _warn(messages, name, stacklevel=5):
+    """Emit one warning about contents of a robot that are not modelled."""
+    if messages:
+        text = f"{_WARNING} {name!r}: {'; '.join(messages)}."
         warnings.warn(text, UserWarning, stacklevel=stacklevel)
 
 
 def _left_out(mimics, model):
-    """Sentences on what of a description does not enter the model."""
-    # mimics: joints that are to follow others and could not be folded
+    """Return messages about contents of a description that are not modelled."""
+    # mimics: followers that could not be folded
     names = joint_names(model)
-    found = []
+    messages = []
     if mimics:
-        found.append(
+        messages.append(
             f"that {', '.join(mimics)} follow(s) another joint and carries joints that "
             "do not is not modelled, each counts as a joint with a separate torque"
         )
-    possible = solid_bodies(nominal_parameters(model), _POSSIBLE)
-    wrong = [name for name, good in zip(names, possible) if not good]
+    consistent = solid_bodies(nominal_parameters(model), _CONSISTENT)
+    wrong = [name for name, good in zip(names, consistent) if not good]
     if wrong:
-        found.append(
+        messages.append(
             f"the body of {', '.join(wrong)} has no mass, or an inertia that no solid "
             "body can have; where the recording does not determine it, next to none or "
             "the nearest solid body is used (correct the inertial element of its link, "
             "unless it is between joints of one body)"
         )
-    return found
+    return messages
 
 
 # -- nominal models of the measured sets -----------------------------------------------
@@ -256,12 +256,12 @@ def _left_out(mimics, model):
 def build_model(name, urdf, joint_names):
     """Build the model of a recording; see `Recording.robot_model`."""
     pin = import_pinocchio()
-    if urdf is None and name in _BUILT:
+    if urdf is None and name in _CHAINS:
         model, parent = pin.Model(), 0
-        for joint, kind, below, mass, lever, moment in _BUILT[name]:
-            placement = pin.SE3(np.eye(3), np.array([0.0, 0.0, -below]))
-            kind = getattr(pin, f"JointModel{kind}")()
-            parent = model.addJoint(parent, kind, placement, joint)
+        for joint, joint_type, distance, mass, lever, moment in _CHAINS[name]:
+            placement = pin.SE3(np.eye(3), np.array([0.0, 0.0, -distance]))
+            joint_type = getattr(pin, f"JointModel{joint_type}")()
+            parent = model.addJoint(parent, joint_type, placement, joint)
             centre = np.array([0.0, 0.0, -lever])
             inertia = pin.Inertia(mass, centre, moment * np.eye(3))
             model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
@@ -285,13 +285,13 @@ def build_model(name, urdf, joint_names):
     return model
 
 
-# Serial chains. Joint, its kind, how far it is below the last one [m], and its link:
-# mass [kg], how far its centre is below the joint [m], and moment of inertia about that
-# [kg m^2].
-_BUILT = {
+# Serial chains: joint, type, distance below the previous joint [m], and its link: mass
+# [kg], distance of the centre of mass below the joint [m], and moment of inertia about
+# the centre [kg m^2].
+_CHAINS = {
     # A load on a horizontal axis.
     "bam_xl330": [("servo", "RY", 0.0, 0.49, 0.1, 0.0)],
-    # The publishers' model_parameters_A.0_model_2.0.yml, whose inertias are about the
+    # From the publishers' model_parameters_A.0_model_2.0.yml, with inertias about the
     # joint.
     "dfki_double_pendulum": [
         ("shoulder", "RX", 0.0, _M1, _R1, 0.053470810264216295 - _M1 * _R1**2),

@@ -1,8 +1,8 @@
 """Writing an identified robot as MJCF, the description of MuJoCo.
 
-The tree is written from the Pinocchio model itself, with the frames of its joints: no
-URDF is needed, no shape and no mesh. What a passive joint of MuJoCo cannot hold, a
-constant and a spring without stable rest, is the bias of the joint's motor.
+The tree is written from the Pinocchio model, with the frames of its joints, and needs
+no URDF, shapes or meshes. Torques that MuJoCo's passive joints cannot represent, a
+constant and a spring without stable equilibrium, are the bias of the joint's motor.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -27,25 +27,25 @@ from sklearn_vbjfa.model._urdf import (
     write_tree,
 )
 
-# Longest time step [s]. MuJoCo's dry friction is a soft constraint whose reference
-# brings a joint to rest within one step (see `_FRICTION`): shorter steps make it full
-# at lower speeds, abs(a) step instead of abs(a) dt.
+# Longest time step [s]. MuJoCo's dry friction is a soft constraint that brings a joint
+# to rest within one step (see `_FRICTION`): with shorter steps it is complete at lower
+# speeds, abs(a) step instead of abs(a) dt.
 _LONGEST_STEP = 5e-4
-# Constraint impedance of dry friction, the hardest that MuJoCo takes: what yields to it
-# is a part in ten thousand of the inertia.
+# Constraint impedance of dry friction, the hardest that MuJoCo accepts: the constraint
+# yields by 1e-4 of the inertia.
 _FRICTION = "0.9999 0.9999 0.001 0.5 2"
-# Ranges beyond this are those of joints without limits [rad or m].
+# Position limits beyond this mean none [rad or m].
 UNLIMITED = 1e6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FollowingJoint:
-    """A joint without a motor that follows another joint, and its body."""
+    """A joint without motor that follows another joint, and its body."""
 
     name: str
-    # joint that carries it, which may follow as well; None for the base
+    # parent joint, which may be a follower as well; None for the base
     carrier: str | None
-    link: ChainJoint  # place in its carrier, and joint that it follows
+    link: ChainJoint  # placement in its parent, and joint that it follows
     body: np.ndarray  # (10,): inertial parameters
 
 
@@ -53,19 +53,19 @@ class FollowingJoint:
 class JointDynamics:
     """Joint torques of an MJCF file that are not due to bodies."""
 
-    # (nv,): none negative
+    # (nv,): nonnegative
     damping: np.ndarray
     frictionloss: np.ndarray
     armature: np.ndarray
     stiffness: np.ndarray
-    springref: np.ndarray  # (nv,): positions at which the springs rest
-    ref: np.ndarray  # (nv,): positions that encoders read at the zeros of the model
-    # (nv,): torques constant + slope q that a motor has to produce besides
+    springref: np.ndarray  # (nv,): equilibrium positions of the springs
+    ref: np.ndarray  # (nv,): encoder readings at the zeros of the model
+    # (nv,): additional torques constant + slope q of a motor
     constant: np.ndarray
     slope: np.ndarray
-    # (nv,): torque channel's reading, the motor's control, over the true torque
+    # (nv,): reading of the torque channel, the motor's control, over the true torque
     gain: np.ndarray
-    # springs k (q[first] - ratio q[second]) + c over two joints, as tuples of these
+    # springs k (q[first] - ratio q[second]) + c: tuples (first, second, ratio, k, c)
     tendons: tuple = ()
 
 
@@ -73,24 +73,24 @@ class JointDynamics:
 class Servo:
     """Position servos instead of torque motors."""
 
-    # (nv,): gains, and largest torques, infinite for none; a joint with kp = 0 has a
-    # torque motor
+    # (nv,): gains, and torque limits, infinite for none; joints with kp = 0 have torque
+    # motors
     kp: np.ndarray
     kd: np.ndarray
     most: np.ndarray
-    delay: float = 0.0  # from a command to its effect [s], not negative
+    delay: float = 0.0  # from a command to its effect [s], nonnegative
 
 
 def write_mjcf(
     path, model, bodies, dynamics, *, dt=None, note="", followers=(), servo=None
 ):
     """Write a robot as MJCF."""
-    # A body without positive mass and a helical joint are refused. model: its zeros are
-    # those of the joints, without what `dynamics.ref` says of the encoders; bodies (nv,
-    # 10); dt: sample period [s], which the time step divides; note: comment at the top;
-    # followers: those that carry others first; servo: `Servo` of motors that have one.
+    # Refuses bodies without positive mass, and helical joints. model: with the zeros of
+    # joints, without the encoder offsets `dynamics.ref`; bodies (nv, 10); dt: sample
+    # period [s], multiple of the time step; note: comment at the top; followers:
+    # parents before children; servo: `Servo`, or None for torque motors.
     tree = _Tree(model, bodies, dynamics, followers)
-    # The longest step that divides dt; 0.01 / 5e-4 must be 20 in spite of rounding.
+    # The longest step that divides dt, robust to rounding: 0.01 / 5e-4 must give 20.
     dt = _LONGEST_STEP if dt is None else dt
     step = dt / np.ceil(dt / _LONGEST_STEP * (1 - 1e-9))
     root = ElementTree.Element("mujoco", model="robot")
@@ -118,13 +118,13 @@ def write_mjcf(
 
 
 def _quaternion(rotation):
-    """Text of a rotation matrix (3, 3) as a quaternion w, x, y, z."""
-    turn = import_pinocchio().Quaternion(rotation)
-    return numbers([turn.w, turn.x, turn.y, turn.z])
+    """Return a rotation matrix (3, 3) as the text of a quaternion w, x, y, z."""
+    q = import_pinocchio().Quaternion(rotation)
+    return numbers([q.w, q.x, q.y, q.z])
 
 
 def _body(carrier, name, placement, phi):
-    """Add a body with its mass; return its element."""
+    """Add a body with its inertia; return its element."""
     body = ElementTree.SubElement(
         carrier,
         "body",
@@ -155,8 +155,8 @@ class _Tree:
         self._followers = followers
         self._names = joint_names(model)
         self._slides = is_prismatic(model)
-        self._shape = describe(model)
-        check_kinds(model, self._shape)
+        self._tree = describe(model)
+        check_kinds(model, self._tree)
         bodies_named = body_names(model)
         # Names of bodies must differ.
         self._body_names = [
@@ -167,37 +167,37 @@ class _Tree:
         ]
 
     def add_bodies(self, world):
-        """Add the bodies, each inside the one that carries it."""
+        """Add the bodies, each inside its parent body."""
         elements = {-1: world}
         # Parents come first in Pinocchio's order.
-        for j, parent in enumerate(self._shape.parents):
+        for j, parent in enumerate(self._tree.parents):
             elements[j] = self._add_body(elements[int(parent)], j)
-        named = {name: elements[j] for j, name in enumerate(self._names)}
-        for one in self._followers:
-            carrier = world if one.carrier is None else named[one.carrier]
-            frame, place = np.reshape(one.link.frame, (3, 3)), np.array(one.link.place)
-            placed = import_pinocchio().SE3(frame, place)
-            body = _body(carrier, f"{one.name} body", placed, one.body)
-            named[one.name] = body
+        by_name = {name: elements[j] for j, name in enumerate(self._names)}
+        for joint in self._followers:
+            carrier = world if joint.carrier is None else by_name[joint.carrier]
+            R, p = np.reshape(joint.link.frame, (3, 3)), np.array(joint.link.place)
+            placement = import_pinocchio().SE3(R, p)
+            body = _body(carrier, f"{joint.name} body", placement, joint.body)
+            by_name[joint.name] = body
             ElementTree.SubElement(
                 body,
                 "joint",
-                name=one.name,
-                type="slide" if one.link.slides else "hinge",
-                axis=numbers(one.link.axis),
+                name=joint.name,
+                type="slide" if joint.link.slides else "hinge",
+                axis=numbers(joint.link.axis),
             )
 
     def add_equalities(self, parent):
         ref = self._dynamics.ref
-        for one in self._followers:
-            # MuJoCo counts positions of both from where the file puts them.
-            link, leader = one.link, self._names[one.link.joint]
+        for follower in self._followers:
+            # In MuJoCo both positions are relative to those in the file.
+            link, leader = follower.link, self._names[follower.link.joint]
             shift = link.offset + link.rate * ref[link.joint]
             ElementTree.SubElement(
                 parent,
                 "joint",
-                name=f"{one.name} follows {leader}",
-                joint1=one.name,
+                name=f"{follower.name} follows {leader}",
+                joint1=follower.name,
                 joint2=leader,
                 polycoef=numbers([shift, link.rate, 0.0, 0.0, 0.0]),
             )
@@ -219,7 +219,7 @@ class _Tree:
             "joint",
             name=self._names[j],
             type="slide" if self._slides[j] else "hinge",
-            axis=numbers(self._shape.axes[j]),
+            axis=numbers(self._tree.axes[j]),
         )
         low = self._model.lowerPositionLimit[j] + dynamics.ref[j]
         high = self._model.upperPositionLimit[j] + dynamics.ref[j]
@@ -245,15 +245,15 @@ class _Tree:
             else:
                 motor.set("gainprm", number(servo.kp[j] or 1.0))
                 if servo.delay > 0:
-                    # Commands between two steps go straight.
-                    kept = int(np.ceil(servo.delay / step)) + 2
-                    motor.attrib |= {"delay": number(servo.delay), "nsample": str(kept)}
+                    # Commands are interpolated linearly between steps.
+                    size = int(np.ceil(servo.delay / step)) + 2
+                    motor.attrib |= {"delay": number(servo.delay), "nsample": str(size)}
                     motor.set("interp", "linear")
                 stiffness, damping = stiffness - servo.kp[j], -servo.kd[j]
                 if np.isfinite(servo.most[j]):
-                    # The limit is that of the loop, without the constant.
-                    ends = constant + servo.most[j] * np.array([-1.0, 1.0])
-                    motor.set("forcerange", numbers(ends))
+                    # The limit applies to the control loop without the constant.
+                    limits = constant + servo.most[j] * np.array([-1.0, 1.0])
+                    motor.set("forcerange", numbers(limits))
             bias = constant, stiffness, damping
             if any(bias):
                 motor.set("biastype", "affine")

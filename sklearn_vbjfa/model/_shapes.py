@@ -1,7 +1,7 @@
-"""Shapes of a robot's links, as a URDF gives them for collisions, and their places.
+"""Collision shapes of a robot's links from a URDF, and their placements.
 
-Meshes are replaced by their convex hulls: signed distances of convex shapes are what an
-optimiser can follow, in penetration too, and they are quick.
+Meshes are replaced by their convex hulls: signed distances of convex shapes are suited
+to optimisation, also for penetration, and fast to compute.
 """
 
 import re
@@ -14,19 +14,19 @@ import numpy as np
 from sklearn_vbjfa.model._trees import import_pinocchio
 from sklearn_vbjfa.model._urdf import parse_description
 
-# Prefixes after which a package's name and a path in it follow.
+# File names with a package and a path in it.
 _IN_PACKAGE = re.compile(r"(?:package|model)://([^/]+)/(.+)")
-# What coal calls the sizes of its shapes.
+# Attributes of coal's shapes that hold sizes.
 _SIZES = ("radius", "halfLength", "halfSide")
 
 
 class NoShapes(ValueError):
-    """A robot has no shapes whose distances can be taken; the message says why."""
+    """A robot has no shapes for the computation of distances, with the reason."""
 
 
 def import_coal():
-    """Import coal, the collision library that comes with Pinocchio, or say how."""
-    # By its own name: Pinocchio 3.3, the oldest that is taken, has no other for it.
+    """Import coal, Pinocchio's collision library, or raise an error with the remedy."""
+    # Pinocchio 3.3, the oldest supported version, provides it under no other name.
     try:
         import coal
     except ImportError as error:
@@ -44,8 +44,8 @@ def load_shapes(path, model):
     Returns a pinocchio.GeometryModel, whose collision pairs are those of links that are
     not next to each other.
     """
-    # NoShapes where there are none. What held joints carry is where the model has it.
-    # Packages of meshes are looked for in the folder of the URDF and in its parents.
+    # Raises NoShapes if there are none. Bodies of fixed joints are placed as in the
+    # model. Packages of meshes are searched in the folder of the URDF and its parents.
     pin, coal = import_pinocchio(), import_coal()
     path = Path(path)
     tree = parse_description(path)
@@ -59,69 +59,69 @@ def load_shapes(path, model):
     _find_meshes(tree, path)
     geometry = _build(pin, tree, path, model)
     shapes = geometry.geometryObjects
-    read = [model.frames[x.parentFrame].name for x in shapes]
-    unread = [name for name in links if links.count(name) > read.count(name)]
+    shape_links = [model.frames[x.parentFrame].name for x in shapes]
+    unread = [name for name in links if links.count(name) > shape_links.count(name)]
     if unread:
         raise NoShapes(
             f"Pinocchio cannot read the collision geometry of link {unread[0]!r} in "
             f"{path.name!r}; correct its <collision>."
         )
-    for shape, link in zip(shapes, read):
+    for shape, link in zip(shapes, shape_links):
         shape.geometry = _convex(coal, shape, link, path)
-    near = _neighbours(tree, read)
+    adjacent = _neighbours(tree, shape_links)
     for i, j in combinations(range(len(shapes)), 2):
-        if shapes[i].parentJoint != shapes[j].parentJoint and not near(i, j):
+        if shapes[i].parentJoint != shapes[j].parentJoint and not adjacent(i, j):
             geometry.addCollisionPair(pin.CollisionPair(i, j))
     return geometry
 
 
 def _links_with_shapes(tree, path):
-    """Name of the link of each collision shape; refuse a robot without any."""
-    found = [
+    """Return the link name of each collision shape; refuse a robot without shapes."""
+    links = [
         link.get("name")
         for link in tree.getroot().findall("link")
         for _ in link.findall("collision/geometry")
     ]
-    if not found:
+    if not links:
         raise NoShapes(
             f"The robot description {path.name!r} has no collision geometry (no "
             "<collision> in any link), so distances between links are unknown."
         )
-    return found
+    return links
 
 
 def _find_meshes(tree, path):
-    """Write where the meshes are into a description; refuse one that is missing."""
+    """Insert the paths of meshes into a description; refuse missing meshes."""
     folders = list(path.resolve().parents)
     for link in tree.getroot().findall("link"):
         for mesh in link.findall("collision/geometry/mesh"):
             name = mesh.get("filename", "")
-            found = _mesh_file(name, folders)
-            if found is None:
+            file = _mesh_file(name, folders)
+            if file is None:
                 raise NoShapes(
                     f"The mesh {name!r} of link {link.get('name')!r} was not found in "
                     f"{str(folders[0])!r} or a folder above it; put the folder of its "
                     "package there."
                 )
-            mesh.set("filename", f"file://{found}")
+            mesh.set("filename", f"file://{file}")
 
 
 def _mesh_file(name, folders):
-    """Path of a mesh as a URDF names it, None where there is none."""
-    packaged = _IN_PACKAGE.fullmatch(name)
-    if packaged:
-        package, rest = packaged.groups()
-        # A package, or a folder of packages; the folder of a package may have been
-        # renamed, but what is in it keeps its place.
-        candidates = [folder / package / rest for folder in folders]
-        candidates += [folder / rest for folder in folders]
+    """Return the path of a mesh named in a URDF, None if there is no such file."""
+    match = _IN_PACKAGE.fullmatch(name)
+    if match:
+        package, inner = match.groups()
+        # The package is in one of the folders, or is one of them; its folder may have
+        # been renamed.
+        candidates = [folder / package / inner for folder in folders]
+        candidates += [folder / inner for folder in folders]
     else:
         candidates = [folders[0] / name.removeprefix("file://")]
     return next((x for x in candidates if name and x.is_file()), None)
 
 
 def _build(pin, tree, path, model):
-    """Have Pinocchio read the shapes of a description."""
+    """Read the shapes of a description with Pinocchio."""
     for link in tree.getroot().findall("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
@@ -129,15 +129,15 @@ def _build(pin, tree, path, model):
     try:
         return pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as error:
-        # Of what coal says, that which is not about its own source.
-        said = " ".join(str(error).rpartition("message:")[2].split())
+        # The part of coal's message that does not refer to its source code.
+        message = " ".join(str(error).rpartition("message:")[2].split())
         raise NoShapes(
-            f"Pinocchio cannot read the collision geometry of {path.name!r}: {said}"
+            f"Pinocchio cannot read the collision geometry of {path.name!r}: {message}"
         ) from error
 
 
 def _convex(coal, shape, link, path):
-    """Return the geometry of a pinocchio.GeometryObject, a hull of a mesh."""
+    """Return the geometry of a pinocchio.GeometryObject, meshes as convex hulls."""
     geometry = shape.geometry
     if isinstance(geometry, coal.BVHModelBase):
         geometry = _hull(coal, np.array(geometry.vertices()), shape.meshPath)
@@ -156,7 +156,7 @@ def _hull(coal, points, mesh):
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        # A flat mesh has no volume; jostling its points gives it one.
+        # QJ perturbs the points, so that flat meshes get a volume.
         hull = ConvexHull(points, qhull_options="QJ")
     except (QhullError, ValueError) as error:
         raise NoShapes(
@@ -174,9 +174,9 @@ def _hull(coal, points, mesh):
 
 
 def _neighbours(tree, links):
-    """Return whether links i, j are one body of the description, or side by side."""
+    """Return a function: whether links i, j are of one body or adjacent bodies."""
     joints = tree.getroot().findall("joint")
-    above = {
+    parents = {
         joint.find("child").get("link"): (
             joint.find("parent").get("link"),
             joint.get("type") == "fixed",
@@ -185,12 +185,12 @@ def _neighbours(tree, links):
     }
 
     def body(link):
-        while above.get(link, (None, False))[1]:
-            link = above[link][0]
+        while parents.get(link, (None, False))[1]:
+            link = parents[link][0]
         return link
 
     bodies = [body(link) for link in links]
-    carriers = [body(above[x][0]) if x in above else None for x in bodies]
+    carriers = [body(parents[x][0]) if x in parents else None for x in bodies]
     return lambda i, j: (
         bodies[i] == bodies[j] or carriers[i] == bodies[j] or carriers[j] == bodies[i]
     )

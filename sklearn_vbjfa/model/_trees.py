@@ -1,9 +1,9 @@
-"""Trees of joints as Pinocchio has them: what they hold, and which joints count.
+"""Trees of joints as Pinocchio models: their properties, and the joints that count.
 
-A base that is free is held in one orientation: a recording of joints says nothing of
-where it is, and of its orientation what gravity shows. A joint that follows another is
-folded if it carries nothing but followers: the robot that is left is a tree of joints
-with encoders and motors, which feel the followers' bodies.
+A free base is fixed in one orientation: recorded joints do not determine its position,
+and its orientation only by gravity. A joint that follows another (mimic) is folded if
+all joints that it carries follow as well: the remaining robot is a tree of joints with
+encoders and motors, whose torques include the followers' bodies.
 """
 
 import sys
@@ -20,35 +20,35 @@ from sklearn_vbjfa.physical import (
 )
 
 # A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
-# below which the body has next to no extension in some direction.
+# below which the body has no extension in some direction.
 _SOLID = 1e-6
-# No robot has joints farther apart [m].
+# Largest plausible distance between joints [m].
 _LONGEST = 50.0
-# Beyond this a position limit stands for none, and what is looked at of a slide [m].
+# Position limits beyond this mean none; range of a prismatic joint without limit [m].
 _NO_LIMIT, _SLIDE = 1e6, 1.0
-# Radius of the ball without whose extension no body is, over the largest distance
+# Radius of the ball that is the least extension of a body, over the largest distance
 # between joints.
 _BALL = 0.1
-# Sine of the angle from the vertical below which a base is called level.
+# Sine of the tilt below which a base is described as level.
 _LEVEL = 1e-6
 
 
 def import_pinocchio():
-    """Import pinocchio, or say in one line how to get it."""
+    """Import pinocchio, or raise an error with the command that installs it."""
     try:
         import pinocchio
     except ImportError as error:
         # PyPI has no wheels for Windows.
-        how = 'pip install "pin>=3.3.1"'
+        command = 'pip install "pin>=3.3.1"'
         if sys.platform == "win32":
-            how = "conda install -c conda-forge pinocchio"
+            command = "conda install -c conda-forge pinocchio"
         raise ImportError(
-            f"Robot models need Pinocchio, which is not installed: {how}"
+            f"Robot models need Pinocchio, which is not installed: {command}"
         ) from error
     return pinocchio
 
 
-# -- what a tree holds -----------------------------------------------------------------
+# -- properties of trees ---------------------------------------------------------------
 
 
 def joint_names(model):
@@ -58,14 +58,14 @@ def joint_names(model):
 
 def body_names(model):
     """Names of the bodies that the joints move, in Pinocchio's order."""
-    # Of several links that are fixed to each other, the one next to the joint; the
-    # joint's own name where the description names none.
-    body = import_pinocchio().FrameType.BODY
-    found = {}
+    # Of links that are fixed to each other, the link next to the joint; the joint's
+    # name if there is no link with a name.
+    kind = import_pinocchio().FrameType.BODY
+    links = {}
     for frame in model.frames:
-        if frame.type == body:
-            found.setdefault(frame.parentJoint, frame.name)
-    return tuple(found.get(j, name) for j, name in enumerate(model.names))[1:]
+        if frame.type == kind:
+            links.setdefault(frame.parentJoint, frame.name)
+    return tuple(links.get(j, name) for j, name in enumerate(model.names))[1:]
 
 
 def is_prismatic(model):
@@ -76,7 +76,7 @@ def is_prismatic(model):
 
 
 def position_range(model):
-    """Return lowest and highest positions, a turn or 2 m where there is no limit."""
+    """Return lowest and highest positions; without limits, a range of a turn or 2 m."""
     reach = np.where(is_prismatic(model), _SLIDE, np.pi)
     low, high = model.lowerPositionLimit, model.upperPositionLimit
     low = np.where(np.abs(low) < _NO_LIMIT, low, -reach)
@@ -84,25 +84,25 @@ def position_range(model):
 
 
 def joint_origin(model, joint):
-    """Axes (3, 3) of a joint's origin in its carrying link, as a URDF has them."""
-    # Links that are fixed to each other are one body of the model, in whose axes the
-    # placement is; that of the carrying link is among its frames. A model without
-    # frames of links has the body's axes.
+    """Axes (3, 3) of a joint's origin in its parent link, as in a URDF."""
+    # The placement is in the axes of the parent body, which may consist of several
+    # links that are fixed to each other; the parent link has one of its frames. Without
+    # such a frame, the axes of the body are used.
     pin = import_pinocchio()
-    placed = model.jointPlacements[joint + 1].rotation
+    rotation = model.jointPlacements[joint + 1].rotation
     name = model.names[joint + 1]
     if not model.existFrame(name, pin.FrameType.JOINT):
-        return placed.copy()
+        return rotation.copy()
     frame = model.frames[model.getFrameId(name, pin.FrameType.JOINT)]
     link = model.frames[frame.parentFrame]
-    carried = link.parentJoint == model.parents[joint + 1]
-    if link.type != pin.FrameType.BODY or not carried:
-        return placed.copy()
-    return link.placement.rotation.T @ placed
+    is_parent = link.parentJoint == model.parents[joint + 1]
+    if link.type != pin.FrameType.BODY or not is_parent:
+        return rotation.copy()
+    return link.placement.rotation.T @ rotation
 
 
 def nominal_parameters(model):
-    """Inertial parameters (nv, 10) in the model, about the joint frames."""
+    """Inertial parameters (nv, 10) of a model, about the joint frames."""
     # Pinocchio's order: m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg, kg m, kg
     # m^2].
     return np.array([body.toDynamicParameters() for body in model.inertias[1:]])
@@ -119,7 +119,7 @@ def solid_bodies(bodies, least=_SOLID):
 
 
 def with_extension(model, least):
-    """Give bodies that no solid body is at least the extension of a small ball."""
+    """Give bodies without extension at least that of a small ball."""
     # least: see `solid_bodies`.
     size = [np.linalg.norm(place.translation) for place in model.jointPlacements[1:]]
     ball = 0.2 * (_BALL * (max(size, default=0.0) or 1.0)) ** 2
@@ -132,8 +132,8 @@ def with_extension(model, least):
         # Second moments of the mass about its centre, along their principal axes.
         moment, axes = np.linalg.eigh(P[:3, :3] - shift)
         P[:3, :3] = shift + (axes * np.maximum(moment, ball * P[3, 3])) @ axes.T
-        rounder = pin.Inertia.FromDynamicParameters(inertial_parameters(P))
-        model.inertias[k + 1] = rounder
+        inertia = pin.Inertia.FromDynamicParameters(inertial_parameters(P))
+        model.inertias[k + 1] = inertia
     return model
 
 
@@ -154,21 +154,21 @@ def with_bodies(model, bodies, armature=None):
 
 
 class Tree(NamedTuple):
-    """Geometry of the joints, as loops over them need it."""
+    """Geometry of the joints as arrays."""
 
     parents: np.ndarray  # (nv,): number of the parent, -1 for none
-    # (nv, 3): place of a joint at zero in its parent's frame [m]; zero without parent
+    # (nv, 3): origin of a joint in its parent's frame [m]; zero without parent
     offsets: np.ndarray
-    frames: np.ndarray  # (nv, 3, 3): its axes, by rows, in the frame of its parent
-    # (nv, 3): direction about or along which it moves, in its own frame
+    frames: np.ndarray  # (nv, 3, 3): axes of a joint, by rows, in its parent's frame
+    # (nv, 3): direction about or along which the joint moves, in its own frame
     axes: np.ndarray
-    # (nv,): radians and metres by unit of its position; a helical joint has both
+    # (nv,): rotation and translation per unit of position; helical joints have both
     turns: np.ndarray
     slides: np.ndarray
-    # (nv, 3): acceleration in place of gravity, of joints without parent [m/s^2]
+    # (nv, 3): acceleration that replaces gravity, of joints without parent [m/s^2]
     base: np.ndarray
     base_angular: np.ndarray  # (3,): its angular part [rad/s^2]
-    # (nv, 3): coordinate that moves a joint, and rate and offset of the joint by it
+    # (nv, 3): coordinate that moves a joint, and rate and offset of its position
     leads: np.ndarray
 
     def changed(self, **values):
@@ -177,7 +177,7 @@ class Tree(NamedTuple):
 
 
 def describe(model):
-    """Return the `Tree` of a model, from how Pinocchio moves its joints."""
+    """Return the `Tree` of a model, from the motions that Pinocchio computes."""
     pin, nv = import_pinocchio(), model.nv
     tree = Tree(
         parents=np.array(model.parents.tolist()[1:]) - 1,
@@ -192,7 +192,7 @@ def describe(model):
     )
     data, zero = model.createData(), np.zeros(model.nq)
     for i in range(nv):
-        # The motion of a joint in its own frame is the same everywhere.
+        # The motion of a joint in its own frame does not depend on its position.
         pin.forwardKinematics(model, data, zero, np.eye(nv)[i])
         placement, motion = data.liMi[i + 1], data.v[i + 1]
         turns = motion.angular.any()
@@ -203,14 +203,14 @@ def describe(model):
         if tree.parents[i] >= 0:
             tree.offsets[i] = placement.translation
         else:
-            # Moments about the first joint: about the world's origin those of a robot
-            # far away would be rounded. The base accelerates upwards for gravity.
+            # Moments are about the first joint: about the world's origin, those of a
+            # robot far away would lose digits. The base accelerates against gravity.
             lever = np.cross(tree.base_angular, placement.translation)
             tree.base[i] = lever - model.gravity.linear
     return tree
 
 
-def side_by_side(trees):
+def concatenate_trees(trees):
     """Return several trees as one, under the gravity of the first one."""
     sizes = [tree.parents.size for tree in trees]
     shift = np.repeat(np.cumsum(sizes) - sizes, sizes)
@@ -222,7 +222,7 @@ def side_by_side(trees):
 
 
 def check_kinds(model, tree):
-    """Refuse joints that no description can hold, which turn and slide at once."""
+    """Refuse helical joints, which URDF and MJCF do not have."""
     both = (tree.turns != 0) & (tree.slides != 0)
     wrong = [name for name, helical in zip(joint_names(model), both) if helical]
     if wrong:
@@ -233,8 +233,8 @@ def check_kinds(model, tree):
 
 
 def in_order(model, names):
-    """Return a model with its joints in another order, parents before children."""
-    # Readers of URDF put branches of a tree in an order of their own.
+    """Return a model with reordered joints, parents before children."""
+    # Readers of URDF sort the branches of a tree.
     current = joint_names(model)
     if tuple(names) == current:
         return model
@@ -243,19 +243,19 @@ def in_order(model, names):
             f"the joints {', '.join(names)} are not those of the robot description, "
             f"{', '.join(current)}"
         )
-    made = import_pinocchio().Model()
-    made.name, made.gravity = model.name, model.gravity
-    made.inertias[0] = model.inertias[0]
-    numbers = {0: 0}
+    ordered = import_pinocchio().Model()
+    ordered.name, ordered.gravity = model.name, model.gravity
+    ordered.inertias[0] = model.inertias[0]
+    indices = {0: 0}
     for name in names:
         old = model.getJointId(name)
-        if model.parents[old] not in numbers:
+        if model.parents[old] not in indices:
             raise ValueError(f"joint {name} comes before the one that carries it")
         joint = model.joints[old]
         q = slice(joint.idx_q, joint.idx_q + joint.nq)
         v = slice(joint.idx_v, joint.idx_v + joint.nv)
-        numbers[old] = made.addJoint(
-            numbers[model.parents[old]],
+        indices[old] = ordered.addJoint(
+            indices[model.parents[old]],
             joint,
             model.jointPlacements[old],
             name,
@@ -264,34 +264,34 @@ def in_order(model, names):
             model.lowerPositionLimit[q],
             model.upperPositionLimit[q],
         )
-        made.inertias[numbers[old]] = model.inertias[old]
-        at = made.joints[numbers[old]].idx_v
-        made.armature[at : at + joint.nv] = model.armature[v]
+        ordered.inertias[indices[old]] = model.inertias[old]
+        first = ordered.joints[indices[old]].idx_v
+        ordered.armature[first : first + joint.nv] = model.armature[v]
     frames = {0: 0}
-    # Those of a joint come after those of the joint that carries it.
+    # Frames of a joint come after those of its parent joint.
     order = sorted(
-        range(1, len(model.frames)), key=lambda k: numbers[model.frames[k].parentJoint]
+        range(1, len(model.frames)), key=lambda k: indices[model.frames[k].parentJoint]
     )
     for old in order:
         frame = model.frames[old]
-        moved = frame.copy()
-        moved.parentJoint = numbers[frame.parentJoint]
-        moved.parentFrame = frames[frame.parentFrame]
-        # The inertias of the joints have those of the frames already.
-        frames[old] = made.addFrame(moved, False)
-    return made
+        copy = frame.copy()
+        copy.parentJoint = indices[frame.parentJoint]
+        copy.parentFrame = frames[frame.parentFrame]
+        # The inertias of the joints include those of the frames.
+        frames[old] = ordered.addFrame(copy, False)
+    return ordered
 
 
-def check_joints(loaded):
-    """Refuse a model with joints of other than one degree of freedom, or none."""
-    if loaded.nv == 0:
+def check_joints(model):
+    """Refuse a model without joints, or with joints of several degrees of freedom."""
+    if model.nv == 0:
         raise ValueError(
             "The robot model has no moving joint; expected a tree of revolute or "
             "prismatic joints. Check the joint types in the description."
         )
     wrong = [
-        f"{loaded.names[i]} ({joint.shortname()}, nq={joint.nq}, nv={joint.nv})"
-        for i, joint in enumerate(loaded.joints)
+        f"{model.names[i]} ({joint.shortname()}, nq={joint.nq}, nv={joint.nv})"
+        for i, joint in enumerate(model.joints)
         if i > 0 and (joint.nq, joint.nv) != (1, 1)
     ]
     if wrong:
@@ -303,45 +303,45 @@ def check_joints(loaded):
             "what does not move with pinocchio.buildReducedModel (command line: "
             "--joints)."
         )
-    lengths = [np.linalg.norm(place.translation) for place in loaded.jointPlacements]
+    lengths = [np.linalg.norm(place.translation) for place in model.jointPlacements]
     far = int(np.argmax(lengths))
     if lengths[far] > _LONGEST:
         raise ValueError(
-            f"Joint {loaded.names[far]} is {lengths[far]:.3g} m from the joint before "
+            f"Joint {model.names[far]} is {lengths[far]:.3g} m from the joint before "
             "it: lengths of a description are in metres, and these look like "
             "millimetres; divide them by 1000."
         )
-    for name, body in zip(loaded.names[1:], loaded.inertias[1:]):
+    for name, body in zip(model.names[1:], model.inertias[1:]):
         if np.trace(body.inertia) > 2 * body.mass * _LONGEST**2 > 0:
             raise ValueError(
                 f"The inertia of the body of joint {name} is that of {body.mass:.3g} "
                 f"kg more than {_LONGEST:g} m away: inertias of a description are in "
                 "kg m^2, and these look like kg mm^2; divide them by 1e6."
             )
-    return loaded
+    return model
 
 
-# -- what a description says -----------------------------------------------------------
+# -- descriptions ----------------------------------------------------------------------
 
 
 class Closure(NamedTuple):
-    """What a description has beside its tree of joints and cannot be kept."""
+    """A constraint of a description, which a tree of joints cannot hold."""
 
-    said: str
-    bodies: tuple = ()  # links that it joins, None for the world
-    joints: tuple = ()  # joints that it couples, where it joins no links
+    message: str
+    bodies: tuple = ()  # constrained links, None for the world
+    joints: tuple = ()  # constrained joints, if no links are
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Description:
-    """What a description says of a robot, all its joints in one model."""
+    """Contents of a robot description, with all joints in one model."""
 
     model: object
-    called: str  # how messages call the robot
-    listed: tuple = ()  # names of the joints as listed, which may be any order
+    label: str  # name of the robot in messages
+    listed: tuple = ()  # names of the joints in the order of the file
     links: dict = field(default_factory=dict)  # name -> `Link`
     closures: tuple = ()
-    left_out: tuple = ()  # sentences on what does not enter the model
+    left_out: tuple = ()  # messages about contents that are not modelled
 
     @property
     def names(self):
@@ -351,76 +351,76 @@ class Description:
     @property
     def in_file_order(self):
         """Names of the joints in the order of the file, a tuple."""
-        # It may name what a joint carries before the joint.
+        # A joint may be listed before its parent.
         return tuple(name for name in self.listed or self.names if name in self.names)
 
     @property
     def carriers(self):
-        """Name of the joint that carries each joint, name -> name or None."""
+        """Name of the parent joint of each joint, name -> name or None."""
         return carriers_of(self.model)
 
     @property
     def free(self):
-        """Names of the joints that let a body float freely."""
+        """Names of the free joints."""
         kinds = [joint.shortname() for joint in self.model.joints][1:]
         pairs = zip(self.names, kinds)
         return [name for name, kind in pairs if kind == "JointModelFreeFlyer"]
 
-    def with_base(self, name, turn=None):
-        """Hold the free joint at the root; return the robot, and its base's axes."""
-        # turn (3, 3): axes of the base in the world; None for those of the description.
+    def with_fixed_base(self, name, axes=None):
+        """Fix the free joint at the root; return the robot and the axes of its base."""
+        # axes (3, 3): of the base in the world; None for those of the description.
         pin, model = import_pinocchio(), self.model
-        at = model.getJointId(name)
-        placed = model.jointPlacements[at].rotation
-        turn = placed if turn is None else turn
+        joint = model.getJointId(name)
+        nominal = model.jointPlacements[joint].rotation
+        axes = nominal if axes is None else axes
         q = pin.neutral(model)
-        first = model.joints[at].idx_q + 3
-        q[first : first + 4] = pin.Quaternion(placed.T @ turn).coeffs()
-        return replace(self, model=pin.buildReducedModel(model, [at], q)), turn
+        first = model.joints[joint].idx_q + 3
+        q[first : first + 4] = pin.Quaternion(nominal.T @ axes).coeffs()
+        return replace(self, model=pin.buildReducedModel(model, [joint], q)), axes
 
-    def held(self, moving):
-        """Return the robot, whose joints that are not named stay at zero."""
-        # A follower that is named has columns and a torque of its own.
+    def with_moving(self, moving):
+        """Return the robot with all joints except the named ones fixed at zero."""
+        # A named follower counts as a separate joint.
         unknown = [name for name in moving if name not in self.names]
         if unknown:
             raise ValueError(
-                f"{self.called}: the robot has no movable joint {unknown[0]!r}; it has "
+                f"{self.label}: the robot has no movable joint {unknown[0]!r}; it has "
                 f"{', '.join(self.names) or 'none'}."
             )
         links = {name: link for name, link in self.links.items() if name not in moving}
-        follow = led_by(moving, self.carriers, links, self.called)
+        followers = movable_followers(moving, self.carriers, links, self.label)
         for name, link in links.items():
-            if name not in follow and link.leader in moving:
+            if name not in followers and link.leader in moving:
                 raise ValueError(
-                    f"{self.called}: {name} follows {link.leader}, which moves, and "
+                    f"{self.label}: {name} follows {link.leader}, which moves, and "
                     "carries joints that do not follow: it can neither be held nor "
                     "folded. Give it columns and a torque (name it as well), or hold "
                     f"{link.leader} too."
                 )
         pin, model = import_pinocchio(), self.model
-        still = [
+        fixed = [
             k
             for k, name in enumerate(self.names, 1)
-            if name not in moving and name not in follow
+            if name not in moving and name not in followers
         ]
-        if still:
-            model = pin.buildReducedModel(model, still, pin.neutral(model))
-        links = {name: link for name, link in links.items() if name in follow}
+        if fixed:
+            model = pin.buildReducedModel(model, fixed, pin.neutral(model))
+        links = {name: link for name, link in links.items() if name in followers}
         return replace(self, model=model, links=links)
 
     def check(self):
-        """Refuse what is not a tree of joints of one degree of freedom each."""
-        wrong = [one.said for one in self.closures if self._closes(one)]
+        """Refuse closed loops, and joints with several degrees of freedom."""
+        wrong = [x.message for x in self.closures if self._constrains(x)]
         if wrong:
             raise ValueError(
-                f"{self.called}: {'; '.join(wrong)}. Take out what closes the loop, or "
+                f"{self.label}: {'; '.join(wrong)}. Take out what closes the loop, or "
                 "hold what is not recorded at zero: name the joints that are (--joints "
                 "in the command line, joint_names in Python)."
             )
         check_joints(self.model)
 
-    def _closes(self, closure):
-        """Whether a closure is felt by the joints; held ones make one body of two."""
+    def _constrains(self, closure):
+        """Whether a closure constrains joints, unlike one between links of one body."""
         if closure.joints:
             return not set(closure.joints).isdisjoint(self.names)
         return len(closure.bodies) < 2 or len(set(map(self._mover, closure.bodies))) > 1
@@ -434,7 +434,7 @@ class Description:
 
 
 def carriers_of(model):
-    """Name of the joint that carries each joint, name -> name or None."""
+    """Name of the parent joint of each joint, name -> name or None."""
     names = list(model.names)
     return {
         name: names[above] if above else None
@@ -442,80 +442,80 @@ def carriers_of(model):
     }
 
 
-# -- a base that is free ---------------------------------------------------------------
+# -- free base -------------------------------------------------------------------------
 
 
 def hold_base(robot, orientation):
-    """Hold a base that alone carries all joints; return the robot, and what to say."""
+    """Fix a free base that carries all joints; return the robot and messages."""
     # orientation: a quaternion, None for that of the description.
     free, carriers = robot.free, robot.carriers
     on_world = [name for name, above in carriers.items() if above is None]
-    # A body that carries nothing is no base.
+    # A free body that carries no joints is not a base.
     if len(free) != 1 or not on_world == free != [*carriers]:
         if orientation is not None:
             raise ValueError(
-                f"{robot.called} has no free joint that alone carries all other "
+                f"{robot.label} has no free joint that alone carries all other "
                 "joints; leave base_orientation out."
             )
         return robot, []
-    turn = None if orientation is None else rotation_of(orientation)
-    robot, axes = robot.with_base(free[0], turn)
-    return robot, [_said_of(free[0], axes)]
+    rotation = None if orientation is None else rotation_of(orientation)
+    robot, axes = robot.with_fixed_base(free[0], rotation)
+    return robot, [_base_message(free[0], axes)]
 
 
 def rotation_of(orientation):
     """Rotation (3, 3) of a quaternion w, x, y, z, of any length."""
     try:
-        given = np.asarray(orientation, dtype=float)
+        quaternion = np.asarray(orientation, dtype=float)
     except (TypeError, ValueError):
-        given = np.empty(0)
-    length = np.linalg.norm(given) if given.shape == (4,) else 0.0
+        quaternion = np.empty(0)
+    length = np.linalg.norm(quaternion) if quaternion.shape == (4,) else 0.0
     if not 0 < length < np.inf:
         raise ValueError(
             "base_orientation must be a quaternion of four finite numbers w, x, y, z, "
             f"not all zero; got {orientation!r}."
         )
-    w, x, y, z = given / length
+    w, x, y, z = quaternion / length
     return import_pinocchio().Quaternion(w, x, y, z).toRotationMatrix()
 
 
-def _said_of(name, rotation):
-    """Say how the base is held; rotation : of the base in the world (3, 3)."""
+def _base_message(name, rotation):
+    """Return a message about the fixed base; rotation (3, 3): its axes in the world."""
     if np.linalg.norm(rotation[2, :2]) < _LEVEL and rotation[2, 2] > 0:
-        how = "level"
+        pose = "level"
     else:
         angles = np.rad2deg(import_pinocchio().rpy.matrixToRpy(rotation))
-        # No minus in front of zero.
-        listed = " ".join(f"{x:.4g}" for x in np.round(angles, 4) + 0.0)
-        how = f"turned by rpy {listed} degrees"
+        # Adding 0.0 turns -0.0 into 0.0.
+        degrees = " ".join(f"{x:.4g}" for x in np.round(angles, 4) + 0.0)
+        pose = f"turned by rpy {degrees} degrees"
     return (
-        f"the base, which {name} leaves free, is held {how} (base_orientation or "
+        f"the base, which {name} leaves free, is held {pose} (base_orientation or "
         "--base-orientation turns it, the effect base_tilt finds a few degrees more)"
     )
 
 
-# -- joints that follow others ---------------------------------------------------------
+# -- followers: joints that follow others (mimic) --------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
     """How a joint follows another: position = multiplier * leader + offset."""
 
-    leader: str  # name of the joint that moves it, which may follow another one
+    leader: str  # name of the followed joint, which may follow another one
     multiplier: float
     offset: float  # [rad or m]
 
 
 class ChainJoint(NamedTuple):
-    """One joint between the base and the body of a follower."""
+    """A joint between the base and the body of a follower."""
 
     joint: int  # joint of the folded robot that moves it, from zero
     # its position is rate times that of `joint` plus offset [rad or m]
     rate: float
     offset: float
     slides: bool  # whether it is prismatic
-    place: tuple  # its origin in the frame of the joint before it [m]
-    frame: tuple  # its axes there, by rows of the rotation matrix
+    place: tuple  # its origin in the frame of its parent joint [m]
+    frame: tuple  # its axes in that frame, by rows of the rotation matrix
     axis: tuple  # direction about or along which it moves, in its own frame
 
 
@@ -534,37 +534,37 @@ class FollowingBody:
 class Folded:
     """A robot without its followers."""
 
-    model: object  # joints that are left, with their bodies
-    followers: tuple  # bodies that these move besides
-    # the same with the followers' bodies held where they are while the leaders are at
-    # zero, so that no mass is missing
+    model: object  # remaining joints and their bodies
+    followers: tuple  # `FollowingBody` of each follower
+    # `model` with the followers' bodies fixed at their poses with leaders at zero, so
+    # that no mass is missing
     still: object
-    full: object  # robot in which followers are joints of their own
+    full: object  # model in which followers are separate joints
     links: dict
     text: str | None = None  # of the URDF that it was read from
 
     @classmethod
-    def without(cls, model):
+    def without_followers(cls, model):
         """Return a robot that has no followers."""
         return cls(model=model, followers=(), still=model, full=model, links={})
 
 
-def foldable(carriers, links, called):
-    """Return the followers that carry nothing but followers, by name."""
-    # Their leaders do not follow themselves. carriers: for each joint the one that
-    # carries it, or None; called: how messages call the robot.
+def foldable(carriers, links, label):
+    """Return the followers that carry only followers, name -> `Link`."""
+    # The returned leaders are not followers. carriers: parent joint of each joint, or
+    # None; label: name of the robot in messages.
     for name, link in links.items():
         if link.leader not in carriers:
             raise ValueError(
-                f"{called}: joint {name!r} mimics {link.leader!r}, which is not a "
+                f"{label}: joint {name!r} mimics {link.leader!r}, which is not a "
                 "moving joint of the robot; correct the description."
             )
-        seen = [name]
-        while seen[-1] in links:
-            seen.append(links[seen[-1]].leader)
-            if seen[-1] in seen[:-1]:
+        chain = [name]
+        while chain[-1] in links:
+            chain.append(links[chain[-1]].leader)
+            if chain[-1] in chain[:-1]:
                 raise ValueError(
-                    f"{called}: mimic joints {', '.join(seen[:-1])} form a cycle; "
+                    f"{label}: mimic joints {', '.join(chain[:-1])} form a cycle; "
                     "correct the description."
                 )
     kept = dict(links)
@@ -575,12 +575,12 @@ def foldable(carriers, links, called):
             if joint not in kept and carrier in kept
         }
         if not carrying:
-            return {name: _resolved(name, kept) for name in kept}
+            return {name: _resolve(name, kept) for name in kept}
         kept = {name: link for name, link in kept.items() if name not in carrying}
 
 
-def _resolved(name, links):
-    """Return how a follower moves with a joint that does not follow."""
+def _resolve(name, links):
+    """Return the link of a follower to a joint that is not a follower."""
     leader, rate, offset = name, 1.0, 0.0
     while leader in links:
         link = links[leader]
@@ -589,25 +589,25 @@ def _resolved(name, links):
     return Link(leader=leader, multiplier=rate, offset=offset)
 
 
-def led_by(moving, carriers, links, called):
-    """Names of the followers that joints which move lead, if they can be folded."""
-    # carriers, links: as for `foldable`, of all joints, whose mistakes it refuses.
-    foldable(carriers, links, called)
-    follow = set(links)
+def movable_followers(moving, carriers, links, label):
+    """Return the names of foldable followers whose leaders move."""
+    # carriers, links: of all joints, validated by `foldable`.
+    foldable(carriers, links, label)
+    followers = set(links)
     while True:
-        # What is held is one body with the joint that carries it, and leads nothing.
-        left = {*moving, *follow}
-        kept = {name: links[name] for name in follow if links[name].leader in left}
-        if len(kept) == len(follow):
-            above = {name: _next(carriers, name, left) for name in left}
-            kept = foldable(above, kept, called)
-        if len(kept) == len(follow):
-            return follow
-        follow = set(kept)
+        # A fixed joint is one body with its parent and has no followers.
+        joints = {*moving, *followers}
+        kept = {name: links[name] for name in followers if links[name].leader in joints}
+        if len(kept) == len(followers):
+            parents = {name: _carrier(carriers, name, joints) for name in joints}
+            kept = foldable(parents, kept, label)
+        if len(kept) == len(followers):
+            return followers
+        followers = set(kept)
 
 
-def _next(carriers, name, joints):
-    """Return the nearest joint of some that carries a joint; None for the base."""
+def _carrier(carriers, name, joints):
+    """Return the nearest of some joints that carries a joint; None for the base."""
     name = carriers[name]
     while name is not None and name not in joints:
         name = carriers[name]
@@ -615,53 +615,53 @@ def _next(carriers, name, joints):
 
 
 def fold(full, links):
-    """Take followers that are `foldable` out of a robot."""
+    """Remove `foldable` followers from the joints of a robot."""
     if not links:
-        return Folded.without(full)
+        return Folded.without_followers(full)
     pin = import_pinocchio()
     names = list(full.names)
-    left = [name for name in names[1:] if name not in links]
-    empty = full.copy()
+    remaining = [name for name in names[1:] if name not in links]
+    massless = full.copy()
     for name in links:
-        empty.inertias[names.index(name)] = pin.Inertia.Zero()
-    at_zero = np.zeros(full.nq)
+        massless.inertias[names.index(name)] = pin.Inertia.Zero()
+    positions = np.zeros(full.nq)
     for name, link in links.items():
-        at_zero[full.joints[names.index(name)].idx_q] = link.offset
+        positions[full.joints[names.index(name)].idx_q] = link.offset
     locked = [names.index(name) for name in links]
     model, still = (
-        pin.buildReducedModel(one, locked, at_zero) for one in (empty, full)
+        pin.buildReducedModel(x, locked, positions) for x in (massless, full)
     )
     model.name = still.name = full.name
     for name, link in links.items():
         rotor = link.multiplier**2 * full.armature[names.index(name) - 1]
-        for one in (model, still):
-            one.armature[left.index(link.leader)] += rotor
+        for x in (model, still):
+            x.armature[remaining.index(link.leader)] += rotor
     steps, tree = {}, describe(full)
-    for at, name in enumerate(names[1:], 1):
+    for i, name in enumerate(names[1:], 1):
         link = links.get(name, Link(leader=name, multiplier=1.0, offset=0.0))
-        placed = full.jointPlacements[at]
-        steps[at] = ChainJoint(
-            joint=left.index(link.leader),
+        placement = full.jointPlacements[i]
+        steps[i] = ChainJoint(
+            joint=remaining.index(link.leader),
             rate=link.multiplier,
             offset=link.offset,
-            slides=not tree.turns[at - 1],
-            place=tuple(placed.translation.tolist()),
-            frame=tuple(placed.rotation.ravel().tolist()),
-            axis=tuple(tree.axes[at - 1].tolist()),
+            slides=not tree.turns[i - 1],
+            place=tuple(placement.translation.tolist()),
+            frame=tuple(placement.rotation.ravel().tolist()),
+            axis=tuple(tree.axes[i - 1].tolist()),
         )
     followers = []
     for name in names[1:]:
         if name not in links:
             continue
-        at, chain = names.index(name), []
-        parameters = full.inertias[at].toDynamicParameters()
-        while at > 0:
-            chain.insert(0, steps[at])
-            at = int(full.parents[at])
+        i, chain = names.index(name), []
+        parameters = full.inertias[i].toDynamicParameters()
+        while i > 0:
+            chain.insert(0, steps[i])
+            i = int(full.parents[i])
         followers.append(
             FollowingBody(
                 name=name,
-                leader=left.index(links[name].leader),
+                leader=remaining.index(links[name].leader),
                 chain=tuple(chain),
                 gravity=tuple(full.gravity.linear.tolist()),
                 parameters=parameters,

@@ -1,7 +1,7 @@
-"""URDF: what a file says of a tree of joints, and identified robots written as one.
+"""Reading URDF files as trees of joints, and writing identified robots.
 
-A URDF is a tree by its own rules. Loops are written in extensions of simulators,
-which readers ignore, or against the rules, which they refuse without a reason.
+URDF requires a tree. Loops are either in extensions of simulators, which readers
+ignore, or violate the rules, which readers refuse without a reason.
 """
 
 import contextlib
@@ -27,11 +27,11 @@ from sklearn_vbjfa.model._trees import (
 )
 from sklearn_vbjfa.physical import inertia_matrix
 
-# Kinds of joints that have an axis, and elements that a fixed joint has no use for.
+# Types of joints that have an axis, and elements that a fixed joint does not need.
 _AXIAL = ("revolute", "continuous", "prismatic")
 _MOTION = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
 _TREE = "and only trees of joints can be identified"
-# What URDF readers take for no limit.
+# Value that URDF readers treat as no limit.
 _UNLIMITED = 1e12
 
 
@@ -39,17 +39,17 @@ _UNLIMITED = 1e12
 
 
 def number(value):
-    """Text of a number from which the same number is read back."""
+    """Return the text of a number, without loss of precision."""
     return repr(float(value) + 0.0)  # no -0.0
 
 
 def numbers(values):
-    """Text of several numbers, separated by spaces."""
+    """Return the text of several numbers, separated by spaces."""
     return " ".join(map(number, values))
 
 
 def add_comment(root, note):
-    """Put a comment at the top of an element, unless it is empty."""
+    """Insert a comment at the top of an element, unless it is empty."""
     if note:
         # Two hyphens would end the comment.
         lines = re.sub("-(?=-)", "- ", note).replace("\n", "\n    ")
@@ -57,14 +57,14 @@ def add_comment(root, note):
 
 
 def write_tree(tree, target):
-    """Write an indented XML tree to a file, or leave the file as it was."""
+    """Write an indented XML tree to a file, atomically."""
     ElementTree.indent(tree)
     text = ElementTree.tostring(tree.getroot(), encoding="unicode")
     write_whole(target, f"<?xml version='1.0' encoding='utf-8'?>\n{text}")
 
 
 def parse_description(path):
-    """Read the XML of a robot description, `ElementTree`; refuse what is none."""
+    """Read the XML of a robot description, `ElementTree`; refuse other files."""
     if not path.is_file():
         raise FileNotFoundError(
             f"No robot description at {str(path)!r}; expected the path of a URDF or "
@@ -74,16 +74,16 @@ def parse_description(path):
 
 
 def parse_text(content, path):
-    """Parse the bytes of a description; path : what messages name."""
+    """Parse the bytes of a description; messages name its path."""
     try:
         root = ElementTree.fromstring(content)
-        ElementTree.tostring(root)  # no deeper than can be written again
+        ElementTree.tostring(root)  # refuses trees that are too deep to be written
     except (ElementTree.ParseError, LookupError, ValueError, RecursionError) as error:
         raise ValueError(
             f"{str(path)!r} is not readable as URDF or MJCF (XML): {error}. "
             "A xacro file must be expanded first: xacro FILE > robot.urdf"
         ) from error
-    if any("xacro" in str(one.tag).rpartition("}")[0] for one in root.iter()):
+    if any("xacro" in str(element.tag).rpartition("}")[0] for element in root.iter()):
         raise ValueError(
             f"{str(path)!r} is a xacro file; expand it first: xacro FILE > robot.urdf"
         )
@@ -94,25 +94,25 @@ def parse_text(content, path):
 
 
 def read_urdf(tree, path):
-    """Return what a URDF says of a robot, `Description`; the tree is changed."""
-    called, root = repr(str(path)), tree.getroot()
-    _check_masses(root, called)
-    _check_axes(root, called)
-    _check_tree(root, called)
-    links = _followers(root, called)
+    """Return the `Description` of a URDF; the tree is modified."""
+    label, root = repr(str(path)), tree.getroot()
+    _check_masses(root, label)
+    _check_axes(root, label)
+    _check_tree(root, label)
+    links = _followers(root, label)
     closures = _closures(root)
-    # An attribute that `text_of_tree` adds.
+    # A non-standard attribute, written by `text_of_tree`.
     rotors = {
         joint.get("name"): float(dynamics.get("armature"))
         for joint in _joints(root, *_AXIAL)
         for dynamics in joint.findall("dynamics[@armature]")
     }
-    model = _build(root, called)
+    model = _build(root, label)
     for name, armature in rotors.items():
         model.armature[model.joints[model.getJointId(name)].idx_v] = armature
     return Description(
         model=model,
-        called=called,
+        label=label,
         listed=tuple(joint.get("name") for joint in _joints(root)),
         links=links,
         closures=closures,
@@ -120,47 +120,47 @@ def read_urdf(tree, path):
 
 
 def _joints(root, *kinds):
-    """Return the elements of joints, of some types alone if any are named."""
+    """Return the elements of joints, only of some types if any are given."""
     joints = root.findall("joint")
     return [joint for joint in joints if not kinds or joint.get("type") in kinds]
 
 
-def _followers(root, called):
-    """Return joints that follow others, name -> `Link`; fix those of a fixed one."""
-    still = {joint.get("name") for joint in _joints(root, "fixed")}
-    found, joints = {}, {}
+def _followers(root, label):
+    """Return followers, name -> `Link`; fix followers of fixed joints."""
+    fixed = {joint.get("name") for joint in _joints(root, "fixed")}
+    links, joints = {}, {}
     for joint in _joints(root, *_AXIAL):
         mimic = joint.find("mimic")
         if mimic is None:
             continue
         name, values = joint.get("name"), []
-        for key, otherwise in (("multiplier", "1"), ("offset", "0")):
-            value = _float(mimic.get(key, otherwise))
+        for key, default in (("multiplier", "1"), ("offset", "0")):
+            value = _float(mimic.get(key, default))
             if value is None:
                 raise ValueError(
-                    f"{called}: joint {name!r} follows another joint with the {key} "
+                    f"{label}: joint {name!r} follows another joint with the {key} "
                     f"{mimic.get(key)[:40]!r}, which is not a number; correct the "
                     "description."
                 )
             values.append(value)
         leader, joints[name] = mimic.get("joint", ""), joint
-        found[name] = Link(leader=leader, multiplier=values[0], offset=values[1])
-    while follow := [name for name, link in found.items() if link.leader in still]:
+        links[name] = Link(leader=leader, multiplier=values[0], offset=values[1])
+    while follow := [name for name, link in links.items() if link.leader in fixed]:
         for name in follow:
             _fix(joints[name])
-            still.add(name)
-            del found[name]
-    return found
+            fixed.add(name)
+            del links[name]
+    return links
 
 
-def _build(root, called):
-    """Build Pinocchio's model, joints in the order of the file."""
-    # Shapes, and friction, which is not used and may be anything, are not worth a
-    # complaint of the parser.
+def _build(root, label):
+    """Build a Pinocchio model with the joints in the order of the file."""
+    # Shapes and friction are not used; without them the parser cannot report errors in
+    # them.
     for parent in root.findall("link") + root.findall("joint"):
         for tag in ("visual", "collision", "dynamics", "mimic"):
-            for one in parent.findall(tag):
-                parent.remove(one)
+            for element in parent.findall(tag):
+                parent.remove(element)
     for joint in _joints(root, "continuous"):
         joint.set("type", "revolute")
         limit = joint.find("limit")
@@ -171,19 +171,19 @@ def _build(root, called):
         limit.set("lower", "-1e12")
         limit.set("upper", "1e12")
     text = ElementTree.tostring(root, encoding="unicode")
-    build, said = import_pinocchio().buildModelFromXML, []
+    build, messages = import_pinocchio().buildModelFromXML, []
     try:
-        with _parser_messages(said):
+        with _parser_messages(messages):
             model = build(text)
     except (ValueError, RuntimeError) as error:
-        reason = f" ({said[0]})" if said else ""
+        reason = f" ({messages[0]})" if messages else ""
         raise ValueError(
-            f"Pinocchio cannot build a robot from {called}: {error}{reason}"
+            f"Pinocchio cannot build a robot from {label}: {error}{reason}"
         ) from error
-    # The parser continues without an inertia that it cannot read.
-    lost = [line for line in said if "nerti" in line]
-    if lost:
-        raise ValueError(f"{called}: {'; '.join(lost)}; correct the description.")
+    # The parser skips an inertia that it cannot read.
+    errors = [line for line in messages if "nerti" in line]
+    if errors:
+        raise ValueError(f"{label}: {'; '.join(errors)}; correct the description.")
     # Pinocchio sorts the branches by name.
     names = [joint.get("name") for joint in _joints(root)]
     carriers = carriers_of(model)
@@ -193,12 +193,12 @@ def _build(root, called):
 
 
 @contextlib.contextmanager
-def _parser_messages(said):
-    """Collect what the URDF parser, which is compiled code, writes to stderr."""
+def _parser_messages(messages):
+    """Collect the messages that the compiled URDF parser writes to stderr."""
     try:
         stderr = os.dup(2)
     except OSError:
-        # A program without a terminal.
+        # The process has no stderr.
         yield
         return
     with tempfile.TemporaryFile() as file:
@@ -212,104 +212,104 @@ def _parser_messages(said):
             text = file.read().decode("utf-8", "replace")
             lines = [" ".join(line.split()) for line in text.splitlines()]
             errors = [x[len("Error: ") :] for x in lines if x.startswith("Error: ")]
-            said += dict.fromkeys(errors)
+            messages += dict.fromkeys(errors)
 
 
 def _parents_first(names, carriers):
-    """Return names in the order of the file, carriers before what they carry."""
-    found = []
+    """Return names in the order of the file, parents before children."""
+    ordered = []
     for name in names:
         chain = []
-        while name is not None and name not in found:
+        while name is not None and name not in ordered:
             chain.append(name)
             name = carriers[name]
-        found += reversed(chain)
-    return found
+        ordered += reversed(chain)
+    return ordered
 
 
-# -- what is not a tree of joints ------------------------------------------------------
+# -- closed loops and invalid elements -------------------------------------------------
 
 
-def _check_masses(root, called):
+def _check_masses(root, label):
     for link in root.findall("link"):
         for mass in link.findall("inertial/mass"):
             value = _float(mass.get("value", "nan"))
-            # Of what is not a number the parser says what is wrong.
+            # The parser reports values that are not numbers.
             if value is not None and value < 0:
                 raise ValueError(
-                    f"{called}: link {link.get('name')!r} has the mass {value:g} "
+                    f"{label}: link {link.get('name')!r} has the mass {value:g} "
                     "kg; correct the description."
                 )
 
 
-def _check_axes(root, called):
+def _check_axes(root, label):
     for joint in _joints(root, *_AXIAL):
         axis = joint.find("axis")
         text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
         try:
             length = float(np.linalg.norm([float(x) for x in text.split()]))
         except ValueError:
-            # The parser says what is wrong.
+            # The parser reports the error.
             continue
         if not 1e-6 < length < np.inf:
             raise ValueError(
-                f"{called}: joint {joint.get('name')!r} has the axis {text!r}, which "
+                f"{label}: joint {joint.get('name')!r} has the axis {text!r}, which "
                 "is not a direction; correct the description."
             )
 
 
-def _check_tree(root, called):
-    above = {}
+def _check_tree(root, label):
+    parents = {}
     for joint in _joints(root):
-        found = [joint.find(tag) for tag in ("parent", "child")]
-        ends = [one.get("link") for one in found if one is not None]
+        tags = [joint.find(tag) for tag in ("parent", "child")]
+        ends = [element.get("link") for element in tags if element is not None]
         if len(ends) < 2 or None in ends:
-            # The parser says what is missing.
+            # The parser reports missing elements.
             return
         parent, child = ends
-        if child in above:
+        if child in parents:
             raise ValueError(
-                f"{called}: link {child!r} has two parent joints, "
-                f"{above[child][1]!r} and {joint.get('name')!r}: {_TREE}; remove one."
+                f"{label}: link {child!r} has two parent joints, "
+                f"{parents[child][1]!r} and {joint.get('name')!r}: {_TREE}; remove one."
             )
-        above[child] = parent, joint.get("name")
-    for link in above:
-        _check_ring(link, above, called)
+        parents[child] = parent, joint.get("name")
+    for link in parents:
+        _check_cycle(link, parents, label)
 
 
 def _closures(root):
-    """Return what joins links in extensions of simulators, a tuple of `Closure`."""
+    """Return loop closures in extensions of simulators, a tuple of `Closure`."""
     names = {link.get("name") for link in root.findall("link")}
-    found = []
+    closures = []
     for element in root.iter():
-        # Without the namespace of its program.
-        tag, where = re.sub(r"^(\{.*\}|.*:)", "", str(element.tag)), ""
+        # Remove the namespace.
+        tag, location = re.sub(r"^(\{.*\}|.*:)", "", str(element.tag)), ""
         if tag == "gazebo" and element.find("joint") is not None:
-            # A whole joint of the simulator, beside those of the robot.
-            tag, where, element = "joint", " of <gazebo>", element.find("joint")
+            # A joint that only the simulator adds.
+            tag, location, element = "joint", " of <gazebo>", element.find("joint")
         elif tag != "loop_joint":
             continue
         words = [
             word.strip()
-            for one in element.iter()
-            for word in (*one.attrib.values(), one.text or "")
+            for child in element.iter()
+            for word in (*child.attrib.values(), child.text or "")
         ]
         links = tuple(dict.fromkeys(word for word in words if word in names))
-        called = f" {element.get('name')!r}" if element.get("name") else ""
+        label = f" {element.get('name')!r}" if element.get("name") else ""
         joined = f" between {' and '.join(links)}" if links else ""
-        said = f"<{tag}>{called}{where}{joined} closes a loop, {_TREE}"
-        found.append(Closure(said, bodies=links))
-    return tuple(found)
+        message = f"<{tag}>{label}{location}{joined} closes a loop, {_TREE}"
+        closures.append(Closure(message, bodies=links))
+    return tuple(closures)
 
 
 def hold_in_urdf(tree, names, links, base=None):
-    """Fix the joints of a URDF at zero that are not named, a free one in some axes."""
-    # links: of those that are named, the joints that still follow others; base: name
-    # of the free joint, and rotation (3, 3) of its origin in its own axes.
+    """Fix the unnamed joints of a URDF at zero, a free joint with given axes."""
+    # links: named joints that are still followers; base: name of the free joint, and
+    # rotation (3, 3) of its origin in its own axes.
     for joint in _joints(tree.getroot()):
         name = joint.get("name")
         if base is not None and name == base[0]:
-            _turn_origin(joint, base[1])
+            _rotate_origin(joint, base[1])
         if name not in names:
             _fix(joint)
         elif name not in links:
@@ -325,32 +325,32 @@ def _fix(joint):
 
 
 def _float(text):
-    """Return the finite number that a text holds, or None."""
+    """Return the finite number in a text, or None."""
     try:
-        found = float(text)
+        value = float(text)
     except ValueError:
         return None
-    return found if np.isfinite(found) else None
+    return value if np.isfinite(value) else None
 
 
-def _check_ring(link, above, called):
-    seen = [link]
-    while link in above:
-        link = above[link][0]
-        if link in seen:
-            ring = " - ".join([*seen[seen.index(link) :], link])
+def _check_cycle(link, parents, label):
+    path = [link]
+    while link in parents:
+        link = parents[link][0]
+        if link in path:
+            cycle = " - ".join([*path[path.index(link) :], link])
             raise ValueError(
-                f"{called}: links {ring} form a closed loop, {_TREE}; "
+                f"{label}: links {cycle} form a closed loop, {_TREE}; "
                 "correct the parent of one joint."
             )
-        seen.append(link)
+        path.append(link)
 
 
 # -- identified robots -----------------------------------------------------------------
 
 
 def body_about_com(phi):
-    """Mass, centre of mass and inertia about it, from ten inertial parameters."""
+    """Return mass, centre of mass and inertia about it, from ten parameters."""
     mass = phi[0]
     if not mass > 0:
         raise ValueError(
@@ -358,27 +358,27 @@ def body_about_com(phi):
             'can be written into a description. Use projector="default".'
         )
     com = phi[1:4] / mass
-    # parallel axes
+    # parallel-axis theorem
     shift = mass * (com @ com * np.eye(3) - np.outer(com, com))
     return mass, com, inertia_matrix(phi) - shift
 
 
-def _turn_origin(joint, rotation):
-    """Turn the origin of a joint, and with it what the joint carries."""
+def _rotate_origin(joint, rotation):
+    """Rotate the origin of a joint, and all bodies that it carries."""
     origin = joint.find("origin")
     if origin is None:
         origin = ElementTree.SubElement(joint, "origin")
         origin.set("xyz", "0 0 0")
-    given = np.array(origin.get("rpy", "0 0 0").split(), dtype=float)
-    turned = import_pinocchio().rpy.rpyToMatrix(given) @ rotation
-    origin.set("rpy", numbers(_rpy(turned)))
+    angles = np.array(origin.get("rpy", "0 0 0").split(), dtype=float)
+    rotated = import_pinocchio().rpy.rpyToMatrix(angles) @ rotation
+    origin.set("rpy", numbers(_rpy(rotated)))
 
 
 def write_urdf(text, target, model, parameters, note="", turned=None, followers=None):
-    """Write a URDF with other inertias and friction, from its text."""
-    # parameters (nv, 12): inertial ones [kg, kg m, kg m^2], viscous and Coulomb
-    # friction; note: comment at the top; turned: rotation matrices (3, 3) of joints'
-    # origins; followers: bodies (10,) of joints that follow others, by name.
+    """Write a URDF with new inertias and friction, from its text."""
+    # parameters (nv, 12): inertial parameters [kg, kg m, kg m^2], viscous and Coulomb
+    # friction; note: comment at the top; turned: rotation matrices (3, 3) of joint
+    # origins by name; followers: bodies (10,) of followers by name.
     followers = {} if followers is None else followers
     root = ElementTree.fromstring(text)
     add_comment(root, note)
@@ -399,17 +399,17 @@ def write_urdf(text, target, model, parameters, note="", turned=None, followers=
     for name, row in rows:
         joint = joints[name]
         child = joint.find("child").get("link")
-        # What is fixed to the link is one body with it: its inertia is in the sum.
-        moved = [child]
-        for link in moved:
+        # The inertia includes that of all links that are fixed to this one.
+        joined = [child]
+        for link in joined:
             for inertial in links[link].findall("inertial"):
                 links[link].remove(inertial)
-            moved += fixed_children.get(link, [])
+            joined += fixed_children.get(link, [])
         _add_inertial(links[child], *body_about_com(row[:10]))
         if turned and name in turned:
-            _turn_origin(joint, turned[name])
+            _rotate_origin(joint, turned[name])
         if name in followers:
-            # Its friction is felt as that of its leader.
+            # Its friction is included in that of its leader.
             continue
         dynamics = joint.find("dynamics")
         if dynamics is None:
@@ -420,8 +420,8 @@ def write_urdf(text, target, model, parameters, note="", turned=None, followers=
 
 
 def check_possible(model, min_eigenvalues, kind):
-    """Refuse bodies that cannot exist, which no description may hold."""
-    # min_eigenvalues (nv,): of the pseudo-inertias, positive where a body can exist.
+    """Refuse bodies that are not physically consistent."""
+    # min_eigenvalues (nv,): of the pseudo-inertias, positive for consistent bodies.
     if (min_eigenvalues <= 0).any():
         names = joint_names(model)
         bad = [name for name, low in zip(names, min_eigenvalues) if low <= 0]
@@ -436,8 +436,7 @@ def check_possible(model, min_eigenvalues, kind):
 
 def text_of_tree(model, followers=None):
     """Write the URDF of a tree of revolute and prismatic joints, with its followers."""
-    # One link a joint, of the name of its body, without shapes. Gravity has no place in
-    # it.
+    # One link for each joint, named as its body, without shapes. URDF has no gravity.
     pin = import_pinocchio()
     tree = describe(model)
     check_kinds(model, tree)
@@ -453,11 +452,11 @@ def text_of_tree(model, followers=None):
         if body.mass > 0:
             _add_inertial(link, body.mass, body.lever, body.inertia)
         low, high = model.lowerPositionLimit[j], model.upperPositionLimit[j]
-        endless = not (low > -_UNLIMITED or high < _UNLIMITED)
-        kind = "prismatic" if slides else "continuous" if endless else "revolute"
+        unlimited = not (low > -_UNLIMITED or high < _UNLIMITED)
+        kind = "prismatic" if slides else "continuous" if unlimited else "revolute"
         joint = ElementTree.SubElement(root, "joint", name=name, type=kind)
-        placed = data.liMi[j + 1]
-        _add(joint, "origin", xyz=placed.translation, rpy=_rpy(placed.rotation))
+        placement = data.liMi[j + 1]
+        _add(joint, "origin", xyz=placement.translation, rpy=_rpy(placement.rotation))
         ElementTree.SubElement(joint, "parent", link=links[model.parents[j + 1]])
         ElementTree.SubElement(joint, "child", link=links[j + 1])
         _add(joint, "axis", xyz=tree.axes[j])
@@ -466,7 +465,7 @@ def text_of_tree(model, followers=None):
             limits = {"lower": low, "upper": high} | limits
         _add(joint, "limit", **limits)
         if model.armature[j] > 0:
-            # No attribute of URDF, whose readers ignore it; see `read_urdf`.
+            # Not part of URDF, readers ignore it; see `read_urdf`.
             _add(joint, "dynamics", damping=0.0, armature=model.armature[j])
         if followers and name in followers:
             follows = followers[name]
@@ -477,7 +476,7 @@ def text_of_tree(model, followers=None):
 
 
 def _link_names(model):
-    """Names of the base and of the bodies, all different."""
+    """Return unique names of the base and of the bodies."""
     bodies = body_names(model)
     if len(set(bodies)) < len(bodies):
         bodies = tuple(f"{name}_link" for name in joint_names(model))
@@ -497,12 +496,12 @@ def _add_inertial(link, mass, com, inertia):
 
 
 def _rpy(rotation):
-    """Roll, pitch and yaw of a rotation matrix, as close as rounding allows."""
+    """Return roll, pitch and yaw of a rotation matrix."""
     return import_pinocchio().rpy.matrixToRpy(rotation)
 
 
 def _add(parent, tag, **attributes):
-    """Add an element whose attributes are numbers, written so that they come back."""
+    """Add an element with numeric attributes."""
     element = ElementTree.SubElement(parent, tag)
     for name, values in attributes.items():
         element.set(

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sklearn_vbjfa.model import describe, with_bodies
-from sklearn_vbjfa.model._trees import side_by_side
+from sklearn_vbjfa.model._trees import concatenate_trees
 from sklearn_vbjfa.simulation._terms import TermTable
 
 
@@ -40,7 +40,7 @@ class ForwardDynamics:
             bodies = every[-1][1].copy()
             bodies[-1] += change
             every.append((instant, bodies))
-        self._tree = side_by_side([describe(robot.model), *terms.trees])
+        self._tree = concatenate_trees([describe(robot.model), *terms.trees])
         self._loaded = []
         for instant, bodies in every:
             # Bodies without a mass are refused.

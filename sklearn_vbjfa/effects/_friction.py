@@ -267,7 +267,7 @@ class GearLoss(LoadFriction):
         def torque(state):
             load = state.load[j]
             loss = abs(load) * sign(state.v[j], state.a[j])
-            # It has the sign of the load while the drive moves the load.
+            # The loss has the sign of the load while the drive moves the load.
             driving = 0.5 + 0.5 * maths.sign_of(load * loss)
             return driving * loss, (1.0 - driving) * loss
 

@@ -1,4 +1,4 @@
-"""Parameters of a robot from a recording, as functions from one value to the next."""
+"""Fit the parameters of a robot to a recording."""
 
 import functools
 import warnings
@@ -57,7 +57,7 @@ from sklearn_vbjfa.robot._robot import IdentifiedRobot
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FitData:
-    """What a robot is fitted to."""
+    """Recording, states and block numbers to which a robot is fitted."""
 
     recording: Recording
     states: RecordingStates
@@ -65,8 +65,8 @@ class FitData:
     n_jobs: object = None
 
     @functools.cached_property
-    def _kept(self):
-        """Columns that no load changes, see `build_segments`."""
+    def _load_free_columns(self):
+        """Cache of columns that do not depend on the load, see `build_segments`."""
         return {}
 
     def segments(self, robot, **changes):
@@ -77,13 +77,13 @@ class FitData:
             plan,
             robot.features_,
             theta=robot.load_parameters,
-            cache=self._kept,
+            cache=self._load_free_columns,
         )
 
-    def instrumented(self, robot):
-        """Equations of a robot, with instruments free of their noise, a list."""
-        # The commanded motion, where a drive makes its torque of it (what commands add
-        # to the torque, in units of the positions), else odd samples beside even ones.
+    def instrumental_equations(self, robot):
+        """Return the equations of a robot with instruments, a list."""
+        # Instruments, with independent noise, are the commanded motion if a feedback
+        # law produces the torques, else odd samples (and even ones for regressors).
         recording, estimator = self.recording, robot.plan.state_estimator
         if estimator is None:
             raise ValueError(
@@ -94,263 +94,264 @@ class FitData:
         feedback, parts = recording.feedback, recording.segments
         if feedback is None or not (feedback[0] > 0).all():
             q = recording.q
-            both = zip(*[estimator.smooth_halves(q[x], x.start) for x in parts])
+            motions = zip(*[estimator.smooth_halves(q[x], x.start) for x in parts])
         else:
             command = recording.command / feedback[0]
-            both = self.states.full, [estimator.smooth(command[x], 0) for x in parts]
-        pieces = []
-        for own in both:
-            made = replace(self, states=RecordingStates(full=list(own)))
-            pieces.append(equations(made.segments(robot), robot.plan.lowpass))
-        # An equation counts only where the joint moves in both.
-        x, z = pieces
+            motions = self.states.full, [estimator.smooth(command[x], 0) for x in parts]
+        equation_sets = []
+        for motion in motions:
+            data = replace(self, states=RecordingStates(full=list(motion)))
+            equation_sets.append(equations(data.segments(robot), robot.plan.lowpass))
+        # Use an equation only where the joint moves in both measurements.
+        x, z = equation_sets
         return [replace(x, weight=np.minimum(x.weight, z.weight), instruments=z.Phi)]
 
-    def moments(self, made, plan):
-        how = {"n_jobs": self.n_jobs, "numbering": self.numbering}
-        return accumulate(made, plan.lowpass, **how)
+    def moments(self, segments, plan):
+        settings = {"n_jobs": self.n_jobs, "numbering": self.numbering}
+        return accumulate(segments, plan.lowpass, **settings)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotFit:
-    """A robot with its parameters, and what they were estimated from."""
+    """A robot with its parameters, and the estimate that they come from."""
 
     robot: IdentifiedRobot
-    found: Estimate
-    made: tuple = ()  # segments of the recording that was fitted
+    estimate: Estimate
+    segments: tuple = ()  # of the fitted recording
     criteria: object = None  # of a refinement by simulation
-    # with the derivatives by values in the model as columns, where there are such
+    # estimate that includes derivatives with respect to values in the model, if any
     tangents: Estimate | None = None
 
     @classmethod
-    def of(cls, robot, found, shown, made=()):
-        """Give a robot the parameters of an `Estimate`, of which some are `shown`."""
-        through, rest = found.noise()
-        features, ranges = robot.features_, found.moments.ranges
+    def of(cls, robot, result, identified, pieces=()):
+        """Give a robot the parameters of an `Estimate`."""
+        # identified: (p,), bool; pieces: segments of the recording.
+        input_std, output_std = result.noise()
+        features, ranges = robot.features_, result.moments.ranges
         robot = replace(
             robot,
-            output_noise_=rest,
-            noise_floor_=np.hypot(robot.torque_noise_, through),
-            joint_weights=found.joint_weights,
+            output_noise_=output_std,
+            noise_floor_=np.hypot(robot.torque_noise_, input_std),
+            joint_weights=result.joint_weights,
             effect_ranges_=effect_ranges(features.friction_, robot.effects_, ranges),
-            identifiable_=shown,
+            identifiable_=identified,
         )
-        return cls(robot=robot, found=found, made=made).with_estimate(found)
+        return cls(robot=robot, estimate=result, segments=pieces).with_estimate(result)
 
-    def with_estimate(self, found, **changes):
-        C = found.covariance
+    def with_estimate(self, result, **changes):
+        C = result.covariance
         robot = replace(
             self.robot,
-            theta_=found.theta,
-            theta_unconstrained_=found.theta_unconstrained,
-            theta_std_=found.std,
-            # Symmetric to the last bit, of which a file holds one half.
+            theta_=result.theta,
+            theta_unconstrained_=result.theta_unconstrained,
+            theta_std_=result.std,
+            # Exactly symmetric, since a file stores one triangle.
             covariance=None if C is None else 0.5 * (C + C.T),
             **changes,
         )
-        robot = replace(robot, known_=known_parameters(robot, found))
-        return replace(self, robot=robot, found=found)
+        robot = replace(robot, known_=known_parameters(robot, result))
+        return replace(self, robot=robot, estimate=result)
 
     def squares(self):
-        """Weighted sums of squared residuals of the joints, (nv,)."""
-        theta = self.robot.linear_part(self.found.theta_unconstrained)
-        return self.found.moments.residual_squares(theta)
+        """Return the weighted sum of squared residuals of each joint, (nv,)."""
+        theta = self.robot.linear_part(self.estimate.theta_unconstrained)
+        return self.estimate.moments.residual_squares(theta)
 
     def errors(self):
-        """Root mean squares (nv,) of what the parameters leave of the torques."""
-        moments, theta = self.found.moments, self.robot.linear_part(self.found.theta)
-        return np.sqrt(moments.residual_squares(theta) / np.maximum(moments.n, 1.0))
+        """Return the RMS of the torque residual of each joint, (nv,)."""
+        sums, theta = self.estimate.moments, self.robot.linear_part(self.estimate.theta)
+        return np.sqrt(sums.residual_squares(theta) / np.maximum(sums.n, 1.0))
 
     @property
     def torque_size(self):
-        """Factor of all torques against the description, and its relative error."""
-        bodies = self.found.bodies
+        """Common factor of all torques over the description, and its relative error."""
+        bodies = self.estimate.bodies
         return (1.0, np.inf) if bodies is None else bodies.torque_size
 
-    def with_loads(self):
-        # Declared friction does not depend on the load; without effects it is not
-        # needed.
+    def with_load_ranges(self):
+        # Only effects may depend on the load; declared friction does not.
         robot = self.robot
         if not robot.effects_:
             return self
         inertial = robot.inertial()
         torques = functools.partial(robot.features_.torques, inertial=inertial)
-        load = sum_ranges([one.loads(robot.plan.lowpass, torques) for one in self.made])
+        load = sum_ranges([x.loads(robot.plan.lowpass, torques) for x in self.segments])
         ranges = effect_ranges(
             robot.features_.friction_,
             robot.effects_,
-            motion=self.found.moments.ranges,
+            motion=self.estimate.moments.ranges,
             load=load,
         )
         return replace(self, robot=replace(robot, effect_ranges_=ranges))
 
     def with_noise_facts(self, facts):
-        """Return the fit with the torque noise by `NoiseFacts` of all recordings."""
+        """Set the torque noise from the `NoiseFacts` of all recordings."""
         if not facts:
             return self
-        plan, (through, rest) = self.robot.plan, self.found.noise()
-        left = np.hypot(through, rest)
-        noise = filtered_noise(facts, plan.dt, plan.cutoff, left)
-        floor = np.hypot(noise, through)
-        found = {"torque_noise_": noise, "noise_floor_": floor}
-        found["waves"] = common_waves(facts)
-        return replace(self, robot=replace(self.robot, **found))
+        plan, (input_std, output_std) = self.robot.plan, self.estimate.noise()
+        residual_std = np.hypot(input_std, output_std)
+        noise = filtered_noise(facts, plan.dt, plan.cutoff, residual_std)
+        floor = np.hypot(noise, input_std)
+        attributes = {"torque_noise_": noise, "noise_floor_": floor}
+        attributes["waves"] = common_waves(facts)
+        return replace(self, robot=replace(self.robot, **attributes))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recipe:
-    """How parameters are estimated from equations, whatever robot makes them."""
+    """Settings of the estimation, independent of the robot and the recording."""
 
     regressor: object = None
     joint_weights: object = "auto"
     projector: object = "default"
     bodies: str = "free"
-    description: object = None  # that bodies are near, a `BodyPrior`
+    description: object = None  # `BodyPrior` of the bodies
     gains: object = None
-    masses: dict  # known ones [kg], by names of bodies
+    masses: dict  # known masses [kg] by body name
     alike: tuple = ()  # groups of joints with the same drive
 
-    def of_moments(self, robot, moments, rows=(), made=()):
-        # rows: the equations themselves, where second moments do not suffice.
-        wanted = len(robot.parameter_names_)
+    def of_moments(self, robot, moments, rows=(), segments=()):
+        # rows: the equations, if the regressor needs more than second moments.
+        n_required = len(robot.parameter_names_)
         if self.description is not None and np.isinf(robot.plan.cutoff):
-            # Independent rows, as poses are, need not determine what is described.
-            wanted -= self.description.places.size
-        check_count(moments, robot.standstill_, wanted)
-        zeros = _unneeded_entries(robot, moments)
-        found = estimate(
+            # Independent rows (poses) need not determine the described parameters.
+            n_required -= self.description.places.size
+        check_count(moments, robot.standstill_, n_required)
+        zeros = _zero_entries(robot, moments)
+        result = estimate(
             moments.zeroed(zeros),
             self.regressor,
             joint_weights=self.joint_weights,
-            rows=[one.zeroed(zeros) for one in rows],
+            rows=[piece.zeroed(zeros) for piece in rows],
             described=self.description is not None,
         )
         if self.description is not None:
-            found = beside_description(found, self.description, self.bodies)
+            result = beside_description(result, self.description, self.bodies)
         if self.alike:
-            found = beside_each_other(found, self.alike, robot)
+            result = beside_each_other(result, self.alike, robot)
         if self.description is not None:
-            found = with_positive_rotors(found, robot)
+            result = with_positive_rotors(result, robot)
         held = excluded_columns(robot.features_, robot.effects_)
-        found = _without(found, held)
+        result = _zero_held(result, held)
         say("consistent bodies")
-        found = project(found, self.projector, robot.features_, robot.effects_)
-        found = _without(found, held)
-        return RobotFit.of(robot, found, self._shown(found), made)
+        result = project(result, self.projector, robot.features_, robot.effects_)
+        result = _zero_held(result, held)
+        return RobotFit.of(robot, result, self._identifiable(result), segments)
 
     def of_source(self, robot, source):
-        """Fit a robot to its recording, in parallel where second moments suffice."""
-        made, rows = source.segments(robot), ()
+        """Fit a robot to its recording, in parallel if second moments suffice."""
+        pieces, rows = source.segments(robot), ()
         if not from_moments(self.regressor):
             if has_fit_parameter(self.regressor, "instruments"):
-                rows = source.instrumented(robot)
+                rows = source.instrumental_equations(robot)
             else:
-                rows = [equations(made, robot.plan.lowpass)]
-        return self.of_moments(robot, source.moments(made, robot.plan), rows, made)
+                rows = [equations(pieces, robot.plan.lowpass)]
+        return self.of_moments(robot, source.moments(pieces, robot.plan), rows, pieces)
 
-    def _shown(self, found):
-        """Parameters (p,), bool, that equations determine one by one."""
+    def _identifiable(self, result):
+        """Return which parameters (p,) the equations determine individually."""
         if self.bodies != "fixed":
-            return found.identifiable
-        rest = ~found.from_description
-        shown = np.zeros(rest.size, dtype=bool)
-        shown[rest] = identifiable(found.metric[np.ix_(rest, rest)])
-        return shown
+            return result.identifiable
+        others = ~result.from_description
+        identified = np.zeros(others.size, dtype=bool)
+        identified[others] = identifiable(result.metric[np.ix_(others, others)])
+        return identified
 
 
-def _unneeded_entries(robot, moments):
-    """Entries of the regressor (nv, p) that nothing excites or effects hold."""
+def _zero_entries(robot, moments):
+    """Return the entries (nv, p) that are not excited or that effects exclude."""
     zeros = unexcited_entries(moments, robot.features_.n_parameters_)
     zeros[:, excluded_columns(robot.features_, robot.effects_)] = True
     return zeros
 
 
-def _without(found, held):
-    """Return an estimate whose held columns, zero in the fit, have no coefficient."""
-    theta, unconstrained = found.theta.copy(), found.theta_unconstrained.copy()
+def _zero_held(result, held):
+    """Set the coefficients of excluded columns, which are zero in the fit, to zero."""
+    theta, unconstrained = result.theta.copy(), result.theta_unconstrained.copy()
     theta[held] = unconstrained[held] = 0.0
-    return replace(found, theta=theta, theta_unconstrained=unconstrained)
+    return replace(result, theta=theta, theta_unconstrained=unconstrained)
 
 
-# -- the course of a fit ---------------------------------------------------------------
+# -- passes of a fit -------------------------------------------------------------------
 
 
 def fit_robot(recipe, robot, source, before=None):
-    """Fit a robot to a recording: loads, gains and effects in the model settle."""
-    # before: a fitted robot whose load the first pass may begin with, or None.
+    """Fit a robot to a recording, iterating loads, gains and effects in the model."""
+    # before: a fitted robot whose load initialises the first pass, or None.
     relative = None
     if recipe.gains is not None:
-        relative = _first_gains(recipe, robot, source)
-        robot = _at(robot, with_gains(robot.effects_, relative.gains))
-    load, passes = _load_of(before, robot), robot.plan.passes()
+        relative = _initial_gains(recipe, robot, source)
+        robot = _with_effects(robot, with_gains(robot.effects_, relative.gains))
+    load, passes = _initial_load(before, robot), robot.plan.passes()
     if load is not None:
-        # One that was fitted beside the same effects is the robot's.
-        beside, own = (
-            {(effect.key(), len(effect.coefficients)) for effect in one.effects_}
-            for one in (before, robot)
+        # The load of a robot fitted with the same effects needs one pass only.
+        previous_effects, effects = (
+            {(effect.key(), len(effect.coefficients)) for effect in model.effects_}
+            for model in (before, robot)
         )
-        passes = passes[-1:] if beside >= own else passes[1:]
+        passes = passes[-1:] if previous_effects >= effects else passes[1:]
     fit = run_passes(recipe, robot, source, relative, passes, load)
     steady = without_steps(fit.robot, source)
     if steady is not None:
         source, plan, load = steady, fit.robot.plan, fit.robot.load_parameters
         fit = run_passes(recipe, robot, source, relative, [plan], load)
-    turned = with_corners(fit.robot, source)
-    if turned is not None:
-        fit = _with_turned(recipe, turned, source, relative, fit)
-    return fit.with_loads()
+    sharp = with_corners(fit.robot, source)
+    if sharp is not None:
+        fit = _fit_with_corners(recipe, sharp, source, relative, fit)
+    return fit.with_load_ranges()
 
 
-def _with_turned(recipe, turned, source, relative, rounded):
-    # The jump is that of a joint whose others are free, smoothed once: in a stiff loop,
-    # behind a low cut-off, it may be off by more than what it corrects.
-    load, fits = rounded.robot.load_parameters, [rounded]
-    better = np.ones(turned.plan.standstill.size, dtype=bool)
-    while better.any() and len(fits) < _MOST_TURNED:
-        plan = replace(turned.plan, corners=np.where(better, turned.plan.corners, 0.0))
-        robot = replace(turned, plan=plan)
+def _fit_with_corners(recipe, sharp, source, relative, smooth):
+    # sharp: robot with corrected corners; smooth: the fit without correction. The jump
+    # assumes free other joints; in a stiff loop with a low cut-off its error may exceed
+    # the correction. Joints whose residual grows are not corrected.
+    load, fits = smooth.robot.load_parameters, [smooth]
+    joints = np.ones(sharp.plan.standstill.size, dtype=bool)
+    while joints.any() and len(fits) < _MAX_CORNER_FITS:
+        plan = replace(sharp.plan, corners=np.where(joints, sharp.plan.corners, 0.0))
+        robot = replace(sharp, plan=plan)
         fits.append(run_passes(recipe, robot, source, relative, [plan], load))
-        worse = better & (fits[-1].squares() > rounded.squares())
+        worse = joints & (fits[-1].squares() > smooth.squares())
         if not worse.any():
-            return _in_doubt(fits[-1], rounded)
-        better &= ~worse
-    return _in_doubt(rounded, fits[-1])
+            return _inflate_covariance(fits[-1], smooth)
+        joints &= ~worse
+    return _inflate_covariance(smooth, fits[-1])
 
 
-def _in_doubt(fit, other):
-    """Add to what is not known a share of what corners moved, from another fit."""
-    # They follow from dry friction that turns at once, at a joint whose others are
-    # free. No drive is quite so, and all joints are off the same way, so that nothing
-    # of it shows in how the residual scatters.
-    found = fit.found
-    std = found.std
-    moved = DESCRIBED * (found.theta_unconstrained - other.found.theta_unconstrained)
-    moved = np.where(std > 0, moved, 0.0)
-    covariance = found.covariance
+def _inflate_covariance(fit, other):
+    """Inflate the covariance by part of the corner correction, from two fits."""
+    # The correction assumes Coulomb friction that reverses instantly, and free other
+    # joints. Its error has the same sign in all joints, so the scatter of the residual
+    # between blocks of time does not reveal it.
+    result = fit.estimate
+    std = result.std
+    step = DESCRIBED * (result.theta_unconstrained - other.estimate.theta_unconstrained)
+    step = np.where(std > 0, step, 0.0)
+    covariance = result.covariance
     if covariance is not None:
-        covariance = covariance + np.outer(moved, moved)
-    changed = {"std": np.hypot(std, moved), "covariance": covariance}
-    return fit.with_estimate(replace(found, **changed))
+        covariance = covariance + np.outer(step, step)
+    changes = {"std": np.hypot(std, step), "covariance": covariance}
+    return fit.with_estimate(replace(result, **changes))
 
 
 def run_passes(recipe, robot, source, relative, passes, load):
-    """Fit a robot until the loads and the values of its effects in the model stay."""
+    """Fit a robot with each plan in turn, then iterate the values in the model."""
     for plan in passes:
-        own = replace(robot, plan=plan, load_parameters=load)
-        fit = recipe.of_source(own, source)
+        trial = replace(robot, plan=plan, load_parameters=load)
+        fit = recipe.of_source(trial, source)
         load = fit.robot.parameters_of_load()
     if any(isinstance(effect, InModel) for effect in robot.effects_):
         fit = iterate_corrections(recipe, fit, source, relative)
     return fit
 
 
-def _at(robot, effects):
+def _with_effects(robot, effects):
     plan = replace(robot.plan, effects=effects)
     return replace(robot, features_=robot.features_.corrected(effects), plan=plan)
 
 
-def _load_of(before, robot):
-    """Load of a robot fitted before, also beside other effects; None if unknown."""
+def _initial_load(before, robot):
+    """Return the load parameters of a robot fitted before; None if unknown."""
     if before is None or not needs_load(robot.effects_):
         return None
     if any(isinstance(effect, InModel) for effect in robot.effects_):
@@ -358,112 +359,112 @@ def _load_of(before, robot):
     if before.features_.friction_ != robot.features_.friction_:
         return None
     pieces = before.split(before.theta_)
-    known = {effect.key(): own for effect, own in zip(before.effects_, pieces)}
-    plain = []
+    by_key = {effect.key(): values for effect, values in zip(before.effects_, pieces)}
+    loads = []
     for effect in filter(is_load_free, robot.effects_):
         k = len(effect.coefficients)
-        own = known.get(effect.key(), np.zeros(k))
-        # The elements of another bank have the same friction together.
-        plain.append(own if own.size == k else np.full(k, own.sum() / k))
-    return np.concatenate([before.bodies(before.theta_).ravel(), *plain])
+        values = by_key.get(effect.key(), np.zeros(k))
+        # A bank with another number of elements has the same total friction.
+        loads.append(values if values.size == k else np.full(k, values.sum() / k))
+    return np.concatenate([before.bodies(before.theta_).ravel(), *loads])
 
 
-def _first_gains(recipe, robot, source):
-    first = replace(robot, plan=robot.plan.passes()[0])
-    moments = source.moments(source.segments(first), first.plan)
+def _initial_gains(recipe, robot, source):
+    first_pass = replace(robot, plan=robot.plan.passes()[0])
+    moments = source.moments(source.segments(first_pass), first_pass.plan)
     units = [] if isinstance(recipe.gains, str) else list(recipe.gains)
     return relative_gains(
-        moments.zeroed(_unneeded_entries(first, moments)),
+        moments.zeroed(_zero_entries(first_pass, moments)),
         [robot.joint_names_.index(name) for name in units],
     )
 
 
 def iterate_corrections(recipe, fit, source, relative):
-    # relative: `RelativeGains` to begin with, or None.
-    fit, values = _corrected(recipe, fit, source, relative)
+    # relative: initial `RelativeGains`, or None.
+    fit, values = _correct_values(recipe, fit, source, relative)
     for effect in fit.robot.effects_:
         if isinstance(effect, CommandDelay):
             check_delay(effect.delay, source.recording)
     common = None
     if relative is not None:
-        common, covariance = common_gain(
+        common, gain_covariance = common_gain(
             recipe.masses, fit.robot, relative, values.estimate
         )
         if common.factor is not None:
             gains = common.factor * fit.robot.features_.gains_
-            robot = _at(fit.robot, with_gains(fit.robot.effects_, gains))
+            robot = _with_effects(fit.robot, with_gains(fit.robot.effects_, gains))
             load = robot.load_parameters / common.factor
             fit = recipe.of_source(replace(robot, load_parameters=load), source)
-    robot, found, own = fit.robot, fit.found, values.indices
-    theta, unconstrained, std, shown = (
-        one.copy()
-        for one in (found.theta, found.theta_unconstrained, found.std)
+    robot, result, indices = fit.robot, fit.estimate, values.indices
+    theta, unconstrained, std, identified = (
+        x.copy()
+        for x in (result.theta, result.theta_unconstrained, result.std)
         + (robot.identifiable_,)
     )
-    held = [one.values for one in robot.effects_ if isinstance(one, InModel)]
-    theta[own] = unconstrained[own] = np.concatenate(held)
-    covariance_of_all = found.covariance
-    # Both were estimated beside the same bodies.
-    if found.bodies is None or not _of_bodies(robot):
-        std, covariance_of_all = values.beside(std, covariance_of_all)
-    std[own] = values.std
+    present_values = [x.values for x in robot.effects_ if isinstance(x, InModel)]
+    theta[indices] = unconstrained[indices] = np.concatenate(present_values)
+    covariance = result.covariance
+    # Values and parameters were estimated with the same prior on the bodies.
+    if result.bodies is None or not _changes_bodies(robot):
+        std, covariance = values.add_uncertainty(std, covariance)
+    std[indices] = values.std
     gains = None
     if relative is not None:
-        places = gain_places(robot.effects_, robot.features_.n_parameters_)
+        gain_indices = gain_places(robot.effects_, robot.features_.n_parameters_)
         if common.factor is not None:
-            # What is one relative to itself is the factor.
-            std[places[relative.references]] = 0.0
+            # The error of the gain of a reference is that of the common factor.
+            std[gain_indices[relative.references]] = 0.0
             units = robot.parameter_units_
-            std = common.widened(theta, std, units, places, covariance)
-        own_std = std[places]
+            std = common.widened(theta, std, units, gain_indices, gain_covariance)
+        gain_std = std[gain_indices]
         if common.factor is None:
-            own_std[relative.references] = 0.0
+            gain_std[relative.references] = 0.0
         gains = ChannelGains(
             joint_names=robot.joint_names_,
-            gain=theta[places],
-            std=own_std,
+            gain=theta[gain_indices],
+            std=gain_std,
             reference=relative.reference,
             common=common,
         )
-    shown[own] = np.isfinite(std[own])
+    identified[indices] = np.isfinite(std[indices])
     corrected = replace(
-        found,
+        result,
         theta=theta,
         theta_unconstrained=unconstrained,
         std=std,
-        covariance=covariance_of_all,
+        covariance=covariance,
     )
-    fit = fit.with_estimate(corrected, identifiable_=shown, gains_=gains)
-    moments, weight = values.moments, found.joint_weights
+    fit = fit.with_estimate(corrected, identifiable_=identified, gains_=gains)
+    moments, weight = values.moments, result.joint_weights
     metric = denoised(moments.total(weight), moments.total_noise(weight))
-    tangents = replace(found, metric=metric, moments=moments.in_stretches())
-    return replace(fit, made=source.segments(fit.robot), tangents=tangents)
+    tangents = replace(result, metric=metric, moments=moments.in_stretches())
+    return replace(fit, segments=source.segments(fit.robot), tangents=tangents)
 
 
-def _of_bodies(robot):
+def _changes_bodies(robot):
     return any(
         isinstance(effect, InModel) and effect.of_bodies for effect in robot.effects_
     )
 
 
-def _corrected(recipe, fit, source, relative):
-    """Correct a robot step by step; the last fit and its `ModelValues`."""
-    # The equations with the derivatives by the values are, without these, those of the
-    # next fit: its load is that of the fit before.
-    corrected, factor, before, stayed = fit.robot, 1.0, 0.0, False
+def _correct_values(recipe, fit, source, relative):
+    """Iterate the values in the model; return the last fit and its `ModelValues`."""
+    # Equations with derivative columns also serve the next fit, which omits these
+    # columns and takes the load of the fit before.
+    corrected, factors, last_step, had_converged = fit.robot, 1.0, 0.0, False
     loaded = needs_load(corrected.effects_)
-    for number in range(MOST_CORRECTIONS):
+    for iteration in range(MAX_CORRECTIONS):
         robot = replace(corrected, load_parameters=fit.robot.parameters_of_load())
-        made = source.segments(robot, tangents=True)
-        moments = source.moments(made, robot.plan)
-        if number and loaded:
-            fit = _fitted_again(recipe, robot, source, moments)
-        zeros = _unneeded_entries(robot, moments)
+        segments = source.segments(robot, tangents=True)
+        moments = source.moments(segments, robot.plan)
+        if iteration and loaded:
+            fit = _refit(recipe, robot, source, moments)
+        zeros = _zero_entries(robot, moments)
         n_rigid = robot.features_.n_parameters_
         if relative is not None:
             zeros[:, gain_places(robot.effects_, n_rigid)[relative.held]] = True
-        # Beside bodies that are held, a value of the geometry would stay where it is.
-        bodies = None if _of_bodies(robot) else fit.found.bodies
+        # A prior on the bodies would keep a value of the geometry where it is.
+        bodies = None if _changes_bodies(robot) else fit.estimate.bodies
         values = ModelValues.of(
             moments.zeroed(zeros),
             robot.effects_,
@@ -471,35 +472,35 @@ def _corrected(recipe, fit, source, relative):
             joint_weights=recipe.joint_weights,
             bodies=bodies,
         )
-        # The load follows the values one fit later.
-        if values.stay() and (stayed or not (loaded and number)):
+        # The load lags one fit behind the values.
+        if values.converged() and (had_converged or not (loaded and iteration)):
             break
-        stayed = values.stay()
-        factor, before = values.longer(factor, before), values.step
-        corrected = _at(robot, values.corrected(factor))
+        had_converged = values.converged()
+        factors, last_step = values.step_factors(factors, last_step), values.step
+        corrected = _with_effects(robot, values.corrected(factors))
     else:
         names = [
             effect.name for effect in values.effects if isinstance(effect, InModel)
         ]
         warnings.warn(
             f"The values of {', '.join(dict.fromkeys(names))} did not converge in "
-            f"{MOST_CORRECTIONS} corrections (nearly equal columns). Declare fewer.",
+            f"{MAX_CORRECTIONS} corrections (nearly equal columns). Declare fewer.",
             ConvergenceWarning,
             stacklevel=6,
         )
-    if number and not loaded:
-        fit = _fitted_again(recipe, robot, source, moments)
+    if iteration and not loaded:
+        fit = _refit(recipe, robot, source, moments)
     robot = replace(fit.robot, load_parameters=fit.robot.parameters_of_load())
     return replace(fit, robot=robot), values
 
 
-def _fitted_again(recipe, robot, source, moments):
-    """Fit a corrected robot to moments that have derivatives by its values as well."""
+def _refit(recipe, robot, source, moments):
+    """Fit a corrected robot to moments that include derivative columns."""
     if not from_moments(recipe.regressor):
         return recipe.of_source(robot, source)
-    held = robot.linear_part(np.ones(moments.g.shape[1])) == 0.0
-    plain = moments.zeroed(np.broadcast_to(held, moments.g.shape))
-    return recipe.of_moments(robot, plain, made=source.segments(robot))
+    value_columns = robot.linear_part(np.ones(moments.g.shape[1])) == 0.0
+    linear_moments = moments.zeroed(np.broadcast_to(value_columns, moments.g.shape))
+    return recipe.of_moments(robot, linear_moments, segments=source.segments(robot))
 
 
 # -- refinement by simulation ----------------------------------------------------------
@@ -507,152 +508,152 @@ def _fitted_again(recipe, robot, source, moments):
 
 def refine_fit(recipe, fit, source, window):
     robot = fit.robot
-    # Values of effects in the model have no columns there.
-    found = recipe.of_source(robot, source).found
-    found = replace(found, std=robot.theta_std_)
-    recorded = source.recording, source.states
-    found, criteria = refine(robot, found, *recorded, window, recipe.projector)
+    # Here values of effects in the model have no columns.
+    result = recipe.of_source(robot, source).estimate
+    result = replace(result, std=robot.theta_std_)
+    data = source.recording, source.states
+    result, criteria = refine(robot, result, *data, window, recipe.projector)
     ranges = robot.effect_ranges_
-    fit = RobotFit.of(robot, found, robot.identifiable_, fit.made)
+    fit = RobotFit.of(robot, result, robot.identifiable_, fit.segments)
     robot = replace(fit.robot, effect_ranges_=ranges)
     return replace(fit, robot=robot, criteria=criteria)
 
 
 # -- values of effects that are part of the robot model, by Gauss and Newton -----------
 
-# The torque is linear in the parameters of the bodies and not in a tilt of the base or
-# the gain of a channel. With the derivatives by these values as columns, all are fitted
-# by least squares and the regressor is made anew, until no value moves by more than a
-# tenth of its standard error. A prior would hold each value where it began.
+# The torque is linear in the parameters of the bodies, but not in a base tilt or a
+# channel gain. The derivatives with respect to such values are further columns: least
+# squares fits all parameters, the regressor is evaluated again at the new values, until
+# no value moves by more than a tenth of its standard error. There is no prior on the
+# steps, since it would hold each value where it began.
 
 
-# A value stays where a correction is smaller than this share of its standard error.
-STAYS = 0.1
-# ... or than this share of the range of plausible values, which is rounding.
+# A value has converged if a correction is below this share of its standard error ...
+CONVERGED = 0.1
+# ... or, due to rounding, below this share of its plausible range.
 _ROUNDING = 1e-10
-# Corrections of one fit.
-MOST_CORRECTIONS = 12
-# Of a correction that would lead out of the plausible values, this share of the way.
-_SHORT = 0.9
-# A value is at the end of its range where it is within this share of it.
-_END = 0.01
+# Maximum number of corrections of one fit.
+MAX_CORRECTIONS = 12
+# Share of the distance to the bound that a correction beyond the bound covers.
+_SHORTENED = 0.9
+# A value within this share of its range from a bound counts as at the bound.
+_BOUND_MARGIN = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelValues:
-    """What a fit says of the values of effects that are in the model."""
+    """Corrections of the values of effects that are part of the robot model."""
 
     effects: tuple  # all effects of the fit
-    indices: np.ndarray  # where those values are among the parameters
-    # corrections of the values; zero where the recording does not show them
+    indices: np.ndarray  # of these values among the parameters
+    # corrections of the values; zero if not identifiable
     step: np.ndarray
-    std: np.ndarray  # of the values; nan where the recording does not show them
-    # estimate of everything, with corrections in the places of the values
+    std: np.ndarray  # of the values; nan if not identifiable
+    # of all parameters, with the corrections at the indices of the values
     estimate: PlainEstimate | None = None
-    moments: object = None  # of the equations, with derivatives by the values
+    moments: object = None  # of the equations, derivative columns included
 
     @classmethod
     def of(cls, moments, effects, n_rigid, joint_weights, bodies=None):
-        # Columns of the moments are those of the features, `n_rigid` of them, and then
-        # those of the effects, with derivatives by the values; bodies: as for
-        # `plain_estimate`.
-        every = effect_indices(effects, n_rigid)
-        places = [
-            place for effect, at in every if isinstance(effect, InModel) for place in at
+        # Columns of the moments: `n_rigid` of the features, then those of the effects,
+        # derivative columns included; bodies: as for `plain_estimate`.
+        spans = effect_indices(effects, n_rigid)
+        indices = [
+            index for effect, at in spans if isinstance(effect, InModel) for index in at
         ]
-        found = plain_estimate(moments, joint_weights, bodies)
-        shown = found.known[places]
+        solution = plain_estimate(moments, joint_weights, bodies)
+        identified = solution.known[indices]
         return cls(
             effects=tuple(effects),
-            indices=np.array(places),
-            step=np.where(shown, found.theta[places], 0.0),
-            std=np.where(shown, found.std[places], np.nan),
-            estimate=found,
+            indices=np.array(indices),
+            step=np.where(identified, solution.theta[indices], 0.0),
+            std=np.where(identified, solution.std[indices], np.nan),
+            estimate=solution,
             moments=moments,
         )
 
-    def stay(self):
-        """Whether no value moves by more than a tenth of its standard error."""
-        # One at the end of what is plausible stays where it would go on outwards.
-        own = [effect for effect in self.effects if isinstance(effect, InModel)]
-        low, high = (np.concatenate(x) for x in zip(*[e.bounds() for e in own]))
+    def converged(self):
+        """Return whether no value moves by more than a tenth of its standard error."""
+        # A value at a bound has converged if its step points outwards.
+        in_model = [effect for effect in self.effects if isinstance(effect, InModel)]
+        low, high = (np.concatenate(x) for x in zip(*[e.bounds() for e in in_model]))
         with np.errstate(invalid="ignore"):
-            least = np.maximum(STAYS * self.std, _ROUNDING * (high - low))
-            moves = np.abs(self.step) > least
-        below, above = (np.concatenate(x) for x in zip(*map(_at_bounds, own)))
-        out = (below & (self.step < 0)) | (above & (self.step > 0))
-        return not (moves & ~out).any()
+            tolerance = np.maximum(CONVERGED * self.std, _ROUNDING * (high - low))
+            moves = np.abs(self.step) > tolerance
+        below, above = (np.concatenate(x) for x in zip(*map(_at_bounds, in_model)))
+        outward = (below & (self.step < 0)) | (above & (self.step > 0))
+        return not (moves & ~outward).any()
 
-    def beside(self, std, covariance):
-        """Add to deviations (p,) and a covariance what the values leave unknown."""
-        # The others were estimated with the values as found, and move with them, as
-        # their columns are alike.
-        std, shown = std.copy(), np.isfinite(self.std)
-        # What is held as described does not move.
-        own, rest = self.indices[shown], std > 0
-        rest[self.indices] = False
-        within = self.estimate.covariance[np.ix_(own, own)]
-        inverse = self.estimate.eigen.inverse()[:, own]
-        slope = np.linalg.solve(inverse[own], inverse[rest].T).T
-        moved = np.einsum("ik,kl,il->i", slope, within, slope)
-        std[rest] = np.hypot(std[rest], np.sqrt(moved))
+    def add_uncertainty(self, std, covariance):
+        """Propagate the uncertainty of the values to deviations and covariance."""
+        # The other parameters were estimated at fixed values; they vary with them,
+        # since their columns are correlated.
+        std, identified = std.copy(), np.isfinite(self.std)
+        # Parameters fixed to the description do not vary.
+        columns, others = self.indices[identified], std > 0
+        others[self.indices] = False
+        value_covariance = self.estimate.covariance[np.ix_(columns, columns)]
+        inverse = self.estimate.eigen.inverse()[:, columns]
+        slope = np.linalg.solve(inverse[columns], inverse[others].T).T
+        variance = np.einsum("ik,kl,il->i", slope, value_covariance, slope)
+        std[others] = np.hypot(std[others], np.sqrt(variance))
         if covariance is not None:
             covariance = covariance.copy()
-            covariance[np.ix_(rest, rest)] += slope @ within @ slope.T
+            covariance[np.ix_(others, others)] += slope @ value_covariance @ slope.T
             covariance[self.indices] = covariance[:, self.indices] = 0.0
-            # Of a value that the recording does not show nothing is known.
+            # Values that are not identifiable have infinite variance.
             covariance[self.indices, self.indices] = np.inf
-            covariance[np.ix_(own, own)] = within
-            across = slope @ within
-            covariance[np.ix_(rest, own)] = across
-            covariance[np.ix_(own, rest)] = across.T
+            covariance[np.ix_(columns, columns)] = value_covariance
+            cross_covariance = slope @ value_covariance
+            covariance[np.ix_(others, columns)] = cross_covariance
+            covariance[np.ix_(columns, others)] = cross_covariance.T
         return std, covariance
 
-    def longer(self, factor, before):
-        """Factors (k,) of the steps, twice those of the last if these lead on."""
+    def step_factors(self, factor, last_step):
+        """Return step factors (k,), doubled while steps keep direction and size."""
         # Noise in a derivative, such as that of a recorded torque, shortens the steps.
-        leads_on = np.abs(self.step) > 0.5 * np.abs(before)
-        return np.where(leads_on & (self.step * before > 0), 2.0 * factor, 1.0)
+        persistent = np.abs(self.step) > 0.5 * np.abs(last_step)
+        return np.where(persistent & (self.step * last_step > 0), 2.0 * factor, 1.0)
 
     def corrected(self, factor):
-        """Return the effects with corrected values, within those that are plausible."""
-        found, at = [], 0
+        """Return the effects with corrected values within their plausible range."""
+        effects, start = [], 0
         for effect in self.effects:
             if isinstance(effect, InModel):
-                own = slice(at, at + len(effect.coefficients))
-                step = (factor * self.step)[own]
-                at += len(effect.coefficients)
-                effect = effect.linearised_at(_within(effect, step))
-            found.append(effect)
-        return tuple(found)
+                part = slice(start, start + len(effect.coefficients))
+                step = (factor * self.step)[part]
+                start += len(effect.coefficients)
+                effect = effect.linearised_at(_bounded_step(effect, step))
+            effects.append(effect)
+        return tuple(effects)
 
 
 def _at_bounds(effect):
-    """Which values are at their lower and at their upper bounds, two arrays (k,)."""
+    """Return which values are at their lower and upper bounds, two arrays (k,)."""
     low, high = effect.bounds()
-    # A gain has more room above 1 than below.
+    # The range of a gain is wider above 1 than below.
     below, above = effect.nominal - low, high - effect.nominal
-    near = 2 * _END
-    return effect.values < low + near * below, effect.values > high - near * above
+    margin = 2 * _BOUND_MARGIN
+    return effect.values < low + margin * below, effect.values > high - margin * above
 
 
-def _within(effect, step):
+def _bounded_step(effect, step):
     low, high = effect.bounds()
     room = np.where(step > 0, high, low) - effect.values
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(step == 0, np.inf, room / np.where(step == 0, 1.0, step))
-    return step if share.min() >= 1 else _SHORT * max(share.min(), 0.0) * step
+    return step if share.min() >= 1 else _SHORTENED * max(share.min(), 0.0) * step
 
 
 # -- lag of all torques ----------------------------------------------------------------
 
-# Blocks of rows that are looked at, their length, in rows and in lengths of the
-# low-pass, and deviations from which on a lag is looked for in earnest.
-_BLOCKS, _BLOCK_ROWS, _BLOCK_FILTERS, _SUSPECT = 4, 1000, 10, 4.0
+# Number of blocks of rows that are tested, their minimum length in rows and in lengths
+# of the low-pass, and standard deviations of a lag that require a full inspection.
+_BLOCKS, _BLOCK_ROWS, _BLOCK_FILTERS, _LAG_DEVIATIONS = 4, 1000, 10, 4.0
 
 
 def seems_late(recipe, fit, source):
-    """Whether a few rows of a recording suggest that all torques are late, or early."""
+    """Return whether an excerpt suggests that all torques lag, or lead."""
     robot, recording = fit.robot, source.recording
     plan, effects = robot.plan, (*robot.effects_, TorqueLag())
     length = max(_BLOCK_ROWS, 2 * _BLOCK_FILTERS * plan.lowpass.half)
@@ -663,83 +664,82 @@ def seems_late(recipe, fit, source):
         if part.stop - part.start > length
     ]
     rows = rows[:: max(len(rows) // _BLOCKS, 1)] or list(recording.segments)[:_BLOCKS]
-    some = take_rows(recording, rows, range(len(rows)))
-    states, _ = observe(some, plan.state_estimator, False, source.n_jobs)
+    excerpt = take_rows(recording, rows, range(len(rows)))
+    states, _ = observe(excerpt, plan.state_estimator, False, source.n_jobs)
     robot = replace(robot, plan=replace(plan, effects=effects))
-    few = replace(source, recording=some, states=states, numbering=None)
-    moments = few.moments(few.segments(robot, tangents=True), plan)
+    data = replace(source, recording=excerpt, states=states, numbering=None)
+    moments = data.moments(data.segments(robot, tangents=True), plan)
     if moments is None:
         return False
-    zeros = _unneeded_entries(robot, moments)
+    zeros = _zero_entries(robot, moments)
     values = ModelValues.of(
         moments.zeroed(zeros),
         effects,
         n_rigid=robot.features_.n_parameters_,
         joint_weights=recipe.joint_weights,
     )
-    return bool(np.abs(values.step[-1]) > _SUSPECT * values.std[-1])
+    return bool(np.abs(values.step[-1]) > _LAG_DEVIATIONS * values.std[-1])
 
 
-# -- corners and steps -----------------------------------------------------------------
+# -- velocity reversals with dry friction (corners), and steps of commands -------------
 
-# Rows at which the inertia of a joint is looked at.
-_ROWS = 64
-# Of a sample period: delay that a ripple may look like without a new fit.
-_LEAST_RIPPLE = 5e-4
-# Fits with corners, the one without included.
-_MOST_TURNED = 3
-# Frequencies of the integral, in cut-offs: what lies beyond is a share of 1e-3.
+# Number of poses at which the inertia of a joint is evaluated.
+_N_POSES = 64
+# A ripple is corrected if it is equivalent to this delay or more, in sample periods.
+_MIN_RIPPLE_DELAY = 5e-4
+# Maximum number of fits with corners, including the one without.
+_MAX_CORNER_FITS = 3
+# Frequency grid of the integral, in cut-off frequencies; the truncation is 1e-3.
 _LOWEST, _HIGHEST, _COUNT = 0.1, 1e3, 4000
 
 
 def with_corners(robot, source):
-    """Return a fitted robot whose plan knows its corners, None where there are none."""
-    # Of drives whose law is known. Torques that are measured belong to controllers
-    # which nothing is known of, and may take the jump away.
+    """Return a fitted robot whose plan has corners; None without corners."""
+    # Requires a known control law: an unknown controller may compensate the jump.
     plan = robot.plan
     estimator, feedback = plan.state_estimator, source.recording.feedback
     if feedback is None or estimator is None:
         return None
-    terms, inertia = _joints_of(robot, source)
+    terms, inertia = _joint_dynamics(robot, source)
     recording = source.recording
     command = recording.command + recording.torques(plan.delay) - recording.tau
-    own = source.states.full, plan, robot.features_
-    rows = regressor_rows(recording, *own, theta=robot.load_parameters)
+    arguments = source.states.full, plan, robot.features_
+    rows = regressor_rows(recording, *arguments, theta=robot.load_parameters)
     torques = [np.concatenate([x.effects(robot.theta_) for x in rows]), command]
-    further, commanded = _jumps_of(torques, robot, source)
-    dry = terms["coulomb"] + further
+    from_effects, from_commands = _torque_jumps(torques, robot, source)
+    dry = terms["coulomb"] + from_effects
     if not dry.any():
         return None
-    # Friction that is commanded ahead takes the jump away.
-    dry = np.maximum(dry - commanded, 0.0)
+    # Feedforward of friction compensates the jump.
+    dry = np.maximum(dry - from_commands, 0.0)
     damping = feedback[1] + np.maximum(terms["viscous"], 0.0)
     jumps = [
-        jump(*own) for own in zip(dry, inertia, damping, feedback[0], estimator.cutoff_)
+        jump(*row) for row in zip(dry, inertia, damping, feedback[0], estimator.cutoff_)
     ]
     return replace(robot, plan=replace(plan, corners=np.array(jumps)))
 
 
 def without_steps(robot, source):
-    """Return a source whose torques are free of the response to steps of commands."""
-    # A joint answers each step of a held command by a ripple, which sampled positions
-    # hide: the double integral of a sawtooth B1, by the Bernoulli polynomials B3 and,
-    # for the damping, B4, times the slope of the command. None where it is too small.
+    """Remove the response to steps of commands from a source; None if it is small."""
+    # A joint responds to each step of a zero-order-hold command with a ripple that
+    # sampled positions hide: the double integral of a sawtooth B1, by the Bernoulli
+    # polynomials B3 and, for the damping, B4, times the slope of the command.
     recording, dt = source.recording, source.recording.dt
     if recording.feedback is None or robot.plan.state_estimator is None:
         return None
-    terms, inertia = _joints_of(robot, source)
+    terms, inertia = _joint_dynamics(robot, source)
     phase = robot.plan.delay / dt % 1.0
-    third = phase * (phase - 0.5) * (phase - 1.0) * dt**3 / 6.0
-    fourth = ((phase * (phase - 1.0)) ** 2 - 1.0 / 30.0) * dt**4 / 24.0
+    cubic = phase * (phase - 0.5) * (phase - 1.0) * dt**3 / 6.0
+    quartic = ((phase * (phase - 1.0)) ** 2 - 1.0 / 30.0) * dt**4 / 24.0
     inertia = np.where(inertia > 0, inertia, np.inf)
     stiffness, damping = recording.feedback
     losses = damping + np.maximum(terms["viscous"], 0.0)
-    size = (third + losses / inertia * fourth) / inertia
-    if (stiffness * np.abs(size) < _LEAST_RIPPLE * dt).all():
+    amplitude = (cubic + losses / inertia * quartic) / inertia
+    if (stiffness * np.abs(amplitude) < _MIN_RIPPLE_DELAY * dt).all():
         return None
     parts, clock = recording.segments, recording.clock
     position, speed = (
-        size
+        amplitude
         * _smoothing.interpolate(recording.command, parts, clock, robot.plan.delay, k)
         for k in (1, 2)
     )
@@ -754,24 +754,24 @@ def without_steps(robot, source):
 
 
 def jump(dry, inertia, damping, stiffness, cutoff):
-    """Half of the jump of an acceleration that rounds a velocity as the drive does."""
+    """Return half of an acceleration jump that rounds a velocity as the drive does."""
     if not (np.isfinite(cutoff) and inertia > 0 and dry > 0):
         return 0.0
     x = np.geomspace(_LOWEST, _HIGHEST, _COUNT)
     omega = 2 * np.pi * cutoff * x
-    lost = x**10 / (1 + x**10)
-    answer = 1.0 / (inertia * omega**2 - stiffness - 1j * damping * omega)
-    late = 2 * dry / np.pi * np.trapezoid(lost * answer.real, omega)
-    return max(late, 0.0) / _smoothing.rounding(cutoff)
+    removed = x**10 / (1 + x**10)
+    response = 1.0 / (inertia * omega**2 - stiffness - 1j * damping * omega)
+    rounded = 2 * dry / np.pi * np.trapezoid(removed * response.real, omega)
+    return max(rounded, 0.0) / _smoothing.rounding(cutoff)
 
 
-def _jumps_of(torques, robot, source):
-    """Half of the jump (nv,) that each of some torques (n, nv) makes at turns."""
-    # Of what the smoother leaves out of it, the part that goes with what it leaves out
-    # of the signs.
+def _torque_jumps(torques, robot, source):
+    """Return half of the jump (nv,) of each torque (n, nv) at velocity reversals."""
+    # Least squares on the sign of the velocity, after subtracting the smoothed signals
+    # from both.
     estimator, groups = robot.plan.state_estimator, source.recording.groups
     nv = source.recording.nv
-    speed = np.concatenate([own[slice(None)] for own in source.states.full])
+    speed = np.concatenate([states[slice(None)] for states in source.states.full])
     signs = np.sign(speed.reshape(len(speed), -1)[:, nv : 2 * nv])
     signs, *torques = (
         x - estimator.transform(x, groups=groups)[:, :nv] for x in (signs, *torques)
@@ -781,19 +781,19 @@ def _jumps_of(torques, robot, source):
     return [(torque * signs).sum(axis=0) / power for torque in torques]
 
 
-def _joints_of(robot, source):
-    """Friction (nv,) by name, and inertia (nv,) of each joint while others are free."""
-    # The inertia is the mean of poses. Columns of the inertia matrix are torques that
-    # accelerations ask for: bodies that were fitted need not be physical.
+def _joint_dynamics(robot, source):
+    """Return friction (nv,) by name, and inertia (nv,) with all other joints free."""
+    # The inertia is the mean over poses. The mass matrix comes from inverse dynamics,
+    # since fitted bodies need not be physically consistent.
     nv, features = source.recording.nv, robot.features_
     terms = dict.fromkeys(("coulomb", "viscous", "rotor_inertia"), np.zeros(nv))
     terms |= dict(zip(features.friction_, robot.bodies(robot.theta_)[:, 10:].T))
     rotors = np.diag(np.maximum(terms["rotor_inertia"], 0.0))
-    a, found = np.vstack([np.zeros(nv), np.eye(nv)]), []
-    for own in source.states.full:
-        for i in np.unique(np.linspace(0, own.shape[0] - 1, _ROWS).astype(int)):
-            q = np.tile(own[slice(i, i + 1)].reshape(-1)[:nv], (nv + 1, 1))
-            still, *columns = features.torques(q, 0.0 * a, a, robot.inertial())
-            mass = np.array(columns) - still + rotors
-            found.append(1.0 / np.diagonal(np.linalg.pinv(mass)))
-    return terms, np.mean(found, axis=0)
+    a, inertias = np.vstack([np.zeros(nv), np.eye(nv)]), []
+    for states in source.states.full:
+        for i in np.unique(np.linspace(0, states.shape[0] - 1, _N_POSES).astype(int)):
+            q = np.tile(states[slice(i, i + 1)].reshape(-1)[:nv], (nv + 1, 1))
+            at_rest, *columns = features.torques(q, 0.0 * a, a, robot.inertial())
+            mass_matrix = np.array(columns) - at_rest + rotors
+            inertias.append(1.0 / np.diagonal(np.linalg.pinv(mass_matrix)))
+    return terms, np.mean(inertias, axis=0)

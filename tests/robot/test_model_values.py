@@ -167,7 +167,7 @@ def test_values_are_those_of_nonlinear_least_squares(truth):
     found = ModelValues.of(moments, with_values(truth, expected), 33, None)
     assert_allclose(found.std, std, rtol=1e-4)
     assert np.all(np.abs(found.step) < 0.02 * std)
-    assert found.stay()
+    assert found.converged()
 
 
 TRUTH = [BaseTilt(0, 0.07, -0.1), TorqueGain(1, 1.3)]

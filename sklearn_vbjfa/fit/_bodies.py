@@ -151,7 +151,7 @@ class BodyPosterior:
     prior: np.ndarray  # (p, p): precision of the prior
     # (p,): deviations of the prior, at the scales that bodies turned out to have; nan
     # for what the description does not say
-    before: np.ndarray
+    prior_std: np.ndarray
     centre: np.ndarray  # (p,): mean of the prior
     # bodies not as described, or what they cannot be told apart from
     departures: tuple[Departure, ...] = ()
@@ -463,7 +463,7 @@ def around(description, A, b):
         theta=centre + (mean[:-1] + mean[-1] * centre),
         covariance=covariance,
         prior=prior,
-        before=before,
+        prior_std=before,
         centre=centre + mean[-1] * centre,
         departures=asked.departures(),
         common=common,
@@ -490,7 +490,7 @@ def as_described(description, A, b):
         theta=theta,
         covariance=covariance,
         prior=np.zeros((p, p)),
-        before=np.where(free, np.nan, 0.0),
+        prior_std=np.where(free, np.nan, 0.0),
         centre=description.vector(p),
         torque_size=size,
     )

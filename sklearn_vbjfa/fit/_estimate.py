@@ -27,19 +27,19 @@ from sklearn_vbjfa.regression import (
 )
 from sklearn_vbjfa.robot._posterior import min_eigenvalues
 
-# Largest weight of a joint's equations in units of its mean squared torque: no robot is
-# modelled better than to 1e-4 of its torque. Without noise, the weight of a joint that
-# is fitted already would hide what only the others show.
-_FINEST = 1e8
-# Directions of parameter space that the data determine less than this, relative to
-# the best-determined one in scaled columns, count as unidentifiable, ...
+# Maximum weight of a joint's equations in units of its mean squared torque, i.e. a
+# relative model error of 1e-4. Without noise, the weight of an exactly fitted joint
+# would hide parameters that only other joints determine.
+_MAX_WEIGHT = 1e8
+# Relative eigenvalue of the scaled Gram matrix below which a direction of parameter
+# space is not identifiable, ...
 IDENTIFIABLE = 1e-9
-# ... and so does a parameter with more than this share in such directions.
+# ... and share of a parameter in such directions above which it is not identifiable.
 LOST = 1e-6
-# Iterations of the joints' weights, and the relative change that ends them.
-_MOST_WEIGHTINGS, _SETTLED = 30, 1e-6
-# Student's t has a deviation from three degrees of freedom on.
-_LEAST_FREEDOM = 3.0
+# Maximum iterations of the joints' weights, and the relative change that ends them.
+_MAX_ITERATIONS, _TOLERANCE = 30, 1e-6
+# Student's t has a finite variance from three degrees of freedom on.
+_MIN_FREEDOM = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,55 +49,55 @@ class Estimate:
     # (p,): parameters after and before a projection
     theta: np.ndarray
     theta_unconstrained: np.ndarray
-    # (p,): posterior deviations of the latter, accounting for residuals correlated in
-    # time; nan if the regressor provides none
+    # (p,): posterior standard deviations of the latter, inflated for residuals that are
+    # correlated in time; nan if the regressor provides none
     std: np.ndarray
     joint_weights: np.ndarray  # (nv,): of the joints' equations [1 / torque squared]
     # (p, p): weighted Gram matrix, input noise subtracted, X_t' X_t of eq. 35
     metric: np.ndarray
-    # of the fit; of a single recording the stretches in place of blocks of time
+    # of the fit; a single recording has stretches in place of blocks of time
     moments: JointMoments
-    regressor: object  # None where the description is the prior
-    # (p, p): posterior, with one factor for residuals correlated in time; infinite on
-    # the diagonal where nothing tells a parameter, None if the regressor has none
+    regressor: object  # None if the description is the prior
+    # (p, p): posterior, with one common inflation factor; infinite on the diagonal if
+    # nothing determines a parameter, None if the regressor has none
     covariance: np.ndarray | None = None
     projector: object = None
-    bodies: object = None  # what the description added, where bodies have a prior
-    # (p,): factors by which residuals correlated in time widen the deviations
-    wider: np.ndarray | None = None
-    pooled: float = 1.0  # that of the variance in the mean of all directions
-    alike: tuple = ()  # `AlikeValue` of joints that are near each other
+    bodies: object = None  # `BodyPosterior`, if bodies have a prior
+    # (p,): inflation factors of the deviations for residuals correlated in time
+    inflation: np.ndarray | None = None
+    pooled: float = 1.0  # factor of the variance, mean over all directions
+    alike: tuple = ()  # `AlikeValue` of joints with the same drive
 
     @property
     def identifiable(self):
-        """Parameters determined individually by the data, (p,), bool."""
+        """Parameters (p,), bool, that the data determine individually."""
         return identifiable(self.metric)
 
     @property
     def posterior_metric(self):
-        """`metric` with what the description adds in the same units, (p, p)."""
+        """`metric` plus the precision of the prior in the same units, (p, p)."""
         if self.bodies is None:
             return self.metric
         metric = self.metric + self.bodies.noise * self.bodies.prior
-        # What is held does not give way to anything else.
+        # Fixed parameters do not move with any other.
         held = self.prior_std == 0
         metric[np.not_equal.outer(held, held)] = 0.0
         return metric
 
     @property
     def prior_std(self):
-        """Deviations (p,) by the description alone; nan for what it does not say."""
+        """Standard deviations (p,) of the prior; nan for parameters without one."""
         if self.bodies is None:
             return np.full(self.theta.size, np.nan)
-        return self.bodies.before
+        return self.bodies.prior_std
 
     @property
     def from_description(self):
-        """Parameters (p,), bool, that the data determine less than the description."""
+        """Parameters (p,), bool, that the description determines more than the data."""
         return little_learned(self.std, self.prior_std)
 
     def noise(self):
-        """Residual deviations (nv,) due to input noise, and the rest [N m or N]."""
+        """Split residual deviations [N m or N] into input noise and output noise."""
         return self.moments.split_residual(self.theta)
 
 
@@ -105,9 +105,9 @@ class Estimate:
 class PlainEstimate:
     """Least squares without a prior and without a projection."""
 
-    theta: np.ndarray  # (p,): directions that the data do not determine are left out
-    covariance: np.ndarray  # (p, p): without these directions
-    known: np.ndarray  # (p,): parameters that the data determine individually
+    theta: np.ndarray  # (p,): minimum norm; unidentifiable directions are zero
+    covariance: np.ndarray  # (p, p): zero in these directions
+    identifiable: np.ndarray  # (p,): bool
     eigen: ScaledEigen  # of the Gram matrix, input noise subtracted
 
     @property
@@ -116,7 +116,7 @@ class PlainEstimate:
 
 
 def from_moments(regressor):
-    """Whether a regressor (None: the default) needs second moments only."""
+    """Return whether a regressor (None: the default) needs second moments only."""
     return regressor is None or isinstance(regressor, BaseJointFactorRegressor)
 
 
@@ -124,9 +124,9 @@ def estimate(
     moments, regressor=None, *, joint_weights="auto", rows=(), described=False
 ):
     """Estimate one parameter vector from the equations of all joints; not projected."""
-    # regressor: linear, which is cloned; joint_weights: "auto", None or (nv,); rows:
-    # the equations themselves, if the regressor needs them; described: whether the
-    # description will be the prior, so that the equations alone count here.
+    # regressor: linear, is cloned; joint_weights: "auto", None or (nv,); rows: the
+    # equations, if the regressor needs them; described: whether the prior from the
+    # description is applied afterwards, so that least squares suffices here.
     weight = resolve_weights(joint_weights, moments)
     total, noise = moments.total(weight), moments.total_noise(weight)
     metric = denoised(total, noise)
@@ -143,89 +143,89 @@ def estimate(
             theta, std, covariance = _fit_moments(regressor, total, noise)
         else:
             theta, std = _fit_rows(regressor, rows, weight, total)
-    wider, pooled = _correlation(moments, weight, theta)
+    inflation, pooled = _block_inflation(moments, weight, theta)
     return Estimate(
         theta=theta,
         theta_unconstrained=theta,
-        std=std * wider,
+        std=std * inflation,
         covariance=None if covariance is None else pooled * covariance,
         joint_weights=weight,
         metric=metric,
         moments=moments.in_stretches(),
         regressor=regressor,
-        wider=wider,
+        inflation=inflation,
         pooled=pooled,
     )
 
 
 def plain_estimate(moments, joint_weights="auto", bodies=None):
-    """Estimate by weighted least squares without a prior, input noise corrected for."""
-    # Its covariance accounts for residuals correlated in time. Directions that the data
-    # do not determine are left out. bodies: `BodyPosterior` of an estimate, whose prior
-    # is taken as it is, or None. Returns a `PlainEstimate`.
+    """Estimate by weighted least squares, corrected for input noise."""
+    # The covariance is inflated for residuals correlated in time. bodies:
+    # `BodyPosterior` whose prior is added without adapting its scales, or None.
+    # Returns a `PlainEstimate`.
     weight = resolve_weights(joint_weights, moments)
     if isinstance(joint_weights, str):
-        most = np.full(weight.size, np.inf)
-        np.divide(_FINEST * moments.n, moments.yy, out=most, where=moments.yy > 0)
-        weight = np.minimum(weight, most)
+        limit = np.full(weight.size, np.inf)
+        np.divide(_MAX_WEIGHT * moments.n, moments.yy, out=limit, where=moments.yy > 0)
+        weight = np.minimum(weight, limit)
     total, noise = moments.total(weight), moments.total_noise(weight)
     metric = denoised(total, noise)
     right, held = total.S_xy, np.zeros(total.S_xy.size, dtype=bool)
     if bodies is not None:
-        prior, held = bodies.noise * bodies.prior, bodies.before == 0
+        prior, held = bodies.noise * bodies.prior, bodies.prior_std == 0
         right = right + prior @ bodies.centre
         right = np.where(held, 0.0, right - metric @ np.where(held, bodies.centre, 0.0))
         metric = np.where(held | held[:, None], 0.0, metric + prior)
-    found = scaled_eigen(metric, IDENTIFIABLE)
-    theta = found.solve(right)
+    eigen = scaled_eigen(metric, IDENTIFIABLE)
+    theta = eigen.solve(right)
     if held.any():
         theta[held] = bodies.centre[held]
-    variance = noise_variance(moments, weight, theta, found.rank)
-    wider, _ = _correlation(moments, weight, theta)
+    variance = noise_variance(moments, weight, theta, eigen.rank)
+    inflation, _ = _block_inflation(moments, weight, theta)
     return PlainEstimate(
         theta=theta,
-        covariance=found.inverse() * variance * np.outer(wider, wider),
-        known=identifiable(metric),
-        eigen=found,
+        covariance=eigen.inverse() * variance * np.outer(inflation, inflation),
+        identifiable=identifiable(metric),
+        eigen=eigen,
     )
 
 
-def noise_variance(moments, weight, theta, rank, taken=0.0):
-    """Weighted mean square of the noise, of which a fit took `rank` directions."""
-    # taken: of the sum of squares, by directions that theta does not have
+def noise_variance(moments, weight, theta, rank, explained=0.0):
+    """Return the weighted residual variance after a fit of `rank` directions."""
+    # explained: sum of squares explained by further directions, not in theta
     used = weight > 0
     count = moments.n_rows[used].sum()
-    squares = max(weight @ moments.residual_squares(theta) - taken, 0.0)
-    # Weights may be fractions of a row; only the count knows what was estimated.
+    squares = max(weight @ moments.residual_squares(theta) - explained, 0.0)
+    # Weights may be fractional, so degrees of freedom come from the number of rows.
     return squares / moments.n[used].sum() * count / max(count - rank, 1)
 
 
-def noise_of(found):
-    """Variance by which the normal equations of an `Estimate` are divided."""
-    # The likelihood is worth what its scatter between blocks of time leaves of it.
-    moments, weight = found.moments, found.joint_weights
-    rank = scaled_eigen(found.metric, IDENTIFIABLE).rank
-    start = found.theta_unconstrained
-    return noise_variance(moments, weight, start, rank) * max(found.pooled, 1.0)
+def inflated_noise(result):
+    """Return the noise variance that scales the normal equations of an `Estimate`."""
+    # Its inflation discounts the likelihood for residuals correlated in time.
+    moments, weight = result.moments, result.joint_weights
+    rank = scaled_eigen(result.metric, IDENTIFIABLE).rank
+    theta = result.theta_unconstrained
+    return noise_variance(moments, weight, theta, rank) * max(result.pooled, 1.0)
 
 
-def beside_description(found, description, bodies="prior"):
-    """Return an `Estimate` with the bodies near their description, or as described."""
-    total, noise = found.moments.total(found.joint_weights), noise_of(found)
-    way = around if bodies == "prior" else as_described
-    posterior = way(description, found.metric / noise, total.S_xy / noise)
-    # Deviations: what the prior leaves, and the noise as it scatters in time.
+def apply_description(result, description, bodies="prior"):
+    """Return an `Estimate` with the description as prior, or with fixed bodies."""
+    total, noise = result.moments.total(result.joint_weights), inflated_noise(result)
+    method = around if bodies == "prior" else as_described
+    posterior = method(description, result.metric / noise, total.S_xy / noise)
+    # Variance from the prior, plus variance from noise, inflated per parameter.
     covariance = posterior.covariance
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     of_prior = ((finite @ posterior.prior) * finite.T).sum(axis=1)
-    of_noise = ((finite @ (found.metric / noise)) * finite.T).sum(axis=1)
-    wider = found.wider**2 / max(found.pooled, 1.0)
-    std = np.sqrt(of_prior + np.maximum(of_noise, 0.0) * wider)
+    of_noise = ((finite @ (result.metric / noise)) * finite.T).sum(axis=1)
+    inflation = result.inflation**2 / max(result.pooled, 1.0)
+    std = np.sqrt(of_prior + np.maximum(of_noise, 0.0) * inflation)
     std = np.where(np.isfinite(np.diagonal(covariance)), std, np.inf)
-    # However the residual scatters, data do not make a description worse.
-    std = np.fmin(std, posterior.before)
+    # Inflated for correlated residuals, a deviation cannot exceed that of the prior.
+    std = np.fmin(std, posterior.prior_std)
     return replace(
-        found,
+        result,
         theta=posterior.theta,
         theta_unconstrained=posterior.theta,
         std=std,
@@ -234,51 +234,50 @@ def beside_description(found, description, bodies="prior"):
     )
 
 
-def widening(found):
-    """Covariance (p, p), zero where nothing tells a value, and factors (p,) for std."""
-    # By these factors residuals correlated in time widen the deviations.
-    C = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
-    size, ratio = np.sqrt(np.diagonal(C)), np.ones(len(C))
-    finite = np.isfinite(found.std) & (size > 0)
-    ratio[finite] = found.std[finite] / size[finite]
+def uninflated_covariance(result):
+    """Return the covariance, zero if infinite, and inflation factors (p,) of std."""
+    C = np.where(np.isfinite(result.covariance), result.covariance, 0.0)
+    std, ratio = np.sqrt(np.diagonal(C)), np.ones(len(C))
+    finite = np.isfinite(result.std) & (std > 0)
+    ratio[finite] = result.std[finite] / std[finite]
     return C, ratio
 
 
-def with_prior(found, at, moved, less, precision, right):
-    """Return an `Estimate` with a prior on values at k places, all others following."""
-    # moved (k,), less (k, k): change of their means, and of their covariance before it
-    # is widened; precision (k, k), right (k,): of the prior, and its product with the
-    # mean.
-    C, ratio = widening(found)
-    follow = scaled_eigen(C[np.ix_(at, at)]).solve(C[at]).T
-    theta = found.theta_unconstrained + follow @ moved
-    C = C - follow @ less @ follow.T
+def with_prior(result, indices, shift, reduction, precision, right):
+    """Return an `Estimate` with a prior on k parameters; all others are conditioned."""
+    # shift (k,), reduction (k, k): change of their mean, and decrease of their
+    # covariance before inflation; precision (k, k), right (k,): of the prior, and its
+    # product with the mean.
+    C, ratio = uninflated_covariance(result)
+    gain = scaled_eigen(C[np.ix_(indices, indices)]).solve(C[indices]).T
+    theta = result.theta_unconstrained + gain @ shift
+    C = C - gain @ reduction @ gain.T
     std = ratio * np.sqrt(np.maximum(np.diagonal(C), 0.0))
-    C = np.where(np.isfinite(found.covariance), 0.5 * (C + C.T), found.covariance)
-    changes, bodies = {"theta": theta, "covariance": C}, found.bodies
+    C = np.where(np.isfinite(result.covariance), 0.5 * (C + C.T), result.covariance)
+    changes, bodies = {"theta": theta, "covariance": C}, result.bodies
     if bodies is None:
-        # Nothing is said of the values so far.
+        # There was no prior so far.
         bodies = BodyPosterior(
             **changes,
-            noise=noise_of(found),
+            noise=inflated_noise(result),
             prior=np.zeros(C.shape),
-            before=np.full(theta.size, np.nan),
+            prior_std=np.full(theta.size, np.nan),
             centre=np.zeros(theta.size),
         )
-    prior, sums = bodies.prior.copy(), bodies.prior @ bodies.centre
-    prior[np.ix_(at, at)] += precision
-    sums[at] += right
-    # The mean of both priors, of these values and of what is tied to them; where they
-    # say nothing, that of the estimate.
-    tied = np.flatnonzero((prior[at] != 0).any(axis=0))
-    centre, within = bodies.centre.copy(), prior[np.ix_(tied, tied)]
-    off = np.linalg.lstsq(within, sums[tied] - within @ theta[tied])[0]
-    centre[tied] = theta[tied] + off
+    prior, product = bodies.prior.copy(), bodies.prior @ bodies.centre
+    prior[np.ix_(indices, indices)] += precision
+    product[indices] += right
+    # Mean of the combined prior, for these parameters and those that it couples to
+    # them; in directions without prior, that of the estimate.
+    coupled = np.flatnonzero((prior[indices] != 0).any(axis=0))
+    centre, block = bodies.centre.copy(), prior[np.ix_(coupled, coupled)]
+    offset = np.linalg.lstsq(block, product[coupled] - block @ theta[coupled])[0]
+    centre[coupled] = theta[coupled] + offset
     return replace(
-        found,
+        result,
         **changes,
         theta_unconstrained=theta,
-        std=np.where(np.isfinite(found.std), std, found.std),
+        std=np.where(np.isfinite(result.std), std, result.std),
         bodies=replace(bodies, **changes, prior=prior, centre=centre),
     )
 
@@ -304,27 +303,26 @@ def resolve_weights(joint_weights, moments):
     return np.where(moments.n > 0, weight, 0.0)
 
 
-def _correlation(moments, weight, theta):
-    """Factors (p,) by which residuals correlated in time widen the deviations."""
+def _block_inflation(moments, weight, theta):
+    """Return inflation factors (p,) of deviations for residuals correlated in time."""
     # They include the standard deviation of Student's t with the blocks' degrees of
-    # freedom, slightly larger than that of a normal distribution. The second value is
-    # the factor of the variance in the mean of all directions.
+    # freedom. The second value is the factor of the variance, mean over all directions.
     if moments.blocks is None or not np.isfinite(theta).all():
         return np.ones(theta.size), 1.0
-    found = block_scatter(moments, weight, theta)
-    freedom = np.maximum(found.freedom, _LEAST_FREEDOM)
-    factor = np.sqrt(found.factor * freedom / (freedom - 2.0))
-    # Parameters that no equation determines are left unchanged.
-    return np.where(np.isfinite(factor), factor, 1.0), found.pooled
+    scatter = block_scatter(moments, weight, theta)
+    freedom = np.maximum(scatter.freedom, _MIN_FREEDOM)
+    factor = np.sqrt(scatter.factor * freedom / (freedom - 2.0))
+    # Parameters without equations are not inflated.
+    return np.where(np.isfinite(factor), factor, 1.0), scatter.pooled
 
 
 def _fit_moments(regressor, total, noise):
-    """Fit a regressor to second moments; coefficients (p,), deviations, covariance."""
+    """Fit a regressor to second moments; return coef, std and covariance."""
     regressor.set_params(fit_intercept=False)
     takes_covariance = getattr(regressor, "latent", None) == "correlated"
     if takes_covariance and regressor.input_noise is None:
-        # Measured noise or none: rigid-body regressors are far too correlated to
-        # assume a noise level. The parameters belong to the noise-free motion.
+        # Use measured noise or none: rigid-body regressors are too correlated to infer
+        # the noise level. The parameters belong to the noise-free motion.
         measured = 0.0 if noise is None else noise
         regressor.set_params(input_noise=measured, query="noiseless")
     fit_moments(regressor, total)
@@ -342,27 +340,27 @@ def _fit_rows(regressor, rows, joint_weights, total):
 
     def stacked(name):
         return np.concatenate(
-            [(getattr(one, name) * root)[one.weight > 0] / scale for one in rows]
+            [(getattr(piece, name) * root)[piece.weight > 0] / scale for piece in rows]
         )
 
     A, fit_params = stacked("Phi"), {}
     if rows[0].instruments is not None:
         fit_params["instruments"] = stacked("instruments")
-    b = np.concatenate([(one.tau * root[:, 0])[one.weight > 0] for one in rows])
+    b = np.concatenate([(piece.tau * root[:, 0])[piece.weight > 0] for piece in rows])
     b = b / y_scale
-    weight = np.concatenate([one.weight[one.weight > 0] for one in rows])
+    weight = np.concatenate([piece.weight[piece.weight > 0] for piece in rows])
     if not np.all(weight == weight[0]):
-        # Scale the rows: not every regressor takes sample_weight.
-        own = np.sqrt(weight / weight.mean())
-        A, b = A * own[:, None], b * own
-        fit_params = {name: Z * own[:, None] for name, Z in fit_params.items()}
+        # Scale the rows, since not every regressor takes sample_weight.
+        root_weight = np.sqrt(weight / weight.mean())
+        A, b = A * root_weight[:, None], b * root_weight
+        fit_params = {name: Z * root_weight[:, None] for name, Z in fit_params.items()}
     parameters = regressor.get_params(deep=True)
     names = {name.split("__")[-1] for name in parameters}
     intercepts = [n for n in parameters if n.split("__")[-1] == "fit_intercept"]
     regressor.set_params(**dict.fromkeys(intercepts, False))
     if not intercepts or "steps" in names:
-        # What always centres (PLS, a scaler in a pipeline) sees each equation with
-        # its mirror image: the means are zero and nothing is lost.
+        # For regressors that always centre (PLS, a scaler in a pipeline), each equation
+        # is repeated with opposite sign, so that all means are zero.
         A, b = _mirror(A), _mirror(b)
         fit_params = {name: _mirror(Z) for name, Z in fit_params.items()}
     regressor.fit(A, b, **fit_params)
@@ -376,11 +374,11 @@ def _fit_rows(regressor, rows, joint_weights, total):
 def _read_coefficients(regressor, sample):
     p = sample.shape[1]
     probe = np.vstack([np.zeros((1, p)), np.eye(p)])
-    answer = np.ravel(regressor.predict(probe))
-    coef = answer[1:] - answer[0]
-    direct = np.ravel(regressor.predict(sample)) - answer[0]
-    size = np.abs(sample) @ np.abs(coef) + np.abs(answer[0])
-    if np.any(np.abs(direct - sample @ coef) > 1e-6 * size + 1e-300):
+    response = np.ravel(regressor.predict(probe))
+    coef = response[1:] - response[0]
+    predicted = np.ravel(regressor.predict(sample)) - response[0]
+    magnitude = np.abs(sample) @ np.abs(coef) + np.abs(response[0])
+    if np.any(np.abs(predicted - sample @ coef) > 1e-6 * magnitude + 1e-300):
         raise ValueError(
             "regressor must be linear in its inputs, since its coefficients are "
             f"the parameters; got {type(regressor).__name__}."
@@ -389,34 +387,34 @@ def _read_coefficients(regressor, sample):
 
 
 def denoised(total, noise):
-    """Gram matrix without the input noise's share (X_t' X_t of eq. 35), projected."""
-    # Directions in which the noise exceeds the signal keep nothing; noise: or None.
+    """Subtract input noise from the Gram matrix (X_t' X_t of eq. 35), keep it psd."""
+    # Directions in which the noise exceeds the signal become zero; noise: or None.
     if noise is None:
         return total.S_xx.copy()
     scale = np.sqrt(np.diagonal(total.S_xx))
-    unit = np.where(scale > 0, scale, 1.0)
+    divisor = np.where(scale > 0, scale, 1.0)
     signal = total.S_xx - total.n_samples * noise
-    root = scaled_eigen(0.5 * (signal + signal.T), 0.0, scale=unit).root()
-    # by the scale and not the unit: a column of zeros stays one to the last bit
+    root = scaled_eigen(0.5 * (signal + signal.T), 0.0, scale=divisor).root()
+    # Zero columns stay exactly zero.
     root *= scale > 0
     return root.T @ root
 
 
 def _mirror(rows):
-    """Each row followed by its negative: pairs stay together in any block split."""
+    """Follow each row by its negative, so that block splits keep pairs together."""
     return np.stack([rows, -rows], axis=1).reshape(-1, *rows.shape[1:])
 
 
 # -- projection ------------------------------------------------------------------------
 
 
-def project(found, projector, features, effects=()):
+def project(result, projector, features, effects=()):
     """Project an estimate onto the physically consistent parameters of a robot."""
-    # Coefficients of effects follow: the distance (eq. 35) is minimised over all.
+    # The distance (eq. 35) is minimised over coefficients of effects as well.
     if projector is None:
-        return found
-    theta, metric = found.theta_unconstrained, found.posterior_metric
-    # Coefficients of effects that physics requires to be positive.
+        return result
+    theta, metric = result.theta_unconstrained, result.posterior_metric
+    # Coefficients of effects that must not be negative.
     positive = [
         places[k]
         for effect, places in effect_indices(effects, features.n_parameters_)
@@ -424,48 +422,48 @@ def project(found, projector, features, effects=()):
         if name in effect.nonnegative
     ]
     if positive:
-        theta, metric = _without_negative(theta, metric, np.array(positive))
+        theta, metric = _nonnegative_solution(theta, metric, np.array(positive))
     fitted = _fit_projector(projector, features, theta, metric)
-    # At their bound sizes stay zero, without the rounding of the solver.
-    bound = theta[positive] == 0
+    # Coefficients at their bound are exactly zero, without the solver's rounding.
+    at_bound = theta[positive] == 0
     theta = fitted.transform(theta[None])[0]
-    theta[positive] = np.where(bound, 0.0, np.maximum(theta[positive], 0.0))
-    kept = np.where(found.prior_std == 0, found.theta_unconstrained, theta)
-    own = kept[: features.n_parameters_].reshape(features.n_joints_, -1)
-    if (min_eigenvalues(own) > 0).all():
-        # What is held has not moved but for the accuracy of the solver.
-        theta = kept
-    return replace(found, theta=theta, projector=fitted)
+    theta[positive] = np.where(at_bound, 0.0, np.maximum(theta[positive], 0.0))
+    restored = np.where(result.prior_std == 0, result.theta_unconstrained, theta)
+    bodies = restored[: features.n_parameters_].reshape(features.n_joints_, -1)
+    if (min_eigenvalues(bodies) > 0).all():
+        # Fixed parameters have moved by the solver's accuracy only.
+        theta = restored
+    return replace(result, theta=theta, projector=fitted)
 
 
 def consistent_anchor(model, theta, metric, per_joint, followers):
     """Return a consistent vector (p,) near the model's parameters, in data's units."""
-    # The torques do not depend on some directions; the projection completes them from
-    # this point: the described inertias or a solid ball, times a factor to the estimate
-    # theta (p,) in the Gram matrix metric (p, p).
+    # The projection takes unidentifiable directions from this point: the described
+    # inertias or a solid ball, times the factor that is nearest to the estimate theta
+    # (p,) in the Gram matrix metric (p, p).
     bodies = complete(model, np.vstack([nominal_parameters(model), followers]))
     p = model.nv * per_joint
     anchor = theta[:p].reshape(-1, per_joint).copy()
     anchor[:, 10:] = np.maximum(anchor[:, 10:], 0.0)
     inertial = np.zeros((model.nv, per_joint), dtype=bool)
     inertial[:, :10] = True
-    at = np.append(np.flatnonzero(inertial.ravel()), np.arange(p, theta.size))
-    block = metric[np.ix_(at, at)]
-    nominal, estimate = bodies.ravel(), theta[at]
-    seen = nominal @ block @ nominal
+    indices = np.append(np.flatnonzero(inertial.ravel()), np.arange(p, theta.size))
+    block = metric[np.ix_(indices, indices)]
+    nominal, estimate = bodies.ravel(), theta[indices]
+    norm = nominal @ block @ nominal
     factor = 1.0
-    if seen > 0:
-        factor = (nominal @ block @ estimate) / seen
+    if norm > 0:
+        factor = (nominal @ block @ estimate) / norm
         if not factor > 0:
-            factor = np.sqrt(max(estimate @ block @ estimate, 0.0) / seen) or 1.0
+            factor = np.sqrt(max(estimate @ block @ estimate, 0.0) / norm) or 1.0
     anchor[:, :10] = factor * bodies[: model.nv]
     return np.append(anchor.ravel(), factor * bodies[model.nv :])
 
 
 def _fit_projector(projector, features, theta, metric):
-    """Fit a projector to an estimate; its layout and anchor follow from the robot."""
-    # theta (p + n_effects,): effects come last and are unconstrained, but for bodies of
-    # followers, which come first among them.
+    """Fit a projector, with layout and anchor of the robot, to an estimate."""
+    # theta (p + n_effects,): effects come last and are unconstrained, except for bodies
+    # of mimic joints, which come first among them.
     default = isinstance(projector, str)
     if default and projector != "default":
         raise ValueError(
@@ -475,7 +473,7 @@ def _fit_projector(projector, features, theta, metric):
     friction, p = features.friction_, features.n_parameters_
     followers = nominal_followers(features)
     per_joint, bodies = 10 + len(friction), p + followers.size
-    never = [10 + k for k, name in enumerate(friction) if declared(name).nonnegative]
+    columns = [10 + k for k, name in enumerate(friction) if declared(name).nonnegative]
     anchor = consistent_anchor(
         features.model_, theta[:bodies], metric[:bodies, :bodies], per_joint, followers
     )
@@ -483,39 +481,39 @@ def _fit_projector(projector, features, theta, metric):
     options = replace(
         fitted.options or Options(),
         body_starts=np.append(np.arange(0, p, per_joint), np.arange(p, bodies, 10)),
-        nonnegative=[j + k for j in range(0, p, per_joint) for k in never],
+        nonnegative=[j + k for j in range(0, p, per_joint) for k in columns],
         anchor=np.concatenate([anchor, theta[bodies:]]),
     )
-    # Effects have names of their own.
+    # Names of effects do not follow the projector's convention.
     fitted.set_params(metric=metric, parameter_names=None, options=options)
     return fitted.fit(theta[None])
 
 
 def identifiable(metric):
-    """Parameters (p,), bool, whose unit vectors the data determine."""
-    moved = np.diagonal(metric) > 0
-    result = np.zeros(moved.size, dtype=bool)
-    if moved.any():
-        found = scaled_eigen(metric[np.ix_(moved, moved)], IDENTIFIABLE)
-        result[moved] = ~found.lost(LOST)
+    """Return the parameters (p,), bool, whose unit vectors the data determine."""
+    excited = np.diagonal(metric) > 0
+    result = np.zeros(excited.size, dtype=bool)
+    if excited.any():
+        eigen = scaled_eigen(metric[np.ix_(excited, excited)], IDENTIFIABLE)
+        result[excited] = ~eigen.lost(LOST)
     return result
 
 
-def _without_negative(theta, metric, places):
-    """Take the nearest theta (p,) with places that are not negative, and its metric."""
-    # Those at zero stay there, without a metric. An active set finds them exactly,
-    # where the columns of neighbouring elements are too alike for the projection.
-    rest = np.setdiff1d(np.arange(theta.size), places)
-    across = metric[np.ix_(rest, places)]
-    follow = scaled_eigen(metric[np.ix_(rest, rest)]).solve(across)
-    root = scaled_eigen(metric[np.ix_(places, places)] - across.T @ follow).root()
-    sizes, _ = nnls(root, root @ theta[places])
-    found, metric = theta.copy(), metric.copy()
-    found[rest] -= follow @ (sizes - theta[places])
-    found[places] = sizes
-    zero = places[sizes == 0]
+def _nonnegative_solution(theta, metric, positive):
+    """Return the nearest theta (p,) with non-negative entries, and its metric."""
+    # Entries at zero are removed from the metric. The active set is exact, whereas
+    # columns of neighbouring elements are too correlated for the projection.
+    others = np.setdiff1d(np.arange(theta.size), positive)
+    cross = metric[np.ix_(others, positive)]
+    response = scaled_eigen(metric[np.ix_(others, others)]).solve(cross)
+    root = scaled_eigen(metric[np.ix_(positive, positive)] - cross.T @ response).root()
+    sizes, _ = nnls(root, root @ theta[positive])
+    solution, metric = theta.copy(), metric.copy()
+    solution[others] -= response @ (sizes - theta[positive])
+    solution[positive] = sizes
+    zero = positive[sizes == 0]
     metric[zero] = metric[:, zero] = 0.0
-    return found, metric
+    return solution, metric
 
 
 # -- weights of joints -----------------------------------------------------------------
@@ -523,24 +521,24 @@ def _without_negative(theta, metric, places):
 
 def noise_weights(moments):
     """Inverse residual variance of each joint by iterated weighted least squares."""
-    # Starts from the mean squared torques, so the unit of a joint's torque does not
-    # matter; a joint without rows gets zero weight.
+    # Starting from mean squared torques makes the result independent of torque units;
+    # a joint without rows gets zero weight.
     used = moments.n > 0
     n = np.where(used, moments.n, 1.0)
     variance = np.where(used & (moments.yy > 0), moments.yy / n, np.inf)
-    for _ in range(_MOST_WEIGHTINGS):
+    for _ in range(_MAX_ITERATIONS):
         weight = 1.0 / variance
         gram = moments.gram(weight)
-        found = scaled_eigen(gram, 2 * ROUNDING * len(gram))
-        theta = found.solve(weight @ moments.g)
+        eigen = scaled_eigen(gram, 2 * ROUNDING * len(gram))
+        theta = eigen.solve(weight @ moments.g)
         new = moments.residual_squares(theta) / n
         new = np.where(np.isfinite(variance), new, np.inf)
-        # An exactly fitted joint would get infinite weight.
+        # Prevents infinite weight of an exactly fitted joint.
         new = np.maximum(new, 1e-12 * np.where(used, moments.yy / n, np.inf))
         new = np.where(new > 0, new, np.inf)
         finite = np.isfinite(new)
         change = np.abs(new[finite] / variance[finite] - 1)
         variance = new
-        if change.size == 0 or change.max() < _SETTLED:
+        if change.size == 0 or change.max() < _TOLERANCE:
             break
     return 1.0 / variance

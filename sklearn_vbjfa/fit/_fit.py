@@ -33,7 +33,7 @@ from sklearn_vbjfa.fit._bodies import DESCRIBED
 from sklearn_vbjfa.fit._estimate import (
     Estimate,
     PlainEstimate,
-    beside_description,
+    apply_description,
     denoised,
     estimate,
     from_moments,
@@ -226,7 +226,7 @@ class Recipe:
             described=self.description is not None,
         )
         if self.description is not None:
-            result = beside_description(result, self.description, self.bodies)
+            result = apply_description(result, self.description, self.bodies)
         if self.alike:
             result = beside_each_other(result, self.alike, robot)
         if self.description is not None:
@@ -562,7 +562,7 @@ class ModelValues:
             index for effect, at in spans if isinstance(effect, InModel) for index in at
         ]
         solution = plain_estimate(moments, joint_weights, bodies)
-        identified = solution.known[indices]
+        identified = solution.identifiable[indices]
         return cls(
             effects=tuple(effects),
             indices=np.array(indices),

@@ -17,7 +17,7 @@ from sklearn_vbjfa.fit._bodies import DESCRIBED, Site, inverse_of, propagated
 from sklearn_vbjfa.fit._estimate import (
     IDENTIFIABLE,
     noise_variance,
-    widening,
+    uninflated_covariance,
     with_prior,
 )
 from sklearn_vbjfa.model import (
@@ -243,7 +243,7 @@ def beside_each_other(found, groups, robot):
     shared = _shared_values(groups, robot, found.std)
     if not shared:
         return found
-    C, ratio = widening(found)
+    C, ratio = uninflated_covariance(found)
     wide, theta = C * np.outer(ratio, ratio), found.theta_unconstrained
     at = np.concatenate([places for *_, places in shared])
     ends = np.cumsum([places.size for *_, places in shared])
@@ -304,7 +304,7 @@ WIDTH = np.log(2.0)
 # A rotor inertia below this many deviations may be zero by the torques alone.
 _CERTAIN = 2.0
 # Newton's method, each step of which leaves at least a quarter of the value.
-_STEPS, _SHRINK, _SETTLED = 50, 0.25, 1e-9
+_STEPS, _SHRINK, _TOLERANCE = 50, 0.25, 1e-9
 
 
 def with_positive_rotors(found, robot):
@@ -312,7 +312,7 @@ def with_positive_rotors(found, robot):
     at, references = _references(found, robot)
     if not at.size or found.covariance is None:
         return found
-    C, ratio = widening(found)
+    C, ratio = uninflated_covariance(found)
     seen = np.isfinite(found.std[at]) & (np.diagonal(C)[at] > 0)
     at, references = at[seen], references[seen]
     S = C[np.ix_(at, at)] * np.outer(ratio[at], ratio[at])
@@ -337,7 +337,7 @@ def most_probable(y, S, references):
         new = y + S @ np.linalg.solve(S + np.diag(variance), centre - y)
         new = np.clip(new, _SHRINK * x, x / _SHRINK)
         moved, x = np.abs(new - x), new
-        if (moved <= _SETTLED * x).all():
+        if (moved <= _TOLERANCE * x).all():
             break
     return x, variance, centre
 

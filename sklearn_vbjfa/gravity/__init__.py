@@ -13,7 +13,7 @@ from sklearn_vbjfa.effects import elements
 from sklearn_vbjfa.equations import RigidBodyFeatures
 from sklearn_vbjfa.fit import FitOptions, RobotIdentifier
 from sklearn_vbjfa.fit._bodies import DESCRIBED, BodyPrior
-from sklearn_vbjfa.fit._estimate import beside_description
+from sklearn_vbjfa.fit._estimate import apply_description
 from sklearn_vbjfa.inspection import inspect_recording
 from sklearn_vbjfa.model import import_pinocchio, nominal_parameters, position_range
 from sklearn_vbjfa.recording._recording import check_dt
@@ -289,7 +289,7 @@ def _payload(found, bodies):
     mass = found.parameter_names_.index(f"{found.joint_names_[-1]}:m")
     held = bodies.places[:, 0] != mass
     others = replace(bodies, places=bodies.places[held], centre=bodies.centre[held])
-    loaded = beside_description(fit, others, "fixed")
+    loaded = apply_description(fit, others, "fixed")
     more, std = loaded.theta[mass] - model.inertias[model.nv].mass, loaded.std[mass]
     squares = (fit.moments.residual_squares(one.theta) for one in (loaded, fit))
     with_it, without = (fit.joint_weights @ one for one in squares)

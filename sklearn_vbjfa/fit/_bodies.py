@@ -1,4 +1,4 @@
-"""Bodies around their description: a prior whose scale is found body by body."""
+"""Prior of the bodies around their description, with a scale for each body."""
 
 from dataclasses import dataclass, replace
 
@@ -11,66 +11,66 @@ from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.model import joint_names, nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import pseudo_inertia
 
-# How far a description is expected to be off: a body's distance from it in each of ten
-# directions, as a share of the body; half-Cauchy, so that a body may be off by much.
+# Expected relative error of a description: scale of the half-Cauchy distribution of a
+# body's distance from it in each of ten directions; its heavy tail permits outliers.
 DESCRIBED = 0.2
-# A parameter is from the description if its deviation is more than this share of that
-# before the data.
-_LITTLE = 0.7
-# What departs as probably as the most probable body, within so many nats, is its rival.
+# A parameter comes from the description if its posterior deviation exceeds this share
+# of its prior deviation.
+_NOT_LEARNED = 0.7
+# Bodies within this log evidence [nats] of the most probable departure are its rivals.
 RIVALS = 3.0
-# Scales that are summed over, up to that at which a body is no longer consistent, and
-# the share of the usual precision that a body keeps.
-SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
-# Deviations by which the common size of the bodies is another than one.
-_FAR_OFF = 3.0
-# From this factor on, another unit is more probable than one body that differs.
-_OF_ONE = 20.0
-# Mass of a body without mass, such as the frame between two hinges of one body, as a
-# share of the mean one.
+# Grid of scales for integration (at 1 a body may become inconsistent), and minimum
+# precision of a site relative to the usual one.
+SCALES, _MIN_PRECISION = np.geomspace(1e-4, 1.0, 81), 1e-4
+# The common size of the bodies differs from one beyond so many standard deviations.
+_SIZE_DEVIATIONS = 3.0
+# Beyond this factor a different unit is more probable than one body that differs.
+_MAX_BODY_FACTOR = 20.0
+# Mass that replaces zero, such as that of a frame between two joints, relative to the
+# mean mass.
 _MASSLESS = 1e-3
-# Passes over all bodies, and the change of a mean in deviations that ends them.
-_PASSES, _STAYS = 100, 1e-3
-# Times that the common size of the bodies is asked for, and the change of it from which
-# on they contradict it.
-_TURNS, _CONTRADICTED = 20, 0.5
-# Directions of the Gram matrix below this are never used.
-_RANK = 1e-12
-# Variances of a body below this share of its largest are rounding.
+# Maximum number of passes, and change of a mean, in deviations, at convergence.
+_MAX_PASSES, _MAX_CHANGE = 100, 1e-3
+# Maximum rescalings of the description by the common size, and relative change of that
+# size that requires one.
+_MAX_RESCALINGS, _CONTRADICTED = 20, 0.5
+# Relative eigenvalue of the Gram matrix below which directions are never used.
+_RANK_TOLERANCE = 1e-12
+# Relative floor for the variances of a body, which are rounding below.
 _ROUNDING = 1e-15
-WAYS = ("prior", "free", "fixed")
+OPTIONS = ("prior", "free", "fixed")
 
 
 @dataclass(frozen=True)
 class Departure:
-    """Bodies of which one is not as described."""
+    """Bodies of which one differs from the description."""
 
-    # joints (that carry the bodies), the most probable first: another value of any of
-    # them explains the torques about as well, within three nats
+    # joints that carry the candidates, the most probable first; their log evidence
+    # differs by less than three nats
     bodies: tuple[str, ...]
-    # how many times the body of the description each of them would be
+    # size of each candidate over the described body
     factors: tuple[float, ...]
     stds: tuple[float, ...]  # standard deviations of the factors
-    # logarithm of the odds that the first of them departs further than descriptions
-    # usually do, over that none does
+    # log odds that the first candidate differs by more than descriptions usually do,
+    # against no such difference
     log_odds: float
 
 
-def _rounder(P):
-    """Pseudo-inertia of a body to which its mean extension is added on all sides."""
-    # A thin rod whose description has its centre a little beside it is not far off.
-    first, mass = P[:3, 3], P[3, 3]
-    about = P[:3, :3] - np.outer(first, first) / mass
-    out = P.copy()
-    out[:3, :3] += np.trace(about) / 3.0 * np.eye(3)
-    return out
+def _thickened(P):
+    """Return the pseudo-inertia of a body with its mean extension on all sides."""
+    # So that a small error of the centre of a thin rod is a small distance.
+    first_moment, mass = P[:3, 3], P[3, 3]
+    second_moments = P[:3, :3] - np.outer(first_moment, first_moment) / mass
+    thickened = P.copy()
+    thickened[:3, :3] += np.trace(second_moments) / 3.0 * np.eye(3)
+    return thickened
 
 
-def complete(model, bodies):
-    """Bodies (n, 10) of a model, with balls in place of those that are not solid."""
-    distances = [np.linalg.norm(x.translation) for x in model.jointPlacements[1:]]
-    distances = [d for d in distances if d > 0]
-    radius = 0.25 * (np.mean(distances) if distances else 1.0)
+def force_solid(model, bodies):
+    """Return the bodies (n, 10) of a model with non-solid ones replaced by balls."""
+    lengths = [np.linalg.norm(x.translation) for x in model.jointPlacements[1:]]
+    lengths = [d for d in lengths if d > 0]
+    radius = 0.25 * (np.mean(lengths) if lengths else 1.0)
     solid, balls = solid_bodies(bodies), np.zeros(bodies.shape)
     balls[:, [4, 6, 9]] = 0.4 * radius**2
     balls[:, 0] = 1.0
@@ -81,7 +81,7 @@ def complete(model, bodies):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyPrior:
-    """Bodies of a description as the centre of a prior."""
+    """Prior of the bodies, centred at their description."""
 
     # The distance of a body from its description is tr((P0^-1 dP)^2) with its
     # pseudo-inertia P0, the metric of Lee, Wensing and Park (IEEE Trans. Robotics
@@ -89,17 +89,16 @@ class BodyPrior:
     # consistent.
 
     names: tuple[str, ...]  # joints that carry the bodies
-    places: np.ndarray  # (n, 10): where their parameters are among all
+    places: np.ndarray  # (n, 10): indices of their parameters
     centre: np.ndarray  # (n, 10): their parameters
-    # (n, 10, 10): upper triangular R with distance |R d|^2 for a change d of a body
+    # (n, 10, 10): upper triangular R; |R d|^2 is the distance of a change d of a body
     root: np.ndarray
 
     @classmethod
     def of(cls, model, per_joint, followers=()):
-        """Take the bodies of a model; None if none has mass and extension."""
-        # What has no mass is near none, in comparison with a mean body; a mass without
-        # extension is left free. followers: `FollowingBody` of the model, whose
-        # parameters are behind those of its joints.
+        """Build the prior from a model; None if no body has mass and extension."""
+        # Massless bodies have a prior near zero on the scale of a mean body; those with
+        # mass but no extension are free. followers: `FollowingBody`, which come last.
         names, starts = joint_names(model), per_joint * np.arange(model.nv)
         names = [*names, *(body.name for body in followers)]
         starts = np.r_[starts, per_joint * model.nv + 10 * np.arange(len(followers))]
@@ -108,14 +107,14 @@ class BodyPrior:
         solid, massless = solid_bodies(bodies), bodies[:, 0] <= 0
         if not solid.any():
             return None
-        centre = complete(model, bodies)
+        centre = force_solid(model, bodies)
         bodies = np.where(massless[:, None], centre / _MASSLESS, centre)
         solid = np.flatnonzero(solid | massless)
         directions = pseudo_inertia(np.eye(10))
         roots = []
         for body in bodies[solid]:
-            made = np.linalg.solve(_rounder(pseudo_inertia(body)), directions)
-            metric = np.einsum("iab,jba->ij", made, made)
+            relative = np.linalg.solve(_thickened(pseudo_inertia(body)), directions)
+            metric = np.einsum("iab,jba->ij", relative, relative)
             roots.append(linalg.cholesky(0.5 * (metric + metric.T)))
         return cls(
             names=tuple(names[k] for k in solid),
@@ -125,54 +124,54 @@ class BodyPrior:
         )
 
     def vector(self, p):
-        """Parameters (p,) with the description in their places, zero elsewhere."""
+        """Return the description among all parameters (p,), zero elsewhere."""
         out = np.zeros(p)
         out[self.places] = self.centre
         return out
 
     def scaled(self, factor):
-        """Return the same bodies larger, by one factor or one for each."""
+        """Scale the bodies by a common factor or by one factor each."""
         size = np.reshape(factor, (-1, 1, 1))
         return replace(self, centre=size[:, 0] * self.centre, root=self.root / size)
 
     def deviation(self, sites):
-        """Deviations (n, 10) of the parameters at the scales of sites."""
-        size = np.sqrt((np.linalg.inv(self.root) ** 2).sum(axis=2))
-        return size * np.array([[site.scale] for site in sites])
+        """Return the prior deviations (n, 10) at the scales of sites."""
+        std = np.sqrt((np.linalg.inv(self.root) ** 2).sum(axis=2))
+        return std * np.array([[site.scale] for site in sites])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyPosterior:
-    """Parameters that torques and a description determine together."""
+    """Posterior of the parameters, from torques and a description."""
 
     theta: np.ndarray  # (p,): posterior mean
-    # (p, p): posterior; infinite on the diagonal where nothing tells a parameter
+    # (p, p): posterior; infinite on the diagonal of undetermined parameters
     covariance: np.ndarray
     prior: np.ndarray  # (p, p): precision of the prior
-    # (p,): deviations of the prior, at the scales that bodies turned out to have; nan
-    # for what the description does not say
+    # (p,): standard deviations of the prior at the estimated scales of the bodies; nan
+    # for parameters without prior
     prior_std: np.ndarray
     centre: np.ndarray  # (p,): mean of the prior
-    # bodies not as described, or what they cannot be told apart from
+    # bodies that differ from the description, with indistinguishable candidates
     departures: tuple[Departure, ...] = ()
-    noise: float = 1.0  # variance that the normal equations were divided by
-    common: float = 1.0  # size of all bodies together over the description
-    # size of all torques over those that the bodies require, and its relative error
+    noise: float = 1.0  # variance by which the normal equations were divided
+    common_size: float = 1.0  # common factor of all bodies over the description
+    # common factor of all torques over those of the description, its relative error
     torque_size: tuple[float, float] = (1.0, np.inf)
 
 
 def little_learned(std, before):
-    """Whether data leave most of the deviation that a description has."""
+    """Return whether data leave most of the prior deviation."""
     with np.errstate(invalid="ignore"):
-        return std >= _LITTLE * before
+        return std >= _NOT_LEARNED * before
 
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """What the prior of a body, or of alike joints, says in a Gaussian model."""
+    """Gaussian approximation of the prior of a body, or of joints with one drive."""
 
-    # Its precision, the product of that with its mean, and the root mean square of the
-    # scale that it turned out to have.
+    # Its precision, the product of precision and mean, and the RMS of its posterior
+    # scale.
 
     precision: np.ndarray
     right: np.ndarray
@@ -183,38 +182,38 @@ class Site:
         return cls(np.eye(size) / scale**2, np.zeros(size), scale)
 
 
-def _along(description, A, b):
-    """Return the normal equation of the size of all bodies together, all else free."""
-    # Its two sides, 0 first where nothing tells the size.
+def _size_equation(description, A, b):
+    """Return the normal equation H size = q of the common size of all bodies."""
+    # Other parameters are eliminated. H is 0 if the size is not identifiable.
     centre = description.vector(b.size)
-    rest = np.ones(b.size, dtype=bool)
-    rest[description.places] = False
-    across = A[rest] @ centre
-    others = scaled_eigen(A[np.ix_(rest, rest)], _RANK)
-    seen = centre @ A @ centre
-    own = seen - across @ others.solve(across)
-    product = centre @ b - across @ others.solve(b[rest])
-    return own if own > _RANK * seen else 0.0, product
+    free = np.ones(b.size, dtype=bool)
+    free[description.places] = False
+    cross = A[free] @ centre
+    eigen = scaled_eigen(A[np.ix_(free, free)], _RANK_TOLERANCE)
+    total = centre @ A @ centre
+    H = total - cross @ eigen.solve(cross)
+    q = centre @ b - cross @ eigen.solve(b[free])
+    return H if H > _RANK_TOLERANCE * total else 0.0, q
 
 
 @dataclass(frozen=True, eq=False)
 class _BodyProblem:
     """Normal equations A theta = b in units of the noise, with a description."""
 
-    # Bodies are seen in coordinates in which their prior is round. `sized`: their
-    # common size is that of the description.
+    # Sites are in coordinates in which the prior is isotropic. `fixed_size`: the common
+    # size is that of the description.
 
     description: BodyPrior
     A: np.ndarray
     b: np.ndarray
-    sized: bool = False
+    fixed_size: bool = False
 
     def precision(self, sites):
-        """Precision (p, p) of the prior with some sites."""
+        """Return the precision (p, p) of the prior with some sites."""
         out, root = np.zeros(self.A.shape), self.description.root
-        own = np.array([site.precision for site in sites])
+        inner = np.array([site.precision for site in sites])
         at = self.description.places
-        out[at[:, :, None], at[:, None, :]] = root.transpose(0, 2, 1) @ own @ root
+        out[at[:, :, None], at[:, None, :]] = root.transpose(0, 2, 1) @ inner @ root
         return 0.5 * (out + out.T)
 
     @property
@@ -222,270 +221,268 @@ class _BodyProblem:
         """The description among all parameters, (p,)."""
         return self.description.vector(self.b.size)
 
-    def solved(self, sites):
-        """Mean and root of the covariance of the change from the description."""
-        # The last entry is the share by which all of its bodies together are larger.
-        # The size of all bodies together is known to the usual share from `common`:
-        # what a torque channel calls a newton metre is sometimes not known at all. It
-        # is the last unknown, beside a matrix in which branches are apart.
+    def solve(self, sites):
+        """Return mean and covariance root of the change from the description."""
+        # The last entry is the relative change of the common size of all bodies, with
+        # the usual prior around the scaled description (the unit of a torque channel
+        # may be unknown). It borders a matrix in which branches are uncoupled.
         p, centre = self.b.size, self.centre
-        across = self.A @ centre
-        right = self.b - across
-        of_size = centre @ right
-        own = np.array([site.right for site in sites])
+        A_centre = self.A @ centre
+        right = self.b - A_centre
+        size_product = centre @ right
+        products = np.array([site.right for site in sites])
         root = self.description.root
-        right[self.description.places] += np.einsum("kij,ki->kj", root, own)
-        # A direction that neither torques nor description tell stays where it is.
-        eigen = scaled_eigen(self.A + self.precision(sites), _RANK)
+        right[self.description.places] += np.einsum("kij,ki->kj", root, products)
+        # Directions without data and prior do not change.
+        eigen = scaled_eigen(self.A + self.precision(sites), _RANK_TOLERANCE)
         mean, root = np.zeros(p + 1), np.zeros((p + 1, eigen.rank + 1))
         mean[:p], root[:p, :-1] = eigen.solve(right), eigen.inverse_root()
-        if not self.sized:
-            moved = np.append(-eigen.solve(across), 1.0)
-            precision = centre @ across + DESCRIBED**-2 + across @ moved[:p]
-            mean += moved * (of_size - across @ mean[:p]) / precision
-            root[:, -1] = moved / np.sqrt(precision)
+        if not self.fixed_size:
+            response = np.append(-eigen.solve(A_centre), 1.0)
+            precision = centre @ A_centre + DESCRIBED**-2 + A_centre @ response[:p]
+            mean += response * (size_product - A_centre @ mean[:p]) / precision
+            root[:, -1] = response / np.sqrt(precision)
         return mean, root
 
     def marginals(self, sites):
-        """Precisions (n, 10, 10) of bodies, and products with the means (n, 10)."""
-        # Everything is in them.
-        own, (mean, root) = self.description.root, self.solved(sites)
-        around = own @ root[self.description.places]
-        inverse = inverse_of(around @ around.transpose(0, 2, 1))
-        mean = own @ mean[self.description.places][:, :, None]
-        return inverse, (inverse @ mean)[:, :, 0]
+        """Return marginal precisions (n, 10, 10) of bodies, and products with means."""
+        whitening, (mean, root) = self.description.root, self.solve(sites)
+        whitened = whitening @ root[self.description.places]
+        precision = floored_inverse(whitened @ whitened.transpose(0, 2, 1))
+        mean = whitening @ mean[self.description.places][:, :, None]
+        return precision, (precision @ mean)[:, :, 0]
 
     def log_evidence(self, sites):
-        """Logarithm of the evidence at the scales of sites, up to a constant."""
+        """Return the log evidence at the scales of sites, up to a constant."""
         scale = np.array([site.scale for site in sites])
-        # Mean and root of the covariance, of bodies and common size, in deviations.
-        both = np.column_stack(self.solved([Site.of_scale(own) for own in scale]))
-        theta = self.centre + both[:-1, 0] + both[-1, 0] * self.centre
-        own = self.description.root / scale[:, None, None]
-        own = (own @ both[self.description.places]).reshape(-1, both.shape[1])
-        own = np.vstack([own, both[-1] / DESCRIBED])
-        width = np.linalg.slogdet(own[:, 1:] @ own[:, 1:].T)[1]
+        # Mean and covariance root, then in deviations for bodies and common size.
+        joint = np.column_stack(self.solve([Site.of_scale(x) for x in scale]))
+        theta = self.centre + joint[:-1, 0] + joint[-1, 0] * self.centre
+        z = self.description.root / scale[:, None, None]
+        z = (z @ joint[self.description.places]).reshape(-1, joint.shape[1])
+        z = np.vstack([z, joint[-1] / DESCRIBED])
+        log_det = np.linalg.slogdet(z[:, 1:] @ z[:, 1:].T)[1]
         ratio = scale / DESCRIBED
         prior = np.log(ratio / (1 + ratio**2)).sum()
         explained = theta @ (self.b - 0.5 * self.A @ theta)
-        return explained + 0.5 * (width - own[:, 0] @ own[:, 0]) + prior
+        return explained + 0.5 * (log_det - z[:, 0] @ z[:, 0]) + prior
 
     def sites(self):
-        """Sites of the bodies, see `propagated`."""
-        usual = [Site.of_scale(DESCRIBED)] * len(self.description.names)
-        return propagated(usual, lambda sites: zip(*self.marginals(sites)))
+        """Return the sites of the bodies, see `propagate_sites`."""
+        initial = [Site.of_scale(DESCRIBED)] * len(self.description.names)
+        return propagate_sites(initial, lambda sites: zip(*self.marginals(sites)))
 
     def departures(self):
-        """Bodies larger or smaller than descriptions usually err, one by one."""
-        # Everything else is as far off as usual: where all scales are open, each body
-        # takes over a part of what another one lacks.
+        """Find bodies whose size differs by more than usual, one by one."""
+        # The others keep the usual scale: with all scales free, the difference of one
+        # body would be distributed over several.
         names, root = self.description.names, self.description.root
-        # The direction of a body that is more or less of the same.
-        size = np.einsum("kij,kj->ki", root, self.description.centre)
-        length = np.linalg.norm(size, axis=1)
-        size /= length[:, None]
-        # What has no mass is not a multiple of it.
-        open_ = (length > 100 * _MASSLESS).astype(float)
+        # Direction of a change in size only.
+        direction = np.einsum("kij,kj->ki", root, self.description.centre)
+        length = np.linalg.norm(direction, axis=1)
+        direction /= length[:, None]
+        # A factor of a massless body is meaningless.
+        candidates = (length > 100 * _MASSLESS).astype(float)
         sites = [Site.of_scale(DESCRIBED)] * len(names)
-        found = []
-        while open_.any():
+        departures = []
+        while candidates.any():
             precision, product = self.marginals(sites)
-            both = np.stack([size, product], axis=2)
-            both = np.einsum("ki,kij->kj", size, np.linalg.solve(precision, both))
-            variance, q = both[:, 0], both[:, 1:] / both[:, :1]
-            own = [x @ site.precision @ x for x, site in zip(size, sites)]
-            H = np.maximum(1.0 / variance - own, 0.0)[:, None, None]
+            pair = np.stack([direction, product], axis=2)
+            pair = np.einsum("ki,kij->kj", direction, np.linalg.solve(precision, pair))
+            variance, q = pair[:, 0], pair[:, 1:] / pair[:, :1]
+            from_sites = [x @ site.precision @ x for x, site in zip(direction, sites)]
+            H = np.maximum(1.0 / variance - from_sites, 0.0)[:, None, None]
             groups = Groups(H=H, q=q, own=H[:, 0], unit=np.ones(q.shape))
             odds = groups.integrated(DESCRIBED, DESCRIBED) - np.log(len(names))
-            wide = groups.best_scale(DESCRIBED)
-            left = H[:, 0, 0] + wide**-2
-            factors = 1.0 + q[:, 0] / left / length
-            # No body weighs less than nothing: what asks for it is something else.
-            odds = np.where((open_ > 0) & (factors > 0), odds, -np.inf)
-            first = int(np.argmax(odds))
-            if odds[first] <= 0:
+            scale = groups.best_scale(DESCRIBED)
+            total = H[:, 0, 0] + scale**-2
+            factors = 1.0 + q[:, 0] / total / length
+            # A negative size is not a body: some other effect explains it.
+            odds = np.where((candidates > 0) & (factors > 0), odds, -np.inf)
+            best = int(np.argmax(odds))
+            if odds[best] <= 0:
                 break
-            near = np.flatnonzero(odds > odds[first] - RIVALS)
-            near = near[np.argsort(-odds[near], kind="stable")]
-            found.append(
+            rivals = np.flatnonzero(odds > odds[best] - RIVALS)
+            rivals = rivals[np.argsort(-odds[rivals], kind="stable")]
+            departures.append(
                 Departure(
-                    bodies=tuple(names[k] for k in near),
-                    factors=tuple(factors[near].tolist()),
-                    stds=tuple((1.0 / np.sqrt(left) / length)[near].tolist()),
-                    log_odds=float(odds[first]),
+                    bodies=tuple(names[k] for k in rivals),
+                    factors=tuple(factors[rivals].tolist()),
+                    stds=tuple((1.0 / np.sqrt(total) / length)[rivals].tolist()),
+                    log_odds=float(odds[best]),
                 )
             )
-            along = size[first]
-            opened = np.outer(along, along) * (wide[first] ** -2 - DESCRIBED**-2)
-            usual = sites[first]
-            sites[first] = Site(usual.precision + opened, usual.right)
-            open_[near] = 0.0
-        return tuple(found)
+            axis = direction[best]
+            widening = np.outer(axis, axis) * (scale[best] ** -2 - DESCRIBED**-2)
+            site = sites[best]
+            sites[best] = Site(site.precision + widening, site.right)
+            candidates[rivals] = 0.0
+        return tuple(departures)
 
 
-def inverse_of(covariance):
-    """Inverses of covariances (..., k, k), the smallest deviations perhaps rounding."""
-    size, axes = np.linalg.eigh(0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
-    size = np.maximum(size, _ROUNDING * size[..., -1:])
-    return (axes / size[..., None, :]) @ np.swapaxes(axes, -1, -2)
+def floored_inverse(covariance):
+    """Invert covariances (..., k, k), with a floor for rounded variances."""
+    value, axes = np.linalg.eigh(0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
+    value = np.maximum(value, _ROUNDING * value[..., -1:])
+    return (axes / value[..., None, :]) @ np.swapaxes(axes, -1, -2)
 
 
-def propagated(sites, marginals):
-    """Sites by expectation propagation: they match mean and covariance."""
+def propagate_sites(sites, marginals):
+    """Approximate the priors by Gaussian sites with expectation propagation."""
     # T. Minka, UAI 2001; for scale mixtures M. Seeger, J. Machine Learning Research 9,
-    # 2008. marginals: from sites to the precision and product of each, everything in.
-    for number in range(_PASSES):
-        share, moved, new = (0.5 if number else 1.0), 0.0, list(sites)
-        every, alike = list(marginals(sites)), {}
-        for k, (_, product) in enumerate(every):
-            alike.setdefault(product.size, []).append(k)
-        # Those of one size together.
-        for places in alike.values():
-            precision, product = (np.array(x) for x in zip(*[every[k] for k in places]))
-            found, step = _matched(precision, product, [sites[k] for k in places])
-            moved = max(moved, step)
-            for k, one in zip(places, found):
+    # 2008. marginals: function from sites to each marginal's precision and product.
+    for iteration in range(_MAX_PASSES):
+        damping, change, updated = (0.5 if iteration else 1.0), 0.0, list(sites)
+        pairs, by_size = list(marginals(sites)), {}
+        for k, (_, product) in enumerate(pairs):
+            by_size.setdefault(product.size, []).append(k)
+        # Vectorised over sites of one size.
+        for places in by_size.values():
+            precision, product = (np.array(x) for x in zip(*[pairs[k] for k in places]))
+            matched, step = _match_sites(precision, product, [sites[k] for k in places])
+            change = max(change, step)
+            for k, target in zip(places, matched):
                 site = sites[k]
-                new[k] = Site(
-                    site.precision + share * (one.precision - site.precision),
-                    site.right + share * (one.right - site.right),
-                    one.scale,
+                updated[k] = Site(
+                    site.precision + damping * (target.precision - site.precision),
+                    site.right + damping * (target.right - site.right),
+                    target.scale,
                 )
-        sites = new
-        if moved < _STAYS:
+        sites = updated
+        if change < _MAX_CHANGE:
             break
     return sites
 
 
-def _matched(precision, product, sites):
-    """Sites with which bodies have the mean and covariance of their scale mixtures."""
-    # precision (n, k, k), product (n, k): of the bodies with their present sites.
-    # Returns the sites and how far a mean moves at most, in deviations.
-    before, aim = (
+def _match_sites(precision, product, sites):
+    """Match the mean and covariance of scale mixtures by sites."""
+    # precision (n, k, k), product (n, k): marginals with the present sites. Returns the
+    # sites and the largest change of a mean, in deviations.
+    site_precision, site_product = (
         np.array([getattr(site, name) for site in sites])
         for name in ("precision", "right")
     )
-    value, vectors = np.linalg.eigh(precision - before)
-    back = np.swapaxes(vectors, 1, 2)
+    value, vectors = np.linalg.eigh(precision - site_precision)
+    Vt = np.swapaxes(vectors, 1, 2)
     value = np.maximum(value, 0.0)
-    rest = _times(back, product - aim)
+    cavity_product = _matvec(Vt, product - site_product)
     s2, ratio = (SCALES**2)[:, None], SCALES / DESCRIBED
-    spread = 1 + s2 * value[:, None]
-    along = 0.5 * rest[:, None] ** 2 * s2 / spread - 0.5 * np.log(spread)
+    growth = 1 + s2 * value[:, None]
+    log_weight = 0.5 * cavity_product[:, None] ** 2 * s2 / growth - 0.5 * np.log(growth)
     prior = ratio / (1 + ratio**2)
     prior[[0, -1]] *= 0.5  # the trapezoidal rule
-    weight = softmax(along.sum(axis=2) + np.log(prior), axis=1)
-    variance = s2 / spread
-    means = rest[:, None] * variance
-    mean = _times(np.swapaxes(means, 1, 2), weight)
-    away = means - mean[:, None]
-    every = np.arange(mean.shape[1])
-    covariance = np.swapaxes(away, 1, 2) @ (away * weight[:, :, None])
-    covariance[:, every, every] += _times(np.swapaxes(variance, 1, 2), weight)
-    data = np.zeros_like(covariance)
-    data[:, every, every] = value
-    # A prior takes no precision away.
-    left, turned = np.linalg.eigh(inverse_of(covariance) - data)
-    left = np.maximum(left, _LEAST / DESCRIBED**2)
-    own = (turned * left[:, None]) @ np.swapaxes(turned, 1, 2)
-    right = _times(own + data, mean) - rest
-    moved = mean - _times(back, np.linalg.solve(precision, product[:, :, None])[..., 0])
-    step = np.abs(moved) / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    weight = softmax(log_weight.sum(axis=2) + np.log(prior), axis=1)
+    variance = s2 / growth
+    means = cavity_product[:, None] * variance
+    mean = _matvec(np.swapaxes(means, 1, 2), weight)
+    centred = means - mean[:, None]
+    diagonal = np.arange(mean.shape[1])
+    covariance = np.swapaxes(centred, 1, 2) @ (centred * weight[:, :, None])
+    covariance[:, diagonal, diagonal] += _matvec(np.swapaxes(variance, 1, 2), weight)
+    cavity_precision = np.zeros_like(covariance)
+    cavity_precision[:, diagonal, diagonal] = value
+    # The precision of a prior is not negative.
+    values, axes = np.linalg.eigh(floored_inverse(covariance) - cavity_precision)
+    values = np.maximum(values, _MIN_PRECISION / DESCRIBED**2)
+    new_precision = (axes * values[:, None]) @ np.swapaxes(axes, 1, 2)
+    right = _matvec(new_precision + cavity_precision, mean) - cavity_product
+    shift = mean - _matvec(Vt, np.linalg.solve(precision, product[:, :, None])[..., 0])
+    step = np.abs(shift) / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     scale = np.sqrt(weight @ s2[:, 0]).tolist()
-    made = map(Site, vectors @ own @ back, _times(vectors, right), scale)
-    return list(made), float(step.max())
+    matched = map(Site, vectors @ new_precision @ Vt, _matvec(vectors, right), scale)
+    return list(matched), float(step.max())
 
 
-def _times(matrices, vectors):
-    """Products of matrices (n, i, j) and vectors (n, j), one by one."""
+def _matvec(matrices, vectors):
+    """Multiply matrices (n, i, j) by vectors (n, j)."""
     return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
-def _one_differs(description, A, b, factor):
-    """Find the body that differs most probably by a factor, all others as described."""
-    # Returns the logarithm of the evidence, the problem and its sites. The logarithm of
-    # the factor has a Cauchy distribution, in place of the body's own in the evidence.
-    n, found = len(description.names), []
+def _single_departure(description, A, b, factor):
+    """Find the body that most probably differs by a factor, all others as described."""
+    # Returns the log evidence, the problem and its sites. In the evidence, a Cauchy
+    # prior of the log factor replaces the prior of the body's scale.
+    n, candidates = len(description.names), []
     for k in range(n):
         factors = np.where(np.arange(n) == k, factor, 1.0)
         problem = _BodyProblem(description.scaled(factors), A, b)
         sites = problem.sites()
-        own = sites[k].scale / (np.sqrt(2 * np.pi) * DESCRIBED * n)
-        found.append((problem.log_evidence(sites) + np.log(own), problem, sites))
-    best = max(found, key=lambda one: one[0])
+        prior = sites[k].scale / (np.sqrt(2 * np.pi) * DESCRIBED * n)
+        candidates.append((problem.log_evidence(sites) + np.log(prior), problem, sites))
+    best = max(candidates, key=lambda item: item[0])
     return best[0] - np.log1p((np.log(factor) / DESCRIBED) ** 2), *best[1:]
 
 
 def around(description, A, b):
     """Estimate parameters from normal equations A theta = b and a description."""
-    # A (p, p) and b (p,) are in units of the noise; parameters without a prior are
-    # free.
-    # A description in other units, or torques in others, is thousands of times off. By
-    # least squares one body that is heard well decides for all, until these contradict.
-    own, product = _along(description, A, b)
-    first = product / own if own > 0 and product > 0 else 1.0
-    for _ in range(_TURNS):
-        problem = _BodyProblem(description.scaled(first), A, b)
+    # A (p, p) and b (p,) are in units of the noise; parameters without prior are free.
+    # If description and torques have different units, their ratio may be thousands. The
+    # description is first scaled by least squares, in which one well excited body may
+    # dominate, then rescaled while the posterior common size contradicts it.
+    H, q = _size_equation(description, A, b)
+    scale = q / H if H > 0 and q > 0 else 1.0
+    for _ in range(_MAX_RESCALINGS):
+        problem = _BodyProblem(description.scaled(scale), A, b)
         sites = problem.sites()
-        mean, root = problem.solved(sites)
+        mean, root = problem.solve(sites)
         if abs(mean[-1]) < _CONTRADICTED:
             break
-        first *= max(1.0 + mean[-1], _CONTRADICTED)
-    common, std = first * (1.0 + mean[-1]), first * np.linalg.norm(root[-1])
-    far_off = abs(common - 1.0) >= _FAR_OFF * std
-    if far_off and 1 / _OF_ONE < common < _OF_ONE and len(sites) > 1:
-        one = _one_differs(description, A, b, common)
-        # Where both explain as much the unit of the torques is in doubt.
-        if one[0] > problem.log_evidence(sites) + RIVALS:
-            _, problem, sites = one
-            first, (mean, root) = 1.0, problem.solved(sites)
+        scale *= max(1.0 + mean[-1], _CONTRADICTED)
+    common, std = scale * (1.0 + mean[-1]), scale * np.linalg.norm(root[-1])
+    far_off = abs(common - 1.0) >= _SIZE_DEVIATIONS * std
+    if far_off and 1 / _MAX_BODY_FACTOR < common < _MAX_BODY_FACTOR and len(sites) > 1:
+        departure = _single_departure(description, A, b, common)
+        # If both explain the torques equally well, the unit is uncertain.
+        if departure[0] > problem.log_evidence(sites) + RIVALS:
+            _, problem, sites = departure
+            scale, (mean, root) = 1.0, problem.solve(sites)
     precision = problem.precision(sites)
-    every = root @ root.T
+    joint = root @ root.T
     centre = problem.centre
-    cross = np.outer(every[:-1, -1], centre)
-    covariance = every[:-1, :-1] + cross + cross.T
-    covariance = covariance + every[-1, -1] * np.outer(centre, centre)
-    # The common size takes what the prior says of it.
-    of_size = precision @ centre
-    share = centre @ of_size + DESCRIBED**-2
-    prior = precision - np.outer(of_size, of_size) / share
-    seen = np.diagonal(A) + np.diagonal(prior) > 0
-    covariance[~seen, ~seen] = np.inf
-    before = np.full(b.size, np.nan)
-    before[description.places] = problem.description.deviation(sites)
-    common, common_std = first * (1.0 + mean[-1]), first * np.linalg.norm(root[-1])
-    # Whether a body departs is asked of a description in the unit of the torques.
-    if abs(common - 1.0) < _FAR_OFF * common_std:
-        asked = _BodyProblem(description, A, b, sized=True)
+    cross = np.outer(joint[:-1, -1], centre)
+    covariance = joint[:-1, :-1] + cross + cross.T
+    covariance = covariance + joint[-1, -1] * np.outer(centre, centre)
+    # Marginalise the prior over the common size.
+    size_direction = precision @ centre
+    share = centre @ size_direction + DESCRIBED**-2
+    prior = precision - np.outer(size_direction, size_direction) / share
+    determined = np.diagonal(A) + np.diagonal(prior) > 0
+    covariance[~determined, ~determined] = np.inf
+    prior_std = np.full(b.size, np.nan)
+    prior_std[description.places] = problem.description.deviation(sites)
+    common, common_std = scale * (1.0 + mean[-1]), scale * np.linalg.norm(root[-1])
+    # Search for departures at the described size, unless the unit differs.
+    if abs(common - 1.0) < _SIZE_DEVIATIONS * common_std:
+        tested = _BodyProblem(description, A, b, fixed_size=True)
     else:
-        asked = problem
+        tested = problem
     return BodyPosterior(
         theta=centre + (mean[:-1] + mean[-1] * centre),
         covariance=covariance,
         prior=prior,
-        prior_std=before,
+        prior_std=prior_std,
         centre=centre + mean[-1] * centre,
-        departures=asked.departures(),
-        common=common,
+        departures=tested.departures(),
+        common_size=common,
         torque_size=(common, common_std / abs(common)),
     )
 
 
-def as_described(description, A, b):
-    """Estimate what is not in a description, with its bodies as they are in it."""
-    # Parameters and result as of `around`.
+def fix_bodies(description, A, b):
+    """Estimate all other parameters with the bodies fixed to the description."""
+    # Parameters and result as for `around`.
     p = b.size
     free = np.ones(p, dtype=bool)
     free[description.places] = False
     theta = description.vector(p)
-    found = scaled_eigen(A[np.ix_(free, free)], _RANK)
-    theta[free] = found.solve((b - A @ theta)[free])
+    eigen = scaled_eigen(A[np.ix_(free, free)], _RANK_TOLERANCE)
+    theta[free] = eigen.solve((b - A @ theta)[free])
     covariance = np.zeros((p, p))
-    covariance[np.ix_(free, free)] = found.inverse()
-    lost = np.flatnonzero(free)[np.diagonal(A)[free] <= 0]
-    own, product = _along(description, A, b)
-    size = (product / own, np.sqrt(own) / product) if product > 0 < own else (1, np.inf)
-    covariance[lost, lost] = np.inf
+    covariance[np.ix_(free, free)] = eigen.inverse()
+    undetermined = np.flatnonzero(free)[np.diagonal(A)[free] <= 0]
+    H, q = _size_equation(description, A, b)
+    size = (q / H, np.sqrt(H) / q) if q > 0 < H else (1, np.inf)
+    covariance[undetermined, undetermined] = np.inf
     return BodyPosterior(
         theta=theta,
         covariance=covariance,
@@ -497,20 +494,20 @@ def as_described(description, A, b):
 
 
 def described_bodies(settings):
-    """Return the `BodyPrior` that an identifier's bodies are near; None if free."""
+    """Return the `BodyPrior` for the settings of an identifier; None if free."""
     bodies, features = settings.bodies, settings.features_
-    if not isinstance(bodies, str) or bodies not in WAYS:
+    if not isinstance(bodies, str) or bodies not in OPTIONS:
         raise ValueError(
-            f"bodies must be one of {', '.join(map(repr, WAYS))}; got {bodies!r}."
+            f"bodies must be one of {', '.join(map(repr, OPTIONS))}; got {bodies!r}."
         )
-    found = None
+    prior = None
     if bodies != "free" and settings.asked_gains is None and settings.regressor is None:
         per_joint = features.n_parameters_ // features.n_joints_
-        found = BodyPrior.of(features.model_, per_joint, features.followers_)
-    if bodies == "fixed" and found is None:
+        prior = BodyPrior.of(features.model_, per_joint, features.followers_)
+    if bodies == "fixed" and prior is None:
         raise ValueError(
             "bodies='fixed' cannot be combined with unknown gains, a regressor, or a "
             "description in which no body has mass and extension; use 'prior' or "
             "'free'."
         )
-    return found
+    return prior

@@ -14,8 +14,8 @@ from sklearn_vbjfa.equations._plan import effect_indices
 from sklearn_vbjfa.fit._bodies import (
     BodyPosterior,
     around,
-    as_described,
-    complete,
+    fix_bodies,
+    force_solid,
     little_learned,
 )
 from sklearn_vbjfa.model import nominal_parameters
@@ -212,7 +212,7 @@ def inflated_noise(result):
 def apply_description(result, description, bodies="prior"):
     """Return an `Estimate` with the description as prior, or with fixed bodies."""
     total, noise = result.moments.total(result.joint_weights), inflated_noise(result)
-    method = around if bodies == "prior" else as_described
+    method = around if bodies == "prior" else fix_bodies
     posterior = method(description, result.metric / noise, total.S_xy / noise)
     # Variance from the prior, plus variance from noise, inflated per parameter.
     covariance = posterior.covariance
@@ -441,7 +441,7 @@ def consistent_anchor(model, theta, metric, per_joint, followers):
     # The projection takes unidentifiable directions from this point: the described
     # inertias or a solid ball, times the factor that is nearest to the estimate theta
     # (p,) in the Gram matrix metric (p, p).
-    bodies = complete(model, np.vstack([nominal_parameters(model), followers]))
+    bodies = force_solid(model, np.vstack([nominal_parameters(model), followers]))
     p = model.nv * per_joint
     anchor = theta[:p].reshape(-1, per_joint).copy()
     anchor[:, 10:] = np.maximum(anchor[:, 10:], 0.0)

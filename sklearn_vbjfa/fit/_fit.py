@@ -406,7 +406,7 @@ def iterate_corrections(recipe, fit, source, relative):
     covariance = result.covariance
     # Values and parameters were estimated with the same prior on the bodies.
     if result.bodies is None or not _changes_bodies(robot):
-        std, covariance = values.add_uncertainty(std, covariance)
+        std, covariance = values.beside(std, covariance)
     std[indices] = values.std
     gains = None
     if relative is not None:
@@ -584,7 +584,7 @@ class ModelValues:
         outward = (below & (self.step < 0)) | (above & (self.step > 0))
         return not (moves & ~outward).any()
 
-    def add_uncertainty(self, std, covariance):
+    def beside(self, std, covariance):
         """Propagate the uncertainty of the values to deviations and covariance."""
         # The other parameters were estimated at fixed values; they vary with them,
         # since their columns are correlated.

@@ -1,4 +1,4 @@
-"""From positions and torques to a physically consistent rigid-body model."""
+"""Identification of a physically consistent rigid-body model of a robot."""
 
 import copy
 import warnings
@@ -49,7 +49,7 @@ from sklearn_vbjfa.robot._robot import IdentifiedRobot
 class RecordingRegressorMixin(MultiOutputMixin, RegressorMixin):
     """A multi-output regressor whose rows are recordings in time order."""
 
-    # Labels of recordings that are passed are taken, as by `StateEstimator`.
+    # Requests `groups` if metadata routing is enabled, as `StateEstimator` does.
     __metadata_request__fit = {"groups": True}  # noqa: RUF012
     __metadata_request__predict = {"groups": True}  # noqa: RUF012
     __metadata_request__score = {"groups": True}  # noqa: RUF012
@@ -163,13 +163,12 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         Parameters that joints share: `group`, `parameter`, `joints`, the mean `value`,
         its `std` and `unit`, and the relative `scatter`.
     torque_lag_ : float
-        Time [s] by which all torques are late against the positions: a parameter
-        ``torques:lag`` where `inspect_recording` finds a lag; zero elsewhere.
+        Lag [s] of all torques relative to the positions: a parameter
+        ``torques:lag`` if `inspect_recording` finds a lag, otherwise zero.
     estimate_ : Estimate
-        How the parameters were estimated: fitted `regressor` and `projector`, `metric`
-        (p, p) of the projection (the weighted Gram matrix, input noise subtracted),
-        `moments` of the equations, `joint_weights`, and `prior_std` (p,) of the bodies
-        by the description alone.
+        Result of the regression: fitted `regressor` and `projector`, `metric` (p, p) of
+        the projection (the weighted Gram matrix, input noise subtracted), `moments` of
+        the equations, `joint_weights`, and `prior_std` (p,) of the bodies.
     criteria_ : SimulationCriteria
         Errors of positions (nv,) before and after the refinement, number and length of
         the windows, convergence. Only with ``criterion="simulation"``.
@@ -230,7 +229,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.drive = drive
         self.options = options
 
-    # Mean gains of position and velocity of the fitted recording, (2, nv), if any.
+    # (2, nv): mean position and velocity gains of the fitted recording, or None.
     _feedback = None
 
     @property
@@ -241,7 +240,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     @property
     def asked_gains(self):
-        """`gains`, or unknown ones where the drive's are."""
+        """`gains`, or those of the drive if `gains` is None."""
         if self.gains is None and self.drive is not None:
             return self.drive.gains
         return self.gains
@@ -319,17 +318,17 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return self._fit_inspected(checked_recording(self, recording))
 
     def _fit_inspected(self, recording):
-        """Fit; warn of the channels if the fit contradicts the description."""
-        self._fit(recording, look=True)
+        """Fit; warn about the channels if the fit contradicts the description."""
+        self._fit(recording, inspect=True)
         if not self._suspect:
             return self
         findings = self.findings(recording)
         lag = common_lag(findings)
         if lag and (self.drive, self.asked_gains) == (None, None):
             self.fit_inspected(recording, lag)
-        for one in findings:
-            if one.severity != "note":
-                warnings.warn(one.message, DoubtWarning, stacklevel=3)
+        for finding in findings:
+            if finding.severity != "note":
+                warnings.warn(finding.message, DoubtWarning, stacklevel=3)
         return self
 
     def findings(self, recording):
@@ -338,7 +337,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return inspect_as(recording, self.model, bodies=self.bodies, **settings)
 
     @one_blas_thread()
-    def _fit(self, recording, look=False, compare=True, before=None):
+    def _fit(self, recording, inspect=False, compare=True, before=None):
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)
         robot = self._declared_robot(plan)
@@ -353,8 +352,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             source = with_signs(recipe, robot, source, before)
             recording = source.recording
         fit = fit_robot(recipe, robot, source, before)
-        look = look and plan.state_estimator is not None and plan.lag is None
-        self._suspect = look and (
+        inspect = inspect and plan.state_estimator is not None and plan.lag is None
+        self._suspect = inspect and (
             contradicted(recording.tau, fit.errors(), fit.torque_size)
             or seems_late(recipe, fit, source)
         )
@@ -364,10 +363,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if self.criterion == "simulation":
             fit = refine_fit(recipe, fit, source, self.fit_options.window)
             self.criteria_ = fit.criteria
-        return self._set(fit, compare)
+        return self._set_attributes(fit, compare)
 
     def _recipe(self):
-        """Return the settings of the estimation, with the bodies that are described."""
+        """Return the settings of the estimation, including the described bodies."""
         options = self.fit_options
         return Recipe(
             regressor=self.regressor,
@@ -393,9 +392,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     def fit_inspected(self, recording, lag=0.0, compare=True, before=None):
         """Identify the robot from a recording whose channels were inspected."""
-        # lag: about the time [s] by which all torques are late; not zero if it is to be
-        # found, as `torque_lag_`; compare: whether deviations include how recordings
-        # differ; before: an `IdentifiedRobot` whose load the fit begins with.
+        # lag: initial value [s] of the lag of all torques, estimated as `torque_lag_`
+        # unless zero; compare: whether to estimate the variance between recordings;
+        # before: an `IdentifiedRobot` whose load initialises the fit.
         self._declare(*([TorqueLag(lag=lag)] if lag else []))
         recording = checked_recording(self, recording, recording.states is None)
         return self._fit(recording, compare=compare, before=before)
@@ -412,16 +411,16 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     def fit_moments(self, plan, moments, facts=lambda robot: ()):
         """Identify the robot from second moments that were computed elsewhere."""
-        # plan: how states and equations were made; moments: `JointMoments` of all
-        # equations; facts: of the fitted `robot_`, the `NoiseFacts` of all recordings.
+        # plan: of states and equations; moments: `JointMoments` of all equations;
+        # facts: function from the fitted `robot_` to `NoiseFacts` of all recordings.
         self.n_features_in_ = plan.standstill.size
         fit = self._recipe().of_moments(self._declared_robot(plan), moments)
         if self.fit_options.torque_noise is None:
             fit = fit.with_noise_facts(facts(fit.robot))
-        return self._set(fit)
+        return self._set_attributes(fit)
 
     def beside(self, effects):
-        """Return a copy whose robot has further effects, with coefficients of one."""
+        """Return a copy whose robot has further effects, with unit coefficients."""
         if not effects:
             return self
         out = copy.copy(self)
@@ -429,20 +428,20 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         out.effects_ = out._robot.effects_
         return out
 
-    def set_parameters(self, theta, known):
-        """Replace the parameters of the fitted robot, and how each is known."""
-        self._robot = replace(self.robot_, theta_=theta, known_=known)
+    def set_parameters(self, theta, status):
+        """Replace the parameters of the fitted robot and their status (`known_`)."""
+        self._robot = replace(self.robot_, theta_=theta, known_=status)
 
     def described(self):
         """Return precision (p, p) and mean (p,) of the prior; None without one."""
-        # In units of the weighted equations.
+        # In the units of the weighted equations.
         bodies = self._bodies
         return None if bodies is None else (bodies.noise * bodies.prior, bodies.centre)
 
-    # -- from the arguments to a plan --------------------------------------------------
+    # -- settings and plan -------------------------------------------------------------
 
-    def _declare(self, *further):
-        # further: effects that a first fit asks for
+    def _declare(self, *extra):
+        # extra: effects that a first fit requires
         check_criterion(self)
         check_input_noise(self.input_noise)
         check_drive(self)
@@ -450,18 +449,18 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         model = self.features_.model_
         self.joint_names_ = joint_names(model)
         declared = check_effects(self.effects, model.nv)
-        # The gain of an only channel is its unit.
-        only = self.gains is None and model.nv == 1
-        gains = self._channel_gains = None if only else self.asked_gains
+        # The gain of a single channel is not identifiable: it is the unit.
+        single = self.gains is None and model.nv == 1
+        gains = self._channel_gains = None if single else self.asked_gains
         masses = self.fit_options.known_masses
         self._masses = check_masses(masses, gains, model) if masses else {}
         if gains is not None:
             check_gains(gains, self.joint_names_)
             declared = declared_gains(declared, model.nv)
-        waits = self.drive is None or self.drive.known_delay is not None
-        if not (waits or any(isinstance(one, CommandDelay) for one in declared)):
+        delay_known = self.drive is None or self.drive.known_delay is not None
+        if not (delay_known or any(isinstance(x, CommandDelay) for x in declared)):
             declared += (CommandDelay(),)
-        declared += further
+        declared += extra
         self.effects_ = with_followers(declared, self.features_)
         self.features_ = self.features_.corrected(self.effects_)
         self._description = described_bodies(self)
@@ -480,32 +479,32 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             check_speed(self.dt, facts.fast(), self.features_.model_)
         ranges = np.stack([facts.lowest, facts.highest])
         torques = [np.asarray(recording.tau[part]) for part in parts]
-        ends = [(x.min(axis=0), x.max(axis=0)) for x in torques]
-        check_channels(self.joint_names_, ranges, np.concatenate(ends))
+        limits = [(x.min(axis=0), x.max(axis=0)) for x in torques]
+        check_channels(self.joint_names_, ranges, np.concatenate(limits))
         lengths = [rows.stop - rows.start for rows in parts]
         plan = make_plan(self, self.effects_, lengths, estimator, facts)
-        # Rejects stamps that the effects cannot use.
+        # Rejects time stamps that the effects cannot use.
         clock = plan.clock(recording)
         if plan.timed and clock is not None:
             plan = replace(plan, time=(float(clock[0]), float(clock[-1])))
         check_length(parts, plan.lowpass, plan.cutoff)
         return plan, recording, states
 
-    # -- from a fit to attributes ----------------------------------------------------
+    # -- fitted attributes -------------------------------------------------------------
 
-    def _set(self, fit, compare=True):
-        found, self._robot = fit.found, fit.robot
+    def _set_attributes(self, fit, compare=True):
+        result, self._robot = fit.estimate, fit.robot
         if compare:
-            differ = between_recordings(fit.tangents or found, fit.robot)
-            self._robot = replace(fit.robot, recording_variance=differ)
+            variance = between_recordings(fit.tangents or result, fit.robot)
+            self._robot = replace(fit.robot, recording_variance=variance)
         self.effects_, self.features_ = fit.robot.effects_, fit.robot.features_
-        moments = replace(found.moments, blocks=None, recordings=None)
-        self.estimate_ = replace(found, moments=moments)
-        self.from_description_ = found.from_description
-        self._bodies = bodies = found.bodies
+        moments = replace(result.moments, blocks=None, recordings=None)
+        self.estimate_ = replace(result, moments=moments)
+        self.from_description_ = result.from_description
+        self._bodies = bodies = result.bodies
         self.mass_deviations_ = () if bodies is None else bodies.departures
-        self.common_size_ = 1.0 if bodies is None else bodies.common
-        self.alike_ = tuple(one.at(self.theta_) for one in found.alike)
+        self.common_size_ = 1.0 if bodies is None else bodies.common_size
+        self.alike_ = tuple(x.at(self.theta_) for x in result.alike)
         return self
 
     @property
@@ -525,10 +524,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     @property
     def torque_lag_(self):
-        """Time [s] by which all torques are late against the positions, or zero."""
+        """Lag [s] of all torques relative to the positions, or zero."""
         return self.robot_.plan.lag or 0.0
 
-    # -- what the identified robot does ------------------------------------------------
+    # -- methods of the identified robot -----------------------------------------------
 
     predict = IdentifiedRobot.predict
 
@@ -550,7 +549,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return self.robot_.to_mjcf(path, sample, random_state, drive=drive)
 
     def _drive_of_files(self, drive):
-        """Return the `PDDrive` with gains that is written into files, or None."""
+        """Return the `PDDrive` with gains for exported files, or None."""
         drive = self.drive if drive is None else drive
         if not isinstance(drive, PDDrive):
             return None

@@ -13,7 +13,7 @@ from sklearn_vbjfa.effects import CommandDelay, InModel, OfTime, declared
 from sklearn_vbjfa.equations._equations import excluded_columns
 from sklearn_vbjfa.equations._joint_moments import weighted_parts
 from sklearn_vbjfa.equations._plan import effect_indices
-from sklearn_vbjfa.fit._bodies import DESCRIBED, Site, inverse_of, propagated
+from sklearn_vbjfa.fit._bodies import DESCRIBED, Site, floored_inverse, propagate_sites
 from sklearn_vbjfa.fit._estimate import (
     IDENTIFIABLE,
     noise_variance,
@@ -194,7 +194,7 @@ class _AlikeProblem:
             precision[np.ix_(part, part)] += root.T @ site.precision @ root
         return precision
 
-    def solved(self, sites):
+    def solve(self, sites):
         """Mean and covariance of all values."""
         root = np.zeros((self.y.size - len(self.parts), self.y.size))
         spread, aim, at = np.zeros((len(root), len(root))), [], 0
@@ -210,17 +210,19 @@ class _AlikeProblem:
         return mean, 0.5 * (covariance + covariance.T)
 
     def sites(self):
-        """Sites of the parts, see `propagated`."""
+        """Sites of the parts, see `propagate_sites`."""
 
         def marginals(sites):
-            mean, covariance = self.solved(sites)
+            mean, covariance = self.solve(sites)
             for part in self.parts:
                 root = _contrasts(part.size)
-                inverse = inverse_of(root @ covariance[np.ix_(part, part)] @ root.T)
+                inverse = floored_inverse(
+                    root @ covariance[np.ix_(part, part)] @ root.T
+                )
                 yield inverse, inverse @ root @ mean[part]
 
         usual = [Site.of_scale(DESCRIBED, part.size - 1) for part in self.parts]
-        return propagated(usual, marginals)
+        return propagate_sites(usual, marginals)
 
     def centre(self, sites, mean):
         """Values (k,) that sites have for the most probable ones, at some means."""
@@ -233,7 +235,7 @@ class _AlikeProblem:
 
 def _unit(y, S):
     """Size of the mean that values of a covariance have if they are equal."""
-    inverse = inverse_of(S)
+    inverse = floored_inverse(S)
     total = inverse.sum()
     return np.sqrt((inverse.sum(axis=0) @ y / total) ** 2 + 1.0 / total)
 
@@ -256,7 +258,7 @@ def beside_each_other(found, groups, robot):
     S = C[np.ix_(at, at)] * np.outer(scale, scale)
     problem = _AlikeProblem(theta[at] / unit, S, parts)
     sites = problem.sites()
-    mean, covariance = problem.solved(sites)
+    mean, covariance = problem.solve(sites)
     less = (S - covariance) / np.outer(scale, scale)
     precision = problem.precision(sites)
     beside = with_prior(
@@ -374,7 +376,7 @@ def _references(found, robot):
 # summed over, the largest that of a value that scatters about nothing.
 _SHARE, _SCALES = DESCRIBED, np.geomspace(1e-4, 2.0, 61)
 # Passes over all values, and the change of a logarithm of a scale that ends them.
-_PASSES, _STAYS = 30, 0.02
+_MAX_PASSES, _MAX_CHANGE = 30, 0.02
 # Least noise of a fit, as a share of the mean squared torque.
 _EXACT = 1e-12
 # Eigenvalues of a correlation below this are rounding.
@@ -403,7 +405,7 @@ def between_recordings(found, robot):
     effects = _RecordingEffects(grams / noise, scores / noise, values, prior, places)
     # The values that were fitted are off, too: by a mean of those of recordings.
     spread = np.sqrt(keys[:, 1].max() + effects.shares)
-    size, weights = effects.unit * spread, effects.solved()
+    size, weights = effects.unit * spread, effects.solve()
     return BetweenRecordings(
         count=1 if stats.blocks is None else grams.shape[0],
         places=places,
@@ -468,15 +470,15 @@ class _RecordingEffects:
         inverse = scaled_eigen(self._total, _ROUNDING).inverse()[places]
         self.shares = (np.einsum("kp,rkp->rk", inverse, self._cross) ** 2).sum(axis=0)
 
-    def solved(self):
+    def solve(self):
         """Return the probabilities (m, k) of scales."""
         typical = _SHARE * self.unit
-        for _ in range(_PASSES):
+        for _ in range(_MAX_PASSES):
             weights = self._groups(typical).posterior(_SHARE, _SCALES)
             new = np.exp(np.log(_SCALES) @ weights) * self.unit
             moved = np.abs(np.log(new / typical)).max()
             typical = new
-            if moved < _STAYS:
+            if moved < _MAX_CHANGE:
                 break
         return weights
 

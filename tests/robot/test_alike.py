@@ -80,7 +80,7 @@ def recording(model):
 def test_two_values_are_as_near_as_the_integral_over_their_scatter_has_them():
     y, S = np.array([1.2, 0.8]), np.diag([0.02, 0.03])
     problem = _pooling._AlikeProblem(y, S, (np.arange(2),))
-    mean, covariance = problem.solved(problem.sites())
+    mean, covariance = problem.solve(problem.sites())
     grid = np.geomspace(SCALES[0], SCALES[-1], 20001)
     # The difference over the square root of two is normal with the scatter.
     d, v = (y[0] - y[1]) / np.sqrt(2), S.trace() / 2
@@ -178,7 +178,7 @@ def values(rng, n=4, noise=0.1, factor=1.0):
     y = rng.multivariate_normal(x, S)
     unit = _pooling._unit(y, S)
     problem = _pooling._AlikeProblem(y / unit, S / unit**2, (np.arange(n),))
-    mean, covariance = problem.solved(problem.sites())
+    mean, covariance = problem.solve(problem.sites())
     std = unit * np.sqrt(np.diagonal(covariance))
     return x, y, unit * mean, std
 

@@ -122,7 +122,7 @@ def test_the_scale_of_a_single_value_is_the_exact_one(seed):
         0.0,
         places,
     )
-    weights = effects.solved()[:, 0]
+    weights = effects.solve()[:, 0]
     scales = np.geomspace(1e-4, 2.0, weights.size)
     expected = []
     for s in scales * effects.unit[0]:

@@ -48,7 +48,7 @@ from sklearn_vbjfa.fit._gains import (
     with_gains,
 )
 from sklearn_vbjfa.fit._output_error import refine
-from sklearn_vbjfa.fit._pooling import beside_each_other, with_positive_rotors
+from sklearn_vbjfa.fit._pooling import pool_joint_values, with_positive_rotors
 from sklearn_vbjfa.recording import Recording, check_delay, take_rows
 from sklearn_vbjfa.robot._channels import ChannelGains
 from sklearn_vbjfa.robot._posterior import known_parameters
@@ -228,7 +228,7 @@ class Recipe:
         if self.description is not None:
             result = apply_description(result, self.description, self.bodies)
         if self.alike:
-            result = beside_each_other(result, self.alike, robot)
+            result = pool_joint_values(result, self.alike, robot)
         if self.description is not None:
             result = with_positive_rotors(result, robot)
         held = excluded_columns(robot.features_, robot.effects_)

@@ -1,4 +1,4 @@
-"""Parameters that joints of the same drive share, or that recordings differ in."""
+"""Pooling of parameters over joints with equal drives, and over recordings."""
 
 import functools
 import re
@@ -34,31 +34,30 @@ from sklearn_vbjfa.robot._posterior import (
     of_effects,
 )
 
-# What tells one leg, arm or finger from another in the names of joints, beside numbers.
+# Words, besides numbers, that distinguish legs, arms or fingers in joint names.
 _SIDES = frozenset(
     "l r left right fl fr rl rr hl hr bl br lf rf lh rh lr rm lm ml mr lb rb "
     "front rear back hind mid middle".split()
 )
 _WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
-# What is known so many times worse than the same value of another joint is not told.
-_SILENT = 1e6
-# Masses and moments of inertia that are equal but for the digits of a description.
+# Ratio of standard deviations to the best joint above which a value is undetermined.
+_MAX_RATIO = 1e6
+# Relative tolerance of equal masses and moments of inertia in a description.
 _EQUAL = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class AlikeValue:
-    """A value that joints have in common, but for some scatter."""
+    """A parameter that joints share, with some scatter."""
 
-    group: str  # what the joints are called
+    group: str  # name of the group of joints
     parameter: str  # such as "rotor_inertia"
     joints: tuple[str, ...]  # that share the value
-    places: tuple[int, ...]  # where their values are in `RobotIdentifier.theta_`
+    places: tuple[int, ...]  # indices of their values in `RobotIdentifier.theta_`
     value: float  # mean of the joints
     std: float  # standard deviation of that mean
     unit: str
-    # standard deviation between the joints, as a share of the mean; nan where the mean
-    # may as well be zero
+    # standard deviation between the joints over the mean; nan if that may be zero
     scatter: float
 
     def at(self, theta):
@@ -70,17 +69,17 @@ class AlikeValue:
 
 
 def alike_joints(settings):
-    """Return the groups of joints with the same drive, pairs of name and joints."""
+    """Return groups of joints with the same drive, pairs of name and joints."""
     alike = settings.fit_options.alike
     if alike not in ("auto", None):
         raise ValueError(f"alike must be 'auto' or None; got {alike!r}.")
-    # Channels with unknown factors are not compared, and a regressor is on its own.
-    apart = settings.asked_gains is not None or settings.regressor is not None
-    return () if alike is None or apart else _found(settings.features_.nominal_)
+    # Not with unknown gains, nor with a custom regressor.
+    off = settings.asked_gains is not None or settings.regressor is not None
+    return () if alike is None or off else _group_joints(settings.features_.nominal_)
 
 
-def _found(model):
-    """Return groups whose names differ in leg or number alone, of equal bodies."""
+def _group_joints(model):
+    """Group joints whose names differ only in side or number, with equal bodies."""
     names, slides = joint_names(model), is_prismatic(model)
     solid = solid_bodies(nominal_parameters(model))
     groups = {}
@@ -89,47 +88,47 @@ def _found(model):
         key = tuple("" if w in _SIDES or w.isdigit() else w for w in words)
         if "" in key:
             groups.setdefault((key, bool(slides[j])), []).append(int(j))
-    equal = [part for own in groups.values() for part in _equal(own, model)]
-    # Drives of a chain, in which joints carry others, differ in size.
+    equal = [part for group in groups.values() for part in _equal_bodies(group, model)]
+    # Joints of one chain, which carry each other, have drives of different size.
     carried = [{i - 1 for i in list(s)[:-1]} for s in list(model.supports)[1:]]
-    equal = [own for own in equal if not any(carried[k] & {*own} for k in own)]
-    return _named([own for own in equal if len(own) > 1], names)
+    equal = [group for group in equal if not any(carried[k] & {*group} for k in group)]
+    return _name_groups([group for group in equal if len(group) > 1], names)
 
 
-def _equal(joints, model):
-    """Split joints into those whose bodies have the same mass and inertias."""
+def _equal_bodies(joints, model):
+    """Split joints into groups of equal mass and principal moments of inertia."""
     parts = []
     for j in joints:
         body = model.inertias[j + 1]
-        own = np.append(body.mass, np.linalg.eigvalsh(body.inertia))
-        for first, part in parts:
-            if np.allclose(own, first, rtol=_EQUAL, atol=0.0):
+        inertias = np.append(body.mass, np.linalg.eigvalsh(body.inertia))
+        for reference, part in parts:
+            if np.allclose(inertias, reference, rtol=_EQUAL, atol=0.0):
                 part.append(j)
                 break
         else:
-            parts.append((own, [j]))
+            parts.append((inertias, [j]))
     return [tuple(part) for _, part in parts]
 
 
-def _named(groups, names):
-    called = [_common([names[j] for j in joints]) for joints in groups]
+def _name_groups(groups, names):
+    labels = [_common_words([names[j] for j in joints]) for joints in groups]
     return tuple(
         (
-            name if called.count(name) == 1 else _listed([names[j] for j in joints]),
+            name if labels.count(name) == 1 else _join([names[j] for j in joints]),
             joints,
         )
-        for name, joints in zip(called, groups)
+        for name, joints in zip(labels, groups)
     )
 
 
-def _common(names):
+def _common_words(names):
     words = [_WORDS.findall(name) for name in names]
     common = [w for w in words[0] if all(w in other for other in words)]
     kept = [w for w in common if w.lower() not in {"joint", *_SIDES}]
-    return " ".join(kept or common) or _listed(names)
+    return " ".join(kept or common) or _join(names)
 
 
-def _listed(names):
+def _join(names):
     return "/".join([*names[:2], "..."] if len(names) > 2 else names)
 
 
@@ -137,10 +136,9 @@ def _listed(names):
 
 
 def _shared_values(groups, robot, std):
-    """Values of alike joints: group, parameter, and where it is joint by joint."""
-    # Those of drives, which have neither sign nor place.
-    # Without those of which deviations (p,) say that nothing tells: what a joint stood
-    # still for is not shared.
+    """Return group, parameter and indices of the values that joints share."""
+    # Only drive parameters that depend neither on direction nor on position. std (p,):
+    # values without information, such as those of a joint at rest, are left out.
     features, joints = robot.features_, {}
     per_joint = features.n_parameters_ // features.n_joints_
     held = excluded_columns(features, robot.effects_)
@@ -149,22 +147,22 @@ def _shared_values(groups, robot, std):
             place = j * per_joint + 10 + k
             if declared(name).alike and place not in held:
                 joints.setdefault((name,), {})[j] = place
-    for effect, at in effect_indices(robot.effects_, features.n_parameters_):
-        for place, name in zip(at, effect.coefficients):
+    for effect, span in effect_indices(robot.effects_, features.n_parameters_):
+        for place, name in zip(span, effect.coefficients):
             if effect.alike:
                 shape = tuple(sorted(effect.shape().items()))
                 key = (f"{effect.name}:{name}", type(effect), shape)
                 joints.setdefault(key, {})[effect.joint] = place
-    found = []
+    values = []
     for name, alike in groups:
         for key, places in joints.items():
-            own = np.array([places[j] for j in alike if j in places], dtype=int)
-            known = np.isfinite(std[own]) & (std[own] > 0)
-            own = own[known]
-            own = own[std[own] < _SILENT * std[own].min(initial=np.inf)]
-            if own.size > 1:
-                found.append((name, key[0], own))
-    return found
+            index = np.array([places[j] for j in alike if j in places], dtype=int)
+            determined = np.isfinite(std[index]) & (std[index] > 0)
+            index = index[determined]
+            index = index[std[index] < _MAX_RATIO * std[index].min(initial=np.inf)]
+            if index.size > 1:
+                values.append((name, key[0], index))
+    return values
 
 
 # -- their estimate --------------------------------------------------------------------
@@ -172,22 +170,22 @@ def _shared_values(groups, robot, std):
 
 @functools.cache
 def _contrasts(n):
-    """Orthonormal differences between n values, (n - 1, n)."""
+    """Return orthonormal contrasts of n values, (n - 1, n)."""
     return linalg.helmert(n)
 
 
 @dataclass(frozen=True, eq=False)
 class _AlikeProblem:
-    """Values as the data tell them one by one, y and S, in parts that are alike."""
+    """Estimates y with covariance S, in groups (`parts`) that share a mean."""
 
-    # Each value is in units of the mean of its part, which is free.
+    # Each value is in units of the mean of its part, which has no prior.
 
     y: np.ndarray
     S: np.ndarray
     parts: tuple
 
     def precision(self, sites):
-        """Precision (k, k) that sites say of all values."""
+        """Return the prior precision (k, k) of all values with some sites."""
         precision = np.zeros(self.S.shape)
         for part, site in zip(self.parts, sites):
             root = _contrasts(part.size)
@@ -195,22 +193,22 @@ class _AlikeProblem:
         return precision
 
     def solve(self, sites):
-        """Mean and covariance of all values."""
-        root = np.zeros((self.y.size - len(self.parts), self.y.size))
-        spread, aim, at = np.zeros((len(root), len(root))), [], 0
+        """Return the posterior mean and covariance of all values."""
+        D = np.zeros((self.y.size - len(self.parts), self.y.size))
+        V, targets, start = np.zeros((len(D), len(D))), [], 0
         for part, site in zip(self.parts, sites):
-            rows = slice(at, at := at + part.size - 1)
-            root[rows, part] = _contrasts(part.size)
-            spread[rows, rows] = np.linalg.inv(site.precision)
-            aim.append(spread[rows, rows] @ site.right)
-        across = self.S @ root.T
-        gain = np.linalg.solve(root @ across + spread, across.T).T
-        covariance = self.S - gain @ across.T
-        mean = self.y + gain @ (np.concatenate(aim) - root @ self.y)
+            rows = slice(start, start := start + part.size - 1)
+            D[rows, part] = _contrasts(part.size)
+            V[rows, rows] = np.linalg.inv(site.precision)
+            targets.append(V[rows, rows] @ site.right)
+        cross = self.S @ D.T
+        gain = np.linalg.solve(D @ cross + V, cross.T).T
+        covariance = self.S - gain @ cross.T
+        mean = self.y + gain @ (np.concatenate(targets) - D @ self.y)
         return mean, 0.5 * (covariance + covariance.T)
 
     def sites(self):
-        """Sites of the parts, see `propagate_sites`."""
+        """Return the sites of the parts, see `propagate_sites`."""
 
         def marginals(sites):
             mean, covariance = self.solve(sites)
@@ -221,286 +219,285 @@ class _AlikeProblem:
                 )
                 yield inverse, inverse @ root @ mean[part]
 
-        usual = [Site.of_scale(DESCRIBED, part.size - 1) for part in self.parts]
-        return propagate_sites(usual, marginals)
+        initial = [Site.of_scale(DESCRIBED, part.size - 1) for part in self.parts]
+        return propagate_sites(initial, marginals)
 
     def centre(self, sites, mean):
-        """Values (k,) that sites have for the most probable ones, at some means."""
+        """Return the prior means (k,) of the sites around the means of the parts."""
         out = np.zeros(self.y.size)
         for part, site in zip(self.parts, sites):
-            away = np.linalg.solve(site.precision, site.right)
-            out[part] = mean[part].mean() + _contrasts(part.size).T @ away
+            difference = np.linalg.solve(site.precision, site.right)
+            out[part] = mean[part].mean() + _contrasts(part.size).T @ difference
         return out
 
 
 def _unit(y, S):
-    """Size of the mean that values of a covariance have if they are equal."""
+    """Return the magnitude of the generalised mean of values with covariance S."""
     inverse = floored_inverse(S)
     total = inverse.sum()
     return np.sqrt((inverse.sum(axis=0) @ y / total) ** 2 + 1.0 / total)
 
 
-def beside_each_other(found, groups, robot):
-    """Return an `Estimate` in which values of alike joints are near each other."""
-    shared = _shared_values(groups, robot, found.std)
+def pool_joint_values(result, groups, robot):
+    """Return an `Estimate` with partial pooling over joints of the same drive."""
+    shared = _shared_values(groups, robot, result.std)
     if not shared:
-        return found
-    C, ratio = uninflated_covariance(found)
-    wide, theta = C * np.outer(ratio, ratio), found.theta_unconstrained
-    at = np.concatenate([places for *_, places in shared])
+        return result
+    C, ratio = uninflated_covariance(result)
+    wide, theta = C * np.outer(ratio, ratio), result.theta_unconstrained
+    index = np.concatenate([places for *_, places in shared])
     ends = np.cumsum([places.size for *_, places in shared])
-    parts = tuple(np.split(np.arange(at.size), ends[:-1]))
-    # In units of the mean of their part, as well known as their deviations say.
-    unit = np.empty(at.size)
+    parts = tuple(np.split(np.arange(index.size), ends[:-1]))
+    # In units of the mean of their part, with covariance inflated as in `std`.
+    unit = np.empty(index.size)
     for part in parts:
-        unit[part] = _unit(theta[at[part]], wide[np.ix_(at[part], at[part])])
-    scale = ratio[at] / unit
-    S = C[np.ix_(at, at)] * np.outer(scale, scale)
-    problem = _AlikeProblem(theta[at] / unit, S, parts)
+        unit[part] = _unit(theta[index[part]], wide[np.ix_(index[part], index[part])])
+    scale = ratio[index] / unit
+    S = C[np.ix_(index, index)] * np.outer(scale, scale)
+    problem = _AlikeProblem(theta[index] / unit, S, parts)
     sites = problem.sites()
     mean, covariance = problem.solve(sites)
-    less = (S - covariance) / np.outer(scale, scale)
+    reduction = (S - covariance) / np.outer(scale, scale)
     precision = problem.precision(sites)
-    beside = with_prior(
-        found,
-        at,
+    pooled = with_prior(
+        result,
+        index,
         unit * (mean - problem.y),
-        less,
+        reduction,
         precision / np.outer(unit, unit),
         precision @ problem.centre(sites, mean) / unit,
     )
-    labels = [robot.parameter_names_[i].partition(":")[0] for i in at]
+    labels = [robot.parameter_names_[i].partition(":")[0] for i in index]
     values = tuple(
         AlikeValue(
             group=group,
             parameter=parameter,
             joints=tuple(labels[i] for i in part),
-            places=tuple(at[part].tolist()),
-            **_spread(mean[part], covariance[np.ix_(part, part)], unit[part]),
+            places=tuple(index[part].tolist()),
+            **_mean_and_scatter(mean[part], covariance[np.ix_(part, part)], unit[part]),
             unit=robot.parameter_units_[places[0]],
         )
         for (group, parameter, places), part in zip(shared, parts)
     )
-    return replace(beside, alike=values)
+    return replace(pooled, alike=values)
 
 
-def _spread(y, S, unit):
-    """Mean of values, its deviation, and what they scatter by as a share of it."""
+def _mean_and_scatter(y, S, unit):
+    """Return the mean of values, its deviation, and their relative scatter."""
     n = y.size
-    mean, size = y.mean(), unit[0]
-    # Expected variance between them: of their means, and of what is not known.
-    about = np.eye(n) - 1.0 / n
-    between = (y @ about @ y + np.trace(about @ S)) / max(n - 1, 1)
+    mean, scale = y.mean(), unit[0]
+    # Expected variance between the values, posterior covariance included.
+    centring = np.eye(n) - 1.0 / n
+    between = (y @ centring @ y + np.trace(centring @ S)) / max(n - 1, 1)
     std = np.sqrt(S.sum()) / n
     significant = abs(mean) > HALF_WIDTH * std
     return {
-        "value": float(size * mean),
-        "std": float(size * std),
+        "value": float(scale * mean),
+        "std": float(scale * std),
         "scatter": float(np.sqrt(between) / abs(mean)) if significant else np.nan,
     }
 
 
 # Standard deviation of the logarithm of a rotor inertia around its reference: a factor
-# of two, as descriptions differ from what is measured.
+# of two, as between descriptions and measurements.
 WIDTH = np.log(2.0)
-# A rotor inertia below this many deviations may be zero by the torques alone.
-_CERTAIN = 2.0
-# Newton's method, each step of which leaves at least a quarter of the value.
-_STEPS, _SHRINK, _TOLERANCE = 50, 0.25, 1e-9
+# Standard deviations above which a rotor inertia is significant.
+_SIGNIFICANT = 2.0
+# Newton's method: maximum steps, smallest factor of a value in one step, tolerance.
+_MAX_STEPS, _SHRINK, _TOLERANCE = 50, 0.25, 1e-9
 
 
-def with_positive_rotors(found, robot):
-    """Return an `Estimate` whose rotor inertias are near their references."""
-    at, references = _references(found, robot)
-    if not at.size or found.covariance is None:
-        return found
-    C, ratio = uninflated_covariance(found)
-    seen = np.isfinite(found.std[at]) & (np.diagonal(C)[at] > 0)
-    at, references = at[seen], references[seen]
-    S = C[np.ix_(at, at)] * np.outer(ratio[at], ratio[at])
-    y = found.theta_unconstrained[at]
+def with_positive_rotors(result, robot):
+    """Return an `Estimate` with log-normal priors on the rotor inertias."""
+    index, references = _rotor_references(result, robot)
+    if not index.size or result.covariance is None:
+        return result
+    C, ratio = uninflated_covariance(result)
+    determined = np.isfinite(result.std[index]) & (np.diagonal(C)[index] > 0)
+    index, references = index[determined], references[determined]
+    S = C[np.ix_(index, index)] * np.outer(ratio[index], ratio[index])
+    y = result.theta_unconstrained[index]
     mean, variance, centre = most_probable(y, S, references)
     gain = np.linalg.solve(S + np.diag(variance), S).T
-    less = gain @ S / np.outer(ratio[at], ratio[at])
+    reduction = gain @ S / np.outer(ratio[index], ratio[index])
     prior = np.diag(1.0 / variance)
-    return with_prior(found, at, mean - y, less, prior, centre / variance)
+    return with_prior(result, index, mean - y, reduction, prior, centre / variance)
 
 
 def most_probable(y, S, references):
-    """Mode of values that data have for normal, and a normal prior with the same one.
+    """Return the posterior mode under a log-normal prior, and its Gaussian equivalent.
 
-    y (k,), S (k, k): means and covariance by the data; references (k,): medians of the
-    log-normal prior. Returns the mode (k,), and variances and means (k,) of the prior.
+    y (k,), S (k, k): estimate and covariance; references (k,): medians of the prior.
+    Returns the mode (k,), and variances and means (k,) of the equivalent prior.
     """
     x = np.where(y > 0, y, references)
-    for _ in range(_STEPS):
-        # The logarithm is replaced by its tangent at the present value.
+    for _ in range(_MAX_STEPS):
+        # Linearise the logarithm at the present value.
         variance, centre = (WIDTH * x) ** 2, x * (1.0 + np.log(references / x))
         new = y + S @ np.linalg.solve(S + np.diag(variance), centre - y)
         new = np.clip(new, _SHRINK * x, x / _SHRINK)
-        moved, x = np.abs(new - x), new
-        if (moved <= _TOLERANCE * x).all():
+        change, x = np.abs(new - x), new
+        if (change <= _TOLERANCE * x).all():
             break
     return x, variance, centre
 
 
-def _references(found, robot):
-    """Places of rotor inertias among the parameters, and what they are near to."""
+def _rotor_references(result, robot):
+    """Return indices of rotor inertias and the medians of their priors."""
     features, joints = robot.features_, robot.features_.n_joints_
     if "rotor_inertia" not in features.friction_:
         return np.empty(0, dtype=int), np.empty(0)
     per_joint = features.n_parameters_ // joints
     first = 10 + features.friction_.index("rotor_inertia")
-    at = per_joint * np.arange(joints) + first
-    theta, std = found.theta_unconstrained[at], found.std[at]
-    certain = np.isfinite(std) & (theta > _CERTAIN * std)
+    indices = per_joint * np.arange(joints) + first
+    theta, std = result.theta_unconstrained[indices], result.std[indices]
+    certain = np.isfinite(std) & (theta > _SIGNIFICANT * std)
     references = np.array(features.nominal_.armature, dtype=float)
-    for group in found.alike:
-        places = np.flatnonzero(np.isin(at, group.places))
-        sure = places[certain[places]]
-        if group.parameter == "rotor_inertia" and sure.size:
-            mean = np.exp(np.log(theta[sure]).mean())
+    for group in result.alike:
+        places = np.flatnonzero(np.isin(indices, group.places))
+        sources = places[certain[places]]
+        if group.parameter == "rotor_inertia" and sources.size:
+            mean = np.exp(np.log(theta[sources]).mean())
             unknown = places[~(references[places] > 0)]
             references[unknown] = mean
     used = references > 0
     if not any(isinstance(effect, CommandDelay) for effect in robot.effects_):
-        # A delay, which is not part of these deviations, trades against all of them.
+        # A delay, which is correlated with all inertias, is not part of `std`.
         used &= ~certain
-    return at[used], references[used]
+    return indices[used], references[used]
 
 
 # -- variance between recordings, by their moments -------------------------------------
 
-# How far values of a drive are expected to be off from one recording to another, as a
-# share of the value: half-Cauchy, as descriptions are around bodies. Scales that are
-# summed over, the largest that of a value that scatters about nothing.
+# Expected relative variation of drive parameters between recordings: scale of a
+# half-Cauchy distribution, as for bodies. Grid of scales for integration; the largest
+# covers values that scatter about zero.
 _SHARE, _SCALES = DESCRIBED, np.geomspace(1e-4, 2.0, 61)
-# Passes over all values, and the change of a logarithm of a scale that ends them.
+# Maximum passes over all values, and change of a log scale at convergence.
 _MAX_PASSES, _MAX_CHANGE = 30, 0.02
-# Least noise of a fit, as a share of the mean squared torque.
-_EXACT = 1e-12
-# Eigenvalues of a correlation below this are rounding.
+# Minimum noise variance relative to the mean squared torque.
+_MIN_NOISE = 1e-12
+# Eigenvalues of a correlation matrix below this are rounding.
 _ROUNDING = 1e-14
 
 
-def between_recordings(found, robot):
-    """Estimate it from the moments of recordings; None where there are not two."""
-    # found: `Estimate`, in which a value in the model is the correction to it; robot:
-    # its parameters are the sizes of the values.
-    places, values = _places(robot), robot.theta_
-    stats, weight = found.moments, found.joint_weights
-    if not stats.recordings or found.covariance is None:
+def between_recordings(result, robot):
+    """Estimate the variance between recordings; None for fewer than two."""
+    # result: `Estimate`, in which values in the model are corrections; robot: its
+    # parameters are the values themselves.
+    index, values = _varying_parameters(robot), robot.theta_
+    stats, weight = result.moments, result.joint_weights
+    if not stats.recordings or result.covariance is None:
         return None
-    keys, grams, scores = weighted_parts(stats, stats.recordings, weight, found.theta)
-    power = grams[:, places, places]
-    places = places[(power > 0).sum(axis=0) > 1]
-    if not places.size:
+    keys, grams, scores = weighted_parts(stats, stats.recordings, weight, result.theta)
+    power = grams[:, index, index]
+    index = index[(power > 0).sum(axis=0) > 1]
+    if not index.size:
         return None
-    noise = _noise_within(found, keys, grams, scores, places)
-    # Not less than rounding, of torques that are fitted exactly.
-    noise = max(noise, _EXACT * (weight @ stats.yy) / stats.n[weight > 0].sum())
+    noise = _noise_within(result, keys, grams, scores, index)
+    # At least rounding, if torques are fitted exactly.
+    noise = max(noise, _MIN_NOISE * (weight @ stats.yy) / stats.n[weight > 0].sum())
     if not noise > 0:
         return None
-    prior = 0.0 if found.bodies is None else found.bodies.prior
-    effects = _RecordingEffects(grams / noise, scores / noise, values, prior, places)
-    # The values that were fitted are off, too: by a mean of those of recordings.
+    prior = 0.0 if result.bodies is None else result.bodies.prior
+    effects = _RecordingEffects(grams / noise, scores / noise, values, prior, index)
+    # The fitted values err by a weighted mean of the deviations of the recordings.
     spread = np.sqrt(keys[:, 1].max() + effects.shares)
     size, weights = effects.unit * spread, effects.solve()
     return BetweenRecordings(
         count=1 if stats.blocks is None else grams.shape[0],
-        places=places,
+        places=index,
         size=size,
         weights=weights,
         scales=_SCALES,
     )
 
 
-def _noise_within(found, keys, grams, scores, places):
-    # With values of their own in all recordings: what they differ by is no noise.
-    stats, weight = found.moments, found.joint_weights
-    own = scores[:, places]
+def _noise_within(result, keys, grams, scores, index):
+    # Each recording has separate values, whose differences do not count as noise.
+    stats, weight = result.moments, result.joint_weights
+    selected = scores[:, index]
     inverse = [
-        scaled_eigen(G[np.ix_(places, places)], IDENTIFIABLE).inverse() for G in grams
+        scaled_eigen(G[np.ix_(index, index)], IDENTIFIABLE).inverse() for G in grams
     ]
-    taken = sum(s @ inner @ s for s, inner in zip(own, inverse))
-    rank = scaled_eigen(found.metric, IDENTIFIABLE).rank + (own != 0).sum()
-    noise = noise_variance(stats, weight, found.theta, rank, taken)
+    explained = sum(s @ inv @ s for s, inv in zip(selected, inverse))
+    rank = scaled_eigen(result.metric, IDENTIFIABLE).rank + (selected != 0).sum()
+    noise = noise_variance(stats, weight, result.theta, rank, explained)
     if stats.blocks is None:
-        # Of stretches the scatter in time is that of the fit.
-        return noise * max(found.pooled, 1.0)
+        # For stretches of one recording, inflation is that of the fit.
+        return noise * max(result.pooled, 1.0)
     if not noise > 0:
         return noise
-    place, inner, each = weighted_parts(stats, stats.blocks, weight, found.theta)
-    if set(place[:, 0]) != set(keys[:, 0]):
-        # Blocks are phases of one motion, in which recordings are alike.
-        return noise * max(found.pooled, 1.0)
-    inner, each = inner[:, places[:, None], places], each[:, places]
-    total = counted = 0.0
-    for number, s, back in zip(keys[:, 0], own, inverse):
-        rows = place[:, 0] == number
+    labels, gram, score = weighted_parts(stats, stats.blocks, weight, result.theta)
+    if set(labels[:, 0]) != set(keys[:, 0]):
+        # Blocks are phases of a repeated motion, not parts of recordings.
+        return noise * max(result.pooled, 1.0)
+    gram, score = gram[:, index[:, None], index], score[:, index]
+    total = count = 0.0
+    for recording, s, inv in zip(keys[:, 0], selected, inverse):
+        rows = labels[:, 0] == recording
         if rows.sum() > 1:
-            left = each[rows] - inner[rows] @ (back @ s)
-            part = np.arange(len(places)), inner[rows]
-            share = block_variance([part], left, place[rows], noise).pooled
-            total, counted = total + share * (rows.sum() - 1), counted + rows.sum() - 1
-    return noise * max(total / counted, 1.0) if counted else noise
+            remainder = score[rows] - gram[rows] @ (inv @ s)
+            piece = np.arange(len(index)), gram[rows]
+            ratio = block_variance([piece], remainder, labels[rows], noise).pooled
+            total, count = total + ratio * (rows.sum() - 1), count + rows.sum() - 1
+    return noise * max(total / count, 1.0) if count else noise
 
 
 class _RecordingEffects:
-    """Random effects of recordings on some parameters, everything else shared."""
+    """Random effects of recordings on some parameters; all others are shared."""
 
-    # With y_r = Phi_r (theta + E u_r) + noise and independent u_rk ~ N(0, s_k^2), where
-    # s_k is half-Cauchy around a share of the value. For the others as last estimated
-    # the evidence of each s_k is that of a group of columns, one for each recording.
+    # y_r = Phi_r (theta + E u_r) + noise, independent u_rk ~ N(0, s_k^2), half-Cauchy
+    # s_k relative to the value. With all other scales fixed, the evidence of s_k is
+    # that of a group of columns, one for each recording.
 
-    def __init__(self, grams, scores, values, prior, places):
-        self._inner = grams[:, places[:, None], places]
-        self._cross = grams[:, places]
-        self._scores, self._own = scores, scores[:, places]
+    def __init__(self, grams, scores, values, prior, index):
+        self._inner = grams[:, index[:, None], index]
+        self._cross = grams[:, index]
+        self._scores, self._right = scores, scores[:, index]
         self._total = grams.sum(axis=0) + prior
         power = np.diagonal(self._inner, axis1=1, axis2=2)
-        # (k,): size of the values; of those about nothing, that of their scatter
+        # (k,): magnitude of the values; that of their scatter for values near zero
         with np.errstate(divide="ignore", invalid="ignore"):
-            squares = np.where(power > 0, self._own**2 / power, 0.0).sum(axis=0)
-        beyond = np.maximum(squares - (power > 0).sum(axis=0), 1.0)
-        scatter = beyond / power.sum(axis=0)
-        self.unit = np.sqrt(values[places] ** 2 + scatter / _SHARE**2)
+            squares = np.where(power > 0, self._right**2 / power, 0.0).sum(axis=0)
+        excess = np.maximum(squares - (power > 0).sum(axis=0), 1.0)
+        scatter = excess / power.sum(axis=0)
+        self.unit = np.sqrt(values[index] ** 2 + scatter / _SHARE**2)
         self._power = power
-        # (k,): sums of the squared shares of recordings in the values that were fitted
-        inverse = scaled_eigen(self._total, _ROUNDING).inverse()[places]
+        # (k,): sum of squared weights of the recordings in the fitted values
+        inverse = scaled_eigen(self._total, _ROUNDING).inverse()[index]
         self.shares = (np.einsum("kp,rkp->rk", inverse, self._cross) ** 2).sum(axis=0)
 
     def solve(self):
-        """Return the probabilities (m, k) of scales."""
+        """Return the posterior probabilities (m, k) of the scales."""
         typical = _SHARE * self.unit
         for _ in range(_MAX_PASSES):
             weights = self._groups(typical).posterior(_SHARE, _SCALES)
             new = np.exp(np.log(_SCALES) @ weights) * self.unit
-            moved = np.abs(np.log(new / typical)).max()
+            change = np.abs(np.log(new / typical)).max()
             typical = new
-            if moved < _MAX_CHANGE:
+            if change < _MAX_CHANGE:
                 break
         return weights
 
     def _groups(self, typical):
-        # in units of the scales, where no eigenvalue of the sum with the prior is below
-        # one, however large the others are
-        both = np.outer(typical, typical)
-        values, vectors = np.linalg.eigh(self._inner * both)
+        # In units of the scales no eigenvalue of the posterior precision is below one.
+        units = np.outer(typical, typical)
+        values, vectors = np.linalg.eigh(self._inner * units)
         shares = vectors / (1.0 + np.maximum(values, 0.0))[:, None, :]
-        own = shares @ vectors.transpose(0, 2, 1) * both
-        gain = own @ self._cross
-        rest = self._total - np.tensordot(self._cross, gain, ((0, 1), (0, 1)))
-        shared = scaled_eigen(0.5 * (rest + rest.T), _ROUNDING)
-        # theta moves as well, by what the effects leave of the scores
-        moved = self._scores.sum(axis=0) - np.einsum("rkp,rk->p", gain, self._own)
-        alone = (own @ self._own[:, :, None])[:, :, 0]
-        mean = alone - gain @ shared.solve(moved)
-        root = gain @ shared.inverse_root()
+        inner = shares @ vectors.transpose(0, 2, 1) * units
+        gain = inner @ self._cross
+        schur = self._total - np.tensordot(self._cross, gain, ((0, 1), (0, 1)))
+        eigen = scaled_eigen(0.5 * (schur + schur.T), _ROUNDING)
+        # The change of theta, with the random effects eliminated.
+        score = self._scores.sum(axis=0) - np.einsum("rkp,rk->p", gain, self._right)
+        separate = (inner @ self._right[:, :, None])[:, :, 0]
+        mean = separate - gain @ eigen.solve(score)
+        root = gain @ eigen.inverse_root()
         H, q = [], []
         for k, scale in enumerate(typical):
-            covariance = root[:, k] @ root[:, k].T + np.diag(own[:, k, k])
-            # in units of the scale, of which the prior itself is taken out
+            covariance = root[:, k] @ root[:, k].T + np.diag(inner[:, k, k])
+            # Likelihood alone: subtract the prior, in units of the scale.
             inverse = covariance_inverse(covariance / scale**2)
             H.append((inverse - np.eye(inverse.shape[0])) / scale**2)
             q.append(inverse @ mean[:, k] / scale**2)
@@ -508,16 +505,15 @@ class _RecordingEffects:
         return Groups(H=np.array(H), q=np.array(q), own=self._power.T, unit=unit)
 
 
-def _places(robot):
-    """Parameters that may differ between recordings of the same robot, (k,)."""
+def _varying_parameters(robot):
+    """Return parameters (k,) that may vary between recordings of the same robot."""
 
-    # Values of drives. Bodies do not, nor what may stand for them, and effects of time
-    # say themselves how they do.
-    def stays(effect):
+    # Not bodies and geometry, nor effects of time, which model their variation.
+    def excluded(effect):
         return isinstance(effect, OfTime) or (
             isinstance(effect, InModel) and effect.of_bodies
         )
 
-    rest = ~of_effects(robot, stays)
-    rest[body_places(robot)] = False
-    return np.flatnonzero(rest)
+    varying = ~of_effects(robot, excluded)
+    varying[body_places(robot)] = False
+    return np.flatnonzero(varying)

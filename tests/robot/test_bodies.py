@@ -71,10 +71,10 @@ def test_without_torques_a_body_is_as_described():
     prior = 1.0 / (1.0 + (grid / DESCRIBED) ** 2)
     mean = integrate.trapezoid(prior * grid**2, grid) / integrate.trapezoid(prior, grid)
     size = np.sqrt(mean * (np.linalg.inv(own.root) ** 2).sum(axis=2))
-    np.testing.assert_allclose(found.before[own.places], size, rtol=5e-3)
-    assert np.isnan(found.before).sum() == 12
+    np.testing.assert_allclose(found.prior_std[own.places], size, rtol=5e-3)
+    assert np.isnan(found.prior_std).sum() == 12
     std = np.sqrt(np.diagonal(found.covariance))
-    assert little_learned(std, found.before)[own.places].all()
+    assert little_learned(std, found.prior_std)[own.places].all()
     assert not found.departures
     # Nothing tells the friction.
     assert np.isinf(np.diagonal(found.covariance)[10:14]).all()

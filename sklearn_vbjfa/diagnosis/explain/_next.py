@@ -90,8 +90,8 @@ class ExpectedError:
 
     def of(self, motion=None):
         """Predict errors for a motion, by default the fitted one, (3, nv + 1)."""
-        # Median and 90 % interval of the error of each joint, nan without held-out
-        # error, and of the mean over joints.
+        # Median and interval (nine of ten recordings) of the error of each joint, nan
+        # without held-out error, and of the mean over joints.
         motion, count = motion or self._motion, max(self.recordings, 1)
         differ, again, motions = _prior(count)
         model_error = self._model_error * self._motion.distance(motion)

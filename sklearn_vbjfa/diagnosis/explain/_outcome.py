@@ -107,7 +107,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
     identifier, columns = final.identifier, judged["columns"]
     spread, after = columns["spread"], columns["after"]
     prismatic = is_prismatic(identifier.features_.model_)
-    # Of the most data; missing effects would raise the floor of the declared model.
+    # The final fit has the most data; missing effects raise the declared one's floor.
     floor = identifier.noise_floor_
     floor = np.where(np.isfinite(floor), floor, loop.validation_model_.noise_floor_)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Groups and rows of an outcome, as the page and the terminal show them."""
+"""Groups and table rows of an outcome, for the page and the terminal."""
 
 import math
 
@@ -8,73 +8,73 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import OfRobot
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
-# One of a SI unit in the unit that is read off an instrument.
+# Factor from a SI unit to the unit of display.
 _FINE = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}
-# Masses of which one is less than this share of the other do not agree.
+# Smallest ratio of two masses that agree.
 _OTHER_MASS = 0.5
-# A speed below this share of the fastest is that of a reversal; an end that is this
-# small a share of the other is zero.
+# Speeds below this share of the fastest occur at reversals; a limit below this share of
+# the other one is written as zero.
 _SLOW, _ZERO = 0.1, 1e-3
 _UNITS = {"position": ("rad", "m"), "speed": ("rad/s", "m/s"), "load": ("N m", "N")}
-# Time that decides most questions [s], and the slowest of its speeds over the fastest.
+# Recommended duration of a motion [s], and its slowest speed over the fastest.
 SECONDS, _SLOWEST = 60, 0.1
-# Joints that a terminal has room for; of more, so many of the worst and of the best.
+# Most joints in a table of the terminal; of more, so many of the worst and of the best.
 _ROWS, _FIRST, _LAST = 8, 3, 2
 
 
 def grouped(items, key):
     """Group items by a key, a list of (key, items) in order."""
-    found = {}
-    for one in items:
-        found.setdefault(key(one), []).append(one)
-    return list(found.items())
+    groups = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return list(groups.items())
 
 
 # -- effects of the robot model --------------------------------------------------------
 
 
 def value_cells(effect):
-    """Write each parameter of an effect in the model in its plain unit, a list."""
-    # In degrees, mm, and per cent that a gain is too much or too little.
-    found = []
+    """Format the parameters of an effect of the robot model, a list."""
+    # In degrees, mm, and per cent by which a gain is too high or too low.
+    texts = []
     for name, value in effect.parameters.items():
         ends = effect.intervals.get(name)
         if name == "gain":
             sign = 1.0 if value >= 1.0 else -1.0
             excess = [100 * sign * (float(x) - 1.0) for x in (value, *(ends or ()))]
             size = words.with_error(excess[0], tuple(sorted(excess[1:])) or None, "%")
-            found.append(f"{size} too {'much' if sign > 0 else 'little'}")
+            texts.append(f"{size} too {'much' if sign > 0 else 'little'}")
         elif effect.units.get(name) in _FINE:
             scale, unit = _FINE[effect.units[name]]
             ends = ends and tuple(scale * float(end) for end in ends)
             text = words.with_error(scale * float(value), ends, unit)
-            found.append(f"{name.replace('_', ' ')} {text}")
-    return found
+            texts.append(f"{name.replace('_', ' ')} {text}")
+    return texts
 
 
 def remedies(outcome):
     """Return corrections of the robot model, (name, joint) -> correction."""
-    # Those that were declared are among them; insignificant ones are not.
-    possible = {(one.name, one.joint) for one in outcome.findings["possible"]}
-    found = {}
-    for one in outcome.robot["corrections"]:
-        begins = f"{outcome.robot['joints'][one.joint]}:{one.name}:", f"{one.name}:"
-        values = [x for x in outcome.facts_of("parameter") if x.name.startswith(begins)]
-        # Whether no value may be that of no fault, one of a gain and else zero.
-        beyond = [
+    # Declared corrections are included, insignificant ones are not.
+    possible = {(x.name, x.joint) for x in outcome.findings["possible"]}
+    corrections = {}
+    for e in outcome.robot["corrections"]:
+        prefix = f"{outcome.robot['joints'][e.joint]}:{e.name}:", f"{e.name}:"
+        values = [x for x in outcome.facts_of("parameter") if x.name.startswith(prefix)]
+        # Significant if its interval excludes the nominal value: 1 for gains, else 0.
+        excluded = [
             not x.interval[0] <= x.name.endswith(":gain") <= x.interval[1]
             for x in values
         ]
-        if (one.name, one.joint) not in possible and (any(beyond) or not beyond):
-            found[one.name, one.joint] = one
-    return found
+        if (e.name, e.joint) not in possible and (any(excluded) or not excluded):
+            corrections[e.name, e.joint] = e
+    return corrections
 
 
 # -- ranges ----------------------------------------------------------------------------
 
 
 def range_text(outcome, joint, quantity, pair):
-    """Write a range with its unit, "-1.2 to 1.3 rad"."""
+    """Format a range with its unit, "-1.2 to 1.3 rad"."""
     unit = _UNITS[quantity][int(outcome.errors[joint].unit == "N")]
     width = max(map(abs, pair))
     low, high = (words.number(0.0 if abs(x) < _ZERO * width else x) for x in pair)
@@ -84,15 +84,15 @@ def range_text(outcome, joint, quantity, pair):
 
 
 def motion_plan(outcome, joints):
-    """Rows of joints that are to move: range, speeds and seconds."""
+    """Return table rows of a motion: joint, range, speeds and duration."""
     limits, motion = outcome.robot.get("limits"), outcome.robot["motion"]
     rows = []
     for j in sorted(set(joints)) if motion and limits is not None else ():
-        one, (low, high, fastest) = motion[j], limits[j]
+        recorded, (low, high, fastest) = motion[j], limits[j]
         ends = low, high
         if not np.isfinite(ends).all():
-            ends = one.lowest, one.highest
-        fastest = fastest if math.isfinite(fastest) else one.fastest
+            ends = recorded.lowest, recorded.highest
+        fastest = fastest if math.isfinite(fastest) else recorded.fastest
         rows.append(
             (
                 words.joint_label(outcome.robot["joints"], j),
@@ -108,20 +108,20 @@ def motion_plan(outcome, joints):
 
 
 def unexplained_groups(outcome):
-    """Group residuals above the floor, those with signals joint by joint."""
+    """Group unexplained residuals, those that depend on signals by joint."""
     order = sorted(
         outcome.findings["unexplained"], key=lambda u: (not u.floor > 0, -u.of_torque)
     )
     groups = grouped(order, lambda u: (u.floor > 0, u.joint if u.signals else None))
-    return [own for _, own in groups]
+    return [group for _, group in groups]
 
 
 def to_record(outcome, status, signal_advice, no_period):
-    """Return what to record next, the most important first, advice -> joints."""
+    """Return what to record next, most important first, a dict advice -> joints."""
     findings, wanted = outcome.findings, {}
     library = outcome.robot["library"]
     if status == "faulty" or not outcome.searched or findings["contradictions"]:
-        return {}  # what no search looked for needs no other motion
+        return {}  # no open questions that another motion would answer
 
     def add(advice, joint, name=None):
         joints = wanted.setdefault(advice, []) if advice else []
@@ -130,16 +130,16 @@ def to_record(outcome, status, signal_advice, no_period):
 
     if findings["repeated"]:
         wanted[no_period] = []
-    for rest in findings["unexplained"]:
-        for name in [one.signal.split(" of ")[0] for one in rest.signals] or [""]:
-            add(signal_advice.get(name, ""), rest.joint)
+    for residual in findings["unexplained"]:
+        for name in [x.signal.split(" of ")[0] for x in residual.signals] or [""]:
+            add(signal_advice.get(name, ""), residual.joint)
     for effect in findings["effects"]:
-        rivals = [one["name"] for one in effect.trials]
+        rivals = [rival["name"] for rival in effect.trials]
         for name in (effect.name, *rivals) if rivals else ():
             add(library[name].record, effect.joint, effect.name)
-    for one in findings["not_identifiable"]:
-        if one.reason == "excitation":
-            add(library[one.name].record, one.joint, one.name)
+    for hidden in findings["not_identifiable"]:
+        if hidden.reason == "excitation":
+            add(library[hidden.name].record, hidden.joint, hidden.name)
     return wanted
 
 
@@ -147,12 +147,12 @@ def to_record(outcome, status, signal_advice, no_period):
 
 
 def agrees(mass, nominal, least=_OTHER_MASS):
-    """Whether a mass may pass for that of the robot description."""
+    """Whether a mass agrees with that of the robot description."""
     return min(mass, nominal) >= least * max(mass, nominal)
 
 
 def with_half(value, std):
-    """Write a value with half its 90 % interval."""
+    """Format a value with the half-width of its 90 % interval."""
     return words.with_error(value, (value - HALF_WIDTH * std, value + HALF_WIDTH * std))
 
 
@@ -160,30 +160,30 @@ def with_half(value, std):
 
 
 def error_rows(outcome, left_out=()):
-    """Cells of the errors of each joint, the largest error first, a list of dict."""
+    """Return the table cells of the errors of each joint, largest error first."""
     percent, rows = words.bare_percent, []
     left_out = [*left_out, *([] if outcome.robot["added"] else ["four terms"])]
-    for one in sorted(outcome.errors, key=lambda x: -np.nan_to_num(x.after, nan=-1)):
-        ends = one.intervals["after"]
-        known = np.isfinite(ends).all()
-        reach = f" [{percent(ends[0])}, {percent(ends[1])}]" if known else ""
+    for joint in sorted(outcome.errors, key=lambda x: -np.nan_to_num(x.after, nan=-1)):
+        ends = joint.intervals["after"]
+        finite = np.isfinite(ends).all()
+        interval = f" [{percent(ends[0])}, {percent(ends[1])}]" if finite else ""
         cells = {
-            "before": percent(one.before),
-            "four terms": percent(one.plain),
-            "after [90 %]": f"{percent(one.after)}{reach}",
-            # Without the sign of a zero.
-            "reduction": percent(np.round(one.before - one.after, 3) + 0.0),
-            "size": words.number(one.after * one.spread, 2),
-            "noise": percent(one.floor),
+            "before": percent(joint.before),
+            "four terms": percent(joint.plain),
+            "after [90 %]": f"{percent(joint.after)}{interval}",
+            # Adding zero removes the sign of a negative zero.
+            "reduction": percent(np.round(joint.before - joint.after, 3) + 0.0),
+            "size": words.number(joint.after * joint.spread, 2),
+            "noise": percent(joint.floor),
         }
         cells = {key: text for key, text in cells.items() if key not in left_out}
-        rows.append({"joint": one.joint, "cells": cells})
+        rows.append({"joint": joint.joint, "cells": cells})
     return rows
 
 
 def short_errors(outcome, verdicts):
-    """Heads and rows of the errors for a terminal, without the middle of many."""
-    # A line has room for the size in N m, or for a third error.
+    """Return heads and rows of the errors for a terminal; many rows are elided."""
+    # A line has room for the error in N m or for a third relative error.
     left_out = ["reduction", *(["size"] if outcome.robot["added"] else [])]
     if not np.isfinite(outcome.column("floor")).any():
         left_out.append("noise")
@@ -192,7 +192,7 @@ def short_errors(outcome, verdicts):
         cells, verdict = row["cells"], verdicts[row["joint"]]
         heads = ["error, %", *cells, ""]
         rows.append([verdict.label, *cells.values(), verdict.text])
-    units = "/".join(dict.fromkeys(one.unit for one in outcome.errors))
+    units = "/".join(dict.fromkeys(joint.unit for joint in outcome.errors))
     heads = [units if head == "size" else head for head in heads]
     if len(rows) > _ROWS:
         more = f"{len(rows) - _FIRST - _LAST} more (page)"
@@ -202,7 +202,7 @@ def short_errors(outcome, verdicts):
 
 
 def longest_error(outcome):
-    """Return the scale of the bars of the errors, one if there is none."""
+    """Return the scale of the error bars, 1 if no error is known."""
     sizes = [outcome.column(name) for name in ("before", "after", "floor")]
     sizes = np.concatenate([*sizes, *(x.intervals["after"] for x in outcome.errors)])
     return float(np.max(sizes, where=np.isfinite(sizes), initial=0.0)) or 1.0

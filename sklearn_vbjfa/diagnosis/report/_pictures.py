@@ -1,4 +1,4 @@
-"""Pictures of a page as paths: charts with axes."""
+"""Figures of a page as SVG paths: charts with axes."""
 
 from dataclasses import dataclass
 
@@ -7,29 +7,29 @@ import numpy as np
 from sklearn_vbjfa.diagnosis.report import _words as words
 
 WIDTH, HEIGHT = 400, 200
-# Most steps of an axis.
+# Maximum number of tick intervals of an axis.
 _STEPS = 5
-# Values farther than a share of their range beyond these quantiles are cut off, or a
-# spike would flatten the rest.
+# Values beyond these quantiles by more than a share of their range are clipped: an
+# outlier would compress the other values.
 _MOST, _REACH = (0.01, 0.99), 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """Charts that belong together."""
+    """Charts with a common title and legend."""
 
     title: str
     charts: tuple  # each a `Plot`, side by side
-    keys: tuple  # class and text of each entry of the legend
-    note: str = ""  # what is not in the frame
-    stacked: bool = False  # charts below one another, on one axis
+    keys: tuple  # style class and text of each legend entry
+    note: str = ""  # on clipped values
+    stacked: bool = False  # charts below one another, with a common axis
 
 
 class Plot:
-    """A frame with axes, and shapes in it."""
+    """A frame with axes and shapes."""
 
-    # x, y: ranges of the axes; labels: what they show, with units; shapes: pairs of a
-    # class in the style sheet and path data, from the back to the front.
+    # x, y: ranges of the axes; labels: quantities with units; shapes: pairs of a style
+    # class and path data, from back to front.
 
     def __init__(self, x, y, x_label, y_label, title=""):
         self.x, self.y, self.shapes = x, y, []
@@ -54,7 +54,7 @@ class Plot:
         self.add("zero", f"M0 {self.down(0.0):.1f}H{WIDTH}")
 
     def line(self, kind, x, y):
-        """Add a line; points that are nan interrupt it."""
+        """Add a line, interrupted by nan."""
         out, pen = [], "M"
         for a, b in zip(self.across(x), self.down(y)):
             out += [f"{pen}{a:.1f} {b:.1f}"] if np.isfinite(b) else []
@@ -62,23 +62,23 @@ class Plot:
         self.add(kind, "".join(out))
 
     def cloud(self, x, y):
-        """Add dots, as strokes of no length."""
-        seen = (x >= self.x[0]) & (x <= self.x[1])
-        places = zip(self.across(x[seen]), self.down(y[seen]))
-        self.add("cloud", "".join(f"M{a:.1f} {b:.1f}h0" for a, b in places))
+        """Add dots, as strokes of zero length."""
+        inside = (x >= self.x[0]) & (x <= self.x[1])
+        points = zip(self.across(x[inside]), self.down(y[inside]))
+        self.add("cloud", "".join(f"M{a:.1f} {b:.1f}h0" for a, b in points))
 
     def band(self, half):
-        """Add a band around zero over the whole width."""
+        """Add a band around zero, over the full width."""
         up, down = self.down([half, -half])
         self.add("floor", f"M0 {up:.1f}H{WIDTH}V{down:.1f}H0Z")
 
     def beyond(self, curves):
-        """Describe how far values go that are cut off; empty if none is."""
-        values = np.concatenate([own[np.isfinite(own)] for own in curves])
+        """Describe the extremes of clipped values; empty without any."""
+        values = np.concatenate([curve[np.isfinite(curve)] for curve in curves])
         low, high = np.min(values, initial=0.0), np.max(values, initial=0.0)
-        far = [words.number(low)] if low < self.y[0] else []
-        far += [words.number(high)] if high > self.y[1] else []
-        return f"Cut off: values to {' and '.join(far)}." if far else ""
+        texts = [words.number(low)] if low < self.y[0] else []
+        texts += [words.number(high)] if high > self.y[1] else []
+        return f"Cut off: values to {' and '.join(texts)}." if texts else ""
 
 
 # -- the figures of an outcome ---------------------------------------------------------
@@ -86,10 +86,10 @@ class Plot:
 
 def torques(outcome, curves):
     """Draw measured and predicted torque over time, and both residuals below."""
-    own, seconds = outcome.errors[curves.joint], curves.seconds
-    floor = own.floor * own.spread
-    # The declared model on top, or the completed one would hide where they agree; its
-    # residual goes behind that of the completed one.
+    joint, seconds = outcome.errors[curves.joint], curves.seconds
+    floor = joint.floor * joint.spread
+    # The prediction of the declared model is drawn last, to show where both agree; its
+    # residual is drawn first.
     upper = {
         "measured": curves.measured,
         "line-after": curves.after,
@@ -99,15 +99,15 @@ def torques(outcome, curves):
         kind: np.where(curves.counts, curves.measured - upper[kind], np.nan)
         for kind in ("line-before", "line-after")
     }
-    what, charts, notes = "torque" if own.unit == "N m" else "force", [], []
+    quantity, charts, notes = "torque" if joint.unit == "N m" else "force", [], []
     time = "held-out time, its stretches joined [s]"
-    for name, shown in ((what, upper), ("residual", lower)):
-        values, label = list(shown.values()), f"{name} [{own.unit}]"
+    for name, lines in ((quantity, upper), ("residual", lower)):
+        values, label = list(lines.values()), f"{name} [{joint.unit}]"
         plot = Plot(ends_of(seconds), range_of(np.concatenate(values)), time, label)
-        if shown is lower and floor > 0:
+        if lines is lower and floor > 0:
             plot.band(floor)
         plot.zero()
-        for kind, y in shown.items():
+        for kind, y in lines.items():
             plot.line(kind, seconds, y)
         notes.append(plot.beyond(values))
         charts.append(plot)
@@ -124,7 +124,7 @@ def torques(outcome, curves):
 
 
 def residuals(outcome, curves):
-    """Draw a residual over the predicted torque, and its autocorrelation."""
+    """Draw the residual over the predicted torque, and its autocorrelation."""
     unit = outcome.errors[curves.joint].unit
     x, y = curves.predicted, curves.residual
     cloud = Plot(ends_of(x), range_of(y), f"predicted [{unit}]", f"residual [{unit}]")
@@ -150,16 +150,16 @@ def residuals(outcome, curves):
 
 
 def ticks(low, high):
-    """Return round values between two ends with their texts, a tuple of pairs."""
+    """Return round values between two limits with their labels, a tuple of pairs."""
     step = _step(high - low)
     first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
-    # without the sign of a zero
+    # Adding zero removes the sign of a negative zero.
     values = (step * np.arange(first, last + 1) + 0.0).tolist()
     return tuple((value, words.number(value, 4)) for value in values)
 
 
 def _step(length):
-    """Return the finest of 1, 2, 5, 10, ... with no more steps than there is room."""
+    """Return the smallest step of 1, 2, 5, 10, ... with at most `_STEPS` steps."""
     power = 10.0 ** np.floor(np.log10(length / _STEPS))
     steps = (k * power for k in (1, 2, 5, 10))
     return next(step for step in steps if length / step <= _STEPS + 1e-9)
@@ -171,13 +171,13 @@ def ends_of(values):
 
 
 def range_of(values):
-    """Find the ends of a vertical axis: all but outliers, and zero."""
+    """Return the limits of a vertical axis: all values but outliers, and zero."""
     values = values[np.isfinite(values)]
     low, high = np.quantile(values, _MOST) if values.size else (0.0, 0.0)
-    reach = _REACH * (high - low)
-    low = min(max(float(low - reach), float(np.min(values, initial=0.0))), 0.0)
-    high = max(min(float(high + reach), float(np.max(values, initial=0.0))), 0.0)
+    excess = _REACH * (high - low)
+    low = min(max(float(low - excess), float(np.min(values, initial=0.0))), 0.0)
+    high = max(min(float(high + excess), float(np.max(values, initial=0.0))), 0.0)
     if not high > low:
         return -1.0, 1.0
-    room = 0.06 * (high - low)
-    return low - room, high + room
+    margin = 0.06 * (high - low)
+    return low - margin, high + margin

@@ -1,4 +1,4 @@
-"""Templates: sentences as plain text, pages, and the layout of a terminal."""
+"""Rendering of templates: sentences, pages, and terminal text."""
 
 import html
 import re
@@ -15,15 +15,15 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import InModel
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
-# Characters of a terminal's line, and of the longest word that a table leaves whole.
+# Line width of the terminal, and longest word that a table does not break [characters].
 _TERMINAL, _LONG = 80, 20
-# Spaces at which no line is broken.
+# Spaces at which lines are not broken, such as those before units.
 _UNIT = re.compile(
     r"(?<=\d) (?=%|x\b|Hz|N\b|m\b|rad|kg|s\b)|(?<=\bN) (?=m\b)|(?<=kg) (?=m)| (?=s/)|"
     r" (?=\+-)|(?<=\+-) | (?==)|(?<=[<>=]) (?=\d)|(?<=joint) (?=\d)| (?=: 1)|"
     r"(?<= :) (?=1)"
 )
-# Signs of a page; a number and its unit stay on one line.
+# Typographic replacements in pages; a no-break space joins number and per cent sign.
 _SIGNS = (("+-", "±"), ("^2", "²"), ("^3", "³"), (" %", "\u00a0%"))
 
 
@@ -32,7 +32,7 @@ _SIGNS = (("+-", "±"), ("^2", "²"), ("^3", "³"), (" %", "\u00a0%"))
 
 @lru_cache
 def environment(is_page, package=__package__):
-    """Return the templates of a page, or those of plain text, of a package."""
+    """Return the Jinja environment of a package, for pages or for plain text."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -57,16 +57,16 @@ def environment(is_page, package=__package__):
 
 
 def line(text):
-    """Collapse the white space of a text; none is left before a mark."""
+    """Collapse white space, and remove it before punctuation marks."""
     return re.sub(r"\s+([.,;)])(?=[\s.,;)]|$)", r"\1", " ".join(str(text).split()))
 
 
-def _each(make, items):
-    """Make a text of each item, a list."""
-    return [line(make(one)) for one in items]
+def _each(macro, items):
+    """Apply a macro to each item, a list of lines."""
+    return [line(macro(item)) for item in items]
 
 
-# Those of `words`, and a few more.
+# Functions for templates: those of `words`, and a few more.
 _FUNCTIONS = {name: x for name, x in vars(words).items() if callable(x)} | {
     "above_floor": ABOVE_FLOOR[0],
     "agrees": _facts.agrees,
@@ -74,9 +74,9 @@ _FUNCTIONS = {name: x for name, x in vars(words).items() if callable(x)} | {
     "finite": lambda x: bool(np.isfinite(x)),
     "half_width": HALF_WIDTH,
     "height": _pictures.HEIGHT,
-    # Place in per cent on a scale from zero.
+    # Position in per cent on a scale from zero.
     "on_scale": lambda x, longest: 100 * min(max(x / longest, 0.0), 1.0),
-    # To a thousandth of a degree, without the sign of a zero.
+    # Rounded to a thousandth of a degree; adding zero removes the sign of -0.
     "rpy": lambda angles: f'"{" ".join(f"{round(x, 5) + 0.0:.5f}" for x in angles)}"',
     "scaled": lambda ends, factor: ends and tuple(factor * x for x in ends),
     "ticks": _pictures.ticks,
@@ -87,8 +87,8 @@ _FUNCTIONS = {name: x for name, x in vars(words).items() if callable(x)} | {
 }
 
 
-class Voice:
-    """The sentences of a report on an outcome, by names of macros in the templates."""
+class Renderer:
+    """Renders a report on an outcome; sentences by names of template macros."""
 
     def __init__(self, outcome, verdict):
         self._outcome = outcome
@@ -100,10 +100,10 @@ class Voice:
             "source": outcome.provenance,
             "settings": outcome.provenance.get("settings", {}),
             "v": verdict,
-            "facts": lambda name, *given: getattr(_facts, name)(outcome, *given),
+            "facts": lambda name, *args: getattr(_facts, name)(outcome, *args),
             "figures": lambda name: [
-                getattr(_pictures, name)(outcome, one)
-                for one in outcome.curves.get(name, ())
+                getattr(_pictures, name)(outcome, curves)
+                for curves in outcome.curves.get(name, ())
             ],
             "joint": partial(words.joint_label, names),
             "joints": partial(words.joint_list, names),
@@ -124,52 +124,52 @@ class Voice:
         self.add(wanted=_facts.to_record(outcome, verdict.status, *advice))
 
     def add(self, **values):
-        """Add values that the templates of the page and of a terminal show."""
+        """Add values for the templates of the page and the terminal."""
         self._values |= values
 
     def __call__(self, name, *values):
-        """Return a sentence as one line, empty where there is nothing to say."""
+        """Render a sentence as one line, empty if it does not apply."""
         return line(getattr(self._module, name)(*values))
 
     def text(self):
-        """Write the report for a terminal."""
+        """Render the report for a terminal."""
         template = environment(False).get_template("terminal.txt.j2")
         text = template.render(self._values, table=text_table)
         return re.sub(r"\n{2,}(?=- )", "\n", text).strip("\n")
 
     def sections(self, *, whole):
-        """Return heading, anchor, markup and terms of the sections that have any."""
+        """Render nonempty sections: heading, anchor, markup and glossary."""
         values = self._values | {"whole": whole}
         module = environment(True).get_template("sections.html.j2").make_module(values)
-        known, found = set(), []
-        for heading, make in module.order:
-            body = make()
+        seen, sections = set(), []
+        for heading, macro in module.order:
+            body = macro()
             if not body.strip():
                 continue
             terms = [
                 (name, meaning)
                 for form, name, meaning in module.terms
-                if name not in known and re.search(form, f"{heading}\n{_read(body)}")
+                if name not in seen and re.search(form, f"{heading}\n{_text(body)}")
             ]
-            known |= {name for name, _ in terms}
+            seen |= {name for name, _ in terms}
             anchor = re.sub(r"[^a-z]+", "-", heading.lower())
-            found.append((heading, anchor, body, module.glossary(terms)))
-        return found
+            sections.append((heading, anchor, body, module.glossary(terms)))
+        return sections
 
     def page(self, *, whole=True):
-        """Write the report as a whole page, or as what a notebook shows."""
+        """Render the report as a whole page, or as a fragment for a notebook."""
         name = "page.html.j2" if whole else "fragment.html.j2"
         head, *sections = self.sections(whole=whole)
         return environment(True).get_template(name).render(head=head, sections=sections)
 
 
-def _read(body):
-    """Return what is read of a section."""
+def _text(body):
+    """Return the visible text of a section."""
     return html.unescape(re.sub("<[^>]*>", "\n", body)).replace("\u00a0", " ").strip()
 
 
 def _page_value(value):
-    """Write signs as a page has them."""
+    """Replace plain signs by typographic ones."""
     if type(value) is str:
         for plain, sign in _SIGNS:
             value = value.replace(plain, sign)
@@ -180,7 +180,7 @@ def _page_value(value):
 
 
 def _wrapped(text, indent="  "):
-    """Wrap a sentence, with no number apart from its unit."""
+    """Wrap a sentence, without breaks between numbers and units."""
     lines = textwrap.wrap(
         _UNIT.sub("\u00a0", line(text)),
         _TERMINAL,
@@ -191,12 +191,12 @@ def _wrapped(text, indent="  "):
 
 
 def text_table(heads, rows):
-    """Lay out a table for a terminal; its widest texts are wrapped until it fits."""
-    # All columns but the first and the last are numbers.
+    """Format a table for a terminal; the first and last columns are wrapped to fit."""
+    # All other columns are numbers.
     cells = [heads, *rows]
     widths = [max(map(len, column)) for column in zip(*cells)]
     last = len(widths) - 1
-    # No word is broken unless it is very long.
+    # Only very long words are broken.
     words_of = [" ".join(column).split() for column in zip(*cells)]
     least = [min(max(map(len, column), default=0), _LONG) for column in words_of]
     while sum(widths) + 2 * last > _TERMINAL:

@@ -1,4 +1,4 @@
-"""The report of a search for effects: data, a page and a terminal of one outcome."""
+"""The report of a search for effects, as data, page and terminal text."""
 
 import dataclasses
 import math
@@ -10,7 +10,7 @@ from sklearn.base import BaseEstimator
 from sklearn_vbjfa.diagnosis.explain import NO_INFORMATION
 from sklearn_vbjfa.diagnosis.report import _facts
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._render import Voice
+from sklearn_vbjfa.diagnosis.report._render import Renderer
 from sklearn_vbjfa.diagnosis.report._verdict import NO_ANSWER, judge
 
 
@@ -55,52 +55,52 @@ class Report:
 
     def __init__(self, outcome):
         self.outcome = outcome
-        found = judge(outcome)
-        self._voice = Voice(outcome, found)
-        say = self._voice
-        self.status = found.status
+        verdict = judge(outcome)
+        self._renderer = Renderer(outcome, verdict)
+        say = self._renderer
+        self.status = verdict.status
         self.joints = tuple(
-            dataclasses.replace(one, text=say("joint_text", one))
-            for one in found.joints
+            dataclasses.replace(joint, text=say("joint_text", joint))
+            for joint in verdict.joints
         )
         self.uses = tuple(
-            dataclasses.replace(one, reason=say("use_reason", one))
-            for one in found.uses
+            dataclasses.replace(use, reason=say("use_reason", use))
+            for use in verdict.uses
         )
         self.headline = say("headline")
         self.verdict = f"{self.headline} {say('errors')}".rstrip()
-        self.warnings = self._warnings(found.faults)
-        self._voice.add(
+        self.warnings = self._warnings(verdict.faults)
+        self._renderer.add(
             verdict=self.verdict, joint_verdicts=self.joints, uses=self.uses
         )
 
     def _warnings(self, faults):
-        """List what forbids a use, faults of the recording first."""
-        say, findings, robot = self._voice, self.outcome.findings, self.outcome.robot
+        """List the warnings that forbid a use, inconsistent recordings first."""
+        say, findings, robot = self._renderer, self.outcome.findings, self.outcome.robot
         channels = [c for c in findings["channels"] if c.kind in NO_INFORMATION]
-        known = set().union(*(c.joints for c in channels))
-        silent = [
-            one
-            for one in self.joints
-            if one.status in NO_ANSWER
-            or one.detail == "large"
-            or (one.status == "unsearched" and one.joint not in known)
+        excused = set().union(*(c.joints for c in channels))
+        unusable = [
+            joint
+            for joint in self.joints
+            if joint.status in NO_ANSWER
+            or joint.detail == "large"
+            or (joint.status == "unsearched" and joint.joint not in excused)
         ]
         joints = [
-            f"{text} ({words.joint_list(robot['joints'], [x.joint for x in own], 0)})"
-            for text, own in _facts.grouped(silent, lambda one: one.text)
+            f"{text} ({words.joint_list(robot['joints'], [x.joint for x in same], 0)})"
+            for text, same in _facts.grouped(unusable, lambda joint: joint.text)
         ]
-        apart = [say("contradiction")] if findings["contradictions"] else []
+        contradictions = [say("contradiction")] if findings["contradictions"] else []
         kinds = ("gains_unknown", "gains_hidden", "masses_unused")
         kinds = kinds if robot["gains"] else ("bodies_apart", "far_masses")
         values = filter(None, map(say, kinds))
-        quiet = [c.message for c in channels if c.severity == "warning"]
+        uninformative = [c.message for c in channels if c.severity == "warning"]
         export = self.outcome.provenance.get("export", ())
-        return (*apart, *faults, *joints, *values, *quiet, *export)
+        return (*contradictions, *faults, *joints, *values, *uninformative, *export)
 
     @property
     def has_open_questions(self):
-        """Whether another motion could decide what this recording leaves open."""
+        """Whether another motion could answer open questions of this recording."""
         findings = self.outcome.findings
         if self.status == "faulty" or findings["contradictions"]:
             return False
@@ -108,11 +108,11 @@ class Report:
             findings["unexplained"]
             or findings["repeated"]
             or any(effect.trials for effect in findings["effects"])
-            or any(one.reason == "excitation" for one in findings["not_identifiable"])
+            or any(x.reason == "excitation" for x in findings["not_identifiable"])
         )
 
     def __reduce__(self):
-        # Templates are no data.
+        # Templates cannot be pickled.
         return type(self), (self.outcome,)
 
     def __repr__(self):
@@ -120,7 +120,7 @@ class Report:
         return f"<Report: {self.status}, {count}>"
 
     def __str__(self):
-        return self._voice.text()
+        return self._renderer.text()
 
     def to_dict(self):
         """Return everything but the curves, ready for `json.dumps`.
@@ -145,20 +145,20 @@ class Report:
                 for x in self.uses
             ],
             "warnings": self.warnings,
-            "joint_names": [one.name for one in outcome.errors],
+            "joint_names": [joint.name for joint in outcome.errors],
             "errors": outcome.errors,
             **outcome.findings,
             "facts": outcome.facts,
-            # The library is no data: classes, for their words.
+            # The library consists of classes, used for their texts.
             "robot": {k: x for k, x in outcome.robot.items() if k != "library"},
             "provenance": outcome.provenance,
         }
         data = _json(data)
-        for row, one in zip(data["errors"], self.joints):
-            row |= {"status": one.status, "text": one.text}
+        for row, item in zip(data["errors"], self.joints):
+            row |= {"status": item.status, "text": item.text}
         for key in ("effects", "possible"):
-            for row, one in zip(data[key], outcome.findings[key]):
-                row |= {"log_odds": one.log_odds, "probability": one.probability}
+            for row, item in zip(data[key], outcome.findings[key]):
+                row |= {"log_odds": item.log_odds, "probability": item.probability}
         return data
 
     def to_html(self):
@@ -169,14 +169,14 @@ class Report:
         str
             HTML with its style and pictures inside; nothing is loaded from elsewhere.
         """
-        return self._voice.page()
+        return self._renderer.page()
 
     def _repr_html_(self):
-        return self._voice.page(whole=False)
+        return self._renderer.page(whole=False)
 
 
 def _json(value):
-    """Turn a value into what JSON knows; nan and infinity become None."""
+    """Convert a value to JSON types; nan and infinity become None."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     elif dataclasses.is_dataclass(value):
@@ -185,9 +185,9 @@ def _json(value):
         parameters = value.get_params(deep=False)
         value = {"class": type(value).__name__, "parameters": parameters}
     if isinstance(value, dict):
-        return {str(key): _json(one) for key, one in value.items()}
+        return {str(key): _json(x) for key, x in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [_json(one) for one in value]
+        return [_json(x) for x in value]
     if value is None or isinstance(value, bool | str | int):
         return value
     if isinstance(value, numbers.Real):

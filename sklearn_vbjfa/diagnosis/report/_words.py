@@ -1,4 +1,4 @@
-"""Words and numbers of a report: what an effect is called, how an error is written."""
+"""Labels and number formats of a report."""
 
 import functools
 import importlib.metadata
@@ -15,7 +15,7 @@ _SURE = math.log(1e6)
 
 
 def joint_label(names, joint):
-    """Name of a joint for a sentence: its own if that is one, else counted from 1."""
+    """Return the name of a joint for a sentence, or its number, counted from 1."""
     name = " ".join(names[joint].split()) if joint < len(names) else ""
     if not name or name.isdigit():
         return f"joint {joint + 1}"
@@ -28,7 +28,7 @@ def joint_label(names, joint):
 
 
 def joint_list(names, joints, most=3):
-    """Write several joints, by number where they are numbered; most: names of them."""
+    """Format several joints, by number if possible; most: maximum of names."""
     joints = sorted(set(joints))
     if len(joints) == len(names) > 1:
         return "all joints"
@@ -42,7 +42,7 @@ def joint_list(names, joints, most=3):
 
 
 def signal_label(signal, names, joint):
-    """Return the label of a signal such as "speed of joint2" for a joint."""
+    """Return the label of a signal, such as "speed of joint2", for a joint."""
     kind, _, name = signal.partition(" of ")
     if not name or name not in names:
         return signal
@@ -51,46 +51,46 @@ def signal_label(signal, names, joint):
 
 
 def effect_label(outcome, name, shape=None):
-    """Plain English for an effect of an outcome, with what matters of its shape."""
+    """Describe an effect of an outcome in plain English, with its shape."""
     joint = functools.partial(joint_label, outcome.robot["joints"])
     return outcome.robot["library"][name].describe(shape or {}, joint)
 
 
 def place_label(outcome, name, joint):
-    """Where an effect is: its joint, or the robot for one that belongs to none."""
+    """Return the place of an effect: its joint, or the robot."""
     if isinstance(outcome.robot["library"][name], OfRobot):
         return "robot"
     return joint_label(outcome.robot["joints"], joint)
 
 
 def effect_at(outcome, name, joint, shape=None):
-    """Name an effect with its joint, if it belongs to one."""
+    """Describe an effect with its joint, if it has one."""
     label, place = effect_label(outcome, name, shape), place_label(outcome, name, joint)
     return label if place == "robot" else f"{label} on {place}"
 
 
 def rival_labels(outcome, effect):
-    """Name the rivals of an effect, with the joints of those that are on others."""
+    """Describe the rivals of an effect, with their joints if these differ."""
     here = place_label(outcome, effect.name, effect.joint)
-    labels = (effect_at(outcome, **one) for one in effect.trials)
+    labels = (effect_at(outcome, **rival) for rival in effect.trials)
     return list(dict.fromkeys(x.removesuffix(f" on {here}") for x in labels))
 
 
 def documentation_of(name):
-    """Address of an effect's page; empty where the package names no documentation."""
+    """Return the URL of an effect's page; empty without a documentation URL."""
     try:
-        given = importlib.metadata.metadata("sklearn-vbjfa").get_all("Project-URL", [])
+        urls = importlib.metadata.metadata("sklearn-vbjfa").get_all("Project-URL", [])
     except importlib.metadata.PackageNotFoundError:
         return ""
-    pairs = (entry.partition(",") for entry in given)
-    found = {label.strip().lower(): address.strip() for label, _, address in pairs}
-    if name not in available() or "documentation" not in found:
+    pairs = (entry.partition(",") for entry in urls)
+    address_of = {label.strip().lower(): url.strip() for label, _, url in pairs}
+    if name not in available() or "documentation" not in address_of:
         return ""
-    return f"{found['documentation'].rstrip('/')}/effects/{name}.html"
+    return f"{address_of['documentation'].rstrip('/')}/effects/{name}.html"
 
 
 def number(value, digits=3):
-    """Write a number short, without an exponent where it is not needed."""
+    """Format a number briefly, with an exponent only if necessary."""
     if value is None or not math.isfinite(value):
         return "?"
     if value == 0:
@@ -103,24 +103,24 @@ def number(value, digits=3):
 
 
 def percent(value):
-    """Write a share in per cent, one decimal."""
+    """Format a share in per cent, with one decimal."""
     if value is None or not math.isfinite(value):
         return "?"
     return f"{100 * value:.0f} %" if abs(value) >= 0.9995 else f"{100 * value:.1f} %"
 
 
 def bare_percent(value):
-    """Write a share in per cent without the sign, for a table."""
+    """Format a share in per cent without the sign, for a table."""
     return "-" if value is None or not math.isfinite(value) else f"{100 * value:.1f}"
 
 
 def whole_percent(value):
-    """Write a share in whole per cent."""
+    """Format a share in whole per cent."""
     return "?" if value is None or not math.isfinite(value) else f"{100 * value:.0f} %"
 
 
 def p_text(value):
-    """Write a p-value."""
+    """Format a p-value."""
     if value is None or not math.isfinite(value):
         return "p unknown"
     if value < _TINY:
@@ -129,7 +129,7 @@ def p_text(value):
 
 
 def odds_text(log_odds):
-    """Write odds for or against, by their logarithm: "350 : 1"."""
+    """Format odds, given their logarithm: "350 : 1"."""
     if not math.isfinite(log_odds):
         return "unknown"
     if abs(log_odds) > _SURE:
@@ -139,16 +139,16 @@ def odds_text(log_odds):
 
 
 def with_error(value, interval=None, unit=""):
-    """Write a value with half its 90 % interval, rounded to what the latter means."""
+    """Format a value with the half-width of its 90 % interval, both rounded."""
     unit = f" {unit}" if unit else ""
     if isinstance(value, str):
         return value
-    known = interval is not None and all(map(math.isfinite, (value, *interval)))
-    half = 0.5 * (interval[1] - interval[0]) if known else 0.0
+    finite = interval is not None and all(map(math.isfinite, (value, *interval)))
+    half = 0.5 * (interval[1] - interval[0]) if finite else 0.0
     if not half > 0:
         return number(value) + unit
     size = math.floor(math.log10(half))
-    # A leading 1 is given a second digit, which rounding would change by up to half.
+    # A leading 1 gets a second digit: rounding it would change the value by up to half.
     size -= half / 10**size < 1.95
     largest = max(abs(value), half)
     if largest >= 1e5 or largest < 1e-4:
@@ -163,21 +163,21 @@ def with_error(value, interval=None, unit=""):
 
 
 def parameter_text(effect):
-    """Return "Fc = 1.2 +- 0.1 N m" for each parameter worth reading."""
-    found = []
+    """Return "Fc = 1.2 +- 0.1 N m" for each scalar parameter."""
+    texts = []
     for key, value in effect.parameters.items():
         if key in ("of", "other", "signal") or isinstance(value, tuple):
             continue
         interval = effect.intervals.get(key)
-        # A share has no unit that anyone would write.
+        # Ratios are written without a unit.
         unit = effect.units.get(key, "")
         unit = "" if unit == "1" else unit
-        found.append(f"{key} = {with_error(value, interval, unit)}")
-    return found
+        texts.append(f"{key} = {with_error(value, interval, unit)}")
+    return texts
 
 
 def join(parts, most=3, word="and"):
-    """Write a list as a sentence does; what is beyond the most, if any, is counted."""
+    """Join a list for a sentence; items beyond the maximum, if any, are counted."""
     parts = list(parts)
     if most is not None and len(parts) > most + 1:
         parts = [*parts[:most], f"{len(parts) - most} more"]
@@ -187,12 +187,12 @@ def join(parts, most=3, word="and"):
 
 
 def plural(count, noun):
-    """Write a count with its noun."""
+    """Format a count with its noun."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def capital(text):
-    """Begin a sentence; the name of a joint is not changed."""
+    """Capitalise the first letter of a sentence, unless it is a joint name."""
     first = re.match(r"\S*", text)[0].rstrip(",:.")
     if re.search("joint|axis", first) and first not in ("joint", "joints", "axis"):
         return text

@@ -204,12 +204,12 @@ def _is_hidden(effect, found, missing):
         name = family.effects[0].name
         if name == effect.name or name in simpler:
             if family.columns.load is not None:
-                columns = found.fit.problem.shaped(family.columns.effects)
+                columns = found.fit.problem.columns(family.columns.effects)
                 family = replace(family, columns=columns)
             if name == effect.name:
                 families.append(family)
             else:
-                fit = fit.beside(family.member(0, _LOOSE))
+                fit = fit.with_member(family.member(0, _LOOSE))
     for family in families:
         groups = fit.groups(family.columns)
         remaining = np.diagonal(groups.H, axis1=1, axis2=2)[family.at]

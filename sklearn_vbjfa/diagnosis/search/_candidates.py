@@ -115,7 +115,7 @@ class Candidates:
         # Stack columns to compute moments at once, apart from load-dependent columns,
         # which change with the load.
         for (j, *_), uses in counted(kinds.items(), "candidate", len(kinds)):
-            columns = problem.shaped(list(itertools.chain(*uses)))
+            columns = problem.columns(list(itertools.chain(*uses)))
             ends = np.cumsum([0, *map(len, uses)]).tolist()
             slices = itertools.starmap(slice, itertools.pairwise(ends))
             self.families[j] += [Family(columns, at) for at in slices]
@@ -174,7 +174,7 @@ class Candidates:
         if isinstance(candidate.effect, Sudden):
             # A slightly wrong instant leaves a residual as large as the jump.
             scale = self.settings.scale
-            near = fit.problem.shaped([jump(fit, candidate.effect, scale, near=True)])
+            near = fit.problem.columns([jump(fit, candidate.effect, scale, near=True)])
             coef = fit.groups(near).coefficients()[0]
             excess = fit.overdispersion(near, 0, coef, self.noise)
         else:

@@ -99,23 +99,23 @@ class HeldOut:
 class HeldOutFit:
     """A cross-validated model, see `HeldOut`."""
 
-    def __init__(self, held, fit):
-        self.held, self.fit = held, fit
-        self._r = r = held.A.shape[2] - 1
+    def __init__(self, data, fit):
+        self.data, self.fit = data, fit
+        self._r = r = data.A.shape[2] - 1
         self._slices = [slice(r + s.start, r + s.stop) for s in fit.slices]
-        self._columns = [self._joint_terms(j) for j in held.used_joints]
+        self._columns = [self._joint_terms(j) for j in data.used_joints]
         # Weights of the joints by the residuals of the fit.
-        power = (fit.residual[held.used_joints] ** 2).sum(axis=1)
-        target = held.view.target[held.used_joints]
+        power = (fit.residual[data.used_joints] ** 2).sum(axis=1)
+        target = data.view.target[data.used_joints]
         smallest = _TINY**2 * (target**2).sum(axis=1)
-        self.weight = held.view.rows[held.used_joints] / np.maximum(power, smallest)
+        self.weight = data.view.rows[data.used_joints] / np.maximum(power, smallest)
         by_fold = self._products(r + fit.n_coefficients)
         total = by_fold.sum(axis=0)
         ridge = _RIDGE * max(np.trace(total[:r, :r]) / max(r, 1), 1.0)
         prior = np.r_[np.full(r, ridge), fit.prior]
         precision, zero = np.diag(prior), fit.problem.held
         if zero.any():
-            gram, rows = total[:r, :r] + precision[:r, :r], held.view.one_sided[zero]
+            gram, rows = total[:r, :r] + precision[:r, :r], data.view.one_sided[zero]
             precision[:r, :r] += precision_at_zero(gram, rows)
         self._applied = np.r_[np.zeros(r), fit.applied]
         # by the indices of the members that are left out
@@ -129,21 +129,21 @@ class HeldOutFit:
     def _joint_terms(self, j):
         """Return indices (p_j,) of coefficients that act on a joint, and columns."""
         terms = [
-            (np.r_[place], self.held.columns(member)[member.joints.index(j)])
+            (np.r_[place], self.data.columns(member)[member.joints.index(j)])
             for place, member in zip(self._slices, self.fit.members)
             if j in member.joints
         ]
-        empty = np.zeros(0, int), np.zeros((self.held.row_fold.size, 0))
+        empty = np.zeros(0, int), np.zeros((self.data.row_fold.size, 0))
         return tuple(np.concatenate(parts, axis=-1) for parts in zip(empty, *terms))
 
     def _products(self, p):
         """Compute weighted Gram matrices of all columns and torques (last) by fold."""
-        held = self.held
-        base, products = np.r_[: self._r, p], np.zeros((len(held.rows), p + 1, p + 1))
-        joints = zip(self.weight, held.A, held.gram, self._columns)
+        data = self.data
+        base, products = np.r_[: self._r, p], np.zeros((len(data.rows), p + 1, p + 1))
+        joints = zip(self.weight, data.A, data.gram, self._columns)
         for weight, A, gram, (at, X) in joints:
             products[:, base[:, None], base] += weight * gram
-            for moments, rows in zip(products, held.rows):
+            for moments, rows in zip(products, data.rows):
                 cross = weight * (X[rows].T @ A[rows])
                 moments[at[:, None], base] += cross
                 moments[base[:, None], at] += cross.T
@@ -152,9 +152,9 @@ class HeldOutFit:
 
     def _residual(self, thetas, j):
         """Compute residuals (m,) of the j-th joint by the coefficients of each fold."""
-        theta, (at, X), A = np.transpose(thetas), self._columns[j], self.held.A[j]
+        theta, (at, X), A = np.transpose(thetas), self._columns[j], self.data.A[j]
         fitted = A[:, :-1] @ theta[: self._r] + X @ theta[at]
-        return A[:, -1] - fitted[np.arange(len(A)), self.held.row_fold]
+        return A[:, -1] - fitted[np.arange(len(A)), self.data.row_fold]
 
     @property
     def squares(self):
@@ -163,12 +163,12 @@ class HeldOutFit:
 
     def error(self):
         """Return the log mean squared errors of the joints, weighted by their rows."""
-        rows = self.held.view.rows[self.held.used_joints]
+        rows = self.data.view.rows[self.data.used_joints]
         return float(rows @ np.log(self.squares.sum(axis=0) / rows))
 
     def error_of(self, joint):
         """Return the squared error of one joint."""
-        index = np.searchsorted(self.held.used_joints, joint)
+        index = np.searchsorted(self.data.used_joints, joint)
         return float(self.without((), [index]).sum())
 
     def _joints_of(self, i):
@@ -177,7 +177,7 @@ class HeldOutFit:
         # Errors of several joints are added in units of noise.
         if isinstance(effect, (OnAllJoints, InModel)):
             return np.arange(self.weight.size), self.weight
-        return np.searchsorted(self.held.used_joints, [effect.joint]), np.ones(1)
+        return np.searchsorted(self.data.used_joints, [effect.joint]), np.ones(1)
 
     def without(self, numbers, joints):
         """Return squared errors (n_blocks, nj) of a refit without some members."""
@@ -185,7 +185,7 @@ class HeldOutFit:
         for j in joints:
             if j not in errors:
                 squares = self._residual(self._refitted(tuple(numbers)), j) ** 2
-                errors[j] = np.add.reduceat(squares, self.held.edges[:-1])
+                errors[j] = np.add.reduceat(squares, self.data.edges[:-1])
         return np.stack([errors[j] for j in joints], axis=1)
 
     def _refitted(self, numbers):
@@ -225,19 +225,19 @@ class HeldOutFit:
         """Cross-validated residuals (nv, m), times the square roots of the weights."""
         # Divided by their predicted standard deviation in units of noise, which is
         # large if the other folds have to be extrapolated.
-        held = self.held
-        scaled = np.zeros_like(held.view.target)
-        rows = np.arange(scaled.shape[1])[held.order]
+        data = self.data
+        scaled = np.zeros_like(data.view.target)
+        rows = np.arange(scaled.shape[1])[data.order]
         residual = np.zeros((len(self._columns), rows.size))
         for j, r in enumerate(residual):
             r[:] = self._residual(self._thetas[()], j)
-        for r, weight, A, (at, X) in zip(residual, self.weight, held.A, self._columns):
-            for factor, fold in zip(self._factors, held.rows):
+        for r, weight, A, (at, X) in zip(residual, self.weight, data.A, self._columns):
+            for factor, fold in zip(self._factors, data.rows):
                 columns = np.zeros((fold.sum(), self._applied.size))
                 columns[:, : self._r], columns[:, at] = A[fold, :-1], X[fold]
                 variance = columns.T * linalg.cho_solve(factor, columns.T)
                 r[fold] /= np.sqrt(1.0 + weight * variance.sum(axis=0))
-        scaled[held.used_joints[:, None], rows] = residual
+        scaled[data.used_joints[:, None], rows] = residual
         return scaled
 
 

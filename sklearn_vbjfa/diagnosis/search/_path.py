@@ -216,7 +216,7 @@ class Path:
         if effect is candidate.effect:
             member = candidate.family.member(candidate.best, scale)
         else:
-            member = fit.problem.shaped([effect]).member()
+            member = fit.problem.columns([effect]).member()
         best = fit.groups(member.columns).best_scale(scale)[0]
         return replace(member, scale=float(best))
 
@@ -265,7 +265,7 @@ class Path:
             candidate = self.candidates.candidate(base, family)
             if candidate is None:
                 continue
-            alone = base.beside(self._member(base, candidate))
+            alone = base.with_member(self._member(base, candidate))
             alone = self.scaled(step_shapes(alone, [len(base.members)]))
             alone_error, error, base_error = (
                 self.held_out(model).error_of(joint) for model in (alone, fit, base)
@@ -331,7 +331,7 @@ class Path:
                 and o.effect.key() != member.effect.key()
             ]
             for candidate in rivals[:3]:
-                new = base.beside(self._member(base, candidate))
+                new = base.with_member(self._member(base, candidate))
                 new = self.scaled(step_shapes(new, [len(base.members)]))
                 *others, new_odds = candidates.log_odds(new, usual=True)
                 # A candidate that contains the member must replace others as well.
@@ -392,7 +392,7 @@ class Path:
         """Fit a model with given effects, including the load that they imply."""
         fit, scale = self.begin(), self.settings.scale
         for _ in range(_ROUNDS):
-            members = [fit.problem.shaped([e]).member(scale=scale) for e in effects]
+            members = [fit.problem.columns([e]).member(scale=scale) for e in effects]
             fit = relinearise(self.scaled(with_joint_weights(Fit(fit.base, members))))
             effects = [m.effect for m in fit.members]
         return self.scaled(with_joint_weights(fit))
@@ -427,7 +427,7 @@ def relinearise(fit):
     problem = problem.changed(motion=motion)
     # Columns change with the load or the robot only.
     updated = [
-        problem.shaped([m.effect]).member(scale=m.scale)
+        problem.columns([m.effect]).member(scale=m.scale)
         if corrected or "load" in m.effect.needs
         else m
         for m in members

@@ -191,7 +191,7 @@ def _can_replace(path, candidate, fit, i, threshold):
     if geometry == [False, True] and candidate.order > threshold:
         # Geometric columns are derivatives of a torque that includes the member's.
         reduced, family = relinearise(fit.without(i)), candidate.family
-        columns = reduced.problem.shaped(family.columns.effects)
+        columns = reduced.problem.columns(family.columns.effects)
         candidate = path.candidates.candidate(reduced, replace(family, columns=columns))
         candidate = candidate and path.candidates.discounted(reduced, candidate)
     return all(geometry) or bool(candidate and candidate.order > threshold)

@@ -180,13 +180,13 @@ class Problem:
             vars(problem).pop(name, None)
         return problem
 
-    def shaped(self, effects):
+    def columns(self, effects):
         """Return `Columns` of an effect with several shapes, list of Effect."""
         key, joints = self._key(effects), effects[0].acts_on(self.view.nv)
         load = self.motion if any("load" in e.needs for e in effects) else None
         columns = self.view.cache.get(key)
         if columns is None or columns.load is not load:
-            values, size = self.view.shaped(effects, self.motion, self.cosines)
+            values, size = self.view.column_cosines(effects, self.motion, self.cosines)
             # The unit of an effect on several joints is that of the most affected one.
             largest = (size * self._per_torque[joints][:, None, None]).max(axis=0)
             unit = (largest > 0) / or_one(largest)
@@ -293,7 +293,7 @@ class Base:
             y[j] += values[:, 0] @ applied
         other.problem = self.problem.changed(y=y)
         other._cache = WeakKeyDictionary()
-        other.t = self.t + self.beside(member.columns).T @ applied
+        other.t = self.t + self.reduced_moments(member.columns).T @ applied
         return other
 
     def weighted(self, joints, products):
@@ -302,7 +302,7 @@ class Base:
         total = density @ products.reshape(density.size, -1)
         return total.reshape(products.shape[2:])
 
-    def beside(self, columns):
+    def reduced_moments(self, columns):
         """Return the moments of `Columns` given the declared ones."""
         if columns not in self._cache:
             joints, (c, k) = columns.joints, columns.shape
@@ -369,7 +369,7 @@ class Fit:
 
     def _moments(self):
         """Compute B, H and q of the members' columns."""
-        moments = [self.base.beside(m.columns) for m in self.members]
+        moments = [self.base.reduced_moments(m.columns) for m in self.members]
         B = np.hstack([np.zeros((self.base.L.shape[0], 0)), *(x.T for x in moments)])
         H = -B.T @ B
         for j, (at, _, gram) in self._joint_terms.items():
@@ -449,7 +449,7 @@ class Fit:
     def groups(self, columns):
         """Return second moments of shapes (`Columns`) given the model, `Groups`."""
         if columns not in self._groups:
-            moments, (c, k) = self.base.beside(columns), columns.shape
+            moments, (c, k) = self.base.reduced_moments(columns), columns.shape
             cross = self.base.cross_products(self.members, columns)
             D = _solve(self._factor, cross - self._B.T @ moments.T)
             groups = Groups(
@@ -492,7 +492,7 @@ class Fit:
         self.groups(columns)
         k = columns.shape[1]
         at = slice(c * k, (c + 1) * k)
-        T = self.base.beside(columns).T[:, at] @ coef
+        T = self.base.reduced_moments(columns).T[:, at] @ coef
         D = self._groups[columns][1][:, at] @ coef
         coef_ = _solve(self._factor, D, transposed=True)
         theta = _solve(self.base.L, T - self._B @ coef_, transposed=True)
@@ -597,7 +597,7 @@ class Fit:
         result = []
         for member, at in zip(self.members, self.slices):
             inverse = np.linalg.inv(self.covariance[at, at])
-            gram = self.base.beside(member.columns).gram
+            gram = self.base.reduced_moments(member.columns).gram
             groups = Groups(
                 H=inverse[None] - np.diag(self.prior[at]),
                 q=(inverse @ (self._coef[at] + member.applied))[None],
@@ -633,7 +633,7 @@ class Fit:
         """Return the posterior mean of a member's coefficients, (k,)."""
         return self._coef[self.slices[i]]
 
-    def beside(self, member):
+    def with_member(self, member):
         """Return the fit with one more member."""
         return Fit(self.base, (*self.members, member))
 

@@ -133,7 +133,7 @@ def step_shapes(fit, indices):
     problem, motion = fit.problem, fit.problem.motion
     points = {i: ShapePoint.of(fit.members[i].effect, motion) for i in indices}
     points = {i: point for i, point in points.items() if point is not None}
-    families = {i: problem.shaped(p.around()) for i, p in points.items()}
+    families = {i: problem.columns(p.around()) for i, p in points.items()}
     for _ in range(MOST_STEPS):
         members = list(fit.members)
         for i, point in points.items():
@@ -147,7 +147,7 @@ def step_shapes(fit, indices):
         points = {i: points[i] for i in steps}
         for share in STEP_SHARES:
             moved = {i: point.moved(share * steps[i]) for i, point in points.items()}
-            new_families = {i: problem.shaped(p.around()) for i, p in moved.items()}
+            new_families = {i: problem.columns(p.around()) for i, p in moved.items()}
             members_ = list(fit.members)
             for i, family in new_families.items():
                 members_[i] = family.member(0, members_[i].scale)
@@ -202,7 +202,7 @@ def search_shapes(fit, indices, scale):
 def with_shape(fit, i, effect):
     """Return the fit with another shape of a member."""
     members = list(fit.members)
-    members[i] = fit.problem.shaped([effect]).member(scale=members[i].scale)
+    members[i] = fit.problem.columns([effect]).member(scale=members[i].scale)
     return Fit(fit.base, members)
 
 
@@ -213,14 +213,14 @@ def bank(fit, effect, shapes, scale):
     for shape in shapes:
         by_needs.setdefault(shape.needs, []).append(shape)
     for group in by_needs.values():
-        groups = fit.groups(problem.shaped(group))
+        groups = fit.groups(problem.columns(group))
         evidence = groups.evidence(scale)
         c = int(np.argmax(evidence))
         best.append((evidence[c], group[c], groups.coefficients()[c]))
     _, chosen, coef = max(best, key=lambda x: x[0])
     used = coef[: len(chosen.coefficients)] > 0
     if used.any():
-        finer = problem.shaped([chosen.only(used).finer()])
+        finer = problem.columns([chosen.only(used).finer()])
         used = fit.groups(finer).coefficients()[0] > 0
     return problem.only(finer, used).effects[0] if used.any() else effect
 
@@ -232,12 +232,12 @@ def jump(fit, effect, scale, near=False):
     """Return a jump with its most probable instant, if `near` without refinement."""
 
     def evidence(effects):
-        return fit.groups(fit.problem.shaped(effects)).evidence(scale)
+        return fit.groups(fit.problem.columns(effects)).evidence(scale)
 
     effects = [effect, *_instants(fit, effect, scale)]
     if near:
         return effects[int(np.argmax(evidence(effects)))]
-    return instant(effects, evidence, fit.problem.motion)
+    return refine_instant(effects, evidence, fit.problem.motion)
 
 
 def _instants(fit, effect, scale):
@@ -248,7 +248,7 @@ def _instants(fit, effect, scale):
     shapes = [e for e in fit.problem.shapes(effect) if e.key() == effect.key()]
     shapes.sort(key=lambda e: e.instant)
     grid = np.array([e.instant for e in shapes])
-    groups = fit.groups(fit.problem.shaped(shapes))
+    groups = fit.groups(fit.problem.columns(shapes))
     started = clone(effect).set_params(instant=-np.inf)
     columns = view.columns([started], motion)[:, :, 0]
     residual = fit.weighted_rows[effect.acts_on(view.nv)]
@@ -271,7 +271,7 @@ def _instants(fit, effect, scale):
     return best_effects
 
 
-def instant(effects, evidence, motion):
+def refine_instant(effects, evidence, motion):
     """Refine the instant of a jump around the best of several effects."""
     values = evidence(effects)
     estimate, best_value = effects[int(np.argmax(values))], float(values.max())

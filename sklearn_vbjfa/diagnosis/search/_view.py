@@ -349,7 +349,7 @@ class RecordingView:
             out[:, :, first : first + step] = np.moveaxis(rows * scale, 1, 0)
         return out
 
-    def shaped(self, effects, motion, cosines):
+    def column_cosines(self, effects, motion, cosines):
         """Compute cosines (nj, n, c, k) of an effect's columns, and RMS (nj, c, k)."""
         rows = self.columns(effects, motion)
         size = np.sqrt((rows**2).mean(axis=1))

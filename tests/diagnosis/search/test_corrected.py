@@ -88,7 +88,7 @@ def test_columns_pass_the_channel_as_the_torque_does(view):
         plain = view.columns([effect], motion)
         assert_allclose(other.columns([effect], motion), factor * plain)
         assert_allclose(
-            other.shaped([effect], motion, cosines)[0],
+            other.column_cosines([effect], motion, cosines)[0],
             factor * cosines(plain, [effect.joint]),
             atol=1e-12,
         )
@@ -98,7 +98,7 @@ def test_columns_pass_the_channel_as_the_torque_does(view):
         )
     # What was made for the one is not taken for the other.
     assert_allclose(
-        view.shaped([Coulomb(1)], motion, cosines)[0],
+        view.column_cosines([Coulomb(1)], motion, cosines)[0],
         cosines(view.columns([Coulomb(1)], motion), [1]),
         atol=1e-12,
     )

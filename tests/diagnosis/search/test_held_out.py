@@ -40,7 +40,7 @@ def literal(fit, left_out, members, block_fold=None, studentised=False, counted=
         own = fit.members[i]
         X = np.zeros((view.nv, view.index.size, own.width))
         (joint,) = own.joints
-        X[joint] = view.columns([own.effect], left_out.held.motion)[0, :, 0]
+        X[joint] = view.columns([own.effect], left_out.data.motion)[0, :, 0]
         columns.append(X)
         precision.append(1.0 / (own.scale * own.unit) ** 2)
     A = np.concatenate(columns, axis=2)
@@ -52,7 +52,7 @@ def literal(fit, left_out, members, block_fold=None, studentised=False, counted=
     squares = np.zeros((view.blocks.n_blocks, view.nv))
     if block_fold is None:
         firsts = [np.argmax(view.blocks.label == b) for b in range(len(squares))]
-        block_fold = left_out.held.fold[firsts]
+        block_fold = left_out.data.fold[firsts]
     for fold in np.unique(block_fold):
         out = np.isin(view.blocks.label, np.flatnonzero(block_fold == fold))
         rows = (A[:, ~out] * root[:, :, None]).reshape(-1, A.shape[2])
@@ -119,7 +119,7 @@ def test_folds_may_be_given():
     view = fit.problem.view
     found = HeldOut(view, view.blocks.fold).fitted(fit)
     assert_allclose(found.squares, literal(fit, found, [0, 1, 2]), rtol=3e-4)
-    assert_array_equal(found.held.fold, view.blocks.fold)
+    assert_array_equal(found.data.fold, view.blocks.fold)
 
 
 def test_what_was_fitted_is_not_shrunk_by_the_noise_of_what_lacked_it(fitted):

@@ -223,7 +223,7 @@ def test_a_fit_without_a_member_is_that_of_the_others():
         again = of([m for k, m in enumerate(MEMBERS) if k != i])
         assert_allclose(rest.theta, again.theta, rtol=1e-9)
         assert rest.log_evidence() == pytest.approx(again.log_evidence(), abs=1e-6)
-    more = of(MEMBERS[:2]).beside(MEMBERS[2])
+    more = of(MEMBERS[:2]).with_member(MEMBERS[2])
     assert_allclose(more.theta, fit.theta, rtol=1e-9)
 
 
@@ -241,7 +241,7 @@ def test_without_what_corrects_the_robot_its_corrections_are_undone():
     own = MEMBERS[2].columns
     whole = Columns([Offset(1)], own.joints, own.values, own.unit, own.edges)
     whole = whole.member(scale=MEMBERS[2].scale)
-    more = expected.beside(whole)
+    more = expected.with_member(whole)
     assert more.log_evidence() - expected.log_evidence() == pytest.approx(
         found, abs=1e-6
     )
@@ -258,7 +258,9 @@ def test_integrating_the_scale_is_the_sum_of_fits_with_one():
     ratio = scales / 0.1
     prior = ratio / (1 + ratio**2)
     logs = [
-        rest.beside(SelectedEffect(columns=own.columns, scale=scale)).log_evidence()
+        rest.with_member(
+            SelectedEffect(columns=own.columns, scale=scale)
+        ).log_evidence()
         for scale in scales
     ]
     logs = np.array(logs) - rest.log_evidence()
@@ -342,7 +344,7 @@ def literal_scores(fit, own, coef, noise=None):
 
 def test_the_scatter_of_a_score_is_that_of_its_blocks(fitted):
     """The sandwich over the Hessian, where blocks scatter more than moments say."""
-    own = fitted.problem.shaped([Spring(1)])
+    own = fitted.problem.columns([Spring(1)])
     coef = np.array([1.0, 0.2])
     scores, promised = literal_scores(fitted, own.member(), coef)
     plain = scores.var(ddof=1) * scores.size / promised
@@ -363,7 +365,7 @@ def test_the_scatter_of_a_score_is_that_of_its_blocks(fitted):
 
 def test_an_effect_that_comes_and_goes_is_worth_less(fitted):
     """A score whose sign changes slowly scatters more than one of white noise."""
-    own, coef = fitted.problem.shaped([Spring(1)]), np.array([1.0, 0.2])
+    own, coef = fitted.problem.columns([Spring(1)]), np.array([1.0, 0.2])
     rows = fitted.scores
     sign = np.sign(np.sin(2 * np.pi * np.arange(rows.shape[1]) / rows.shape[1]))
     direction = own.values[0, :, 0] @ coef * np.sqrt(fitted.base.weights[1])
@@ -381,7 +383,7 @@ def test_an_effect_that_comes_and_goes_is_worth_less(fitted):
 )
 def test_functions_of_time_are_told_by_the_slowest_changes(fitted, effect, taken):
     """Their mean power, but for those that the effect has taken itself."""
-    own = fitted.problem.shaped([effect])
+    own = fitted.problem.columns([effect])
     coef = np.ones(len(effect.coefficients))
     shape = np.zeros((2, own.values.shape[1]))
     shape[list(own.joints)] = own.values[:, :, 0] @ coef

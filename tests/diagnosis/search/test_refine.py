@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.diagnosis.search._refine import ShapePoint, instant
+from sklearn_vbjfa.diagnosis.search._refine import ShapePoint, refine_instant
 from tests.diagnosis.search._searches import CLEAN, search, stribeck
 
 MOTION = search(CLEAN.torque(), ["stribeck"]).view.motion(None)
@@ -23,7 +23,9 @@ def test_bounds_are_the_next_points_of_the_grid():
 
 def best(start, evidence, motion):
     """Search an instant with a known evidence (of one effect) beside a fit."""
-    return instant([start], lambda some: np.array([*map(evidence, some)]), motion)
+    return refine_instant(
+        [start], lambda some: np.array([*map(evidence, some)]), motion
+    )
 
 
 @pytest.mark.parametrize("name", ["stribeck", "ripple"])

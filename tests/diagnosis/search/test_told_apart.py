@@ -87,7 +87,7 @@ def test_a_search_names_what_is_there(truth):
 def test_what_the_bodies_do_as_well_is_never_offered(level, effect):
     """The zero of a vertical joint, and of the last one, whose body may be turned."""
     problem = level.fit.problem
-    groups = level.fit.groups(problem.shaped(problem.shapes(effect, first=True)))
+    groups = level.fit.groups(problem.columns(problem.shapes(effect, first=True)))
     evidence = groups.evidence(level.settings.scale)
     assert not evidence.max() > np.log(level.n_candidates) + level.needed
 

@@ -227,8 +227,8 @@ class Candidates:
 
     def probable(self):
         """Return all probable cached candidates, list."""
-        candidates = [o for _, _, cached in self._cache.values() for o in cached]
-        return [o for o in candidates if o.log_odds > self.least]
+        candidates = [c for _, _, cached in self._cache.values() for c in cached]
+        return [c for c in candidates if c.log_odds > self.least]
 
     def is_deferred(self, fit, candidate):
         """Check if the model has an effect that a candidate contains."""
@@ -249,10 +249,10 @@ class Candidates:
             self._cache[joint] = white, members, self.on(fit, joint)
         candidates = self._cache[joint][2]
         while True:
-            probable = [o for o in candidates if o.log_odds > self.least]
+            probable = [c for c in candidates if c.log_odds > self.least]
             if not probable:
                 return None
-            best = min(probable, key=lambda o: (self.is_deferred(fit, o), -o.order))
+            best = min(probable, key=lambda c: (self.is_deferred(fit, c), -c.order))
             if best.discounted:
                 return self._simpler(fit, best, candidates)
             candidates.remove(best)
@@ -266,29 +266,29 @@ class Candidates:
         # 1996, doi 10.2307/3315687).
         names = closure(best.effect, self.library)
         parts = [
-            o for o in candidates if o.effect.name in names and o.log_odds > self.least
+            c for c in candidates if c.effect.name in names and c.log_odds > self.least
         ]
-        alone = [o for o in self.best_discounted(fit, parts) if o.log_odds > self.least]
+        alone = [c for c in self.best_discounted(fit, parts) if c.log_odds > self.least]
         return alone[0] if alone else best
 
     def best_discounted(self, fit, candidates, margin=0.0):
         """Return discounted candidates within a margin of the best, the best first."""
         # Discounting only lowers evidence: skip candidates below the best discounted.
-        discounted, remaining = [], sorted(candidates, key=lambda o: o.order)
+        discounted, remaining = [], sorted(candidates, key=lambda c: c.order)
         best = -np.inf
         while remaining and remaining[-1].order > best - margin:
             candidate = self.discounted(fit, remaining.pop())
             if candidate is not None:
                 discounted.append(candidate)
                 best = max(best, candidate.order)
-        discounted = [o for o in discounted if o.order > best - margin - 1e-9]
-        return sorted(discounted, key=lambda o: -o.order)
+        discounted = [c for c in discounted if c.order > best - margin - 1e-9]
+        return sorted(discounted, key=lambda c: -c.order)
 
     def most_probable(self, fit, candidates):
         """Return the most probable candidate, None if there is none."""
         # The evidence of banks is an upper bound; compute it exactly for the best.
         best = None
-        for candidate in sorted(candidates, key=lambda o: -o.log_odds):
+        for candidate in sorted(candidates, key=lambda c: -c.log_odds):
             if best is not None and candidate.log_odds <= best.log_odds:
                 break
             if isinstance(candidate.effect, Bank) and not candidate.discounted:
@@ -303,30 +303,30 @@ class Candidates:
         """Return candidates that could replace a member, the best first."""
         member, base = fit.members[i], fit.without(i)
         joints = [j for j in member.joints if j in self.families]
-        candidates = [o for j in joints for o in self.on(base, j)]
+        candidates = [c for j in joints for c in self.on(base, j)]
         rivals = self.best_discounted(base, candidates, self.settings.rivals)
         if isinstance(member.effect, InModel):
             # Also geometric effects with the same correction and more parameters.
-            keys = {o.effect.key() for o in rivals}
+            keys = {c.effect.key() for c in rivals}
             equivalent = self._equivalent_geometry(base, candidates, member)
-            rivals += [o for o in equivalent if o.effect.key() not in keys]
+            rivals += [c for c in equivalent if c.effect.key() not in keys]
         return rivals
 
     def _equivalent_geometry(self, base, candidates, member):
         """Return geometric effects that explain as much as a member."""
         candidates = [
-            self.discounted(base, o)
-            for o in candidates
-            if isinstance(o.effect, InModel)
+            self.discounted(base, c)
+            for c in candidates
+            if isinstance(c.effect, InModel)
         ]
         gains = {
-            o: 0.5 * o.family.groups(base).gain()[o.best]
-            for o in candidates
-            if o is not None
+            c: 0.5 * c.family.groups(base).gain()[c.best]
+            for c in candidates
+            if c is not None
         }
-        same = [g for o, g in gains.items() if o.effect.key() == member.effect.key()]
+        same = [g for c, g in gains.items() if c.effect.key() == member.effect.key()]
         threshold = max(same, default=np.inf) - self.settings.rivals
-        return [o for o, gain in gains.items() if gain > threshold]
+        return [c for c, gain in gains.items() if gain > threshold]
 
     def log_odds(self, fit, usual=False):
         """Compute the posterior log odds of each member given the others."""

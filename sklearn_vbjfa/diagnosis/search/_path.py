@@ -46,7 +46,7 @@ class Path:
 
     def __init__(self, view, library, settings, max_effects=None, no_bank=()):
         self.view, self.library, self.settings = view, library, settings
-        self.max_effects, self.turn, self.no_bank = max_effects, 0, no_bank
+        self.max_effects, self.round, self.no_bank = max_effects, 0, no_bank
         self._held = None
 
     # -- search -----------------------------------------------------------------------
@@ -60,8 +60,8 @@ class Path:
     def run(self):
         """Run the search and return the final `Fit`."""
         fit, previous = self.begin(), None
-        for self.turn in range(_ROUNDS):
-            say(f"round {self.turn + 1}")
+        for self.round in range(_ROUNDS):
+            say(f"round {self.round + 1}")
             self.candidates = self._candidates(fit)
             base = self._spectrum(fit.with_held(False))
             fit = self._climb(self.scaled(Fit(base, fit.members)))
@@ -91,11 +91,11 @@ class Path:
         for _ in range(self.settings.most):
             added, candidates.noise = [], fit
             for joint, families in candidates.families.items():
-                say(f"round {self.turn + 1}, joint {joint + 1} of {self.view.nv}")
+                say(f"round {self.round + 1}, joint {joint + 1} of {self.view.nv}")
                 # Prior of `expected` effects on each joint.
                 least = np.log(max(len(families), 1) / self.settings.expected)
                 least += candidates.log_prior
-                probable = [o for o in candidates.on(fit, joint) if o.log_odds > least]
+                probable = [c for c in candidates.on(fit, joint) if c.log_odds > least]
                 if self.view.repetition:
                     # Unmodelled torque that repeats would resemble many effects.
                     probable = candidates.best_discounted(fit, probable)
@@ -171,31 +171,31 @@ class Path:
         most = np.inf if self.max_effects is None else self.max_effects
         if not best or len(fit.members) >= most:
             return []
-        deferred = [self.candidates.is_deferred(fit, o) for o in best]
+        deferred = [self.candidates.is_deferred(fit, c) for c in best]
         if not all(deferred):
-            best = [o for o, is_deferred in zip(best, deferred) if not is_deferred]
-        best.sort(key=lambda o: -o.order)
+            best = [c for c, is_deferred in zip(best, deferred) if not is_deferred]
+        best.sort(key=lambda c: -c.order)
         first = best[0]
         # Much less probable candidates may only compensate for the first one.
-        best = [o for o in best if o.order > _ODDS_SHARE * first.order]
+        best = [c for c in best if c.order > _ODDS_SHARE * first.order]
         if isinstance(first.effect, InModel):
             # Take the first in precedence of equivalent geometric effects.
             equivalent = [
-                o
-                for o in self.candidates.probable()
-                if isinstance(o.effect, InModel) and o.order > first.order - _TIE
+                c
+                for c in self.candidates.probable()
+                if isinstance(c.effect, InModel) and c.order > first.order - _TIE
             ]
-            return [min(equivalent, key=lambda o: (o.effect.precedence, -o.order))]
+            return [min(equivalent, key=lambda c: (c.effect.precedence, -c.order))]
         if isinstance(first.effect, OnAllJoints):
             return [first]
         # Effects on all joints are added one at a time.
-        single = [o for o in best if not isinstance(o.effect, (InModel, OnAllJoints))]
+        single = [c for c in best if not isinstance(c.effect, (InModel, OnAllJoints))]
         return single[: int(min(most - len(fit.members), len(single)))]
 
     def _with_candidates(self, fit, candidates):
         """Add candidates to a fit and drop members that become improbable."""
         first = len(fit.members)
-        fit = Fit(fit.base, [*fit.members, *(self._member(fit, o) for o in candidates)])
+        fit = Fit(fit.base, [*fit.members, *(self._member(fit, c) for c in candidates)])
         added = range(first, len(fit.members))
         new = self.scaled(step_shapes(fit, added))
         validation, probable = self.held_out(new), self._remain_probable(new, first)
@@ -324,11 +324,11 @@ class Path:
                 continue
             self._compared.add(key)
             rivals = [
-                o
-                for o in candidates.rivals(fit, i)
-                if o.log_odds > candidates.least
-                and not isinstance(o.effect, InModel)
-                and o.effect.key() != member.effect.key()
+                c
+                for c in candidates.rivals(fit, i)
+                if c.log_odds > candidates.least
+                and not isinstance(c.effect, InModel)
+                and c.effect.key() != member.effect.key()
             ]
             for candidate in rivals[:3]:
                 new = base.with_member(self._member(base, candidate))

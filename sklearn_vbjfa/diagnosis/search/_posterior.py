@@ -161,10 +161,10 @@ def search(view, library, settings, alpha, max_effects=None):
     for i, (member, entry) in enumerate(zip(fit.members, odds)):
         evidence = Evidence(log_odds=float(entry), **vars(gains[i]))
         rivals = tuple(
-            o.effect
-            for o in path.candidates.rivals(fit, i)
-            if o.effect.key() != member.effect.key()
-            and _can_replace(path, o, fit, i, log_odds[i] - settings.rivals)
+            c.effect
+            for c in path.candidates.rivals(fit, i)
+            if c.effect.key() != member.effect.key()
+            and _can_replace(path, c, fit, i, log_odds[i] - settings.rivals)
         )
         warning = _warning(fit, member, evidence, needed, path)
         warning = warning or ("" if i in large else SMALL)
@@ -187,7 +187,7 @@ def search(view, library, settings, alpha, max_effects=None):
 
 def _can_replace(path, candidate, fit, i, threshold):
     """Check if a rival is as probable in place of a member, without its torque."""
-    geometry = [isinstance(o.effect, InModel) for o in (fit.members[i], candidate)]
+    geometry = [isinstance(x.effect, InModel) for x in (fit.members[i], candidate)]
     if geometry == [False, True] and candidate.order > threshold:
         # Geometric columns are derivatives of a torque that includes the member's.
         reduced, family = relinearise(fit.without(i)), candidate.family

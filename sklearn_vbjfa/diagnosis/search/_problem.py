@@ -275,7 +275,7 @@ class Base:
         return linalg.cho_solve((self.L, True), np.eye(self.L.shape[0]))
 
     def score_variance_ratio(self, white):
-        """Divide the scores' variance by the spectrum by that by the weights, (c,)."""
+        """Return the score variance by the spectrum relative to the weights, (c,)."""
         # white (nv, n, c): weighted columns.
         if self.spectrum is None:
             return np.ones(white.shape[2])
@@ -463,7 +463,7 @@ class Fit:
         return self._groups[columns][0]
 
     def evidence(self, columns, scale):
-        """Return log evidence (c,) of shapes given the model; for banks at most."""
+        """Return the log evidence (c,) of shapes, for banks an upper bound."""
         if columns not in self._evidence:
             self._evidence[columns] = self.groups(columns).most_evidence(scale)
         return self._evidence[columns]

@@ -90,7 +90,7 @@ class HeldOut:
             self._cache[member.columns] = columns[:, self.order, 0]
         return self._cache[member.columns]
 
-    def fitted(self, fit):
+    def validate(self, fit):
         """Cross-validate a `Fit`, and return a `HeldOutFit`."""
         self.motion = fit.problem.motion
         return HeldOutFit(self, fit)
@@ -123,8 +123,8 @@ class HeldOutFit:
         for fold in by_fold:
             training = total - fold
             self._factors.append(linalg.cho_factor(training[:-1, :-1] + precision))
-            right = training[:-1, -1] - prior * self._applied
-            self._thetas[()].append(linalg.cho_solve(self._factors[-1], right))
+            rhs = training[:-1, -1] - prior * self._applied
+            self._thetas[()].append(linalg.cho_solve(self._factors[-1], rhs))
 
     def _joint_terms(self, j):
         """Return indices (p_j,) of coefficients that act on a joint, and columns."""

@@ -51,7 +51,7 @@ class Path:
 
     # -- search -----------------------------------------------------------------------
 
-    def begin(self):
+    def fit_declared(self):
         """Fit the declared columns alone, and compute the load from that fit."""
         fit = Fit(declared_weights(Problem(self.view)))
         problem = fit.problem.changed(motion=self.view.motion(fit.theta))
@@ -59,7 +59,7 @@ class Path:
 
     def run(self):
         """Run the search and return the final `Fit`."""
-        fit, previous = self.begin(), None
+        fit, previous = self.fit_declared(), None
         for self.round in range(_ROUNDS):
             say(f"round {self.round + 1}")
             self.candidates = self._candidates(fit)
@@ -77,7 +77,7 @@ class Path:
 
     def forward_selection(self):
         """Add the best candidates to the declared columns, joint by joint."""
-        fit = with_joint_weights(self.begin())
+        fit = with_joint_weights(self.fit_declared())
         self.candidates = self._candidates(fit)
         self.candidates.noise, visited = fit, {effect_keys(fit)}
         while (new := self._forward_step(fit, visited)) is not None:
@@ -198,7 +198,7 @@ class Path:
         fit = Fit(fit.base, [*fit.members, *(self._member(fit, c) for c in candidates)])
         added = range(first, len(fit.members))
         new = self.scaled(step_shapes(fit, added))
-        validation, probable = self.held_out(new), self._remain_probable(new, first)
+        validation, probable = self.validate(new), self._remain_probable(new, first)
         # New members must reduce the cross-validated error.
         least = ENTRY_SHARE * self.settings.min_gain
         kept = [i for i in added if probable[i - first] and validation.helps(i, least)]
@@ -268,7 +268,7 @@ class Path:
             alone = base.with_member(self._member(base, candidate))
             alone = self.scaled(step_shapes(alone, [len(base.members)]))
             alone_error, error, base_error = (
-                self.held_out(model).error_of(joint) for model in (alone, fit, base)
+                self.validate(model).error_of(joint) for model in (alone, fit, base)
             )
             # Alone it must save nearly as much as together.
             if alone_error - error <= self.settings.min_gain * (base_error - error):
@@ -340,7 +340,7 @@ class Path:
                 if new_odds - worst < odds[i] + _TIE or (contains and worst == 0.0):
                     continue
                 new = self._pruned(new)
-                better = self.held_out(new).error() <= self.held_out(fit).error()
+                better = self.validate(new).error() <= self.validate(fit).error()
                 if better and effect_keys(new) not in visited:
                     return new
         return None
@@ -370,12 +370,12 @@ class Path:
             cache[key] = log_odds[-1]
         return np.array(log_odds)
 
-    def held_out(self, fit):
-        """Cross-validate a fit, see `HeldOut.fitted`."""
+    def validate(self, fit):
+        """Cross-validate a fit, see `HeldOut.validate`."""
         view = fit.problem.view
         if self._held is None or self._held.view is not view:
             self._held = HeldOut(view)
-        return self._held.fitted(fit)
+        return self._held.validate(fit)
 
     def above_motion(self, fit, effect):
         """Check whether a channel filter's corner is above the motion's frequencies."""
@@ -390,7 +390,7 @@ class Path:
 
     def fit_effects(self, effects):
         """Fit a model with given effects, including the load that they imply."""
-        fit, scale = self.begin(), self.settings.scale
+        fit, scale = self.fit_declared(), self.settings.scale
         for _ in range(_ROUNDS):
             members = [fit.problem.columns([e]).member(scale=scale) for e in effects]
             fit = relinearise(self.scaled(with_joint_weights(Fit(fit.base, members))))

@@ -155,7 +155,7 @@ def search(view, library, settings, alpha, max_effects=None):
             break
         # Rows at rest need presliding friction.
         resting &= bank_joints
-    gains = gains | (large := _sufficient_gains(path.held_out(fit), settings.min_gain))
+    gains = gains | (large := _sufficient_gains(path.validate(fit), settings.min_gain))
     log_odds = path.candidates.log_odds(fit, usual=True)
     problem, motion, findings = fit.problem, fit.problem.motion, []
     for i, (member, entry) in enumerate(zip(fit.members, odds)):
@@ -175,7 +175,7 @@ def search(view, library, settings, alpha, max_effects=None):
         view=problem.view,
         motion=motion,
         # Folds interleaved in time, as the held-out part is.
-        residual=HeldOut(problem.view, problem.view.blocks.fold).fitted(fit).residual,
+        residual=HeldOut(problem.view, problem.view.blocks.fold).validate(fit).residual,
         fit=fit,
         families=path.candidates.families,
         n_candidates=path.candidates.count,
@@ -211,7 +211,7 @@ def _friction_at_rest(view, library, settings):
     view = view.with_rest(resting)
     path = Path(view, banks, settings)
     fit = path.forward_selection()
-    validation = path.held_out(fit)
+    validation = path.validate(fit)
     # Test the total gain: blocks without standstill have nothing to save.
     gains = [validation.gain_of(i) for i in range(len(fit.members))]
     predicted = {
@@ -236,7 +236,7 @@ def _final_model(path, fit):
     cache = {}
     while True:
         exact = not cache
-        odds, validation = path.member_odds(fit, cache), path.held_out(fit)
+        odds, validation = path.member_odds(fit, cache), path.validate(fit)
         gains = {i: validation.gain_of(i) for i in range(odds.size)}
         if not gains:
             return fit, odds, gains

@@ -42,8 +42,8 @@ class Columns:
     def __init__(self, effects, joints, values, unit, edges, load=None):
         self.effects, self.joints, self.load = tuple(effects), tuple(joints), load
         self.values, self.unit, self.edges = values, unit, edges
-        # cached (argument, products) of `declared` and `right`
-        self._declared = self._right = None, None
+        # cached (argument, products) of `declared` and `rhs`
+        self._declared = self._rhs = None, None
 
     @property
     def shape(self):
@@ -63,11 +63,11 @@ class Columns:
             self._declared = Z, self._products(Z)
         return self._declared[1]
 
-    def right(self, y):
+    def rhs(self, y):
         """Compute products with torques y (nv, n), (nj, n_bands, c * k)."""
-        if self._right[0] is not y:
-            self._right = y, self._products(y)[:, :, 0]
-        return self._right[1]
+        if self._rhs[0] is not y:
+            self._rhs = y, self._products(y)[:, :, 0]
+        return self._rhs[1]
 
     def _products(self, target):
         pairs = zip(self.joints, self.values)
@@ -161,7 +161,7 @@ class Problem:
         return np.array([band_products(self.edges, Z, Z) for Z in self.Z])
 
     @functools.cached_property
-    def right(self):
+    def rhs(self):
         """Products of the declared columns with the torques, (nv, n_bands, r)."""
         pairs = zip(self.Z, self.y)
         return np.array([band_products(self.edges, Z, y)[:, :, 0] for Z, y in pairs])
@@ -176,7 +176,7 @@ class Problem:
         problem = copy.copy(self)
         vars(problem).update(values)
         # Products that depend on the torques become invalid.
-        for name in ("right", "power") if "y" in values else ():
+        for name in ("rhs", "power") if "y" in values else ():
             vars(problem).pop(name, None)
         return problem
 
@@ -214,14 +214,14 @@ class Problem:
         return [kind(**parameters | shape) for shape in shapes(self.motion)]
 
 
-def _solve(L, right, transposed=False):
+def _solve(L, rhs, transposed=False):
     """Solve a lower triangular system (r, ...), or the transposed one."""
     # The checks of `linalg.solve_triangular` take longer than such small systems.
-    if not right.size:
+    if not rhs.size:
         # LAPACK rejects empty systems.
-        return np.zeros(right.shape)
-    solution, _ = lapack.dtrtrs(L, right, lower=1, trans=int(transposed))
-    return solution if right.ndim > 1 else solution.ravel()
+        return np.zeros(rhs.shape)
+    solution, _ = lapack.dtrtrs(L, rhs, lower=1, trans=int(transposed))
+    return solution if rhs.ndim > 1 else solution.ravel()
 
 
 def precision_at_zero(gram, rows):
@@ -247,7 +247,7 @@ class Base:
         if problem.held.any():
             G += precision_at_zero(G, problem.view.one_sided[problem.held])
         self.L = linalg.cholesky(G, lower=True)
-        self.t = _solve(self.L, np.tensordot(density, problem.right, 2))
+        self.t = _solve(self.L, np.tensordot(density, problem.rhs, 2))
         self._cache, self._cross_cache = WeakKeyDictionary(), WeakKeyDictionary()
 
     @property
@@ -307,9 +307,9 @@ class Base:
         if columns not in self._cache:
             joints, (c, k) = columns.joints, columns.shape
             T = _solve(self.L, self.weighted(joints, columns.declared(self.problem.Z)))
-            right = self.weighted(joints, columns.right(self.problem.y))
+            rhs = self.weighted(joints, columns.rhs(self.problem.y))
             gram = self.weighted(joints, columns.gram)
-            H, q = gram - _blocks(T, c, k), (right - self.t @ T).reshape(c, k)
+            H, q = gram - _blocks(T, c, k), (rhs - self.t @ T).reshape(c, k)
             self._cache[columns] = ReducedMoments(T=T, gram=gram, H=H, q=q)
         return self._cache[columns]
 
@@ -359,10 +359,10 @@ class Fit:
         deviation = [np.where(m.unit > 0, m.scale * m.unit, 1.0) for m in self.members]
         self.prior = np.concatenate([np.zeros(0), *deviation]) ** -2.0
         self._B, self._H, self._q = self._moments() if reduced is None else reduced
-        right = self._q - self.prior * self.applied
+        rhs = self._q - self.prior * self.applied
         S = self._H + np.diag(self.prior)
-        self._factor = linalg.cholesky(S, lower=True) if right.size else S
-        self._t = _solve(self._factor, right)
+        self._factor = linalg.cholesky(S, lower=True) if rhs.size else S
+        self._t = _solve(self._factor, rhs)
         self._coef = _solve(self._factor, self._t, transposed=True)
         self.theta = _solve(base.L, base.t - self._B @ self._coef, transposed=True)
         self._groups, self._evidence = WeakKeyDictionary(), WeakKeyDictionary()

@@ -26,7 +26,7 @@ def made(groups=None):
 @pytest.fixture(scope="module", params=[None, THREE], ids=["one", "three"])
 def fitted(request):
     fit = made(request.param)
-    return fit, HeldOut(fit.problem.view).fitted(fit)
+    return fit, HeldOut(fit.problem.view).validate(fit)
 
 
 def literal(fit, left_out, members, block_fold=None, studentised=False, counted=1):
@@ -106,9 +106,9 @@ def test_residuals_are_over_the_deviation_of_their_prediction(fitted):
 
 def test_friction_that_is_held_at_zero_is_so_in_each_fold():
     fit = made()
-    free = HeldOut(fit.problem.view).fitted(fit).squares
+    free = HeldOut(fit.problem.view).validate(fit).squares
     fit = fit.with_held([[True], [False]])
-    found = HeldOut(fit.problem.view).fitted(fit)
+    found = HeldOut(fit.problem.view).validate(fit)
     assert_allclose(found.squares, literal(fit, found, [0, 1, 2]), rtol=1e-3)
     assert found.squares[:, 0].sum() > 2.0 * free[:, 0].sum()
 
@@ -117,7 +117,7 @@ def test_folds_may_be_given():
     """Blocks between which the motion is alike, for what is left of the whole."""
     fit = made()
     view = fit.problem.view
-    found = HeldOut(view, view.blocks.fold).fitted(fit)
+    found = HeldOut(view, view.blocks.fold).validate(fit)
     assert_allclose(found.squares, literal(fit, found, [0, 1, 2]), rtol=3e-4)
     assert_array_equal(found.data.fold, view.blocks.fold)
 
@@ -126,7 +126,7 @@ def test_what_was_fitted_is_not_shrunk_by_the_noise_of_what_lacked_it(fitted):
     """At a noise floor the model is there between other blocks as well."""
     fit, found = fitted
     view = fit.problem.view
-    found = HeldOut(view, view.blocks.fold).fitted(fit)
+    found = HeldOut(view, view.blocks.fold).validate(fit)
     rms = np.sqrt((found.residual**2).sum(axis=1) / view.rows)
     left = view.filtered(CLEAN.noise).std(axis=0)
     assert_allclose(rms, left, rtol=0.3)

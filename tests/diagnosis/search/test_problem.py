@@ -461,7 +461,7 @@ def test_a_model_that_is_wrong_in_fast_motion_is_not_fitted_to_that_alone(late):
     slow = lfilter([np.sqrt(1 - 0.98**2)], [1, -0.98], white)
     robot = recording.robot(friction=("viscous", "coulomb"))
     path = search(torque + 0.3 * slow[:, None], [], recording, robot).path()
-    plain = path.begin()
+    plain = path.fit_declared()
     found = spectrum_of(plain, SearchSettings())
     whole = spectrum_of(plain, SearchSettings(), share=1.0)
     at = list(robot.parameter_names_).index("joint_1:coulomb")

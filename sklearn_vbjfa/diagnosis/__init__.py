@@ -1,4 +1,4 @@
-"""Diagnosis: what a robot model lacks."""
+"""Diagnosis of effects that are missing from a robot model."""
 
 from sklearn_vbjfa.diagnosis._displays import ResidualDisplay, TorqueDisplay
 from sklearn_vbjfa.diagnosis.report._report import Report

@@ -1,8 +1,8 @@
-"""The search for effects that the declared model lacks."""
+"""Search for effects that are missing from the declared model."""
 
 from sklearn_vbjfa import _lazily
 
-# For what follows from a search, and for tests.
+# Names for `explain` and for tests.
 _MODULES = {
     "_cosines": ("Cosines", "Spectrum"),
     "_held_out": ("HeldOut", "CrossValidatedGain", "fold_of"),

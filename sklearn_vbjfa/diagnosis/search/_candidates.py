@@ -125,7 +125,7 @@ class Candidates:
         self.least = float(logit(settings.min_probability))
         self._cache = {}
 
-    # -- of one family --------------------------------------------------------------
+    # -- one effect -------------------------------------------------------------------
 
     def candidate(self, fit, family, excess=None):
         """Return the best shape of a family given a fit as a `Candidate`, or None."""
@@ -193,7 +193,7 @@ class Candidates:
                 return len(family.effects)
         return 1
 
-    # -- of one joint ---------------------------------------------------------------
+    # -- one joint --------------------------------------------------------------------
 
     def on(self, fit, joint):
         """Return the candidates on a joint given a fit, list."""
@@ -297,7 +297,7 @@ class Candidates:
                 best = candidate
         return best
 
-    # -- of members -----------------------------------------------------------------
+    # -- members of the model ---------------------------------------------------------
 
     def rivals(self, fit, i):
         """Return candidates that could replace a member, the best first."""

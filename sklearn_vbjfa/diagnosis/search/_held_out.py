@@ -210,7 +210,7 @@ class HeldOutFit:
         return float(((without - full) / size).max())
 
     def helps(self, i, least=0.0):
-        """Check if a member saves more than a share of the error, in most blocks."""
+        """Check if a member saves more than a share, and lowers the mean log error."""
         gain = self.gain_of(i)
         return gain.gain > 0 and gain.errors > 0 and self.share_of(i) > least
 

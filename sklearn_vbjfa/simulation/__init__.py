@@ -1,8 +1,7 @@
 """Identified robots in motion: forward dynamics, and torques one state at a time.
 
-Everything here takes a `TorqueModel`, which is what an identification leaves when data
-and estimator are put away. Names that are not in ``__all__`` are for other rooms of the
-package and for tests.
+Everything here takes a `TorqueModel`, the result of an identification without data and
+estimator. Names that are not in ``__all__`` are for other subpackages and for tests.
 """
 
 from sklearn_vbjfa.simulation._dynamics import ForwardDynamics

@@ -1,9 +1,9 @@
 """Bodies, accelerations and explicit steps of a simulation, compiled by Numba.
 
-The laws of friction are those of `sklearn_vbjfa.simulation._terms`; bodies are what
-Pinocchio computes as well (`crba` and `nonLinearEffects`): vectors are in the axes of
-the base, and moments about the origin of the joint that a branch begins with, so that
-the inertia of composite bodies is a sum.
+The friction laws are those of `sklearn_vbjfa.simulation._terms`. Rigid-body dynamics
+equal `crba` and `nonLinearEffects` of Pinocchio: vectors are in the axes of the base,
+and moments about the origin of the first joint of a branch, so that the inertia of
+composite bodies is a sum.
 """
 
 import math
@@ -28,10 +28,10 @@ from sklearn_vbjfa.model._kernel import (
 from sklearn_vbjfa.model._trees import Tree
 from sklearn_vbjfa.simulation import _terms
 
-# What is known of a body beside what `advance` writes: force and moment of all that it
-# carries, and their mass, first moments and inertia.
+# Offsets in the state of a body, after the values that `advance` writes: force, moment,
+# mass, first moments and inertia of the composite body; length of the state.
 _FORCE, _MOMENT, _MASS, _FIRST, _INERTIA = 27, 30, 33, 34, 37
-_WHOLE = 46
+_STATE_LENGTH = 46
 _TINY = float(np.finfo(float).tiny)
 
 compiled = compiler(__file__, _kernel.__file__, _terms.__file__)
@@ -43,19 +43,19 @@ load_size = compiled(_terms.load_size)
 
 @compiled
 def step_error(h, a1, a4, a5, fast, tolerance):
-    """Error of an explicit step in units of what is allowed; nan where it is none."""
-    # a1, a4, a5 (nv,): accelerations at its beginning, its last slope, and at its end;
-    # fast (nv,): fastest speeds.
-    worst = 0.0
+    """Error of an explicit step relative to the tolerance; nan if not a number."""
+    # a1, a4, a5 (nv,): accelerations at the start, at the last stage, and at the end of
+    # the step; fast (nv,): largest speeds so far.
+    largest = 0.0
     for j in range(a1.size):
-        own = abs(a4[j] - a5[j]) / (tolerance * max(fast[j], h * abs(a1[j])))
-        worst = own if own > worst or own != own else worst
-    return (h / 6.0) * worst
+        error = abs(a4[j] - a5[j]) / (tolerance * max(fast[j], h * abs(a1[j])))
+        largest = error if error > largest or error != error else largest
+    return (h / 6.0) * largest
 
 
 @compiled
 def is_stiff(h, mass, by_position, by_velocity, stuck, most):
-    """Whether friction or springs would keep an explicit step of length h short."""
+    """Return True if friction or springs are too stiff for an explicit step h."""
     rate = stiffness = 0.0
     for j in range(stuck.size):
         if not stuck[j]:
@@ -66,7 +66,7 @@ def is_stiff(h, mass, by_position, by_velocity, stuck, most):
 
 @compiled
 def directions(v, a):
-    """Ways that joints go (nv,): signs of velocities, or of accelerations at rest."""
+    """Directions of motion (nv,): signs of velocities, or of accelerations at rest."""
     out = np.sign(v)
     for j in range(v.size):
         if v[j] == 0.0:
@@ -75,42 +75,41 @@ def directions(v, a):
 
 
 @compiled
-def past_events(watched, way, v, exact, stuck, needed, limit, holds, loose):
-    """How far joints are past an event, in units of what they may be, (nv,)."""
-    # Those that slide turn round; exact (nv,): velocities that count as zero. Those
-    # that stick break loose beyond `holds` times the limit of their friction. Negative
-    # before the event, -inf for joints without any.
+def event_excess(watched, sign, v, zero, stuck, needed, limit, factor, tolerance):
+    """Distance of joints past an event, relative to the tolerance, (nv,)."""
+    # Sliding joints reverse; zero (nv,): velocities that count as zero. Sticking
+    # joints break away at `factor` times the limit of their dry friction, up to
+    # `tolerance`. Negative before the event, -inf for joints without events.
     out = np.full(v.size, -np.inf)
     for j in range(v.size):
         if stuck[j]:
-            past = abs(needed[j]) - holds * limit[j]
-            out[j] = past / max(loose * limit[j], _TINY)
+            excess = abs(needed[j]) - factor * limit[j]
+            out[j] = excess / max(tolerance * limit[j], _TINY)
         elif watched[j]:
-            out[j] = -way[j] * v[j] / exact[j]
+            out[j] = -sign[j] * v[j] / zero[j]
     return out
 
 
 @compiled
 def bodies_at(q, v, tree, bodies, armature, M, h):
     """Write the inertia matrix M (nv, nv) and nonlinear effects h (nv,) at a state."""
-    # bodies (n, 10) of all joints, some of which may follow others; armature (nv,):
-    # rotor inertias [kg m^2 or kg], which M includes; h: torques at rest of the
-    # accelerations, gravity included.
+    # bodies (n, 10): of all joints, followers included; armature (nv,): rotor inertias
+    # [kg m^2 or kg], included in M; h: torques at zero acceleration, with gravity.
     n, leads = tree.parents.size, tree.leads
-    state = np.zeros((n, _WHOLE))
+    state = np.zeros((n, _STATE_LENGTH))
     for j in range(n):
-        own, body = state[j], bodies[j]
+        row, body = state[j], bodies[j]
         lead, rate = int(leads[j, 0]), leads[j, 1]
         position = rate * q[lead] + leads[j, 2]
         forces, moments = advance(state, tree, j, position, rate * v[lead], 0.0)
         force, moment = wrench(body, forces, moments)
-        put(own, _FORCE, force)
-        put(own, _MOMENT, moment)
-        x, y, z, p = get(own, 0), get(own, 3), get(own, 6), get(own, ORIGIN)
+        put(row, _FORCE, force)
+        put(row, _MOMENT, moment)
+        x, y, z, p = get(row, 0), get(row, 3), get(row, 6), get(row, ORIGIN)
         mass, first = body[0], combine((body[1], body[2], body[3]), x, y, z)
-        # Its mass, first moments and inertia about the common origin.
-        own[_MASS] = mass
-        put(own, _FIRST, axpy(mass, p, first))
+        # Mass, first moments and inertia about the common origin.
+        row[_MASS] = mass
+        put(row, _FIRST, axpy(mass, p, first))
         tx = combine((body[4], body[5], body[7]), x, y, z)
         ty = combine((body[5], body[6], body[8]), x, y, z)
         tz = combine((body[7], body[8], body[9]), x, y, z)
@@ -119,43 +118,43 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
             for c in range(3):
                 value = x[r] * tx[c] + y[r] * ty[c] + z[r] * tz[c]
                 value -= mass * p[r] * p[c] + p[r] * first[c] + first[r] * p[c]
-                own[_INERTIA + 3 * r + c] = value
-            own[_INERTIA + 4 * r] += trace
+                row[_INERTIA + 3 * r + c] = value
+            row[_INERTIA + 4 * r] += trace
     M[:] = h[:] = 0.0
     for j in range(q.size):
         M[j, j] = armature[j]
     for j in range(n - 1, -1, -1):
-        own, parent = state[j], tree.parents[j]
+        row, parent = state[j], tree.parents[j]
         lead, rate = int(leads[j, 0]), leads[j, 1]
-        angular, linear = get(own, ANGULAR), get(own, LINEAR)
-        first = get(own, _FIRST)
-        torque = dot(angular, get(own, _MOMENT)) + dot(linear, get(own, _FORCE))
+        angular, linear = get(row, ANGULAR), get(row, LINEAR)
+        first = get(row, _FIRST)
+        torque = dot(angular, get(row, _MOMENT)) + dot(linear, get(row, _FORCE))
         h[lead] += rate * torque
-        # Momentum of all that the joint carries, at its unit velocity.
-        momentum = axpy(own[_MASS], linear, cross(angular, first))
+        # Momentum of the composite body at unit velocity of the joint.
+        momentum = axpy(row[_MASS], linear, cross(angular, first))
         spin = (
-            dot(get(own, _INERTIA), angular),
-            dot(get(own, _INERTIA + 3), angular),
-            dot(get(own, _INERTIA + 6), angular),
+            dot(get(row, _INERTIA), angular),
+            dot(get(row, _INERTIA + 3), angular),
+            dot(get(row, _INERTIA + 6), angular),
         )
         spin = axpy(1.0, spin, cross(first, linear))
         i = j
         while i >= 0:
-            other = state[i]
-            value = dot(get(other, ANGULAR), spin)
-            value += dot(get(other, LINEAR), momentum)
+            ancestor = state[i]
+            value = dot(get(ancestor, ANGULAR), spin)
+            value += dot(get(ancestor, LINEAR), momentum)
             value *= leads[i, 1] * rate
             M[int(leads[i, 0]), lead] += value
             if i != j:
                 M[lead, int(leads[i, 0])] += value
             i = tree.parents[i]
         if parent >= 0:
-            for k in range(_FORCE, _WHOLE):
-                state[parent, k] += own[k]
+            for k in range(_FORCE, _STATE_LENGTH):
+                state[parent, k] += row[k]
 
 
 @compiled
-def _eliminate(A, b):
+def _solve(A, b):
     n = b.size
     for k in range(n):
         best = k
@@ -180,12 +179,12 @@ def _eliminate(A, b):
 
 
 @compiled
-def _hold(A, b, stuck):
-    """Replace the equations of joints that stick by that of no acceleration."""
+def _constrain(A, b, stuck):
+    """Replace the equations of sticking joints by zero acceleration."""
     n = b.size
     for j in range(n):
         if stuck[j]:
-            # Its column as well: rounding would set the joint in motion.
+            # The column too, as rounding would move the joint.
             for c in range(n):
                 A[j, c] = A[c, j] = 0.0
             A[j, j] = 1.0
@@ -195,24 +194,24 @@ def _hold(A, b, stuck):
 @compiled
 def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
     """Write the accelerations at one state, see `ForwardDynamics.accelerate`."""
-    # M, h, ML, hL: inertia matrix and nonlinear effects of the robot, and of what loads
-    # joints; tau, q, v, mode, stuck (nv,): true torques, state, signs of dry friction,
-    # joints that stick; before (nv,): accelerations found before; out (5, nv), written:
-    # accelerations, needed dry friction, its limit, derivatives by position, velocity.
+    # M, h, ML, hL: inertia matrix and nonlinear effects of the robot, and of the bodies
+    # in the load; tau, q, v, mode, stuck (nv,): true torques, state, signs of dry
+    # friction, sticking joints; before (nv,): previous accelerations; out: fields of
+    # `StateSolution` (5, nv).
     nv = q.size
     lines, inertia, coupling = table.lines, table.inertia, table.coupling
     sums = np.zeros((7, nv))
-    placed, smooth, dry, load_smooth = sums[0], sums[1], sums[2], sums[3]
+    static, smooth, dry, load_smooth = sums[0], sums[1], sums[2], sums[3]
     by_position, by_velocity, load_by_position = sums[4], sums[5], sums[6]
     for i in range(nv):
-        placed[i], smooth[i] = lines[1, i], lines[0, i] * v[i]
+        static[i], smooth[i] = lines[1, i], lines[0, i] * v[i]
         dry[i], by_velocity[i] = lines[2, i], lines[0, i] + coupling[i, i]
         for j in range(nv):
-            placed[i] += coupling[i, j] * v[j]
+            static[i] += coupling[i, j] * v[j]
     _add_terms(table.kinds, table.joints, table.numbers, table.memory, q, v, sums)
     A, rhs = np.empty((nv, nv)), np.empty(nv)
     for i in range(nv):
-        rhs[i] = tau[i] - h[i] - placed[i] - smooth[i] - dry[i] * mode[i]
+        rhs[i] = tau[i] - h[i] - static[i] - smooth[i] - dry[i] * mode[i]
         for j in range(nv):
             A[i, j] = M[i, j] + inertia[i, j]
     a = rhs.copy()
@@ -224,36 +223,36 @@ def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
                 L[i] += ML[i, j] * before[j]
             size[i] = lines[3, i] * mode[i] + load_smooth[i]
         constant, slope = load_size(L, lines[4], lines[5])
-        pressed = constant + slope * L
+        load = constant + slope * L
         for _ in range(_terms.MOST_SIGNS):
             B = A.copy()
             for i in range(nv):
-                way = size[i] * slope[i]
+                gain = size[i] * slope[i]
                 for j in range(nv):
-                    B[i, j] += way * ML[i, j]
-                a[i] = rhs[i] - way * hL[i] - size[i] * constant[i]
-            _hold(B, a, stuck)
-            _eliminate(B, a)
+                    B[i, j] += gain * ML[i, j]
+                a[i] = rhs[i] - gain * hL[i] - size[i] * constant[i]
+            _constrain(B, a, stuck)
+            _solve(B, a)
             for i in range(nv):
                 L[i] = hL[i]
                 for j in range(nv):
                     L[i] += ML[i, j] * a[j]
-            supposed = constant + slope * L
+            assumed = constant + slope * L
             constant, slope = load_size(L, lines[4], lines[5])
-            pressed = constant + slope * L
-            if (pressed == supposed).all():
+            load = constant + slope * L
+            if (load == assumed).all():
                 break
         for i in range(nv):
-            rhs[i] -= size[i] * pressed[i]
-            limit[i] += lines[3, i] * pressed[i]
-            by_position[i] += load_by_position[i] * pressed[i]
+            rhs[i] -= size[i] * load[i]
+            limit[i] += lines[3, i] * load[i]
+            by_position[i] += load_by_position[i] * load[i]
     else:
         B = A.copy()
-        _hold(B, a, stuck)
-        _eliminate(B, a)
+        _constrain(B, a, stuck)
+        _solve(B, a)
     for i in range(nv):
         if stuck[i]:
-            # What rounding leaves would be a motion.
+            # Rounding would move the joint.
             a[i] = 0.0
     for i in range(nv):
         needed = rhs[i]
@@ -265,48 +264,48 @@ def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
 
 @compiled
 def explicit_step(q, v, a, tau, rate, h, mode, stuck, fast, tolerance, robot):
-    # q, v, a: at the beginning; tau, rate (nv,): torques there and their change in a
-    # second; h: length of the step [s]; fast (nv,): units of `tolerance`; robot: tree,
-    # bodies, armature, loading bodies (nv, 10), table. Returns q, v at the end, error
-    # in units of what is allowed, what `accelerate` writes (5, nv), and M there.
+    # q, v, a: at the start; tau, rate (nv,): torques there and their time derivative;
+    # h: step length [s]; fast (nv,): speeds that scale the tolerance; robot: tree,
+    # bodies, armature, bodies in the load (nv, 10), table. Returns q, v at the end,
+    # error relative to the tolerance, result of `accelerate` (5, nv), and M there.
     nv, (tree, bodies, armature, loaded, table) = q.size, robot
     M, ML, before = np.empty((nv, nv)), np.empty((nv, nv)), a
     effects, load = np.empty(nv), np.empty(nv)
-    none = np.zeros(nv)
-    found, now = np.empty((5, 5, nv)), np.empty(nv)
+    no_armature = np.zeros(nv)
+    stages, torque = np.empty((5, 5, nv)), np.empty(nv)
     qs, vs = np.empty((5, nv)), np.empty((5, nv))
     for j in range(nv):
-        vs[0, j], found[0, 0, j] = v[j], a[j]
+        vs[0, j], stages[0, 0, j] = v[j], a[j]
     for k in range(1, 5):
-        # Stages in the middle, in the middle, at the end; and the end itself.
+        # Two stages at the midpoint, one at the end, and the final state.
         step = 0.5 * h if k < 3 else h
         for j in range(nv):
-            speed, change = vs[k - 1, j], found[k - 1, 0, j]
+            velocity, acceleration = vs[k - 1, j], stages[k - 1, 0, j]
             if k == 4:
-                # Simpson's means
-                speed = (vs[0, j] + 2.0 * (vs[1, j] + vs[2, j]) + speed) / 6.0
-                change = 2.0 * (found[1, 0, j] + found[2, 0, j]) + change
-                change = (found[0, 0, j] + change) / 6.0
-            qs[k, j], vs[k, j] = q[j] + step * speed, v[j] + step * change
-            now[j] = tau[j] + step * rate[j]
-        new_q, new_v, out = qs[k], vs[k], found[k]
+                # Simpson's rule
+                velocity = (vs[0, j] + 2.0 * (vs[1, j] + vs[2, j]) + velocity) / 6.0
+                acceleration = 2.0 * (stages[1, 0, j] + stages[2, 0, j]) + acceleration
+                acceleration = (stages[0, 0, j] + acceleration) / 6.0
+            qs[k, j], vs[k, j] = q[j] + step * velocity, v[j] + step * acceleration
+            torque[j] = tau[j] + step * rate[j]
+        new_q, new_v, out = qs[k], vs[k], stages[k]
         bodies_at(new_q, new_v, tree, bodies, armature, M, effects)
         if table.of_load:
-            bodies_at(new_q, new_v, tree, loaded, none, ML, load)
+            bodies_at(new_q, new_v, tree, loaded, no_armature, ML, load)
         accelerate(
-            M, effects, ML, load, now, new_q, new_v, mode, stuck, table, before, out
+            M, effects, ML, load, torque, new_q, new_v, mode, stuck, table, before, out
         )
-        before = found[k, 0]
+        before = stages[k, 0]
     new_q, new_v = qs[4].copy(), vs[4].copy()
-    error = step_error(h, a, found[3, 0], found[4, 0], fast, tolerance)
-    return new_q, new_v, error, found[4].copy(), M
+    error = step_error(h, a, stages[3, 0], stages[4, 0], fast, tolerance)
+    return new_q, new_v, error, stages[4].copy(), M
 
 
 @compiled
 def smooth_steps(
     q,
     v,
-    found,
+    values,
     M,
     step,
     span,
@@ -314,9 +313,9 @@ def smooth_steps(
     rate,
     mode,
     stuck,
-    barred,
+    held,
     watched,
-    way,
+    sign,
     fast,
     rules,
     tree,
@@ -325,26 +324,26 @@ def smooth_steps(
     loaded,
     table,
 ):
-    """Do explicit steps to the end of a span, or to where one of them is not enough."""
-    # q, v, found (5, nv), M: state and what `accelerate` wrote there; step: length of
-    # the next one [s]; span: its beginning, end and least step, after the last sample
-    # [s]; tau, rate (nv,): torques there and their change in a second; barred (nv,):
-    # joints that stick until they are pushed loose; watched, way, fast (nv,): as of
-    # `Integrator`; rules: constants. Stiff steps, and those that pass an event, are
-    # left to others. tree, table: plain tuples, which are faster to pass.
+    """Take explicit steps to the end of a span, or until another method is needed."""
+    # q, v, values (5, nv), M: state and results of `accelerate` there; step: length of
+    # the next step [s]; span: start, end and shortest step, relative to the last sample
+    # [s]; tau, rate (nv,): torques there and their time derivative; held (nv,): joints
+    # that stick until they break away; watched, sign, fast (nv,): see `Integrator`;
+    # rules: constants. Stops before stiff steps and before events. tree, table: plain
+    # tuples, which are faster to pass.
     table = _terms.TermArrays(*table)
     robot = Tree(*tree), bodies, armature, loaded, table
-    stiff, tolerance, reserve, shrink, grow, holds, loose = rules
-    done, end, least = span
+    stiff, tolerance, reserve, shrink, grow, factor, tol = rules
+    time, end, least = span
     count = 0
-    while end - done > least:
-        left = end - done
-        h = max(left if step >= left else min(step, 0.5 * left), least)
-        if is_stiff(h, M, found[3], found[4], stuck, stiff):
+    while end - time > least:
+        remaining = end - time
+        h = max(remaining if step >= remaining else min(step, 0.5 * remaining), least)
+        if is_stiff(h, M, values[3], values[4], stuck, stiff):
             break
-        now = tau + done * rate
-        new_q, new_v, error, new_found, new_M = explicit_step(
-            q, v, found[0], now, rate, h, mode, stuck, fast, tolerance, robot
+        torque = tau + time * rate
+        new_q, new_v, error, new_values, new_M = explicit_step(
+            q, v, values[0], torque, rate, h, mode, stuck, fast, tolerance, robot
         )
         grown = reserve * max(error, 1e-12) ** -0.25
         if not error <= 1:
@@ -352,21 +351,21 @@ def smooth_steps(
                 break
             step = h * (max(grown, shrink) if grown < 1 else shrink)
             continue
-        exact = tolerance * fast
-        past = past_events(
-            watched, way, new_v, exact, barred, new_found[1], new_found[2], holds, loose
+        zero = tolerance * fast
+        excess = event_excess(
+            watched, sign, new_v, zero, held, new_values[1], new_values[2], factor, tol
         )
-        if np.max(past) > 0:
+        if np.max(excess) > 0:
             break
         longer = h * min(grown, grow)
         step = max(longer, step) if step > h else longer
-        q, v, found, M = new_q, new_v, new_found, new_M
+        q, v, values, M = new_q, new_v, new_values, new_M
         for j in range(q.size):
             if stuck[j]:
                 v[j] = 0.0
             fast[j] = max(fast[j], abs(v[j]))
         remember(table.kinds, table.joints, table.numbers, table.memory, q, v)
-        way = directions(v, found[0])
-        done += h
+        sign = directions(v, values[0])
+        time += h
         count += 1
-    return q, v, found, M, done, step, way, count
+    return q, v, values, M, time, step, sign, count

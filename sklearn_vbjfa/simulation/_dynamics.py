@@ -10,10 +10,10 @@ from sklearn_vbjfa.simulation._terms import TermTable
 
 
 class StateSolution(NamedTuple):
-    """What is found at one state, of each joint (nv,)."""
+    """Results of forward dynamics at one state, by joint (nv,)."""
 
     a: np.ndarray  # accelerations
-    needed: np.ndarray  # dry friction that would hold a joint that sticks
+    needed: np.ndarray  # dry friction needed to hold a sticking joint
     limit: np.ndarray  # largest dry friction
     # derivatives of the smooth torques by the joint's own position and velocity
     by_position: np.ndarray
@@ -23,10 +23,10 @@ class StateSolution(NamedTuple):
 class ForwardDynamics:
     """Accelerations of a `TorqueModel`, with its friction, one state at a time."""
 
-    # Dry friction acts by modes: -1 or 1 for a joint that slides that way, 0 for one
-    # that sticks, or that has none. signals: (name, t) -> value of what was recorded
-    # beside the motion; values (5, nv), mass (nv, nv): what was found last, and the
-    # inertias with rotors; compiled: module of compiled functions.
+    # Modes of dry friction: -1 or 1 (direction) for a sliding joint, 0 for one that
+    # sticks, or has no dry friction. signals: (name, t) -> value of a recorded
+    # signal; values (5, nv), solution: last results, as array and `StateSolution`; mass
+    # (nv, nv): inertia matrix with rotors; compiled: module of compiled functions.
 
     def __init__(self, robot, signals=None):
         # Numba takes a second to import.
@@ -35,59 +35,59 @@ class ForwardDynamics:
         self._signals = signals
         self.terms = terms = TermTable(robot)
         self.n_joints = robot.n_joints
-        every = [(-np.inf, robot.bodies)]
+        bodies_by_time = [(-np.inf, robot.bodies)]
         for instant, change in terms.payloads:
-            bodies = every[-1][1].copy()
+            bodies = bodies_by_time[-1][1].copy()
             bodies[-1] += change
-            every.append((instant, bodies))
+            bodies_by_time.append((instant, bodies))
         self._tree = concatenate_trees([describe(robot.model), *terms.trees])
-        self._loaded = []
-        for instant, bodies in every:
-            # Bodies without a mass are refused.
+        self._timed_bodies = []
+        for instant, bodies in bodies_by_time:
+            # Rejects bodies without mass.
             with_bodies(robot.model, bodies)
-            self._loaded.append((instant, np.vstack([bodies, *terms.following])))
+            self._timed_bodies.append((instant, np.vstack([bodies, *terms.following])))
         # Times [s] at which the bodies change.
-        self.instants = tuple(instant for instant, _ in every[1:])
-        self._load_bodies = np.zeros_like(self._loaded[0][1])
+        self.instants = tuple(instant for instant, _ in bodies_by_time[1:])
+        self._load_bodies = np.zeros_like(self._timed_bodies[0][1])
         self._load_bodies[: self.n_joints] = (robot.load or robot).bodies
         self.set_bodies(-np.inf)
         self._loads = terms.of_load
         self.compiled = _compiled
         self._set(np.zeros((5, self.n_joints)), None)
-        self._remembers = bool(terms.remembers.any())
+        self._remembers = bool(terms.has_memory.any())
         self.start(np.zeros(self.n_joints))
 
-    # -- what changes with time and with what was done before --------------------------
+    # -- changes with time and with past motion ----------------------------------------
 
     def start(self, q):
         """Begin a motion at positions q (nv,), with the memory of a joint at rest."""
         self._table = table = self.terms.table(q)
-        self._own = table.kinds, table.joints, table.numbers, table.memory
+        self._term_arrays = table.kinds, table.joints, table.numbers, table.memory
 
     def set_time(self, t):
         """Set torques that change with time to what they are at t [s]."""
         if self.terms.is_timed:
-            self.terms.set_levels(self._own[2], t, self._signals)
+            self.terms.set_levels(self._term_arrays[2], t, self._signals)
 
     def set_bodies(self, t):
         """Set the bodies to what they are at t [s]."""
-        bodies = [own for own in self._loaded if t >= own[0]][-1][1]
+        bodies = [pair for pair in self._timed_bodies if t >= pair[0]][-1][1]
         self._robot = self._tree, bodies, self.terms.armature, self._load_bodies
-        self._plain = tuple(self._tree), *self._robot[1:]
+        self._robot_arrays = tuple(self._tree), *self._robot[1:]
 
     def remember(self, q, v):
-        """Move memory on to a state q, v (nv,), to which no joint turned round."""
+        """Update the memory to a state q, v (nv,), reached without a reversal."""
         if self._remembers:
-            self.compiled.remember(*self._own, q, v)
+            self.compiled.remember(*self._term_arrays, q, v)
 
     # -- accelerations -----------------------------------------------------------------
 
-    def _set(self, found, mass):
-        self.values, self.found, self.mass = found, StateSolution(*found), mass
+    def _set(self, values, mass):
+        self.values, self.solution, self.mass = values, StateSolution(*values), mass
 
     def accelerate(self, q, v, tau, mode, stuck):
-        """Find the accelerations (nv,) under true torques tau, by modes of friction."""
-        # mode (nv,): signs of dry friction; stuck (nv,): joints that stick.
+        """Compute the accelerations (nv,) under true torques, for modes of friction."""
+        # tau, mode, stuck (nv,): true torques, signs of dry friction, sticking joints.
         nv, (tree, bodies, armature, loaded) = self.n_joints, self._robot
         M, h = np.empty((nv, nv)), np.empty(nv)
         self.compiled.bodies_at(q, v, tree, bodies, armature, M, h)
@@ -96,21 +96,21 @@ class ForwardDynamics:
             ML, hL = np.empty((nv, nv)), np.empty(nv)
             self.compiled.bodies_at(q, v, tree, loaded, np.zeros(nv), ML, hL)
         out, state = np.empty((5, nv)), (ML, hL, tau, q, v, mode, stuck)
-        self.compiled.accelerate(M, h, *state, self._table, self.found.a, out)
+        self.compiled.accelerate(M, h, *state, self._table, self.solution.a, out)
         self._set(out, M)
-        return self.found.a
+        return self.solution.a
 
     def explicit_step(self, q, v, a, *step):
-        """Do a compiled step; (q, v, a, error) at its end."""
-        # Arguments are those of `explicit_step` in `_compiled`, but the robot.
-        own = *step, (*self._robot, self._table)
-        q, v, error, found, mass = self.compiled.explicit_step(q, v, a, *own)
-        self._set(found, mass)
-        return q, v, self.found.a, error
+        """Take a compiled step; return (q, v, a, error) at its end."""
+        # Arguments are those of `explicit_step` in `_compiled`, without the robot.
+        arguments = *step, (*self._robot, self._table)
+        q, v, error, values, mass = self.compiled.explicit_step(q, v, a, *arguments)
+        self._set(values, mass)
+        return q, v, self.solution.a, error
 
     def smooth_steps(self, q, v, *rest):
-        """Do compiled steps; see `smooth_steps` in `_compiled`."""
-        own = *self._plain, tuple(self._table)
-        q, v, found, mass, *rest = self.compiled.smooth_steps(q, v, *rest, *own)
-        self._set(found, mass)
+        """Take compiled steps; see `smooth_steps` in `_compiled`."""
+        robot = *self._robot_arrays, tuple(self._table)
+        q, v, values, mass, *rest = self.compiled.smooth_steps(q, v, *rest, *robot)
+        self._set(values, mass)
         return q, v, *rest

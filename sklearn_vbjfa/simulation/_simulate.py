@@ -1,4 +1,4 @@
-"""Simulated motion of an identified robot, and checks of what it is asked."""
+"""Simulated motion of an identified robot, and checks of the input."""
 
 import warnings
 
@@ -28,13 +28,13 @@ def recorded(signals, t):
 
 
 def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
-    """Simulate a robot that is driven by measured torques; states (n, 3 nv)."""
-    # tau (n, nv): as the channels read them; q0, v0 (nv,): in the first row; t (n,):
-    # times of the rows [s] on the clock of the fit, by default every `dt` of the robot;
-    # signals: by name.
-    nothing = np.zeros(robot.n_joints)
-    q0 = _checked(robot, "q0", q0, nothing.shape)
-    v0 = _checked(robot, "v0", nothing if v0 is None else v0, nothing.shape)
+    """Simulate a robot under measured torques; return states (n, 3 nv)."""
+    # tau (n, nv): channel readings; q0, v0 (nv,): initial state; t (n,): times of the
+    # rows [s] on the clock of the fit, by default every `dt` of the robot; signals: by
+    # name.
+    zeros = np.zeros(robot.n_joints)
+    q0 = _checked(robot, "q0", q0, zeros.shape)
+    v0 = _checked(robot, "v0", zeros if v0 is None else v0, zeros.shape)
     tau = np.array(tau, dtype=float)
     if tau.ndim == 1 and robot.n_joints == 1:
         tau = tau[:, None]
@@ -53,10 +53,9 @@ def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
 
 
 def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
-    """Simulate a robot whose torques a controller sets and then holds."""
-    # control: (row, q, v) -> torques (nv,) as the channels read them, row being 3.5
-    # between rows 3 and 4; updates: how often in a sample period. Returns states (n, 3
-    # nv).
+    """Simulate a robot under torques that a controller sets and then holds."""
+    # control: (row, q, v) -> torques (nv,) in units of the channels; row 3.5 is halfway
+    # between rows 3 and 4; updates: per sample period. Returns states (n, 3 nv).
     dynamics = ForwardDynamics(robot, recorded(signals or {}, t))
 
     def torques(row, q, v):
@@ -67,10 +66,10 @@ def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
 
 
 def _run(robot, dynamics, torques, q0, v0, t, updates=None):
-    """States (n, 3 nv) of a motion, row by row."""
-    # torques: (row, q, v) -> those from a row on and at the end of what is done at a
-    # time: a sample period, over which they go straight, or one of the `updates` of a
-    # controller, over which they are held.
+    """Integrate a motion row by row; return states (n, 3 nv)."""
+    # torques: (row, q, v) -> torques at the start and end of an interval: a sample
+    # period, over which they change linearly, or an update period of a controller, over
+    # which they are held.
     n, nv, count = t.size, q0.size, updates or 1
     states = np.empty((n, 3, nv))
     with np.errstate(all="ignore"):
@@ -80,36 +79,36 @@ def _run(robot, dynamics, torques, q0, v0, t, updates=None):
             last = i + 1 == n
             for part in range(1 if last else count):
                 length = 0.0 if last else (t[i + 1] - t[i]) / count
-                row, since = i + part / count if updates else i, t[i] + part * length
+                row, start = i + part / count if updates else i, t[i] + part * length
                 ends = torques(row, motion.q, motion.v)
                 if updates:
-                    dynamics.set_bodies(since)
+                    dynamics.set_bodies(start)
                     motion.settle(ends[0])
                 if part == 0:
                     states[i] = motion.q, motion.v, motion.a
                 if not last:
-                    until = t[i + 1] if count == 1 else since + length
-                    _advance(robot, dynamics, motion, ends, since, until, i, updates)
+                    stop = t[i + 1] if count == 1 else start + length
+                    _advance(robot, dynamics, motion, ends, start, stop, i, updates)
     return states.reshape(n, -1)
 
 
-def _advance(robot, dynamics, motion, ends, since, until, row, updates):
-    """Move on between two times, through the instants between them."""
+def _advance(robot, dynamics, motion, ends, start, stop, row, updates):
+    """Advance between two times, with a change of bodies at instants between them."""
     begin, end = ends
-    period, now, torque = until - since, since, begin
-    between = [x for x in dynamics.instants if since < x <= until]
-    for instant in sorted({*between, until}) if between else (until,):
-        left = (until - instant) / period
-        then = end if left == 0 else end - left * (end - begin)
+    period, now, torque = stop - start, start, begin
+    changes = [x for x in dynamics.instants if start < x <= stop]
+    for instant in sorted({*changes, stop}) if changes else (stop,):
+        remaining = (stop - instant) / period
+        after = end if remaining == 0 else end - remaining * (end - begin)
         try:
-            motion.advance(torque, then, instant - now)
-        except Diverged as found:
-            late, joint = found.args
-            raise _diverged(robot, motion, now + late, row, joint, updates) from None
-        if instant in between:
+            motion.advance(torque, after, instant - now)
+        except Diverged as error:
+            delay, joint = error.args
+            raise _diverged(robot, motion, now + delay, row, joint, updates) from None
+        if instant in changes:
             dynamics.set_bodies(instant)
-            motion.settle(then)
-        now, torque = instant, then
+            motion.settle(after)
+        now, torque = instant, after
 
 
 def _diverged(robot, motion, time, row, joint, updates):
@@ -128,11 +127,11 @@ def _diverged(robot, motion, time, row, joint, updates):
     )
 
 
-# -- what is asked ---------------------------------------------------------------------
+# -- checks of the input ---------------------------------------------------------------
 
 
 def _checked(robot, name, values, shape):
-    """Check values of joints, in one row or in many."""
+    """Return validated values of all joints, in one or many rows."""
     values = np.array(values, dtype=float)
     if values.shape != shape:
         raise ValueError(
@@ -155,35 +154,35 @@ def _checked(robot, name, values, shape):
 
 def _times(robot, t, n):
     """Return the times of the rows, (n,)."""
-    since = 0.0 if robot.since is None else robot.since
+    start = 0.0 if robot.since is None else robot.since
     if t is None:
         if robot.dt is None:
             raise ValueError(
                 "The robot was identified without a sample period; give the times of "
                 "the rows as t."
             )
-        return since + robot.dt * np.arange(n)
+        return start + robot.dt * np.arange(n)
     return np.array(t, dtype=float)
 
 
 def _signals(signals, n):
-    """Check recorded signals, (n,) each."""
-    found = {}
+    """Return validated recorded signals, (n,) each."""
+    checked = {}
     for name, values in ({} if signals is None else signals).items():
-        found[name] = np.array(values, dtype=float)
-        if found[name].shape != (n,) or not np.isfinite(found[name]).all():
+        checked[name] = np.array(values, dtype=float)
+        if checked[name].shape != (n,) or not np.isfinite(checked[name]).all():
             raise ValueError(
                 f"signals[{name!r}] must hold one finite value per row of tau, shape "
-                f"({n},); got shape {found[name].shape}."
+                f"({n},); got shape {checked[name].shape}."
             )
-    return found
+    return checked
 
 
 def _check_inertia(robot, dynamics, q0):
     nv = robot.n_joints
-    still = np.zeros(nv), np.zeros(nv), np.zeros(nv), np.zeros(nv, dtype=bool)
+    arguments = np.zeros(nv), np.zeros(nv), np.zeros(nv), np.zeros(nv, dtype=bool)
     dynamics.start(q0)
-    dynamics.accelerate(q0, *still)
+    dynamics.accelerate(q0, *arguments)
     mass = dynamics.mass + dynamics.terms.inertia
     values, vectors = np.linalg.eigh(0.5 * (mass + mass.T))
     if not values[0] > 0:
@@ -195,7 +194,7 @@ def _check_inertia(robot, dynamics, q0):
 
 
 def warn_left_out(names, left, stacklevel):
-    """Warn of effects that a simulation goes without, each with the reason."""
+    """Warn of effects that a simulation omits, each with the reason."""
     if left:
         left = [f"{e.name} on {names[e.joint]} ({reason})" for e, reason in left]
         text = f"The simulation leaves out {'; '.join(left)}."

@@ -24,10 +24,10 @@ from sklearn_vbjfa.model import TreeRegressor, describe, is_prismatic, joint_nam
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Load:
-    """Parameters that the load and the torque in effects' columns are made with."""
+    """Parameters of the load and the torque in the columns of effects."""
 
-    # They are those of the fit before the last one, and differ a little from the final
-    # ones; see `sklearn_vbjfa.equations._equations.make_motion`.
+    # Parameters of the fit before the last one, slightly different from the final ones;
+    # see `sklearn_vbjfa.equations._equations.make_motion`.
     bodies: np.ndarray  # (nv, 10)
     friction: np.ndarray  # (nv, n_friction): of the declared friction
     coefficients: tuple  # of each effect; empty for effects that need a load themselves
@@ -35,20 +35,20 @@ class Load:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueModel:
-    """An identified robot: bodies, friction, effects, and what its channels read."""
+    """An identified robot: bodies, friction, effects, and gains of its channels."""
 
-    # Geometry and gravity, as the effects in the model correct them, without inertias.
-    model: object  # of Pinocchio
+    # Pinocchio model: geometry and gravity, corrected by effects, without inertias.
+    model: object
     bodies: np.ndarray  # (nv, 10): inertial parameters in Pinocchio's order
     friction_names: tuple  # declared columns, such as ("viscous", "coulomb")
     friction: np.ndarray  # (nv, n_friction): their coefficients
-    effects: tuple = ()  # those in the model (`InModel`) among them
-    # Of each effect; those of one in the model act through `model` and `gains` alone.
+    effects: tuple = ()  # including those in the model (`InModel`)
+    # By effect; effects in the model act through `model` and `gains` alone.
     coefficients: tuple = ()
-    ranges: tuple = ()  # `EffectRange` of each effect or None; empty holds none
-    gains: np.ndarray  # (nv,): what each torque channel reads over the true torque
+    ranges: tuple = ()  # `EffectRange` of each effect or None; empty clips none
+    gains: np.ndarray  # (nv,): ratio of channel reading to true torque
     load: Load | None = None  # None if no effect needs a load
-    rest: Rest | None = None  # speeds at or below which joints may be standing
+    rest: Rest | None = None  # speeds at or below which joints may be at rest
     since: float | None = None  # first time of the fit [s], where effects of time begin
     dt: float | None = None  # sample period of the fit [s]
 
@@ -65,7 +65,7 @@ class TorqueModel:
         return joint_names(self.model)
 
     def true_torques(self, tau, t):
-        """Turn measured torques (n, nv) at times t (n,) into those at the joints."""
+        """Convert measured torques (n, nv) at times t (n,) to joint torques."""
         out = tau / self.gains
         for effect, coef in zip(self.effects, self.coefficients):
             if isinstance(effect, OfChannel) and t.size > 1:
@@ -76,19 +76,19 @@ class TorqueModel:
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOut:
-    """Something of an identified robot that a file or a control loop goes without."""
+    """Part of an identified robot that a file or a control loop omits."""
 
     name: str  # of the effect, or of the declared friction
     joint: int  # from zero
     joint_name: str
-    reason: str  # why it has no place, or what of it is missing
+    reason: str  # why it is omitted, or what is missing
 
     def __str__(self):
         return f"{self.name} on {self.joint_name}: {self.reason}"
 
 
 def why_left_out(effect):
-    """Say why an effect cannot be computed state by state; empty if it can."""
+    """Return why an effect cannot be computed state by state; empty if it can."""
     if not isinstance(effect, Stateful):
         return ""
     if isinstance(effect, OfChannel):
@@ -99,23 +99,23 @@ def why_left_out(effect):
 
 
 def causal(model):
-    """Return a `TorqueModel` without effects that look ahead of a state, and those."""
+    """Remove effects that need other states; return these as `LeftOut`."""
     reasons = [
         "" if isinstance(effect, InModel) else why_left_out(effect)
         for effect in model.effects
     ]
-    kept = [k for k, reason in enumerate(reasons) if not reason]
+    indices = [k for k, reason in enumerate(reasons) if not reason]
     load = model.load
     if load is not None:
-        load = replace(load, coefficients=tuple(load.coefficients[k] for k in kept))
-    found = replace(
+        load = replace(load, coefficients=tuple(load.coefficients[k] for k in indices))
+    reduced = replace(
         model,
-        effects=tuple(model.effects[k] for k in kept),
-        coefficients=tuple(model.coefficients[k] for k in kept),
-        ranges=tuple(model.held[k] for k in kept),
+        effects=tuple(model.effects[k] for k in indices),
+        coefficients=tuple(model.coefficients[k] for k in indices),
+        ranges=tuple(model.held[k] for k in indices),
         load=load,
     )
-    return found, tuple(
+    return reduced, tuple(
         LeftOut(
             name=effect.name,
             joint=effect.joint,
@@ -130,9 +130,9 @@ def causal(model):
 class Stepper:
     """Torques of a `TorqueModel` state by state, for control loops."""
 
-    # Hysteresis, play, delays and lags remember the states since `reset`, up to the
-    # last turning point or as long as they last. `left_out_`: effects that need what
-    # comes after a state. An object is not for several threads.
+    # Hysteresis, play, delays and lags store the states since `reset`, back to the last
+    # reversal or over their duration. `left_out_`: effects that need future states. An
+    # object must not be shared between threads.
 
     def __init__(self, model):
         self._model, self.left_out_ = causal(model)
@@ -142,21 +142,21 @@ class Stepper:
             loads = model.load.coefficients
         # Effects in the model act through it and the gains alone.
         pairs = [
-            (effect, np.asarray(coefs, dtype=float), np.asarray(own), held)
-            for effect, coefs, own, held in zip(
+            (effect, np.asarray(coefs, dtype=float), np.asarray(load_coefs), limits)
+            for effect, coefs, load_coefs, limits in zip(
                 model.effects, model.coefficients, loads, model.held, strict=True
             )
             if not isinstance(effect, InModel)
         ]
-        own = [effect for effect, *_ in pairs]
-        self._timed = any("time" in effect.needs for effect in own)
-        recorded = [one.recorded for one in own if isinstance(one, OfSignals)]
+        effects = [effect for effect, *_ in pairs]
+        self._timed = any("time" in effect.needs for effect in effects)
+        recorded = [x.recorded for x in effects if isinstance(x, OfSignals)]
         self._signals = set().union(*recorded)
-        self._payloads = [one for one in pairs if isinstance(one[0], Payload)]
-        self._pairs = [one for one in pairs if not isinstance(one[0], Payload)]
-        self._needs_load = any("load" in effect.needs for effect in own)
-        maths = self._maths = Floats(model.rest)
-        signs = [maths.sign(j) for j in range(self._nv)]
+        self._payloads = [x for x in pairs if isinstance(x[0], Payload)]
+        self._pairs = [x for x in pairs if not isinstance(x[0], Payload)]
+        self._needs_load = any("load" in effect.needs for effect in effects)
+        functions = self._functions = Floats(model.rest)
+        signs = [functions.sign(j) for j in range(self._nv)]
         self._friction = _JointFriction(model.friction_names, model.friction, signs)
         self._rigid = _Rigid(model, model.bodies, self._payloads)
         self._load_friction = self._load_rigid = self._load_whole = None
@@ -174,17 +174,17 @@ class Stepper:
 
     def reset(self):
         self._n, self._last = 0, None
-        self._plain, self._of_load = [], []
-        for effect, coefs, own, held in self._pairs:
-            law = effect.law(self._maths)
+        self._terms, self._load_terms = [], []
+        for effect, coefs, load, limits in self._pairs:
+            law = effect.law(self._functions)
             if law is None:
-                law = _ByMotion(self._model, effect, self._needs_load)
-            one = _Term(_held(law, held), effect, coefs.tolist(), own.tolist())
-            (self._of_load if "load" in effect.needs else self._plain).append(one)
+                law = _RowLaw(self._model, effect, self._needs_load)
+            term = _Term(_clipped(law, limits), effect, coefs.tolist(), load.tolist())
+            (self._load_terms if "load" in effect.needs else self._terms).append(term)
 
     def step(self, q, v, a, t=None, signals=None):
-        """Torques (nv,) of the next state, friction included, as the channels read."""
-        # q, v, a (nv,): taken as noiseless; t: time [s] on the clock of the fit, None
+        """Return channel torques (nv,) of the next state, friction included."""
+        # q, v, a (nv,): assumed noiseless; t: time [s] on the clock of the fit, None
         # for one sample period after the last state; signals: name -> value.
         row = self._row
         q = np.asarray(q, dtype=float)
@@ -198,31 +198,31 @@ class Stepper:
             )
         row.q, row.v, row.a = q.tolist(), v.tolist(), a.tolist()
         finite = math.isfinite(sum(row.q) + sum(row.v) + sum(row.a))
-        # Sums may overflow where values do not.
+        # Sums may overflow although all values are finite.
         if not finite and not np.isfinite([q, v, a]).all():
             raise ValueError(
                 f"State {self._n} since the reset is not finite: q={row.q}, v={row.v}, "
                 f"a={row.a}."
             )
         if self._signals:
-            row.signals = self._read(signals)
-        # Last of the checks: a state that was refused leaves no trace.
+            row.signals = self._pick_signals(signals)
+        # Last check: a rejected state must not change the memory.
         if self._timed:
             self._set_time(t)
         self._n += 1
         torque = self._rigid(q, v, a, row)
         self._friction(torque, row)
-        read = None
+        total = None
         if self._needs_load:
             row.load = self._load_rigid(q, v, a, row)
-            whole = self._load_whole
-            read = row.load.copy() if whole is None else whole(q, v, a, row)
-            self._load_friction(read, row)
-        for term in self._plain:
-            term.add(row, torque, read)
-        if self._of_load:
-            row.torque = read
-            for term in self._of_load:
+            loaded = self._load_whole
+            total = row.load.copy() if loaded is None else loaded(q, v, a, row)
+            self._load_friction(total, row)
+        for term in self._terms:
+            term.add(row, torque, total)
+        if self._load_terms:
+            row.torque = total
+            for term in self._load_terms:
                 term.add(row, torque, None)
         return np.array(torque) * self._gains
 
@@ -246,7 +246,7 @@ class Stepper:
         self._last = self._row.t = t
         self._row.clipped_t = t if since is None else max(t, since)
 
-    def _read(self, signals):
+    def _pick_signals(self, signals):
         signals = {} if signals is None else signals
         missing = sorted(self._signals - set(signals))
         if missing:
@@ -257,54 +257,54 @@ class Stepper:
         return {name: float(signals[name]) for name in self._signals}
 
 
-def _held(columns, held):
-    """Return columns of a `State` in which an `EffectRange` holds the signals."""
-    for quantity, name in HELD.items() if held is not None else ():
-        ends = held.ends(quantity)
+def _clipped(columns, limits):
+    """Clip the signals of a `State` to an `EffectRange` in a function of columns."""
+    for quantity, name in HELD.items() if limits is not None else ():
+        ends = limits.ends(quantity)
         if np.isfinite(ends).any():
-            columns = _holding(columns, name, held.joint, *ends)
+            columns = _clip_signal(columns, name, limits.joint, *ends)
     return columns
 
 
-def _holding(columns, name, j, low, high):
-    """Return the same columns with a signal of joint j between two ends."""
+def _clip_signal(columns, name, j, low, high):
+    """Return the same function with a signal of joint j clipped to two limits."""
 
-    def held(row):
+    def clipped_columns(row):
         signal = getattr(row, name)
         value = signal[j]
         signal[j] = min(max(value, low), high)
-        found = columns(row)
-        # Others see it as it is.
+        result = columns(row)
+        # Other terms use the original value.
         signal[j] = value
-        return found
+        return result
 
-    return held
+    return clipped_columns
 
 
 class _Term:
-    """An effect with its coefficients, and those in the torque of the load."""
+    """An effect with its coefficients, and those of the `Load`."""
 
-    __slots__ = ("_coefs", "_columns", "_everywhere", "_joint", "_own")
+    __slots__ = ("_coefs", "_columns", "_everywhere", "_joint", "_load_coefs")
 
-    def __init__(self, columns, effect, coefs, own):
+    def __init__(self, columns, effect, coefs, load_coefs):
         self._columns, self._joint = columns, effect.joint
         self._everywhere = isinstance(effect, OnAllJoints)
-        self._coefs, self._own = coefs, own
+        self._coefs, self._load_coefs = coefs, load_coefs
 
-    def add(self, row, torque, read):
-        """Add the effect to a torque, and to that of the load unless None."""
+    def add(self, row, torque, total):
+        """Add the effect to a torque, and to the torque of the load fit unless None."""
         columns = self._columns(row)
         if self._everywhere:
             columns = np.asarray(columns)
             for j, value in enumerate((columns @ self._coefs).tolist()):
                 torque[j] += value
-            if read is not None:
-                for j, value in enumerate((columns @ self._own).tolist()):
-                    read[j] += value
+            if total is not None:
+                for j, value in enumerate((columns @ self._load_coefs).tolist()):
+                    total[j] += value
             return
         torque[self._joint] += sum(map(_product, self._coefs, columns))
-        if read is not None:
-            read[self._joint] += sum(map(_product, self._own, columns))
+        if total is not None:
+            total[self._joint] += sum(map(_product, self._load_coefs, columns))
 
 
 _product = float.__mul__
@@ -316,20 +316,20 @@ class _JointFriction:
     def __init__(self, names, coefficients, signs):
         terms = "viscous", "coulomb", "offset", "rotor_inertia"
         table = dict(zip(names, np.asarray(coefficients, dtype=float).T.tolist()))
-        none = [0.0] * len(signs)
-        rows = [table.get(name, none) for name in terms]
+        zeros = [0.0] * len(signs)
+        rows = [table.get(name, zeros) for name in terms]
         self._rows = list(zip(*rows, signs))
 
     def __call__(self, torque, row):
         """Add the friction of a row to a torque."""
         v, a = row.v, row.a
         for j, (viscous, coulomb, offset, rotor, sign) in enumerate(self._rows):
-            own = viscous * v[j] + offset + rotor * a[j]
-            torque[j] += own + coulomb * sign(v[j], a[j]) if coulomb else own
+            friction = viscous * v[j] + offset + rotor * a[j]
+            torque[j] += friction + coulomb * sign(v[j], a[j]) if coulomb else friction
 
 
 class _Rigid:
-    """Rigid bodies with payloads, without rotors."""
+    """Rigid-body torques with payloads, without rotors."""
 
     def __init__(self, model, bodies, payloads=(), which=0):
         from sklearn_vbjfa.model._kernel import torques
@@ -337,7 +337,7 @@ class _Rigid:
         self._compute = torques
         self._tree, nv = describe(model.model), model.n_joints
         self._state, self._out = np.empty((3, nv)), np.empty((1, nv))
-        self._instants = sorted({one[0].instant for one in payloads})
+        self._instants = sorted({x[0].instant for x in payloads})
         self._bodies = []
         for instant in [-math.inf, *self._instants]:
             carried = np.array(bodies, dtype=float)
@@ -350,14 +350,14 @@ class _Rigid:
         """Torques of a state, a list of floats."""
         state = self._state
         state[0], state[1], state[2] = q, v, a
-        picked = sum(row.t >= instant for instant in self._instants)
+        index = sum(row.t >= instant for instant in self._instants)
         flat = state.reshape(1, -1)
-        self._compute(flat, self._tree, self._bodies[picked], self._out)
+        self._compute(flat, self._tree, self._bodies[index], self._out)
         return self._out[0].tolist()
 
 
-class _ByMotion:
-    """An effect that is not of the library, by motions of one row."""
+class _RowLaw:
+    """Columns of a custom effect, from a `Motion` of one row."""
 
     def __init__(self, model, effect, load):
         self._columns, self._model, self._effect = effect.columns, model, effect

@@ -26,21 +26,21 @@ class BlockAssignment:
     """How filtered rows are divided into blocks, however a recording is split."""
 
     rows: int  # per block
-    together: int = 1  # recordings per block, if there are more recordings than blocks
+    per_block: int = 1  # recordings per block, if there are more recordings than blocks
     # (n, 2) of each recording: block of each row, if blocks are phases of a motion
     keys: list | None = None
     # recordings per group whose moments are kept together; None for one recording
-    several: int | None = None
+    per_group: int | None = None
 
     @classmethod
     def of(cls, lengths, phases=None):
-        together = -(-len(lengths) // _BLOCKS)
-        several = together if len(lengths) > 1 else None
+        per_block = -(-len(lengths) // _BLOCKS)
+        per_group = per_block if len(lengths) > 1 else None
         if phases is None:
             return cls(
                 rows=max(-(-sum(lengths) // _BLOCKS), _FEWEST_ROWS),
-                together=together,
-                several=several,
+                per_block=per_block,
+                per_group=per_group,
             )
         motion, phase = np.unique(phases[0], return_inverse=True)[1], phases[1].copy()
         spans = []
@@ -48,16 +48,16 @@ class BlockAssignment:
             phase[mask] -= phase[mask].min()
             spans.append(int(phase[mask].max()) + 1)
         base = cls.of(spans)
-        number = (phase // base.rows).astype(int) if base.together == 1 else 0 * motion
-        keys = np.column_stack([motion // base.together, number])
+        number = (phase // base.rows).astype(int) if base.per_block == 1 else 0 * motion
+        keys = np.column_stack([motion // base.per_block, number])
         keys = np.split(keys, np.cumsum(lengths)[:-1])
-        return replace(base, keys=keys, several=several)
+        return replace(base, keys=keys, per_group=per_group)
 
     def recording(self, number):
         """Return the group of a recording and the group size; None for a single one."""
-        if self.several is None:
+        if self.per_group is None:
             return None
-        return number // self.several, self.several
+        return number // self.per_group, self.per_group
 
     def parts(self, recording, rows):
         # Returns keys (n_parts, 2), recording and block number of each part, and starts
@@ -67,8 +67,8 @@ class BlockAssignment:
             changes = (np.diff(keys, axis=0) != 0).any(axis=1)
             starts = np.flatnonzero(np.r_[True, changes])
             return keys[starts], starts
-        if self.together > 1:
-            return np.array([[recording // self.together, 0]]), np.zeros(1, dtype=int)
+        if self.per_block > 1:
+            return np.array([[recording // self.per_block, 0]]), np.zeros(1, dtype=int)
         numbers = np.arange(rows.start // self.rows, -(-rows.stop // self.rows))
         starts = np.maximum(numbers * self.rows - rows.start, 0)
         return np.column_stack([np.full(numbers.size, recording), numbers]), starts
@@ -456,10 +456,10 @@ def joint_entries(support, used):
     return pairs
 
 
-def sum_moments(several):
+def sum_moments(parts):
     """Sum `JointMoments` of disjoint rows or pieces; None if there are none."""
     total = None
-    for moments in several:
+    for moments in parts:
         if total is None:
             total = moments
             continue

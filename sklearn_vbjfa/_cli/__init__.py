@@ -13,7 +13,7 @@ def main(argv=None):
         arguments = parse(list(map(str, sys.argv[1:] if argv is None else argv)))
         from sklearn_vbjfa._core._runtime import one_blas_thread
 
-        # The matrices are small: threads would only wait for each other.
+        # Matrices are small, so that further BLAS threads only add overhead.
         with one_blas_thread():
             return run(arguments)
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""The command ``design``: the motion to record next."""
+"""The command ``design``: an exciting motion to record next."""
 
 import argparse
 from collections import namedtuple
@@ -9,8 +9,8 @@ import numpy as np
 
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _gravity, _input
-from sklearn_vbjfa._cli._parser import command_line, spelled
-from sklearn_vbjfa._cli._run import Done, rendered
+from sklearn_vbjfa._cli._parser import command_line, option_of
+from sklearn_vbjfa._cli._run import Result, rendered
 from sklearn_vbjfa._core._runtime import say
 from sklearn_vbjfa.design import (
     KnownRobot,
@@ -20,16 +20,16 @@ from sklearn_vbjfa.design import (
     read_report,
 )
 
-# Options of identify that describe the robot and hold for its next recording.
+# Options of identify that describe the robot, also for its next recording.
 _OF_ROBOT = ("joints", "base_orientation", "gain", "known_mass", "drive", "friction")
 
-# A `KnownRobot` that is to move; the model with its limits; the description that was
-# given, or that a report names; whether further joints are held; and the sample period.
+# `KnownRobot` to move; model with its limits; description file, as given or named by a
+# report; further joints that are held fixed; sample period.
 _Robot = namedtuple("_Robot", "known model file held dt")
 
 
 def design(arguments, folder):
-    """Design a motion, print what it decides, and write it."""
+    """Design a motion, print the effects that it excites, and write it."""
     if arguments.purpose == "gravity":
         return _gravity.design_poses(arguments, folder)
     if arguments.urdf is None and arguments.report is None:
@@ -39,25 +39,25 @@ def design(arguments, folder):
         )
     out = _input.expand(arguments.out or "motion.csv")
     _input.check_file(out, "--out", arguments.force)
-    found = {}
+    report = {}
     if arguments.report:
-        found = read_report(_input.expand(arguments.report))
-        robot = _identified(arguments, found, folder)
+        report = read_report(_input.expand(arguments.report))
+        robot = _identified(arguments, report, folder)
     else:
         robot = _described(arguments, folder)
-    motion = _motion(arguments, robot, found)
+    motion = _motion(arguments, robot, report)
     measured = all(0 < x < np.inf for x in robot.known.torque_noise)
-    facts = _summary.facts(motion, found)
+    facts = _summary.facts(motion, report)
 
     def write(folder, notes):
         motion.to_csv(folder / out.name)
-        options = found.get("provenance", {}).get("options", {})
+        options = report.get("provenance", {}).get("options", {})
         command = _next_command(arguments, robot, options)
         steps = {"out": out, "drive": options.get("drive"), "command": command}
         return [rendered("next_motion.txt.j2", **steps, **facts)]
 
     facts |= {"robot": Path(robot.file).name, "motion": motion, "measured": measured}
-    return Done(
+    return Result(
         text=rendered("motion.txt.j2", **facts),
         doubts=_summary.doubts(motion, facts, arguments.effects or ()),
         folder=out.parent,
@@ -66,7 +66,7 @@ def design(arguments, folder):
     )
 
 
-def _motion(arguments, robot, found):
+def _motion(arguments, robot, report):
     names = robot.known.joint_names
     say(f"designing {arguments.duration:g} s for {len(names)} joints")
     motion = design_motion(
@@ -80,7 +80,7 @@ def _motion(arguments, robot, found):
             torque=arguments.torque,
         ),
         effects=arguments.effects or (),
-        report=found or None,
+        report=report or None,
         random_state=arguments.seed,
     )
     if not motion.within_limits:
@@ -93,23 +93,23 @@ def _motion(arguments, robot, found):
 
 def _described(arguments, folder):
     urdf, held = _input.robot(arguments, arguments.joints, folder)
-    given = _input.expand(arguments.urdf)
-    known = replace(KnownRobot.of(str(urdf)), description=str(given))
-    return _Robot(known, known.features.model_, str(given), held, 0.01)
+    file = _input.expand(arguments.urdf)
+    robot = replace(KnownRobot.of(str(urdf)), description=str(file))
+    return _Robot(robot, robot.features.model_, str(file), held, 0.01)
 
 
-def _identified(arguments, found, folder):
+def _identified(arguments, data, folder):
     for name in {"urdf", "joints", "base_orientation"} & set(arguments.typed):
-        raise ValueError(f"{spelled(name)} is taken from the report; leave it out.")
+        raise ValueError(f"{option_of(name)} is taken from the report; leave it out.")
     report = _input.expand(arguments.report)
     path = (report if report.is_dir() else report.parent) / "identified.json"
     robot = load_identified(path)
-    provenance, model = found.get("provenance", {}), robot.features_.nominal_
+    provenance, model = data.get("provenance", {}), robot.features_.nominal_
     file = provenance.get("description") or str(path)
     description = folder / "described.urdf"
     description.write_text(robot.description_, encoding="utf-8")
     if file != str(path) and Path(file).is_file():
-        # Paths of meshes are relative to the file.
+        # Mesh paths are relative to the description file.
         description = Path(file)
     if robot.gains_ is not None and not robot.gains_.absolute:
         if arguments.acceleration is arguments.torque is None:
@@ -124,7 +124,7 @@ def _identified(arguments, found, folder):
 
 
 def _next_command(arguments, robot, options):
-    # options: those that a report was made with.
+    # options: those of the run that wrote the report.
     typed = {name: options[name] for name in _OF_ROBOT if name in options}
     typed |= {x: arguments.typed[x] for x in _OF_ROBOT[:2] if x in arguments.typed}
     if robot.held:

@@ -7,51 +7,51 @@ import numpy as np
 
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
-from sklearn_vbjfa._cli._parser import command_of
+from sklearn_vbjfa._cli._parser import shell_line
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
-from sklearn_vbjfa._cli._run import Done, rendered
+from sklearn_vbjfa._cli._run import Result, rendered
 from sklearn_vbjfa.model import joint_names, load_model
 
 
 def correct(arguments, folder):
-    """Correct the masses of a description by poses, and write the files."""
+    """Correct the masses of a description from poses, and write the files."""
     import pandas as pd
 
     from sklearn_vbjfa.gravity import correct_gravity
 
     out = _input.output_folder(arguments, "report")
     recording, urdf, _ = _input.load(arguments, folder)
-    with _input.blaming(arguments, urdf, arguments.joints, arguments.gain):
-        found = correct_gravity(recording, str(urdf))
-    robot, enough = found.identifier, found.poses_enough
+    with _input.naming_input(arguments, urdf, arguments.joints, arguments.gain):
+        result = correct_gravity(recording, str(urdf))
+    robot, enough = result.identifier, result.poses_enough
     words = ["--urdf", arguments.urdf, "--report", str(out), "--for", "gravity"]
     words += [] if enough is None else ["--poses", str(max(enough, 1))]
-    friction = np.where(found.friction_known, "known", "assumed (one direction)")
+    friction = np.where(result.friction_known, "known", "assumed (one direction)")
     joints = pd.DataFrame(
         {
             "joint": robot.joint_names_,
-            "gravity described": found.gravity_before,
-            "gravity corrected": found.gravity,
-            "interval": found.interval,
-            "error described": found.error_before,
-            "error corrected": found.error_after,
-            "friction": np.where(found.gravity, friction, "no gravity torque"),
+            "gravity described": result.gravity_before,
+            "gravity corrected": result.gravity,
+            "interval": result.interval,
+            "error described": result.error_before,
+            "error corrected": result.error_after,
+            "friction": np.where(result.gravity, friction, "no gravity torque"),
         }
     )
     data = {
         "purpose": "gravity",
-        "samples": found.n_samples,
-        # Numbers that are not known are null.
+        "samples": result.n_samples,
+        # Unknown numbers become null.
         "joints": json.loads(joints.to_json(orient="records", double_precision=15)),
-        "links": [asdict(one) for one in robot.mass_deviations_],
-        "payload": found.payload,
+        "links": [asdict(link) for link in robot.mass_deviations_],
+        "payload": result.payload,
         "poses_enough": enough,
-        "command": command_of("design", *words),
+        "command": shell_line("design", *words),
     }
     doubts = []
-    if not np.nansum(found.error_after**2) < np.nansum(found.error_before**2):
+    if not np.nansum(result.error_after**2) < np.nansum(result.error_before**2):
         doubts.append("held-out samples do not improve: use the description")
-    failed = (found.gravity > 0) & (found.error_after >= found.gravity)
+    failed = (result.gravity > 0) & (result.error_after >= result.gravity)
     if failed.any():
         names = ", ".join(joints["joint"][failed])
         doubts.append(f"error above the gravity torque: {names}")
@@ -64,7 +64,7 @@ def correct(arguments, folder):
 
     table = joints.to_string(index=False, float_format="{:.3g}".format)
     facts = data | {"recording": recording, "rows": table, "reasons": doubts}
-    return Done(
+    return Result(
         text=rendered("gravity.txt.j2", **facts),
         doubts=doubts,
         data=data,
@@ -75,7 +75,7 @@ def correct(arguments, folder):
 
 
 def design_poses(arguments, folder):
-    """Choose poses for gravity compensation, and write them in their order."""
+    """Choose poses for gravity compensation, and write them in order."""
     from sklearn_vbjfa.gravity import gravity_poses
 
     out = _input.expand(arguments.out or "poses.csv")
@@ -94,10 +94,10 @@ def design_poses(arguments, folder):
         np.savetxt(folder / out.name, table, "%.9g", ",", header=heads, comments="")
         return []
 
-    return Done(
+    return Result(
         text=f"Poses: {n}, each reached from both sides, with the seconds to stay "
         "there.\nMove slowly from one to the next, record q and tau, then: "
-        + command_of("identify", "LOG", "--urdf", arguments.urdf, "--for", "gravity"),
+        + shell_line("identify", "LOG", "--urdf", arguments.urdf, "--for", "gravity"),
         folder=out.parent,
         files=(out.name,),
         write=write,

@@ -1,4 +1,4 @@
-"""The command ``identify``: the robot, effects missing from its model, the files."""
+"""The command ``identify``: identification and search for missing effects."""
 
 import json
 import shutil
@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa._cli import _gravity, _input
-from sklearn_vbjfa._cli._parser import Refused, command_of, in_options
+from sklearn_vbjfa._cli._parser import Refused, shell_line, with_options
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
-from sklearn_vbjfa._cli._run import Done
+from sklearn_vbjfa._cli._run import Result
 from sklearn_vbjfa.design._motion import known_limits
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import OfferedSignals
 
-# The report as a page and as data, and the robot.
+# Report as page and data, and files of the robot.
 _FILES = ("report.html", "report.json", *ROBOT_FILES)
 
 
@@ -38,15 +38,15 @@ def identify(arguments, folder):
     settings = _input.settings(arguments)
     recording, urdf, held = _input.load(arguments, folder)
     files = tuple(dict.fromkeys(map(str, _input.paths(arguments))))
-    with _input.blaming(arguments, urdf, arguments.joints, arguments.gain):
+    with _input.naming_input(arguments, urdf, arguments.joints, arguments.gain):
         loop = search(recording, str(urdf), effects=effects, **settings)
     robot = folder / "robot"
     robot.mkdir()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        lacking = write_robot(loop.identifier_, robot)
-    for one in caught:
-        warnings.warn(one.message, stacklevel=2)
+        incomplete = write_robot(loop.identifier_, robot)
+    for warning in caught:
+        warnings.warn(warning.message, stacklevel=2)
     export = [str(x.message) for x in caught if issubclass(x.category, DoubtWarning)]
     outcome = loop.report_.outcome
     provenance = {
@@ -61,10 +61,10 @@ def identify(arguments, folder):
     if loop.report_.has_open_questions:
         words = ["--report", str(out), "--duration", str(SECONDS)]
         words += _limits(loop.identifier_, recording)
-        provenance["command"] = command_of("design", *words)
+        provenance["command"] = shell_line("design", *words)
     channels = [
-        replace(one, message=in_options(one.message))
-        for one in outcome.findings["channels"]
+        replace(finding, message=with_options(finding.message))
+        for finding in outcome.findings["channels"]
     ]
     outcome = replace(
         outcome,
@@ -75,19 +75,19 @@ def identify(arguments, folder):
 
     def write(folder, notes):
         shutil.copytree(robot, folder, dirs_exist_ok=True)
-        shown = {one.message for one in channels}
-        notes = [x for x in map(in_options, notes) if x not in shown]
-        told = {"warnings": (*notes, *lacking)}
-        report = Report(replace(outcome, provenance=outcome.provenance | told))
+        shown = {finding.message for finding in channels}
+        notes = [x for x in map(with_options, notes) if x not in shown]
+        extra = {"warnings": (*notes, *incomplete)}
+        report = Report(replace(outcome, provenance=outcome.provenance | extra))
         text = json.dumps(report.to_dict(), indent=1, allow_nan=False)
         folder.joinpath("report.html").write_text(report.to_html(), encoding="utf-8")
         folder.joinpath("report.json").write_text(text, encoding="utf-8")
         command, lines = provenance.get("command"), []
         if command:
-            seen = ", limits as recorded where the description has none, or lower ones"
-            lines.append(f"Next motion{seen * ('--torque' in command)}: {command}")
-        if lacking:
-            names = " and ".join(line.partition(" ")[0] for line in lacking)
+            hint = ", limits as recorded where the description has none, or lower ones"
+            lines.append(f"Next motion{hint * ('--torque' in command)}: {command}")
+        if incomplete:
+            names = " and ".join(line.partition(" ")[0] for line in incomplete)
             lines.append(
                 f"{names}: not complete, see the first lines; identified.json is"
             )
@@ -97,9 +97,9 @@ def identify(arguments, folder):
             lines.append(f"ranges for domain randomisation: {ranges}")
         return lines
 
-    # Joints that are named by the user leave the others out on purpose.
+    # With --joints the user excludes the other joints on purpose.
     others = [] if arguments.joints else _input.other_joints(urdf, held)
-    return Done(
+    return Result(
         text="\n".join([str(recording), *others, str(printed)]),
         doubts=printed.warnings,
         data="report.json",
@@ -111,21 +111,21 @@ def identify(arguments, folder):
 
 
 def _limits(robot, recording):
-    """Options for limits that the description lacks: what was recorded."""
+    """Yield options with recorded limits, for those that the description lacks."""
     model, gains = robot.features_.nominal_, robot.gains_
     steps = np.abs(np.diff(recording.q, axis=0)) / recording.dt
-    # Steps from one recording to the next are few.
+    # Jumps between recordings are few, and above the quantile.
     speed, torque = (
         np.quantile(np.abs(x), 0.99, axis=0) for x in (steps, recording.tau)
     )
     effort = known_limits(model.effortLimit)
     placeholder = (effort < torque) | (gains is not None and not gains.absolute)
     effort = np.where(placeholder, np.inf, effort)
-    both = known_limits(model.velocityLimit), speed
-    for name, (known, seen) in {"velocity": both, "torque": (effort, torque)}.items():
-        if np.isinf(known).any():
-            seen = np.where(seen > 0, seen, seen.max())
-            values = np.where(np.isinf(known), seen, known)
+    pair = known_limits(model.velocityLimit), speed
+    for name, (limit, peak) in {"velocity": pair, "torque": (effort, torque)}.items():
+        if np.isinf(limit).any():
+            peak = np.where(peak > 0, peak, peak.max())
+            values = np.where(np.isinf(limit), peak, limit)
             yield from (f"--{name}", ",".join(f"{x:.3g}" for x in values))
 
 
@@ -133,10 +133,10 @@ def identify_demo(arguments, folder):
     """Identify the robot of the recording that comes with the package."""
     from sklearn_vbjfa.datasets import load_demo_recording
 
-    # A log has no exact states.
+    # Logs do not contain exact states.
     recording = replace(load_demo_recording(), states=None)
     loop = search(recording, recording.urdf)
-    return Done(text=f"{recording}\n{loop.report_}", doubts=loop.report_.warnings)
+    return Result(text=f"{recording}\n{loop.report_}", doubts=loop.report_.warnings)
 
 
 def search(recording, urdf, *, effects="all", options=None, **settings):

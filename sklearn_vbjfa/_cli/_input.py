@@ -1,4 +1,4 @@
-"""Recordings, robots and output folders of the command line, loaded or refused."""
+"""Recordings, robots and output folders of the command line."""
 
 import contextlib
 import itertools
@@ -15,7 +15,7 @@ from sklearn_vbjfa.model._loading import load_folded
 from sklearn_vbjfa.physical import ProjectionError
 from sklearn_vbjfa.recording import common_folder, expand
 
-# How a cell begins that a spreadsheet computes.
+# First characters of cells that a spreadsheet evaluates as formulas.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
@@ -23,21 +23,21 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
 def load(arguments, folder, *, assumed=None):
-    """Return a recording, its robot, and joints that are held without columns."""
-    # folder: for derived descriptions; assumed: gains of the torque channels if none
-    # are given.
+    """Return a recording, its robot description, and the joints that are held."""
+    # folder: for derived descriptions; assumed: gains of the torque channels by
+    # default.
     urdf, held = robot(arguments, arguments.joints, folder)
     gains = arguments.gain or (assumed if arguments.drive is None else None)
     recording = read(arguments, urdf, arguments.joints, gains)
     if set(recording.joint_names) != set(movable_joints(urdf)):
-        # Joints without columns.
+        # Joints without columns are held.
         urdf, more = _reduced(urdf, recording.joint_names, folder)
         held = (*held, *more)
     return recording, urdf, held
 
 
 def findings(arguments, recording, urdf, gains):
-    """Return the faults of the channels; unknown factors are none."""
+    """Return the faults of the channels; unknown gains are not a fault."""
     drive = arguments.drive
     if drive is not None:
         gains = drive.gains
@@ -47,31 +47,31 @@ def findings(arguments, recording, urdf, gains):
 
 
 def other_joints(urdf, held):
-    """Return lines on joints that are held, and on those that follow others."""
-    wrong = "what stands elsewhere makes zeros, masses and effects of others wrong"
-    lines = [f"held at zero: {', '.join(held)} ({wrong})"] if held else []
-    follow = [body.name for body in load_folded(urdf).followers]
-    if follow:
-        lines.append(f"follow other joints, without columns: {', '.join(follow)}")
+    """Return lines on joints that are held, and on joints that follow others."""
+    effect = "what stands elsewhere makes zeros, masses and effects of others wrong"
+    lines = [f"held at zero: {', '.join(held)} ({effect})"] if held else []
+    mimics = [body.name for body in load_folded(urdf).followers]
+    if mimics:
+        lines.append(f"follow other joints, without columns: {', '.join(mimics)}")
     return lines
 
 
 def settings(arguments):
-    given = arguments.known_mass or ()
-    if given and arguments.gain != "unknown":
+    masses = arguments.known_mass or ()
+    if masses and arguments.gain != "unknown":
         raise ValueError(
             "--known-mass fixes the common factor of channels with unknown gains: "
             "give --gain unknown as well."
         )
-    if len(dict(given)) < len(given):
+    if len(dict(masses)) < len(masses):
         raise ValueError("--known-mass names a link twice; name it once.")
     return {
         "friction": arguments.friction,
         "bodies": arguments.bodies,
         "drive": arguments.drive,
-        # The recording is read with factors that are known.
+        # Known gains were already applied when the recording was read.
         "gains": "unknown" if arguments.gain == "unknown" else None,
-        "options": FitOptions(known_masses=dict(given) or None),
+        "options": FitOptions(known_masses=dict(masses) or None),
     }
 
 
@@ -79,8 +79,8 @@ def paths(arguments):
     return tuple(map(expand, arguments.recording))
 
 
-def named(arguments):
-    """Return a name of what is read, for messages: the file, or the first of them."""
+def log_name(arguments):
+    """Return the name of the input for messages: the first file and their number."""
     first, *others = paths(arguments)
     return f"{first} and {len(others)} more" if others else str(first)
 
@@ -91,9 +91,9 @@ def motor_units(recording):
 
 
 @contextlib.contextmanager
-def blaming(arguments, *given):
-    """Name what was read in a refusal: the options are valid, so it is at fault."""
-    # given: further arguments of `read`, with which it was read.
+def naming_input(arguments, *read_arguments):
+    """Name the recording in errors: options are valid, so that it is at fault."""
+    # read_arguments: further arguments with which it was read.
     try:
         yield
     except (ValueError, ProjectionError) as error:
@@ -104,11 +104,11 @@ def blaming(arguments, *given):
         if options:
             other = parse(shlex.split(command_line(arguments, options))[3:])
             try:
-                read(other, *given)
+                read(other, *read_arguments)
             except ValueError:
-                # They contradict the log.
+                # The log cannot be read with the suggested options.
                 options = {}
-        reason = f"{named(arguments)}: {getattr(error, 'reason', error)}"
+        reason = f"{log_name(arguments)}: {getattr(error, 'reason', error)}"
         raise Refused(reason, **options) from error
 
 
@@ -131,7 +131,7 @@ def read(arguments, urdf, joints, gains):
     if units and gains is None and arguments.drive is None:
         several = recording.nv > 1
         raise Refused(
-            f"{named(arguments)}: the torques are recorded in {units[0]}; give the "
+            f"{log_name(arguments)}: the torques are recorded in {units[0]}; give the "
             "factors to N m, torque constant times gear ratio, one for each of "
             f"{', '.join(recording.joint_names)}"
             f"{', or have them identified' if several else ''} (--gain)",
@@ -144,7 +144,7 @@ def read(arguments, urdf, joints, gains):
 
 
 def robot(arguments, joints, folder):
-    """Check a description; return one in which other joints are fixed, and these."""
+    """Check a description; return one with other joints fixed, and their names."""
     if arguments.urdf is None:
         raise ValueError("give --urdf FILE, the robot description (URDF or MJCF).")
     urdf = expand(arguments.urdf)
@@ -165,7 +165,7 @@ def robot(arguments, joints, folder):
 
 
 def _reduced(urdf, moving, folder, base=None):
-    # With a part of its name for each time.
+    # Each repeated reduction gets another file name.
     reduced = folder / (f"held-{urdf.name}" if urdf.parent == folder else urdf.name)
     return reduced, tuple(write_reduced(urdf, reduced, moving, base))
 
@@ -174,21 +174,21 @@ def _reduced(urdf, moving, folder, base=None):
 
 
 def output_folder(arguments, what):
-    """Return the folder for files, refused before the work if it cannot take them."""
-    # what: end of its name if none is given.
+    """Return the output folder, or refuse it before the computation starts."""
+    # what: suffix of the default name.
     out = expand(arguments.out) if arguments.out else _default_folder(arguments, what)
     check_folder(out)
-    # Hidden files are those of folders and editors.
-    held = sorted(x.name for x in out.iterdir()) if out.is_dir() else []
-    held = [name for name in held if not name.startswith(".")]
-    if not held or arguments.force:
+    # Hidden files, of file managers and editors, are ignored.
+    files = sorted(x.name for x in out.iterdir()) if out.is_dir() else []
+    files = [name for name in files if not name.startswith(".")]
+    if not files or arguments.force:
         return out
     others = (out.with_name(f"{out.name}-{k}") for k in itertools.count(2))
     other = next(x for x in others if not x.exists())
     if arguments.out is None:
         return other
     raise Refused(
-        f"{out} holds {', '.join(held[:3])}{' and more' if held[3:] else ''}; give "
+        f"{out} holds {', '.join(files[:3])}{' and more' if files[3:] else ''}; give "
         "another --out, or --force to write to it",
         out=str(other),
     )
@@ -207,21 +207,21 @@ def _default_folder(arguments, what):
 
 
 def check_folder(out):
-    there = next(x for x in (out, *out.parents) if x.exists() or x.is_symlink())
-    if not there.is_dir():
-        raise ValueError(f"{there} is not a folder; give another --out.")
+    folder = next(x for x in (out, *out.parents) if x.exists() or x.is_symlink())
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is not a folder; give another --out.")
     try:
-        # Rights, a read-only or special file system: trying knows.
-        with tempfile.TemporaryFile(dir=there):
+        # Only an attempt detects missing permissions and read-only file systems.
+        with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         raise ValueError(
-            f"{there} cannot be written to ({error.strerror}); give another folder."
+            f"{folder} cannot be written to ({error.strerror}); give another folder."
         ) from error
 
 
 def check_file(out, option, force):
-    """Refuse a file that cannot be written, or that there is already."""
+    """Refuse a file that exists or cannot be written."""
     if out.is_dir() or (out.exists() and not force):
         raise ValueError(
             f"{out} exists; give another file for {option}, or --force to replace a "
@@ -230,8 +230,8 @@ def check_file(out, option, force):
     check_folder(out.parent)
 
 
-def no_formula(cell):
-    """Return a cell of a table that a spreadsheet does not take for a formula."""
-    # One that begins like a formula gets an apostrophe in front.
+def escape_formula(cell):
+    """Return a table cell that a spreadsheet does not evaluate as a formula."""
+    # Cells that begin like a formula are prefixed by an apostrophe.
     text = str(cell)
     return f"'{text}" if text.startswith(_FORMULA) else text

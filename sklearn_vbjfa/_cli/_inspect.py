@@ -6,8 +6,8 @@ import numpy as np
 from tabulate import tabulate
 
 from sklearn_vbjfa._cli import _input
-from sklearn_vbjfa._cli._parser import in_options
-from sklearn_vbjfa._cli._run import Done, rendered
+from sklearn_vbjfa._cli._parser import with_options
+from sklearn_vbjfa._cli._run import Result, rendered
 from sklearn_vbjfa.datasets import SETS
 from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.inspection import motion_of
@@ -16,12 +16,12 @@ _TOO_SHORT = "too short to examine the motion"
 
 
 def list_effects(arguments, folder):
-    # Without marks of citations.
+    # Citation marks are removed.
     titles = [re.sub(r" ?\[\d+\]_", "", type(x).__doc__) for x in resolve("all")]
     titles = [text.splitlines()[0].rstrip(".") for text in titles]
     rows = [[x.name, text, x.record] for x, text in zip(resolve("all"), titles)]
     heads = ["name", "effect", "what to record"]
-    return Done(text=tabulate(rows, headers=heads, maxcolwidths=[None, 46, 34]))
+    return Result(text=tabulate(rows, headers=heads, maxcolwidths=[None, 46, 34]))
 
 
 def list_datasets(arguments, folder):
@@ -29,21 +29,21 @@ def list_datasets(arguments, folder):
     rows = [
         [
             f"fetch_{name}",
-            one["text"].split("\n")[0].removeprefix("Load ").rstrip("."),
-            len(one["joint_names"]),
-            one["licence"],
+            entry["text"].split("\n")[0].removeprefix("Load ").rstrip("."),
+            len(entry["joint_names"]),
+            entry["licence"],
         ]
-        for name, one in SETS.items()
+        for name, entry in SETS.items()
     ]
-    return Done(text=tabulate(rows, headers=heads, maxcolwidths=[None, 30, None, 14]))
+    return Result(text=tabulate(rows, headers=heads, maxcolwidths=[None, 30, None, 14]))
 
 
 def inspect(arguments, folder):
-    # A current is as good as a torque here: nothing is identified.
+    # Currents suffice, since nothing is identified.
     recording, urdf, held = _input.load(arguments, folder, assumed="unknown")
     findings = _input.findings(arguments, recording, urdf, arguments.gain)
     motions = motion_of(recording, str(urdf))
-    faults = [f"{one.severity}: {in_options(one.message)}" for one in findings]
+    faults = [f"{x.severity}: {with_options(x.message)}" for x in findings]
     units = _input.motor_units(recording)
     if units and arguments.drive is None:
         unknown = ", or --gain unknown" if recording.nv > 1 else ""
@@ -71,11 +71,11 @@ def inspect(arguments, folder):
         "recordings": list(map(str, names)),
         "held": list(held),
         "faults": faults,
-        "identifiable": {one.name: list(one.shows) for one in motions},
-        "not_identifiable": {one.name: list(one.hides) for one in motions},
+        "identifiable": {joint.name: list(joint.shows) for joint in motions},
+        "not_identifiable": {joint.name: list(joint.hides) for joint in motions},
     }
-    doubts = [one.message for one in findings if one.severity != "note"]
-    return Done(text=text, data=data, doubts=[_TOO_SHORT] * (not motions) + doubts)
+    doubts = [x.message for x in findings if x.severity != "note"]
+    return Result(text=text, data=data, doubts=[_TOO_SHORT] * (not motions) + doubts)
 
 
 def _columns(motions, units):
@@ -100,8 +100,8 @@ def _by_joint(motions, attribute):
     for motion in motions:
         for effect in getattr(motion, attribute):
             joints.setdefault(effect, []).append(motion.name)
-    every = len(motions) if len(motions) > 1 else None
+    n_joints = len(motions) if len(motions) > 1 else None
     return [
-        f"{'all joints' if len(names) == every else ', '.join(names)}: {effect}"
+        f"{'all joints' if len(names) == n_joints else ', '.join(names)}: {effect}"
         for effect, names in joints.items()
     ]

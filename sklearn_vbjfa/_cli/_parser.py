@@ -1,4 +1,4 @@
-"""Commands and options, their values, and the command that would have worked."""
+"""Parsing of commands and options, and commands to suggest in messages."""
 
 import argparse
 import difflib
@@ -15,7 +15,7 @@ EXIT_CODES = (
 
 
 class Refused(ValueError):
-    """Input that is refused, with options that would be accepted, None to omit one."""
+    """Refused input, with options that would be accepted (None to omit one)."""
 
     def __init__(self, reason, **options):
         super().__init__(reason)
@@ -24,7 +24,7 @@ class Refused(ValueError):
 
 # -- values of options -----------------------------------------------------------------
 #
-# Texts become numbers and names here; what these may be is checked where they are used.
+# Texts are converted to numbers and names here; values are checked where they are used.
 
 
 def numbers(text):
@@ -51,14 +51,14 @@ def effects(text, kind="available"):
     """Return names of effects that are available or declarable."""
     from sklearn_vbjfa import effects as library
 
-    found, known = () if text == "none" else names(text), getattr(library, kind)()
-    for name in found:
-        if name not in known:
+    chosen, valid = () if text == "none" else names(text), getattr(library, kind)()
+    for name in chosen:
+        if name not in valid:
             raise argparse.ArgumentTypeError(
-                f"does not know {name!r}{_suggestion(name, known)}; expected names "
-                f"with commas between them, of {', '.join(known)}"
+                f"does not know {name!r}{_suggestion(name, valid)}; expected names "
+                f"with commas between them, of {', '.join(valid)}"
             )
-    return found
+    return chosen
 
 
 _CONVERSIONS = {x.__name__: x for x in (float, int, numbers, names, drive)} | {
@@ -73,7 +73,7 @@ _CONVERSIONS = {x.__name__: x for x in (float, int, numbers, names, drive)} | {
 # -- options and commands --------------------------------------------------------------
 
 _SHORT = {"out": "-o", "quiet": "-q"}
-# Values that are not called as their options.
+# Attributes and parameters whose names differ from their options.
 _DEST = {"for": "purpose"}
 _OPTION_OF = {"gains": "gain", "joint_names": "joints", "purpose": "for"}
 # Other names of commands.
@@ -83,28 +83,28 @@ _ALIASES = {"identify": ["close-loop"]}
 @lru_cache
 def _tables():
     text = files("sklearn_vbjfa._cli").joinpath("commands.toml").read_text("utf-8")
-    found = tomllib.loads(text)
-    return found["options"], found["commands"]
+    tables = tomllib.loads(text)
+    return tables["options"], tables["commands"]
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser whose errors are exceptions."""
+    """Parser that raises exceptions for errors."""
 
     def error(self, message):
         """Refuse the command line."""
-        found = re.search(r"argument COMMAND: invalid choice: '([^']*)'", message)
-        if found:
+        match = re.search(r"argument COMMAND: invalid choice: '([^']*)'", message)
+        if match:
             message = (
-                f"{found[1]!r} is not a command{_suggestion(found[1], _tables()[1])}"
+                f"{match[1]!r} is not a command{_suggestion(match[1], _tables()[1])}"
             )
         message = re.sub(r"^argument (?:-\w/)?(--[\w-]+): ", r"\1 ", message)
         message = message.replace(" invalid choice: ", " has an invalid value: ")
         raise Refused(f"{message.rstrip('.')}; see {self.prog} -h")
 
 
-def _suggestion(word, known):
-    near = difflib.get_close_matches(word, known, 1, 0.7)
-    return f"; did you mean {near[0]}?" if near else ""
+def _suggestion(word, valid):
+    matches = difflib.get_close_matches(word, valid, 1, 0.7)
+    return f"; did you mean {matches[0]}?" if matches else ""
 
 
 def _parser():
@@ -120,7 +120,7 @@ def _parser():
     parser.set_defaults(run="_identify:identify_demo", command=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for name, command in _tables()[1].items():
-        added = commands.add_parser(
+        subparser = commands.add_parser(
             name,
             aliases=_ALIASES.get(name, []),
             help=command["help"],
@@ -128,8 +128,8 @@ def _parser():
             description=command["description"],
             epilog=EXIT_CODES,
         )
-        added.set_defaults(run=command["run"], command=name, parser=added)
-        _add_options(added, command)
+        subparser.set_defaults(run=command["run"], command=name, parser=subparser)
+        _add_options(subparser, command)
     return parser
 
 
@@ -164,22 +164,22 @@ def _dest(name):
 
 
 def parse(words):
-    """Return the values of a command line; ``typed`` has the texts that were given."""
-    # argparse takes a list that begins with a minus, -1,1, for an option.
+    """Return the values of a command line, and the texts as typed (``typed``)."""
+    # argparse would interpret a list such as -1,1 as an option.
     text = re.sub("\0(--[a-z-]+)\0(?=-[.\\d])", "\0\\1=", "\0".join(["", *words]))
     parser = _parser()
-    arguments, more = parser.parse_known_args(text.split("\0")[1:])
+    arguments, remaining = parser.parse_known_args(text.split("\0")[1:])
     parser = getattr(arguments, "parser", parser)
     groups = _tables()[1].get(arguments.command, {"groups": {}})["groups"]
     names = " ".join(groups.values()).split()
-    unknown = [word for word in more if word.startswith("-") and word != "-"]
+    unknown = [x for x in remaining if x.startswith("-") and x != "-"]
     if hasattr(arguments, "recording") and not unknown:
-        # argparse leaves files over that follow an option.
-        arguments.recording += more
-    elif more:
-        option = (unknown or more)[0].partition("=")[0]
+        # argparse does not assign files that follow an option.
+        arguments.recording += remaining
+    elif remaining:
+        option = (unknown or remaining)[0].partition("=")[0]
         parser.error(
-            f"unrecognized arguments: {' '.join(unknown or more)}"
+            f"unrecognized arguments: {' '.join(unknown or remaining)}"
             f"{_suggestion(option, [f'--{name}' for name in names])}"
         )
     texts = {_dest(name): getattr(arguments, _dest(name)) for name in names}
@@ -197,7 +197,7 @@ def _value(parser, name, text):
     if "value" not in option:
         return text
     if isinstance(text, list):
-        return [_value(parser, name, one) for one in text]
+        return [_value(parser, name, item) for item in text]
     try:
         return _CONVERSIONS[option["value"]](text)
     except argparse.ArgumentTypeError as error:
@@ -206,12 +206,12 @@ def _value(parser, name, text):
         parser.error(f"--{name} has an invalid value: {text!r}")
 
 
-def spelled(name):
-    """Return the spelling of an option by the name of its value."""
+def option_of(name):
+    """Return the option of a parameter, such as ``--gain`` of ``gains``."""
     return f"--{_OPTION_OF.get(name, name).replace('_', '-')}"
 
 
-# Parameters in messages: with a value, or alone in brackets.
+# Parameters in messages: with a value, or in parentheses without one.
 _PARAMETER = re.compile(
     r"(?<![-\w])(columns|gains|bodies|joint_names|join)="
     r"""(?:(["'])(?P<text>.*?)\2|(?P<number>[-+\w.]*\w))"""
@@ -219,12 +219,12 @@ _PARAMETER = re.compile(
 )
 
 
-def in_options(message):
-    """Return a message with options in place of parameters of Python."""
+def with_options(message):
+    """Replace the Python parameters in a message by command line options."""
 
     def option(match):
         key, text = match[1] or match[5], match["text"] or match["number"] or ""
-        words = [spelled(key), text and shlex.quote(text)]
+        words = [option_of(key), text and shlex.quote(text)]
         return " ".join(words[: 1 if text in ("", "True") else 2])
 
     message = str(message).replace("drive=CurrentDrive(", "--drive 'current ")
@@ -233,27 +233,27 @@ def in_options(message):
 
 
 def command_line(arguments, options):
-    """Return a command with some options in place of those given."""
-    # The gains are those of the drive.
+    """Return the command of some arguments, with replaced options."""
+    # A drive has its own gains.
     options = {"gains": None} | options if "drive" in options else options
-    texts = {spelled(name): text for name, text in arguments.typed.items()}
-    texts |= {spelled(name): value for name, value in options.items()}
+    texts = {option_of(name): text for name, text in arguments.typed.items()}
+    texts |= {option_of(name): value for name, value in options.items()}
     words = [arguments.command, *getattr(arguments, "recording", ())]
     for option, value in texts.items():
-        for one in value if isinstance(value, list) else [value]:
-            text = "" if one in (None, True) else _as_text(one)
-            if one is True:
+        for item in value if isinstance(value, list) else [value]:
+            text = "" if item in (None, True) else _as_text(item)
+            if item is True:
                 words.append(option)
             elif text.startswith("-"):
-                # It would be taken for an option.
+                # argparse would interpret it as an option.
                 words.append(f"{option}={text}")
             elif text:
                 words += [option, text]
-    return command_of(*words)
+    return shell_line(*words)
 
 
-def command_of(*words):
-    """Return a command of the package with the words that follow its name."""
+def shell_line(*words):
+    """Return a shell command that runs the package with these arguments."""
     return shlex.join(["python", "-m", "sklearn_vbjfa", *words])
 
 

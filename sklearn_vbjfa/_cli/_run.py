@@ -1,4 +1,4 @@
-"""One run of a command: compute, write, print, and decide on the exit code."""
+"""Execution of a command: computation, files, output and exit code."""
 
 import contextlib
 import importlib
@@ -15,33 +15,33 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from sklearn_vbjfa._cli._parser import Refused, in_options
+from sklearn_vbjfa._cli._parser import Refused, with_options
 
-# Success; nothing was done; finished with warnings.
-USABLE, REFUSED, DOUBTFUL = 0, 2, 3
+# Exit codes: success; nothing was done; finished with warnings.
+SUCCESS, REFUSED, WARNED = 0, 2, 3
 
-# Longest message [characters].
+# Maximum length of a message [characters].
 _LONGEST = 900
-# Warnings that the last line names.
+# Maximum number of warnings in the last line.
 _NAMED = 3
-# The first clause of a message, with asides; a file's name may stand before it.
+# First clause of a message, with parentheses; a file name may precede it.
 _CLAUSE = re.compile(r"(?:[^;:]*\.\w+: )?\S+(?: (?:\([^)]*\)|.)*?)?(?=[;:.] |$)")
-# Age at which unfinished files are those of a killed run [s].
+# Age from which unfinished files are attributed to a killed run [s].
 _ABANDONED = 3600.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Done:
+class Result:
     """Result of a command."""
 
-    text: str  # printed
+    text: str  # to print
     doubts: tuple | list = ()  # warnings that forbid a use
-    data: dict | str | None = None  # printed by --json: a report, or a file's name
-    folder: Path | None = None  # of the files
-    files: tuple = ()  # their names
-    # Writes them to a folder, given the notes; returns further lines to print.
+    data: dict | str | None = None  # for --json: a report, or the name of its file
+    folder: Path | None = None  # output folder
+    files: tuple = ()  # names of the files
+    # Writes the files to a folder, given the notes; returns further lines to print.
     write: Callable | None = None
-    page: bool = False  # whether the first file has everything that is not printed
+    page: bool = False  # whether the first file is a page with all details
 
 
 def run(arguments):
@@ -57,34 +57,34 @@ def run(arguments):
         show_progress(verbose=not getattr(arguments, "quiet", False)),
     ):
         warnings.simplefilter("always")
-        done = command(arguments, Path(folder))
+        result = command(arguments, Path(folder))
         if not as_json:
-            _print(in_options(done.text))
-        lines = _write(done, arguments, _notes(caught)) if done.write else []
+            _print(with_options(result.text))
+        lines = _write(result, arguments, _notes(caught)) if result.write else []
     if as_json:
-        lines = [json.dumps(done.data, indent=1)]
-        if isinstance(done.data, str):
-            lines = [(done.folder / done.data).read_text(encoding="utf-8")]
+        lines = [json.dumps(result.data, indent=1)]
+        if isinstance(result.data, str):
+            lines = [(result.folder / result.data).read_text(encoding="utf-8")]
     _print(*lines)
     doubts = [w.message for w in caught if issubclass(w.category, DoubtWarning)]
-    doubts = (" ".join(str(one).split()) for one in (*done.doubts, *doubts))
+    doubts = (" ".join(str(x).split()) for x in (*result.doubts, *doubts))
     doubts = list(dict.fromkeys(doubts))
     notes = [text for text in _notes(caught) if text not in doubts[:_NAMED]]
-    if notes and done.page:
-        notes = [one_line(f"{_named(notes, False)} (page)")]
+    if notes and result.page:
+        notes = [one_line(f"{_listed(notes, False)} (page)")]
     for text in notes:
         say(f"note: {text}")
     if not doubts:
-        return USABLE
-    line = one_line(f"warning: {_named(doubts, done.page)}")
-    say(f"{line} (exit code {DOUBTFUL})")
-    return DOUBTFUL
+        return SUCCESS
+    line = one_line(f"warning: {_listed(doubts, result.page)}")
+    say(f"{line} (exit code {WARNED})")
+    return WARNED
 
 
 def _notes(caught):
     from sklearn.exceptions import ConvergenceWarning
 
-    # Convergence concerns rivals of the model that is reported.
+    # Convergence warnings concern rivals of the reported model.
     texts = (
         " ".join(str(warning.message).split())
         for warning in caught
@@ -97,28 +97,28 @@ def _notes(caught):
 # -- files -----------------------------------------------------------------------------
 
 
-def _write(done, arguments, notes):
-    """Write all files or none, each complete; return lines to print."""
-    folder = done.folder
+def _write(result, arguments, notes):
+    """Write all files completely, or none; return lines to print."""
+    folder = result.folder
     with _reserved(folder) as part:
-        there = [name for name in done.files if (folder / name).exists()]
-        if there and not arguments.force:
+        taken = [name for name in result.files if (folder / name).exists()]
+        if taken and not arguments.force:
             raise Refused(
-                f"another run has written {folder / there[0]}; give another --out, or "
+                f"another run has written {folder / taken[0]}; give another --out, or "
                 "--force to replace it"
             )
-        lines = done.write(part, notes)
-        for name in done.files:
+        lines = result.write(part, notes)
+        for name in result.files:
             (part / name).replace(folder / name)
-    paths = [str(folder / name) for name in done.files]
-    if done.page:
-        paths = [f"{paths[0]} (all details)", *done.files[1:]]
+    paths = [str(folder / name) for name in result.files]
+    if result.page:
+        paths = [f"{paths[0]} (all details)", *result.files[1:]]
     return [*lines, f"written: {', '.join(paths)}"]
 
 
 @contextlib.contextmanager
 def _reserved(folder):
-    """Reserve a folder for one run; gives a folder in it for incomplete files."""
+    """Reserve a folder for one run; yield a subfolder for incomplete files."""
     is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
     part = folder / ".writing"
@@ -144,33 +144,33 @@ def _reserved(folder):
 def rendered(template, **values):
     from sklearn_vbjfa.diagnosis.report import environment
 
-    made = environment(is_page=False, package=__package__)
-    return made.get_template(template).render(table=_tabulated, **values).rstrip("\n")
+    jinja = environment(is_page=False, package=__package__)
+    return jinja.get_template(template).render(table=_tabulated, **values).rstrip("\n")
 
 
 def _tabulated(columns):
     from tabulate import tabulate
 
-    words = 1 + ("unit" in columns)
+    n_texts = 1 + ("unit" in columns)
     return tabulate(
         list(zip(*columns.values())),
         headers=[head.strip() for head in columns],
         disable_numparse=True,
-        colalign=[*["left"] * words, *["right"] * (len(columns) - words)],
+        colalign=[*["left"] * n_texts, *["right"] * (len(columns) - n_texts)],
     )
 
 
-def _named(doubts, page):
-    named = [one.rstrip(".") for one in doubts[:_NAMED]]
+def _listed(doubts, page):
+    texts = [text.rstrip(".") for text in doubts[:_NAMED]]
     if page:
-        named = [_CLAUSE.match(one)[0] for one in named]
-    if len(doubts) > len(named):
-        named.append(f"and {len(doubts) - len(named)} more")
-    return "; ".join(named)
+        texts = [_CLAUSE.match(text)[0] for text in texts]
+    if len(doubts) > len(texts):
+        texts.append(f"and {len(doubts) - len(texts)} more")
+    return "; ".join(texts)
 
 
 def _print(*lines):
-    """Print to stdout, which may be closed, as by ``head``, or lack characters."""
+    """Print to stdout, which may be closed (``head``) or lack characters."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
@@ -180,11 +180,11 @@ def _print(*lines):
 
 
 def say(text):
-    print(in_options(text), file=sys.stderr, flush=True)
+    print(with_options(text), file=sys.stderr, flush=True)
 
 
 def one_line(message):
-    """Return a message as one line, without the middle of a huge one."""
+    """Return a message as one line; long ones are shortened in the middle."""
     text = " ".join(str(message).split())
-    cut = f"{text[:600]} ... {text[-290:]}"
-    return text if len(text) <= _LONGEST else cut
+    short = f"{text[:600]} ... {text[-290:]}"
+    return text if len(text) <= _LONGEST else short

@@ -1,4 +1,4 @@
-"""The command ``simulate``: a saved robot in motion, and the measured motion."""
+"""The command ``simulate``: simulation of a saved robot against a recording."""
 
 import json
 import warnings
@@ -8,7 +8,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
-from sklearn_vbjfa._cli._run import Done, rendered
+from sklearn_vbjfa._cli._run import Result, rendered
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.fit import signed
@@ -18,19 +18,19 @@ from sklearn_vbjfa.recording import OfferedSignals
 from sklearn_vbjfa.robot import follow_windows
 
 _TABLE = "simulation.csv"
-# Sample periods may differ by this share.
+# Relative tolerance between sample periods.
 _JITTER = 0.01
 
 
 def simulate(arguments, folder):
-    """Simulate windows of a recording, print their errors and write them."""
+    """Simulate windows of a recording; print and write their errors."""
     if arguments.model is None:
         raise ValueError("give --model FILE, the identified.json of identify.")
     out = _input.output_folder(arguments, "simulation")
     path = _input.expand(arguments.model)
     robot = load_identified(path / "identified.json" if path.is_dir() else path)
     recording = _recording(arguments, robot, folder)
-    with _input.blaming(arguments):
+    with _input.naming_input(arguments):
         windows = _windows(arguments, robot, recording)
     places = [_place(recording, windows, k) for k in range(windows.n_windows)]
     verdict, failed = windows.verdict(), ""
@@ -57,7 +57,7 @@ def simulate(arguments, folder):
 
     unclear = "" if windows.clearly_better.all() else verdict
     doubts = [line for line in (failed, unclear) if line]
-    return Done(text=text, doubts=doubts, folder=out, files=(_TABLE,), write=write)
+    return Result(text=text, doubts=doubts, folder=out, files=(_TABLE,), write=write)
 
 
 def _recording(arguments, robot, folder):
@@ -76,12 +76,12 @@ def _recording(arguments, robot, folder):
     try:
         recording = _input.read(*given)
     except ValueError:
-        # Columns may have the names of those that the robot was identified from.
+        # Retry with the column names of the recording used for identification.
         if arguments.columns or not (columns := _columns_of(arguments.model)):
             raise
         arguments.columns = columns
         recording = _input.read(*given)
-    source = _input.named(arguments)
+    source = _input.log_name(arguments)
     if set(recording.joint_names) != set(names):
         raise ValueError(
             f"{source}: has the joints {', '.join(recording.joint_names)}; expected "
@@ -95,49 +95,49 @@ def _recording(arguments, robot, folder):
         )
     findings = _input.findings(arguments, recording, urdf, gains)
     measured = arguments.drive is None and not has_gains
-    wrong = refusal(findings, recording.torque_units if measured else ())
-    if wrong is not None:
-        with _input.blaming(*given):
-            raise wrong
-    for one in findings:
-        if one.severity != "note":
-            warnings.warn(f"{source}: {one.message}", DoubtWarning, stacklevel=2)
+    error = refusal(findings, recording.torque_units if measured else ())
+    if error is not None:
+        with _input.naming_input(*given):
+            raise error
+    for finding in findings:
+        if finding.severity != "note":
+            warnings.warn(f"{source}: {finding.message}", DoubtWarning, stacklevel=2)
     return recording
 
 
 def _columns_of(model):
-    """Return the option --columns of the report beside a saved robot, or None."""
+    """Return the option --columns from the report of a saved robot, or None."""
     path = _input.expand(model)
     path = (path if path.is_dir() else path.parent) / "report.json"
     if not path.is_file():
         return None
-    # That of gravity compensation has no provenance.
+    # Reports of gravity compensation have no provenance.
     provenance = json.loads(path.read_text(encoding="utf-8")).get("provenance", {})
     return provenance.get("options", {}).get("columns")
 
 
 def _windows(arguments, robot, recording):
-    """Simulate windows from torques, or from commands under a drive of positions."""
+    """Simulate windows from torques, or from commands of a position drive."""
     drive, signals = arguments.drive, OfferedSignals.from_recording(recording)
     settings = {"window": arguments.window, "signals": signals}
     if drive is not None and drive.uses_positions:
         if any(isinstance(x, CommandDelay) for x in robot.effects_):
-            # The delay is that of the fit.
+            # Use the fitted delay.
             drive = clone(drive).set_params(delay="auto")
         return follow_windows(robot, drive, recording, **settings)
     if drive is not None and drive.unsigned:
         recording = signed(robot, recording)
-    given = recording.q, recording.tau, recording.groups
-    return simulate_windows(robot, *given, **settings)
+    arrays = recording.q, recording.tau, recording.groups
+    return simulate_windows(robot, *arrays, **settings)
 
 
 def _place(recording, windows, k):
-    """Return the recording of a window, its begin and its end since its start [s]."""
+    """Return the recording of a window, and its begin and end in it [s]."""
     row = windows.starts[k]
     label = recording.groups[row]
     begin = (row - recording.segments[label].start) * recording.dt
     names = recording.group_names
-    # A single one is called after its file.
+    # A single recording has the name of its file.
     name = recording.name if len(names) == 1 else names[label]
     return name, begin, begin + windows.t[k, -1] - windows.t[k, 0]
 
@@ -146,10 +146,10 @@ def _error_columns(windows):
     scale, units = windows.scales
     complete = ~windows.failed
     columns = {"": windows.joint_names, "unit": units}
-    for head, one in ({"simulated": windows} | windows.rivals).items():
+    for head, model in ({"simulated": windows} | windows.rivals).items():
         rms = np.full(len(units), np.nan)
         if complete.any():
-            rms = scale * np.sqrt(np.mean(one.errors[complete] ** 2, axis=0))
+            rms = scale * np.sqrt(np.mean(model.errors[complete] ** 2, axis=0))
         columns[head] = ["none" if x != x else f"{x:#.3g}".rstrip(".") for x in rms]
     return columns
 
@@ -161,14 +161,14 @@ def errors_table(windows, places):
     names, begins, ends = zip(*places)
     failures = [windows.failures.get(k, "") for k in range(n)]
     columns = {
-        "recording": np.repeat([*map(_input.no_formula, names)], nv),
+        "recording": np.repeat([*map(_input.escape_formula, names)], nv),
         "from_s": np.repeat(begins, nv),
         "to_s": np.repeat(ends, nv),
-        "joint": np.tile([*map(_input.no_formula, windows.joint_names)], n),
+        "joint": np.tile([*map(_input.escape_formula, windows.joint_names)], n),
         "unit": np.tile(units, n),
     }
-    for name, one in ({"position_error": windows} | windows.rivals).items():
-        columns[name.replace(" ", "_")] = (scale * one.errors).ravel()
-    columns["failed"] = np.repeat([*map(_input.no_formula, failures)], nv)
+    for name, model in ({"position_error": windows} | windows.rivals).items():
+        columns[name.replace(" ", "_")] = (scale * model.errors).ravel()
+    columns["failed"] = np.repeat([*map(_input.escape_formula, failures)], nv)
     table = pd.DataFrame(columns)
     return table.to_csv(index=False, float_format="%.6g", lineterminator="\n")

@@ -176,8 +176,8 @@ def _mean_errors(outcome):
 
 def _uses(outcome, status, joints):
     """Decide on the uses of an outcome, a tuple of `Use`; reasons are codes."""
-    whole = "faulty" if status == "faulty" else ""
-    whole = whole or ("contradiction" if outcome.findings["contradictions"] else "")
+    overall = "faulty" if status == "faulty" else ""
+    overall = overall or ("contradiction" if outcome.findings["contradictions"] else "")
     # No increase is tolerated on joints with effects.
     strict = _joints_with(outcome, "effects", "possible")
     rose = []
@@ -196,22 +196,22 @@ def _uses(outcome, status, joints):
         ("simulation", _UNTRUSTED),
         ("collision detection", _UNTRUSTED + _ABOVE_NOISE),
     ):
-        causes = {whole: []} if whole else {}
-        for verdict in joints if not whole else ():
+        causes = {overall: []} if overall else {}
+        for verdict in joints if not overall else ():
             # A joint with a large held-out error does not reproduce its fit.
-            why = verdict.status if verdict.status in forbidden else verdict.detail
-            if why in (*forbidden, "large"):
-                causes.setdefault(why, []).append(verdict.joint)
+            code = verdict.status if verdict.status in forbidden else verdict.detail
+            if code in (*forbidden, "large"):
+                causes.setdefault(code, []).append(verdict.joint)
         allowed = not causes
         if allowed:
             qualified = {"large": large, "rose": rose}
             if name == "simulation":
                 qualified["left out"] = hidden
-            causes |= {why: affected for why, affected in qualified.items() if affected}
+            causes |= {code: x for code, x in qualified.items() if x}
             if name == "simulation" and outcome.provenance.get("export"):
                 causes["approximate"] = []
         uses.append(Use(name=name, allowed=allowed, causes=tuple(causes.items())))
-    return (*uses, *_masses(outcome, whole))
+    return (*uses, *_masses(outcome, overall))
 
 
 def _joints_with(outcome, *kinds):

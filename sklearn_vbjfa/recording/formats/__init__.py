@@ -1,4 +1,4 @@
-"""Formats of files, and how files are opened: unpacked, out of pipes."""
+"""File formats, and opening of files, compressed files and pipes."""
 
 import bz2
 import contextlib
@@ -13,43 +13,43 @@ from sklearn_vbjfa.recording.formats import _arrays
 from sklearn_vbjfa.recording.formats._arrays import BAGS, INFO, bag_files, read_bag
 from sklearn_vbjfa.recording.formats._text import read_sheet, read_text
 
-# What a file may be, for refusals and the help of commands.
+# Supported formats, for error messages and the help of commands.
 TABLES = (
     "CSV (also .gz, .bz2, .xz), Excel, npz, npy with named fields, MATLAB (to version "
     "7.2), parquet or JSON"
 )
-_KNOWN = f"{TABLES}, or a bag (.bag, .db3, .mcap)"
-# Readers of the bytes of a file, which may be packed or a pipe, and of files.
-_OF_BYTES = {
+_FORMATS = f"{TABLES}, or a bag (.bag, .db3, .mcap)"
+# Readers of file contents (files may be compressed, or pipes), and readers of files.
+_BYTE_READERS = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), read_text),
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), _arrays.read_json),
 }
-_OF_FILES = {
+_FILE_READERS = {
     **dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"), read_sheet),
     ".npz": _arrays.read_npz,
     ".npy": _arrays.read_npy,
     ".mat": _arrays.read_mat,
     **dict.fromkeys(_arrays.PARQUET, _arrays.read_parquet),
 }
-# How packed text begins, the module that unpacks it, and the endings of its files.
-_PACKED = {b"\x1f\x8b": gzip, b"BZh": bz2, b"\xfd7zXZ\x00": lzma}
-_PACKED_ENDINGS = (".gz", ".bz2", ".xz")
+# Magic numbers of compressed files with their modules, and the suffixes of such files.
+_CODECS = {b"\x1f\x8b": gzip, b"BZh": bz2, b"\xfd7zXZ\x00": lzma}
+_PACKED_SUFFIXES = (".gz", ".bz2", ".xz")
 _CHUNK = 1 << 20
-# Files that only the folder of one bag or data set has.
-_MARKS = ("metadata.yaml", INFO)
+# Files that identify a folder as a single bag or data set.
+_MARKERS = ("metadata.yaml", INFO)
 
 
 def read_table(path, options) -> Table:
-    """Read a file's columns, at least one and one row."""
+    """Read the table of a file; raise an error if it is empty."""
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input.
-    ending = _ending(path)
-    files = bag_files(path) if path.is_dir() else [path] * (ending in BAGS)
+    suffix = _suffix(path)
+    files = bag_files(path) if path.is_dir() else [path] * (suffix in BAGS)
     if str(path) == "-":
         stream = getattr(sys.stdin, "buffer", sys.stdin)
         table = _read_stream(Path("standard input"), ".csv", stream)
     elif not path.exists():
         raise FileNotFoundError(
-            f"{path}: no such file; expected a recording: {_KNOWN}."
+            f"{path}: no such file; expected a recording: {_FORMATS}."
         )
     elif files:
         table = read_bag(files, path, options.topic, options.joints)
@@ -58,44 +58,44 @@ def read_table(path, options) -> Table:
     elif path.is_dir():
         names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
         raise ValueError(
-            f"{path}: is a folder without a recording: {_KNOWN}, or a LeRobot data set "
-            f"({INFO}). It holds {listed(names) or 'nothing'}."
+            f"{path}: is a folder without a recording: {_FORMATS}, or a LeRobot data "
+            f"set ({INFO}). It holds {listed(names) or 'nothing'}."
         )
-    elif ending in _OF_BYTES or not path.is_file():
-        # What is no file is a pipe of text.
+    elif suffix in _BYTE_READERS or not path.is_file():
+        # A path that is not a regular file is a pipe of text.
         with path.open("rb") as stream:
-            table = _read_stream(path, ending if path.is_file() else ".csv", stream)
-    elif ending in _OF_FILES:
-        table = _OF_FILES[ending](path)
+            table = _read_stream(path, suffix if path.is_file() else ".csv", stream)
+    elif suffix in _FILE_READERS:
+        table = _FILE_READERS[suffix](path)
     else:
         raise ValueError(
-            f"{path}: unknown ending {ending!r}; save the recording as {_KNOWN}, or in "
-            "Python by numpy.savez(FILE, t=t, q=q, tau=tau), or unpack it first"
+            f"{path}: unknown ending {suffix!r}; save the recording as {_FORMATS}, or "
+            "in Python by numpy.savez(FILE, t=t, q=q, tau=tau), or unpack it first"
         )
     if table.frame.empty:
         raise no_rows(path)
     return table.with_dates()
 
 
-def _ending(path):
-    """Return the ending of a file in small letters, that of packed text without .gz."""
-    if path.suffix.lower() in _PACKED_ENDINGS:
+def _suffix(path):
+    """Return the suffix of a file in lower case, without that of compression."""
+    if path.suffix.lower() in _PACKED_SUFFIXES:
         return path.with_suffix("").suffix.lower() or ".csv"
     return path.suffix.lower()
 
 
-def _read_stream(path, ending, stream):
-    """Read text, which may be packed."""
-    content = _content(path, stream)
-    module = next((x for mark, x in _PACKED.items() if content.startswith(mark)), None)
+def _read_stream(path, suffix, stream):
+    """Read text, which may be compressed."""
+    content = _read_bytes(path, stream)
+    module = next((x for mark, x in _CODECS.items() if content.startswith(mark)), None)
     if module is not None:
         with parsing(path, f"{module.__name__} file", "pack it again."):
-            content = _content(path, module.open(io.BytesIO(content), "rb"))
-    return _OF_BYTES[ending](path, content)
+            content = _read_bytes(path, module.open(io.BytesIO(content), "rb"))
+    return _BYTE_READERS[suffix](path, content)
 
 
-def _content(path, stream):
-    """Return the bytes of a stream, as far as a recording may go."""
+def _read_bytes(path, stream):
+    """Return the bytes of a stream, up to the maximum size of a recording."""
     content = io.BytesIO()
     while chunk := stream.read(_CHUNK):
         content.write(chunk)
@@ -107,33 +107,33 @@ def _content(path, stream):
 
 
 def expand(path):
-    """Return a path in which ~ is the home folder; file:// may stand before it."""
+    """Return a path with ~ expanded and a leading file:// removed."""
     path = Path(str(path).removeprefix("file://"))
     with contextlib.suppress(RuntimeError):
-        # Without such a user a file may be called so.
+        # If there is no such user, the name is that of a file.
         path = path.expanduser()
     return path
 
 
 def tables_in(path):
-    """Return the tables of a folder without a format, in order."""
-    return _tables(path) if path.is_dir() and not _is_one(path) else []
+    """Return the table files of a folder, [] for a bag, a data set or a file."""
+    return _tables(path) if path.is_dir() and not _is_recording(path) else []
 
 
 def recordings_in(path):
-    """Return the tables, bags and data sets of a folder, or itself if it is one."""
+    """Return the tables, bags and data sets in a folder, or the folder if it is one."""
     path = expand(path)
-    if any((path / mark).is_file() for mark in _MARKS):
+    if any((path / marker).is_file() for marker in _MARKERS):
         return [path]
-    return sorted([*_tables(path), *(x for x in path.iterdir() if _is_one(x))])
+    return sorted([*_tables(path), *(x for x in path.iterdir() if _is_recording(x))])
 
 
-def _is_one(path):
-    marks = (*_MARKS, *(f"*{ending}*" for ending in BAGS))
-    return path.is_dir() and any(next(path.glob(mark), None) for mark in marks)
+def _is_recording(path):
+    markers = (*_MARKERS, *(f"*{ending}*" for ending in BAGS))
+    return path.is_dir() and any(next(path.glob(marker), None) for marker in markers)
 
 
 def _tables(path):
-    known = {*_OF_BYTES, *_OF_FILES, *BAGS}
+    suffixes = {*_BYTE_READERS, *_FILE_READERS, *BAGS}
     files = [x for x in path.iterdir() if x.is_file() and not x.name.startswith(".")]
-    return sorted(x for x in files if _ending(x) in known)
+    return sorted(x for x in files if _suffix(x) in suffixes)

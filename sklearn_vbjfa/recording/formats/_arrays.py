@@ -1,4 +1,4 @@
-"""Records by their names: npz, npy, MATLAB, JSON, Parquet, Feather and ROS bags."""
+"""Readers of named arrays: npz, npy, MATLAB, JSON, Parquet, Feather and ROS bags."""
 
 import difflib
 import json
@@ -24,46 +24,46 @@ from sklearn_vbjfa.recording._table import (
 )
 from sklearn_vbjfa.recording.formats._text import CUT
 
-# Nested structures are followed to this depth.
-_DEEPEST = 8
-# Names of arrays that have a value for every row.
+# Maximum depth to which nested structures are flattened.
+_MAX_DEPTH = 8
+# Names of arrays that must have a value for every row.
 _CHANNEL = re.compile(r"t|segment|(q|tau|v|a)([_.\[(]?\d+[\])]?)?", re.IGNORECASE)
 
 
 # -- arrays and records as tables ------------------------------------------------------
 
 
-def table_of(path, columns, **known) -> Table:
-    """Make a table of columns by name, or of a matrix whose columns have no names."""
+def table_of(path, columns, **fields) -> Table:
+    """Build a table from columns by name, or from a matrix without column names."""
     frame = imported(path, "pandas").DataFrame(columns)
     if isinstance(columns, np.ndarray):
         frame.columns = [str(k + 1) for k in frame]
     frame.index += 1
-    return Table(path=path, frame=frame, **known)
+    return Table(path=path, frame=frame, **fields)
 
 
-def _flattened(values, depth=0):
-    """Return the content of nested structures, names with points."""
-    found = {}
+def _flatten(values, depth=0):
+    """Flatten nested structures to a dict with dotted names."""
+    flat = {}
     for name, value in values.items():
-        inside = None
+        nested = None
         if isinstance(value, dict):
-            inside = {f"{name}.{key}": one for key, one in value.items()}
+            nested = {f"{name}.{key}": item for key, item in value.items()}
         elif _are_records(value):
-            # Messages have a list of structures, one for each motor.
-            inside = {f"{name}[{k}]": one for k, one in enumerate(value)}
-        if inside is None or depth == _DEEPEST:
-            found[name] = value
+            # Messages contain lists of structures, one for each motor.
+            nested = {f"{name}[{k}]": item for k, item in enumerate(value)}
+        if nested is None or depth == _MAX_DEPTH:
+            flat[name] = value
         else:
-            found |= _flattened(inside, depth + 1)
-    return found
+            flat |= _flatten(nested, depth + 1)
+    return flat
 
 
-def _without_common_part(found):
-    """Remove the name of the only structure from the names inside it."""
-    if len({name.rpartition(".")[0] for name in found}) == 1:
-        return {name.rpartition(".")[2]: x for name, x in found.items()}
-    return found
+def _strip_common_prefix(columns):
+    """Remove the structure's name from names if all belong to the same structure."""
+    if len({name.rpartition(".")[0] for name in columns}) == 1:
+        return {name.rpartition(".")[2]: x for name, x in columns.items()}
+    return columns
 
 
 def _are_records(value):
@@ -72,22 +72,22 @@ def _are_records(value):
 
 
 def _table_of_records(path, records) -> Table:
-    """Make columns of rows, each a dict, maybe nested; what a row lacks is nan."""
-    records = [_flattened(record) for record in records]
+    """Build a table from rows given as dicts, maybe nested; missing values are nan."""
+    records = [_flatten(record) for record in records]
     names = dict.fromkeys(name for record in records for name in record)
     columns = {name: [record.get(name) for record in records] for name in names}
-    return _table_of_arrays(path, _without_common_part(columns))
+    return _table_of_arrays(path, _strip_common_prefix(columns))
 
 
 def _table_of_arrays(path, arrays) -> Table:
-    """Make columns of arrays or lists; a matrix such as q becomes q1, q2, ..."""
-    arrays = {name: _array(path, name, x) for name, x in arrays.items()}
-    # Messages have empty lists for what is not measured.
+    """Build a table from arrays or lists; a matrix such as q becomes q1, q2, ..."""
+    arrays = {name: _to_array(path, name, x) for name, x in arrays.items()}
+    # Messages contain empty lists for quantities that are not measured.
     arrays = {name: x for name, x in arrays.items() if x.size}
     n_rows = _number_of_rows(path, arrays)
     rows, scalars = {}, {}
     for name, x in arrays.items():
-        # Matrices may have one column per sample.
+        # Transpose matrices with one column per sample.
         x = x.T if x.ndim == 2 and x.shape[1] == n_rows != len(x) else x
         if x.ndim in (1, 2) and len(x) == n_rows:
             rows[name] = x
@@ -98,9 +98,9 @@ def _table_of_arrays(path, arrays) -> Table:
             )
         else:
             scalars[name] = x
-    (name, only), *others = rows.items()
-    if not (others or only.ndim == 1 or only.shape[1] == 1 or _CHANNEL.fullmatch(name)):
-        return table_of(path, only, scalars=scalars)
+    (name, data), *others = rows.items()
+    if not (others or data.ndim == 1 or data.shape[1] == 1 or _CHANNEL.fullmatch(name)):
+        return table_of(path, data, scalars=scalars)
     columns = []
     for name, x in rows.items():
         matrix = x.reshape(n_rows, -1).T
@@ -111,8 +111,8 @@ def _table_of_arrays(path, arrays) -> Table:
 
 
 def _number_of_rows(path, arrays):
-    """Return the length of most of the channels, or of all arrays without any."""
-    # Texts are names of columns, and as many as these.
+    """Return the most frequent length of channels, or of arrays if there are none."""
+    # Arrays of text are excluded: they contain column names.
     sized = {name: x for name, x in arrays.items() if x.size > 1 and x.ndim in (1, 2)}
     sized = {name: x for name, x in sized.items() if x.dtype.kind not in "US"}
     named = [x for name, x in sized.items() if _CHANNEL.fullmatch(name)]
@@ -125,19 +125,19 @@ def _number_of_rows(path, arrays):
     )
 
 
-def _array(path, name, values):
-    """Make an array of a list; nothing is nan, and a column of text stays text."""
+def _to_array(path, name, values):
+    """Convert a list to an array of str if its first value is, else of float."""
     if isinstance(values, np.ndarray):
         return values.astype(values.dtype.newbyteorder("="), copy=False)
-    first = values
-    while isinstance(first, list) and first:
-        # Messages name all joints in each.
-        first = next((x for x in first if x is not None), None)
+    sample = values
+    while isinstance(sample, list) and sample:
+        # Lists may be nested: each message contains the names of all joints.
+        sample = next((x for x in sample if x is not None), None)
     try:
-        return np.array(values, dtype=str if isinstance(first, str) else float)
+        return np.array(values, dtype=str if isinstance(sample, str) else float)
     except (TypeError, ValueError, OverflowError) as error:
         raise RecordingRefused(
-            f"{path}: {quoted(name)} holds {quoted(first)} and others that are not "
+            f"{path}: {quoted(name)} holds {quoted(sample)} and others that are not "
             "numbers, or lists of other lengths; write one number, or equally long "
             "lists of them, for each sample."
         ) from error
@@ -168,23 +168,23 @@ def read_mat(path) -> Table:
     """Read the variables of a MATLAB file."""
     from scipy.io import loadmat
 
-    what = "MATLAB file of version 5 to 7.2"
-    with parsing(path, what, f"write it again with {_SAVE}."):
-        found = loadmat(path, simplify_cells=True)
-    # Tables and time series have no name here, functions no numbers.
-    found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
-    arrays = {name: _with_texts(x) for name, x in _flattened(found).items()}
+    format_name = "MATLAB file of version 5 to 7.2"
+    with parsing(path, format_name, f"write it again with {_SAVE}."):
+        data = loadmat(path, simplify_cells=True)
+    # MATLAB tables and time series are unnamed here; functions contain no numbers.
+    data = {name: x for name, x in data.items() if str(name or "__")[:2] != "__"}
+    arrays = {name: _text_array(x) for name, x in _flatten(data).items()}
     arrays = {name: x for name, x in arrays.items() if x.dtype.kind in "biufU"}
     if not arrays:
         raise NotATable(
             f"{path}: holds no arrays; in MATLAB write those of tables and time "
             f"series: t = T.Time; q = T{{:, 2:7}}; ... {_SAVE}."
         )
-    return _table_of_arrays(path, _without_common_part(arrays))
+    return _table_of_arrays(path, _strip_common_prefix(arrays))
 
 
-def _with_texts(values):
-    """Return an array; cells with text are text, not objects."""
+def _text_array(values):
+    """Return an array, of str instead of objects for cells with text."""
     array = np.asarray(values)
     texts = array.dtype.kind == "O" and all(isinstance(x, str) for x in array.flat)
     return array.astype(str) if texts else array
@@ -194,68 +194,68 @@ def _with_texts(values):
 
 
 def read_json(path, content) -> Table:
-    """Read a list of records or rows, one a line or not, or arrays by their names."""
+    """Read a list of records or rows, JSON lines, or an object of named arrays."""
     with parsing(path, "JSON file", "write it again."):
-        found, is_cut = _parsed(content.decode("utf-8-sig"))
-    found = found[0] if len(found) == 1 else found
-    if isinstance(found, dict):
-        table = _table_of_object(path, found)
-    elif _are_records(found):
-        table = _table_of_records(path, found)
+        data, is_cut = _parse_values(content.decode("utf-8-sig"))
+    data = data[0] if len(data) == 1 else data
+    if isinstance(data, dict):
+        table = _table_of_object(path, data)
+    elif _are_records(data):
+        table = _table_of_records(path, data)
     else:
-        table = table_of(path, np.atleast_1d(_array(path, "the list", found)))
+        table = table_of(path, np.atleast_1d(_to_array(path, "the list", data)))
     return replace(table, notes=(*table.notes, *[CUT] * is_cut))
 
 
-def _parsed(text):
-    """Return the values that follow one another, and whether the last is cut."""
-    found, decode, blank = [], json.JSONDecoder().raw_decode, re.compile(r"\s*")
-    at = blank.match(text).end()
-    while at < len(text):
+def _parse_values(text):
+    """Return the consecutive JSON values, and whether the last one is truncated."""
+    values, decode, blank = [], json.JSONDecoder().raw_decode, re.compile(r"\s*")
+    start = blank.match(text).end()
+    while start < len(text):
         try:
-            value, end = decode(text, at)
+            value, end = decode(text, start)
         except json.JSONDecodeError:
-            if len(found) < 2 or "\n" in text[at:]:
+            if len(values) < 2 or "\n" in text[start:]:
                 raise
-            return found, True
-        found.append(value)
-        at = blank.match(text, end).end()
-    return found, False
+            return values, True
+        values.append(value)
+        start = blank.match(text, end).end()
+    return values, False
 
 
-def _table_of_object(path, found):
-    """Return the table of an object: records in it, recordings, or arrays."""
-    # Frames of pandas, orient="split", or by columns with the numbers of rows.
-    keys, rows = {"columns", "data"}, found.get("data")
-    if keys <= {*found} <= keys | {"index"} and isinstance(rows, list):
+def _table_of_object(path, data):
+    """Return the table of an object that contains records or arrays."""
+    # Data frames written by pandas, orient="split" or "columns".
+    keys, rows = {"columns", "data"}, data.get("data")
+    if keys <= {*data} <= keys | {"index"} and isinstance(rows, list):
         with parsing(path, "frame of pandas", "write it again."):
-            names = list(map(str, found["columns"]))
+            names = list(map(str, data["columns"]))
             check_names(path, names or [""], "has")
             rows = [dict(zip(names, row, strict=True)) for row in rows]
         return _table_of_records(path, rows)
     if all(
         isinstance(x, dict) and {*map(str, range(len(x)))} == {*x}
-        for x in found.values()
+        for x in data.values()
     ):
-        found = {name: [x[str(k)] for k in range(len(x))] for name, x in found.items()}
-    lists = [x for x, one in found.items() if _are_records(one)]
-    # The records are those of the only list, unless they have arrays, as joints do.
-    if len(lists) == 1 and _longest(found[lists[0]][0]) <= len(found[lists[0]]):
-        table = _table_of_records(path, found[lists[0]])
+        data = {name: [x[str(k)] for k in range(len(x))] for name, x in data.items()}
+    lists = [x for x, value in data.items() if _are_records(value)]
+    # A single list contains the records, unless these hold longer arrays, as joints do.
+    if len(lists) == 1 and _max_length(data[lists[0]][0]) <= len(data[lists[0]]):
+        table = _table_of_records(path, data[lists[0]])
         note = f"the records are those of {lists[0]!r}."
         return replace(table, notes=(*table.notes, note))
     for name in lists:
-        lengths = {_longest(one) for one in found[name]}
-        if len(lengths) > 1 and _longest(found) < max(lengths):
+        lengths = {_max_length(value) for value in data[name]}
+        if len(lengths) > 1 and _max_length(data) < max(lengths):
             raise ValueError(
-                f"{path}: the list {name!r} has {len(found[name])} records with arrays "
+                f"{path}: the list {name!r} has {len(data[name])} records with arrays "
                 "of different lengths; write one file each, or rows with a column "
                 "segment."
             )
-    return _table_of_arrays(path, _without_common_part(_flattened(found)))
+    return _table_of_arrays(path, _strip_common_prefix(_flatten(data)))
 
 
-def _longest(record):
+def _max_length(record):
     return max((len(x) for x in record.values() if isinstance(x, list)), default=0)
 
 
@@ -268,7 +268,7 @@ INFO = "meta/info.json"
 def read_parquet(path) -> Table:
     """Read a parquet or feather file, or the episodes of a LeRobot data set.
 
-    Lists become a column for each entry.
+    Columns of lists are split into one column per entry.
     """
     files = [path] if path.is_file() else sorted((path / "data").rglob("*.parquet"))
     if not files:
@@ -280,8 +280,8 @@ def read_parquet(path) -> Table:
         names = data.schema.names
         check_size(path, 8 * len(names) * data.count_rows())
         check_names(path, names or [""], "has")
-        arrays = {x: one.to_numpy() for x, one in zip(names, data.to_table().columns)}
-    features, found = _features(files[0]), {}
+        arrays = {x: y.to_numpy() for x, y in zip(names, data.to_table().columns)}
+    features, columns = _lerobot_features(files[0]), {}
     for name, values in arrays.items():
         lists = values.dtype.kind == "O" and values.size and values[0] is not None
         if lists and {np.shape(x) for x in values} == {(np.size(values[0]),)}:
@@ -291,14 +291,14 @@ def read_parquet(path) -> Table:
                 (motors,) = motors.values()
             motors = [str(motor).removesuffix(".pos") for motor in motors]
             motors = motors if len(motors) == len(matrix) else range(len(matrix))
-            found |= {f"{name}.{motor}": x for motor, x in zip(motors, matrix)}
+            columns |= {f"{name}.{motor}": x for motor, x in zip(motors, matrix)}
         else:
-            found[name] = values
-    return table_of(path, found)
+            columns[name] = values
+    return table_of(path, columns)
 
 
-def _features(file):
-    """Return what a LeRobot data set says of the columns of its file, {} for others."""
+def _lerobot_features(file):
+    """Return the column metadata of a LeRobot data set, {} for other files."""
     for path in (folder / INFO for folder in list(file.resolve().parents)[:4]):
         if path.is_file():
             with parsing(path, "JSON file", "download the data set again."):
@@ -313,14 +313,14 @@ _TYPE = "sensor_msgs/msg/JointState"
 
 
 def bag_files(folder):
-    """Return the files of a bag in a folder; the folder if it describes itself."""
+    """Return the bag files in a folder, or the folder if it has metadata."""
     if (folder / "metadata.yaml").is_file():
         return [folder]
     return sorted(x for x in folder.iterdir() if x.suffix.lower() in BAGS)
 
 
 def read_bag(files, shown, topic, joints) -> Table:
-    """Read positions and efforts of the joints in a bag."""
+    """Read joint positions and efforts from a bag."""
     typesys = imported(shown, "rosbags.typesys")
     AnyReader = imported(shown, "rosbags.highlevel").AnyReader
     remedy = "if it was cut, rosbag reindex, ros2 bag reindex or mcap recover may help."
@@ -335,69 +335,69 @@ def read_bag(files, shown, topic, joints) -> Table:
 
 
 def _connections(bag, shown, topic):
-    """Return the connections of the topic that was asked for, or of the only one."""
+    """Return the connections of the requested topic, or of the only one."""
     states = [x for x in bag.connections if x.msgtype == _TYPE and x.msgcount]
     topics = sorted({x.topic for x in states})
-    known = ", ".join(sorted({f"{x.topic} ({x.msgtype})" for x in bag.connections}))
+    available = ", ".join(sorted({f"{x.topic} ({x.msgtype})" for x in bag.connections}))
     if not topics:
         raise RecordingRefused(
             f"{shown}: holds no joint states: expected a topic of {_TYPE} with "
-            f"positions and efforts, it holds {known or 'no topics'}."
+            f"positions and efforts, it holds {available or 'no topics'}."
         )
-    chosen = [x for x in topics if topic in (None, x, x.removeprefix("/"))]
-    if len(chosen) != 1:
-        near = difflib.get_close_matches(topic or "/joint_states", topics, 1)
+    matching = [x for x in topics if topic in (None, x, x.removeprefix("/"))]
+    if len(matching) != 1:
+        close = difflib.get_close_matches(topic or "/joint_states", topics, 1)
         raise RecordingRefused(
             f"{shown}: give --topic (in Python: topic=...), one of {listed(topics)}; "
-            f"it holds {known}.",
-            {"topic": near[0]} if near else {},
+            f"it holds {available}.",
+            {"topic": close[0]} if close else {},
         )
-    return [x for x in states if x.topic == chosen[0]]
+    return [x for x in states if x.topic == matching[0]]
 
 
 def _messages(bag, connections):
     """Return joints, q, v and tau (3, n_messages, n_joints), and times (2, n) [ns]."""
-    # What a message lacks is nan; times are those of the header and of the recorder.
+    # Missing values are nan; times are those of the header and of the recorder.
     rows, times = [], []
     for connection, received, raw in bag.messages(connections=connections):
         message = bag.deserialize(raw, connection.msgtype)
-        # Without names the numbers of the joints must do.
+        # Without names, joints are named by their numbers.
         names = message.name or map(str, range(1, len(message.position) + 1))
         rows.append((tuple(names), message.position, message.velocity, message.effort))
         stamp = message.header.stamp
         times.append((stamp.sec * 10**9 + stamp.nanosec, received))
     kinds = dict.fromkeys(names for names, *_ in rows)
     joints = list(dict.fromkeys(x for names in kinds for x in names))
-    places = {names: [joints.index(x) for x in names] for names in kinds}
+    indices = {names: [joints.index(x) for x in names] for names in kinds}
     values = np.full((3, len(rows), len(joints)), np.nan)
     for k, (names, *channels) in enumerate(rows):
-        for own, x in zip(values, channels):
+        for channel, x in zip(values, channels):
             if len(x) == len(names):
-                own[k, places[names]] = x
+                channel[k, indices[names]] = x
     return np.array(joints), values, np.array(times).T
 
 
 def _joint_states(shown, topic, names, values, times, wanted):
-    """Make a table of the joints that give most samples."""
+    """Build a table of the set of joints with the most samples."""
     q, v, tau = values
-    known = np.isfinite(q) & np.isfinite(tau)
-    if not known.any():
+    valid = np.isfinite(q) & np.isfinite(tau)
+    if not valid.any():
         raise RecordingRefused(
             f"{shown}: none of the {len(q)} messages of {topic} has positions and "
             "efforts of its joints; record a topic whose effort is filled in."
         )
-    asked = np.isin(names, wanted)
-    if known[:, asked].any():
-        known &= asked
-    # Joints that come together, the set of them that gives most samples.
+    requested = np.isin(names, wanted)
+    if valid[:, requested].any():
+        valid &= requested
+    # Choose the set of simultaneously recorded joints with the most samples.
     best = max(
-        np.unique(known, axis=0), key=lambda x: x.sum() * known[:, x].all(axis=1).sum()
+        np.unique(valid, axis=0), key=lambda x: x.sum() * valid[:, x].all(axis=1).sum()
     )
-    rows = known[:, best].all(axis=1)
+    rows = valid[:, best].all(axis=1)
     joints, others = names[best].tolist(), sorted(names[~best])
     q, v, tau, t = q[:, best], v[:, best], tau[:, best], times[0, rows]
-    taken = "position [rad or m] as q and effort [N m or N] as tau"
-    notes = [f"read from {topic}: {taken} of {', '.join(joints)}."]
+    mapping = "position [rad or m] as q and effort [N m or N] as tau"
+    notes = [f"read from {topic}: {mapping} of {', '.join(joints)}."]
     if others:
         note = (
             f"joint(s) {listed(others)} of {topic} left out: the robot has none of "
@@ -409,7 +409,7 @@ def _joint_states(shown, topic, names, values, times, wanted):
             f"{(~rows).sum()} of {rows.size} messages of {topic} lack some of the "
             "joints taken, or numbers of theirs, and are left out."
         )
-        # Messages of other joints are no loss.
+        # Dropping messages without positions of these joints loses no data.
         notes.append(Loss(note) if np.isfinite(q[~rows]).any() else note)
     if np.ptp(t) == 0:
         t = times[1, rows]
@@ -418,8 +418,8 @@ def _joint_states(shown, topic, names, values, times, wanted):
     columns = {"t": (t - t[0]) / 1e9}
     for kind, x in (("q", q), ("tau", tau), ("v", v)):
         if np.isfinite(x[rows]).all():
-            heads = [f"{kind}{'' if numbered else '_'}{name}" for name in joints]
-            columns |= dict(zip(heads, x[rows].T))
+            headers = [f"{kind}{'' if numbered else '_'}{name}" for name in joints]
+            columns |= dict(zip(headers, x[rows].T))
     return Table(
         path=shown,
         frame=imported(shown, "pandas").DataFrame(columns, 1 + np.flatnonzero(rows)),

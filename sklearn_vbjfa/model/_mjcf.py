@@ -77,7 +77,7 @@ class Servo:
     # motors
     kp: np.ndarray
     kd: np.ndarray
-    most: np.ndarray
+    torque_limits: np.ndarray
     delay: float = 0.0  # from a command to its effect [s], nonnegative
 
 
@@ -250,9 +250,9 @@ class _Tree:
                     motor.attrib |= {"delay": number(servo.delay), "nsample": str(size)}
                     motor.set("interp", "linear")
                 stiffness, damping = stiffness - servo.kp[j], -servo.kd[j]
-                if np.isfinite(servo.most[j]):
+                if np.isfinite(servo.torque_limits[j]):
                     # The limit applies to the control loop without the constant.
-                    limits = constant + servo.most[j] * np.array([-1.0, 1.0])
+                    limits = constant + servo.torque_limits[j] * np.array([-1.0, 1.0])
                     motor.set("forcerange", numbers(limits))
             bias = constant, stiffness, damping
             if any(bias):

@@ -701,7 +701,7 @@ class IdentifiedRobot:
         delay = sum(found) if found else drive.known_delay or 0.0
         kp, kd = drive.law(self.joint_names_)
         most = drive.torque_limits(self.joint_names_)
-        return Servo(kp=kp, kd=kd, most=most, delay=max(delay, 0.0))
+        return Servo(kp=kp, kd=kd, torque_limits=most, delay=max(delay, 0.0))
 
     @property
     def joint_names_(self):

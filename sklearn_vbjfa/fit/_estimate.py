@@ -35,7 +35,7 @@ _MAX_WEIGHT = 1e8
 # space is not identifiable, ...
 IDENTIFIABLE = 1e-9
 # ... and share of a parameter in such directions above which it is not identifiable.
-LOST = 1e-6
+NULL_SHARE = 1e-6
 # Maximum iterations of the joints' weights, and the relative change that ends them.
 _MAX_ITERATIONS, _TOLERANCE = 30, 1e-6
 # Student's t has a finite variance from three degrees of freedom on.
@@ -495,7 +495,7 @@ def identifiable(metric):
     result = np.zeros(excited.size, dtype=bool)
     if excited.any():
         eigen = scaled_eigen(metric[np.ix_(excited, excited)], IDENTIFIABLE)
-        result[excited] = ~eigen.lost(LOST)
+        result[excited] = ~eigen.lost(NULL_SHARE)
     return result
 
 

@@ -43,7 +43,7 @@ from sklearn_vbjfa.fit._estimate import (
 )
 from sklearn_vbjfa.fit._gains import (
     common_gain,
-    gain_places,
+    gain_indices,
     relative_gains,
     with_gains,
 )
@@ -410,18 +410,18 @@ def iterate_corrections(recipe, fit, source, relative):
     std[indices] = values.std
     gains = None
     if relative is not None:
-        gain_indices = gain_places(robot.effects_, robot.features_.n_parameters_)
+        columns = gain_indices(robot.effects_, robot.features_.n_parameters_)
         if common.factor is not None:
             # The error of the gain of a reference is that of the common factor.
-            std[gain_indices[relative.references]] = 0.0
+            std[columns[relative.references]] = 0.0
             units = robot.parameter_units_
-            std = common.widened(theta, std, units, gain_indices, gain_covariance)
-        gain_std = std[gain_indices]
+            std = common.widened(theta, std, units, columns, gain_covariance)
+        gain_std = std[columns]
         if common.factor is None:
             gain_std[relative.references] = 0.0
         gains = ChannelGains(
             joint_names=robot.joint_names_,
-            gain=theta[gain_indices],
+            gain=theta[columns],
             std=gain_std,
             reference=relative.reference,
             common=common,
@@ -462,7 +462,7 @@ def _correct_values(recipe, fit, source, relative):
         zeros = _zero_entries(robot, moments)
         n_rigid = robot.features_.n_parameters_
         if relative is not None:
-            zeros[:, gain_places(robot.effects_, n_rigid)[relative.held]] = True
+            zeros[:, gain_indices(robot.effects_, n_rigid)[relative.held]] = True
         # A prior on the bodies would keep a value of the geometry where it is.
         bodies = None if _changes_bodies(robot) else fit.estimate.bodies
         values = ModelValues.of(

@@ -1,10 +1,9 @@
 """Unknown gains of several torque channels, relative to one of them."""
 
 # The channel of joint j reads y_j = g_j Phi_j theta. Joints share the bodies that they
-# move: the ratios of the gains are in their couplings, the common factor is in theta
-# and in no recording. Least squares for the inverse gains takes noise of the torques
-# for signal: the likelihood is maximised over the logarithms of the gains by Gauss and
-# Newton, from the second moments of the joints' equations.
+# move: ratios of gains follow from these couplings; a common factor is absorbed by
+# theta. Least squares for the inverse gains is biased by torque noise: instead,
+# Gauss-Newton steps maximise the likelihood over the log gains, from second moments.
 
 from dataclasses import dataclass, replace
 
@@ -14,30 +13,30 @@ from scipy import linalg
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import Payload, TorqueGain
 from sklearn_vbjfa.equations._plan import effect_indices
-from sklearn_vbjfa.fit._estimate import IDENTIFIABLE, LOST, noise_weights
+from sklearn_vbjfa.fit._estimate import IDENTIFIABLE, NULL_SHARE, noise_weights
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.robot._channels import HALF_WIDTH, LIMIT, CommonGain
 
-# ... so that two of them differ by its square at most.
-_WIDEST = LIMIT**2
-# Standard deviation of the logarithm of a gain about which nothing is known.
-_UNKNOWN = np.log(1e4)
-# Steps to the gains, the largest of them, and halvings of one that does harm.
-_STEPS = 60
-_STEP = np.log(3.0)
-_HALVINGS = 6
-# The logarithm of the likelihood is at its maximum where a step adds less.
-_SETTLED = 1e-3
+# Maximum ratio of two gains.
+_MAX_RATIO = LIMIT**2
+# Standard deviation of the logarithm of an unknown gain.
+_UNKNOWN_STD = np.log(1e4)
+# Maximum number and size of Gauss-Newton steps, and of halvings in the line search.
+_MAX_STEPS = 60
+_MAX_STEP = np.log(3.0)
+_MAX_HALVINGS = 6
+# Increase of the log likelihood at convergence.
+_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RelativeGains:
-    """Gains of torque channels as the moments of a recording show them."""
+    """Relative gains of torque channels, from the moments of a recording."""
 
-    # (nv,): relative to that of the reference; 1 where they are not seen
+    # (nv,): relative to the reference; 1 if not identifiable
     gains: np.ndarray
     # (nv,): joint whose channel is the unit of each: itself for a reference, and for a
-    # joint whose gain is not seen relative to any other
+    # joint whose gain is not identifiable relative to any other
     reference: np.ndarray
 
     @property
@@ -47,127 +46,126 @@ class RelativeGains:
 
     @property
     def references(self):
-        """Joints whose channels are the units of others, a sorted list of int."""
+        """Reference joints of at least one other joint, a sorted list of int."""
         return np.unique(self.reference[~self.held]).tolist()
 
 
 def relative_gains(moments, references=()):
-    # moments: JointMoments; references: joints whose channels are to be the units, for
-    # groups of joints in which one of them is; the others' are chosen, see `_grouped`.
+    # moments: JointMoments; references: joints to use as references of their groups;
+    # other groups choose one, see `_assign_references`.
     used = np.flatnonzero((moments.n > 0) & (moments.yy > 0))
     nv = moments.n.size
-    logs, found = _most_likely(moments, used)
-    spread, strength = np.full((nv, nv), np.inf), np.zeros(nv)
+    logs, optimum = _maximise_likelihood(moments, used)
+    variances, strength = np.full((nv, nv), np.inf), np.zeros(nv)
     if used.size:
-        spread[np.ix_(used, used)] = _spread(found)
-        strength[used] = found.size
-    reference = _grouped(spread, strength, references)
-    own = np.exp(logs - logs[reference])
+        variances[np.ix_(used, used)] = _ratio_variances(optimum)
+        strength[used] = optimum.size
+    reference = _assign_references(variances, strength, references)
+    gains = np.exp(logs - logs[reference])
     return RelativeGains(
-        gains=np.clip(own, 1.01 / _WIDEST, 0.99 * _WIDEST), reference=reference
+        gains=np.clip(gains, 1.01 / _MAX_RATIO, 0.99 * _MAX_RATIO), reference=reference
     )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Likelihood:
-    """Likelihood of logarithms of gains of k joints, everything else fitted."""
+    """Profile likelihood of the log gains of k joints, all else at its maximum."""
 
     cost: float  # minus its logarithm, up to a constant
-    score: np.ndarray  # (k,): slope of the logarithm
+    score: np.ndarray  # (k,): gradient of the log likelihood
     information: np.ndarray  # (k, k): Fisher's
-    # (k,): its diagonal where nothing else has to be fitted: (torque over noise)^2
+    # (k,): its diagonal with all other parameters known: (torque over noise)^2
     size: np.ndarray
 
     @classmethod
     def at(cls, moments, logs, used):
-        """Evaluate it at logarithms (nv,), for joints `used`, from `JointMoments`."""
+        """Evaluate the likelihood at log gains (nv,) of joints `used`."""
         gains = np.exp(logs)
-        read = replace(
+        scaled = replace(
             moments,
-            G=tuple((at, x**2 * one) for x, (at, one) in zip(gains, moments.G)),
+            G=tuple((at, x**2 * gram) for x, (at, gram) in zip(gains, moments.G)),
             g=moments.g * gains[:, None],
             noise=None,
             blocks=None,
         )
-        weight = noise_weights(read)
-        total = read.total(weight)
+        weight = noise_weights(scaled)
+        total = scaled.total(weight)
         metric = scaled_eigen(total.S_xx, IDENTIFIABLE)
         theta = metric.solve(total.S_xy)
-        torque = np.zeros(read.g.shape)
-        for own, (at, one) in zip(torque, read.G):
-            own[at] = one @ theta[at]
+        torque = np.zeros(scaled.g.shape)
+        for row, (at, gram) in zip(torque, scaled.G):
+            row[at] = gram @ theta[at]
         torque = (weight[:, None] * torque)[used]
         size = torque @ theta
-        rest = read.residual_squares(theta)[used] / read.yy[used]
-        left = np.diag(size) - torque @ metric.solve(torque.T)
+        residual = scaled.residual_squares(theta)[used] / scaled.yy[used]
+        information = np.diag(size) - torque @ metric.solve(torque.T)
         return cls(
-            cost=float(0.5 * read.n_rows[used] @ np.log(rest)),
-            score=weight[used] * (read.g[used] @ theta) - size,
-            information=0.5 * (left + left.T),
+            cost=float(0.5 * scaled.n_rows[used] @ np.log(residual)),
+            score=weight[used] * (scaled.g[used] @ theta) - size,
+            information=0.5 * (information + information.T),
             size=size,
         )
 
 
-def _most_likely(moments, used):
-    """Return the most likely logarithms of gains (nv,), and the `_Likelihood` there."""
-    # Those that are not seen are as the others are, by a prior that is weak beside
-    # anything that is seen.
+def _maximise_likelihood(moments, used):
+    """Return the log gains (nv,) of maximum likelihood, and the `_Likelihood` there."""
+    # A weak prior sets gains that are not identifiable to the mean of the others.
     logs, k = np.zeros(moments.n.size), used.size
     prior = (np.eye(k) - 1.0 / max(k, 1)) / np.log(LIMIT) ** 2
-    now = _Likelihood.at(moments, logs, used)
-    for _ in range(_STEPS if k else 0):
-        own = logs[used]
-        cost = now.cost + 0.5 * own @ prior @ own
-        # Nothing changes if all gains do; the step is the smallest one.
-        step = linalg.pinvh(now.information + prior) @ (now.score - prior @ own)
+    best = _Likelihood.at(moments, logs, used)
+    for _ in range(_MAX_STEPS if k else 0):
+        x = logs[used]
+        cost = best.cost + 0.5 * x @ prior @ x
+        # The likelihood is invariant to a common factor: take the minimum-norm step.
+        step = linalg.pinvh(best.information + prior) @ (best.score - prior @ x)
         step -= step.mean()
-        step /= max(np.abs(step).max() / _STEP, 1.0)
-        for halving in range(_HALVINGS):
-            moved = own + 0.5**halving * step
-            there = logs.copy()
-            there[used] = moved
-            new = _Likelihood.at(moments, there, used)
-            better = cost - new.cost - 0.5 * moved @ prior @ moved
-            if better > 0:
-                logs, now = there, new
+        step /= max(np.abs(step).max() / _MAX_STEP, 1.0)
+        for halving in range(_MAX_HALVINGS):
+            trial = x + 0.5**halving * step
+            trial_logs = logs.copy()
+            trial_logs[used] = trial
+            new = _Likelihood.at(moments, trial_logs, used)
+            gain = cost - new.cost - 0.5 * trial @ prior @ trial
+            if gain > 0:
+                logs, best = trial_logs, new
                 break
-        if better < _SETTLED:
+        if gain < _TOLERANCE:
             break
-    return logs, now
+    return logs, best
 
 
-def _spread(found):
-    """Variances (k, k) of the logarithms of ratios of gains; large if not seen."""
-    scale = np.sqrt(found.size)
-    seen = scaled_eigen(found.information, IDENTIFIABLE, scale=scale, relative=False)
-    values = np.where(seen.known, seen.values, 1.0)
-    variance = np.where(seen.known, 1.0 / values, (_UNKNOWN * scale.max()) ** 2)
-    roots = seen.vectors / scale[:, None] * np.sqrt(variance)
+def _ratio_variances(optimum):
+    """Return variances (k, k) of log gain ratios; large if not identifiable."""
+    scale = np.sqrt(optimum.size)
+    eigen = scaled_eigen(optimum.information, IDENTIFIABLE, scale=scale, relative=False)
+    values = np.where(eigen.known, eigen.values, 1.0)
+    variance = np.where(eigen.known, 1.0 / values, (_UNKNOWN_STD * scale.max()) ** 2)
+    roots = eigen.vectors / scale[:, None] * np.sqrt(variance)
     return ((roots[:, None] - roots) ** 2).sum(axis=2)
 
 
-def _grouped(spread, strength, references):
-    """Find each joint's reference (nv,) from the variances of ratios (nv, nv)."""
-    # Joints belong together whose ratio is known better than that it is plausible. The
-    # reference is the one from which the others are known best, in any order; of two,
-    # the one with more torque over noise (`strength`).
+def _assign_references(variances, strength, references):
+    """Choose each joint's reference (nv,) from the variances of ratios (nv, nv)."""
+    # Joints are in one group if their ratio is known better than the plausible range.
+    # The reference minimises the sum of the variances of the others; of several, it has
+    # the largest torque over noise (`strength`).
     nv = strength.size
     with np.errstate(invalid="ignore"):
-        sees = HALF_WIDTH * np.sqrt(spread) < np.log(LIMIT)
-    sees |= np.eye(nv, dtype=bool)
+        related = HALF_WIDTH * np.sqrt(variances) < np.log(LIMIT)
+    related |= np.eye(nv, dtype=bool)
     reference = np.arange(nv)
-    left = set(range(nv))
-    while left:
-        group, front = set(), {min(left)}
+    remaining = set(range(nv))
+    while remaining:
+        group, front = set(), {min(remaining)}
         while front:
             group |= front
-            near = sees[sorted(front)].any(axis=0)
-            front = set(np.flatnonzero(near).tolist()) - group
-        left -= group
+            neighbours = related[sorted(front)].any(axis=0)
+            front = set(np.flatnonzero(neighbours).tolist()) - group
+        remaining -= group
         members = np.array(sorted(group))
         chosen = [j for j in members if j in references]
         if not chosen:
-            sums = spread[np.ix_(members, members)]
+            sums = variances[np.ix_(members, members)]
             sums = np.where(np.eye(members.size, dtype=bool), 0.0, sums).sum(axis=0)
             best = members[sums <= sums.min() * (1 + 1e-6)]
             chosen = [best[np.argmax(strength[best])]]
@@ -176,29 +174,29 @@ def _grouped(spread, strength, references):
 
 
 def declared_gains(effects, nv):
-    """Effects with a gain of 1 on every channel, those that had none come first."""
-    own = {e.joint for e in effects if isinstance(e, TorqueGain)}
-    added = [TorqueGain(joint=j, limit=_WIDEST) for j in range(nv) if j not in own]
+    """Return effects with a gain of 1 on every channel; added gains come first."""
+    used = {e.joint for e in effects if isinstance(e, TorqueGain)}
+    added = [TorqueGain(joint=j, limit=_MAX_RATIO) for j in range(nv) if j not in used]
     return (*added, *with_gains(effects, np.ones(nv)))
 
 
 def with_gains(effects, gains):
-    """Effects with these gains (nv,) of the channels."""
+    """Return the effects with these gains (nv,) of the channels."""
     return tuple(
         e.with_values([gains[e.joint]]) if isinstance(e, TorqueGain) else e
         for e in effects
     )
 
 
-def gain_places(effects, n_rigid):
-    """Where the gains of all joints are among the parameters, ndarray of int."""
-    every = effect_indices(effects, n_rigid)
-    gains = {e.joint: at.start for e, at in every if isinstance(e, TorqueGain)}
+def gain_indices(effects, n_rigid):
+    """Return the indices of the gains of all joints among the parameters."""
+    spans = effect_indices(effects, n_rigid)
+    gains = {e.joint: at.start for e, at in spans if isinstance(e, TorqueGain)}
     return np.array([gains[joint] for joint in sorted(gains)], dtype=int)
 
 
 def check_gains(gains, joint_names):
-    """Refuse recordings without information on the gains of the channels."""
+    """Reject invalid references, and a single joint, whose gain is unidentifiable."""
     names = () if isinstance(gains, str) else gains
     if gains != "unknown" and not (names and set(names) <= set(joint_names)):
         raise ValueError(
@@ -212,14 +210,14 @@ def check_gains(gains, joint_names):
         )
 
 
-# -- the common gain, from known masses ------------------------------------------------
+# -- common gain from known masses -----------------------------------------------------
 
 PAYLOAD = "payload"
 
 
 def check_masses(masses, gains, model):
-    """Return known masses as a dict; reject what is not a mass of a body."""
-    # masses: dict of str to float [kg]; gains: the identifier's parameter.
+    """Return known masses as a dict; reject invalid names and values."""
+    # masses: dict of str to float [kg]; gains: parameter of the identifier.
     if gains is None:
         raise ValueError(
             "known_masses fixes the common gain of all torque channels and needs "
@@ -238,48 +236,48 @@ def check_masses(masses, gains, model):
     return {name: float(mass) for name, mass in masses.items()}
 
 
-def _mass_places(masses, robot):
-    """Where known masses are among the parameters, a list of (name, mass, place)."""
-    # A payload that is picked up and put down is there twice.
-    features, found = robot.features_, []
+def _locate_masses(masses, robot):
+    """Return name, mass and parameter index of each known mass, a list."""
+    # A payload that is picked up and put down occurs twice.
+    features, located = robot.features_, []
     bodies, width = body_names(features.model_), features.n_parameters_
     for name, mass in masses.items():
         if name in bodies:
-            found.append((name, mass, bodies.index(name) * (width // len(bodies))))
+            located.append((name, mass, bodies.index(name) * (width // len(bodies))))
     for effect, at in effect_indices(robot.effects_, width):
         if isinstance(effect, Payload) and PAYLOAD in masses:
-            found.append((PAYLOAD, masses[PAYLOAD], at.start))
-    return found
+            located.append((PAYLOAD, masses[PAYLOAD], at.start))
+    return located
 
 
 def common_gain(masses, robot, relative, estimate):
     # Returns a `CommonGain`, and the covariance (p,) of its factor with the parameters,
-    # or None if nothing fixes it. Each sum of known masses that is determined is one
+    # or None if it is not identifiable. Each identifiable sum of known masses is one
     # equation. masses: dict of str to float; estimate: `PlainEstimate` with the gains.
     nothing, theta = (CommonGain(masses=masses), None), robot.theta_
-    places = _mass_places(masses, robot)
-    # Gains of joints that share nothing have no common factor.
-    if not places or len(relative.references) != 1:
+    located = _locate_masses(masses, robot)
+    # Several groups of joints have no common factor.
+    if not located or len(relative.references) != 1:
         return nothing
-    names, expected, at = (np.array(x) for x in zip(*places))
-    # What is put down is a change by minus its mass; of magnitudes, as those given.
-    sign = np.where(names == PAYLOAD, np.sign(theta[at]), 1.0)
-    covariance = estimate.covariance[np.ix_(at, at)] * np.outer(sign, sign)
-    # Sums that the data determine: their direction has nothing in the null space.
-    outside = estimate.eigen.null_space[at]
-    values, vectors = linalg.eigh(outside @ outside.T)
-    sums = vectors[:, values <= LOST] * (estimate.eigen.scale[at] * sign)[:, None]
+    names, expected, i = (np.array(x) for x in zip(*located))
+    # A payload that is put down changes the mass by minus its value.
+    sign = np.where(names == PAYLOAD, np.sign(theta[i]), 1.0)
+    covariance = estimate.covariance[np.ix_(i, i)] * np.outer(sign, sign)
+    # Identifiable sums have no component in the null space.
+    null_part = estimate.eigen.null_space[i]
+    values, vectors = linalg.eigh(null_part @ null_part.T)
+    sums = vectors[:, values <= NULL_SHARE] * (estimate.eigen.scale[i] * sign)[:, None]
     if not sums.size:
         return nothing
-    y, x = expected @ sums, (theta[at] * sign) @ sums
+    y, x = expected @ sums, (theta[i] * sign) @ sums
     inverse = linalg.pinvh(sums.T @ covariance @ sums)
     information = float(y @ inverse @ y)
     if not information > 0:
         return nothing
     weight = inverse @ y / information
     factor, std = float(weight @ x), 1.0 / np.sqrt(information)
-    # A mass that may as well be none says nothing of the scale.
+    # A mass not significantly above zero cannot determine the factor.
     if not factor > HALF_WIDTH * std:
         return nothing
     common = CommonGain(factor=factor, std=std, masses=masses)
-    return common, estimate.covariance[:, at] @ (sums @ weight * sign)
+    return common, estimate.covariance[:, i] @ (sums @ weight * sign)

@@ -8,7 +8,7 @@ from scipy import linalg, optimize
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.equations._joint_moments import JointMoments
-from sklearn_vbjfa.fit._gains import _most_likely
+from sklearn_vbjfa.fit._gains import _maximise_likelihood
 from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion
 from tests.robot import EXACT
@@ -90,7 +90,7 @@ def test_gains_begin_at_the_most_likely_ones():
         g=np.einsum("jnp,jn->jp", rows, tau),
         yy=(tau**2).sum(axis=1),
     )
-    logs, _ = _most_likely(moments, np.arange(3))
+    logs, _ = _maximise_likelihood(moments, np.arange(3))
     assert_allclose(np.exp(logs - logs[2]), gains, rtol=1e-3)
 
 

@@ -1,16 +1,16 @@
 """Output-error identification."""
 
 # A recording is divided into windows. In each, the robot is simulated from the measured
-# state of its first row, driven by the measured torques. The errors of a window are
-# integrals of one another: it counts as one observation of each joint. With the mean
-# square e_j of the errors of joint j over all rows of W windows, minus twice the log
-# likelihood is
+# state of its first row, driven by the measured torques. The errors within a window are
+# highly correlated: it counts as one observation of each joint. With the mean square
+# e_j of the errors of joint j over all rows of W windows, the criterion, minus twice
+# the log likelihood, is
 #
 #     J(theta, z) = W sum_j log(e_j(theta, z) + epsilon_j^2) + sum_w z_w' z_w,
 #
-# where epsilon_j is the noise of the encoder, and z_w what the start of a window is
-# moved by, in units of its measurement noise. Starts are eliminated in every step of
-# Gauss and Newton: each belongs to one window alone.
+# where epsilon_j is the encoder noise, and z_w the correction of the initial state of a
+# window, in units of its measurement noise. Initial states affect one window each, so
+# every Gauss-Newton step eliminates them.
 
 import warnings
 from dataclasses import dataclass, replace
@@ -27,43 +27,42 @@ from sklearn_vbjfa.robot._posterior import of_effects
 from sklearn_vbjfa.robot._windows import warn_once
 from sklearn_vbjfa.simulation import SimulationError, simulate
 
-# Steps end when the mean squared error falls by less than this share.
+# Relative decrease of the mean squared error at convergence.
 TOLERANCE = 1e-4
-_MOST_STEPS = 30
-# Damping in units of the largest information of the simulation over the torque fit's.
-_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-8, 1e6
-# Errors below this share of a joint's range are rounding.
+_MAX_STEPS = 30
+# Damping relative to the largest eigenvalue of H in the metric of the torque fit.
+_FIRST_DAMPING, _MIN_DAMPING, _MAX_DAMPING = 1e-3, 1e-8, 1e6
+# Errors below this share of a joint's range are rounding errors.
 _ROUNDING = 1e-9
-# Memory of the sensitivities that are held together.
-_BYTES = 128 << 20
-# Degrees of freedom of Student's t that are taken at least, see `deviations`.
-_LEAST_FREEDOM = 3.0
+# Maximum memory of sensitivities that are computed together.
+_MAX_BYTES = 128 << 20
+# Minimum degrees of freedom of Student's t, see `deviations`.
+_MIN_FREEDOM = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulationCriteria:
     """Errors of an identified robot before and after its refinement by simulation."""
 
-    # (nv,): root mean square of simulated minus measured positions [rad or m], from the
-    # measured states, and at last from the estimated ones
+    # (nv,): RMS of simulated minus measured positions [rad or m], from measured initial
+    # states before the refinement and from estimated ones after it
     position_before: np.ndarray
     position_after: np.ndarray
     n_windows: int
     window: float  # their length [s]
-    converged: bool  # whether the steps ended at the tolerance
+    converged: bool  # whether the tolerance was reached
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Windows:
     """Windows of a recording, W of L rows."""
 
-    recording: object  # their rows, one segment each, with clock, torques and signals
+    recording: object  # one segment per window, with clock, torques and signals
     measured: np.ndarray  # (W, L, nv): positions [rad or m]
-    # (W, L, nv): weights of positions, with the sum 1 in each window of a joint that
-    # has any
+    # (W, L, nv): weights of positions; sum 1 for each joint and window with positions
     weight: np.ndarray
-    start: np.ndarray  # (W, 2 * nv): measured state of each first row
-    noise: np.ndarray  # (2 * nv,): standard deviations of its noise
+    start: np.ndarray  # (W, 2 * nv): measured initial states
+    noise: np.ndarray  # (2 * nv,): standard deviations of their noise
 
     @property
     def count(self):
@@ -76,20 +75,20 @@ class Windows:
 
     @classmethod
     def of(cls, predictor, recording, states, rows):
-        # states: `RecordingStates`. What remains of a recording is left out, half of it
-        # at each end; recordings shorter than a window are left out.
+        # states: `RecordingStates`. The remainder of a recording is left out, half at
+        # each end, as are recordings shorter than a window.
         nv = predictor.features_.n_joints_
         picked, start = [], []
-        for part, own in zip(recording.segments, states.full):
+        for part, states_of_part in zip(recording.segments, states.full):
             n = part.stop - part.start
-            first = (n % rows) // 2
-            for at in range(first, n - rows + 1, rows):
+            offset = (n % rows) // 2
+            for at in range(offset, n - rows + 1, rows):
                 picked.append(slice(part.start + at, part.start + at + rows))
-                start.append(own[slice(at, at + 1)].reshape(-1)[: 2 * nv])
-        # Weights alone tell which positions count.
+                start.append(states_of_part[slice(at, at + 1)].reshape(-1)[: 2 * nv])
+        # Only `weight` selects positions; simulation ignores it.
         t = predictor.plan.clock(recording)
-        plain = replace(recording, t=t, weight=None, command=None, feedback=None)
-        chosen = _windows_of(plain, picked)
+        unweighted = replace(recording, t=t, weight=None, command=None, feedback=None)
+        chosen = _windows_of(unweighted, picked)
         weight = np.ones(chosen.tau.shape)
         if recording.weight is not None:
             weight = take_rows(recording, picked, range(len(picked))).weight
@@ -109,13 +108,13 @@ class Windows:
 
 
 def _windows_of(recording, rows):
-    """Make a recording of windows, slices, each without what was before."""
+    """Return a recording of windows (slices) without history."""
     return replace(take_rows(recording, rows, range(len(rows))), before=())
 
 
 def _start_noise(estimator, nv):
-    """Deviations (2 nv,) of the noise of smoothed states."""
-    # Zero for states that were given, and where the noise is not known.
+    """Return the standard deviations (2 nv,) of the noise of smoothed states."""
+    # Zero for given states, or if the noise is unknown.
     if estimator is None:
         return np.zeros(2 * nv)
     variance = estimator.noise_variance_
@@ -127,7 +126,7 @@ def _start_noise(estimator, nv):
 
 
 def run_windows(predictor, windows, starts):
-    """Simulate windows from starts (W, 2 nv); states (W, L, 3 nv)."""
+    """Simulate windows from initial states (W, 2 nv); return states (W, L, 3 nv)."""
     robot = predictor.torque_model()
     nv = robot.n_joints
     recording, L = windows.recording, windows.measured.shape[1]
@@ -148,10 +147,10 @@ def run_windows(predictor, windows, starts):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulatedFit:
-    """Simulated windows of some parameters and starts."""
+    """Windows simulated with some parameters and initial states."""
 
     predictor: object  # robot with its parameters
-    z: np.ndarray  # (W, 2 * nv): what starts are moved by, in units of their noise
+    z: np.ndarray  # (W, 2 * nv): corrections of initial states in units of their noise
     states: np.ndarray  # (W, L, 3 * nv): simulated
     errors: np.ndarray  # (W, L, nv): simulated minus measured positions
 
@@ -162,16 +161,16 @@ class SimulatedFit:
         return cls(predictor=predictor, z=z, states=states, errors=errors)
 
     def position_errors(self, windows):
-        """Root mean square of the errors of each joint, (nv,)."""
+        """Return the RMS error of each joint, (nv,)."""
         squares = (windows.weight * self.errors**2).sum(axis=(0, 1))
         return np.sqrt(squares / np.maximum(windows.observations, 1))
 
     def scale(self, windows):
-        """Units of the errors (nv,): their present size, with the encoders' noise."""
+        """Return the scale (nv,) of the errors: their RMS and the encoder noise."""
         nv = self.errors.shape[2]
         span = np.ptp(windows.measured, axis=(0, 1))
-        least = np.maximum(windows.noise[:nv], _ROUNDING * np.where(span > 0, span, 1))
-        return np.hypot(self.position_errors(windows), least)
+        floor = np.maximum(windows.noise[:nv], _ROUNDING * np.where(span > 0, span, 1))
+        return np.hypot(self.position_errors(windows), floor)
 
     def criterion(self, windows):
         size = 2.0 * np.log(self.scale(windows))
@@ -182,10 +181,10 @@ class SimulatedFit:
 class Normal:
     """Normal equations of each window, half the derivatives of the criterion."""
 
-    H: np.ndarray  # (p, p): Gauss-Newton matrix of the parameters, starts eliminated
-    g: np.ndarray  # (W, p): gradients of the windows, starts eliminated
-    cross: np.ndarray  # (W, 2 * nv, p): changes of z by parameters
-    step: np.ndarray  # (W, 2 * nv): changes of z for the present parameters
+    H: np.ndarray  # (p, p): Gauss-Newton matrix, initial states eliminated
+    g: np.ndarray  # (W, p): gradients of the windows, initial states eliminated
+    cross: np.ndarray  # (W, 2 * nv, p): derivatives of z by parameters
+    step: np.ndarray  # (W, 2 * nv): change of z at the present parameters
 
     @classmethod
     def of(cls, fit, windows):
@@ -195,21 +194,21 @@ class Normal:
         H, g = np.zeros((p, p)), np.empty((W, p))
         cross, step = np.empty((W, 2 * nv, p)), np.empty((W, 2 * nv))
         per_window = 8 * L * nv * (4 * p + 8 * nv)
-        size = max(1, int(_BYTES // per_window))
+        size = max(1, int(_MAX_BYTES // per_window))
         for begin in range(0, W, size):
             chosen = slice(begin, min(begin + size, W))
             states = fit.states[chosen]
-            found = slopes(
+            derivatives = slopes(
                 fit.predictor, windows.part(chosen), states.reshape(-1, 3 * nv)
             )
-            S = propagate(found, states, windows.recording.dt)
+            S = propagate(derivatives, states, windows.recording.dt)
             S[..., p:] *= windows.noise
             root = (np.sqrt(windows.weight[chosen]) / scale).transpose(1, 0, 2)
             S *= root[..., None]
             e = root * fit.errors[chosen].transpose(1, 0, 2)
             for k, w in enumerate(range(chosen.start, chosen.stop)):
-                own = S[:, k].reshape(L * nv, -1)
-                full, slope = own.T @ own, own.T @ e[:, k].ravel()
+                J = S[:, k].reshape(L * nv, -1)
+                full, slope = J.T @ J, J.T @ e[:, k].ravel()
                 inner = full[p:, p:] + np.eye(2 * nv)
                 slope[p:] += fit.z[w]
                 cross[w] = -np.linalg.solve(inner, full[p:, :p])
@@ -222,11 +221,10 @@ class Normal:
 # -- refinement ------------------------------------------------------------------------
 
 
-def refine(predictor, found, recording, states, window, projector):
-    # Steps of Gauss and Newton, damped after Levenberg and Marquardt in the metric of
-    # the torque fit, each projected, and taken only where the criterion falls. found:
-    # `Estimate` of the torque fit, predictor: its `IdentifiedRobot`. Returns an
-    # `Estimate` and `SimulationCriteria`.
+def refine(predictor, result, recording, states, window, projector):
+    # Levenberg-Marquardt steps, damped in the metric of the torque fit, projected, and
+    # accepted if the criterion decreases. result: `Estimate` of the torque fit,
+    # predictor: its `IdentifiedRobot`. Returns an `Estimate` and `SimulationCriteria`.
     rows = round(float(window) / recording.dt) + 1
     longest = max(part.stop - part.start for part in recording.segments)
     if rows > longest:
@@ -236,43 +234,42 @@ def refine(predictor, found, recording, states, window, projector):
         )
     windows = Windows.of(predictor, recording, states, rows)
     with warnings.catch_warnings(record=True) as caught:
-        # Every window of every step says what the simulation goes without: once will
-        # do.
+        # Each simulation warns about what it omits; `warn_once` removes repetitions.
         warnings.simplefilter("always")
-        refined = _refine(predictor, found, windows, projector)
+        refined = _refine(predictor, result, windows, projector)
     warn_once(caught, "simulations", stacklevel=5)
     return refined
 
 
-def _refine(predictor, found, windows, projector):
+def _refine(predictor, result, windows, projector):
     nv = predictor.features_.n_joints_
     fit = SimulatedFit.of(predictor, windows, np.zeros((windows.count, 2 * nv)))
     before = fit.position_errors(windows)
     value, count = fit.criterion(windows), windows.observations.sum()
     held = held_parameters(predictor)
-    metric = np.where(np.outer(~held, ~held), found.metric, 0.0)
+    metric = np.where(np.outer(~held, ~held), result.metric, 0.0)
     normal = Normal.of(fit, windows)
     root = scaled_eigen(metric).inverse_root()
-    sizes = linalg.eigvalsh(root.T @ normal.H @ root) if root.size else [0.0]
-    largest = float(sizes[-1])
-    damping, unconstrained = _FIRST_DAMPING, found.theta_unconstrained
+    eigenvalues = linalg.eigvalsh(root.T @ normal.H @ root) if root.size else [0.0]
+    largest = float(eigenvalues[-1])
+    damping, unconstrained = _FIRST_DAMPING, result.theta_unconstrained
     converged = False
-    for _ in range(_MOST_STEPS):
-        if not largest > 0 or damping > _MOST_DAMPING:
+    for _ in range(_MAX_STEPS):
+        if not largest > 0 or damping > _MAX_DAMPING:
             converged = True
             break
-        own = normal.H + damping * largest * metric
-        raw, theta = _step(fit.predictor, found, normal, own, held, projector)
-        trial = _try(fit, normal, theta, windows)
-        after = np.inf if trial is None else trial.criterion(windows)
-        if not after < value:
+        H = normal.H + damping * largest * metric
+        raw, theta = _step(fit.predictor, result, normal, H, held, projector)
+        trial = _simulate_trial(fit, normal, theta, windows)
+        trial_value = np.inf if trial is None else trial.criterion(windows)
+        if not trial_value < value:
             damping *= 10.0
             continue
-        fell = value - after
-        fit, value, unconstrained = trial, after, raw
-        damping = max(0.1 * damping, _LEAST_DAMPING)
+        decrease = value - trial_value
+        fit, value, unconstrained = trial, trial_value, raw
+        damping = max(0.1 * damping, _MIN_DAMPING)
         normal = Normal.of(fit, windows)
-        if fell < TOLERANCE * count:
+        if decrease < TOLERANCE * count:
             converged = True
             break
     criteria = SimulationCriteria(
@@ -282,23 +279,23 @@ def _refine(predictor, found, windows, projector):
         window=(windows.measured.shape[1] - 1) * windows.recording.dt,
         converged=converged,
     )
-    std = deviations(normal, metric, _LEAST_DAMPING * largest, found.std)
+    std = deviations(normal, metric, _MIN_DAMPING * largest, result.std)
     refined = {"theta": fit.predictor.theta_, "theta_unconstrained": unconstrained}
-    std = np.where(held, found.std, std)
-    return replace(found, **refined, std=std), criteria
+    std = np.where(held, result.std, std)
+    return replace(result, **refined, std=std), criteria
 
 
-def _step(predictor, found, normal, own, held, projector):
-    change = scaled_eigen(own).solve(-normal.g.sum(axis=0))
+def _step(predictor, result, normal, H, held, projector):
+    change = scaled_eigen(H).solve(-normal.g.sum(axis=0))
     change[held] = 0.0
     raw = predictor.theta_ + change
-    asked = replace(found, theta=raw, theta_unconstrained=raw, metric=own)
-    theta = project(asked, projector, predictor.features_, predictor.effects_).theta
+    trial = replace(result, theta=raw, theta_unconstrained=raw, metric=H)
+    theta = project(trial, projector, predictor.features_, predictor.effects_).theta
     return raw, np.where(held, predictor.theta_, theta)
 
 
-def _try(fit, normal, theta, windows):
-    """Simulate with other parameters, starts following; None where it fails."""
+def _simulate_trial(fit, normal, theta, windows):
+    """Simulate with other parameters and updated initial states; None on failure."""
     change = theta - fit.predictor.theta_
     z = fit.z + normal.step + normal.cross @ change
     try:
@@ -308,54 +305,54 @@ def _try(fit, normal, theta, windows):
         return None
 
 
-def deviations(normal, metric, damping, before):
-    """Find the standard deviations (p,) of refined parameters."""
+def deviations(normal, metric, damping, torque_std):
+    """Return the standard deviations (p,) of refined parameters."""
     # With H the Gauss-Newton matrix, G the metric of the torque fit and a small damping
     # mu, the covariance is
     #     A^-1 (W / (nu - 2) sum_w g_w g_w') A^-1 + T C T',
     #     A = H + mu G,  T = 1 - A^-1 H,  nu = max(W - r, 3),
-    # the sandwich of the gradients of the windows; what the simulation does not
-    # determine keeps the covariance C of the torque fit. r = tr(A^-1 H) counts the
-    # directions that it determines. Student's t of W - r degrees of freedom has the
-    # variance (W - r) / (W - r - 2); three degrees are more than enough
+    # a sandwich of the gradients of the windows; directions that simulation does not
+    # determine keep the covariance C of the torque fit. r = tr(A^-1 H) is the effective
+    # number of determined directions. Student's t with W - r degrees of freedom has the
+    # variance (W - r) / (W - r - 2); a minimum of three is conservative
     # (tests/robot/test_output_error.py).
     W = normal.g.shape[0]
     A = scaled_eigen(normal.H + damping * metric)
     inverse = A.inverse()
     shrunk = inverse @ normal.H
     rank = float(np.trace(shrunk))
-    freedom = max(W - rank, _LEAST_FREEDOM)
+    freedom = max(W - rank, _MIN_FREEDOM)
     centred = normal.g - normal.g.mean(axis=0)
     meat = centred.T @ centred * W / (freedom - 2.0)
-    own = inverse @ meat @ inverse
-    plain = scaled_eigen(metric).inverse()
-    size = np.sqrt(np.maximum(np.diagonal(plain), 0.0))
-    wider = np.divide(before, size, out=np.ones_like(size), where=size > 0)
-    wider = np.where(np.isfinite(wider), wider, 1.0)
-    rest = np.eye(len(A.scale)) - shrunk
-    kept = rest @ (plain * np.outer(wider, wider)) @ rest.T
-    return np.sqrt(np.maximum(np.diagonal(own + kept), 0.0))
+    sandwich = inverse @ meat @ inverse
+    covariance = scaled_eigen(metric).inverse()
+    std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    inflation = np.divide(torque_std, std, out=np.ones_like(std), where=std > 0)
+    inflation = np.where(np.isfinite(inflation), inflation, 1.0)
+    T = np.eye(len(A.scale)) - shrunk
+    retained = T @ (covariance * np.outer(inflation, inflation)) @ T.T
+    return np.sqrt(np.maximum(np.diagonal(sandwich + retained), 0.0))
 
 
-# Along a simulated motion the torques that the drives produce, tau(q, v, a, theta), do
-# not change. A small change of parameters therefore moves it by s with
+# The drive torques tau(q, v, a, theta) along a simulated motion are given. A small
+# change of parameters therefore changes the motion by s with
 #
 #     M d2s/dt2 + D ds/dt + K s = -Phi dtheta,
 #     M = dtau/da,  D = dtau/dv,  K = dtau/dq,
 #
-# where Phi is the regressor, columns of friction and effects among them: integrated by
-# the implicit midpoint rule, which is stable for friction and springs of any steepness.
-# A joint that sticks has zero velocity. Where it turns round, dry friction jumps by c,
-# an impulse c delta(v) of D with the mean c / (h abs(a)) over a step h.
+# where Phi is the regressor, including friction and effects. It is integrated by the
+# implicit midpoint rule, which is stable for any stiffness and damping. A sticking
+# joint has zero velocity. At a velocity reversal dry friction jumps by c: an impulse
+# c delta(v) of D with the mean c / (h abs(a)) over a step h.
 
-# Differences are taken over this share of a joint's range, top speed and acceleration.
+# Step of finite differences relative to range, maximum speed and acceleration.
 _SHARE = 1e-6
 
 
 def slopes(predictor, recording, states):
-    # states (n, 3 nv). Returns the derivatives of true torques by positions, velocities
-    # and accelerations (3, n, nv, nv), their rise where the velocity of the joint
-    # passes through zero (n, nv), and those by parameters Phi (n, nv, p).
+    # states (n, 3 nv). Returns the derivatives of true torques with respect to
+    # positions, velocities and accelerations (3, n, nv, nv), their jump where the
+    # velocity of the joint crosses zero (n, nv), and the regressor Phi (n, nv, p).
     features, held = predictor.features_, held_parameters(predictor)
 
     def rows_of(states):
@@ -367,47 +364,47 @@ def slopes(predictor, recording, states):
             theta=predictor.load_parameters,
         )
 
-    Phi = np.concatenate([one(slice(None)) for one in rows_of(states)])
+    Phi = np.concatenate([rows(slice(None)) for rows in rows_of(states)])
     Phi /= features.gains_[:, None]
     Phi[:, :, held] = 0.0
     held |= of_effects(predictor, lambda effect: isinstance(effect, OfChannel))
     theta = np.where(held, 0.0, predictor.theta_)
 
     def torque(column, values):
-        other = states.copy()
-        other[:, column] = values
-        torques = [one.predict(theta)[0] for one in rows_of(other)]
+        perturbed = states.copy()
+        perturbed[:, column] = values
+        torques = [rows.predict(theta)[0] for rows in rows_of(perturbed)]
         return np.concatenate(torques) / features.gains_
 
     n, nv = states.shape[0], features.n_joints_
     sizes = np.r_[np.ptp(states[:, :nv], axis=0), np.abs(states[:, nv:]).max(axis=0)]
-    found, jump = np.empty((3, n, nv, nv)), np.zeros((n, nv))
+    derivatives, jump = np.empty((3, n, nv, nv)), np.zeros((n, nv))
     for column, step in enumerate(_SHARE * np.where(sizes > 0, sizes, 1.0)):
         kind, k = divmod(column, nv)
-        here = states[:, column]
-        rise = torque(column, here + step) - torque(column, here - step)
-        found[kind, :, :, k] = rise / (2 * step)
+        nominal = states[:, column]
+        rise = torque(column, nominal + step) - torque(column, nominal - step)
+        derivatives[kind, :, :, k] = rise / (2 * step)
         if kind == 1:
-            # Across zero the difference is that of the jump, which is told apart.
-            found[kind, np.abs(here) <= step, :, k] = 0.0
-            both = np.full(n, step), np.full(n, -step)
-            jump[:, k] = (torque(column, both[0]) - torque(column, both[1]))[:, k]
-    return found, jump, Phi
+            # Across zero velocity the difference is the jump, which is separate.
+            derivatives[kind, np.abs(nominal) <= step, :, k] = 0.0
+            sides = np.full(n, step), np.full(n, -step)
+            jump[:, k] = (torque(column, sides[0]) - torque(column, sides[1]))[:, k]
+    return derivatives, jump, Phi
 
 
 def held_parameters(predictor):
-    """Return which parameters (p,) a simulation does not depend on as columns."""
-    # Values of effects in the model, and effects that a simulation leaves out.
+    """Return the parameters (p,), bool, without sensitivities in a simulation."""
+    # Values of effects in the model, and effects that a simulation omits.
     return of_effects(
         predictor, lambda e: isinstance(e, InModel) or bool(e.files.simulation)
     )
 
 
-def propagate(found, states, dt):
-    """Sensitivities of positions (L, W, nv, p + 2 nv) along W motions of L rows."""
-    # By parameters, start positions and velocities. found: `slopes` along one motion
-    # after the other (n = W L); states (W, L, 3 nv); dt [s].
-    (stiffness, damping, mass), jump, Phi = found
+def propagate(derivatives, states, dt):
+    """Return sensitivities of positions (L, W, nv, p + 2 nv), W motions of L rows."""
+    # With respect to parameters, initial positions and velocities. derivatives:
+    # `slopes` along all motions in turn (n = W L); states (W, L, 3 nv); dt [s].
+    (stiffness, damping, mass), jump, Phi = derivatives
     W, L = states.shape[:2]
     nv = states.shape[2] // 3
     p = Phi.shape[2]
@@ -416,26 +413,26 @@ def propagate(found, states, dt):
     stuck = (v == 0) & (a == 0)
     free = ~stuck[..., None]
 
-    def middle(values):
+    def midpoint(values):
         values = values.reshape(shape)
         return 0.5 * (values[:, :-1] + values[:, 1:])
 
-    def moved(values):
-        # Friction of a joint that sticks balances every change.
-        return middle(np.where(free, values.reshape(shape), 0.0))
+    def free_midpoint(values):
+        # Friction of a sticking joint balances every change.
+        return midpoint(np.where(free, values.reshape(shape), 0.0))
 
-    M, D, K = middle(mass), moved(damping), moved(stiffness)
-    # One that turns round in a row moves the new way there.
-    way = np.where(v != 0, np.sign(v), np.sign(a))
-    turns = way[:, :-1] * way[:, 1:] < 0
+    M, D, K = midpoint(mass), free_midpoint(damping), free_midpoint(stiffness)
+    # At a row of zero velocity, the new direction is that of the acceleration.
+    direction = np.where(v != 0, np.sign(v), np.sign(a))
+    turns = direction[:, :-1] * direction[:, 1:] < 0
     if turns.any():
         mean = 0.5 * np.abs(a[:, :-1] + a[:, 1:])
-        jump = middle(jump[..., None])[..., 0]
-        own = np.einsum("wljj->wlj", M)
-        # Its friction cannot send a joint back the way that it came.
-        most = 2.0 * own / dt
-        slope = np.divide(jump, dt * mean, out=most.copy(), where=dt * mean > 0)
-        impulse = np.where(turns, np.clip(slope, 0.0, most), 0.0)
+        jump = midpoint(jump[..., None])[..., 0]
+        inertia = np.einsum("wljj->wlj", M)
+        # Friction cannot reverse the motion of a joint.
+        limit = 2.0 * inertia / dt
+        slope = np.divide(jump, dt * mean, out=limit.copy(), where=dt * mean > 0)
+        impulse = np.where(turns, np.clip(slope, 0.0, limit), 0.0)
         D = D + impulse[..., None] * np.eye(nv)
     half = 0.5 * dt * D + 0.25 * dt**2 * K
     left, right = M + half, M - half
@@ -444,18 +441,18 @@ def propagate(found, states, dt):
     drive = np.concatenate(
         [np.where(ends, 0.0, right), np.where(ends, 0.0, -dt * K)], axis=-1
     )
-    push = np.where(stuck[:, 1:, :, None], 0.0, -dt * moved(Phi))
-    drive, push = np.linalg.solve(left, drive), np.linalg.solve(left, push)
+    forcing = np.where(stuck[:, 1:, :, None], 0.0, -dt * free_midpoint(Phi))
+    drive, forcing = np.linalg.solve(left, drive), np.linalg.solve(left, forcing)
     out = np.zeros((L, W, nv, p + 2 * nv))
     position, velocity = np.zeros((2, W, nv, p + 2 * nv))
     position[:, :, p : p + nv] = np.eye(nv)
     velocity[:, :, p + nv :] = np.eye(nv) * ~stuck[:, 0, :, None]
     out[0] = position
     for k in range(L - 1):
-        both = np.concatenate([velocity, position], axis=1)
-        after = drive[:, k] @ both
-        after[:, :, :p] += push[:, k]
-        position = position + 0.5 * dt * (velocity + after)
-        velocity = after
+        state = np.concatenate([velocity, position], axis=1)
+        new_velocity = drive[:, k] @ state
+        new_velocity[:, :, :p] += forcing[:, k]
+        position = position + 0.5 * dt * (velocity + new_velocity)
+        velocity = new_velocity
         out[k + 1] = position
     return out

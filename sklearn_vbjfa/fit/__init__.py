@@ -1,8 +1,8 @@
-"""From equations to the parameters of a robot, and the estimator that users fit."""
+"""Estimation of the parameters of a robot."""
 
 from sklearn_vbjfa import _lazily
 
-# What is not in __all__ is for other rooms and for tests.
+# Names for other subpackages and tests.
 _MODULES = {
     "_arguments": ("FitOptions",),
     "_bodies": ("BodyPrior", "DESCRIBED", "Departure", "SCALES", "around")

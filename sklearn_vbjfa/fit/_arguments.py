@@ -1,4 +1,4 @@
-"""Settings for experts, and the recording that arguments of a fit make."""
+"""Settings for experts, and validation of the arguments of a fit."""
 
 import warnings
 from collections.abc import Mapping
@@ -79,7 +79,7 @@ def check_criterion(settings):
 
 
 def checked_arrays(estimator, names, X, y):
-    """Return X and y of a fit in the order of the joints, and other columns of X."""
+    """Return X and y in the order of the joints, and further columns of X."""
     X, columns = positions_and_signals(X, names)
     X, y = validate_data(
         estimator,
@@ -95,7 +95,7 @@ def checked_arrays(estimator, names, X, y):
 
 
 def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
-    """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
+    """Validate the arguments of a fit and return them as a `Recording`."""
     names, dt, channels = identifier.joint_names_, identifier.dt, {}
     X, y, columns = checked_arrays(identifier, names, X, y)
     if identifier.drive is not None:
@@ -114,7 +114,7 @@ def recording_of_arguments(identifier, X, y, groups, sample_weight, t, signals):
 
 
 def checked_recording(identifier, recording, inspected=False):
-    """Return a recording with the signals that are needed, rejecting others."""
+    """Validate a recording and keep the signals that the effects need."""
     names, X = identifier.joint_names_, recording.inputs
     if recording.joint_names != names or recording.dt != identifier.dt:
         raise ValueError(
@@ -134,24 +134,24 @@ def checked_recording(identifier, recording, inspected=False):
 
 
 def check_rows_suffice(identifier, recording):
-    """Refuse a recording that is too short for bodies, if settings are automatic."""
+    """Reject a recording that is too short for automatic settings."""
     longest = max(part.stop - part.start for part in recording.segments)
-    auto = recording.states is None and isinstance(identifier.cutoff, str)
-    # Of still shorter ones the states say what they need.
-    least = 4 * SAMPLES_FOR_NOISE
-    if auto and SAMPLES_FOR_NOISE <= longest < least:
+    automatic = recording.states is None and isinstance(identifier.cutoff, str)
+    # The estimator of the states rejects shorter recordings.
+    minimum = 4 * SAMPLES_FOR_NOISE
+    if automatic and SAMPLES_FOR_NOISE <= longest < minimum:
         raise ValueError(
-            f"The longest recording has {longest} rows; record at least {least}."
+            f"The longest recording has {longest} rows; record at least {minimum}."
         )
 
 
 def _check_rows(identifier, recording, inspected=False):
-    own = recording.joint_names, recording.q, recording.segments
-    if recording.states is None and (noise := at_rest(*own)) is not None:
+    data = recording.joint_names, recording.q, recording.segments
+    if recording.states is None and (noise := at_rest(*data)) is not None:
         raise ValueError(noise.message)
     if not inspected:
         check_rows_suffice(identifier, recording)
-        for finding in disorder(*own):
+        for finding in disorder(*data):
             warnings.warn(finding.message, DoubtWarning, stacklevel=4)
     if recording.t is not None:
         check_time_stamps(recording.t, identifier.dt, recording.segments)

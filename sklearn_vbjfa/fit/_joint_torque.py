@@ -32,8 +32,8 @@ class JointTorqueRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         Transformer of parameter vectors; None does not project. If its `metric` is
         None, the weighted Gram matrix of the fit is used (eq. 35 of [1]_); if its
         `parameter_names` are None, those of the features, where X is a data frame
-        (``pipeline.set_output(transform="pandas")``): they tell which parameters are
-        bodies and which are friction that cannot be negative.
+        (``pipeline.set_output(transform="pandas")``): they identify the parameters of
+        bodies and non-negative friction.
     joint_weights : "auto", None or array-like of shape (nv,), default="auto"
         Weights of the joints' equations [1 / torque squared]. ``"auto"``: the inverse
         of each joint's residual variance, by iterated weighted least squares. None:
@@ -76,9 +76,9 @@ class JointTorqueRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     weights.
 
     All joints share one parameter vector, so that nothing may rescale or mix the
-    columns between `RigidBodyFeatures` and this estimator: columns that a scaler has
-    passed are refused. As part of `regressor`
-    (``make_pipeline(StandardScaler(), Lasso())``) scalers do no harm.
+    columns between `RigidBodyFeatures` and this estimator: rescaled columns raise an
+    error. Scalers are allowed as part of `regressor`
+    (``make_pipeline(StandardScaler(), Lasso())``).
 
     Examples
     --------
@@ -136,7 +136,7 @@ class JointTorqueRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             )
         names = getattr(self, "feature_names_in_", None)
         self.parameter_names_ = parameter_names_of(names, nv)
-        # A single equation without a projection knows no units.
+        # One joint without projection does not depend on the units of the columns.
         if nv > 1 or self.projector is not None:
             check_as_computed(X)
         weight = check_weight(sample_weight, tau.shape)
@@ -144,14 +144,14 @@ class JointTorqueRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             Phi=X.reshape(*tau.shape, -1), tau=tau, weight=np.array(weight)
         )
         total = sum_moments([piece_moments(rows.Phi, rows.tau, rows.weight)])
-        found = estimate(
+        result = estimate(
             total, self.regressor, joint_weights=self.joint_weights, rows=[rows]
         )
-        self.theta_unconstrained_ = found.theta_unconstrained
-        self.theta_std_ = found.std
-        self.joint_weights_ = found.joint_weights
-        self.metric_ = found.metric
-        self.regressor_ = found.regressor
+        self.theta_unconstrained_ = result.theta_unconstrained
+        self.theta_std_ = result.std
+        self.joint_weights_ = result.joint_weights
+        self.metric_ = result.metric
+        self.regressor_ = result.regressor
         self.theta_ = self._project(self.theta_unconstrained_)
         return self
 

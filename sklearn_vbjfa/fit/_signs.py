@@ -1,4 +1,4 @@
-"""Signs of unsigned torques, by EM."""
+"""Signs of unsigned torques by expectation maximisation."""
 
 from dataclasses import replace
 
@@ -8,17 +8,17 @@ from sklearn_vbjfa.fit._fit import fit_robot
 from sklearn_vbjfa.inspection import most_explaining, signed_columns
 from sklearn_vbjfa.model import nominal_parameters
 
-# Rounds of the whole robot; they end when less than this share of the torque moves.
-_PASSES, _SETTLED = 30, 1e-4
-# Signs of a joint are doubtful where more than this share of its power is left.
-_DOUBTFUL = 0.05
-# A variance below this share of the largest squared torque is rounding.
-_EXACT = 1e-16
+# Maximum number of fits, and relative change of the torque at convergence.
+_MAX_PASSES, _TOLERANCE = 30, 1e-4
+# Signs of a joint are uncertain above this share of unexplained power.
+_MAX_RESIDUAL = 0.05
+# Minimum variance relative to the largest squared torque (rounding).
+_ROUNDING = 1e-16
 
 
 def with_signs(recipe, robot, source, before):
-    """Return the `FitData` of a fit whose torques have both signs."""
-    # robot: declared, its parameters not known; before: as for `fit_robot`.
+    """Estimate the signs of unsigned torques; return the signed `FitData`."""
+    # robot: without parameters; before: as for `fit_robot`.
     recording = source.recording
     sizes, weight = recording.tau, recording.weight
 
@@ -29,45 +29,45 @@ def with_signs(recipe, robot, source, before):
         ).robot
 
     bodies = nominal_parameters(robot.features_.model_)
-    tau, doubtful = _first(robot.features_, source, bodies)
+    tau, doubtful = _initial_signs(robot.features_, source, bodies)
     if doubtful.any() and not doubtful.all():
-        # What they move, the joints before them have moved as well.
-        sure = np.ones(sizes.shape) if weight is None else weight
-        bodies = fitted(tau, np.where(doubtful, 0.0, sure)).inertial()
-        again, _ = _first(robot.features_, source, bodies)
-        tau = np.where(doubtful, again, tau)
-    for _ in range(_PASSES):
-        new = signed(fitted(tau), recording).tau
-        moved = np.sqrt(((new - tau) ** 2).mean(axis=0))
-        tau = new
-        if (moved <= _SETTLED * np.sqrt((sizes**2).mean(axis=0))).all():
+        # The joints that carry them determine the bodies of uncertain joints.
+        base_weight = np.ones(sizes.shape) if weight is None else weight
+        bodies = fitted(tau, np.where(doubtful, 0.0, base_weight)).inertial()
+        refined, _ = _initial_signs(robot.features_, source, bodies)
+        tau = np.where(doubtful, refined, tau)
+    for _ in range(_MAX_PASSES):
+        updated = signed(fitted(tau), recording).tau
+        change = np.sqrt(((updated - tau) ** 2).mean(axis=0))
+        tau = updated
+        if (change <= _TOLERANCE * np.sqrt((sizes**2).mean(axis=0))).all():
             break
     return replace(source, recording=replace(recording, tau=tau, command=tau))
 
 
 def signed(robot, recording):
-    """Give sizes of torques their mean sign beside what a fitted robot predicts."""
-    asked = robot.prepare_recording(replace(recording, weight=None))
+    """Replace torque magnitudes by their expectation given a fitted robot."""
+    inputs = robot.prepare_recording(replace(recording, weight=None))
     rest = robot.plan.rest(robot.plan.state_estimator)
-    predicted = robot.torques(replace(asked, rest=rest))
+    predicted = robot.torques(replace(inputs, rest=rest))
     tau = expected(recording.tau, predicted)
     return replace(recording, tau=tau, command=tau)
 
 
 def expected(sizes, predicted):
-    """Mean torques (n, nv) of sizes, over both signs beside predictions."""
+    """Return expected torques (n, nv) over both signs, given predictions."""
     variance = ((sizes - np.abs(predicted)) ** 2).mean(axis=0)
-    variance = np.maximum(variance, np.finfo(float).tiny + _EXACT * sizes.max() ** 2)
+    variance = np.maximum(variance, np.finfo(float).tiny + _ROUNDING * sizes.max() ** 2)
     return sizes * np.tanh(sizes * predicted / variance)
 
 
-def _first(features, source, bodies):
-    """Torques (n, nv) with likely signs, and joints (nv,) that these explain badly."""
+def _initial_signs(features, source, bodies):
+    """Return torques (n, nv) with initial signs, and joints (nv,) of uncertain sign."""
     sizes = source.recording.tau
-    own = np.vstack([states[slice(None)] for states in source.states.full])
-    made = signed_columns(own, features.torques(*np.split(own, 3, axis=1), bodies))
-    found = [most_explaining(x, sizes[:, j]) for j, x in enumerate(made)]
-    predicted = np.column_stack([x @ coef for x, coef in zip(made, found)])
-    left = ((sizes - np.abs(predicted)) ** 2).sum(axis=0)
-    doubtful = left > _DOUBTFUL * (sizes**2).sum(axis=0)
+    states = np.vstack([states[slice(None)] for states in source.states.full])
+    A = signed_columns(states, features.torques(*np.split(states, 3, axis=1), bodies))
+    coefficients = [most_explaining(x, sizes[:, j]) for j, x in enumerate(A)]
+    predicted = np.column_stack([x @ coef for x, coef in zip(A, coefficients)])
+    residual = ((sizes - np.abs(predicted)) ** 2).sum(axis=0)
+    doubtful = residual > _MAX_RESIDUAL * (sizes**2).sum(axis=0)
     return np.where(predicted < 0, -sizes, sizes), doubtful

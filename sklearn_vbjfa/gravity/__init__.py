@@ -20,17 +20,17 @@ from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 __all__ = ["correct_gravity", "gravity_poses"]
-# Samples: length of a window [s], share of the fastest speed that is rest, torque of
-# motion over that of gravity, way over the range after which friction is full, and
-# share of it that counts as full; speed [rad/s or m/s] for its direction at rest; least
-# period [s] of rows that are poses.
+# Samples: window length [s]; speed at rest over maximum speed; maximum dynamic over
+# gravity torque; travel over range after which friction is fully developed, and the
+# share that counts as full; speed [rad/s or m/s] that encodes the direction of friction
+# at rest; minimum period [s] of rows that are single poses.
 _WINDOW, _REST, _DYNAMIC, _WAY, _FULL, _DIRECTION = 0.2, 0.02, 0.2, 0.003, 0.9, 1e-4
 _ONE_ROW = 1.0
-# Folds, contiguous in time; least samples; range [rad or m] of one pose; deviations
-# that decide; error of a payload over that of corrected links that explains as much.
+# Folds, contiguous in time; minimum samples; range [rad or m] of one pose; standard
+# deviations of a significant payload, and its maximum error over corrected links.
 _FOLDS, _FEW, _ONE_POSE, _SURE, _AS_WELL = 4, 5, 0.2, 3.0, 1.1
-# Random poses, most poses that are counted, noise of a torque over gravity where nobody
-# has measured it, and way points [rad or m] around a pose.
+# Number of random poses, maximum `poses_enough`, torque noise over gravity before any
+# measurement, and way points [rad or m] around a pose.
 _CANDIDATES, _MOST, _NOISE = 300, 100, 0.02
 _AROUND = 0.05 * np.array([[-1.0], [0.0], [1.0], [0.0]])
 _PROPOSED = "`sklearn-vbjfa design --urdf ROBOT.urdf --for gravity` proposes poses."
@@ -82,47 +82,49 @@ def correct_gravity(recording, model):
     friction is the direction of the last motion, -1 or 1. If it never changes, s_j is 0
     and friction is not separable from the offset o_j.
     """
-    features, q, rows, described = _described(model)
+    features, q, rows, described = _described_robot(model)
     states, tau, weight = samples = static_samples(recording, features)
-    for one in inspect_recording(recording, model):
-        # What balances a single joint of several is likelier a spring.
-        if one.kind == "no_gravity" and not len(one.joints) == 1 < features.n_joints_:
-            raise ValueError(one.message)
+    for item in inspect_recording(recording, model):
+        # A single joint of several without gravity torque probably has a spring.
+        if item.kind == "no_gravity" and not len(item.joints) == 1 < features.n_joints_:
+            raise ValueError(item.message)
     squares = np.zeros((2, *tau.shape))
     with warnings.catch_warnings():  # of few rows, and without a filter
         warnings.simplefilter("ignore", UserWarning)
-        for kept, fold in KFold(_FOLDS).split(tau):
-            for one, fit in zip(squares, _fitted([x[kept] for x in samples], model)):
-                one[fold] = (tau[fold] - fit.predict(states[fold])) ** 2
-        _, found = _fitted(samples, model)
+        for train, test in KFold(_FOLDS).split(tau):
+            for item, fit in zip(
+                squares, _fit_both([x[train] for x in samples], model)
+            ):
+                item[test] = (tau[test] - fit.predict(states[test])) ** 2
+        _, robot = _fit_both(samples, model)
     with np.errstate(invalid="ignore"):
         before, after = np.sqrt((weight * squares).sum(axis=1) / weight.sum(axis=0))
-    per_joint = found.features_.n_parameters_ // features.n_joints_
+    per_joint = robot.features_.n_parameters_ // features.n_joints_
     bodies = BodyPrior.of(features.model_, per_joint)
-    _keep_inertias(found, bodies)
-    covariance, gravity = _covariance(found), _rms(found.robot_.gravity(q))
+    _restore_inertias(robot, bodies)
+    covariance, gravity = _covariance(robot), _rms(robot.robot_.gravity(q))
     loaded = gravity > 1e-6 * gravity.max()
-    noise = np.maximum(found.output_noise_, 1e-9 * gravity.max())
+    noise = np.maximum(robot.output_noise_, 1e-9 * gravity.max())
     stds = [std for _, std in islice(_best_poses(rows, covariance, noise), _MOST + 1)]
-    half = HALF_WIDTH * np.array(stds)
-    enough = np.flatnonzero((half <= noise).all(axis=1)).tolist()
+    half_width = HALF_WIDTH * np.array(stds)
+    sufficient = np.flatnonzero((half_width <= noise).all(axis=1)).tolist()
 
     def interval_at(q):
         rows = features.matrices(np.hstack([q, 0.0 * q, 0.0 * q]))
         return HALF_WIDTH * np.sqrt((rows @ covariance * rows).sum(axis=2).clip(0.0))
 
     return Bunch(
-        identifier=found,
+        identifier=robot,
         n_samples=len(tau),
         error_before=before,
         error_after=after,
         gravity_before=described * loaded,
         gravity=gravity * loaded,
-        interval=half[0] * loaded,
+        interval=half_width[0] * loaded,
         interval_at=interval_at,
-        poses_enough=next(iter(enough), None),
+        poses_enough=next(iter(sufficient), None),
         friction_known=np.split(states, 3, axis=1)[1].any(axis=0),
-        payload=_payload(found, bodies),
+        payload=_payload(robot, bodies),
     )
 
 
@@ -155,22 +157,22 @@ def gravity_poses(model, n_poses=20, *, fitted=None, random_state=0):
     """
     if n_poses < 1:
         raise ValueError(f"n_poses must be at least 1; got {n_poses}.")
-    features, q, rows, torque = _described(model, random_state)
+    features, q, rows, torque = _described_robot(model, random_state)
     if fitted is None:
         bodies = BodyPrior.of(features.model_, 10)
         covariance = np.zeros(2 * [features.n_parameters_])
-        inverse, at = DESCRIBED * np.linalg.inv(bodies.root), bodies.places
-        covariance[at[:, :, None], at[:, None]] = inverse @ inverse.transpose(0, 2, 1)
+        inverse, ix = DESCRIBED * np.linalg.inv(bodies.root), bodies.places
+        covariance[ix[:, :, None], ix[:, None]] = inverse @ inverse.transpose(0, 2, 1)
         noise = _NOISE * np.maximum(torque, 0.01 * torque.max())
     else:
         covariance, noise = _covariance(fitted), fitted.output_noise_
     best = [k for k, _ in islice(_best_poses(rows, covariance, noise), n_poses)]
-    way = (q[best, None] + _AROUND).reshape(4 * n_poses, -1)
-    return way, np.tile([0.0, 1.0, 0.0, 1.0], n_poses)
+    path = (q[best, None] + _AROUND).reshape(4 * n_poses, -1)
+    return path, np.tile([0.0, 1.0, 0.0, 1.0], n_poses)
 
 
-def _described(model, random_state=0):
-    """Return features, random poses, their torques by bodies, and the RMS (nv,)."""
+def _described_robot(model, random_state=0):
+    """Return features, random poses, their regressors, and the RMS torque (nv,)."""
     features = RigidBodyFeatures(model, friction=()).load()
     if BodyPrior.of(features.model_, 10) is None:
         raise ValueError("The description has no masses: add <inertial> elements.")
@@ -179,7 +181,7 @@ def _described(model, random_state=0):
     q = np.random.default_rng(random_state).uniform(low, high, (size, low.size))
     clearance, _ = Clearance.of(model, features.model_)
     if clearance is not None:
-        q = q[[clearance.nearest(one + _AROUND[:3])[0] > 0 for one in q]]
+        q = q[[clearance.nearest(pose + _AROUND[:3])[0] > 0 for pose in q]]
     if not len(q):
         raise ValueError("Links touch in all random poses; check the collision shapes.")
     q = q[:_CANDIDATES]
@@ -191,61 +193,61 @@ def _rms(torques):
     return np.sqrt((torques**2).mean(axis=0))
 
 
-def _covariance(found):
-    """Covariance of all bodies; what nothing determines moves no gravity torque."""
-    nv, p = found.features_.n_joints_, found.features_.n_parameters_
+def _covariance(robot):
+    """Return the covariance of all bodies; undetermined parameters have zero."""
+    nv, p = robot.features_.n_joints_, robot.features_.n_parameters_
     bodies = np.flatnonzero(np.arange(p) % (p // nv) < 10)
-    covariance = found.robot_.covariance[np.ix_(bodies, bodies)]
+    covariance = robot.robot_.covariance[np.ix_(bodies, bodies)]
     return np.where(np.isfinite(covariance), covariance, 0.0)
 
 
 def _best_poses(rows, covariance, noise):
-    """Yield poses that narrow the widest interval most, by their place in rows."""
-    # With each the root mean square deviations (nv,) of the gravity torque before it.
+    """Yield poses (row index) that reduce the widest interval most, greedily."""
+    # Each with the RMS standard deviation (nv,) of the gravity torque before it.
     while True:
-        across = rows @ covariance
-        torque = across @ rows.transpose(0, 2, 1)
+        cross = rows @ covariance
+        torque = cross @ rows.transpose(0, 2, 1)
         variance = np.maximum(np.diagonal(torque, axis1=1, axis2=2), 0.0)
         std = np.sqrt(variance.mean(axis=0))
-        # A pose is recorded from both sides.
+        # A pose is recorded twice, approached from both sides.
         gains = np.linalg.inv(torque + np.diag(noise**2 / 2))
-        # What each pose would take away of the widest variance, summed over all poses.
-        shared = across[:, std.argmax()] @ rows.transpose(0, 2, 1)
-        best = int(np.einsum("kmj,kji,kmi->k", shared, gains, shared).argmax())
+        # Reduction of the largest variance by each pose, summed over all poses.
+        change = cross[:, std.argmax()] @ rows.transpose(0, 2, 1)
+        best = int(np.einsum("kmj,kji,kmi->k", change, gains, change).argmax())
         yield best, std
-        covariance = covariance - across[best].T @ gains[best] @ across[best]
+        covariance = covariance - cross[best].T @ gains[best] @ cross[best]
 
 
 def static_samples(recording, features):
-    """Return states, torques and weights, one row for each pose and slow window."""
-    dt, parts, side = check_dt(recording.dt), recording.segments, 0.0 * recording.q
-    for j, way in enumerate(_WAY * np.ptp(recording.q, axis=0) + 1e-300):
+    """Return states, torques and weights, a row for each pose or slow window."""
+    dt, parts, sign = check_dt(recording.dt), recording.segments, 0.0 * recording.q
+    for j, travel in enumerate(_WAY * np.ptp(recording.q, axis=0) + 1e-300):
         for part in parts:
-            side[part, j] = elements(recording.q[part, j], [way])[:, 0]
+            sign[part, j] = elements(recording.q[part, j], [travel])[:, 0]
     one_row, longest = dt > _ONE_ROW, max(p.stop - p.start for p in parts)
     length = 1 if one_row else min(max(3, round(_WINDOW / dt)), longest)
-    first = [np.arange(p.start, p.stop - length + 1, length) for p in parts]
-    rows = np.concatenate(first)[:, None] + np.arange(length)
+    starts_of_part = [np.arange(p.start, p.stop - length + 1, length) for p in parts]
+    rows = np.concatenate(starts_of_part)[:, None] + np.arange(length)
     t = dt * (np.arange(length) - 0.5 * (length - 1))
     parabola = np.linalg.pinv(np.vander(t, 3, increasing=True) * [1.0, 1.0, 0.5])
     q, v, a = np.einsum("sk,mkj->smj", parabola, recording.q[rows])
     still = np.abs(v) <= _REST * np.quantile(np.abs(v), 0.995, axis=0)
-    # Windows of one pose are one sample.
-    rest = still.all(axis=1)
-    label = np.where(rest, recording.groups[rows[:, 0]], -1)
-    starts = np.flatnonzero((np.diff(label, prepend=-1) != 0) | (label < 0) | one_row)
+    # Consecutive windows of one pose form one sample.
+    resting = still.all(axis=1)
+    labels = np.where(resting, recording.groups[rows[:, 0]], -1)
+    starts = np.flatnonzero((np.diff(labels, prepend=-1) != 0) | (labels < 0) | one_row)
     tau = np.einsum("k,mkj->mj", parabola[0], recording.tau[rows])
-    tau[rest] = recording.tau[rows[rest]].mean(axis=1)
-    signals = np.stack([q, v, a, tau, side[rows].mean(axis=1), still])
+    tau[resting] = recording.tau[rows[resting]].mean(axis=1)
+    signals = np.stack([q, v, a, tau, sign[rows].mean(axis=1), still])
     count = np.diff(np.r_[starts, len(q)])[:, None]
-    q, v, a, tau, side, still = np.add.reduceat(signals, starts, axis=1) / count
-    # How a pose of one row was reached is not known.
-    side = np.fix(side / _FULL) * (not one_row)
+    q, v, a, tau, sign, still = np.add.reduceat(signals, starts, axis=1) / count
+    # The direction of approach of a single-row pose is unknown.
+    sign = np.fix(sign / _FULL) * (not one_row)
     bodies = nominal_parameters(features.model_)
     gravity = features.torques(q, 0.0 * v, 0.0 * a, bodies)
-    torque, size = features.torques(q, v, a, bodies), _rms(gravity)
-    weight = np.abs(torque - gravity) <= _DYNAMIC * np.maximum(size, 0.1 * size.max())
-    weight &= (side != 0) | ~side.any(axis=0)
+    torque, rms = features.torques(q, v, a, bodies), _rms(gravity)
+    weight = np.abs(torque - gravity) <= _DYNAMIC * np.maximum(rms, 0.1 * rms.max())
+    weight &= (sign != 0) | ~sign.any(axis=0)
     if weight.sum() < _FEW * weight.shape[1]:
         raise ValueError(
             f"The recording holds fewer than {_FEW} poses or windows of slow motion: "
@@ -255,22 +257,22 @@ def static_samples(recording, features):
     slow = weight.any(axis=1)
     if (np.ptp(q[slow], axis=0) < _ONE_POSE).all():
         raise ValueError(f"All poses are the same to {_ONE_POSE:g} rad. {_PROPOSED}")
-    # The direction of the last motion, at rest too; none where it never changes.
-    side *= (side > 0).any(axis=0) & (side < 0).any(axis=0)
-    v = side * np.where(still > 0, _DIRECTION, np.maximum(np.abs(v), 2 * _DIRECTION))
-    # Centrifugal torques of speeds that are replaced.
+    # Direction of the last motion, also at rest; zero if it never changes.
+    sign *= (sign > 0).any(axis=0) & (sign < 0).any(axis=0)
+    v = sign * np.where(still > 0, _DIRECTION, np.maximum(np.abs(v), 2 * _DIRECTION))
+    # Compensates the dynamic torques of the replaced speeds.
     tau += features.torques(q, v, a, bodies) - torque
     return np.hstack([q, v, a])[slow], tau[slow], weight[slow]
 
 
-def _fitted(samples, model):
-    """Fit friction with the described bodies, and with corrected ones."""
+def _fit_both(samples, model):
+    """Fit friction with described bodies, and with corrected bodies."""
     states, tau, weight = samples
     speed, count = np.abs(np.split(states, 3, axis=1)[1]), weight.sum(axis=0)
     moves = (weight & (speed > _DIRECTION)).any(axis=0) | (count == 0)
     motion = ("viscous", "rotor_inertia") if moves.all() else ()
     friction, fits, variance = (*motion, "coulomb", "offset"), [], np.ones(count.size)
-    # Few samples are fitted exactly: the noise is what the bodies before leave.
+    # Few samples are overfitted: the noise is the residual of the previous fit.
     for bodies in ("fixed", "prior", "prior"):
         options = FitOptions(standstill=None, joint_weights=1.0 / variance)
         fit = RobotIdentifier(model, friction=friction, bodies=bodies, options=options)
@@ -282,27 +284,27 @@ def _fitted(samples, model):
     return fits[0], fits[-1]
 
 
-def _payload(found, bodies):
-    """Mass of a payload and its deviation, if it explains the torques as well."""
-    # All bodies are as described but the last.
-    fit, model = found.estimate_, found.features_.nominal_
-    mass = found.parameter_names_.index(f"{found.joint_names_[-1]}:m")
-    held = bodies.places[:, 0] != mass
-    others = replace(bodies, places=bodies.places[held], centre=bodies.centre[held])
+def _payload(robot, bodies):
+    """Return a payload mass and its std, if it explains the torques equally well."""
+    # All bodies but the last are fixed to the description.
+    fit, model = robot.estimate_, robot.features_.nominal_
+    mass = robot.parameter_names_.index(f"{robot.joint_names_[-1]}:m")
+    kept = bodies.places[:, 0] != mass
+    others = replace(bodies, places=bodies.places[kept], centre=bodies.centre[kept])
     loaded = apply_description(fit, others, "fixed")
-    more, std = loaded.theta[mass] - model.inertias[model.nv].mass, loaded.std[mass]
-    squares = (fit.moments.residual_squares(one.theta) for one in (loaded, fit))
-    with_it, without = (fit.joint_weights @ one for one in squares)
-    as_well = with_it <= _AS_WELL**2 * without and more > _SURE * std
-    return (float(more), float(std)) if as_well else None
+    excess, std = loaded.theta[mass] - model.inertias[model.nv].mass, loaded.std[mass]
+    squares = (fit.moments.residual_squares(x.theta) for x in (loaded, fit))
+    with_it, without = (fit.joint_weights @ x for x in squares)
+    plausible = with_it <= _AS_WELL**2 * without and excess > _SURE * std
+    return (float(excess), float(std)) if plausible else None
 
 
-def _keep_inertias(found, bodies):
-    """Give bodies their described inertias about the centres of mass."""
+def _restore_inertias(robot, bodies):
+    """Restore the described inertias about the centres of mass."""
     pin = import_pinocchio()
-    theta, known = found.theta_.copy(), np.array(found.robot_.known_, dtype=object)
-    for described, at in zip(bodies.centre, bodies.places):
-        body = pin.Inertia.FromDynamicParameters(theta[at])
+    theta, status = robot.theta_.copy(), np.array(robot.robot_.known_, dtype=object)
+    for described, ix in zip(bodies.centre, bodies.places):
+        body = pin.Inertia.FromDynamicParameters(theta[ix])
         body.inertia = pin.Inertia.FromDynamicParameters(described).inertia
-        theta[at], known[at[4:]] = body.toDynamicParameters(), "from the description"
-    found.set_parameters(theta, tuple(known))
+        theta[ix], status[ix[4:]] = body.toDynamicParameters(), "from the description"
+    robot.set_parameters(theta, tuple(status))

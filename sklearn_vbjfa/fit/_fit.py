@@ -652,7 +652,7 @@ def _bounded_step(effect, step):
 _BLOCKS, _BLOCK_ROWS, _BLOCK_FILTERS, _LAG_DEVIATIONS = 4, 1000, 10, 4.0
 
 
-def seems_late(recipe, fit, source):
+def suggests_lag(recipe, fit, source):
     """Return whether an excerpt suggests that all torques lag, or lead."""
     robot, recording = fit.robot, source.recording
     plan, effects = robot.plan, (*robot.effects_, TorqueLag())

@@ -35,7 +35,7 @@ from sklearn_vbjfa.fit._arguments import (
     recording_of_arguments,
 )
 from sklearn_vbjfa.fit._bodies import described_bodies
-from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems_late
+from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, suggests_lag
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.fit._pooling import alike_joints, between_recordings
 from sklearn_vbjfa.fit._signs import with_signs
@@ -49,7 +49,7 @@ from sklearn_vbjfa.robot._robot import IdentifiedRobot
 class RecordingRegressorMixin(MultiOutputMixin, RegressorMixin):
     """A multi-output regressor whose rows are recordings in time order."""
 
-    # Requests `groups` if metadata routing is enabled, as `StateEstimator` does.
+    # `groups` is requested by default in metadata routing, as by `StateEstimator`.
     __metadata_request__fit = {"groups": True}  # noqa: RUF012
     __metadata_request__predict = {"groups": True}  # noqa: RUF012
     __metadata_request__score = {"groups": True}  # noqa: RUF012
@@ -355,7 +355,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         inspect = inspect and plan.state_estimator is not None and plan.lag is None
         self._suspect = inspect and (
             contradicted(recording.tau, fit.errors(), fit.torque_size)
-            or seems_late(recipe, fit, source)
+            or suggests_lag(recipe, fit, source)
         )
         if self.fit_options.torque_noise is None:
             facts = fit.robot.noise_facts(recording, self.n_jobs)
@@ -388,7 +388,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             source=self.model,
         )
 
-    # -- for other rooms -------------------------------------------------------------
+    # -- for other subpackages ---------------------------------------------------------
 
     def fit_inspected(self, recording, lag=0.0, compare=True, before=None):
         """Identify the robot from a recording whose channels were inspected."""

@@ -251,14 +251,14 @@ class Path:
             return fit
         member = fit.members[i]
         names, joint = closure(member.effect, self.library), member.effect.joint
-        rest = [
+        kept = [
             m
             for m in fit.members
             if m.effect.joint != joint or m.effect.name not in names
         ]
-        if len(rest) == len(fit.members):
+        if len(kept) == len(fit.members):
             return fit
-        base = Fit(fit.base, [m for m in rest if m is not member])
+        base = Fit(fit.base, [m for m in kept if m is not member])
         for family in self.candidates.families[joint]:
             if family.effects[0].name != member.effect.name:
                 continue

@@ -494,9 +494,9 @@ class Fit:
         at = slice(c * k, (c + 1) * k)
         T = self.base.reduced_moments(columns).T[:, at] @ coef
         D = self._groups[columns][1][:, at] @ coef
-        coef_ = _solve(self._factor, D, transposed=True)
-        theta = _solve(self.base.L, T - self._B @ coef_, transposed=True)
-        X = -self._sum(theta, coef_)
+        member_coef = _solve(self._factor, D, transposed=True)
+        theta = _solve(self.base.L, T - self._B @ member_coef, transposed=True)
+        X = -self._sum(theta, member_coef)
         X[list(columns.joints)] += columns.values[:, :, c] @ coef
         return self._score_dispersions(X[:, :, None], [columns.effects[c]], noise)[0]
 

@@ -117,7 +117,7 @@ class ShapePoint:
 
     def with_derivatives(self, member, around, coef):
         """Append the derivatives (d,) of a member's columns to these."""
-        # around: `Columns` of the effects of `around`.
+        # around: `Columns` of the effects that `around` returns.
         change = around.values[:, :, 1:] - around.values[:, :, :1]
         slopes = change @ coef / self.steps
         values = np.concatenate([around.values[:, :, 0], slopes], axis=2)
@@ -148,10 +148,10 @@ def step_shapes(fit, indices):
         for share in STEP_SHARES:
             moved = {i: point.moved(share * steps[i]) for i, point in points.items()}
             new_families = {i: problem.columns(p.around()) for i, p in moved.items()}
-            members_ = list(fit.members)
+            new_members = list(fit.members)
             for i, family in new_families.items():
-                members_[i] = family.member(0, members_[i].scale)
-            new_fit = Fit(fit.base, members_)
+                new_members[i] = family.member(0, new_members[i].scale)
+            new_fit = Fit(fit.base, new_members)
             if new_fit.log_evidence() > fit.log_evidence():
                 break
         else:

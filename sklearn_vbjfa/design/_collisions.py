@@ -1,9 +1,8 @@
-"""How near the links of a robot come to each other, with gradients.
+"""Distances between the links of a robot, with gradients.
 
-The gradient of a distance follows from the points where two shapes are nearest and from
-the normal between them: shapes move rigidly, and to first order the points may be held
-on them. That fails only where the nearest points jump, as between parallel faces.
-Balls around the shapes give lower bounds.
+The gradient of a distance follows from the nearest points of two shapes and the normal
+between them: to first order the points are fixed to the shapes. The exception are
+points that jump, as between parallel faces. Bounding spheres give lower bounds.
 """
 
 import os
@@ -18,24 +17,24 @@ from sklearn_vbjfa.model import (
     position_range,
 )
 
-# Random positions that tell which pairs touch wherever the robot is.
+# Random positions to find the pairs that overlap in most positions.
 _SAMPLES = 200
-# Shapes touch if they are nearer than this share of the links' thickness, by which the
-# faces of shapes drawn flush miss each other.
+# Shapes touch if they are nearer than this share of the links' thickness: the tolerance
+# for faces that are drawn flush.
 _FLUSH = 0.01
-# Duality gap [m^2] at which the nearest points are taken as found. With coal's default,
-# normals of round shapes are wrong by its root. Of penetrating cylinders the default
-# stays: the search there breaks down where it is made finer.
+# Duality gap [m^2] of the nearest points. With coal's default, normals of round shapes
+# are wrong by its square root. Penetrating cylinders keep the default, since the search
+# fails for a smaller one.
 _GAP = 1e-10
 
 
 class Clearance:
-    """Distances between the links of a robot that may meet."""
+    """Distances between the links of a robot that may collide."""
 
-    # Without links next to each other or fixed together, and shapes that overlap in
-    # most positions. Meshes stand for their convex hulls. pairs, ignored: links looked
-    # at (once for each two shapes), and those that overlap; near: distance [m] up to
-    # which distances are exact.
+    # Adjacent links, links fixed together and shapes that overlap in most positions are
+    # left out. Meshes are replaced by their convex hulls. pairs: links that are checked
+    # (once for each pair of shapes); ignored: links that overlap; near: distance [m] up
+    # to which distances are exact.
 
     def __init__(self, model, geometry, margin=0.0):
         self._pin, self._coal = import_pinocchio(), import_coal()
@@ -47,16 +46,16 @@ class Clearance:
         halves = 0.5 * (ends[:, 1] - ends[:, 0])
         self._middles, self._radii = ends.mean(axis=1), np.linalg.norm(halves, axis=1)
         self.near = float(np.median(halves.min(axis=1)))
-        self._look_at([(pair.first, pair.second) for pair in geometry.collisionPairs])
+        self._select([(pair.first, pair.second) for pair in geometry.collisionPairs])
         often = self._share_within(max(margin, _FLUSH * self.near)) > 0.5
         overlap = [pair for pair, drawn in zip(self.pairs, often) if drawn]
         self.ignored = tuple(dict.fromkeys(overlap))
-        self._look_at([x for x, drawn in zip(self._shapes, often) if not drawn])
+        self._select([x for x, drawn in zip(self._shapes, often) if not drawn])
 
     @classmethod
     def of(cls, robot, model, margin=0.0):
-        """Take the shapes from a URDF; None if there are none, and why in words."""
-        # model: with the joints that move.
+        """Take the shapes from a URDF; None if there are none, and the reason."""
+        # model: with the moving joints only.
         if not isinstance(robot, (str, os.PathLike)):
             return None, (
                 "A robot that is given as a model has no collision geometry; give the "
@@ -69,18 +68,17 @@ class Clearance:
 
     def __call__(self, q, within=None):
         """Return the signed distances of all pairs at q (n, nv), with gradients."""
-        # (n, n_pairs) [m], minus the depth of penetration, and (n, n_pairs, nv) by the
-        # positions. Exact up to `within` [m]; further away a lower bound, which is
-        # larger than this, and no gradient.
+        # (n, n_pairs) [m], negative for penetration, and (n, n_pairs, nv) by the
+        # positions. Exact up to `within` [m]; above it a lower bound without gradient.
         within = self.near if within is None else within
         distance = np.empty((len(q), len(self.pairs)))
         gradient = np.zeros((*distance.shape, self._model.nv))
         for row, x in enumerate(q):
             distance[row] = self._place(x)
             for k in np.flatnonzero(distance[row] <= within):
-                found = self._measure(k)
-                distance[row, k] = found.min_distance
-                gradient[row, k] = self._gradient(k, found)
+                result = self._measure(k)
+                distance[row, k] = result.min_distance
+                gradient[row, k] = self._gradient(k, result)
         return distance, gradient
 
     def nearest(self, q):
@@ -96,8 +94,8 @@ class Clearance:
                     best, links = float(distance), self.pairs[k]
         return best, links
 
-    def _look_at(self, shapes):
-        """Take pairs of numbers of shapes as those that are looked at."""
+    def _select(self, shapes):
+        """Select the pairs of shapes, by their numbers, that are checked."""
         self._shapes, objects = shapes, self._geometry.geometryObjects
         self._first, self._second = np.array(shapes, dtype=int).reshape(-1, 2).T
         frames = self._model.frames
@@ -113,7 +111,7 @@ class Clearance:
             self._compute.append((self._coal.ComputeDistance(first, second), request))
 
     def _share_within(self, margin):
-        """In which share of the positions a robot can take each pair is that near."""
+        """Share of the reachable positions in which each pair is within a margin."""
         lower, upper = position_range(self._model)
         random = np.random.default_rng(0).random((_SAMPLES, self._model.nv))
         neutral = np.clip(0.0, lower, upper)
@@ -121,7 +119,7 @@ class Clearance:
         return (self(q, margin)[0] < margin).mean(axis=0)
 
     def _place(self, q):
-        """Place the shapes; return bounds of the distances (n_pairs,), of balls."""
+        """Place the shapes; return lower bounds of the distances (n_pairs,)."""
         self._pin.computeJointJacobians(self._model, self._data, q)
         self._pin.updateGeometryPlacements(
             self._model, self._data, self._geometry, self._placed
@@ -132,16 +130,16 @@ class Clearance:
         return apart - self._radii[self._first] - self._radii[self._second]
 
     def _measure(self, pair):
-        # Not by Pinocchio, which begins where the nearest points were before.
+        # Not by Pinocchio, whose result depends on the previous nearest points.
         places = [self._placed.oMg[shape] for shape in self._shapes[pair]]
         frame, result = self._coal.Transform3s, self._coal.DistanceResult()
         compute, request = self._compute[pair]
         compute(*(frame(x.rotation, x.translation) for x in places), request, result)
         return result
 
-    def _gradient(self, pair, found):
+    def _gradient(self, pair, result):
         """Return the derivatives of a distance by the positions, (nv,)."""
-        # Both nearest points lie on the normal, so that either stands for both.
+        # Both nearest points lie on the normal, so that either can be used.
         moves = np.zeros((6, self._model.nv))
         for sign, shape in zip((-1, 1), self._shapes[pair]):
             joint = self._geometry.geometryObjects[shape].parentJoint
@@ -149,5 +147,5 @@ class Clearance:
                 moves += sign * self._pin.getJointJacobian(
                     self._model, self._data, joint, self._pin.WORLD
                 )
-        lever = np.cross(found.getNearestPoint1(), found.normal)
-        return found.normal @ moves[:3] + lever @ moves[3:]
+        lever = np.cross(result.getNearestPoint1(), result.normal)
+        return result.normal @ moves[:3] + lever @ moves[3:]

@@ -34,31 +34,30 @@ from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.equations._plan import STANDSTILL_SHARE
 from sklearn_vbjfa.recording import check_dt
 
-# Harmonics: few keep the motion smooth, many give it slow and fast parts.
+# Range of the number of harmonics.
 _FEWEST, _MOST = 5, 25
-# Frequency of the motion over that at which speed and acceleration are at their limits
-# together.
+# Highest frequency of the motion over the frequency at which speed and acceleration
+# reach their limits together.
 _SPREAD = 2.0
-# The low-pass of the fit, at five times the bandwidth, needs that many samples.
+# Highest frequency times the sample period, for a low-pass at five times the bandwidth.
 _PER_SAMPLE = 0.06
-# Random motions of which the best are improved, how many of these, share of the limits
-# within which they are drawn, and states at which columns are compared.
+# Random initial motions, number of these that are optimised, share of the limits within
+# which they are drawn, and number of states at which columns are compared.
 _DRAWN, _STARTS, _DRAWN_INSIDE, _REFERENCE = 40, 3, 0.95, 600
-# Share of the torque limits that may go into holding a start.
+# Share of the torque limits that the static torque at the start may take.
 _HELD = 0.85
 # Margin to all limits at ten times the sampling of the design.
 MARGIN, _FINER = 0.02, 10
-# Why no motion shows an effect.
+# Reason why no motion excites an effect.
 SAME_COLUMNS = "absorbed by other parameters"
-# How much what the report names counts, and all else that a joint might have.
+# Weights of effects in the report, and of other effects that a joint may have.
 _ASKED, _POSSIBLE = 1.0, 0.2
-# Effects whose columns follow the robot's geometry or what lies in time: the motion is
-# not bent for them, and what it shows of them is reported afterwards.
+# Effects of the geometry or of time, which are not part of the objective.
 _NOT_STEERED = (
     "base_tilt joint_zero joint_axis payload drift signal torque_gain delay "
     "torque_filter jerk elastic"
 ).split()
-# Effects that any joint may have, in forms that a motion can tell apart.
+# Effects that any joint may have and that a motion can distinguish.
 _COMMON = (
     "viscous coulomb asymmetric_friction stribeck viscous_quadratic load_friction "
     "spring ripple rotor_inertia offset"
@@ -67,7 +66,7 @@ _COMMON = (
 
 @dataclass(frozen=True, kw_only=True)
 class ShownEffect:
-    """An effect that a motion shows, or why no motion does."""
+    """An effect that a motion excites, or the reason why no motion does."""
 
     name: str
     joint: int  # from zero
@@ -163,13 +162,13 @@ def design_motion(
     problem = pose(model, duration, dt, limits, effects, report, rng)
     times = problem.times()
     fine = np.arange(_FINER * times.size) * (times[1] / _FINER)
-    found, first = optimise(problem, best_drawn(problem, rng))
-    z = shrunk(problem, found, fine, 1.0 - MARGIN)
+    best, first = optimise(problem, best_drawn(problem, rng))
+    z = shrunk(problem, best, fine, 1.0 - MARGIN)
     return _finished(problem, z, first, fine)
 
 
 def pose(model, duration, dt, limits, effects, report, rng):
-    """Return the `DesignProblem` of arguments as those of `design_motion`."""
+    """Return the `DesignProblem` for the arguments of `design_motion`."""
     robot = KnownRobot.of(model)
     dt, names = check_dt(dt), robot.joint_names
     duration = float(duration)
@@ -189,19 +188,19 @@ def pose(model, duration, dt, limits, effects, report, rng):
     asked = asked_effects(effects, len(names))
     if report is not None:
         asked += open_effects(read_report(report), names)
-    members, candidates = _parted(robot, asked)
+    members, candidates = _split(robot, asked)
     band, still = robot.band(curve.highest, dt), STANDSTILL_SHARE * limits.velocity
     equations = EquationModel(
         robot.features,
         robot.inertial,
-        [effect for effect, _ in members] + [one.effect for one in candidates],
+        [effect for effect, _ in members] + [x.effect for x in candidates],
         n_members=len(members),
         still=still,
         reference=reference,
         bandwidth=band,
     )
     rows = equations(reference)
-    clearance, why = Clearance.of(robot.description, robot.features.model_, ROOM)
+    clearance, reason = Clearance.of(robot.description, robot.features.model_, ROOM)
     problem = DesignProblem(
         curve=curve,
         model=equations,
@@ -214,9 +213,9 @@ def pose(model, duration, dt, limits, effects, report, rng):
         band=band,
         still=still,
         clearance=clearance,
-        no_clearance=why,
+        no_clearance=reason,
     )
-    _check_held(problem, names, rng)
+    _check_static(problem, names, rng)
     return problem
 
 
@@ -241,12 +240,12 @@ def _reference(limits, highest, rng):
     return np.hstack([q, v, a])
 
 
-def _parted(robot, asked):
-    """Split effects into those of the model and further candidates."""
-    # What a report found is a candidate again, in the shape that it has in the model:
-    # the next recording may say otherwise.
-    found = {(effect.name, effect.joint): effect for effect in robot.effects}
-    doubted = {(one.effect.name, one.effect.joint) for one in asked if one.doubted}
+def _split(robot, asked):
+    """Split effects into effects of the model and further candidates."""
+    # An effect of a report is a candidate again, with its shape in the model: the next
+    # recording has to confirm it.
+    in_model = {(effect.name, effect.joint): effect for effect in robot.effects}
+    doubted = {(x.effect.name, x.effect.joint) for x in asked if x.doubted}
     members = [
         (effect, np.atleast_1d(coef))
         for effect, coef in zip(robot.effects, robot.coefficients)
@@ -255,18 +254,19 @@ def _parted(robot, asked):
     ]
     taken = {effect.key() for effect, _ in members}
     candidates = []
-    for one in asked:
-        if one.doubted:
-            key = one.effect.name, one.effect.joint
-            one = OpenEffect(found.get(key, one.effect), one.weight, doubted=True)
-        if one.effect.key() not in taken:
-            taken.add(one.effect.key())
-            candidates.append(one)
+    for item in asked:
+        if item.doubted:
+            key = item.effect.name, item.effect.joint
+            effect = in_model.get(key, item.effect)
+            item = OpenEffect(effect, item.weight, doubted=True)
+        if item.effect.key() not in taken:
+            taken.add(item.effect.key())
+            candidates.append(item)
     return members, candidates
 
 
 def _questions(equations, rows, candidates, noise):
-    """Return the questions: each candidate against the model and against its rivals."""
+    """Return the `Questions`: each candidate against the model and its rivals."""
     n, nv = rows.motion.q.shape
     weight = np.broadcast_to(1.0 / (n * noise**2), (n, nv))
     M = information_of(rows, equations.places, equations.n_columns, weight)
@@ -275,21 +275,21 @@ def _questions(equations, rows, candidates, noise):
     spans = tuple(equations.spans[equations.n_members :])
     m = len(spans)
     blank = Questions(equations.n_model, scale, spans, np.zeros(m), np.zeros((m, m)))
-    # What no motion shows, and nested effects, are no questions.
-    seen = worth(M, blank)
-    weight = np.array([one.weight for one in candidates])
-    joint = np.array([one.effect.joint for one in candidates])
-    shown = seen.alone > IN_SPAN
-    apart = (seen.beside > IN_SPAN) & (joint[:, None] == joint) & shown & shown[:, None]
-    np.fill_diagonal(apart, False)
-    beside = np.outer(weight, weight) * apart
+    # Effects that no motion excites, and nested effects, are no questions.
+    judged = worth(M, blank)
+    weight = np.array([x.weight for x in candidates])
+    joint = np.array([x.effect.joint for x in candidates])
+    shown = judged.alone > IN_SPAN
+    same = joint[:, None] == joint
+    rivals = (judged.beside > IN_SPAN) & same & shown & shown[:, None]
+    np.fill_diagonal(rivals, False)
+    beside = np.outer(weight, weight) * rivals
     return Questions(*blank[:3], weight * shown, beside)
 
 
 def _coefficients(robot, equations, rows, members):
     """Coefficients of all columns (n_columns,), which give the robot's torques."""
-    # Zero are those of effects that it may have; those that it has count, also where
-    # they are in doubt.
+    # Effects of the robot keep their coefficients, possible ones have zero.
     n, load = equations.n_model, rows.motion.load
     effects = np.zeros(n)
     if members:
@@ -297,48 +297,48 @@ def _coefficients(robot, equations, rows, members):
     A, y = [], []
     for j, (part, place) in enumerate(zip(rows.rows, equations.places)):
         full = np.zeros((part.shape[1], n))
-        mine = place < n
-        full[:, place[mine]] = part[mine].T
+        in_model = place < n
+        full[:, place[in_model]] = part[in_model].T
         A.append(full)
         y.append(load[:, j] + full @ effects)
     A, y = np.concatenate(A), np.concatenate(y)
     size = or_one(np.sqrt((A**2).mean(axis=0)))
-    found = np.zeros(equations.n_columns)
-    found[:n] = np.linalg.lstsq(A / size, y, rcond=None)[0] / size
-    known = {e.key(): coef for e, coef in zip(robot.effects, robot.coefficients)}
+    coefficients = np.zeros(equations.n_columns)
+    coefficients[:n] = np.linalg.lstsq(A / size, y, rcond=None)[0] / size
+    by_key = {e.key(): coef for e, coef in zip(robot.effects, robot.coefficients)}
     further = equations.effects[len(members) :]
-    for span, one in zip(equations.spans[len(members) :], further):
-        found[span] = known.get(one.effect.key(), 0.0)
-    return found
+    for span, columns in zip(equations.spans[len(members) :], further):
+        coefficients[span] = by_key.get(columns.effect.key(), 0.0)
+    return coefficients
 
 
-# -- motions to set out from -----------------------------------------------------------
+# -- initial motions -------------------------------------------------------------------
 
 
 def best_drawn(problem, rng):
-    """Draw motions that touch a limit, and return the best by the criterion, a list."""
+    """Draw motions that reach a limit, and return the best by the criterion, a list."""
     t = problem.times()
     basis = problem.curve.basis(t)
-    found = []
+    drawn = []
     for k in range(_DRAWN):
         z = _drawn(problem, rng, basis, t)
-        # Not those about a pose that torques do not hold.
+        # Motions about a pose whose static torque exceeds the limits do not move.
         if (basis[1] @ z.T).any():
             M = problem.information(problem.curve.states(z, basis), t[1])
-            found.append((-worth(M, problem.questions).value, k, z))
-    if not found:
+            drawn.append((-worth(M, problem.questions).value, k, z))
+    if not drawn:
         raise ValueError(
             "Infeasible torque limits: static torques exceed them at the start of all "
             f"{_DRAWN} random motions. Raise the torque limits."
         )
-    return [z for _, _, z in sorted(found, key=lambda one: one[:2])[:_STARTS]]
+    return [z for _, _, z in sorted(drawn, key=lambda x: x[:2])[:_STARTS]]
 
 
 def _drawn(problem, rng, basis, t):
-    """Draw a motion, each joint as large as its limits allow, all as large together."""
+    """Draw a motion that reaches the limits of each joint, then scale all joints."""
     limits, (low, high) = problem.limits, problem.limits.position.T
-    left = 0.5 * (1.0 - _DRAWN_INSIDE) * (high - low)
-    low, high = low + left, high - left
+    margin = 0.5 * (1.0 - _DRAWN_INSIDE) * (high - low)
+    low, high = low + margin, high - margin
     z = rng.normal(size=(problem.model.nv, problem.curve.size))
     z[:, -1] = 0.0
     q, v, a = basis @ z.T
@@ -352,7 +352,7 @@ def _drawn(problem, rng, basis, t):
 
 
 def _held_pose(problem, low, high, rng):
-    """Draw a pose between two that the torques hold against gravity, or anywhere."""
+    """Draw a pose between two poses that torques hold, or within the limits."""
     for ends in ((low, high), problem.limits.position.T):
         poses = rng.uniform(*ends, size=(POSES, low.size))
         held, strain = _strain(problem, poses)
@@ -362,8 +362,8 @@ def _held_pose(problem, low, high, rng):
 
 
 def _strain(problem, poses):
-    """Which poses (n, nv) can be held, and the shares of the torque limits (n, nv)."""
-    # Bodies keep their distance in a pose that can be held.
+    """Poses (n, nv) that can be held, and static torques over limits (n, nv)."""
+    # Poses with collisions cannot be held.
     states = np.hstack([poses, np.zeros((len(poses), 2 * poses.shape[1]))])
     strain = np.abs(problem.torques(problem.model(states))) / problem.limits.torque
     held = (strain < _HELD).all(axis=1)
@@ -373,7 +373,7 @@ def _strain(problem, poses):
     return held, strain
 
 
-def _check_held(problem, names, rng):
+def _check_static(problem, names, rng):
     limits = problem.limits
     poses = rng.uniform(*limits.position.T, size=(POSES, len(names)))
     held, strain = _strain(problem, poses)
@@ -433,7 +433,7 @@ def _finished(problem, z, first, fine):
 
 
 def _margins(problem, states, t):
-    """Smallest distances to the limits over the limits, and whether all are kept."""
+    """Smallest relative distances to the limits, and whether all are respected."""
     over, _ = problem.excess(states, problem.torques(problem.model(states, t)), 1.0)
     margins = -over.max(axis=(1, 2))
     margins = dict(zip(("position", "velocity", "acceleration", "torque"), margins))
@@ -446,9 +446,9 @@ def _margins(problem, states, t):
 
 
 def _condition_number(problem, states):
-    """Condition number of the model's columns, rows over their noise."""
-    # Columns are over their sizes at random states within the limits, the same for all
-    # motions.
+    """Condition number of the model's columns, rows scaled by their noise."""
+    # Columns are scaled by their sizes at random states within the limits, the same for
+    # all motions.
     n = problem.model.n_model
     scale = problem.questions.scale[:n]
     M = problem.information(states, 1.0)[:n, :n] * np.outer(scale, scale)
@@ -461,38 +461,38 @@ def _condition_number(problem, states):
 def _shown(problem, states, step):
     questions, noise = problem.questions, problem.noise
     judged = worth(problem.information(states, step), questions)
-    effects = [one.effect for one in problem.model.effects[problem.model.n_members :]]
+    effects = [x.effect for x in problem.model.effects[problem.model.n_members :]]
     shows, invisible = [], []
     for k, effect in enumerate(effects):
         joint, names = effect.joint, problem.robot.joint_names
-        one = ShownEffect(name=effect.name, joint=joint, joint_name=names[joint])
+        shown = ShownEffect(name=effect.name, joint=joint, joint_name=names[joint])
         if not questions.alone[k] > 0:
-            invisible.append(replace(one, reason=SAME_COLUMNS))
+            invisible.append(replace(shown, reason=SAME_COLUMNS))
             continue
         evidence, rival = judged.alone[k], ""
-        # Rivals that the report names come before those that any joint may have.
+        # Rivals in the report have priority over other possible effects.
         asked = bool((questions.beside[k] >= _ASKED).any())
         pool = questions.beside[k] >= _ASKED if asked else questions.beside[k] > 0
         beside = np.where(pool, judged.beside[k], np.inf)
         i = int(np.argmin(beside))
         if beside[i] < evidence:
             evidence, rival = beside[i], effects[i].name
-        # A torque as large as the noise has this evidence.
+        # `evidence` is that of a torque as large as the noise.
         least = float(noise[joint] * np.sqrt(DECIDED / max(evidence, 1e-12)))
-        shows.append(replace(one, least=least, rival=rival, is_asked=asked))
+        shows.append(replace(shown, least=least, rival=rival, is_asked=asked))
     return tuple(shows), tuple(invisible)
 
 
-# -- what a report leaves open ---------------------------------------------------------
+# -- open questions of a report --------------------------------------------------------
 
 
-# An effect that the robot may have, at its joint; how much it matters whether it is
-# there; and whether the model has it, and the next recording has to confirm it.
+# An effect that the robot may have, at its joint; its weight; and whether the model has
+# it, so that the next recording has to confirm it.
 OpenEffect = namedtuple("OpenEffect", "effect weight doubted")
 
 
 def read_report(report):
-    """Return a report, its search or what its file holds as a dict of `to_dict`."""
+    """Return a report, also of a search or in a file, as a dict of `to_dict`."""
     report = getattr(report, "report_", report)
     if hasattr(report, "to_dict"):
         return report.to_dict()
@@ -510,31 +510,31 @@ def read_report(report):
             "with report.json in it."
         )
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        data = json.loads(file.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{str(file)!r} is not readable as JSON: {error}.") from error
-    if not isinstance(found, dict) or not {"effects", "joint_names"} <= set(found):
+    if not isinstance(data, dict) or not {"effects", "joint_names"} <= set(data):
         raise ValueError(
             f"{str(file)!r} is not a report of identify: it lacks 'effects' or "
             "'joint_names'."
         )
-    return found
+    return data
 
 
 def asked_effects(effects, nv):
-    """Return `OpenEffect`s declared by hand: names and classes count for all joints."""
-    found = []
+    """Return the `OpenEffect`s of the caller; names and classes mean all joints."""
+    items = []
     if isinstance(effects, str) or not hasattr(effects, "__iter__"):
         effects = (effects,)
-    for one in effects:
-        (effect,) = resolve((one,))
+    for given in effects:
+        (effect,) = resolve((given,))
         if effect.name in _NOT_STEERED:
             raise ValueError(
                 f"No motion is designed for {effect.name!r}: it follows the robot's "
                 "geometry, the time or the whole torque, and shows in any motion that "
                 "shows the rest. Leave it out of effects."
             )
-        everywhere = isinstance(one, (str, type))
+        everywhere = isinstance(given, (str, type))
         for joint in range(nv) if everywhere else [effect.joint]:
             if not 0 <= joint < nv:
                 raise ValueError(
@@ -542,47 +542,47 @@ def asked_effects(effects, nv):
                     f"has {nv} joints."
                 )
             placed = clone(effect).set_params(joint=joint)
-            found.append(OpenEffect(placed, _ASKED, doubted=False))
-    return found
+            items.append(OpenEffect(placed, _ASKED, doubted=False))
+    return items
 
 
 def open_effects(data, names):
-    """Return what a report leaves open, and then what else the joints may have."""
+    """Return the open questions of a report, then other possible effects."""
     if list(data["joint_names"]) != list(names):
         raise ValueError(
             f"The report is of joints {', '.join(data['joint_names'])}; the robot has "
             f"{', '.join(names)}. Give the robot that the report was made with."
         )
     completed = (*data["effects"], *data.get("possible", ()))
-    # Weights and shapes by effect and joint; what was found comes first, and has the
-    # shape that it was found with.
-    doubted = {(one["name"], one["joint"]): one.get("parameters") for one in completed}
-    trials = [trial for one in completed for trial in one.get("trials", ())]
-    shapes = {(one["name"], one["joint"]): one["shape"] for one in trials} | doubted
+    # Weights and shapes by effect and joint; identified effects come first, with their
+    # identified shapes.
+    doubted = {(x["name"], x["joint"]): x.get("parameters") for x in completed}
+    trials = [trial for x in completed for trial in x.get("trials", ())]
+    shapes = {(x["name"], x["joint"]): x["shape"] for x in trials} | doubted
     hidden = [
         x for x in data.get("not_identifiable", ()) if x["reason"] == "excitation"
     ]
     weights = dict.fromkeys([*doubted, *shapes], _ASKED)
-    weights |= {(one["name"], one["joint"]): _ASKED for one in hidden}
-    above = {one["joint"] for one in data.get("unexplained", ())}
+    weights |= {(x["name"], x["joint"]): _ASKED for x in hidden}
+    above = {x["joint"] for x in data.get("unexplained", ())}
     for joint in range(len(names)):
         for name in _COMMON:
             weights.setdefault((name, joint), _ASKED if joint in above else _POSSIBLE)
-    found = []
+    items = []
     for key, weight in weights.items():
-        effect = None if key[0] in _NOT_STEERED else _made(*key, shapes.get(key) or {})
+        effect = None if key[0] in _NOT_STEERED else _make(*key, shapes.get(key) or {})
         if effect is not None:
-            found.append(OpenEffect(effect, weight, key in doubted))
-    return sorted(found, key=lambda one: -one.weight)
+            items.append(OpenEffect(effect, weight, key in doubted))
+    return sorted(items, key=lambda x: -x.weight)
 
 
-def _made(name, joint, shape):
-    """Make an effect of the library; None for one's own class, which is not known."""
+def _make(name, joint, shape):
+    """Make an effect of the library; None for a custom class."""
     try:
         (effect,) = resolve((name,))
     except ValueError:
         return None
-    known = {
+    parameters = {
         k: v for k, v in shape.items() if k in effect.get_params() and v is not None
     }
-    return clone(effect).set_params(joint=joint, **known)
+    return clone(effect).set_params(joint=joint, **parameters)

@@ -1,4 +1,4 @@
-"""A designed motion, a finite Fourier series, and the limits that it keeps."""
+"""Designed motion, a finite Fourier series, and its limits."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,13 +9,13 @@ from scipy.linalg import null_space
 from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
 
-# A joint that turns without end gets one turn about its zero [rad].
+# Range of a continuous joint, one turn about its zero [rad].
 _ONE_TURN = np.pi
-# What a description says instead of "no limit".
+# Values of a description from here on mean "no limit".
 _NO_LIMIT = 1e9
-# Share of each joint's range that a motion covers, there and back.
+# Least share of each joint's range that a motion covers.
 _LEAST_SHARE = 0.25
-# Poses in which the torque of holding still is looked at.
+# Poses in which the static torque is checked.
 POSES = 200
 
 
@@ -129,8 +129,8 @@ class FourierCurve:
 
     # q_j(t) = s_j + sum_(k=1..K) a_jk (cos k w t - 1) + b_jk sin k w t, w = 2 pi / T,
     # with zero velocity and acceleration at its ends, sum_k k b_jk = sum_k k^2 a_jk =
-    # 0. Coordinates are those of the pairs (a, b) that fulfil this, and the start s_j,
-    # which comes last. K, n_harmonics, is two at least.
+    # 0. Coordinates span the pairs (a, b) that fulfil this; the last one is the start
+    # s_j. K, n_harmonics, is two at least.
 
     period: float
     n_harmonics: int
@@ -138,11 +138,11 @@ class FourierCurve:
     @cached_property
     def _free(self):
         k = np.arange(1, self.n_harmonics + 1)
-        # Unit coordinates have about the same velocities, whatever their harmonics.
+        # Unit coordinates of all harmonics have about the same velocities.
         size = 1.0 / k
         zero = np.zeros(k.size)
-        held = np.array([np.r_[k**2 * size, zero], np.r_[zero, k * size]])
-        return np.tile(size, 2)[:, None] * null_space(held)
+        conditions = np.array([np.r_[k**2 * size, zero], np.r_[zero, k * size]])
+        return np.tile(size, 2)[:, None] * null_space(conditions)
 
     @property
     def size(self):
@@ -159,12 +159,12 @@ class FourierCurve:
         t = np.asarray(t, dtype=float)
         w = 2 * np.pi / self.period * np.arange(1, self.n_harmonics + 1)
         c, s = np.cos(np.outer(t, w)), np.sin(np.outer(t, w))
-        made = np.zeros((3, t.size, self.size))
-        made[0, :, :-1] = np.hstack([c - 1, s]) @ self._free
-        made[1, :, :-1] = np.hstack([-w * s, w * c]) @ self._free
-        made[2, :, :-1] = np.hstack([-(w**2) * c, -(w**2) * s]) @ self._free
-        made[0, :, -1] = 1.0
-        return made
+        basis = np.zeros((3, t.size, self.size))
+        basis[0, :, :-1] = np.hstack([c - 1, s]) @ self._free
+        basis[1, :, :-1] = np.hstack([-w * s, w * c]) @ self._free
+        basis[2, :, :-1] = np.hstack([-(w**2) * c, -(w**2) * s]) @ self._free
+        basis[0, :, -1] = 1.0
+        return basis
 
     def states(self, z, basis):
         """States [q | v | a] (n, 3 nv) of coordinates (nv, size) on a `basis`."""
@@ -173,7 +173,7 @@ class FourierCurve:
     def pulled_back(self, by_states, basis):
         """Gradient by the coordinates (nv, size) from that by the states (n, 3 nv)."""
         parts = np.split(by_states, 3, axis=1)
-        return sum(part.T @ one for part, one in zip(parts, basis))
+        return sum(part.T @ columns for part, columns in zip(parts, basis))
 
 
 # -- limits ----------------------------------------------------------------------------
@@ -283,13 +283,13 @@ class MotionLimits:
         acceleration = _given("acceleration", acceleration, np.full(len(names), np.inf))
         endless = np.isinf(acceleration) & np.isinf(effort)
         unknown["torque limit"] = endless, "--torque or --acceleration"
-        found = [
+        missing = [
             (f"{what} of {', '.join(np.array(names)[lacking])}", option)
             for what, (lacking, option) in unknown.items()
             if lacking.any()
         ]
-        if found:
-            limits, options = zip(*found)
+        if missing:
+            limits, options = zip(*missing)
             raise ValueError(
                 f"The description gives no {' and no '.join(limits)}. Give "
                 f"limits=MotionLimits(...) (command line: {', '.join(options)})."
@@ -324,7 +324,7 @@ def _refuse(wrong, reason, values):
 
 
 def _given(name, limit, described):
-    """Limits that are given (nv,), and where they are nan or None those described."""
+    """Limits (nv,) of the caller; those of the description for nan or None."""
     limit = np.array(np.nan if limit is None else limit, dtype=float)
     if limit.size not in (1, described.size):
         raise ValueError(
@@ -335,6 +335,6 @@ def _given(name, limit, described):
 
 
 def known_limits(limit):
-    """Limits of a description, infinite where it has zero or a huge number."""
+    """Limits of a description, infinite for zero or a huge number."""
     limit = np.array(limit, dtype=float)
     return np.where((limit > 0) & (limit < _NO_LIMIT), limit, np.inf)

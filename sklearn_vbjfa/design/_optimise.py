@@ -1,9 +1,9 @@
 """Objective and optimisation of trajectories.
 
 ``docs/design.rst`` states the objective with the names that are used here.
-Limits at every sample of every joint make some ten thousand constraints. An augmented
+Limits at every sample of every joint are about ten thousand constraints. An augmented
 Lagrangian (Nocedal and Wright, Numerical optimization, 2006, chapter 17) needs one
-number for each, and unconstrained steps, which L-BFGS-B does.
+multiplier for each, and unconstrained steps, here by L-BFGS-B.
 """
 
 from collections import namedtuple
@@ -15,51 +15,51 @@ from scipy.optimize import minimize
 
 from sklearn_vbjfa._core._runtime import counted, say
 
-# Evidence at which two causes count as told apart: a sum of squared differences of 50
-# noise variances is a difference of log likelihoods of 25.
+# Evidence at which two effects count as distinguished: a sum of squared differences of
+# 50 noise variances is a difference of log likelihoods of 25.
 DECIDED = 50.0
-# What remains to be gained where nothing shows at all, of that.
+# Offset of the evidence over that, which bounds the value of effects without evidence.
 _HOPELESS = 1e-3
 _RIDGE, _LEAST = 1e-9, 1e-9
-# Worth of a condition number that is smaller by a factor e, for each parameter [nats],
-# and the power of its means of eigenvalues.
+# Value of a condition number that is smaller by a factor e, for each parameter [nats],
+# and the exponent of the power means of eigenvalues.
 BALANCE, _POWER = 2.0, 6.0
-# Motions are kept this far inside the limits while they are improved: between samples
-# they go a little further, and a margin is to be left.
+# Share of the limits that the optimisation may use: motions go slightly further between
+# samples, and a margin is required.
 INSIDE = 0.98
 # Rounds of multipliers, steps in each, and the factor between penalties.
 _ROUNDS, _STEPS, _HARDER = 7, 45, 3.0
-# By how much a motion is made smaller, step by step.
+# Steps of the line search that scales a motion down.
 _GAPS = 1e-4 * 1.6 ** np.arange(20)
 # Penalty at first: an excess of one per cent at one sample costs this much [nats].
 _FIRST_COST = 0.02
 # Smallest distance between bodies of a motion [m].
 ROOM = 0.01
-# Distances between bodies are looked at in every so many samples.
+# Distances between bodies are computed for every `_SKIPPED`-th sample.
 _SKIPPED = 2
-# Excess over a limit that is left to the last shrinking, relative.
+# Relative excess over a limit that the final scaling removes.
 _TOLERATED = 2e-3
 
 
-# What a motion is to decide: the number of columns of the model, which come first;
-# sizes of coefficients (n_columns,); columns of effects that the model may lack; how
-# much it counts that each shows beside the model (n_effects,), and that the row shows
-# beside the model with the column (n_effects, n_effects).
+# Questions to a motion: the number of columns of the model, which come first; sizes of
+# coefficients (n_columns,); columns of effects that the model may lack; weights of
+# distinguishing each from the model (n_effects,), and each row from the model with the
+# effect of the column (n_effects, n_effects).
 Questions = namedtuple(
     "Questions", "n_model scale effects alone beside", defaults=((), 0.0, 0.0)
 )
-# Value of a criterion, to be made large [nats]; its derivative by the information
-# (n_columns, n_columns); and the evidence, in squared standard errors, the mean over
-# coefficients at random, for each effect beside the model (n_effects,), and beside the
-# model with each rival (n_effects, n_effects).
+# Value of a criterion to maximise [nats]; its derivative by the information (n_columns,
+# n_columns); and the evidence, in squared standard errors averaged over random
+# coefficients, of each effect given the model (n_effects,), and given the model with
+# each rival (n_effects, n_effects).
 Worth = namedtuple("Worth", "value by_information alone beside")
 
 
 def worth(information, questions):
-    """Judge an information matrix (n_columns, n_columns) of scaled columns."""
+    """Evaluate an information matrix (n_columns, n_columns) of scaled columns."""
     D = questions.scale
     M = information * np.outer(D, D)
-    # A motion that hardly moves has next to no information, which is still a number.
+    # Keeps the value finite for a motion with almost no information.
     M[np.diag_indices_from(M)] += _LEAST
     n = questions.n_model
     A = M[:n, :n]
@@ -79,7 +79,7 @@ def worth(information, questions):
         decided, by_left, alone, beside = _decisions(S, questions)
         weight = np.sum(questions.alone) + np.sum(questions.beside)
         if weight > 0:
-            # Together they count as much as the parameters of the model.
+            # All questions together weigh as much as the parameters of the model.
             share = n / weight
             value += share * decided
             L = np.hstack([-C @ inverse, np.eye(len(S))])
@@ -89,7 +89,7 @@ def worth(information, questions):
 
 def _balance(A):
     """Minus the logarithm of a smooth condition number, and its derivative by A."""
-    # Power means of the eigenvalues stand for the largest and the smallest.
+    # Power means of the eigenvalues approximate the largest and the smallest.
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 1e-12 * values[-1])
     high = (values / values[-1]) ** _POWER
@@ -103,7 +103,7 @@ def _balance(A):
 
 
 def _decisions(S, questions):
-    """Value of all decisions, its derivative by S, and the evidence in each."""
+    """Value of all questions, its derivative by S, and the evidence of each."""
     n, m = questions.n_model, len(questions.effects)
     spans = [slice(block.start - n, block.stop - n) for block in questions.effects]
     # Mean over the columns of each effect, (m, n_columns).
@@ -135,8 +135,8 @@ def _decisions(S, questions):
 
 def _value_of(evidence):
     """Value of evidence, -log(1 + DECIDED / evidence) / 2, and its derivative."""
-    # Nearly all is gained once the evidence is larger than what decides, and where it
-    # is small a doubling is worth the same everywhere.
+    # The value saturates above the evidence that decides; below it, doubling any
+    # evidence has the same value.
     e = evidence + _HOPELESS * DECIDED
     return -0.5 * np.log1p(DECIDED / e), 0.5 * DECIDED / (e * (e + DECIDED))
 
@@ -154,31 +154,31 @@ def information_of(equations, places, n_columns, weight):
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """A motion to be designed."""
+    """Design problem of a motion."""
 
     curve: object
     model: object
     robot: object
-    dt: float  # of the motion that is recorded [s]
+    dt: float  # sample period of the recording [s]
     questions: object
     limits: object
-    # (n_columns,): for the torques; zero of effects not known to be there
+    # (n_columns,): for the torques; zero for effects that are only possible
     coefficients: np.ndarray
     noise: np.ndarray  # (nv,): deviation in the band of the fit
     band: float  # that band [Hz]
-    still: np.ndarray  # (nv,): speeds below which a joint may be standing
+    still: np.ndarray  # (nv,): speeds below which a joint may be at rest
     clearance: object
-    no_clearance: str  # why nothing is known of the distance between bodies
+    no_clearance: str  # reason why the distance between bodies is unknown
 
     def times(self):
-        """Return samples [s], 16 in the shortest period."""
+        """Return sample times [s], 16 in the shortest period."""
         n = 16 * self.curve.n_harmonics
         return np.arange(n) * (self.curve.period / n)
 
     def weights(self, states, step):
         """Weights of rows (n, nv), and their derivatives by the velocities."""
-        # Equations of a joint that stands are left out of a fit: friction may be
-        # anywhere in its band.
+        # A fit leaves out equations of a joint at rest, where dry friction is
+        # indeterminate.
         v = np.split(states, 3, axis=1)[1]
         slow = self.still**2
         moving = v**2 / (v**2 + slow)
@@ -199,10 +199,10 @@ class DesignProblem:
         return np.column_stack([self.coefficients[at] @ rows for rows, at in pairs])
 
     def excess(self, states, torques, inside=INSIDE):
-        """How far shares of the limits are exceeded, relative, (4, 2, n, nv).
+        """Return the relative excess over shares of the limits, (4, 2, n, nv).
 
-        Also returns what each exceeds by one unit of the signal, (4, nv); of the second
-        side it is the negative.
+        Also returns its derivatives by the signals, (4, nv), negative for the second
+        side.
         """
         limits = self.limits
         low, high = limits.position.T
@@ -214,7 +214,7 @@ class DesignProblem:
         return np.stack([scaled - 1.0, -scaled - 1.0], axis=1), slope
 
     def keeps(self, z, t, inside, *, apart=True):
-        """Whether a motion keeps its limits at times, and its bodies apart."""
+        """Whether a motion is within its limits, and free of collisions, at times."""
         states = self.curve.states(z, self.curve.basis(t))
         torques = self.torques(self.model(states, t))
         if self.excess(states, torques, inside)[0].max() > 1e-9:
@@ -256,8 +256,8 @@ class Lagrangian:
             near, by_q = self._near(states[:, :nv])
             cost += near
             by_states[:, :nv] += by_q
-        more, by_z = problem.model.pulled_back(equations, by_rows, z, self.basis)
-        gradient = problem.curve.pulled_back(by_states + more, self.basis) + by_z
+        by_columns, by_z = problem.model.pulled_back(equations, by_rows, z, self.basis)
+        gradient = problem.curve.pulled_back(by_states + by_columns, self.basis) + by_z
         return cost - judged.value, gradient.ravel()
 
     def _penalised(self, states, torques):
@@ -268,7 +268,7 @@ class Lagrangian:
         return cost, np.hstack(list((pressed[:, 0] - pressed[:, 1]) * slope[:, None]))
 
     def _near(self, q):
-        """Cost of bodies that come too near each other, and its derivative by q."""
+        """Cost of bodies within the required clearance, and its derivative by q."""
         clearance = self.problem.clearance
         rows = slice(None, None, _SKIPPED)
         room = ROOM / INSIDE
@@ -291,9 +291,9 @@ class Lagrangian:
 
 
 def optimise(problem, starts):
-    """Improve motions, coordinates (nv, size) each, and the best within its limits.
+    """Optimise motions, coordinates (nv, size) each, and the best within its limits.
 
-    Returns it, and the one that it was improved from.
+    Returns the result and its starting point.
     """
     lagrangian = Lagrangian(problem)
 
@@ -301,21 +301,21 @@ def optimise(problem, starts):
         options = {"maxiter": _STEPS, "maxcor": 20}
         return minimize(lagrangian, x, jac=True, method="L-BFGS-B", options=options)
 
-    some = counted(starts, "improving start", len(starts))
-    tried = [improved(z.ravel()) for z in some]
-    first = int(np.argmin([one.fun for one in tried]))
-    found, before = tried[first], np.inf
+    shown = counted(starts, "improving start", len(starts))
+    results = [improved(z.ravel()) for z in shown]
+    first = int(np.argmin([result.fun for result in results]))
+    best, before = results[first], np.inf
     for _ in range(_ROUNDS - 1):
-        worst = lagrangian.tighten(found.x)
-        if worst < _TOLERATED and abs(before - found.fun) < 0.05:
+        worst = lagrangian.tighten(best.x)
+        if worst < _TOLERATED and abs(before - best.fun) < 0.05:
             break
         say(f"limits exceeded by {max(worst, 0.0):.1%}")
-        found, before = improved(found.x), found.fun
-    return found.x.reshape(lagrangian.shape), starts[first]
+        best, before = improved(best.x), best.fun
+    return best.x.reshape(lagrangian.shape), starts[first]
 
 
 def shrunk(problem, z, t, inside, *, apart=True):
-    """Scale a motion about its roomiest pose until it keeps its limits at times."""
+    """Scale a motion about the pose of largest margin until it keeps its limits."""
     if problem.keeps(z, t, inside, apart=apart):
         return z
     states = problem.curve.states(z, problem.curve.basis(t))
@@ -325,13 +325,13 @@ def shrunk(problem, z, t, inside, *, apart=True):
     about = states[np.argmin(worst), : problem.model.nv]
 
     def scaled(factor):
-        made = factor * z
+        smaller = factor * z
         # The last coordinate is the start itself.
-        made[:, -1] += (1.0 - factor) * about
-        return made
+        smaller[:, -1] += (1.0 - factor) * about
+        return smaller
 
-    # A smaller motion may take a larger torque, nearer to a pose that is hard to hold:
-    # the largest factor is looked for from above.
+    # A smaller motion may need a larger torque, near a pose with a large static torque:
+    # search the largest factor from above.
     low, high = 0.0, 1.0
     for gap in _GAPS:
         if problem.keeps(scaled(1.0 - gap), t, inside, apart=apart):

@@ -55,7 +55,7 @@ class KnownRobot:
 
     @classmethod
     def of(cls, model):
-        """Take the properties from a path, a model or an identified robot."""
+        """Make it of a path, a model or an identified robot."""
         if isinstance(model, cls):
             return model
         if hasattr(type(model), "robot_"):
@@ -83,24 +83,24 @@ class KnownRobot:
         effects = [*_on_all_joints(full.friction_, nv)]
         coefficients = list(friction.reshape(-1, 1))
         for effect, values in zip(robot.effects_, robot.split(robot.theta_)):
-            # The model itself holds those that are in it.
+            # Effects in the model are part of `model_`.
             if not isinstance(effect, InModel):
                 effects.append(effect)
                 coefficients.append(np.atleast_1d(values))
         variance = getattr(robot.plan.state_estimator, "noise_variance_", np.zeros(nv))
         encoder = np.sqrt(np.broadcast_to(variance, (nv,)))
-        # The floor has the encoders' share in it, which depends on the motion; a saved
-        # robot has no other. What the model left, where neither is known, is more.
-        floor, left = robot.noise_floor_, robot.output_noise_
+        # The noise floor also has encoder noise, which depends on the motion; the
+        # residual of the model, if neither is known, is larger.
+        floor, residual = robot.noise_floor_, robot.output_noise_
         noise = np.array(floor if robot.torque_noise_ is None else robot.torque_noise_)
-        left = np.full(nv, np.nan) if left is None else left
+        residual = np.full(nv, np.nan) if residual is None else residual
         return cls(
             features=RigidBodyFeatures(full.model_, friction=()).load(),
             inertial=robot.inertial(),
             effects=tuple(effects),
             coefficients=tuple(coefficients),
             joint_names=robot.joint_names_,
-            torque_noise=np.where(np.isfinite(noise), noise, left),
+            torque_noise=np.where(np.isfinite(noise), noise, residual),
             cutoff=float(robot.cutoff_),
             encoder_noise=np.where(np.isnan(encoder), 0.0, encoder),
             description=robot.source,
@@ -111,10 +111,10 @@ class KnownRobot:
         return min(cutoff_of(highest, dt), 0.4 / dt)
 
     def noise(self, limits, reference, highest, dt):
-        """Deviation of the noise of each joint's equations in the band (nv,)."""
-        # Torque noise is taken as white, and so is that of the encoders, which enters
-        # through the inertia: of white position noise with the deviation s, a band B
-        # leaves an acceleration of the variance 2 dt s^2 (2 pi)^4 B^5 / 5.
+        """Noise deviation of each joint's equations in the band (nv,)."""
+        # Torque noise is assumed white, and so is encoder noise, which enters through
+        # the inertia: white position noise with deviation s has in a band B an
+        # acceleration of variance 2 dt s^2 (2 pi)^4 B^5 / 5.
         band = self.band(highest, dt)
         size = np.abs(self.features.torques(*np.split(reference, 3, 1), self.inertial))
         largest = np.where(np.isinf(limits.torque), size.max(axis=0), limits.torque)
@@ -158,11 +158,11 @@ class EffectColumns:
     """Columns of an effect and what they depend on."""
 
     effect: object  # at its joint
-    inputs: tuple  # signals that its columns depend on row by row, such as ("v", 2)
+    inputs: tuple  # signals that its columns depend on, such as ("v", 2)
 
     @classmethod
     def of(cls, effect, motion):
-        """Probe an effect with a motion in which all signals vary."""
+        """Find the inputs of an effect from a motion in which all signals vary."""
         before, inputs = effect.columns(motion), []
         for name in ("q", "v", "a", "load", "torque"):
             for joint, values in enumerate(getattr(motion, name).T):
@@ -188,18 +188,18 @@ def _moved(motion, name, joint, step):
     return replace(motion, **{name: values}, _speeds={})
 
 
-# Of the states (n, 3 nv) of a motion the columns (k_j, n) that act on each joint, a
-# tuple, and the `Motion` that effects were computed from.
+# States (n, 3 nv) of a motion, columns (k_j, n) that act on each joint, and the
+# `Motion` from which effects were computed.
 MotionEquations = namedtuple("MotionEquations", "states rows motion")
 
 
 class EquationModel:
     """Columns of a robot and of effects, for any motion."""
 
-    # inertial (nv, 10): for the load; still (nv,): speeds below which a joint may
-    # stand; reference (n, 3 nv): states at which columns are compared; bandwidth: of
-    # the fit [Hz]; base: parameters whose columns span the model; places: columns that
-    # act on each joint; n_model, n_columns: without and with further effects.
+    # inertial (nv, 10): for the load; still (nv,): speeds below which a joint may be at
+    # rest; reference (n, 3 nv): states at which columns are compared; bandwidth: of the
+    # fit [Hz]; base: parameters whose columns span the model; places: columns that act
+    # on each joint; n_model, n_columns: without and with further effects.
 
     def __init__(
         self, features, inertial, effects, *, n_members, still, reference, bandwidth
@@ -218,13 +218,13 @@ class EquationModel:
         self._number()
 
     def _choose_base(self, entries, motion):
-        """Keep the bodies' columns that add to those of the effects of the model."""
+        """Select the bodies' columns that are independent of the model's effects."""
         n, nv = motion.q.shape
-        friction = [one.everywhere(motion) for one in self.effects[: self.n_members]]
+        friction = [x.everywhere(motion) for x in self.effects[: self.n_members]]
         friction = np.concatenate([np.zeros((n, nv, 0)), *friction], axis=2)
         bodies = np.zeros((n, nv, self._theta.size))
         bodies[:, self._of_joint, self._of_parameter] = entries.T
-        # Torques and forces have units of their own: rows are over the joint's load.
+        # Torques and forces have different units: scale rows by the joint's load.
         unit = or_one(np.sqrt((motion.load**2).mean(axis=0)))[:, None]
         A, B = (x.reshape(n * nv, -1) for x in (friction / unit, bodies / unit))
         size = np.linalg.norm(B, axis=0)
@@ -245,15 +245,15 @@ class EquationModel:
         self._kept_of = [kept[joints == j] for j in range(self.nv)]
         places = [list(place[self._of_parameter[k]]) for k in self._kept_of]
         self.spans, first = [], self.base.size
-        for one in self.effects:
-            span = range(first, first + len(one.effect.coefficients))
+        for columns in self.effects:
+            span = range(first, first + len(columns.effect.coefficients))
             self.spans.append(slice(span.start, span.stop))
-            for j in one.effect.acts_on(self.nv):
+            for j in columns.effect.acts_on(self.nv):
                 places[j] += span
             first = span.stop
         ends = [self.base.size, *(span.stop for span in self.spans)]
         self.n_model, self.n_columns = ends[self.n_members], ends[-1]
-        self.places = tuple(np.array(columns, dtype=int) for columns in places)
+        self.places = tuple(np.array(numbers, dtype=int) for numbers in places)
 
     def _motion(self, states, entries, t=None):
         """Signals of states, with the load of the bodies."""
@@ -280,33 +280,33 @@ class EquationModel:
         entries = self.features.entries(states).T
         motion = self._motion(states, entries, t)
         rows = [[entries[kept]] for kept in self._kept_of]
-        for one in self.effects:
-            columns = one.everywhere(motion)
-            for j in one.effect.acts_on(self.nv):
-                rows[j].append(columns[:, j].T)
+        for columns in self.effects:
+            values = columns.everywhere(motion)
+            for j in columns.effect.acts_on(self.nv):
+                rows[j].append(values[:, j].T)
         return MotionEquations(states, tuple(map(np.concatenate, rows)), motion)
 
     def pulled_back(self, equations, by_rows, z, basis):
         """Gradients by the states (n, 3 nv), and by coordinates of the curve."""
         # by_rows: derivatives of a criterion by the entries of the rows, nv of (k_j,
-        # n). The second (nv, size) is what columns with a memory add, which are
+        # n). The second gradient (nv, size) is that of columns with memory, which are
         # differentiated along the motion (z, basis).
         motion = equations.motion
         by_states, by_z = np.zeros_like(equations.states), np.zeros_like(z)
         by_load = np.zeros((len(motion.q), self.nv))
         row = [len(kept) for kept in self._kept_of]
-        for one in self.effects:
-            joints, width = one.effect.acts_on(self.nv), len(one.effect.coefficients)
+        for columns in self.effects:
+            effect = columns.effect
+            joints, width = effect.acts_on(self.nv), len(effect.coefficients)
             slopes = np.array([by_rows[j][row[j] : row[j] + width] for j in joints])
             for j in joints:
                 row[j] += width
             if not slopes.any():
                 continue
-            if isinstance(one.effect, Stateful):
-                # Along the motion of its own joint.
-                _add_along(one, slopes, motion, z, basis, by_z)
+            if isinstance(effect, Stateful):
+                _add_along(columns, slopes, motion, z, basis, by_z)
             else:
-                self._add_by_signals(one, slopes, motion, by_states, by_load)
+                self._add_by_signals(columns, slopes, motion, by_states, by_load)
         by_entries = (
             self._theta[self._of_parameter][:, None] * by_load.T[self._of_joint]
         )
@@ -315,18 +315,18 @@ class EquationModel:
         self._add_by_bodies(equations.states, by_entries, by_states)
         return by_states, by_z
 
-    def _add_by_signals(self, one, slopes, motion, by_states, by_load):
-        """Add derivatives of an effect's columns, differences in each signal."""
+    def _add_by_signals(self, columns, slopes, motion, by_states, by_load):
+        """Add derivatives of an effect's columns by central differences."""
         places = {"q": 0, "v": 1, "a": 2}
-        for name, joint in one.inputs:
+        for name, joint in columns.inputs:
             h = _RELATIVE_STEP * max(np.ptp(getattr(motion, name)[:, joint]), _STEP)
             ends = (_moved(motion, name, joint, step) for step in (h, -h))
-            ahead, behind = (one.contracted(end, slopes) for end in ends)
+            ahead, behind = (columns.contracted(end, slopes) for end in ends)
             change = (ahead - behind) / (2 * h)
             if name in places:
                 by_states[:, places[name] * self.nv + joint] += change
             else:
-                # Effects see the torque of the bodies as that of the whole model.
+                # For effects, the load is also the torque of the whole model.
                 by_load[:, joint] += change
 
     def _add_by_bodies(self, states, by_entries, by_states):
@@ -334,8 +334,8 @@ class EquationModel:
         nv = self.nv
         h = np.repeat([_STEP, 1.0], [nv, 2 * nv])
         k = np.arange(3 * nv)
-        # All steps go through together: calls cost more than samples. Columns are
-        # linear in the accelerations.
+        # All steps are evaluated in one call, since calls cost more than samples.
+        # Columns are linear in the accelerations.
         moved = np.repeat(states[None], 5 * nv + 1, axis=0)
         moved[k, :, k] += h[:, None]
         both = k[: 2 * nv]
@@ -350,15 +350,15 @@ class EquationModel:
             by_states[:, i] += np.einsum("en,en->n", change, by_entries)
 
 
-def _add_along(one, slopes, motion, z, basis, by_z):
-    """Add derivatives of columns with a memory by the coordinates of their joint."""
-    j = one.effect.joint
-    now = one.contracted(motion, slopes).sum()
+def _add_along(columns, slopes, motion, z, basis, by_z):
+    """Add derivatives of columns with memory by the coordinates of their joint."""
+    j = columns.effect.joint
+    now = columns.contracted(motion, slopes).sum()
     h = _RELATIVE_STEP * max(np.abs(z[j]).max(), 1e-3)
     for i in range(z.shape[1]):
         moved = {}
         for name, part in zip("qva", basis):
             moved[name] = getattr(motion, name).copy()
             moved[name][:, j] += h * part[:, i]
-        made = one.contracted(replace(motion, **moved, _speeds={}), slopes)
-        by_z[j, i] += (made.sum() - now) / h
+        ahead = columns.contracted(replace(motion, **moved, _speeds={}), slopes)
+        by_z[j, i] += (ahead.sum() - now) / h

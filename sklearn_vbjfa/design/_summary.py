@@ -1,4 +1,4 @@
-"""What a designed motion decides, for the templates of the command line."""
+"""Summary of a designed motion, for the templates of the command line."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from sklearn_vbjfa.design._optimise import ROOM
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import resolve
 
-# Margins and what tables call them.
+# Margins and their names in tables.
 _QUANTITIES = {
     "position": "range",
     "velocity": "speed",
@@ -18,9 +18,9 @@ _QUANTITIES = {
 }
 
 
-def facts(motion, found):
-    """Return what a motion decides and which limits it uses, by template names."""
-    # found: the report that the motion was designed for, as a dict.
+def facts(motion, report):
+    """Return distinguishable effects and used limits of a motion, by template names."""
+    # report: the report that the motion was designed for, as a dict.
     labels = [
         words.joint_label(motion.joint_names, j) for j in range(len(motion.joint_names))
     ]
@@ -32,12 +32,12 @@ def facts(motion, found):
             for margin, limit in limits
         ]
     torques = {}
-    for one in motion.shows:
-        torques.setdefault(one.joint, []).append(one.least)
+    for effect in motion.shows:
+        torques.setdefault(effect.joint, []).append(effect.least)
     decided, open_pairs = _pairs(motion)
     why = motion.no_clearance.rstrip(".")
     return {
-        # Links may meet where their distances are not known.
+        # Without geometry links may collide.
         "unchecked": why and f"SELF-COLLISION WAS NOT CHECKED. {why}.",
         "shares": shares,
         "decided": decided,
@@ -47,7 +47,7 @@ def facts(motion, found):
             f"{_newtons(motion, float(np.median(some)), j)}"
             for j, some in torques.items()
         ],
-        "hidden": _hidden(motion, found),
+        "hidden": _hidden(motion, report),
         "nearest": words.number(1e3 * motion.margins.get("clearance", np.nan)),
         "room": f"{1e3 * ROOM:g}",
         "most": max(float(np.max(1.0 - motion.margins[name])) for name in _QUANTITIES),
@@ -55,20 +55,20 @@ def facts(motion, found):
 
 
 def doubts(motion, facts, effects):
-    """List what a motion leaves open: clearance, rivals, effects that were named."""
-    found = [text for text in (facts["unchecked"], *facts["open_pairs"]) if text]
-    for one in motion.invisible:
-        if one.name in effects:
-            joint = words.joint_label(motion.joint_names, one.joint)
-            found.append(
-                f"{_label(one.name)} on {joint} is not identifiable by any motion "
-                f"({one.reason})"
+    """List the warnings of a motion: clearance, rivals, effects not identifiable."""
+    texts = [text for text in (facts["unchecked"], *facts["open_pairs"]) if text]
+    for effect in motion.invisible:
+        if effect.name in effects:
+            joint = words.joint_label(motion.joint_names, effect.joint)
+            texts.append(
+                f"{_label(effect.name)} on {joint} is not identifiable by any motion "
+                f"({effect.reason})"
             )
-    return found
+    return texts
 
 
 def exceeded(motion):
-    """Name the limit that a motion comes nearest to, and how near bodies come."""
+    """Describe the smallest margin to a limit, and the clearance of bodies."""
     worst = min(_QUANTITIES, key=lambda name: motion.margins[name].min())
     j = int(np.argmin(motion.margins[worst]))
     margin = words.percent(float(motion.margins[worst][j]))
@@ -83,22 +83,22 @@ def exceeded(motion):
 
 
 def _pairs(motion):
-    """Rivals that a report names, each pair once: distinguished, and not."""
+    """Rivals in a report, each pair once: distinguished, and not distinguished."""
     pairs = {}
-    for one in motion.shows:
-        if one.is_asked and one.rival:
-            pair = one.joint, frozenset((one.name, one.rival))
-            first = pairs.setdefault(pair, one)
-            pairs[pair] = replace(first, least=max(first.least, one.least))
+    for shown in motion.shows:
+        if shown.is_asked and shown.rival:
+            pair = shown.joint, frozenset((shown.name, shown.rival))
+            first = pairs.setdefault(pair, shown)
+            pairs[pair] = replace(first, least=max(first.least, shown.least))
     decided, left = [], []
-    for one in sorted(pairs.values(), key=lambda one: (one.joint, one.least)):
-        largest = motion.limits.torque[one.joint]
+    for shown in sorted(pairs.values(), key=lambda x: (x.joint, x.least)):
+        largest = motion.limits.torque[shown.joint]
         if not np.isfinite(largest):
-            largest = np.abs(motion.tau[:, one.joint]).max()
-        joint = words.joint_label(motion.joint_names, one.joint)
-        torque = _newtons(motion, one.least, one.joint)
-        causes = f"{_label(one.name)} or {_label(one.rival)}"
-        if one.least <= largest:
+            largest = np.abs(motion.tau[:, shown.joint]).max()
+        joint = words.joint_label(motion.joint_names, shown.joint)
+        torque = _newtons(motion, shown.least, shown.joint)
+        causes = f"{_label(shown.name)} or {_label(shown.rival)}"
+        if shown.least <= largest:
             decided.append(f"{joint}, from {torque}: {causes}")
         else:
             left.append(
@@ -108,13 +108,13 @@ def _pairs(motion):
     return decided, left
 
 
-def _hidden(motion, found):
-    """Effects that no motion shows, with their joints, by the reason."""
+def _hidden(motion, report):
+    """Effects that are not identifiable by any motion, with their joints, by reason."""
     by_reason = {}
-    hidden = [(one.reason, one.name, one.joint) for one in motion.invisible]
-    for one in found.get("not_identifiable") or ():
-        if one["reason"] == "span":
-            hidden.append((SAME_COLUMNS, one["name"], one["joint"]))
+    hidden = [(x.reason, x.name, x.joint) for x in motion.invisible]
+    for effect in report.get("not_identifiable") or ():
+        if effect["reason"] == "span":
+            hidden.append((SAME_COLUMNS, effect["name"], effect["joint"]))
     for reason, name, joint in dict.fromkeys(hidden):
         by_reason.setdefault(reason, {}).setdefault(name, []).append(joint)
     return {
@@ -127,7 +127,7 @@ def _hidden(motion, found):
 
 
 def _label(name):
-    """Plain English for an effect of the library; other names as they are."""
+    """Name of an effect of the library in plain English; other names unchanged."""
     try:
         (effect,) = resolve((name,))
     except ValueError:

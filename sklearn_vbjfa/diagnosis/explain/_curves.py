@@ -6,9 +6,9 @@ import numpy as np
 
 # Maximum number of intervals of a time series, of which the extremes are drawn, and of
 # points of a scatter plot; number of lags of an autocorrelation.
-_INTERVALS, _DOTS, _LAGS = 120, 200, 40
+_INTERVALS, _POINTS, _LAGS = 120, 200, 40
 # Minimum number of rows for a scatter plot.
-_FEWEST = 8
+_MIN_ROWS = 8
 # A step longer than this multiple of the median step is a gap between stretches.
 _GAP = 2.5
 
@@ -23,9 +23,9 @@ def residual_curves(after, dt, joints):
     curves = []
     for j in joints:
         rows = np.flatnonzero(after.weight[:, j] > 0)
-        if rows.size < _FEWEST:
+        if rows.size < _MIN_ROWS:
             continue
-        residual, drawn = after.residual[:, j], rows[:: -(-rows.size // _DOTS)]
+        residual, drawn = after.residual[:, j], rows[:: -(-rows.size // _POINTS)]
         # Uniform grid, zero in missing rows and in rows of zero weight.
         series = np.zeros(index[-1] // step + 1)
         series[index[rows] // step] = residual[rows]

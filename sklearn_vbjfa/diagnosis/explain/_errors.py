@@ -20,20 +20,20 @@ NEXT_SECONDS = 50.0
 # "HAR inference: recommendations for practice", J. Bus. Econ. Stat. 36(4), 2018).
 _COSINES = 10
 # Quantile of the absolute residuals that is the threshold of collision detection.
-_BELOW = 0.999
+_QUANTILE = 0.999
 # Number of joints whose curves are drawn, those with the largest errors.
-_WORST = 3
+_N_DRAWN = 3
 
 
-def held_out_errors(loop, found, split, near, whole):
+def held_out_errors(loop, search, split, near, whole):
     """Compute the errors of the models of a loop on the held-out part, a dict."""
-    # found: result of the search; near: the split with the rows that the search used.
+    # search: its result; near: the split with the rows that the search used.
     # Arrays (nv,) and (2, nv) are over the standard deviation of the torque.
     declared, plain = loop.declared_, loop.baseline_
-    completed, view, dt = loop.validation_model_, found.view, declared.dt
+    completed, view, dt = loop.validation_model_, search.view, declared.dt
     # The correlation time may be infinite.
-    guard = int(min(memory_seconds(found) / whole.dt, whole.n_samples))
-    instants = [one.instant for one in found.effects if isinstance(one, Sudden)]
+    guard = int(min(memory_seconds(search) / whole.dt, whole.n_samples))
+    instants = [e.instant for e in search.effects if isinstance(e, Sudden)]
     kept = split.decided(whole.t, instants).guarded(guard)
     used, n_rows = view.root.any(axis=0), len(view.states)
 
@@ -72,10 +72,10 @@ def held_out_errors(loop, found, split, near, whole):
     threshold = np.full(spread.size, np.nan)
     for j in np.flatnonzero((weight > 0).any(axis=0)):
         residual = after.residual[weight[:, j] > 0, j]
-        threshold[j] = np.quantile(np.abs(residual), _BELOW)
+        threshold[j] = np.quantile(np.abs(residual), _QUANTILE)
     error = after.relative_error(spread)
     order = np.argsort(-np.nan_to_num(error, nan=-1.0), kind="stable")
-    worst = order[:_WORST].tolist()
+    worst = order[:_N_DRAWN].tolist()
     return {
         "columns": {
             "before": before.relative_error(spread),

@@ -20,14 +20,14 @@ ABOVE_FLOOR = (1.1, 1.5)
 _BINS, _LEVEL, _SIGNALS = 12, 0.01, 4
 # Share of a column's mean square outside the span of the others below which it is not
 # identifiable from this recording, and below which no motion identifies it.
-_UNSEEN, _IN_SPAN = 1e-3, 1e-6
+_HIDDEN, _IN_SPAN = 1e-3, 1e-6
 # Channel faults that leave too little information: their joints are not searched, since
 # the search would attribute the fault to an effect.
 NO_INFORMATION = ("coarse_torque", "still_joint")
 # Prior standard deviation of a free coefficient, relative to the joint's torque.
-_LOOSE = 1e4
+_FREE_STD = 1e4
 # Log-evidence penalty of an effect's scale and value [nats].
-_OCCAM = 5.0
+_PENALTY = 5.0
 
 
 # -- dependence of residuals on signals ------------------------------------------------
@@ -98,15 +98,15 @@ class Unexplained:
     signals: tuple[Dependence, ...] = ()  # that it depends on, the strongest first
 
 
-def unexplained(found, names, spread, floors, errors, least):
+def unexplained(search, names, spread, floors, errors, least):
     """Return joints whose residual exceeds the noise floor, with its dependences."""
-    # found: result of the search; spread, floors (nv,): standard deviation of the
+    # search: its result; spread, floors (nv,): standard deviation of the
     # torque and noise floor [N m or N]; errors, least (nv,): held-out error and the
     # lower end of its interval, over the spread; nan where unknown.
-    view, listed = found.view, []
-    signals = motion_signals(found.motion, names)
+    view, listed = search.view, []
+    signals = motion_signals(search.motion, names)
     filtered = {key: view.filtered(x[:, None])[:, 0] for key, x in signals.items()}
-    weights, residuals = view.equations.weight, _residuals(found)
+    weights, residuals = view.equations.weight, _residuals(search)
     for j in np.flatnonzero(weights.any(axis=0)).tolist():
         weight, floor, residual = weights[:, j], float(floors[j]), residuals[j]
         rms = float(np.sqrt((weight * residual**2).sum() / weight.sum()))
@@ -133,18 +133,18 @@ def unexplained(found, names, spread, floors, errors, least):
     return tuple(listed)
 
 
-def _residuals(found):
+def _residuals(search):
     """Return residuals (nv, m) [N m or N], zero in rows of zero weight."""
-    return found.residual / or_one(found.view.root.T)
+    return search.residual / or_one(search.view.root.T)
 
 
-def memory_seconds(found):
+def memory_seconds(search):
     """Return the longest correlation time of the residuals of all joints [s]."""
-    view = found.view
+    view = search.view
     # The low-pass correlates rows within half a period of its cut-off frequency.
     stride = max(1, int(np.ceil(0.5 / (view.robot.cutoff_ * view.step) - 1e-9)))
     sampling = view.starts, view.step, stride
-    pairs = zip(_residuals(found), view.root.T > 0)
+    pairs = zip(_residuals(search), view.root.T > 0)
     return max((memory_time(*pair, *sampling) for pair in pairs), default=0.0)
 
 
@@ -164,12 +164,12 @@ class NotIdentifiable:
     remedy: str = ""  # what to record
 
 
-def not_identifiable(found, names):
+def not_identifiable(search, names):
     """Return effects of the library that are not identifiable, by joint."""
     # Branches that were searched separately are examined separately.
-    parts = [(branch.joints, result) for branch, result in found.branches]
+    parts = [(branch.joints, result) for branch, result in search.branches]
     listed = []
-    for joints, result in parts or [(range(len(names)), found)]:
+    for joints, result in parts or [(range(len(names)), search)]:
         for effect, reason, remedy in _hidden_effects(result):
             j = joints[effect.joint]
             about = {"name": effect.name, "joint": j, "joint_name": names[j]}
@@ -177,68 +177,68 @@ def not_identifiable(found, names):
     return tuple(sorted(listed, key=lambda hidden: hidden.joint))
 
 
-def _hidden_effects(found):
+def _hidden_effects(search):
     """Yield the effects that one search cannot identify, with reason and remedy."""
-    view, motion = found.view, found.motion
-    probe, fitted = _probe(found), {e.key() for e in view.robot.effects_}
+    view, motion = search.view, search.motion
+    probe, fitted = _probe(search), {e.key() for e in view.robot.effects_}
     for joint in np.flatnonzero(view.precision > 0).tolist():
-        library = [clone(e).set_params(joint=joint) for e in found.library]
-        selected = [e for e in found.effects if e.joint == joint]
-        contained = (closure(e, found.library) | {e.name} for e in selected)
+        library = [clone(e).set_params(joint=joint) for e in search.library]
+        selected = [e for e in search.effects if e.joint == joint]
+        contained = (closure(e, search.library) | {e.name} for e in selected)
         present = set(view.declared).union(*contained)
         missing = {e.name: e for e in library if e.name not in present}
         for e in (e for e in missing.values() if e.key() not in fitted):
             remedy = e.applies(motion)
             if remedy.startswith("needs"):
                 yield e, "signal", remedy
-            elif not remedy and _is_hidden(e, found, missing):
+            elif not remedy and _is_hidden(e, search, missing):
                 spanned = _in_span(e, *probe)
                 yield (e, "span", "") if spanned else (e, "excitation", e.record)
 
 
-def _is_hidden(effect, found, missing):
+def _is_hidden(effect, search, missing):
     """Whether the declared columns and contained effects span every shape."""
     # missing: effects, by name, that the model of the joint does not contain.
-    fit, simpler, families = found.fit, missing.keys() & set(effect.contains), []
-    for family in found.families[effect.joint]:
+    fit, simpler, families = search.fit, missing.keys() & set(effect.contains), []
+    for family in search.families[effect.joint]:
         name = family.effects[0].name
         if name == effect.name or name in simpler:
             if family.columns.load is not None:
-                columns = found.fit.problem.columns(family.columns.effects)
+                columns = search.fit.problem.columns(family.columns.effects)
                 family = replace(family, columns=columns)
             if name == effect.name:
                 families.append(family)
             else:
-                fit = fit.with_member(family.member(0, _LOOSE))
+                fit = fit.with_member(family.member(0, _FREE_STD))
     for family in families:
         groups = fit.groups(family.columns)
         remaining = np.diagonal(groups.H, axis1=1, axis2=2)[family.at]
-        least = _UNSEEN * groups.own[family.at]
+        least = _HIDDEN * groups.own[family.at]
         if isinstance(effect, InModel):
             # Hidden if not even its largest plausible value would be reported.
             reach = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
-            needed = found.needed + np.log(max(found.n_candidates, 1))
-            remaining, least = 0.5 * remaining[0] * reach**2, needed + _OCCAM
+            needed = search.needed + np.log(max(search.n_candidates, 1))
+            remaining, least = 0.5 * remaining[0] * reach**2, needed + _PENALTY
         if (remaining > least).any():
             return False
     return bool(families)
 
 
-def _probe(found):
+def _probe(search):
     """Return a basis of the regressor, and the motion, of fully exciting states."""
-    view = found.view
+    view = search.view
     features, nv = view.robot.features_, view.nv
     n = 20 * features.n_parameters_ // nv + 200
     # Full revolutions, since the span for any motion does not depend on the range of
     # the recording.
     scale = np.repeat([np.pi, 2.0, 10.0], nv)
     states = np.random.default_rng(0).uniform(-1, 1, size=(n, 3 * nv)) * scale
-    inertial = (view.back @ found.fit.theta)[: features.n_parameters_]
+    inertial = (view.back @ search.fit.theta)[: features.n_parameters_]
     motion = make_motion(features, states, None, [slice(0, n)], inertial)
     # Corrections of the robot model are fitted together with its parameters.
     corrections = [
         effect.in_all(effect.columns(motion), motion.n_joints)
-        for effect in (*view.robot.effects_, *found.effects)
+        for effect in (*view.robot.effects_, *search.effects)
         if isinstance(effect, InModel) and effect.of_bodies
     ]
     Phi = np.concatenate([features.matrices(states), *corrections], axis=2)

@@ -13,20 +13,20 @@ _KINDS = {"friction": 0.03, "gain": 0.003, "offset": 0.004, "load": 0.02}
 # to all kinds.
 _WIDTH, _COMMON = 2.4, 0.5
 # Saturation level of these deviations, and probability that they are zero.
-_LARGEST, _AGREE = 0.3, 0.1
+_MAX_SHARE, _P_NONE = 0.3, 0.1
 # Kinds whose deviation all joints share: temperature and payload.
 _SHARED = (True, False, False, True)
 # Model errors grow outside the fitted data: logarithm of the factor, a second term
 # divided by the number of fitted recordings, and standard deviation between motions;
 # each with mean and standard deviation over robots.
-_AGAIN, _FIRST, _DIFFER = (0.1, 0.1), (0.2, 0.2), (0.25, 0.5)
+_FACTOR, _FIRST, _BETWEEN = (0.1, 0.1), (0.2, 0.2), (0.25, 0.5)
 # Minimum number of recordings from which deviations count as measured.
 _MEASURED = 3
 # Quantiles: median and ends. The lower end allows for no deviation at all.
-_ENDS = (0.5, 0.02, 0.95)
+_LEVELS = (0.5, 0.02, 0.95)
 # Number of prior draws, smallest detectable deviation over the error, and number of
 # rows for the root mean squares of torques.
-_DRAWS, _SLACK, _ROWS = 4000, 0.2, 4000
+_DRAWS, _DETECTABLE, _ROWS = 4000, 0.2, 4000
 
 
 class ExpectedError:
@@ -37,29 +37,29 @@ class ExpectedError:
     has a prior by kind, whose draws are weighted by the errors on left-out recordings.
     """
 
-    # left, floor (nv,): held-out error and noise floor, over the spread; scatter (nv,):
+    # error, floor (nv,): held-out error and noise floor over the spread; scatter (nv,):
     # standard deviation of the logarithm of the error; left_out (r, nv): errors on each
-    # recording of a model fitted to the others, nan if missing; alone (nv,): errors of
+    # recording of a model fitted to the others, nan if missing; single (nv,): errors of
     # models fitted to single recordings, on held-out parts of these; motion: of the
     # fit; timed: whether effects depend on time
 
-    def __init__(self, left, floor, scatter, left_out, alone, motion, timed=False):
-        self._error, self._motion = left, motion
+    def __init__(self, error, floor, scatter, left_out, single, motion, timed=False):
+        self._error, self._motion = error, motion
         self._scatter = np.nan_to_num(scatter)
         self.recordings = r = len(left_out)
         squares = np.where(left_out > 0, left_out, np.nan) ** 2
-        out, any_known = np.full(left.size, np.nan), np.isfinite(squares).any(axis=0)
-        out[any_known] = np.nanmean(squares[:, any_known], axis=0)
-        self._noise = np.where(np.isnan(floor), 0.0, np.fmin(floor, left) ** 2)
+        out, some = np.full(error.size, np.nan), np.isfinite(squares).any(axis=0)
+        out[some] = np.nanmean(squares[:, some], axis=0)
+        self._noise = np.where(np.isnan(floor), 0.0, np.fmin(floor, error) ** 2)
         # Model error is also present within a single recording.
-        self._model_error = np.maximum(np.fmin(alone, left) ** 2 - self._noise, 0.0)
-        used = np.isfinite(out) & (left > 0) & (r > 1)
+        self._model_error = np.maximum(np.fmin(single, error) ** 2 - self._noise, 0.0)
+        used = np.isfinite(out) & (error > 0) & (r > 1)
         # Squared errors on a left-out recording contain r / (r - 1) of the variance
         # between recordings, and larger model errors; those on held-out data contain
         # (r - 1) / r, or at least a quarter of that unless the model depends on time.
         share, more = max(r - 1, 1) / max(r, 1), np.exp(2 * _prior(max(r - 1, 1))[1])
         between = share * np.nan_to_num(out - self._noise - more * self._model_error)
-        limit = np.inf if timed else 4.0 * (left**2 - self._noise) / share
+        limit = np.inf if timed else 4.0 * (error**2 - self._noise) / share
         between = np.clip(between, 0.0, np.nan_to_num(limit, posinf=np.inf))
         self._weights = special.softmax(self._evidence(between, used), axis=0)
 
@@ -74,7 +74,7 @@ class ExpectedError:
         # Outliers of a few recordings exceed any plausible variance.
         between = np.minimum(between[:, used], np.quantile(expected, 0.99, axis=0))
         # Chi-squared likelihood, since usually one kind dominates.
-        least = (_SLACK * self._error[used]) ** 2
+        least = (_DETECTABLE * self._error[used]) ** 2
         ratio = (between + least) / (expected + least)
         terms = 0.5 * (self.recordings - 1) * (np.log(ratio) - ratio)
         log_likelihood[:, np.append(used, False)] = terms
@@ -93,24 +93,24 @@ class ExpectedError:
         # Median and interval (nine of ten recordings) of the error of each joint, nan
         # without held-out error, and of the mean over joints.
         motion, count = motion or self._motion, max(self.recordings, 1)
-        differ, again, motions = _prior(count)
+        deviations, growth, sigma = _prior(count)
         model_error = self._model_error * self._motion.distance(motion)
         rng, nv = np.random.default_rng(1), model_error.size
         values = rng.standard_normal((_DRAWS, len(_KINDS), nv))
         values[:, _SHARED] = values[:, _SHARED, :1]
-        change, luck = rng.standard_normal((2, _DRAWS, nv))
-        alone = self._noise + model_error * np.exp(2 * (again + motions * change))
-        squares = alone * np.exp(2 * self._scatter * luck)
-        shifts = differ[:, :, None] * motion.sizes * values
+        change, noise = rng.standard_normal((2, _DRAWS, nv))
+        power = self._noise + model_error * np.exp(2 * (growth + sigma * change))
+        squares = power * np.exp(2 * self._scatter * noise)
+        shifts = deviations[:, :, None] * motion.sizes * values
         errors = np.sqrt(squares + (1 + 1 / count) * (shifts**2).sum(axis=1))
         judged = np.flatnonzero(np.isfinite(self._error))
-        quantiles = np.full((len(_ENDS), nv + 1), np.nan)
+        quantiles = np.full((len(_LEVELS), nv + 1), np.nan)
         if judged.size:
             errors = np.column_stack([errors, errors[:, judged].mean(axis=1)])
             for k in (*judged, nv):
                 order = np.argsort(errors[:, k])
                 cumulative = np.cumsum(self._weights[order, k])
-                quantiles[:, k] = errors[order[np.searchsorted(cumulative, _ENDS)], k]
+                quantiles[:, k] = errors[order[np.searchsorted(cumulative, _LEVELS)], k]
         return quantiles
 
 
@@ -120,14 +120,14 @@ def _prior(count):
     rng = np.random.default_rng(0)
     medians = np.array([*_KINDS.values()])
     common, single = np.sqrt([_COMMON, 1.0 - _COMMON])
-    drawn = common * rng.standard_normal((_DRAWS, 1))
-    drawn = drawn + single * rng.standard_normal((_DRAWS, medians.size))
-    differ = medians * np.exp(_WIDTH * drawn)
-    differ /= 1.0 + differ / _LARGEST
-    differ *= rng.random((_DRAWS, 1)) > _AGREE
-    first, other, motions = rng.standard_normal((3, _DRAWS, 1))
-    again = _AGAIN[0] + _AGAIN[1] * first + (_FIRST[0] + _FIRST[1] * other) / count
-    return differ, again, _DIFFER[0] * np.exp(_DIFFER[1] * motions)
+    draws = common * rng.standard_normal((_DRAWS, 1))
+    draws = draws + single * rng.standard_normal((_DRAWS, medians.size))
+    deviations = medians * np.exp(_WIDTH * draws)
+    deviations /= 1.0 + deviations / _MAX_SHARE
+    deviations *= rng.random((_DRAWS, 1)) > _P_NONE
+    first, other, sigma = rng.standard_normal((3, _DRAWS, 1))
+    growth = _FACTOR[0] + _FACTOR[1] * first + (_FIRST[0] + _FIRST[1] * other) / count
+    return deviations, growth, _BETWEEN[0] * np.exp(_BETWEEN[1] * sigma)
 
 
 class MotionStatistics:

@@ -13,15 +13,15 @@ from sklearn_vbjfa.effects import Coulomb, Offset, Viscous
 # Parts of a recording, between which the variation of a single robot is estimated.
 _PARTS = 3
 # Largest ratio of squared errors, separate over common fit, of inconsistent recordings.
-_MOST = 0.5
+_RATIO = 0.5
 # Relative eigenvalue threshold for the rank of Gram matrices.
-_KNOWN = 1e-9
+_RANK_TOL = 1e-9
 # Possible causes of a deviation, with the columns that they use: offset, viscous and
 # Coulomb friction, and the torque predicted from the other recordings.
 _CAUSES = {"offset": [0], "gain": [3], "friction": [1, 2], "model": [0, 1, 2, 3]}
 _COLUMNS = 4
 # Log evidence by which "model" must exceed every other cause [nats].
-_NATS = 3.0
+_MARGIN = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +108,7 @@ class RecordingMoments:
             moments = precision[j] * self.moments[j][chosen].sum(axis=0)
             G[np.ix_(columns, columns)] += moments[:n, :n]
             g[columns] += moments[:n, -1]
-        eigen = scaled_eigen(G, _KNOWN)
+        eigen = scaled_eigen(G, _RANK_TOL)
         return eigen, eigen.solve(g)
 
     def squares(self, chosen, fitted):
@@ -181,7 +181,7 @@ class RecordingMoments:
         errors = {}
         for r, (alone, together) in enumerate(zip(*self._errors)):
             rows = self.weights[self.recording == r].sum(axis=0) * self.used
-            better = (rows > 0) & (together > 0) & (alone <= _MOST * together)
+            better = (rows > 0) & (together > 0) & (alone <= _RATIO * together)
             for j in np.flatnonzero(better).tolist():
                 pair = np.sqrt(np.array([alone[j], together[j]]) / rows[j]) / spread[j]
                 errors[r, j] = dict(zip(("alone", "together"), pair.tolist()))
@@ -259,7 +259,7 @@ class _Deviations:
         # Schur complement: theta is eliminated.
         left = self._eigen.solve(cross)
         H, h = H - cross.T @ left, h - cross.T @ self._theta
-        coef = scaled_eigen(H, _KNOWN).solve(h)
+        coef = scaled_eigen(H, _RANK_TOL).solve(h)
         coefs = {j: coef[at] for j, at in zip(added, places)}
         return float(coef @ h), self._theta - left @ coef, coefs
 
@@ -275,9 +275,9 @@ class _Deviations:
             left = M[:, :-1, -1] - (M[:, :-1, :-1] @ fitted[recording, :, None])[..., 0]
             scores, grams = left @ A, A.T @ M[:, :-1, :-1] @ A
             total = np.zeros(2)
-            for own in (recording == r for r in self._recordings):
-                total += sum(map(_gain, scores[own], grams[own]))
-                total -= _gain(scores[own].sum(axis=0), grams[own].sum(axis=0))
+            for rows in (recording == r for r in self._recordings):
+                total += sum(map(_gain, scores[rows], grams[rows]))
+                total -= _gain(scores[rows].sum(axis=0), grams[rows].sum(axis=0))
             size = total[0] / total[1] if total[1] > 0 else np.inf
             sizes.append((size, total[1] if total[1] > 0 else 1))
         return max(sizes)
@@ -323,11 +323,11 @@ class _Deviations:
             gain, _, coefs = self._fitted(columns, shared)
             count = 10 if shared else sum(A.shape[1] for A in columns.values())
             score = 0.5 * (gain / unit - count * np.log(parts.n_blocks))
-            if (score := score - _NATS * (name == "model")) <= best:
+            if (score := score - _MARGIN * (name == "model")) <= best:
                 continue
             # The mass of a payload on the joint axis exerts no torque.
             no_m = {j: A[:, 1:] for j, A in columns.items()} if shared else {}
-            unknown = shared and gain - self._fitted(no_m, True)[0] < 2 * _NATS * unit
+            unknown = shared and gain - self._fitted(no_m, True)[0] < 2 * _MARGIN * unit
             if unknown or name in ("friction", "model"):
                 coefs = {}
             values = {j: float(x[0]) + (name == "gain") for j, x in coefs.items()}
@@ -337,7 +337,7 @@ class _Deviations:
 
 def _gain(h, H):
     """Return squares that columns explain, and the rank of these."""
-    eigen = scaled_eigen(H, _KNOWN)
+    eigen = scaled_eigen(H, _RANK_TOL)
     return np.array([float(h @ eigen.solve(h)), eigen.rank])
 
 

@@ -13,20 +13,20 @@ from sklearn_vbjfa.recording import take_rows
 
 # Number of stretches of a single recording, whose motion may vary; its upper bound if
 # fewer stretches would miss the motion of a joint.
-_STRETCHES, _MOST_STRETCHES = 3, 12
+_STRETCHES, _MAX_STRETCHES = 3, 12
 # Minimum length of a stretch over that of the low-pass, which loses half its length at
 # each end; the second value applies to several stretches of one recording.
 _LENGTHS = 2.0, 2.5
 # Minimum number of samples of a stretch without low-pass.
-_FEWEST_SAMPLES = 24
+_MIN_SAMPLES = 24
 # Minimum share of each joint's motion in the held-out part, over `test_size`.
-_DUE = 0.5
+_MIN_SHARE = 0.5
 # Largest guard over the length of a stretch, and factors on the guard that are tried
 # until enough motion is left.
-_MOST_GUARD, _GUARDS = 0.25, (1.0, 0.75, 0.5, 0.25, 0.0)
+_MAX_GUARD, _GUARDS = 0.25, (1.0, 0.75, 0.5, 0.25, 0.0)
 # Minimum number of independent values, in the band of the fit, for an error; largest
 # share, and growth per step, of the held-out part to reach it.
-FEWEST_VALUES, _LARGEST, _GROWTH = 10.0, 0.4, 1.2
+FEWEST_VALUES, _MAX_SHARE, _GROWTH = 10.0, 0.4, 1.2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,7 +88,7 @@ class Split:
         for share in _GUARDS:
             kept = []
             for s, (before, after) in zip(self.stretches, self.borders):
-                guard = int(share * min(rows, _MOST_GUARD * (s.stop - s.start)))
+                guard = int(share * min(rows, _MAX_GUARD * (s.stop - s.start)))
                 kept.append(slice(s.start + before * guard, s.stop - after * guard))
             if (self.counted(kept) >= least).all():
                 break
@@ -104,10 +104,10 @@ def split_in_time(identifier, recording, test_size):
     while True:
         chosen, enough = _best_count(bare, parts, share)
         first = chosen if first is None else first
-        if enough or share >= _LARGEST:
+        if enough or share >= _MAX_SHARE:
             # If the largest share does not suffice, the requested one is used.
             return _with_stretches(bare, parts, chosen if enough else first)
-        share = min(_GROWTH * share, _LARGEST)
+        share = min(_GROWTH * share, _MAX_SHARE)
 
 
 def _without_stretches(identifier, recording, parts):
@@ -133,20 +133,20 @@ def _best_count(bare, parts, share):
     moving = bare.moving
     total, weight = moving.sum(axis=0), even_weight(moving)
     done = [_progress(weight[part]) for part in parts]
-    lengths = [max(int(x * 2 * bare.half), _FEWEST_SAMPLES) for x in _LENGTHS]
+    lengths = [max(int(x * 2 * bare.half), _MIN_SAMPLES) for x in _LENGTHS]
     wanted = _STRETCHES if len(parts) == 1 else 1
-    sufficient = _LARGEST * total > bare.need
+    sufficient = _MAX_SHARE * total > bare.need
     best, chosen = (False, -1.0), None
-    for count in (*range(wanted, _MOST_STRETCHES + 1), *range(wanted - 1, 0, -1)):
+    for count in (*range(wanted, _MAX_STRETCHES + 1), *range(wanted - 1, 0, -1)):
         stretches = _place(done, parts, count, share, *lengths)
         kept = sum(moving[stretch].sum(axis=0) for stretch in stretches)
         # Joints that never move are ignored.
         shares = (kept / np.maximum(total, 1) / share)[total > 0]
-        least = float(np.min(shares, initial=_DUE))
+        least = float(np.min(shares, initial=_MIN_SHARE))
         enough = bool((bare.counted(stretches) >= bare.need)[sufficient].all())
         if (enough, least) > best:
             best, chosen = (enough, least), stretches
-        if best == (True, _DUE):
+        if best == (True, _MIN_SHARE):
             break
     return chosen, best[0]
 

@@ -13,7 +13,7 @@ from sklearn_vbjfa.inspection import _scene as scene
 from sklearn_vbjfa.inspection import _torques as torques
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._positions import implausible_speed
-from sklearn_vbjfa.inspection._reading import Reading, long_parts, thinned
+from sklearn_vbjfa.inspection._reading import Reading, long_parts, subsample
 from sklearn_vbjfa.inspection._rows import CHECKS, Rows, shuffled_rows
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.model import joint_names, load_folded, movable_joints
@@ -77,12 +77,12 @@ class Hypothesis:
 
 # fmt: off
 TABLE = (
-    Hypothesis("position_counts", "error", positions.counts, when="first"),
-    Hypothesis("motion_as_torque", "error", torques.of_motion, when="first"),
+    Hypothesis("position_counts", "error", positions.encoder_counts, when="first"),
+    Hypothesis("motion_as_torque", "error", torques.motion_as_torque, when="first"),
     Hypothesis("unsigned_torque", "error", torques.unsigned, when="first"),
     # -- positions and time
     Hypothesis("position_unit", "error", positions.units, "turns"),
-    Hypothesis("position_unit:gear", "warning", positions.gear, "turns",
+    Hypothesis("position_unit:gear", "warning", positions.gear_factor, "turns",
                surpasses="invented"),
     Hypothesis("position_zeros", "error", partial(positions.zeros, few=False),
                "zeroed"),
@@ -93,32 +93,32 @@ TABLE = (
     Hypothesis("swapped_joints", "error",
                partial(positions.orders, what="positions and torques"), "several",
                "poor"),
-    Hypothesis("flipped_joint", "error", partial(positions.mirrored, torques=True),
+    Hypothesis("flipped_joint", "error", partial(positions.flipped, torques=True),
                when="poor"),
-    Hypothesis("position_sign", "error", partial(positions.mirrored, torques=False),
+    Hypothesis("position_sign", "error", partial(positions.flipped, torques=False),
                when="poor"),
-    Hypothesis("coupled_position", "error", positions.coupled, "several", "poor"),
+    Hypothesis("coupled_position", "error", positions.coupled_axes, "several", "poor"),
     # Only a warning: another mounting or tool has the same effect on the torques.
     Hypothesis("position_zero", "warning", partial(positions.zeros, few=True),
                when="poor", surpasses="invented springs"),
     Hypothesis("wrong_dt", "error", positions.periods, surpasses="invented"),
     # -- torques
     Hypothesis("torque_sign", "error", torques.signs, "measured"),
-    Hypothesis("torque_unit", "warning", torques.scaled, surpasses="loaded"),
-    Hypothesis("torque_factors", "warning", torques.scaled_each, "measured",
+    Hypothesis("torque_unit", "warning", torques.common_scale, surpasses="loaded"),
+    Hypothesis("torque_factors", "warning", torques.separate_scales, "measured",
                surpasses="loaded"),
-    Hypothesis("mixed_torques", "warning", torques.mixed, "measured several", "poor",
-               surpasses="invented springs"),
-    Hypothesis("computed_torque", "warning", torques.computed, "measured"),
-    Hypothesis("silent_torque", "error", torques.silent, "measured"),
+    Hypothesis("mixed_torques", "warning", torques.mixed_torques, "measured several",
+               "poor", surpasses="invented springs"),
+    Hypothesis("computed_torque", "warning", torques.computed_torque, "measured"),
+    Hypothesis("silent_torque", "error", torques.silent_torque, "measured"),
     # -- scene
     Hypothesis("no_gravity", "error", scene.weightless, "weighs"),
-    Hypothesis("gravity_only", "error", scene.weight_alone, "weighs"),
-    Hypothesis("base_orientation", "error", scene.turned, "weighs"),
-    Hypothesis("external_force", "warning", scene.contact, "measured", "poor"),
-    Hypothesis("delay", "note", scene.late, "measured", "last"),
+    Hypothesis("gravity_only", "error", scene.gravity_only, "weighs"),
+    Hypothesis("base_orientation", "error", scene.base_orientation, "weighs"),
+    Hypothesis("external_force", "warning", scene.external_force, "measured", "poor"),
+    Hypothesis("delay", "note", scene.torque_lag, "measured", "last"),
     Hypothesis("torque_unit", "warning", torques.beyond_limits, "measured", "last"),
-    Hypothesis("other_robot", "warning", torques.of_another, "measured poor",
+    Hypothesis("other_robot", "warning", torques.other_robot, "measured poor",
                "nothing else"),
 )
 # fmt: on
@@ -268,7 +268,7 @@ def inspect_channels(
     q, tau, usable = log.q, log.tau, log.usable
     if log.every > 1:
         # Held positions are compared at their update rate.
-        rows, parts = thinned(parts, log.every)
+        rows, parts = subsample(parts, log.every)
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
     reading = Reading(model, names, q, tau, dt, parts, usable, drive, named)
@@ -293,7 +293,7 @@ def _compare(reading):
     # Positions in counts or torques without signs allow no further test.
     for hypothesis, match in _probable(reading, "first"):
         return [hypothesis.finding(reading, *match)]
-    if reading.tell_nothing():
+    if reading.is_uninformative():
         return implausible_speed(reading) + _unverified(reading)
     findings, reading = _apply_hypotheses(reading)
     if reading is None:
@@ -309,13 +309,13 @@ def _compare(reading):
 
 def _compare_recordings(reading, names):
     """Return findings of the consistent recordings, and of each deviating one."""
-    outliers = [] if reading.tell_nothing() else reading.apart()
+    outliers = [] if reading.is_uninformative() else reading.deviating_recordings()
     others = sorted(set(range(len(reading.parts))) - set(outliers))
-    alone = {k: _compare(reading.of_recordings([k], alone=True)) for k in outliers}
+    alone = {k: _compare(reading.select_parts([k], alone=True)) for k in outliers}
     pairs = [(k, x) for k, xs in alone.items() for x in xs if x.kind != "unverified"]
     if not outliers or (not others and len({k for k, _ in pairs}) == len(outliers)):
         return _compare(reading)
-    common = _compare(reading.of_recordings(others)) if others else _unverified(reading)
+    common = _compare(reading.select_parts(others)) if others else _unverified(reading)
     # A fit may correct a fault of all recordings, but not one of a single recording.
     return common + [
         replace(
@@ -345,7 +345,7 @@ def _apply_hypotheses(reading):
             if candidate.change and odds < best_unclear - number.RIVAL:
                 # An inconclusive hypothesis is far more probable.
                 continue
-            after = candidate.change and reading.changed(candidate.change)
+            after = candidate.change and reading.apply(candidate.change)
             if after is None or _improves(after, reading.robot):
                 break
         else:
@@ -374,10 +374,10 @@ def _probable(reading, when):
 
 def _improves(log, before):
     """Whether a corrected log agrees better with the description."""
-    if log.tell_nothing():
+    if log.is_uninformative():
         return False
     robot = DescribedRobot(log.bodies, log.signals, before.times)
-    return robot.now.evidence > before.now.evidence
+    return robot.baseline.evidence > before.baseline.evidence
 
 
 def _unverified(reading):
@@ -385,7 +385,7 @@ def _unverified(reading):
     reason = ""
     if reading.bodies.massless:
         reason = "massless"
-    elif reading.tell_nothing() or len(reading.signals.row) < number.ENOUGH_ROWS:
+    elif reading.is_uninformative() or len(reading.signals.row) < number.ENOUGH_ROWS:
         return []
     elif reading.bodies.weightless:
         reason = "weightless"
@@ -406,8 +406,8 @@ def _is_scale_ambiguous(robot):
 
 def _is_order_ambiguous(reading):
     """Whether another common joint order fits as well as that of the description."""
-    baseline, orders = reading.robot.now, positions.usual_orders(reading)
-    fits = (reading.tried(positions.reordered(order)) for order in orders)
+    baseline, orders = reading.robot.baseline, positions.usual_orders(reading)
+    fits = (reading.fit_change(positions.reordered(order)) for order in orders)
     return any(
         fit.fall(baseline) > -number.CLEAR
         or fit.evidence > baseline.evidence - number.RIVAL

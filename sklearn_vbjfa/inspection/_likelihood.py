@@ -23,17 +23,17 @@ class Bodies:
 
     def __init__(self, model):
         self.nv = model.nv
-        self.pull = np.array(model.gravity.linear) / 9.81
+        self.gravity = np.array(model.gravity.linear) / 9.81
         nominal = nominal_parameters(model)
-        self.parameters, self.spread = nominal.ravel(), _spread(nominal)
+        self.parameters, self.prior_std = nominal.ravel(), _prior_std(nominal)
         pulls = np.vstack([np.zeros(3), 9.81 * np.eye(3)])
-        self._whole = TreeRegressor(model)
+        self._regressor = TreeRegressor(model)
         self._parts = [TreeRegressor(under_gravity(model, x)) for x in pulls]
         # Indices of the inertial parameters that act on each joint.
         support = np.any([x.support for x in self._parts], axis=0)
         self.used = [np.flatnonzero(row) for row in support.reshape(self.nv, -1)]
         # Leaves of the tree, which may carry a load.
-        self.last = ~np.isin(np.arange(1, self.nv + 1), list(model.parents))
+        self.leaf = ~np.isin(np.arange(1, self.nv + 1), list(model.parents))
         # Whether no body has mass, so that torques cannot be compared.
         self.massless = bool(nominal[:, 0].max() <= 0)
 
@@ -45,9 +45,9 @@ class Bodies:
         load, mass = self.described(states)[1], self.parameters[::10].sum()
         return bool(np.abs(load).max(initial=0.0) <= 1e-9 * mass)
 
-    def whole(self, states):
+    def regressor(self, states):
         """Regressors (n, nv, 10 nv) under the gravity of the description."""
-        return _regressors(self._whole, states)
+        return _regressors(self._regressor, states)
 
     def parts(self, states):
         """Regressors without gravity, and at rest under 1 g along each axis."""
@@ -61,7 +61,7 @@ class Bodies:
         still = states.copy()
         still[:, self.nv :] = 0.0
         whole, weight = (
-            self._whole.torques(*np.split(x, 3, axis=1), self.parameters)
+            self._regressor.torques(*np.split(x, 3, axis=1), self.parameters)
             for x in (states, still)
         )
         return whole - weight, weight
@@ -72,7 +72,7 @@ def _regressors(regressor, states):
     return regressor(q, v, a).reshape(*q.shape, -1)
 
 
-def _spread(bodies):
+def _prior_std(bodies):
     """Prior standard deviations of all inertial parameters, ndarray (10 nv,)."""
     mass = np.maximum(bodies[:, 0], 0.02 * bodies[:, 0].max() + 1e-12)
     trace = bodies[:, [4, 6, 9]].sum(axis=1)
@@ -88,14 +88,14 @@ class BodyFit:
     # Log marginal likelihood of the torques divided by their standard deviations, which
     # makes interpretations in other units and orders comparable.
     evidence: float
-    left: np.ndarray  # (n_joints,): log unexplained share of each torque's variance
+    loss: np.ndarray  # (n_joints,): log unexplained share of each torque's variance
     factors: np.ndarray  # (m,): estimated factors of the extra columns
     errors: np.ndarray  # (m,): their standard errors
     power: np.ndarray  # (n_joints,): power of friction over its standard error
 
     def fall(self, other):
         """Return by how much log squared errors, summed, are below another fit's."""
-        return float(np.sum(other.left - self.left))
+        return float(np.sum(other.loss - self.loss))
 
 
 class DescribedRobot:
@@ -104,7 +104,7 @@ class DescribedRobot:
     # times (nv,): correlation times [rows] of residuals, the same for all
     # interpretations of a log that are compared. entries: precomputed regressors.
 
-    def __init__(self, bodies, signals, times=None, entries=None):
+    def __init__(self, bodies, signals, times=None, X=None):
         self.bodies, self.signals = bodies, signals
         self.rows = [np.flatnonzero(w > 0) for w in signals.weight.T]
         size = signals.tau.var(axis=0)
@@ -113,14 +113,14 @@ class DescribedRobot:
         least = np.minimum(least, number.ENOUGH_ROWS)
         enough = np.array([rows.size for rows in self.rows]) >= least
         self.joints = np.flatnonzero(signals.informative() & varies & enough)
-        self.entries = bodies.whole(signals.states) if entries is None else entries
+        self.regressor = bodies.regressor(signals.states) if X is None else X
         self.times = self.correlation_times() if times is None else times
 
     @functools.cached_property
     def _parts(self):
         return self.bodies.parts(self.signals.states)
 
-    def pulled(self, direction):
+    def under_gravity(self, direction):
         """Regressors under a gravity vector (3,) in units of g."""
         motion, gravity = self._parts
         return motion + sum(x * axis for x, axis in zip(direction, gravity))
@@ -128,15 +128,15 @@ class DescribedRobot:
     @functools.cached_property
     def described(self):
         """Torques (n, nv) of the described bodies."""
-        return self.entries @ self.bodies.parameters
+        return self.regressor @ self.bodies.parameters
 
     @functools.cached_property
-    def moving(self):
+    def inertial_torques(self):
         """Torques (n, nv) of the described bodies without gravity."""
         return self._parts[0] @ self.bodies.parameters
 
     @functools.cached_property
-    def by_gravity(self):
+    def unit_weights(self):
         """Torques (n, nv, 3) of the described bodies by 1 g along each axis."""
         bodies = self.bodies.parameters
         return np.stack([x @ bodies for x in self._parts[1]], axis=-1)
@@ -144,30 +144,30 @@ class DescribedRobot:
     @property
     def weight(self):
         """Torques (n, nv) of the described bodies by gravity alone."""
-        return self.described - self.moving
+        return self.described - self.inertial_torques
 
     @functools.cached_property
-    def now(self):
+    def baseline(self):
         """`BodyFit` of the unchanged torques."""
         return self.fit()
 
     @functools.cached_property
     def invented(self):
         """Log odds of inaccurate (invented) inertias against the described ones."""
-        return self._otherwise(number.INVENTED)
+        return self._prior_odds(number.INVENTED)
 
     @functools.cached_property
     def loaded(self):
         """Log odds of invented inertias, or of a load, against the described ones."""
-        spread = self.bodies.spread.reshape(-1, 10)
-        ratio = np.where(self.bodies.last[:, None], spread.max(axis=0), spread) / spread
-        return max(self.invented, self._otherwise(ratio.ravel()))
+        spread = self.bodies.prior_std.reshape(-1, 10)
+        ratio = np.where(self.bodies.leaf[:, None], spread.max(axis=0), spread) / spread
+        return max(self.invented, self._prior_odds(ratio.ravel()))
 
-    def _otherwise(self, spread):
+    def _prior_odds(self, spread):
         """Return the log odds, at least zero, of a wider prior of the bodies."""
-        return max(0.0, self.fit(spread=spread).evidence - self.now.evidence)
+        return max(0.0, self.fit(spread=spread).evidence - self.baseline.evidence)
 
-    def with_springs(self, joints, turns=False):
+    def spring_evidence(self, joints, turns=False):
         """Return the evidence for springs and, with turns, for counterbalances."""
         # In a small motion, a missing or turned weight is linear in the positions.
         nv, tau = self.bodies.nv, self.signals.tau
@@ -185,7 +185,7 @@ class DescribedRobot:
     @functools.cached_property
     def springs(self):
         """Log odds of springs at and between all joints, against none."""
-        return self.with_springs(self.joints) - self.now.evidence
+        return self.spring_evidence(self.joints) - self.baseline.evidence
 
     def surpasses(self, log_odds):
         """Whether log odds far exceed those of invented inertias and of springs."""
@@ -199,7 +199,7 @@ class DescribedRobot:
 
     def fit(
         self,
-        entries=None,
+        X=None,
         *,
         tau=None,
         scale=1.0,
@@ -213,17 +213,17 @@ class DescribedRobot:
         # scale: factor of the described bodies; spread: of their prior deviations;
         # deviation: prior deviation of the factors.
         bodies = self.bodies
-        entries = self.entries if entries is None else entries
+        X = self.regressor if X is None else X
         tau = self.signals.tau if tau is None else tau
         joints = self.joints if joints is None else np.asarray(joints)
         if mean is None:
-            mean = scale * (entries @ bodies.parameters)
+            mean = scale * (X @ bodies.parameters)
         m = 0 if columns is None else columns.shape[2]
-        prior = np.r_[scale * spread * bodies.spread, np.full(m, deviation)]
-        n_inertial, terms = bodies.spread.size, []
+        prior = np.r_[scale * spread * bodies.prior_std, np.full(m, deviation)]
+        n_inertial, terms = bodies.prior_std.size, []
         for j in joints:
             rows, used = self.rows[j], bodies.used[j]
-            design = entries[rows, j][:, used]
+            design = X[rows, j][:, used]
             if m:
                 joint_columns = columns[rows, j]
                 is_active = joint_columns.any(axis=0)
@@ -231,13 +231,13 @@ class DescribedRobot:
                 used = np.r_[used, n_inertial + np.flatnonzero(is_active)]
             y = tau[rows, j]
             nuisance_std = number.WIDE * max(np.sqrt(np.mean(y**2)), 1e-300)
-            nuisance = nuisance_std * self.plain(j)[rows]
+            nuisance = nuisance_std * self.friction(j)[rows]
             table = np.column_stack([nuisance, design * prior[used], y - mean[rows, j]])
             moments = table.T @ table / self.times[j]
             terms.append((used, moments, rows.size / self.times[j], np.var(y) + 1e-300))
         return _solve(terms, prior, m)
 
-    def is_apart(self, part):
+    def deviates(self, part):
         """Whether some rows fit far worse than the others, or with other masses."""
         few = number.FEWEST_ROWS
         moves, others = (self.signals.weight[x].sum(axis=0) for x in (part, ~part))
@@ -245,21 +245,21 @@ class DescribedRobot:
         if not joints:
             # Next to positions in degrees, those in radians appear to be at rest.
             return bool((moves > few).any())
-        fits = [self._of_rows(rows)._left(joints) for rows in (part, ~part)]
+        fits = [self._select_rows(rows)._loss(joints) for rows in (part, ~part)]
         (share, size), (usual, other) = fits
         worse = (share - usual)[share > 2 * np.log(number.GOOD_FIT)]
         apart = np.logaddexp(np.log(part.mean()) + size, np.log((~part).mean()) + other)
-        improvement = self._left(joints)[1] - apart
+        improvement = self._loss(joints)[1] - apart
         return bool(np.r_[improvement, worse - number.CLEAR].max() > number.CLEAR)
 
-    def _of_rows(self, rows):
-        cache = self.times, self.entries[rows]
-        return DescribedRobot(self.bodies, self.signals.taken(rows), *cache)
+    def _select_rows(self, rows):
+        cache = self.times, self.regressor[rows]
+        return DescribedRobot(self.bodies, self.signals.select_rows(rows), *cache)
 
-    def _left(self, joints):
+    def _loss(self, joints):
         """Log of the unexplained share and variance (k,) of joints' torques."""
         is_same = np.array_equal(joints, self.joints)
-        log_share = (self.now if is_same else self.fit(joints=joints)).left
+        log_share = (self.baseline if is_same else self.fit(joints=joints)).loss
         variances = [self.signals.tau[self.rows[j], j].var() for j in joints]
         return log_share, log_share + np.log(variances)
 
@@ -267,17 +267,17 @@ class DescribedRobot:
         """Return residuals (n, nv) of a separate fit of each joint, zero at rest."""
         signals, residual = self.signals, np.zeros(self.signals.tau.shape)
         for j in self.joints:
-            rows, X = self.rows[j], self.free(j, columns)[self.rows[j]]
+            rows, X = self.rows[j], self.design(j, columns)[self.rows[j]]
             gram = X.T @ X + 1e-6 * rows.size * np.eye(X.shape[1])
             y = signals.tau[rows, j]
             residual[rows, j] = y - X @ np.linalg.solve(gram, X.T @ y)
         return residual
 
-    def free(self, j, columns=None):
+    def design(self, j, columns=None):
         """Columns (n, p) of a joint's bodies, friction and offsets, zero at rest."""
         extra = [] if columns is None else [columns]
-        rigid = self.entries[:, j][:, self.bodies.used[j]]
-        X = np.column_stack([rigid, self.plain(j), *extra])
+        rigid = self.regressor[:, j][:, self.bodies.used[j]]
+        X = np.column_stack([rigid, self.friction(j), *extra])
         X = X * (self.signals.weight[:, [j]] > 0)
         X = X[:, X.any(axis=0)]
         return X / np.sqrt((X[self.rows[j]] ** 2).mean(axis=0))
@@ -292,15 +292,15 @@ class DescribedRobot:
             errors.append(residual[rows, j].var() / dof / (torque[rows].var() + 1e-300))
         return np.sqrt(errors)
 
-    def plain(self, j):
+    def friction(self, j):
         """Columns (n, k) of viscous and Coulomb friction, rotor inertia and offsets."""
         q, v, a = self.signals.states[:, j :: self.bodies.nv].T
         columns = np.column_stack([v, self.signals.sign[:, j], a, np.ones(len(q))])
         size = np.sqrt((columns**2).mean(axis=0))
-        return np.hstack([columns / np.where(size > 0, size, 1.0), self._differ])
+        return np.hstack([columns / np.where(size > 0, size, 1.0), self._offsets])
 
     @functools.cached_property
-    def _differ(self):
+    def _offsets(self):
         """Columns (n, r) of offset differences between recordings, if not many."""
         member = self.signals.recording[:, None] == np.unique(self.signals.recording)
         offsets = number.OFFSETS / number.WIDE * member
@@ -347,7 +347,7 @@ def _solve(joints, prior, m):
         for x, block, M, variance in zip(positions, blocks, moments, noise):
             A[block] += M[:-1, :-1] / variance
             b[x] += M[:-1, -1] / variance
-        theta, covariance, log_det = _solved(A, b)
+        theta, covariance, log_det = _solve_spd(A, b)
         coefficients = [np.r_[theta[x], -1.0] for x in positions]
         squares = np.array([x @ M @ x for x, M in zip(coefficients, moments)])
         traces = [np.sum(covariance[x] * M[:-1, :-1]) for x, M in zip(blocks, moments)]
@@ -371,14 +371,14 @@ def _solve(joints, prior, m):
     errors[columns] *= np.sqrt(np.maximum(np.diagonal(covariance)[positions], 0.0))
     return BodyFit(
         evidence=float(friction - 0.5 * penalty),
-        left=np.log(noise / total),
+        loss=np.log(noise / total),
         factors=factors,
         errors=errors,
         power=np.array(power),
     )
 
 
-def _solved(A, b):
+def _solve_spd(A, b):
     """Solve A x = b with eigenvalues of A >= 1; x, inverse and log determinant of A."""
     root, failed = scipy.linalg.lapack.dpotrf(A, lower=True)
     if failed:

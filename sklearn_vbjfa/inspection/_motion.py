@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._reading import filtered, long_parts
+from sklearn_vbjfa.inspection._reading import filter_signals, long_parts
 from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
 
 
@@ -35,7 +35,7 @@ def motion_of(recording, model=None):
     if len(rows) < len(q):
         q, tau = q[rows], tau[rows]
     usable = np.ones(q.shape, dtype=bool)
-    signals = filtered(q, tau, recording.dt, parts, usable) if parts else None
+    signals = filter_signals(q, tau, recording.dt, parts, usable) if parts else None
     if signals is None:
         return ()
     v = signals.states[:, model.nv : 2 * model.nv]

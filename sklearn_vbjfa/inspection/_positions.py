@@ -13,15 +13,15 @@ from sklearn_vbjfa.inspection._reading import (
     Proposal,
     clear,
     clear_of_all,
-    climbed,
-    judged,
-    likely,
+    climb,
+    judge,
+    most_likely,
     most_probable,
-    stepped,
+    refine,
     times,
 )
 from sklearn_vbjfa.inspection._sentences import finding
-from sklearn_vbjfa.inspection._torques import of_another
+from sklearn_vbjfa.inspection._torques import other_robot
 from sklearn_vbjfa.model import is_prismatic
 
 # -- order, direction and coupling -----------------------------------------------------
@@ -32,7 +32,7 @@ def orders(reading, what):
     identity, joints, names = np.arange(reading.nv), reading.robot.joints, reading.names
     starts, moves = [], []
     if what == "torques":
-        cost = reading.rough_crossed
+        cost = reading.cross_scores
         rows, columns = scipy.optimize.linear_sum_assignment(cost - np.diagonal(cost))
         starts = [identity.copy()]
         starts[0][joints[rows]] = joints[columns]
@@ -44,14 +44,14 @@ def orders(reading, what):
         order = identity.copy()
         order[[i, j]] = j, i
         moves.append(reordered(order, what))
-    change = climbed(reading, moves, [reordered(order, what) for order in starts])
+    change = climb(reading, moves, [reordered(order, what) for order in starts])
     if not change.joints:
         return None
     moved, comma = list(change.joints), " and " if len(change.joints) == 2 else ", "
     rows = change.torques if change.positions is None else change.positions
     facts = {"what": what, "who": comma.join(names[j] for j in moved)}
     facts["held"] = comma.join(names[k] for k in rows.argmax(axis=0)[moved])
-    return judged(reading, change, variants=len(moves), facts=facts)
+    return judge(reading, change, variants=len(moves), facts=facts)
 
 
 def reordered(order, what="positions and torques"):
@@ -75,7 +75,7 @@ def usual_orders(reading):
     return [x for x in orders if (np.diff(x) < 0).any()]
 
 
-def mirrored(reading, torques):
+def flipped(reading, torques):
     """Return joints whose positions, and optionally torques, have a wrong sign."""
 
     def negative(joints):
@@ -83,10 +83,10 @@ def mirrored(reading, torques):
         return Change(positions=sign, torques=sign if torques else None)
 
     changes = [negative(j) for j in reading.robot.joints]
-    return likely(reading, [*changes, climbed(reading, changes, [negative(None)])])
+    return most_likely(reading, [*changes, climb(reading, changes, [negative(None)])])
 
 
-def coupled(reading):
+def coupled_axes(reading):
     """Return the joint whose position contains that of its parent or grandparent."""
     changes, identity, parents = {}, np.eye(reading.nv), list(reading.model.parents)
     for j in reading.robot.joints.tolist():
@@ -101,13 +101,13 @@ def coupled(reading):
             for torques in (None, np.linalg.inv(positions).T):
                 change = Change(positions=positions, torques=torques)
                 changes[change] = j, i, "-+" if sign > 0 else "+-"
-    best = likely(reading, changes)
+    best = most_likely(reading, changes)
     if best is None:
         return None
     j, i, (minus, plus) = changes[best.change]
     # Motors that act on two joints share torques, whatever the encoders measure.
-    shared_torques = _shared(reading, best.change, j, i)
-    if best.fall - shared_torques.fall(reading.robot.now) < clear(best.change):
+    shared_torques = _fit_shared_torques(reading, best.change, j, i)
+    if best.fall - shared_torques.fall(reading.robot.baseline) < clear(best.change):
         return None
     facts = {"name": reading.names[j], "other": reading.names[i], "minus": minus}
     torque = ", and the torque of {other} by that of {other} {plus} that of {name}"
@@ -117,7 +117,7 @@ def coupled(reading):
     return replace(best, joints=(j,), facts=facts)
 
 
-def _shared(reading, change, j, i):
+def _fit_shared_torques(reading, change, j, i):
     """Fit the unchanged log, with shared torques, friction and rotor of two joints."""
     robot, nv, signals = reading.robot, reading.nv, change.signals(reading.signals)
     axis = signals.states[:, nv + j], signals.states[:, 2 * nv + j], signals.sign[:, j]
@@ -143,7 +143,7 @@ def zeros(reading, few):
 
     def refined(start, joints):
         steps = [functools.partial(moved_by, j=j) for j in joints]
-        start, errors = stepped(reading, start, steps)
+        start, errors = refine(reading, start, steps)
         return start.offset + np.zeros(nv), errors
 
     moves = [moved_by(x, j) for j, x in product(rotary, number.ANGLES)]
@@ -152,7 +152,7 @@ def zeros(reading, few):
         pairs = product(pairwise(rotary), number.ANGLES, number.ANGLES)
         moves += [moved_by(x, j).then(moved_by(y, k)) for (j, k), x, y in pairs]
     step = number.CLEAR_OF_JOINT if few else number.SETTLED
-    offset, errors = refined(climbed(reading, moves, step=step), rotary)
+    offset, errors = refined(climb(reading, moves, step=step), rotary)
     if few:
         # Smaller corrections may be an effect, a different link, or not identifiable.
         shown = rotary[np.abs(offset[rotary]) > np.maximum(number.FAR_ZERO, 3 * errors)]
@@ -169,12 +169,12 @@ def zeros(reading, few):
         required = max(required, number.CLEAR_OF_JOINT) * len(moved)
     variants = len(moves) ** (few * len(moved))
     options = {"joints": moved, "variants": variants, "facts": facts}
-    best = judged(reading, Change(offset=offset), required, **options)
+    best = judge(reading, Change(offset=offset), required, **options)
     # As bodies are fitted as well, errors fall only a little if friction is large.
     if best is None or best.clear or best.fall < 0.5 * number.CLEAR:
         return best
     far = reading.robot.surpasses(best.log_odds)
-    return replace(best, clear=far and not of_another(reading.changed(best.change)))
+    return replace(best, clear=far and not other_robot(reading.apply(best.change)))
 
 
 # -- units -----------------------------------------------------------------------------
@@ -188,7 +188,7 @@ def _limits(model):
     return low, high, (high - low < number.LARGEST_TURN) & (high > low)
 
 
-def _beyond(model, q):
+def _excess(model, q):
     """Return how far each joint moves beyond its limits [rad or m], (nv,)."""
     low, high, limited = _limits(model)
     # The margin allows for another zero of the joint or a nominal limit.
@@ -201,14 +201,14 @@ def _beyond(model, q):
 def units(reading):
     """Return positions in degrees, turns, or motor positions."""
     revolute, q, model = ~reading.slides, reading.q, reading.model
-    beyond = _beyond(model, q) * revolute
+    beyond = _excess(model, q) * revolute
     far = (beyond > number.FAR_BEYOND) & _limits(model)[2]
     many = np.count_nonzero(beyond > 0.1) > 0.5 * np.count_nonzero(revolute)
     degrees = "degrees", "deg", np.pi / 180
     options = [(revolute, *degrees)] if reading.poor else []
     if far.any() or many:
         options = [(x, *degrees) for x in (revolute, far) if x.any()]
-    elif not beyond.any() and (_speeds(reading) < _fastest(model)).all():
+    elif not beyond.any() and (_speeds(reading) < _too_fast(model)).all():
         options.append((revolute, "turns", "rev", 2 * np.pi))
     # Positions far beyond limits, or many full turns, are additional evidence.
     extra = 2 * number.DECISIVE * (far.any() or many)
@@ -216,9 +216,9 @@ def units(reading):
     for joints, unit, symbol, factor in options:
         change = Change(positions=times(reading.nv, factor, np.flatnonzero(joints)))
         # The converted positions must be within the limits.
-        if (_beyond(model, q @ change.positions) * joints > 0).any():
+        if (_excess(model, q @ change.positions) * joints > 0).any():
             continue
-        match = judged(reading, change, required, kind=f"position_{unit}")
+        match = judge(reading, change, required, kind=f"position_{unit}")
         if match is None:
             continue
         j = max(match.joints, key=lambda k: np.ptp(q[:, k]))
@@ -238,27 +238,27 @@ def units(reading):
 
 def _with_ratios(reading, best):
     """Return positions in a unit as motor positions if joints have other factors."""
-    joints, after = list(best.joints), reading.changed(best.change)
-    if after.tell_nothing():
+    joints, after = list(best.joints), reading.apply(best.change)
+    if after.is_uninformative():
         return best
-    nv, starts = reading.nv, [_factor(x, joints, reading.nv) for x in number.RATIOS]
-    moves = [_factor(x, j, nv) for x, j in product(number.RATIOS, joints)]
-    ratios = climbed(after, moves, starts, number.SETTLED)
-    steps = [functools.partial(_factor, j=j, nv=nv) for j in joints]
-    ratios, errors = stepped(after, _factor(0.0, joints, nv).then(ratios), steps)
-    fit, known = judged(after, ratios, clear_of_all(after)), errors < number.KNOWN_RATIO
+    nv, starts = reading.nv, [_scaling(x, joints, reading.nv) for x in number.RATIOS]
+    moves = [_scaling(x, j, nv) for x, j in product(number.RATIOS, joints)]
+    ratios = climb(after, moves, starts, number.SETTLED)
+    steps = [functools.partial(_scaling, j=j, nv=nv) for j in joints]
+    ratios, errors = refine(after, _scaling(0.0, joints, nv).then(ratios), steps)
+    fit, known = judge(after, ratios, clear_of_all(after)), errors < number.KNOWN_RATIO
     if fit is None or not fit.clear or fit.log_odds + number.PRIOR < number.DECISIVE:
         return best
     determined = [j for j, precise in zip(joints, known) if precise]
     if not determined:
         # Neither that unit nor a factor, for instance if the sample period is wrong.
         return None
-    determined = _each(reading, best.change.then(ratios), determined, errors[known])
+    determined = _ratios(reading, best.change.then(ratios), determined, errors[known])
     facts = dict(best.facts) | {"each": determined}
     return replace(best, kind="position_unit", change=None, facts=facts)
 
 
-def gear(reading):
+def gear_factor(reading):
     """Return the joint whose position, or position and torque, has a gear factor."""
     # Factors of prismatic positions are not distinguishable from other masses.
     revolute = [int(j) for j in reading.robot.joints if not reading.slides[j]]
@@ -266,28 +266,28 @@ def gear(reading):
     for x, j in product(number.RATIOS, revolute):
         # A wrong gear ratio preserves power; otherwise only the position is wrong.
         for geared in (False, True):
-            make_change = functools.partial(_factor, j=j, nv=reading.nv, geared=geared)
+            make_change = functools.partial(_scaling, j=j, nv=reading.nv, geared=geared)
             changes[make_change(x)] = make_change
-    best = likely(reading, changes) if changes else None
+    best = most_likely(reading, changes) if changes else None
     if best is None:
         return None
-    change, (error,) = stepped(reading, best.change, [changes[best.change]])
+    change, (error,) = refine(reading, best.change, [changes[best.change]])
     (j,) = best.joints
     # Smaller factors may be an effect, a different link, or not identifiable.
     if abs(np.log(change.positions[j, j])) < max(number.LEAST_GEAR, 3 * error):
         return None
     power = ", and multiply the torque by it" * (change.torques is not None)
-    facts = {"each": _each(reading, change, [j], [error]), "power": power}
-    return judged(reading, change, variants=len(changes), facts=facts)
+    facts = {"each": _ratios(reading, change, [j], [error]), "power": power}
+    return judge(reading, change, variants=len(changes), facts=facts)
 
 
-def _factor(x, j, nv, geared=False):
+def _scaling(x, j, nv, geared=False):
     """Return the change that scales joints' positions, or gear ratios, by exp(x)."""
     torques = times(nv, np.exp(-x), j) if geared else None
     return Change(positions=times(nv, np.exp(x), j), torques=torques)
 
 
-def _each(reading, change, joints, errors):
+def _ratios(reading, change, joints, errors):
     """List the logged position per radian or metre of each joint, with its error."""
     ratios = 1 / np.diagonal(change.positions)[joints]
     return ", ".join(
@@ -296,17 +296,17 @@ def _each(reading, change, joints, errors):
     )
 
 
-def counts(reading):
+def encoder_counts(reading):
     """Return positions that are neither in radians nor in degrees."""
     model, names, q, revolute = reading.model, reading.names, reading.q, ~reading.slides
     degrees = np.where(revolute, np.pi / 180, 1.0)
-    far, as_degrees = _beyond(model, q) > number.FAR_BEYOND, _beyond(model, q * degrees)
+    far, as_degrees = _excess(model, q) > number.FAR_BEYOND, _excess(model, q * degrees)
     travel = np.ptp(q, axis=0)
     whole = (q == np.round(q)).all(axis=0) & (travel >= number.FEWEST_COUNTS)
     # Whole numbers within the limits in degrees are degrees.
     whole &= ~(far & (as_degrees == 0)) | (travel > 720)
     # A continuous joint may turn far, but not at an implausible speed even in degrees.
-    fast = _speeds(reading) * degrees > _fastest(model)
+    fast = _speeds(reading) * degrees > _too_fast(model)
     fast &= travel * degrees > number.LARGEST_TURN
     joints = np.flatnonzero((far & (as_degrees > 0)) | whole | fast)
     if not joints.size:
@@ -324,7 +324,7 @@ def counts(reading):
 # -- sample period ---------------------------------------------------------------------
 
 
-def _fastest(model):
+def _too_fast(model):
     """Return implausible speeds (nv,) [rad/s or m/s]: five times the (usual) limit."""
     limit = np.asarray(model.velocityLimit, dtype=float)
     usual = np.where(is_prismatic(model), number.FASTEST_SLIDE, number.FASTEST_TURN)
@@ -341,7 +341,7 @@ def _speeds(reading):
 
 def implausible_speed(reading):
     """Report a sample period at which the motion is implausibly fast or slow."""
-    speed, limit, dt = _speeds(reading), _fastest(reading.model), reading.dt
+    speed, limit, dt = _speeds(reading), _too_fast(reading.model), reading.dt
     j = int(np.argmax(speed / limit))
     is_slow = number.TOO_FAST * speed[j] < number.TOO_SLOW * limit[j]
     if speed[j] > limit[j]:
@@ -360,14 +360,14 @@ def periods(reading):
     dt, robot, required = reading.dt, reading.robot, clear_of_all(reading)
     # A rate in Hz is the inverse of a period.
     inverse = (1 / dt**2,) if dt >= number.LONG_PERIOD else ()
-    fastest = number.TOO_FAST * (_speeds(reading) / _fastest(reading.model)).max()
+    fastest = number.TOO_FAST * (_speeds(reading) / _too_fast(reading.model)).max()
     changes = [
         Change(period=x)
         for x in dict.fromkeys([*number.PERIODS, *inverse])
         if fastest <= number.PLAUSIBLE * x
     ]
     proposal = most_probable(
-        judged(reading, x, required, variants=len(changes), joints=reading.every)
+        judge(reading, x, required, variants=len(changes), joints=reading.every)
         for x in changes
     )
     if proposal is None or proposal.log_odds + number.PRIOR <= number.DECISIVE:
@@ -377,9 +377,9 @@ def periods(reading):
     weight = robot.weight[:, :, None]
     rivals = (
         robot.fit(columns=weight, deviation=1.0),
-        robot.fit(robot.entries - robot.pulled(np.zeros(3))),
+        robot.fit(robot.regressor - robot.under_gravity(np.zeros(3))),
     )
-    best_rival = max(fit.evidence for fit in rivals) - robot.now.evidence
+    best_rival = max(fit.evidence for fit in rivals) - robot.baseline.evidence
     if max(best_rival, robot.springs) > proposal.log_odds - number.RIVAL:
         return None
     period = dt * proposal.change.period

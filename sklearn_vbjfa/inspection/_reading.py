@@ -30,7 +30,7 @@ class Change:
     lag: int = 0  # delay of the torques [samples]
 
     @property
-    def moves(self):
+    def changes_motion(self):
         """Whether it changes the motion."""
         other = self.positions is not None or self.period != 1.0
         return other or bool(np.any(self.offset))
@@ -47,13 +47,13 @@ class Change:
     def then(self, other):
         """Return this change of channels followed by another one."""
         return Change(
-            positions=_product(other.positions, self.positions),
-            torques=_product(other.torques, self.torques),
-            offset=_mapped(self.offset, other.positions) + other.offset,
+            positions=_compose(other.positions, self.positions),
+            torques=_compose(other.torques, self.torques),
+            offset=_map(self.offset, other.positions) + other.offset,
             period=self.period * other.period,
         )
 
-    def known(self, values):
+    def map_usable(self, values):
         """Map masks (n, nv) of usable samples, bool or 0 and 1, like the positions."""
         if self.positions is None:
             return values
@@ -61,11 +61,11 @@ class Change:
 
     def signals(self, signals):
         """Return filtered signals after this change."""
-        tau, slope = (_mapped(x, self.torques) for x in (signals.tau, signals.slope))
+        tau, slope = (_map(x, self.torques) for x in (signals.tau, signals.slope))
         signals = replace(signals, tau=tau, slope=slope)
-        if not self.moves:
+        if not self.changes_motion:
             return signals
-        states = _mapped(signals.states.reshape(len(tau), 3, -1), self.positions)
+        states = _map(signals.states.reshape(len(tau), 3, -1), self.positions)
         states = states / self.period ** np.arange(3)[:, None]
         states[:, 0] += self.offset
         sign = signals.sign
@@ -78,15 +78,15 @@ class Change:
             signals,
             states=states.reshape(len(states), -1),
             sign=sign,
-            weight=self.known(signals.weight),
+            weight=self.map_usable(signals.weight),
         )
 
 
-def _mapped(values, matrix):
+def _map(values, matrix):
     return values if matrix is None else values * np.ones(len(matrix)) @ matrix.T
 
 
-def _product(second, first):
+def _compose(second, first):
     return first if second is None else second if first is None else second @ first
 
 
@@ -117,21 +117,21 @@ class Signals:
         """Return which joints have enough moving rows, ndarray (nv,) of bool."""
         return self.weight.sum(axis=0) >= number.FEWEST_ROWS
 
-    def thinned(self, n_rows):
+    def subsample(self, n_rows):
         """Return every k-th row, about `n_rows` in all."""
-        return self.taken(slice(None, None, max(1, len(self.row) // n_rows)))
+        return self.select_rows(slice(None, None, max(1, len(self.row) // n_rows)))
 
-    def taken(self, rows):
+    def select_rows(self, rows):
         return Signals(**{x.name: getattr(self, x.name)[rows] for x in fields(self)})
 
 
 def long_parts(n, groups):
     """Rows of the recordings that are long enough, and the slice of each in them."""
     parts = contiguous_groups(groups, n)
-    return thinned([x for x in parts if x.stop - x.start >= number.MIN_SAMPLES], 1)
+    return subsample([x for x in parts if x.stop - x.start >= number.MIN_SAMPLES], 1)
 
 
-def thinned(parts, k):
+def subsample(parts, k):
     """Every k-th row of recordings, and the slice of each recording in these."""
     rows = [np.arange(part.start, part.stop, k) for part in parts]
     stops = np.cumsum([0, *map(len, rows)]).tolist()
@@ -139,7 +139,7 @@ def thinned(parts, k):
     return np.concatenate([np.arange(0), *rows]), parts
 
 
-def filtered(q, tau, dt, parts, usable):
+def filter_signals(q, tau, dt, parts, usable):
     """Filter q, tau (n, nv) of recordings; None if all are shorter than the filter."""
     # usable (n, nv): samples without known faults.
     cutoff, top = _cutoffs(q, dt, parts)
@@ -239,10 +239,10 @@ class Reading:
     @functools.cached_property
     def signals(self):
         """Filtered signals; None if the log is too short."""
-        signals = filtered(self.q, self.tau, self.dt, self.parts, self.usable)
+        signals = filter_signals(self.q, self.tau, self.dt, self.parts, self.usable)
         n_rows = number.MOST_ENTRIES // (10 * self.nv**2)
         n_rows = int(np.clip(n_rows, number.LEAST_ROWS, number.MOST_ROWS))
-        return None if signals is None else signals.thinned(n_rows)
+        return None if signals is None else signals.subsample(n_rows)
 
     @functools.cached_property
     def bodies(self):
@@ -255,7 +255,7 @@ class Reading:
     @property
     def poor(self):
         """Whether some torque fits badly enough to test other interpretations."""
-        return bool((self.robot.now.left > 2 * np.log(number.GOOD_FIT)).any())
+        return bool((self.robot.baseline.loss > 2 * np.log(number.GOOD_FIT)).any())
 
     @property
     def weighs(self):
@@ -274,67 +274,67 @@ class Reading:
         near = np.abs(self.q[0]) <= number.AT_ZERO * np.ptp(self.q, axis=0)
         return self.measured and bool(near.all())
 
-    def of_recordings(self, numbers, alone=False):
-        rows, parts = thinned([self.parts[k] for k in numbers], 1)
+    def select_parts(self, numbers, alone=False):
+        rows, parts = subsample([self.parts[k] for k in numbers], 1)
         channels = {x: getattr(self, x)[rows] for x in ("q", "tau", "usable")}
         return replace(self, **channels, parts=parts, alone=alone)
 
-    def apart(self):
+    def deviating_recordings(self):
         """List recordings that fit far worse than others, or with other masses."""
         recordings = self.robot.signals.recording
         indices = np.unique(recordings).tolist()
         several = 1 < len(indices) <= number.MANY
-        return [k for k in indices if several and self.robot.is_apart(recordings == k)]
+        return [k for k in indices if several and self.robot.deviates(recordings == k)]
 
-    def tell_nothing(self):
+    def is_uninformative(self):
         """Whether torques or description allow no comparison."""
         if self.signals is None or not self.signals.informative().any():
             return True
         return self.bodies.massless or not self.robot.joints.size
 
-    def rough(self, change):
+    def score(self, change):
         """Return a cheap score: sum over joints of the log unexplained share."""
         # The described bodies are fixed up to a factor of their inertial torque and
         # one of their weight.
-        signals = change.signals(self._roughly)
-        return _left(self.bodies, signals, self.robot.joints, signals.tau).sum()
+        signals = change.signals(self._rough_signals)
+        return _loss(self.bodies, signals, self.robot.joints, signals.tau).sum()
 
     @functools.cached_property
-    def _roughly(self):
+    def _rough_signals(self):
         """Signals of fewer rows where there are many joints."""
-        return self.signals.thinned(max(number.LEAST_ROUGH, number.ROUGH // self.nv))
+        return self.signals.subsample(max(number.LEAST_ROUGH, number.ROUGH // self.nv))
 
     @functools.cached_property
-    def rough_crossed(self):
+    def cross_scores(self):
         """Rough scores of each motion with each torque, (n_joints, n_joints)."""
-        signals, joints = self._roughly, self.robot.joints
-        costs = [_left(self.bodies, signals, joints, x[:, None]) for x in signals.tau.T]
+        signals, joints = self._rough_signals, self.robot.joints
+        costs = [_loss(self.bodies, signals, joints, x[:, None]) for x in signals.tau.T]
         return np.column_stack([costs[j] for j in joints])
 
-    def tried(self, change):
+    def fit_change(self, change):
         """Return the `BodyFit` after a change, None if it has other usable joints."""
-        robot = self.robot_at(change)
+        robot = self.robot_after(change)
         return robot.fit() if robot.joints.size == self.robot.joints.size else None
 
-    def robot_at(self, change):
+    def robot_after(self, change):
         """Return the described robot for the signals after a change."""
         signals = change.signals(self.signals)
-        entries = None if change.moves else self.robot.entries
-        return DescribedRobot(self.bodies, signals, self.robot.times, entries)
+        regressor = None if change.changes_motion else self.robot.regressor
+        return DescribedRobot(self.bodies, signals, self.robot.times, regressor)
 
-    def changed(self, change):
+    def apply(self, change):
         """Return the log after a change; its signals are filtered again."""
-        q = _mapped(self.q, change.positions) + change.offset
-        tau, usable = _mapped(self.tau, change.torques), change.known(self.usable)
+        q = _map(self.q, change.positions) + change.offset
+        tau, usable = _map(self.tau, change.torques), change.map_usable(self.usable)
         dt, model = self.dt * change.period, self.model
         if change.gravity is not None:
             model = under_gravity(model, change.gravity)
         if change.lag:
-            tau, usable = _late(tau, change.lag, self.parts, usable)
+            tau, usable = _shift_torques(tau, change.lag, self.parts, usable)
         return replace(self, model=model, q=q, tau=tau, dt=dt, usable=usable)
 
 
-def _left(robot, signals, joints, tau):
+def _loss(robot, signals, joints, tau):
     """Log of the share of torques (n, nv or 1) that the description leaves."""
     nv, weight = robot.nv, signals.weight[:, joints].T
     v, a = (x[:, joints] for x in np.split(signals.states, 3, axis=1)[1:])
@@ -357,7 +357,7 @@ def _left(robot, signals, joints, tau):
     return np.log(np.maximum(residual / np.maximum(total, 1e-300), 1e-12))
 
 
-def _late(tau, samples, parts, usable):
+def _shift_torques(tau, samples, parts, usable):
     """Shift torques to earlier samples; also the samples that remain usable."""
     tau, usable = tau.copy(), usable.copy()
     first, last = max(0, -samples), max(0, samples)
@@ -391,11 +391,11 @@ class Proposal:
     facts: Mapping = field(default_factory=dict)
 
 
-def judged(reading, change, required=None, *, variants=1, **attributes):
+def judge(reading, change, required=None, *, variants=1, **attributes):
     """Return the `Proposal` of a change; clear if errors fall by `required` [log]."""
     # variants: number of alternatives tested, which reduces the log odds.
-    fit, baseline = reading.tried(change), reading.robot.now
-    if fit is None or not (change.joints or change.moves):
+    fit, baseline = reading.fit_change(change), reading.robot.baseline
+    if fit is None or not (change.joints or change.changes_motion):
         return None
     required = clear(change) if required is None else required
     return Proposal(
@@ -406,22 +406,22 @@ def judged(reading, change, required=None, *, variants=1, **attributes):
     )
 
 
-def likely(reading, changes):
+def most_likely(reading, changes):
     """Return the most probable of the changes with the best rough scores."""
     changes = list(changes)
-    gain = reading.rough(Change()) - np.array([reading.rough(x) for x in changes])
+    gain = reading.score(Change()) - np.array([reading.score(x) for x in changes])
     # Changes that score as well as the unchanged log are kept as rivals.
     candidates = np.argsort(-gain)[: number.MOST_LIKELY]
     candidates = [changes[k] for k in candidates if gain[k] > -number.SETTLED]
-    return most_probable(judged(reading, x, variants=len(changes)) for x in candidates)
+    return most_probable(judge(reading, x, variants=len(changes)) for x in candidates)
 
 
-def climbed(reading, moves, starts=(), step=number.CLEAR):
+def climb(reading, moves, starts=(), step=number.CLEAR):
     """Combine moves greedily, from the best start or move, and return the change."""
     # step: least fall of the rough score per move.
-    current, score, candidates = Change(), reading.rough(Change()), [*starts, *moves]
+    current, score, candidates = Change(), reading.score(Change()), [*starts, *moves]
     while candidates:
-        scores = [reading.rough(change) for change in candidates]
+        scores = [reading.score(change) for change in candidates]
         best = int(np.argmin(scores))
         if scores[best] > score - step:
             break
@@ -436,14 +436,14 @@ def most_probable(candidates):
     return max(proposals, key=lambda x: x.log_odds, default=None)
 
 
-def stepped(reading, change, steps):
+def refine(reading, change, steps):
     """Refine a change by Gauss-Newton along steps; also their standard errors."""
     # steps: functions from a step size to the change to append.
-    best, errors = reading.tried(change), np.full(len(steps), np.inf)
+    best, errors = reading.fit_change(change), np.full(len(steps), np.inf)
     for _ in range(number.PASSES if best is not None and steps else 0):
-        robot = reading.robot_at(change)
+        robot = reading.robot_after(change)
         residuals = [
-            [_missing(reading, change.then(make(x))) for make in steps]
+            [_residual_torques(reading, change.then(make(x))) for make in steps]
             for x in (number.SLOPE, -number.SLOPE)
         ]
         columns = -np.subtract(*residuals).transpose(1, 2, 0) / (2 * number.SLOPE)
@@ -451,14 +451,14 @@ def stepped(reading, change, steps):
         errors, updated = fit.errors, change
         for make, x in zip(steps, fit.factors):
             updated = updated.then(make(x))
-        fit = reading.tried(updated)
+        fit = reading.fit_change(updated)
         if fit is None or fit.evidence < best.evidence + 0.1:
             break
         best, change = fit, updated
     return change, errors
 
 
-def _missing(reading, change):
+def _residual_torques(reading, change):
     """Return residual torques (n, nv) of the described bodies after a change."""
     signals, bodies = change.signals(reading.signals), reading.bodies
     return signals.tau - sum(bodies.described(signals.states))

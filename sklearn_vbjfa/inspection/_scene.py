@@ -16,7 +16,7 @@ from sklearn_vbjfa.inspection._sentences import percent
 def weightless(reading):
     """Return joints whose torques do not contain the weight of the links."""
     robot = reading.robot
-    inertial, moving = robot.pulled(np.zeros(3)), robot.moving
+    inertial, moving = robot.under_gravity(np.zeros(3)), robot.inertial_torques
 
     def gain(joints):
         """Log odds of no weight on some joints; zero if springs explain it as well."""
@@ -28,7 +28,7 @@ def weightless(reading):
             return 0.0
         # Each further spring costs the prior odds of a fault; a single joint of several
         # may have a counterbalance.
-        springs = robot.with_springs(joints, turns=len(joints) == 1 < len(loaded))
+        springs = robot.spring_evidence(joints, turns=len(joints) == 1 < len(loaded))
         springs += number.PRIOR * (len(joints) - 1)
         return best - baseline if best - springs > number.DECISIVE else 0.0
 
@@ -43,7 +43,7 @@ def weightless(reading):
         # As for other hypotheses on all torques, include the joints without load.
         odds = max(odds, gain(robot.joints.tolist()))
     # Mean forces of prismatic joints show a weight in any direction of gravity.
-    pull = np.linalg.norm(robot.by_gravity, axis=-1)
+    pull = np.linalg.norm(robot.unit_weights, axis=-1)
     offset, weight = (
         np.linalg.norm(x.mean(axis=0)[reading.slides])
         for x in (robot.signals.tau, pull)
@@ -54,9 +54,11 @@ def weightless(reading):
     mean = np.zeros_like(moving)
     fit = robot.fit(inertial, mean=mean, columns=columns, joints=affected)
     # A controller subtracts the described weight, not that of the true bodies.
-    taken = robot.fit(columns=robot.weight[:, :, None], deviation=1.0, joints=affected)
-    shares = fit.factors[1], 1.0 + taken.factors[0]
-    errors = number.INTERVAL * np.array([fit.errors[1], taken.errors[0]])
+    weight_fit = robot.fit(
+        columns=robot.weight[:, :, None], deviation=1.0, joints=affected
+    )
+    shares = fit.factors[1], 1.0 + weight_fit.factors[0]
+    errors = number.INTERVAL * np.array([fit.errors[1], weight_fit.errors[0]])
     share, error = min(zip(shares, errors), key=lambda x: abs(x[0]))
     if abs(share) + error > number.NO_WEIGHT:
         return None
@@ -75,62 +77,62 @@ def weightless(reading):
     )
 
 
-def weight_alone(reading):
+def gravity_only(reading):
     """Return torques that contain only the weight of the links."""
     robot = reading.robot
-    columns = np.stack([robot.moving, robot.weight], axis=-1)
-    fit = robot.fit(mean=np.zeros_like(robot.moving), columns=columns)
+    columns = np.stack([robot.inertial_torques, robot.weight], axis=-1)
+    fit = robot.fit(mean=np.zeros_like(robot.inertial_torques), columns=columns)
     error = number.INTERVAL * fit.errors
     inertia, weight = fit.factors
     unclear = abs(inertia) + error[0] > number.NO_WEIGHT or weight < error[1]
     # Torques of a gravity model contain no friction.
     if unclear or (fit.power > number.SIGMAS).any():
         return None
-    still = robot.fit(robot.entries - robot.pulled(np.zeros(3))).evidence
+    still = robot.fit(robot.regressor - robot.under_gravity(np.zeros(3))).evidence
     facts = {"part": inertia, "error": error[0]}
-    odds = still - robot.now.evidence
+    odds = still - robot.baseline.evidence
     return Proposal(joints=reading.every, log_odds=odds, facts=facts)
 
 
-def turned(reading):
+def base_orientation(reading):
     """Return a base orientation that differs from the description."""
-    robot, start, best_fit = reading.robot, reading.bodies.pull, reading.robot.now
+    robot, start, chosen = reading.robot, reading.bodies.gravity, reading.robot.baseline
     size, pull = np.linalg.norm(start), start
     # Components of gravity that are not identifiable stay as described, or are zero.
-    any_pull = {"columns": robot.by_gravity, "deviation": 1.0}
+    any_pull = {"columns": robot.unit_weights, "deviation": 1.0}
     fit = robot.fit(**any_pull)
     if np.linalg.norm(fit.factors) < 0.5 * number.TURNED * size:
         return None
     full, shown = start + fit.factors, fit.errors < 0.5
-    still = robot.fit(robot.pulled(np.zeros(3)), **any_pull)
+    still = robot.fit(robot.under_gravity(np.zeros(3)), **any_pull)
     candidates = [full, still.factors, *np.eye(3), *-np.eye(3)]
     variants = len(candidates)
     for _ in range(number.PASSES):
         candidates = [size * x / max(np.linalg.norm(x), 1e-300) for x in candidates]
-        fits = [robot.fit(robot.pulled(x)) for x in candidates]
+        fits = [robot.fit(robot.under_gravity(x)) for x in candidates]
         best = int(np.argmax([fit.evidence for fit in fits]))
-        if fits[best].evidence < best_fit.evidence + number.SETTLED:
+        if fits[best].evidence < chosen.evidence + number.SETTLED:
             break
-        pull, best_fit = candidates[best], fits[best]
-        full = pull + robot.fit(robot.pulled(pull), **any_pull).factors
+        pull, chosen = candidates[best], fits[best]
+        full = pull + robot.fit(robot.under_gravity(pull), **any_pull).factors
         candidates = [full]
     # On a single joint, a spring that overcompensates the weight has the same effect.
     heavy = 1 / number.AS_HEAVY < np.linalg.norm(full) / size < number.AS_HEAVY
-    loaded = _loaded(robot, robot.by_gravity @ pull)
-    odds = best_fit.evidence - robot.now.evidence - np.log(variants)
+    loaded = _loaded(robot, robot.unit_weights @ pull)
+    odds = chosen.evidence - robot.baseline.evidence - np.log(variants)
     springs = robot.springs > odds - number.DECISIVE
     # Offsets must not hide it; components that are not shown may have either sign.
-    largest = np.abs(robot.by_gravity @ pull).max(axis=0)[loaded]
+    largest = np.abs(robot.unit_weights @ pull).max(axis=0)[loaded]
 
     def offsets(pull):
-        residual = (robot.signals.tau - robot.by_gravity @ pull).mean(axis=0)[loaded]
+        residual = (robot.signals.tau - robot.unit_weights @ pull).mean(axis=0)[loaded]
         return np.square(residual / largest).sum()
 
     pull = min(pull, np.where(shown, pull, -pull), key=offsets)
     hidden = offsets(pull) > max(offsets(np.zeros(3)), number.GOOD_FIT**2)
     if not heavy or len(loaded) < 2 or springs or hidden:
         return None
-    improvement = best_fit.fall(robot.now)
+    improvement = chosen.fall(robot.baseline)
     angle = float(np.arccos(np.clip(pull @ start / size**2, -1, 1)))
     return Proposal(
         change=Change(gravity=9.81 * pull),
@@ -154,11 +156,11 @@ def _loaded(robot, weight):
 # -- lag -------------------------------------------------------------------------------
 
 
-def late(reading):
+def torque_lag(reading):
     """Return a lag or a low-pass that is common to all torques."""
-    robot_before, n_whole, after = _moving(reading, reading), 0, reading
+    robot_before, n_whole, after = _robot_in_motion(reading, reading), 0, reading
     for _ in range(number.MOVES):
-        robot = robot_before if after is reading else _moving(reading, after)
+        robot = robot_before if after is reading else _robot_in_motion(reading, after)
         signals = robot.signals
         fit = robot.fit(columns=-signals.slope[:, :, None])
         fraction, error = float(fit.factors[0]), float(fit.errors[0])
@@ -168,12 +170,12 @@ def late(reading):
         if abs(fraction) < number.SAMPLE:
             break
         n_whole += round(fraction)
-        after = reading.changed(Change(lag=n_whole))
-        if after.tell_nothing():
+        after = reading.apply(Change(lag=n_whole))
+        if after.is_uninformative():
             return None
     shifted = robot.fit(tau=signals.tau + fraction * signals.slope)
     baseline = robot.fit(tau=reading.signals.tau)
-    gain, changes = shifted.evidence - baseline.evidence, shifted.left - baseline.left
+    gain, changes = shifted.evidence - baseline.evidence, shifted.loss - baseline.loss
     drifts = _drift(reading, robot, shifted)
     if drifts is not None:
         return drifts
@@ -196,10 +198,10 @@ def late(reading):
     )
 
 
-def _moving(reading, after):
+def _robot_in_motion(reading, after):
     """Return the robot with the rows whose whole filter window is in motion."""
     # Near standstill, friction changes sign before or after the velocity.
-    cache, signals = (reading.robot.times, reading.robot.entries), after.signals
+    cache, signals = (reading.robot.times, reading.robot.regressor), after.signals
     signals_moving = replace(signals, weight=signals.throughout)
     robot = DescribedRobot(reading.bodies, signals_moving, *cache)
     if robot.joints.size < reading.robot.joints.size:
@@ -220,7 +222,7 @@ def _drift(reading, robot, steady):
         return None
     drifting = robot.fit(tau=signals.tau - columns @ fit.factors)
     # Every joint shares the clock.
-    if (drifting.left - steady.left).max() > 0 or drifting.fall(steady) < number.CLEAR:
+    if (drifting.loss - steady.loss).max() > 0 or drifting.fall(steady) < number.CLEAR:
         return None
     share = total / np.ptp(signals.row)
     facts = {"ahead": "fast" if share > 0 else "slow", "share": percent(abs(share))}
@@ -235,16 +237,16 @@ def _lowpass(robot, samples):
     # The inverse of a first-order filter adds its time constant times the derivative.
     torques, slope = robot.signals.tau, robot.signals.slope
     unfiltered = [torques + part * samples * slope for part in number.CONSTANTS]
-    return max(robot.fit(tau=y).evidence for y in unfiltered) - robot.now.evidence
+    return max(robot.fit(tau=y).evidence for y in unfiltered) - robot.baseline.evidence
 
 
 # -- contact ---------------------------------------------------------------------------
 
 
-def contact(reading):
+def external_force(reading):
     """Return an interval in which an external force adds constant torques."""
     robot, rows = reading.robot, reading.signals.row
-    interval, inside = _pushed(robot), np.zeros(rows.size, dtype=bool)
+    interval, inside = _contact_interval(robot), np.zeros(rows.size, dtype=bool)
     # Limit it to the recording that contains its middle.
     stops = [part.stop for part in reading.parts]
     k = int(np.searchsorted(stops, rows[sum(interval) // 2], side="right"))
@@ -257,12 +259,12 @@ def contact(reading):
     # A contact correlates residuals for its whole duration.
     times = robot.correlation_times(inside[:, None].astype(float))
     times = np.minimum(robot.times, times)
-    robot = DescribedRobot(robot.bodies, robot.signals, times, robot.entries)
+    robot = DescribedRobot(robot.bodies, robot.signals, times, robot.regressor)
     size = robot.signals.tau[:, robot.joints].std(axis=0)
     columns = np.eye(reading.nv) * inside[:, None, None]
-    fit, baseline = robot.fit(columns=columns, deviation=size.max()), robot.now
+    fit, baseline = robot.fit(columns=columns, deviation=size.max()), robot.baseline
     torques = (columns @ fit.factors)[inside][:, robot.joints]
-    ratios = np.sqrt((torques**2).mean(axis=0)) / (size * np.exp(0.5 * fit.left))
+    ratios = np.sqrt((torques**2).mean(axis=0)) / (size * np.exp(0.5 * fit.loss))
     pushed = ratios > number.CONTACT
     # On a single joint, a change of friction is as probable.
     few = pushed.sum() < min(robot.joints.size, 2)
@@ -290,7 +292,7 @@ def contact(reading):
     )
 
 
-def _pushed(robot):
+def _contact_interval(robot):
     """Return the rows between which constant torques explain most of the residuals."""
     n, gain = len(robot.signals.tau), 0.0
     ends = np.arange(0, n + 1, max(1, n // number.CONTACT_ENDS))
@@ -299,10 +301,10 @@ def _pushed(robot):
     first, last = ends[first], ends[last]
     for j in robot.joints:
         # Project the torque and the indicator of the interval onto the residual space.
-        basis, moves = orthonormal_basis(robot.free(j)), robot.signals.weight[:, j] > 0
-        y = robot.signals.tau[:, j] * moves
+        basis, mask = orthonormal_basis(robot.design(j)), robot.signals.weight[:, j] > 0
+        y = robot.signals.tau[:, j] * mask
         y = y - basis @ (basis.T @ y)
-        sums = np.vstack([np.zeros(len(basis.T) + 2), np.c_[basis, y, moves]])
+        sums = np.vstack([np.zeros(len(basis.T) + 2), np.c_[basis, y, mask]])
         *bases, product, rows = np.diff(sums.cumsum(axis=0)[[first, last]], axis=0)[0].T
         size = np.maximum(rows - np.square(bases).sum(axis=0), 1.0)
         share = product**2 / size / max(y @ y, 1e-300)

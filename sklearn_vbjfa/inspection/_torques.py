@@ -7,9 +7,9 @@ from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._reading import (
     Change,
     Proposal,
-    judged,
+    judge,
     most_probable,
-    stepped,
+    refine,
     times,
 )
 from sklearn_vbjfa.inspection._sentences import percent
@@ -33,18 +33,18 @@ _UNITS = {
 def signs(reading):
     """Return the torques whose signs are wrong: one, some, or all."""
     robot, nv, tau = reading.robot, reading.nv, reading.robot.signals.tau
-    judged = robot.joints[robot.errors() < number.WORST].tolist()
-    if not judged:
+    tested = robot.joints[robot.errors() < number.WORST].tolist()
+    if not tested:
         return None
     # Separate fits of each joint first; undecided signs are tested together.
-    gain = {j: _of_other_sign(robot, j) for j in judged}
-    decided = {j for j in judged if gain[j] > number.DECISIVE}
-    unclear = {j for j in judged if abs(gain[j]) <= number.DECISIVE}
+    gain = {j: _sign_odds(robot, j) for j in tested}
+    decided = {j for j in tested if gain[j] > number.DECISIVE}
+    unclear = {j for j in tested if abs(gain[j]) <= number.DECISIVE}
     sets = [(), decided, *(decided | {j} for j in unclear), decided | unclear]
     scores = {}
     for wrong in dict.fromkeys(map(frozenset, sets)):
-        fit = robot.fit(tau=tau @ times(nv, -1.0, list(wrong)), joints=judged)
-        opposed = {j for j, power in zip(judged, fit.power) if power < -number.SIGMAS}
+        fit = robot.fit(tau=tau @ times(nv, -1.0, list(wrong)), joints=tested)
+        opposed = {j for j, power in zip(tested, fit.power) if power < -number.SIGMAS}
         # Friction must not contradict a flipped sign.
         if not opposed & wrong:
             scores[wrong] = fit
@@ -52,19 +52,19 @@ def signs(reading):
     highest = max(x.evidence for x in scores.values())
     near = [x for x, fit in scores.items() if fit.evidence > highest - number.RIVAL]
     # All signs wrong is more probable than all but the undecided ones.
-    all_judged = frozenset(judged)
-    best = all_judged if all_judged in near else min(near, key=len)
+    all_tested = frozenset(tested)
+    best = all_tested if all_tested in near else min(near, key=len)
     # With long noise correlation, few independent rows decide, and unreliably.
     if not best or scores[best].fall(as_is) < -number.CLEAR:
         return None
     # On a single joint, a counterbalancing spring is more probable.
-    springs = robot.with_springs(judged) if len(best) == 1 else -np.inf
+    springs = robot.spring_evidence(tested) if len(best) == 1 else -np.inf
     if springs > scores[best].evidence - number.DECISIVE:
         return None
     # Poorly explained joints may contradict that all signs are wrong.
-    unjudged = [j for j in robot.joints.tolist() if j not in judged]
-    all_wrong = sum(_of_other_sign(robot, j) for j in unjudged) >= -number.RIVAL
-    joints = reading.every if best == all_judged and all_wrong else tuple(sorted(best))
+    untested = [j for j in robot.joints.tolist() if j not in tested]
+    all_wrong = sum(_sign_odds(robot, j) for j in untested) >= -number.RIVAL
+    joints = reading.every if best == all_tested and all_wrong else tuple(sorted(best))
     hidden = [j for j in joints if j not in decided] if joints == reading.every else []
     hidden = listed_joints(reading.names, hidden) if nv > 1 else ""
     note = f" As all that show are wrong, so is the sign of {hidden}." if hidden else ""
@@ -79,7 +79,7 @@ def signs(reading):
     )
 
 
-def _of_other_sign(robot, j):
+def _sign_odds(robot, j):
     """Return the log odds of the other sign of one torque, in a separate fit."""
     tau = robot.signals.tau
     return robot.fit(tau=-tau, joints=[j]).evidence - robot.fit(joints=[j]).evidence
@@ -102,7 +102,7 @@ def torque_factors(robot, common):
         for j in robot.joints:
             # `sizes` include friction; this estimate does not.
             rows = robot.rows[j]
-            X = np.column_stack([robot.described[:, j], robot.plain(j)])[rows]
+            X = np.column_stack([robot.described[:, j], robot.friction(j)])[rows]
             slope = np.linalg.lstsq(X, robot.signals.tau[rows, j])[0][0]
             factors[j] = slope if slope > 0 else factors[j]
     for _ in range(number.PASSES):
@@ -118,7 +118,7 @@ def torque_factors(robot, common):
     return factors, error, shown, more > error
 
 
-def scaled(reading):
+def common_scale(reading):
     """Return the common factor of all torques against the described ones."""
     factors, error, shown, _ = torque_factors(reading.robot, common=True)
     factor, error = float(factors[0]), float(error[0])
@@ -126,7 +126,7 @@ def scaled(reading):
     if not shown or factor <= 0 or 1 / limit < factor < limit:
         return None
     low, high = factor * np.exp([-error, error])
-    units, robot = _units_inside(factor, error), reading.robot
+    units, robot = _matching_units(factor, error), reading.robot
     facts = {"factor": factor, "low": low, "high": high, "gain": 1 / factor}
     facts["inside"] = f" ({units} would be inside)" if units else ""
     facts["unknown"] = ', or gains="unknown"' if reading.nv > 1 else ""
@@ -134,20 +134,20 @@ def scaled(reading):
     return Proposal(
         change=Change(torques=times(reading.nv, 1 / factor)),
         joints=reading.every,
-        log_odds=robot.fit(scale=factor).evidence - robot.now.evidence,
+        log_odds=robot.fit(scale=factor).evidence - robot.baseline.evidence,
         kind="gear_factor:commanded" if reading.commanded else "",
         value=factor,
         facts=facts,
     )
 
 
-def _units_inside(factor, error):
+def _matching_units(factor, error):
     """Return units that match a factor of torques within its error [log]."""
     near = (name for name, x in _UNITS.items() if abs(np.log(factor * x)) < error < 1)
     return " or ".join(near)
 
 
-def scaled_each(reading):
+def separate_scales(reading):
     """Return the torque whose factor differs from the others, or separate factors."""
     factors, error, shown, positive = torque_factors(reading.robot, common=False)
     # Far from the others, a factor may be uncertain. If too large, it must be positive,
@@ -163,7 +163,7 @@ def scaled_each(reading):
     outliers = list(zip(joints[is_off].tolist(), required[is_off]))
     # Factors that are not shown are replaced by the ratio to the others.
     factors[joints] = np.where(positive[joints], factors[joints], np.exp(off))
-    proposals = [_scaled_one(reading, j, factors[j], error[j], x) for j, x in outliers]
+    proposals = [_scale_one(reading, j, factors[j], error[j], x) for j, x in outliers]
     remaining = shown & ~np.isin(np.arange(shown.size), joints[is_off])
     logs = np.sort(np.log(factors[remaining]))
     # Among many factors, the smallest and the largest may be off by chance.
@@ -174,22 +174,22 @@ def scaled_each(reading):
         each = [f"{reading.names[j]} {factors[j]:.2g}" for j in np.flatnonzero(shown)]
         facts = {"each": ", ".join(each)}
         args = {"joints": reading.every, "facts": facts}
-        proposals.append(judged(reading, change, number.CLEAR * reading.nv, **args))
+        proposals.append(judge(reading, change, number.CLEAR * reading.nv, **args))
     return most_probable(proposals)
 
 
-def _scaled_one(reading, j, factor, error, required):
+def _scale_one(reading, j, factor, error, required):
     """Return a joint whose torque has a factor against the described one."""
     change = Change(torques=times(reading.nv, 1 / factor, j))
     step = [lambda x: Change(torques=times(reading.nv, np.exp(x), j))]
-    change, _ = stepped(reading, change, step)
+    change, _ = refine(reading, change, step)
     factor = 1 / change.torques[j, j]
     # Only a warning: invented inertias of the description have the same effect.
-    units = _units_inside(factor, error)
+    units = _matching_units(factor, error)
     units = units or "torque of the motor, a current, or another unit"
     facts = {"factor": factor, "ratio": 1 / factor, "units": units}
     options = {"variants": reading.nv, "kind": "gear_factor", "facts": facts}
-    return judged(reading, change, required, **options)
+    return judge(reading, change, required, **options)
 
 
 def beyond_limits(reading):
@@ -209,7 +209,7 @@ def beyond_limits(reading):
     )
 
 
-def mixed(reading):
+def mixed_torques(reading):
     """Return two joints whose torques are mixed, as by cables or a differential."""
     robot, parents, fits = reading.robot, list(reading.model.parents), []
     joints, tau = robot.joints.tolist(), robot.signals.tau
@@ -236,19 +236,19 @@ def mixed(reading):
             terms = f"{1 / size:.3g} {names[joint]} {sign} {abs(share / size):.3g}"
             each.append(f"{names[joint]}: {terms} {names[other]}")
     change, facts = Change(torques=torques), {"each": "; ".join(each)}
-    return judged(reading, change, variants=2 * reading.nv, facts=facts)
+    return judge(reading, change, variants=2 * reading.nv, facts=facts)
 
 
 # -- torques that were not measured ----------------------------------------------------
 
 
-def silent(reading):
+def silent_torque(reading):
     """Return a torque that does not follow the motion that should load it."""
     robot = reading.robot
     sizes = robot.sizes
     # A torque that follows the motion of another joint was exchanged instead.
     threshold = 2 * np.log(number.UNRELATED)
-    follows = robot.joints[(reading.rough_crossed < threshold).any(axis=0)]
+    follows = robot.joints[(reading.cross_scores < threshold).any(axis=0)]
     for j, error in zip(robot.joints, robot.errors()):
         others = [k for k in robot.joints if k != j and np.isfinite(sizes[k])]
         typical = min(np.median(sizes[others]), 1.0) if others else 1.0
@@ -259,10 +259,13 @@ def silent(reading):
     return None
 
 
-def of_another(reading):
+def other_robot(reading):
     """Return torques that are unrelated to, or far smaller than, the described ones."""
     robot = reading.robot
-    size, left = np.nanmedian(robot.sizes[robot.joints]), np.exp(0.5 * robot.now.left)
+    size, left = (
+        np.nanmedian(robot.sizes[robot.joints]),
+        np.exp(0.5 * robot.baseline.loss),
+    )
     is_small = size < 1 / number.SCALE and np.median(left) > number.UNEXPLAINED
     if not is_small and (left > number.UNFOLLOWED).sum() < max(2, left.size / 3):
         return None
@@ -270,7 +273,7 @@ def of_another(reading):
     return Proposal(joints=reading.every, log_odds=np.inf, facts=facts)
 
 
-def computed(reading):
+def computed_torque(reading):
     """Return torques that equal the described ones (a model was logged)."""
     robot, tau = reading.robot, reading.robot.signals.tau
     residual = tau - robot.described
@@ -287,7 +290,7 @@ def computed(reading):
 # -- motion in place of torques --------------------------------------------------------
 
 
-def of_motion(reading):
+def motion_as_torque(reading):
     """Return torques that are positions, velocities or accelerations."""
     if reading.signals is None:
         return None

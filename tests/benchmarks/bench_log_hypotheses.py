@@ -258,9 +258,9 @@ def shown(model, sound, wrong):
     for q, tau, dt in (sound, wrong):
         whole = [slice(0, len(q))], np.ones(q.shape, dtype=bool)
         reading = Reading(model, joint_names(model), q, tau, dt, *whole)
-        if reading.tell_nothing():
+        if reading.is_uninformative():
             return np.inf
-        scores.append(reading.robot.now.evidence)
+        scores.append(reading.robot.baseline.evidence)
     return float(scores[0] - scores[1] - np.log(100.0))
 
 

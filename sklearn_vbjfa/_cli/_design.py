@@ -10,7 +10,7 @@ import numpy as np
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _gravity, _input
 from sklearn_vbjfa._cli._parser import command_line, option_of
-from sklearn_vbjfa._cli._run import Result, rendered
+from sklearn_vbjfa._cli._run import Result, render_template
 from sklearn_vbjfa._core._runtime import say
 from sklearn_vbjfa.design import (
     KnownRobot,
@@ -21,7 +21,7 @@ from sklearn_vbjfa.design import (
 )
 
 # Options of identify that describe the robot, also for its next recording.
-_OF_ROBOT = ("joints", "base_orientation", "gain", "known_mass", "drive", "friction")
+_OPTIONS = ("joints", "base_orientation", "gain", "known_mass", "drive", "friction")
 
 # `KnownRobot` to move; model with its limits; description file, as given or named by a
 # report; further joints that are held fixed; sample period.
@@ -54,11 +54,11 @@ def design(arguments, folder):
         options = report.get("provenance", {}).get("options", {})
         command = _next_command(arguments, robot, options)
         steps = {"out": out, "drive": options.get("drive"), "command": command}
-        return [rendered("next_motion.txt.j2", **steps, **facts)]
+        return [render_template("next_motion.txt.j2", **steps, **facts)]
 
     facts |= {"robot": Path(robot.file).name, "motion": motion, "measured": measured}
     return Result(
-        text=rendered("motion.txt.j2", **facts),
+        text=render_template("motion.txt.j2", **facts),
         doubts=_summary.doubts(motion, facts, arguments.effects or ()),
         folder=out.parent,
         files=(out.name,),
@@ -125,8 +125,8 @@ def _identified(arguments, data, folder):
 
 def _next_command(arguments, robot, options):
     # options: those of the run that wrote the report.
-    typed = {name: options[name] for name in _OF_ROBOT if name in options}
-    typed |= {x: arguments.typed[x] for x in _OF_ROBOT[:2] if x in arguments.typed}
+    typed = {name: options[name] for name in _OPTIONS if name in options}
+    typed |= {x: arguments.typed[x] for x in _OPTIONS[:2] if x in arguments.typed}
     if robot.held:
         typed["joints"] = ",".join(robot.known.joint_names)
     typed["urdf"] = "ROBOT.urdf" if robot.file.endswith(".json") else robot.file

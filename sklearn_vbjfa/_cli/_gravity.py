@@ -9,7 +9,7 @@ from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._parser import shell_line
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
-from sklearn_vbjfa._cli._run import Result, rendered
+from sklearn_vbjfa._cli._run import Result, render_template
 from sklearn_vbjfa.model import joint_names, load_model
 
 
@@ -65,7 +65,7 @@ def correct(arguments, folder):
     table = joints.to_string(index=False, float_format="{:.3g}".format)
     facts = data | {"recording": recording, "rows": table, "reasons": doubts}
     return Result(
-        text=rendered("gravity.txt.j2", **facts),
+        text=render_template("gravity.txt.j2", **facts),
         doubts=doubts,
         data=data,
         folder=out,

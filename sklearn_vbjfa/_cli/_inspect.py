@@ -7,7 +7,7 @@ from tabulate import tabulate
 
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._parser import with_options
-from sklearn_vbjfa._cli._run import Result, rendered
+from sklearn_vbjfa._cli._run import Result, render_template
 from sklearn_vbjfa.datasets import SETS
 from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.inspection import motion_of
@@ -52,7 +52,7 @@ def inspect(arguments, folder):
             f"(--gain){unknown}"
         )
     names, lengths = recording.group_names, np.bincount(recording.groups) * recording.dt
-    text = rendered(
+    text = render_template(
         "inspection.txt.j2",
         recording=recording,
         duration=f"{sum(lengths):.4g} s at {1 / recording.dt:.6g} Hz",

@@ -15,7 +15,7 @@ ROBOT_FILES: tuple[str, ...] = (
 _COLUMNS = ["parameter", "value", "unit", "std", "identifiable", "description"]
 _COLUMNS += ["scatter"]
 # Maximum number of effects named in a line.
-_NAMED = 3
+_N_NAMED = 3
 
 
 def write_robot(robot, folder):
@@ -29,7 +29,7 @@ def write_robot(robot, folder):
     lines = []
     for name, effects in omitted.items():
         named = [*dict.fromkeys(f"{e.name} on {e.joint_name}" for e in effects)]
-        named[_NAMED:] = [f"{len(named) - _NAMED} more"] if named[_NAMED:] else []
+        named[_N_NAMED:] = [f"{len(named) - _N_NAMED} more"] if named[_N_NAMED:] else []
         if named:
             lines.append(
                 f"{name} has no place for {', '.join(named)}; its first lines list "

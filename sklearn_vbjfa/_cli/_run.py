@@ -21,13 +21,13 @@ from sklearn_vbjfa._cli._parser import Refused, with_options
 SUCCESS, REFUSED, WARNED = 0, 2, 3
 
 # Maximum length of a message [characters].
-_LONGEST = 900
+_MAX_LENGTH = 900
 # Maximum number of warnings in the last line.
-_NAMED = 3
+_N_NAMED = 3
 # First clause of a message, with parentheses; a file name may precede it.
 _CLAUSE = re.compile(r"(?:[^;:]*\.\w+: )?\S+(?: (?:\([^)]*\)|.)*?)?(?=[;:.] |$)")
 # Age from which unfinished files are attributed to a killed run [s].
-_ABANDONED = 3600.0
+_MAX_AGE = 3600.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,7 +69,7 @@ def run(arguments):
     doubts = [w.message for w in caught if issubclass(w.category, DoubtWarning)]
     doubts = (" ".join(str(x).split()) for x in (*result.doubts, *doubts))
     doubts = list(dict.fromkeys(doubts))
-    notes = [text for text in _notes(caught) if text not in doubts[:_NAMED]]
+    notes = [text for text in _notes(caught) if text not in doubts[:_N_NAMED]]
     if notes and result.page:
         notes = [one_line(f"{_listed(notes, False)} (page)")]
     for text in notes:
@@ -100,7 +100,7 @@ def _notes(caught):
 def _write(result, arguments, notes):
     """Write all files completely, or none; return lines to print."""
     folder = result.folder
-    with _reserved(folder) as part:
+    with _reserve(folder) as part:
         taken = [name for name in result.files if (folder / name).exists()]
         if taken and not arguments.force:
             raise Refused(
@@ -117,12 +117,12 @@ def _write(result, arguments, notes):
 
 
 @contextlib.contextmanager
-def _reserved(folder):
+def _reserve(folder):
     """Reserve a folder for one run; yield a subfolder for incomplete files."""
     is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
     part = folder / ".writing"
-    if part.is_dir() and time.time() - part.stat().st_mtime > _ABANDONED:
+    if part.is_dir() and time.time() - part.stat().st_mtime > _MAX_AGE:
         shutil.rmtree(part)
     try:
         part.mkdir()
@@ -141,14 +141,14 @@ def _reserved(folder):
 # -- text ------------------------------------------------------------------------------
 
 
-def rendered(template, **values):
+def render_template(template, **values):
     from sklearn_vbjfa.diagnosis.report import environment
 
     jinja = environment(is_page=False, package=__package__)
-    return jinja.get_template(template).render(table=_tabulated, **values).rstrip("\n")
+    return jinja.get_template(template).render(table=_table, **values).rstrip("\n")
 
 
-def _tabulated(columns):
+def _table(columns):
     from tabulate import tabulate
 
     n_texts = 1 + ("unit" in columns)
@@ -161,7 +161,7 @@ def _tabulated(columns):
 
 
 def _listed(doubts, page):
-    texts = [text.rstrip(".") for text in doubts[:_NAMED]]
+    texts = [text.rstrip(".") for text in doubts[:_N_NAMED]]
     if page:
         texts = [_CLAUSE.match(text)[0] for text in texts]
     if len(doubts) > len(texts):
@@ -187,4 +187,4 @@ def one_line(message):
     """Return a message as one line; long ones are shortened in the middle."""
     text = " ".join(str(message).split())
     short = f"{text[:600]} ... {text[-290:]}"
-    return text if len(text) <= _LONGEST else short
+    return text if len(text) <= _MAX_LENGTH else short

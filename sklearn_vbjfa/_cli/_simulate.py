@@ -8,7 +8,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
-from sklearn_vbjfa._cli._run import Result, rendered
+from sklearn_vbjfa._cli._run import Result, render_template
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.fit import signed
@@ -19,7 +19,7 @@ from sklearn_vbjfa.robot import follow_windows
 
 _TABLE = "simulation.csv"
 # Relative tolerance between sample periods.
-_JITTER = 0.01
+_TOLERANCE = 0.01
 
 
 def simulate(arguments, folder):
@@ -32,7 +32,7 @@ def simulate(arguments, folder):
     recording = _recording(arguments, robot, folder)
     with _input.naming_input(arguments):
         windows = _windows(arguments, robot, recording)
-    places = [_place(recording, windows, k) for k in range(windows.n_windows)]
+    places = [_window_place(recording, windows, k) for k in range(windows.n_windows)]
     verdict, failed = windows.verdict(), ""
     for k, message in [*windows.failures.items()][:1]:
         name, begin, end = places[k]
@@ -40,7 +40,7 @@ def simulate(arguments, folder):
             f"{len(windows.failures)} of {windows.n_windows} windows failed, the first "
             f"at {name}, {begin:.3f} to {end:.3f} s: {message}"
         )
-    text = rendered(
+    text = render_template(
         "simulation.txt.j2",
         recording=recording,
         seconds=arguments.window,
@@ -87,7 +87,7 @@ def _recording(arguments, robot, folder):
             f"{source}: has the joints {', '.join(recording.joint_names)}; expected "
             f"those of {arguments.model}: {', '.join(names)}."
         )
-    if robot.dt is not None and abs(recording.dt - robot.dt) > _JITTER * robot.dt:
+    if robot.dt is not None and abs(recording.dt - robot.dt) > _TOLERANCE * robot.dt:
         raise ValueError(
             f"{source}: is sampled every {recording.dt:.6g} s, and {arguments.model} "
             f"was identified at {robot.dt:.6g} s; resample the recording to that "
@@ -131,7 +131,7 @@ def _windows(arguments, robot, recording):
     return simulate_windows(robot, *arrays, **settings)
 
 
-def _place(recording, windows, k):
+def _window_place(recording, windows, k):
     """Return the recording of a window, and its begin and end in it [s]."""
     row = windows.starts[k]
     label = recording.groups[row]

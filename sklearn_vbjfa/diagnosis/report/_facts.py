@@ -9,9 +9,9 @@ from sklearn_vbjfa.effects import OfRobot
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # Factor from a SI unit to the unit of display.
-_FINE = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}
+_DISPLAY = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}
 # Smallest ratio of two masses that agree.
-_OTHER_MASS = 0.5
+_MASS_RATIO = 0.5
 # Speeds below this share of the fastest occur at reversals; a limit below this share of
 # the other one is written as zero.
 _SLOW, _ZERO = 0.1, 1e-3
@@ -44,8 +44,8 @@ def value_cells(effect):
             excess = [100 * sign * (float(x) - 1.0) for x in (value, *(ends or ()))]
             size = words.with_error(excess[0], tuple(sorted(excess[1:])) or None, "%")
             texts.append(f"{size} too {'much' if sign > 0 else 'little'}")
-        elif effect.units.get(name) in _FINE:
-            scale, unit = _FINE[effect.units[name]]
+        elif effect.units.get(name) in _DISPLAY:
+            scale, unit = _DISPLAY[effect.units[name]]
             ends = ends and tuple(scale * float(end) for end in ends)
             text = words.with_error(scale * float(value), ends, unit)
             texts.append(f"{name.replace('_', ' ')} {text}")
@@ -146,7 +146,7 @@ def to_record(outcome, status, signal_advice, no_period):
 # -- masses and parameters -------------------------------------------------------------
 
 
-def agrees(mass, nominal, least=_OTHER_MASS):
+def agrees(mass, nominal, least=_MASS_RATIO):
     """Whether a mass agrees with that of the robot description."""
     return min(mass, nominal) >= least * max(mass, nominal)
 

@@ -11,7 +11,7 @@ WIDTH, HEIGHT = 400, 200
 _STEPS = 5
 # Values beyond these quantiles by more than a share of their range are clipped: an
 # outlier would compress the other values.
-_MOST, _REACH = (0.01, 0.99), 0.5
+_LIMITS, _MARGIN = (0.01, 0.99), 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,8 +173,8 @@ def ends_of(values):
 def range_of(values):
     """Return the limits of a vertical axis: all values but outliers, and zero."""
     values = values[np.isfinite(values)]
-    low, high = np.quantile(values, _MOST) if values.size else (0.0, 0.0)
-    excess = _REACH * (high - low)
+    low, high = np.quantile(values, _LIMITS) if values.size else (0.0, 0.0)
+    excess = _MARGIN * (high - low)
     low = min(max(float(low - excess), float(np.min(values, initial=0.0))), 0.0)
     high = max(min(float(high + excess), float(np.max(values, initial=0.0))), 0.0)
     if not high > low:

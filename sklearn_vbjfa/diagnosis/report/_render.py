@@ -16,9 +16,9 @@ from sklearn_vbjfa.effects import InModel
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # Line width of the terminal, and longest word that a table does not break [characters].
-_TERMINAL, _LONG = 80, 20
+_LINE_WIDTH, _LONG_WORD = 80, 20
 # Spaces at which lines are not broken, such as those before units.
-_UNIT = re.compile(
+_NO_BREAK = re.compile(
     r"(?<=\d) (?=%|x\b|Hz|N\b|m\b|rad|kg|s\b)|(?<=\bN) (?=m\b)|(?<=kg) (?=m)| (?=s/)|"
     r" (?=\+-)|(?<=\+-) | (?==)|(?<=[<>=]) (?=\d)|(?<=joint) (?=\d)| (?=: 1)|"
     r"(?<= :) (?=1)"
@@ -182,8 +182,8 @@ def _page_value(value):
 def _wrapped(text, indent="  "):
     """Wrap a sentence, without breaks between numbers and units."""
     lines = textwrap.wrap(
-        _UNIT.sub("\u00a0", line(text)),
-        _TERMINAL,
+        _NO_BREAK.sub("\u00a0", line(text)),
+        _LINE_WIDTH,
         subsequent_indent=indent,
         break_on_hyphens=False,
     )
@@ -198,8 +198,8 @@ def text_table(heads, rows):
     last = len(widths) - 1
     # Only very long words are broken.
     words_of = [" ".join(column).split() for column in zip(*cells)]
-    least = [min(max(map(len, column), default=0), _LONG) for column in words_of]
-    while sum(widths) + 2 * last > _TERMINAL:
+    least = [min(max(map(len, column), default=0), _LONG_WORD) for column in words_of]
+    while sum(widths) + 2 * last > _LINE_WIDTH:
         wrapped = [k for k in (0, last) if widths[k] > least[k]]
         if not wrapped:
             break

@@ -9,9 +9,9 @@ import numpy as np
 
 from sklearn_vbjfa.effects import OfRobot, available
 
-_TINY = 1e-12
+_MIN_P = 1e-12
 # Logarithm of the odds of a million to one.
-_SURE = math.log(1e6)
+_MAX_LOG_ODDS = math.log(1e6)
 
 
 def joint_label(names, joint):
@@ -123,7 +123,7 @@ def p_text(value):
     """Format a p-value."""
     if value is None or not math.isfinite(value):
         return "p unknown"
-    if value < _TINY:
+    if value < _MIN_P:
         return "p < 1e-12"
     return f"p = {number(value, 1 if value < 0.01 else 2)}"
 
@@ -132,7 +132,7 @@ def odds_text(log_odds):
     """Format odds, given their logarithm: "350 : 1"."""
     if not math.isfinite(log_odds):
         return "unknown"
-    if abs(log_odds) > _SURE:
+    if abs(log_odds) > _MAX_LOG_ODDS:
         return "> 1e6 : 1" if log_odds > 0 else "< 1 : 1e6"
     odds = f"{number(math.exp(abs(log_odds)), 2)}"
     return f"{odds} : 1" if log_odds >= 0 else f"1 : {odds}"

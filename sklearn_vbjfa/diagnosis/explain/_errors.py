@@ -25,16 +25,16 @@ _QUANTILE = 0.999
 _N_DRAWN = 3
 
 
-def held_out_errors(loop, search, split, near, whole):
+def held_out_errors(loop, search, split, thinned, whole):
     """Compute the errors of the models of a loop on the held-out part, a dict."""
-    # search: its result; near: the split with the rows that the search used.
+    # search: its result; thinned: the split with the rows that the search used.
     # Arrays (nv,) and (2, nv) are over the standard deviation of the torque.
     declared, plain = loop.declared_, loop.baseline_
     completed, view, dt = loop.validation_model_, search.view, declared.dt
     # The correlation time may be infinite.
     guard = int(min(memory_seconds(search) / whole.dt, whole.n_samples))
     instants = [e.instant for e in search.effects if isinstance(e, Sudden)]
-    kept = split.decided(whole.t, instants).guarded(guard)
+    guarded = split.decided(whole.t, instants).guarded(guard)
     used, n_rows = view.root.any(axis=0), len(view.states)
 
     def residuals(part, rows):
@@ -49,10 +49,10 @@ def held_out_errors(loop, search, split, near, whole):
         weight = results[completed].weight * used
         return {model: replace(x, weight=weight) for model, x in results.items()}
 
-    held_out = residuals(kept.held_out(whole), kept.held_out_rows)
-    searched = residuals(near.searched(whole), near.rows)
+    held_out = residuals(guarded.held_out(whole), guarded.held_out_rows)
+    searched = residuals(thinned.searched(whole), thinned.rows)
     fitted = searched[plain]
-    if near is not split:
+    if thinned is not split:
         fitted = plain.robot_.residuals_of(split.searched(whole), predicts=False)
     # Joints whose channel carries no information have no weight.
     fitted = replace(fitted, weight=fitted.weight * used)

@@ -115,8 +115,8 @@ class RecordingMoments:
         """Return weighted squared errors (nv,) on chosen parts, of a fit to others."""
         errors, (_, theta) = [], self.solve(fitted)
         for columns, moments in zip(self.columns, self.moments):
-            left = np.r_[-theta[columns], 0.0, 0.0, 0.0, 1.0]
-            errors.append(left @ moments[chosen].sum(axis=0) @ left)
+            v = np.r_[-theta[columns], 0.0, 0.0, 0.0, 1.0]
+            errors.append(v @ moments[chosen].sum(axis=0) @ v)
         return np.maximum(errors, 0.0)
 
     def left_out(self, spread):
@@ -201,17 +201,17 @@ def contradictions(parts, spread, alpha):
     if parts.count > 2:
         suspects = sorted({r for r, _ in errors})
     joints = sorted({j for _, j in errors})
-    left = list(range(parts.count))
-    while suspects := [r for r in suspects if r in left]:
+    remaining = list(range(parts.count))
+    while suspects := [r for r in suspects if r in remaining]:
         # A deviating recording also makes others inconsistent until it is left out.
-        trials = {r: _Deviations(parts, r, left) for r in suspects}
+        trials = {r: _Deviations(parts, r, remaining) for r in suspects}
         tested = {(r, j): x.test(j) for r, x in trials.items() for j in joints}
         r, j = max(tested, key=lambda key: tested[key][0])
         if not tested[r, j][1] < alpha:
             break
-        left.remove(r)
-    removed = [r for r in range(parts.count) if r not in left]
-    deviations = (_Deviations(parts, r, [*left, r]) for r in removed)
+        remaining.remove(r)
+    removed = [r for r in range(parts.count) if r not in remaining]
+    deviations = (_Deviations(parts, r, [*remaining, r]) for r in removed)
     return tuple(x for d in deviations for x in d.significant(joints, alpha, errors))
 
 
@@ -226,15 +226,15 @@ class _Deviations:
     def __init__(self, parts, recording, recordings):
         # recordings: the fitted ones, including this one.
         self._parts, self._recording, self._recordings = parts, recording, recordings
-        kept = np.isin(parts.recording, recordings)
+        chosen = np.isin(parts.recording, recordings)
         self._rows = parts.recording == recording
         # Joint weights from separate fits: in a common fit, differences between
         # recordings would count as noise.
         squares = parts.separate_squares[recordings].sum(axis=0)
-        used, total = parts.used & (squares > 0), parts.weights[kept].sum(axis=0)
+        used, total = parts.used & (squares > 0), parts.weights[chosen].sum(axis=0)
         self._noise = np.where(used, total / or_one(squares), 0.0)
-        self._eigen, self._theta = parts.solve(kept, self._noise)
-        others, self._columns = parts.solve(kept & ~self._rows)[1], []
+        self._eigen, self._theta = parts.solve(chosen, self._noise)
+        others, self._columns = parts.solve(chosen & ~self._rows)[1], []
         for places in parts.columns:
             columns = np.eye(places.size + 3, _COLUMNS, -places.size)
             columns[: places.size, 3] = others[places]
@@ -257,11 +257,11 @@ class _Deviations:
             h[at] += A.T @ moments[:-1, -1]
             H[at, at] += A.T @ GA
         # Schur complement: theta is eliminated.
-        left = self._eigen.solve(cross)
-        H, h = H - cross.T @ left, h - cross.T @ self._theta
+        solution = self._eigen.solve(cross)
+        H, h = H - cross.T @ solution, h - cross.T @ self._theta
         coef = scaled_eigen(H, _RANK_TOL).solve(h)
         coefs = {j: coef[at] for j, at in zip(added, places)}
-        return float(coef @ h), self._theta - left @ coef, coefs
+        return float(coef @ h), self._theta - solution @ coef, coefs
 
     def _within(self, j, coef, theta):
         """Squares per parameter that thirds of recordings explain on a joint."""
@@ -272,8 +272,8 @@ class _Deviations:
         fitted[self._recording] += A @ coef
         for moments, recording in self._parts.partitions:
             M = self._noise[j] * moments[j]
-            left = M[:, :-1, -1] - (M[:, :-1, :-1] @ fitted[recording, :, None])[..., 0]
-            scores, grams = left @ A, A.T @ M[:, :-1, :-1] @ A
+            e = M[:, :-1, -1] - (M[:, :-1, :-1] @ fitted[recording, :, None])[..., 0]
+            scores, grams = e @ A, A.T @ M[:, :-1, :-1] @ A
             total = np.zeros(2)
             for rows in (recording == r for r in self._recordings):
                 total += sum(map(_gain, scores[rows], grams[rows]))

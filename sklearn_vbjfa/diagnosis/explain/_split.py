@@ -70,13 +70,13 @@ class Split:
         # (n,). A stretch at the end of a recording is not affected, and at least one
         # stretch is kept.
         pairs = list(zip(self.stretches, self.borders))
-        kept = [
+        clean = [
             (s, border)
             for s, border in pairs
             if not all(border)
             or not any(clock[s.start - 1] < x <= clock[s.stop] for x in instants)
         ]
-        stretches, borders = zip(*kept or pairs)
+        stretches, borders = zip(*clean or pairs)
         return replace(self, stretches=stretches, borders=borders)
 
     def guarded(self, rows):
@@ -86,13 +86,13 @@ class Split:
         total = self.counted(self.stretches)
         least = np.minimum(np.maximum(self.need, 0.5 * total), total)
         for share in _GUARDS:
-            kept = []
+            cut = []
             for s, (before, after) in zip(self.stretches, self.borders):
                 guard = int(share * min(rows, _MAX_GUARD * (s.stop - s.start)))
-                kept.append(slice(s.start + before * guard, s.stop - after * guard))
-            if (self.counted(kept) >= least).all():
+                cut.append(slice(s.start + before * guard, s.stop - after * guard))
+            if (self.counted(cut) >= least).all():
                 break
-        return replace(self, stretches=tuple(kept))
+        return replace(self, stretches=tuple(cut))
 
 
 def split_in_time(identifier, recording, test_size):
@@ -132,16 +132,16 @@ def _best_count(bare, parts, share):
     """Return the stretches with the most motion of all joints, and if it suffices."""
     moving = bare.moving
     total, weight = moving.sum(axis=0), even_weight(moving)
-    done = [_progress(weight[part]) for part in parts]
+    progress = [_progress(weight[part]) for part in parts]
     lengths = [max(int(x * 2 * bare.half), _MIN_SAMPLES) for x in _LENGTHS]
     wanted = _STRETCHES if len(parts) == 1 else 1
     sufficient = _MAX_SHARE * total > bare.need
     best, chosen = (False, -1.0), None
     for count in (*range(wanted, _MAX_STRETCHES + 1), *range(wanted - 1, 0, -1)):
-        stretches = _place(done, parts, count, share, *lengths)
-        kept = sum(moving[stretch].sum(axis=0) for stretch in stretches)
+        stretches = _place(progress, parts, count, share, *lengths)
+        held_out = sum(moving[stretch].sum(axis=0) for stretch in stretches)
         # Joints that never move are ignored.
-        shares = (kept / np.maximum(total, 1) / share)[total > 0]
+        shares = (held_out / np.maximum(total, 1) / share)[total > 0]
         least = float(np.min(shares, initial=_MIN_SHARE))
         enough = bool((bare.counted(stretches) >= bare.need)[sufficient].all())
         if (enough, least) > best:
@@ -153,44 +153,44 @@ def _best_count(bare, parts, share):
 
 def _progress(weight):
     """Return the cumulative share of motion (n,); of time if no joint moves."""
-    done = np.cumsum(weight)
-    if not done[-1] > 0:
-        done = np.arange(1.0, weight.size + 1)
-    return done / done[-1]
+    cumulative = np.cumsum(weight)
+    if not cumulative[-1] > 0:
+        cumulative = np.arange(1.0, weight.size + 1)
+    return cumulative / cumulative[-1]
 
 
-def _row(done, share):
-    """Return the first row with this share of the motion before it."""
-    return int(np.searchsorted(done, share * (1 - 1e-12), side="left")) + 1
+def _row(cum, share):
+    """Return the first row with this share of the cumulative motion before it."""
+    return int(np.searchsorted(cum, share * (1 - 1e-12), side="left")) + 1
 
 
 def _place(progress, parts, count, share, shortest, short):
     """Return the held-out slices of all recordings, in order."""
     stretches, uncut, turn, single = [], 0, max(round(1 / share), 2), len(parts) == 1
-    for part, done in zip(parts, progress):
-        if done.size * min(share, 1 - share) < shortest:
+    for part, cum in zip(parts, progress):
+        if cum.size * min(share, 1 - share) < shortest:
             uncut += 1
             # Every `turn`-th of the short recordings is held out as a whole.
-            ranges = [] if single or uncut % turn else [(0, done.size)]
+            ranges = [] if single or uncut % turn else [(0, cum.size)]
         else:
-            ranges = _cells(done, count, share, shortest, short)
+            ranges = _cells(cum, count, share, shortest, short)
             if len(ranges) == 1 and not single:
-                ranges = _both_ends(done, share, short) or ranges
+                ranges = _both_ends(cum, share, short) or ranges
         stretches += [slice(part.start + a, part.start + b) for a, b in ranges]
     if not stretches:
         # A single recording is too short for a verdict; the fit reports that.
         last, n = parts[-1], progress[-1].size
-        kept = max(round(share * n), 1) if single else n
-        stretches = [slice(last.stop - kept, last.stop)]
+        size = max(round(share * n), 1) if single else n
+        stretches = [slice(last.stop - size, last.stop)]
     return stretches
 
 
-def _cells(done, most, share, shortest, short):
+def _cells(cum, max_count, share, shortest, short):
     """Return held-out ends of cells of equal motion, as many as are long enough."""
     ranges = []
-    for count in range(1, most + 1):
-        edges = [0, *(_row(done, k / count) for k in range(1, count)), done.size]
-        starts = [_row(done, (k + 1 - share) / count) for k in range(count)]
+    for count in range(1, max_count + 1):
+        edges = [0, *(_row(cum, k / count) for k in range(1, count)), cum.size]
+        starts = [_row(cum, (k + 1 - share) / count) for k in range(count)]
         cells = list(zip(edges, starts, edges[1:]))
         if count > 1 and np.diff(cells).min() < short:
             break
@@ -198,12 +198,12 @@ def _cells(done, most, share, shortest, short):
     return ranges
 
 
-def _both_ends(done, share, short):
+def _both_ends(cum, share, short):
     """Return both ends of a recording, since motion varies; none if too short."""
-    first, last = _row(done, 0.5 * share), _row(done, 1 - 0.5 * share)
-    if min(first, done.size - last, last - first) < short:
+    first, last = _row(cum, 0.5 * share), _row(cum, 1 - 0.5 * share)
+    if min(first, cum.size - last, last - first) < short:
         return []
-    return [(0, first), (last, done.size)]
+    return [(0, first), (last, cum.size)]
 
 
 def _with_stretches(bare, parts, stretches):

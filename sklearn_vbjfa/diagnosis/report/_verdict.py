@@ -120,11 +120,11 @@ def _joint_status(outcome, j):
     if any(u.joint == j for u in outcome.findings["unexplained"]):
         return {"status": "unexplained"}
     least = np.nan_to_num(joint.intervals["after"][0], nan=np.inf)
-    near, far = (factor * floor for factor in ABOVE_FLOOR)
+    lower, upper = (factor * floor for factor in ABOVE_FLOOR)
     # Held-out errors also contain the error of the parameters, which the floor lacks.
-    if after > far and least > near:
+    if after > upper and least > lower:
         return {"status": "above", "detail": "large" * (after > _LARGE)}
-    if after > (near if least > floor else far):
+    if after > (lower if least > floor else upper):
         return {"status": "floor", "detail": "near"}
     high = joint.intervals["added"][1]
     chance = j in _joints_with(outcome, "effects") and 0 <= high < np.inf

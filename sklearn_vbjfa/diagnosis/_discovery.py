@@ -278,7 +278,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 'Refine later: loop.identifier_.set_params(criterion="simulation").'
             )
         library = resolve(self.effects)
-        if declared.asked_gains is not None:
+        if declared.used_gains is not None:
             # Unknown gains are declared on every channel.
             library = [e for e in library if not isinstance(e, TorqueGain)]
         drive = declared.drive
@@ -349,7 +349,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if isinstance(self.effects, str) and self.identifier.drive is None:
             fit = FinalFit(self.baseline_, model, result.view)
             torques = unnamed_torques(fit, result.settings)
-        self.validation_model_ = model.beside(torques)
+        self.validation_model_ = model.extended_by(torques)
         del part  # a copy of most rows
         judged = held_out_errors(self, result, split, thinned, whole)
         say("final model")
@@ -357,7 +357,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         sample = take_rows(whole, rows, pieces)
         keywords = {"origin": whole.groups[rows], "all_samples": True, **timing}
         final = self._fit_final(result, model, whole, sample, silent, keywords)
-        self.identifier_ = final.identifier.beside(supported_terms(final, torques))
+        self.identifier_ = final.identifier.extended_by(supported_terms(final, torques))
         say("explaining")
         channels = (*channels, *unusable)
         return make_outcome(self, result, final, judged, channels, whole)

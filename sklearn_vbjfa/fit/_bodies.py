@@ -501,7 +501,7 @@ def described_bodies(settings):
             f"bodies must be one of {', '.join(map(repr, OPTIONS))}; got {bodies!r}."
         )
     prior = None
-    if bodies != "free" and settings.asked_gains is None and settings.regressor is None:
+    if bodies != "free" and settings.used_gains is None and settings.regressor is None:
         per_joint = features.n_parameters_ // features.n_joints_
         prior = BodyPrior.of(features.model_, per_joint, features.followers_)
     if bodies == "fixed" and prior is None:

@@ -239,7 +239,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return FitOptions() if self.options is None else self.options
 
     @property
-    def asked_gains(self):
+    def used_gains(self):
         """`gains`, or those of the drive if `gains` is None."""
         if self.gains is None and self.drive is not None:
             return self.drive.gains
@@ -324,7 +324,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             return self
         findings = self.findings(recording)
         lag = common_lag(findings)
-        if lag and (self.drive, self.asked_gains) == (None, None):
+        if lag and (self.drive, self.used_gains) == (None, None):
             self.fit_inspected(recording, lag)
         for finding in findings:
             if finding.severity != "note":
@@ -333,7 +333,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     def findings(self, recording):
         """Return what `inspect_channels` finds in a recording under these settings."""
-        settings = {"drive": self.drive, "gains": self.asked_gains}
+        settings = {"drive": self.drive, "gains": self.used_gains}
         return inspect_as(recording, self.model, bodies=self.bodies, **settings)
 
     @one_blas_thread()
@@ -419,12 +419,12 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             fit = fit.with_noise_facts(facts(fit.robot))
         return self._set_attributes(fit)
 
-    def beside(self, effects):
+    def extended_by(self, effects):
         """Return a copy whose robot has further effects, with unit coefficients."""
         if not effects:
             return self
         out = copy.copy(self)
-        out._robot = self.robot_.beside(effects)
+        out._robot = self.robot_.extended_by(effects)
         out.effects_ = out._robot.effects_
         return out
 
@@ -432,7 +432,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         """Replace the parameters of the fitted robot and their status (`known_`)."""
         self._robot = replace(self.robot_, theta_=theta, known_=status)
 
-    def described(self):
+    def body_prior(self):
         """Return precision (p, p) and mean (p,) of the prior; None without one."""
         # In the units of the weighted equations.
         bodies = self._bodies
@@ -451,7 +451,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         declared = check_effects(self.effects, model.nv)
         # The gain of a single channel is not identifiable: it is the unit.
         single = self.gains is None and model.nv == 1
-        gains = self._channel_gains = None if single else self.asked_gains
+        gains = self._channel_gains = None if single else self.used_gains
         masses = self.fit_options.known_masses
         self._masses = check_masses(masses, gains, model) if masses else {}
         if gains is not None:

@@ -74,7 +74,7 @@ def alike_joints(settings):
     if alike not in ("auto", None):
         raise ValueError(f"alike must be 'auto' or None; got {alike!r}.")
     # Not with unknown gains, nor with a custom regressor.
-    off = settings.asked_gains is not None or settings.regressor is not None
+    off = settings.used_gains is not None or settings.regressor is not None
     return () if alike is None or off else _group_joints(settings.features_.nominal_)
 
 

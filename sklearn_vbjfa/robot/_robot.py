@@ -883,7 +883,7 @@ class IdentifiedRobot:
         rigid, coefs = np.split(self.theta_, [self.features_.n_parameters_])
         return np.append(rigid, pick_load_free(self.effects_, coefs))
 
-    def beside(self, effects):
+    def extended_by(self, effects):
         """Return the robot with further effects whose coefficients are one."""
         # Nothing is fitted: the other parameters, and the load, stay as they are.
         names = [name for effect in effects for name in effect.coefficients]

@@ -84,7 +84,7 @@ class RecordingMoments:
         # Prior of the bodies, from the description: precision (p, p), times mean (p,).
         p, rigid = Phi.shape[2], self.features.n_parameters_
         self._prior = np.zeros((p, p)), np.zeros(p)
-        described = fit.identifier.described()
+        described = fit.identifier.body_prior()
         if described is not None:
             fitted = fit.identifier.robot_.joint_weights[self.used]
             ratio = np.mean(self.view.precision[self.used] / fitted)

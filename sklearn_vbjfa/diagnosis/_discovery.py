@@ -388,7 +388,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             names = baseline.joint_names_
             settings["gains"] = tuple(names[j] for j in baseline.gains_.references)
         model = clone(baseline).set_params(**settings)
-        return model.fit_inspected(recording, compare=False, before=start.robot_)
+        return model.fit_inspected(recording, compare=False, previous=start.robot_)
 
     def _fit_final(self, result, start, whole, subset, silent, keywords):
         """Fit the completed model to all data, in the validated frequency band."""

@@ -275,19 +275,19 @@ def _zero_held(result, held):
 # -- passes of a fit -------------------------------------------------------------------
 
 
-def fit_robot(recipe, robot, source, before=None):
+def fit_robot(recipe, robot, source, previous=None):
     """Fit a robot to a recording, iterating loads, gains and effects in the model."""
-    # before: a fitted robot whose load initialises the first pass, or None.
+    # previous: a fitted robot whose load initialises the first pass, or None.
     relative = None
     if recipe.gains is not None:
         relative = _initial_gains(recipe, robot, source)
         robot = _with_effects(robot, with_gains(robot.effects_, relative.gains))
-    load, passes = _initial_load(before, robot), robot.plan.passes()
+    load, passes = _initial_load(previous, robot), robot.plan.passes()
     if load is not None:
         # The load of a robot fitted with the same effects needs one pass only.
         previous_effects, effects = (
             {(effect.key(), len(effect.coefficients)) for effect in model.effects_}
-            for model in (before, robot)
+            for model in (previous, robot)
         )
         passes = passes[-1:] if previous_effects >= effects else passes[1:]
     fit = run_passes(recipe, robot, source, relative, passes, load)
@@ -350,23 +350,23 @@ def _with_effects(robot, effects):
     return replace(robot, features_=robot.features_.corrected(effects), plan=plan)
 
 
-def _initial_load(before, robot):
+def _initial_load(previous, robot):
     """Return the load parameters of a robot fitted before; None if unknown."""
-    if before is None or not needs_load(robot.effects_):
+    if previous is None or not needs_load(robot.effects_):
         return None
     if any(isinstance(effect, InModel) for effect in robot.effects_):
         return None
-    if before.features_.friction_ != robot.features_.friction_:
+    if previous.features_.friction_ != robot.features_.friction_:
         return None
-    pieces = before.split(before.theta_)
-    by_key = {effect.key(): values for effect, values in zip(before.effects_, pieces)}
+    pieces = previous.split(previous.theta_)
+    by_key = {effect.key(): values for effect, values in zip(previous.effects_, pieces)}
     loads = []
     for effect in filter(is_load_free, robot.effects_):
         k = len(effect.coefficients)
         values = by_key.get(effect.key(), np.zeros(k))
         # A bank with another number of elements has the same total friction.
         loads.append(values if values.size == k else np.full(k, values.sum() / k))
-    return np.concatenate([before.bodies(before.theta_).ravel(), *loads])
+    return np.concatenate([previous.bodies(previous.theta_).ravel(), *loads])
 
 
 def _initial_gains(recipe, robot, source):
@@ -406,7 +406,7 @@ def iterate_corrections(recipe, fit, source, relative):
     covariance = result.covariance
     # Values and parameters were estimated with the same prior on the bodies.
     if result.bodies is None or not _changes_bodies(robot):
-        std, covariance = values.beside(std, covariance)
+        std, covariance = values.add_uncertainty(std, covariance)
     std[indices] = values.std
     gains = None
     if relative is not None:
@@ -584,7 +584,7 @@ class ModelValues:
         outward = (below & (self.step < 0)) | (above & (self.step > 0))
         return not (moves & ~outward).any()
 
-    def beside(self, std, covariance):
+    def add_uncertainty(self, std, covariance):
         """Propagate the uncertainty of the values to deviations and covariance."""
         # The other parameters were estimated at fixed values; they vary with them,
         # since their columns are correlated.

@@ -337,7 +337,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return inspect_as(recording, self.model, bodies=self.bodies, **settings)
 
     @one_blas_thread()
-    def _fit(self, recording, inspect=False, compare=True, before=None):
+    def _fit(self, recording, inspect=False, compare=True, previous=None):
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)
         robot = self._declared_robot(plan)
@@ -349,9 +349,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         )
         recipe = self._recipe()
         if self.drive is not None and self.drive.unsigned and recording.command is None:
-            source = with_signs(recipe, robot, source, before)
+            source = with_signs(recipe, robot, source, previous)
             recording = source.recording
-        fit = fit_robot(recipe, robot, source, before)
+        fit = fit_robot(recipe, robot, source, previous)
         inspect = inspect and plan.state_estimator is not None and plan.lag is None
         self._suspect = inspect and (
             contradicted(recording.tau, fit.errors(), fit.torque_size)
@@ -390,14 +390,14 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     # -- for other subpackages ---------------------------------------------------------
 
-    def fit_inspected(self, recording, lag=0.0, compare=True, before=None):
+    def fit_inspected(self, recording, lag=0.0, compare=True, previous=None):
         """Identify the robot from a recording whose channels were inspected."""
         # lag: initial value [s] of the lag of all torques, estimated as `torque_lag_`
         # unless zero; compare: whether to estimate the variance between recordings;
-        # before: an `IdentifiedRobot` whose load initialises the fit.
+        # previous: an `IdentifiedRobot` whose load initialises the fit.
         self._declare(*([TorqueLag(lag=lag)] if lag else []))
         recording = checked_recording(self, recording, recording.states is None)
-        return self._fit(recording, compare=compare, before=before)
+        return self._fit(recording, compare=compare, previous=previous)
 
     def build_model(self):
         """Load the model without data: names, `effects_` and `features_`."""

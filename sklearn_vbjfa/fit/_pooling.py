@@ -65,7 +65,7 @@ class AlikeValue:
         return replace(self, value=float(theta[list(self.places)].mean()))
 
 
-# -- which joints ----------------------------------------------------------------------
+# -- groups of joints with the same drive ----------------------------------------------
 
 
 def alike_joints(settings):
@@ -132,7 +132,7 @@ def _join(names):
     return "/".join([*names[:2], "..."] if len(names) > 2 else names)
 
 
-# -- which values ----------------------------------------------------------------------
+# -- shared values ---------------------------------------------------------------------
 
 
 def _shared_values(groups, robot, std):
@@ -165,7 +165,7 @@ def _shared_values(groups, robot, std):
     return values
 
 
-# -- their estimate --------------------------------------------------------------------
+# -- partial pooling -------------------------------------------------------------------
 
 
 @functools.cache

@@ -16,16 +16,16 @@ _MAX_RESIDUAL = 0.05
 _ROUNDING = 1e-16
 
 
-def with_signs(recipe, robot, source, before):
+def with_signs(recipe, robot, source, previous):
     """Estimate the signs of unsigned torques; return the signed `FitData`."""
-    # robot: without parameters; before: as for `fit_robot`.
+    # robot: without parameters; previous: as for `fit_robot`.
     recording = source.recording
     sizes, weight = recording.tau, recording.weight
 
     def fitted(tau, weight=weight):
         changed = replace(recording, tau=tau, weight=weight)
         return fit_robot(
-            recipe, robot, replace(source, recording=changed), before
+            recipe, robot, replace(source, recording=changed), previous
         ).robot
 
     bodies = nominal_parameters(robot.features_.model_)

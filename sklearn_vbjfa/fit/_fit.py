@@ -210,7 +210,7 @@ class Recipe:
     masses: dict  # known masses [kg] by body name
     alike: tuple = ()  # groups of joints with the same drive
 
-    def of_moments(self, robot, moments, rows=(), segments=()):
+    def fit_moments(self, robot, moments, rows=(), segments=()):
         # rows: the equations, if the regressor needs more than second moments.
         n_required = len(robot.parameter_names_)
         if self.description is not None and np.isinf(robot.plan.cutoff):
@@ -238,7 +238,7 @@ class Recipe:
         result = _zero_held(result, held)
         return RobotFit.of(robot, result, self._identifiable(result), segments)
 
-    def of_source(self, robot, source):
+    def fit_data(self, robot, source):
         """Fit a robot to its recording, in parallel if second moments suffice."""
         pieces, rows = source.segments(robot), ()
         if not from_moments(self.regressor):
@@ -246,7 +246,7 @@ class Recipe:
                 rows = source.instrumental_equations(robot)
             else:
                 rows = [equations(pieces, robot.plan.lowpass)]
-        return self.of_moments(robot, source.moments(pieces, robot.plan), rows, pieces)
+        return self.fit_moments(robot, source.moments(pieces, robot.plan), rows, pieces)
 
     def _identifiable(self, result):
         """Return which parameters (p,) the equations determine individually."""
@@ -338,7 +338,7 @@ def run_passes(recipe, robot, source, relative, passes, load):
     """Fit a robot with each plan in turn, then iterate the values in the model."""
     for plan in passes:
         trial = replace(robot, plan=plan, load_parameters=load)
-        fit = recipe.of_source(trial, source)
+        fit = recipe.fit_data(trial, source)
         load = fit.robot.parameters_of_load()
     if any(isinstance(effect, InModel) for effect in robot.effects_):
         fit = iterate_corrections(recipe, fit, source, relative)
@@ -394,7 +394,7 @@ def iterate_corrections(recipe, fit, source, relative):
             gains = common.factor * fit.robot.features_.gains_
             robot = _with_effects(fit.robot, with_gains(fit.robot.effects_, gains))
             load = robot.load_parameters / common.factor
-            fit = recipe.of_source(replace(robot, load_parameters=load), source)
+            fit = recipe.fit_data(replace(robot, load_parameters=load), source)
     robot, result, indices = fit.robot, fit.estimate, values.indices
     theta, unconstrained, std, identified = (
         x.copy()
@@ -497,10 +497,10 @@ def _correct_values(recipe, fit, source, relative):
 def _refit(recipe, robot, source, moments):
     """Fit a corrected robot to moments that include derivative columns."""
     if not from_moments(recipe.regressor):
-        return recipe.of_source(robot, source)
+        return recipe.fit_data(robot, source)
     value_columns = robot.linear_part(np.ones(moments.g.shape[1])) == 0.0
     linear_moments = moments.zeroed(np.broadcast_to(value_columns, moments.g.shape))
-    return recipe.of_moments(robot, linear_moments, segments=source.segments(robot))
+    return recipe.fit_moments(robot, linear_moments, segments=source.segments(robot))
 
 
 # -- refinement by simulation ----------------------------------------------------------
@@ -509,7 +509,7 @@ def _refit(recipe, robot, source, moments):
 def refine_fit(recipe, fit, source, window):
     robot = fit.robot
     # Here values of effects in the model have no columns.
-    result = recipe.of_source(robot, source).estimate
+    result = recipe.fit_data(robot, source).estimate
     result = replace(result, std=robot.theta_std_)
     data = source.recording, source.states
     result, criteria = refine(robot, result, *data, window, recipe.projector)

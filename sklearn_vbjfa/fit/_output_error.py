@@ -346,7 +346,7 @@ def deviations(normal, metric, damping, torque_std):
 # c delta(v) of D with the mean c / (h abs(a)) over a step h.
 
 # Step of finite differences relative to range, maximum speed and acceleration.
-_SHARE = 1e-6
+_STEP_SHARE = 1e-6
 
 
 def slopes(predictor, recording, states):
@@ -379,7 +379,7 @@ def slopes(predictor, recording, states):
     n, nv = states.shape[0], features.n_joints_
     sizes = np.r_[np.ptp(states[:, :nv], axis=0), np.abs(states[:, nv:]).max(axis=0)]
     derivatives, jump = np.empty((3, n, nv, nv)), np.zeros((n, nv))
-    for column, step in enumerate(_SHARE * np.where(sizes > 0, sizes, 1.0)):
+    for column, step in enumerate(_STEP_SHARE * np.where(sizes > 0, sizes, 1.0)):
         kind, k = divmod(column, nv)
         nominal = states[:, column]
         rise = torque(column, nominal + step) - torque(column, nominal - step)

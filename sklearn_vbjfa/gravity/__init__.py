@@ -24,16 +24,16 @@ __all__ = ["correct_gravity", "gravity_poses"]
 # gravity torque; travel over range after which friction is fully developed, and the
 # share that counts as full; speed [rad/s or m/s] that encodes the direction of friction
 # at rest; minimum period [s] of rows that are single poses.
-_WINDOW, _REST, _DYNAMIC, _WAY, _FULL, _DIRECTION = 0.2, 0.02, 0.2, 0.003, 0.9, 1e-4
-_ONE_ROW = 1.0
+_WINDOW, _REST, _DYNAMIC, _TRAVEL, _FULL, _DIRECTION = 0.2, 0.02, 0.2, 0.003, 0.9, 1e-4
+_POSE_PERIOD = 1.0
 # Folds, contiguous in time; minimum samples; range [rad or m] of one pose; standard
 # deviations of a significant payload, and its maximum error over corrected links.
-_FOLDS, _FEW, _ONE_POSE, _SURE, _AS_WELL = 4, 5, 0.2, 3.0, 1.1
+_FOLDS, _MIN_SAMPLES, _ONE_POSE, _SIGNIFICANT, _MAX_ERROR = 4, 5, 0.2, 3.0, 1.1
 # Number of random poses, maximum `poses_enough`, torque noise over gravity before any
 # measurement, and way points [rad or m] around a pose.
-_CANDIDATES, _MOST, _NOISE = 300, 100, 0.02
-_AROUND = 0.05 * np.array([[-1.0], [0.0], [1.0], [0.0]])
-_PROPOSED = "`sklearn-vbjfa design --urdf ROBOT.urdf --for gravity` proposes poses."
+_CANDIDATES, _LIMIT, _NOISE = 300, 100, 0.02
+_WAY_POINTS = 0.05 * np.array([[-1.0], [0.0], [1.0], [0.0]])
+_HINT = "`sklearn-vbjfa design --urdf ROBOT.urdf --for gravity` proposes poses."
 
 
 def correct_gravity(recording, model):
@@ -105,7 +105,7 @@ def correct_gravity(recording, model):
     covariance, gravity = _covariance(robot), _rms(robot.robot_.gravity(q))
     loaded = gravity > 1e-6 * gravity.max()
     noise = np.maximum(robot.output_noise_, 1e-9 * gravity.max())
-    stds = [std for _, std in islice(_best_poses(rows, covariance, noise), _MOST + 1)]
+    stds = [std for _, std in islice(_best_poses(rows, covariance, noise), _LIMIT + 1)]
     half_width = HALF_WIDTH * np.array(stds)
     sufficient = np.flatnonzero((half_width <= noise).all(axis=1)).tolist()
 
@@ -167,7 +167,7 @@ def gravity_poses(model, n_poses=20, *, fitted=None, random_state=0):
     else:
         covariance, noise = _covariance(fitted), fitted.output_noise_
     best = [k for k, _ in islice(_best_poses(rows, covariance, noise), n_poses)]
-    path = (q[best, None] + _AROUND).reshape(4 * n_poses, -1)
+    path = (q[best, None] + _WAY_POINTS).reshape(4 * n_poses, -1)
     return path, np.tile([0.0, 1.0, 0.0, 1.0], n_poses)
 
 
@@ -177,11 +177,11 @@ def _described_robot(model, random_state=0):
     if BodyPrior.of(features.model_, 10) is None:
         raise ValueError("The description has no masses: add <inertial> elements.")
     low, high = position_range(features.model_)
-    low, high, size = low - _AROUND.min(), high - _AROUND.max(), 2 * _CANDIDATES
+    low, high, size = low - _WAY_POINTS.min(), high - _WAY_POINTS.max(), 2 * _CANDIDATES
     q = np.random.default_rng(random_state).uniform(low, high, (size, low.size))
     clearance, _ = Clearance.of(model, features.model_)
     if clearance is not None:
-        q = q[[clearance.nearest(pose + _AROUND[:3])[0] > 0 for pose in q]]
+        q = q[[clearance.nearest(pose + _WAY_POINTS[:3])[0] > 0 for pose in q]]
     if not len(q):
         raise ValueError("Links touch in all random poses; check the collision shapes.")
     q = q[:_CANDIDATES]
@@ -221,10 +221,10 @@ def _best_poses(rows, covariance, noise):
 def static_samples(recording, features):
     """Return states, torques and weights, a row for each pose or slow window."""
     dt, parts, sign = check_dt(recording.dt), recording.segments, 0.0 * recording.q
-    for j, travel in enumerate(_WAY * np.ptp(recording.q, axis=0) + 1e-300):
+    for j, travel in enumerate(_TRAVEL * np.ptp(recording.q, axis=0) + 1e-300):
         for part in parts:
             sign[part, j] = elements(recording.q[part, j], [travel])[:, 0]
-    one_row, longest = dt > _ONE_ROW, max(p.stop - p.start for p in parts)
+    one_row, longest = dt > _POSE_PERIOD, max(p.stop - p.start for p in parts)
     length = 1 if one_row else min(max(3, round(_WINDOW / dt)), longest)
     starts_of_part = [np.arange(p.start, p.stop - length + 1, length) for p in parts]
     rows = np.concatenate(starts_of_part)[:, None] + np.arange(length)
@@ -248,15 +248,15 @@ def static_samples(recording, features):
     torque, rms = features.torques(q, v, a, bodies), _rms(gravity)
     weight = np.abs(torque - gravity) <= _DYNAMIC * np.maximum(rms, 0.1 * rms.max())
     weight &= (sign != 0) | ~sign.any(axis=0)
-    if weight.sum() < _FEW * weight.shape[1]:
+    if weight.sum() < _MIN_SAMPLES * weight.shape[1]:
         raise ValueError(
-            f"The recording holds fewer than {_FEW} poses or windows of slow motion: "
-            f"hold poses for {2 * _WINDOW:g} s, or give one row of each, with dt > "
-            f"{_ONE_ROW:g} s. {_PROPOSED}"
+            f"The recording holds fewer than {_MIN_SAMPLES} poses or windows of slow "
+            f"motion: hold poses for {2 * _WINDOW:g} s, or give one row of each, with "
+            f"dt > {_POSE_PERIOD:g} s. {_HINT}"
         )
     slow = weight.any(axis=1)
     if (np.ptp(q[slow], axis=0) < _ONE_POSE).all():
-        raise ValueError(f"All poses are the same to {_ONE_POSE:g} rad. {_PROPOSED}")
+        raise ValueError(f"All poses are the same to {_ONE_POSE:g} rad. {_HINT}")
     # Direction of the last motion, also at rest; zero if it never changes.
     sign *= (sign > 0).any(axis=0) & (sign < 0).any(axis=0)
     v = sign * np.where(still > 0, _DIRECTION, np.maximum(np.abs(v), 2 * _DIRECTION))
@@ -279,7 +279,7 @@ def _fit_both(samples, model):
         fits.append(fit.fit(states, tau, sample_weight=weight))
         squares = (weight * (tau - fit.predict(states)) ** 2).sum(axis=0)
         variance = squares / np.maximum(count, 1)
-        variance = np.where(count < _FEW, variance.max(), variance)
+        variance = np.where(count < _MIN_SAMPLES, variance.max(), variance)
         variance = np.maximum(variance, 1e-9 * variance.max())
     return fits[0], fits[-1]
 
@@ -295,7 +295,7 @@ def _payload(robot, bodies):
     excess, std = loaded.theta[mass] - model.inertias[model.nv].mass, loaded.std[mass]
     squares = (fit.moments.residual_squares(x.theta) for x in (loaded, fit))
     with_it, without = (fit.joint_weights @ x for x in squares)
-    plausible = with_it <= _AS_WELL**2 * without and excess > _SURE * std
+    plausible = with_it <= _MAX_ERROR**2 * without and excess > _SIGNIFICANT * std
     return (float(excess), float(std)) if plausible else None
 
 

@@ -97,7 +97,7 @@ def split_of(loop, q, tau, groups):
     shaped = [e for e in effects if isinstance(e, Shaped)]
     instants = [e.instant for e in shaped if isinstance(e, Sudden)]
     guard = round(loop.report_.outcome.provenance["settings"]["guard_seconds"] / dt)
-    split = split.decided(whole.t, instants).guarded(guard)
+    split = split.without(whole.t, instants).with_guard(guard)
     parts = (split.searched(whole), split.held_out(whole))
     return tuple((part.q, part.tau, part.groups) for part in parts)
 

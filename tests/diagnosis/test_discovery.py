@@ -201,7 +201,7 @@ def test_the_error_is_that_of_the_untouched_part(springy):
     again = ARM.robot().fit(search.q, search.tau, groups=search.groups)
     assert_allclose(again.theta_, springy.declared_.theta_, rtol=1e-9)
     guard = springy.report_.outcome.provenance["settings"]["guard_seconds"]
-    rest = split.guarded(round(guard / ARM.robot().dt))
+    rest = split.with_guard(round(guard / ARM.robot().dt))
     assert 0 < held_out(rest).size <= held_out(split).size
     rest = rest.held_out(whole)
     weight = []

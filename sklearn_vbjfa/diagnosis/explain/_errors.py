@@ -34,7 +34,7 @@ def held_out_errors(loop, search, split, thinned, whole):
     # The correlation time may be infinite.
     guard = int(min(memory_seconds(search) / whole.dt, whole.n_samples))
     instants = [e.instant for e in search.effects if isinstance(e, Sudden)]
-    guarded = split.decided(whole.t, instants).guarded(guard)
+    guarded = split.without(whole.t, instants).with_guard(guard)
     used, n_rows = view.root.any(axis=0), len(view.states)
 
     def residuals(part, rows):

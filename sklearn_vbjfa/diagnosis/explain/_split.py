@@ -56,7 +56,7 @@ class Split:
         """Return the held-out rows of a recording, as a recording."""
         return take_rows(recording, self.stretches, range(len(self.stretches)))
 
-    def counted(self, slices):
+    def count_moving(self, slices):
         """Count the filtered rows of slices in which each joint moves, (nv,)."""
         count = np.zeros(self.moving.shape[1])
         for s in slices:
@@ -64,7 +64,7 @@ class Split:
             count += self.moving[inner].sum(axis=0)
         return count
 
-    def decided(self, clock, instants):
+    def without(self, clock, instants):
         """Return the split without stretches that contain an instant of change."""
         # The search locates an instant [s] only between two of its rows on the clock
         # (n,). A stretch at the end of a recording is not affected, and at least one
@@ -79,18 +79,18 @@ class Split:
         stretches, borders = zip(*clean or pairs)
         return replace(self, stretches=stretches, borders=borders)
 
-    def guarded(self, rows):
+    def with_guard(self, rows):
         """Return the split without held-out rows adjacent to rows of the search."""
         # Residuals are uncorrelated after `rows` rows. At least half of the motion is
         # kept, and as much as a verdict needs.
-        total = self.counted(self.stretches)
+        total = self.count_moving(self.stretches)
         least = np.minimum(np.maximum(self.need, 0.5 * total), total)
         for share in _GUARDS:
             cut = []
             for s, (before, after) in zip(self.stretches, self.borders):
                 guard = int(share * min(rows, _MAX_GUARD * (s.stop - s.start)))
                 cut.append(slice(s.start + before * guard, s.stop - after * guard))
-            if (self.counted(cut) >= least).all():
+            if (self.count_moving(cut) >= least).all():
                 break
         return replace(self, stretches=tuple(cut))
 
@@ -143,7 +143,7 @@ def _best_count(bare, parts, share):
         # Joints that never move are ignored.
         shares = (held_out / np.maximum(total, 1) / share)[total > 0]
         least = float(np.min(shares, initial=_MIN_SHARE))
-        enough = bool((bare.counted(stretches) >= bare.need)[sufficient].all())
+        enough = bool((bare.count_moving(stretches) >= bare.need)[sufficient].all())
         if (enough, least) > best:
             best, chosen = (enough, least), stretches
         if best == (True, _MIN_SHARE):
@@ -166,12 +166,12 @@ def _row(cum, share):
 
 def _place(progress, parts, count, share, shortest, short):
     """Return the held-out slices of all recordings, in order."""
-    stretches, uncut, turn, single = [], 0, max(round(1 / share), 2), len(parts) == 1
+    stretches, n_short, turn, single = [], 0, max(round(1 / share), 2), len(parts) == 1
     for part, cum in zip(parts, progress):
         if cum.size * min(share, 1 - share) < shortest:
-            uncut += 1
+            n_short += 1
             # Every `turn`-th of the short recordings is held out as a whole.
-            ranges = [] if single or uncut % turn else [(0, cum.size)]
+            ranges = [] if single or n_short % turn else [(0, cum.size)]
         else:
             ranges = _cells(cum, count, share, shortest, short)
             if len(ranges) == 1 and not single:

@@ -72,7 +72,7 @@ class Plot:
         up, down = self.down([half, -half])
         self.add("floor", f"M0 {up:.1f}H{WIDTH}V{down:.1f}H0Z")
 
-    def beyond(self, curves):
+    def clipping_note(self, curves):
         """Describe the extremes of clipped values; empty without any."""
         values = np.concatenate([curve[np.isfinite(curve)] for curve in curves])
         low, high = np.min(values, initial=0.0), np.max(values, initial=0.0)
@@ -109,7 +109,7 @@ def torques(outcome, curves):
         plot.zero()
         for kind, y in lines.items():
             plot.line(kind, seconds, y)
-        notes.append(plot.beyond(values))
+        notes.append(plot.clipping_note(values))
         charts.append(plot)
     keys = list(zip(upper, ("measured", "completed model", "declared model")))
     if floor > 0:

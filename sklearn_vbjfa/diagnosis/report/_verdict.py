@@ -24,7 +24,7 @@ _STATUS = {
 # exceeds the noise or cannot be compared with it.
 _UNTRUSTED = ("failed", "worse", "few", "no data", "unsearched")
 _ABOVE_NOISE = ("unexplained", "above", "unknown")
-# Status of joints that gives a warning.
+# Joint statuses that give a warning.
 NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")
 
 

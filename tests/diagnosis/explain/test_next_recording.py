@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis.explain import ExpectedError, MotionStatistics
-from sklearn_vbjfa.diagnosis.explain._next import _COMMON, _KINDS, _LARGEST, _WIDTH
+from sklearn_vbjfa.diagnosis.explain._next import _COMMON, _KINDS, _MAX_SHARE, _WIDTH
 from tests.diagnosis._recordings import SPRINGY
 
 LEFT, FLOOR, SCATTER = 0.05, 0.04, 0.05
@@ -73,7 +73,7 @@ def test_nine_of_ten_next_recordings_of_robots_like_those_assumed(r):
         rng = np.random.default_rng(seed)
         drawn = common * rng.standard_normal() + own * rng.standard_normal(4)
         shares = medians * np.exp(_WIDTH * drawn)
-        shares /= 1.0 + shares / _LARGEST
+        shares /= 1.0 + shares / _MAX_SHARE
         values = rng.standard_normal((count + 1, 4)) * shares
         fitted, following = values[:count], values[count]
 

@@ -108,11 +108,11 @@ def test_joints_that_move_one_at_a_time_are_all_judged():
 
 def test_the_guard_leaves_half_of_every_stretch(minute):
     q, split = minute
-    near = split.guarded(10)
+    near = split.with_guard(10)
     assert near.held_out_rows.size == split.held_out_rows.size - 10 * 5
     assert near.stretches[-1].stop == len(q)
     assert_array_equal(near.rows, split.rows)
-    far = split.guarded(10**6)
+    far = split.with_guard(10**6)
     assert far.held_out_rows.size < near.held_out_rows.size
     for before, after in zip(split.stretches, far.stretches):
         assert after.stop - after.start >= 0.5 * (before.stop - before.start)
@@ -123,7 +123,7 @@ def test_a_short_recording_gives_more_for_a_verdict():
     split = divided(robot(cutoff=2.2), q, None, 0.15)
     share = split.held_out_rows.size / len(q)
     assert 0.16 < share < 0.41
-    assert np.all(split.counted(split.stretches) >= split.need)
+    assert np.all(split.count_moving(split.stretches) >= split.need)
     # Not in vain, where even that is too little.
     short = divided(robot(cutoff=2.2), q[:400], None, 0.15)
     assert short.held_out_rows.size == pytest.approx(0.15 * 400, rel=0.6)
@@ -134,8 +134,8 @@ def test_a_stretch_in_which_something_jumps_is_not_judged(minute):
     clock = np.arange(len(q)) * DT
     first, second, last = split.stretches
     inside = clock[(second.start + second.stop) // 2]
-    assert split.decided(clock, [inside]).stretches == (first, last)
+    assert split.without(clock, [inside]).stretches == (first, last)
     # Where the search begins again is as far as it knows.
-    assert split.decided(clock, [clock[second.stop]]).stretches == (first, last)
+    assert split.without(clock, [clock[second.stop]]).stretches == (first, last)
     for known in (clock[second.start - 1], clock[second.stop + 1], clock[last.start]):
-        assert split.decided(clock, [known]).stretches == split.stretches
+        assert split.without(clock, [known]).stretches == split.stretches

@@ -42,7 +42,7 @@ class Rows:
     @functools.cached_property
     def moving(self):
         """Rows in which any joint moves, ndarray (n,) of bool."""
-        return self.moves(self.q)
+        return self.rows_in_motion(self.q)
 
     def steps(self, x):
         """Return differences to the row before, zero where a recording begins."""
@@ -63,7 +63,7 @@ class Rows:
         inside = 0 <= first and last < len(self.label)
         return inside and self.label[first] == self.label[last]
 
-    def moves(self, x):
+    def rows_in_motion(self, x):
         """Return the rows (n,) in which any channel of x (n, m) moves."""
         moving = np.zeros(len(x), dtype=bool)
         for part in self.parts:
@@ -86,7 +86,7 @@ class Rows:
         self.findings.append(finding(kind, self.names, joints, severity, **facts))
 
 
-def _marked(x, runs):
+def _mask(x, runs):
     """Mark runs of rows (first, last), ndarray (n,) of bool."""
     marked = np.zeros(len(x), dtype=bool)
     for a, b in runs:
@@ -123,7 +123,7 @@ def shuffled_rows(names, q, parts):
     return [finding("shuffled_rows", names, every, "error", **facts)]
 
 
-def _wraps(log):
+def _check_wraps(log):
     """Find angles that jump by a full turn, and unwrap them."""
     # An error: differentiating across a jump gives speeds of hundreds of rad/s.
     revolute = np.flatnonzero(log.revolute).tolist()
@@ -131,7 +131,7 @@ def _wraps(log):
     # Degrees and encoder counts may be wrapped, too.
     counts = 2.0 ** np.ceil(np.log2(max(widest, 1.0)))
     for turn, text in ((2 * np.pi, "2 pi"), (360.0, "360"), (counts, f"{counts:.0f}")):
-        jumps = {j: _turns(log, log.q[:, j], turn) for j in revolute}
+        jumps = {j: _find_wraps(log, log.q[:, j], turn) for j in revolute}
         jumps = {j: rows for j, rows in jumps.items() if rows.size}
         if not jumps:
             continue
@@ -146,7 +146,7 @@ def _wraps(log):
         log.report("wrapped_position", list(jumps), "error", **facts)
 
 
-def _turns(log, x, turn):
+def _find_wraps(log, x, turn):
     """Return the rows after jumps by a full turn."""
     step = log.steps(x)
     jumps = np.flatnonzero(np.abs(step) > (1 - number.TURN_LEFT) * turn)
@@ -188,7 +188,7 @@ def _nothing_moves(names, q):
     return finding("still_joint:all", names, range(len(names)), "error", **facts)
 
 
-def _rest(log):
+def _check_rest(log):
     """Report joints that never move."""
     if log.still.all():
         log.findings.append(_nothing_moves(log.names, log.q))
@@ -198,13 +198,13 @@ def _rest(log):
         log.report("still_joint", j, "warning", range=np.ptp(x), mean=x.mean())
 
 
-def _held(log):
+def _check_held(log):
     """Find channels that are updated at a lower rate than the rows."""
     # A warning: they show the recorded motion, but their lag of half a period and their
     # steps look like delay, elasticity, and friction at reversals.
     moving = np.flatnonzero(~log.still)
     for what, channels in (("position", log.q), ("torque", log.tau)):
-        rates = np.array([_rate(log, channels[:, j]) for j in moving])
+        rates = np.array([_update_rate(log, channels[:, j]) for j in moving])
         joints = moving[rates > 0]
         if not joints.size:
             continue
@@ -217,7 +217,7 @@ def _held(log):
             log.every = k
 
 
-def _rate(log, x):
+def _update_rate(log, x):
     """Return the rows per new value of a channel; zero if every row has one."""
     rates = []
     for part in log.parts:
@@ -238,21 +238,21 @@ def _rate(log, x):
     return float(np.median(rates)) if rates else 0.0
 
 
-def _lost_rows(log):
+def _check_lost_rows(log):
     """Find rows during motion with zero torques, or that repeat the row before."""
     # They are interpolated for the later checks.
     if log.every > 1:
         return
     empty = (log.tau == 0).all(axis=1)
-    runs = _breaks(log, empty, 1)
+    runs = _find_breaks(log, empty, 1)
     if len(runs) >= number.DROPOUT_RUNS or any(b > a for a, b in runs):
         # If some zero rows interrupt a motion, all zero rows are reported.
         _report_lost(log, "empty_rows", log.runs(empty), "warning")
-    if off := _switched_off(log):
+    if off := _find_switched_off(log):
         _report_lost(log, "empty_rows:off", off, "warning")
     repeats = (log.steps(log.q) == 0).all(axis=1) & ~log.first
     repeats &= (log.steps(log.tau) == 0).all(axis=1)
-    runs = _breaks(log, repeats, number.FROZEN_ROWS - 1)
+    runs = _find_breaks(log, repeats, number.FROZEN_ROWS - 1)
     count = sum(b - a + 1 for a, b in runs)
     long = max((b - a + 2 for a, b in runs), default=0) >= number.FROZEN_ROWS
     if long or count >= max(number.FEWEST_REPEATED, number.REPEATED_SHARE * len(log.q)):
@@ -262,7 +262,7 @@ def _lost_rows(log):
         _report_lost(log, "repeated_rows", runs, "warning" if serious else "note")
 
 
-def _switched_off(log):
+def _find_switched_off(log):
     """Find runs in which all torques vanish, some abruptly, although links weigh."""
     step, size = np.abs(log.steps(log.tau)), np.sqrt((log.tau**2).mean(axis=0))
     sudden = (step > number.SUDDEN * np.quantile(step, 0.995, axis=0)).any(axis=1)
@@ -278,7 +278,7 @@ def _switched_off(log):
     return loaded if sudden[ends].any() else []
 
 
-def _breaks(log, flags, least):
+def _find_breaks(log, flags, least):
     """Find runs of flagged rows at which positions jump, or the motion goes on."""
     # least: length of runs for which a jump of a position is sufficient.
     near = flags | np.r_[False, flags[:-1]]
@@ -314,10 +314,10 @@ def _amid_motion(log, a, b, least):
 def _report_lost(log, kind, runs, severity):
     """Report lost rows, and replace them by linear interpolation."""
     log.report(kind, range(len(log.names)), severity, runs)
-    lost, rows = _marked(log.q, runs), np.arange(len(log.q))
+    lost, rows = _mask(log.q, runs), np.arange(len(log.q))
     # Interpolation is accurate in short gaps only.
     gaps = [(max(a - 1, 0), b + 1) for a, b in runs if b - a >= number.NEAR_ROWS]
-    log.usable[_marked(log.q, gaps)] = False
+    log.usable[_mask(log.q, gaps)] = False
     log.q, log.tau = log.q.copy(), log.tau.copy()
     for part in log.parts:
         good, bad = rows[part][~lost[part]], rows[part][lost[part]]
@@ -328,7 +328,7 @@ def _report_lost(log, kind, runs, severity):
 # -- torques ---------------------------------------------------------------------------
 
 
-def _constant(log):
+def _check_constant(log):
     """Find torques that are constant or zero while their joints move."""
     largest, spread = np.abs(log.tau).max(axis=0), np.ptp(log.tau, axis=0)
     is_zero = largest < number.ZERO
@@ -342,20 +342,20 @@ def _constant(log):
     log.usable[:, joints] = False
 
 
-def _torques(log):
+def _check_torques(log):
     """Find torques that are coarse, lost or clipped."""
     for j in np.flatnonzero(~log.still & log.usable.any(axis=0)):
         x = log.tau[:, j]
-        if _coarse(log, j, x):
+        if _check_coarse(log, j, x):
             log.usable[:, j] = False
             continue
         faulty = np.zeros(x.shape, dtype=bool)
         if not log.held[j]:
-            faulty = _dropped(log, j, x) | _outliers(log, j, x)
-        log.usable[:, j] &= ~(faulty | _clipped(log, j, x, log.moving & ~faulty))
+            faulty = _find_dropouts(log, j, x) | _find_outliers(log, j, x)
+        log.usable[:, j] &= ~(faulty | _find_clipped(log, j, x, log.moving & ~faulty))
 
 
-def _coarse(log, j, x):
+def _check_coarse(log, j, x):
     """Find a torque too coarsely quantised to show its shape."""
     step = np.abs(log.steps(x))[log.moving]
     changes = step[step > 0]
@@ -374,14 +374,14 @@ def _coarse(log, j, x):
     return True
 
 
-def _dropped(log, j, x):
+def _find_dropouts(log, j, x):
     """Find torques that are constant while their joint moves (lost readings)."""
     step = np.abs(log.steps(x))
     repeats = (step == 0) & ~log.first
     typical = np.median(step[step > 0]) if step.any() else 0.0
     required = max(number.DROPOUT_STEP * typical, number.LEAST_DROPOUT * x.std())
     jumps, long, short = np.r_[step > required, False], [], []
-    for a, b in log.runs(repeats & log.moves(log.q[:, [j]])):
+    for a, b in log.runs(repeats & log.rows_in_motion(log.q[:, [j]])):
         # Runs at an extreme value are a limit. Short runs must begin and end with a
         # jump, as torques also stay at zero if they pass it slowly.
         if b - a + 2 >= number.STUCK_RUN and x[b] not in (x.min(), x.max()):
@@ -394,7 +394,7 @@ def _dropped(log, j, x):
     all_runs = log.runs(repeats)
     long = [(a - 1, b) for a, b in all_runs if any(a <= k <= b for _, k in long)]
     dropouts = sorted(long + short * (len(short) >= number.DROPOUT_RUNS))
-    faulty = _marked(x, dropouts)
+    faulty = _mask(x, dropouts)
     # A torque that often repeats its value is coarse.
     if not dropouts or repeats[~faulty].mean() > number.STUCK_REPEATS:
         return np.zeros_like(faulty)
@@ -404,7 +404,7 @@ def _dropped(log, j, x):
     return faulty
 
 
-def _outliers(log, j, x):
+def _find_outliers(log, j, x):
     """Find single torques that deviate from their neighbours."""
     # A median filter preserves the steps of friction at reversals.
     smoothed = scipy.ndimage.median_filter(x, number.MEDIAN)
@@ -419,7 +419,7 @@ def _outliers(log, j, x):
     return outliers
 
 
-def _clipped(log, j, x, moving):
+def _find_clipped(log, j, x, moving):
     """Find plateaus at the highest or lowest torque."""
     plateaus, limits, repeats = [], [], log.steps(x) == 0
     width = number.PLATEAU * np.ptp(x)
@@ -438,11 +438,11 @@ def _clipped(log, j, x, moving):
         near = ((distance > width) & (distance <= 6 * width) & moving).sum() / 5
         dense = close.sum() >= number.DENSITY * max(near, 0.5)
         longer = close.sum() >= np.quantile(sizes, 0.75) if rare else span >= 5 * usual
-        exact = (x[_marked(x, runs)] == level).all() and span >= number.LONG_PLATEAU
+        exact = (x[_mask(x, runs)] == level).all() and span >= number.LONG_PLATEAU
         if dense and longer and (len(runs) >= number.PLATEAU_RUNS or (rare and exact)):
             limits.append(level)
             plateaus += runs
-    clipped = _marked(x, plateaus)
+    clipped = _mask(x, plateaus)
     if limits:
         where = " and ".join(f"{level:.4g}" for level in sorted(limits))
         if len(limits) == 2 and np.isclose(limits[0], -limits[1], rtol=number.PLATEAU):
@@ -455,18 +455,18 @@ def _clipped(log, j, x, moving):
 # -- positions -------------------------------------------------------------------------
 
 
-def _positions(log):
+def _check_positions(log):
     """Find positions that are stuck or jump."""
-    stands = _stands(log) if log.every == 1 else None
+    stands = _find_standstill(log) if log.every == 1 else None
     for j in np.flatnonzero(~log.still):
         if stands is not None:
-            log.usable[_stuck(log, j, stands)] = False
-        jumps = [k for k in _jumps(log.q[:, j], log.parts) if log.usable[k].any()]
-        log.findings += _jumping(log.names, j, log.q[:, j], jumps, log.rows)
-        log.usable[_marked(log.q, [(max(k - 2, 0), k + 1) for k in jumps])] = False
+            log.usable[_find_stuck(log, j, stands)] = False
+        jumps = [k for k in _find_jumps(log.q[:, j], log.parts) if log.usable[k].any()]
+        log.findings += _jump_findings(log.names, j, log.q[:, j], jumps, log.rows)
+        log.usable[_mask(log.q, [(max(k - 2, 0), k + 1) for k in jumps])] = False
 
 
-def _stands(log):
+def _find_standstill(log):
     """Mark rows (n, nv) in which a position is constant up to noise."""
     width = number.LEAST_STOP
     stopped = np.zeros(log.q.shape, dtype=bool)
@@ -480,18 +480,18 @@ def _stands(log):
     return stopped
 
 
-def _stuck(log, j, stands):
+def _find_stuck(log, j, stands):
     """Find positions that stop within one sample, or lose their noise."""
     x, step = log.q[:, j], log.steps(log.q[:, j])
-    moves, speed = ~stands[:, j], np.abs(step)
-    change = np.abs(np.diff(step))[moves[1:] & moves[:-1]]
+    moving, speed = ~stands[:, j], np.abs(step)
+    change = np.abs(np.diff(step))[moving[1:] & moving[:-1]]
     if not change.size:
-        return _marked(x, [])
+        return _mask(x, [])
     threshold = number.SUDDEN * np.quantile(change, number.USUAL)
-    fast, stuck, sudden_stop = max(threshold, 0.5 * np.median(speed[moves])), [], False
+    fast, stuck, abrupt = max(threshold, 0.5 * np.median(speed[moving])), [], False
     # Third differences estimate the noise. If it is far above the resolution, values
     # rarely repeat, even at rest.
-    noise = np.median(np.abs(np.diff(x, n=3, prepend=x[:3]))[moves])
+    noise = np.median(np.abs(np.diff(x, n=3, prepend=x[:3]))[moving])
     noisy = noise > number.DEAD_NOISE * speed[speed > 0].min()
     repeats, others = (step == 0) & ~log.first, ~log.still
     others[j], n_repeats = False, repeats.sum()
@@ -508,14 +508,14 @@ def _stuck(log, j, stands):
         dead = dead and repeats[a : b + 1].mean() > number.DEAD_SHARE
         if (sudden or dead) and not pauses:
             stuck.append((a, b))
-            sudden_stop = sudden_stop or sudden
+            abrupt = abrupt or sudden
     if stuck:
         level = x[max(stuck, key=lambda run: run[1] - run[0])[0]]
-        severity = "error" if sudden_stop else "warning"
-        if _marked(x, stuck).mean() <= number.STUCK_SHARE:
+        severity = "error" if abrupt else "warning"
+        if _mask(x, stuck).mean() <= number.STUCK_SHARE:
             severity = "note"
         log.report("stuck_position", j, severity, stuck, level=level)
-    return _marked(x, [(a, min(b + 1, len(x) - 1)) for a, b in stuck])
+    return _mask(x, [(a, min(b + 1, len(x) - 1)) for a, b in stuck])
 
 
 def disorder(names, q, parts):
@@ -524,12 +524,12 @@ def disorder(names, q, parts):
     # Column-major order, since signals are processed one by one.
     q = np.asfortranarray(q)
     for j, x in enumerate(q.T):
-        jumps += _jumping(names, j, x, _jumps(x, parts), range(len(q)))
+        jumps += _jump_findings(names, j, x, _find_jumps(x, parts), range(len(q)))
     borders = [x for x in jumps if x.severity == "warning"]
     return shuffled_rows(names, q, parts) or borders
 
 
-def _jumps(x, parts):
+def _find_jumps(x, parts):
     """Return the rows after steps of a position that its neighbours contradict."""
     jumps, least = [], number.LEAST_JUMP * np.ptp(x)
     for part in parts:
@@ -551,7 +551,7 @@ def _jumps(x, parts):
     return jumps if len(jumps) <= number.MOST_OUTLIERS * x.size else []
 
 
-def _jumping(names, j, x, jumps, rows):
+def _jump_findings(names, j, x, jumps, rows):
     """Return the finding on jumps of a position at some rows, or no finding."""
     if not jumps:
         return []
@@ -565,7 +565,7 @@ def _jumping(names, j, x, jumps, rows):
 # -- copied channels -------------------------------------------------------------------
 
 
-def _copies(log):
+def _check_copies(log):
     """Find equal positions, and torques that are equal up to a factor."""
     # Positions may be proportional, as joints may have similar reference motions.
     for what, values in (("position", log.q), ("torque", log.tau)):
@@ -584,12 +584,12 @@ def _copies(log):
 
 # Each check reports findings and marks samples as unusable for the later ones.
 CHECKS = (
-    _wraps,
-    _rest,
-    _held,
-    _lost_rows,
-    _constant,
-    _torques,
-    _positions,
-    _copies,
+    _check_wraps,
+    _check_rest,
+    _check_held,
+    _check_lost_rows,
+    _check_constant,
+    _check_torques,
+    _check_positions,
+    _check_copies,
 )

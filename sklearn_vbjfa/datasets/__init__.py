@@ -47,8 +47,8 @@ __all__ = [
     "make_robot_recording",
     "read_recording",
 ]
-# A name is imported when it is asked for: the demonstration needs no loader of others.
-# What is not in __all__ is for tests and benchmarks.
+# Names are imported lazily: the demonstration does not need the other loaders. Names
+# that are not in __all__ are for tests and benchmarks.
 _MODULES = {
     ".inspection": ("inspect_recording",),
     ".recording._reader": ("read_recording",),

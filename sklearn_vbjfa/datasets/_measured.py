@@ -22,7 +22,7 @@ from sklearn.datasets import get_data_home
 from sklearn_vbjfa.recording import Log, Recording, join
 
 _BASE_ADDRESS = "https://raw.githubusercontent.com"
-_TIMEOUT = 30.0  # [s] without a byte
+_TIMEOUT = 30.0  # [s] without data
 _PACKAGE = resources.files("sklearn_vbjfa.datasets")
 SETS = tomllib.loads(_PACKAGE.joinpath("measured.toml").read_text("utf-8"))
 
@@ -31,10 +31,10 @@ SETS = tomllib.loads(_PACKAGE.joinpath("measured.toml").read_text("utf-8"))
 
 @functools.cache
 def remote_files(name):
-    """Return path -> (address, SHA-256) of the public files of a set."""
+    """Return a mapping of path to (address, SHA-256) of the public files of a set."""
     text = _PACKAGE.joinpath("remote_files.txt").read_text("utf-8")
-    of_set = text.partition(f"[{name}] ")[2].partition("\n[")[0]
-    source, *rows = of_set.splitlines() or [""]
+    section = text.partition(f"[{name}] ")[2].partition("\n[")[0]
+    source, *rows = section.splitlines() or [""]
     files = (row.split(maxsplit=2) for row in rows)
     folder = source.replace(" ", "/")
     return {path: (quote(f"{folder}/{path}"), sha256) for sha256, _, path in files}
@@ -42,18 +42,18 @@ def remote_files(name):
 
 @dataclass(frozen=True)
 class _Files:
-    """Files of a set, found on disk or downloaded when they are asked for."""
+    """Files of a set, on disk or downloaded on request."""
 
     name: str
     folder: Path
     download: bool
-    source: str  # of a set that is not downloaded
+    source: str  # of a set that cannot be downloaded, else empty
 
     def find(self, wanted=lambda path: not path.endswith((".urdf", ".xml"))):
-        """Return the local file of each wanted path, by default of all data."""
+        """Return a mapping of wanted paths to local files, by default of all data."""
         if not self.source:
-            of = remote_files(self.name)
-            return {path: self._file(path, *of[path]) for path in filter(wanted, of)}
+            remote = remote_files(self.name)
+            return {x: self._file(x, *remote[x]) for x in filter(wanted, remote)}
         files = (x for x in sorted(self.folder.rglob("*")) if x.is_file())
         below = {x.relative_to(self.folder).as_posix(): x for x in files}
         if not any(map(wanted, below)):
@@ -74,15 +74,15 @@ class _Files:
     def _file(self, path, address, sha256):
         address, local = f"{_BASE_ADDRESS}/{address}", self.folder / path
         for folder in (self.folder, self.folder / "original"):
-            for found in (folder / path, folder / PurePosixPath(path).name):
-                if found.is_file() and _sha256(found) == sha256:
-                    return found
+            for candidate in (folder / path, folder / PurePosixPath(path).name):
+                if candidate.is_file() and _sha256(candidate) == sha256:
+                    return candidate
         if not self.download:
             raise FileNotFoundError(
                 f"{self.name}: no file {path} with SHA-256 {sha256} in {self.folder}; "
                 f"set download_if_missing=True, or put {address} at {local}."
             )
-        # Only a download pays for the import of an HTTP client.
+        # The HTTP client is imported only if a download is needed.
         import pooch
 
         try:
@@ -107,12 +107,12 @@ def _sha256(path):
 
 
 def _urdf(where, files):
-    """Return the path of a description, None if there is none, see the table."""
+    """Return the path of the description that the table names, or None."""
     if where is None or where == "published":
         return where and files.description()
     if "/" not in where:
         return str(_PACKAGE.joinpath("robots", f"{where}.urdf"))
-    # The collection is found without importing it, as that loads Pinocchio.
+    # The package is located without an import, as that would load Pinocchio.
     try:
         collection = importlib.metadata.files("example-robot-data") or []
     except importlib.metadata.PackageNotFoundError:
@@ -164,7 +164,7 @@ resample : bool, default=True
 
 
 def _loader(read) -> Callable[..., Recording]:
-    """Make the public loader of a set of the function that reads its files."""
+    """Turn the function that reads the files of a set into its public loader."""
     name = read.__name__.removeprefix("fetch_")
     entry = SETS[name]
 
@@ -201,7 +201,7 @@ def _loader(read) -> Callable[..., Recording]:
 
 
 def _without_repeats(log):
-    """Leave out rows that equal the one before in every channel."""
+    """Remove rows that equal the previous one in every channel."""
     rows = np.column_stack(list(log.channels.values()))
     keep = np.r_[True, (np.diff(rows, axis=0) != 0).any(axis=1)]
     return Log(log.name, log.t[keep], {key: x[keep] for key, x in log.channels.items()})
@@ -213,7 +213,7 @@ def _units(entry, key, usual):
 
 
 def _repository(name):
-    """Return the address of the repository of a set at its commit."""
+    """Return the address of the repository of a set at its pinned commit."""
     address, _ = next(iter(remote_files(name).values()))
     owner, repository, commit, _ = address.split("/", 3)
     return f"https://github.com/{owner}/{repository}/tree/{commit}"
@@ -266,11 +266,11 @@ def fetch_ur5(files):
     movements = {}
     for path, local in files.find().items():
         *_, movement, _, _ = path.split("/")
-        parts = movements.setdefault(movement.split("_")[1], {})
-        parts[Path(path).stem.removeprefix("log_")] = local
-    for name, parts in movements.items():
-        wanted = ("q_actual", "qd_actual", *_UR5_SIGNALS, *_UR5_REFERENCE)
-        raw = {key: _whole_lines(parts[key]) for key in wanted}
+        paths = movements.setdefault(movement.split("_")[1], {})
+        paths[Path(path).stem.removeprefix("log_")] = local
+    for name, paths in movements.items():
+        keys = ("q_actual", "qd_actual", *_UR5_SIGNALS, *_UR5_REFERENCE)
+        raw = {key: _whole_lines(paths[key]) for key in keys}
         n = min(map(len, raw.values()))
         t, raw = raw["q_actual"][:n, 0], {key: x[:n, 1:] for key, x in raw.items()}
         q, v = raw.pop("q_actual"), raw.pop("qd_actual")
@@ -279,7 +279,7 @@ def fetch_ur5(files):
 
 
 def _whole_lines(path):
-    """Read a table whose last line may be cut."""
+    """Read a table whose last line may be truncated."""
     text = path.read_text("ascii").rpartition("\n")[0]
     return np.loadtxt(io.StringIO(text), delimiter=",")
 
@@ -313,7 +313,7 @@ def fetch_kuka_kr300(files):
     for path, local in files.find().items():
         raw = loadmat(local, simplify_cells=True)
         ratio = raw["para"]["u"]
-        # Joints are the rows of the file.
+        # Rows of the file are joints.
         rec = {key: np.transpose(x).copy() for key, x in raw["rec"].items()}
         channels = {
             "q": np.deg2rad(rec["act_pos_mot_deg"]),
@@ -328,7 +328,7 @@ def fetch_kuka_kr300(files):
             "q_link": np.deg2rad(rec["act_pos_se_deg"])[:, :3],
             "v_link": np.deg2rad(rec["act_vel_se_deg_per_s"])[:, :3],
         }
-        # The folder is called "2020-10-21 10s FF A 08ms".
+        # The folder name is, for instance, "2020-10-21 10s FF A 08ms".
         yield Log(path.split("/")[-2].split()[3], rec["time_cont"], channels)
 
 
@@ -359,23 +359,23 @@ def fetch_bam_xl330(files):
     for local in files.find().values():
         raw = json.loads(local.read_text("utf-8"))
         powered = [row for row in raw["entries"] if row["torque_enable"] == 1]
-        of = {key: np.array([row[key] for row in powered]) for key in powered[0]}
+        columns = {key: np.array([row[key] for row in powered]) for key in powered[0]}
         # The register holds a signed number, logged as an unsigned one.
-        duty = of["load"].astype(np.uint16).view(np.int16) / _XL330_FULL_SCALE
-        supply = of["input_volts"].astype(float)
+        duty = columns["load"].astype(np.uint16).view(np.int16) / _XL330_FULL_SCALE
+        supply = columns["input_volts"].astype(float)
         channels = {
-            "q": of["position"][:, None].astype(float),
-            "v": of["speed"][:, None].astype(float),
+            "q": columns["position"][:, None].astype(float),
+            "v": columns["speed"][:, None].astype(float),
             "tau": (duty * supply)[:, None],
-            "q_ref": of["goal_position"][:, None].astype(float),
+            "q_ref": columns["goal_position"][:, None].astype(float),
             "duty": duty,
             "supply_volts": supply,
-            "temperature": of["temp"].astype(float),
-            "torque_enable": of["torque_enable"].astype(np.uint8),
+            "temperature": columns["temp"].astype(float),
+            "torque_enable": columns["torque_enable"].astype(np.uint8),
             "kp": np.full(duty.size, raw["kp"]),
         }
         name = f"kp{raw['kp']}_{raw['trajectory']}"
-        yield Log(name, of["timestamp"].astype(float), channels)
+        yield Log(name, columns["timestamp"].astype(float), channels)
 
 
 @_loader
@@ -402,9 +402,9 @@ def fetch_dfki_double_pendulum(files):
 
 
 _TIAGO_RATIOS = (1.0, 100.0, 100.0, 100.0, 100.0, 336.0, 336.0, 336.0)
-# [N m/A] at the motor; the sign is that of the current against the joint.
+# [N m/A] at the motor; negative if current and joint have opposite directions.
 _TIAGO_GAINS = (1.0, 0.136, 0.136, -0.087, -0.087, -0.0613, -0.0613, -0.0613)
-# The exciting motion that the publishers use, first and last row.
+# First and last row of the exciting trajectory that the publishers use.
 _TIAGO_ROWS = (921, 6790)
 
 
@@ -415,7 +415,7 @@ def fetch_tiago(files):
         Path(path).stem: np.loadtxt(local, delimiter=",", skiprows=1)[first : last + 1]
         for path, local in files.find().items()
     }
-    # The stamps of the three files are the same.
+    # The three files have the same time stamps.
     t, effort = raw["tiago_position"][:, 0], raw["tiago_effort"][:, 1:]
     channels = {
         "q": raw["tiago_position"][:, 1:],
@@ -437,5 +437,5 @@ def fetch_unitree_go2(files):
         channels = {"q": q, "v": v, "tau": spring + damper}
         for name in ("q_desired", "v_desired", "kp", "kd"):
             channels[name] = np.broadcast_to(raw[name], q.shape).copy()
-        # The stamps are sums in single precision and drift by 0.02 %.
+        # Time stamps are accumulated in single precision and drift by 0.02 %.
         yield Log(Path(path).stem, 0.005 * np.arange(len(q)), channels)

@@ -5,7 +5,7 @@ from numbers import Integral, Real
 import numpy as np
 from sklearn.utils import Bunch, check_random_state, check_scalar
 
-# Variances of signal over noise of the output, and rows of the test data.
+# Signal-to-noise ratio of the output (variances), and number of test samples.
 _OUTPUT_SNR, _N_TEST = 5.0, 2000
 
 
@@ -84,18 +84,18 @@ def make_noisy_regression(
     x = t + np.sqrt(noise) * rng.normal(size=t.shape)
     X = np.hstack([x, x @ weights.T, rng.normal(size=(n_samples, n_irrelevant))])
     x_test = rng.normal(size=(_N_TEST, n_relevant)) @ root.T
-    others = rng.normal(size=(_N_TEST, n_irrelevant))
+    irrelevant = rng.normal(size=(_N_TEST, n_irrelevant))
     absent = np.zeros((n_irrelevant, n_relevant))
-    made = np.vstack([np.eye(n_relevant), weights, absent])
-    full = made @ np.diag(noise) @ made.T
+    mixing = np.vstack([np.eye(n_relevant), weights, absent])
+    noise_covariance = mixing @ np.diag(noise) @ mixing.T
     return Bunch(
         X=X,
         y=y,
-        X_test=np.hstack([x_test, x_test @ weights.T, others]),
+        X_test=np.hstack([x_test, x_test @ weights.T, irrelevant]),
         y_test=x_test @ coef,
         coef=coef,
-        relevant=np.arange(len(full)) < n_relevant,
-        input_noise=np.diagonal(full).copy(),
-        input_noise_covariance=full,
+        relevant=np.arange(len(noise_covariance)) < n_relevant,
+        input_noise=np.diagonal(noise_covariance).copy(),
+        input_noise_covariance=noise_covariance,
         output_noise=output_noise,
     )

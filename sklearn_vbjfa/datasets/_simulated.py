@@ -1,4 +1,4 @@
-"""Simulated recordings with their truth."""
+"""Simulated recordings with ground truth."""
 
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -17,26 +17,26 @@ from sklearn_vbjfa.model import (
 from sklearn_vbjfa.physical import inertial_parameters, pseudo_inertia
 from sklearn_vbjfa.recording._recording import Recording
 
-# Range [rad or m] and speed [per s] where the description gives none, or wider ones.
+# Range [rad or m] and speed [per s] where the description has no or wider limits.
 _DEFAULT_RANGE = 2.5
 _DEFAULT_SPEED = 2.5
-# Share of a joint's range and speed that the motion keeps to.
+# Share of a joint's range and speed that the motion uses.
 _RANGE_SHARE = 0.8
-# Speed over which friction turns, as a share of the joint's fastest.
-_TURN = 0.005
+# Speed scale of smoothed Coulomb friction, as a share of the joint's largest speed.
+_SIGN_SPEED = 0.005
 _RIPPLE_PERIOD = np.radians(20.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SimulatedRecording(Recording):
-    """A recording that was simulated, and what it was simulated from.
+    """A simulated recording with its ground truth.
 
     Parameters
     ----------
     states : ndarray of shape (n_samples, 3 * nv)
         True states [q | v | a].
     tau_clean : ndarray of shape (n_samples, nv)
-        What the torque channels would read without noise [N m or N].
+        Torque channels without noise [N m or N].
     inertial : ndarray of shape (nv, 10)
         True inertial parameters of each body in Pinocchio's order.
     friction : mapping of str to ndarray of shape (nv,)
@@ -56,7 +56,7 @@ class SimulatedRecording(Recording):
         Parameters
         ----------
         friction : tuple of str
-            Names of the columns; what the robot does not have is zero.
+            Names of the columns; coefficients that the robot does not have are zero.
 
         Returns
         -------
@@ -114,25 +114,25 @@ def make_robot_recording(
         Friction of the robot: names, with coefficients drawn at random in proportion
         to the joint's torque; or names with coefficients, arrays of shape (nv,).
     perturbation : float, default=0.3
-        How far the true inertias are from those of the model, relative; zero takes
-        the model's.
+        Relative deviation of the true inertias from those of the model; zero uses the
+        model's.
     inertial : ndarray of shape (nv, 10), default=None
         True inertial parameters, instead of drawing them.
     undeclared : mapping of {"load_friction", "stribeck", "spring", "ripple", \
             "offset"} to (int, float), default=None
-        Effects that a rigid-body model with friction does not have: name -> joint
-        (from zero) and size, which is a share of the load for load_friction, a
-        stiffness [N m/rad or N/m] for spring, a torque [N m or N] for the others.
+        Effects that a rigid-body model with friction does not contain: name -> joint
+        (from zero) and size: a share of the load for load_friction, a stiffness
+        [N m/rad or N/m] for spring, a torque [N m or N] for the others.
     base_tilt : (float, float), default=(0.0, 0.0)
-        Roll and pitch by which gravity is turned in the frame of the base, as that is
+        Roll and pitch by which gravity is rotated in the frame of the base, which is
         not level [rad].
     joint_zero : mapping of int to float, default=None
-        What encoders read where their joints, from zero, are at zero [rad or m].
+        Encoder readings of joints (from zero) at joint position zero [rad or m].
     joint_axis : mapping of int to (float, float, float), default=None
-        Rotation vectors by which the origins of joints are turned, in the joint's own
-        frame [rad].
+        Rotation vectors by which the origins of joints are turned, in the frame of the
+        joint [rad].
     torque_gain : mapping of int to float, default=None
-        What torque channels read over the torque.
+        Ratio of the torque reading to the torque.
     random_state : int, RandomState instance or None, default=None
         Seed of everything that is drawn.
 
@@ -169,26 +169,26 @@ def make_robot_recording(
             raise ValueError(
                 f"joints are numbered 0 to {nominal.nv - 1}; got {joint!r}."
             )
-    pieces = [
+    motions = [
         _motion(nominal, n, dt, frequency, n_harmonics, rng)
         for _ in range(n_recordings)
     ]
-    states = np.concatenate(pieces)
+    states = np.concatenate(motions)
     q, v, a = np.split(states, 3, axis=1)
-    robot = _turned(with_bodies(nominal, inertial), base_tilt, joint_axis or {})
+    robot = _rotated(with_bodies(nominal, inertial), base_tilt, joint_axis or {})
     rigid = rigid_torques(robot, states)
     coefficients = _draw_friction(friction, rigid, v, a, rng)
     signal = {"viscous": v, "coulomb": np.sign(v), "offset": 1.0, "rotor_inertia": a}
     clean = rigid + sum(x * signal[name] for name, x in coefficients.items())
     for name, (joint, size) in (undeclared or {}).items():
-        if name not in _TORQUES:
+        if name not in _UNDECLARED_TORQUES:
             raise ValueError(
                 f"Unknown undeclared effect {name!r}; expected some of "
-                f"{', '.join(_TORQUES)}."
+                f"{', '.join(_UNDECLARED_TORQUES)}."
             )
-        for own in np.split(np.arange(len(q)), n_recordings):
-            moved = (x[own, joint] for x in (q - q.mean(axis=0), q, v, rigid))
-            clean[own, joint] += _TORQUES[name](float(size), *moved)
+        for rows in np.split(np.arange(len(q)), n_recordings):
+            arguments = (x[rows, joint] for x in (q - q.mean(axis=0), q, v, rigid))
+            clean[rows, joint] += _UNDECLARED_TORQUES[name](float(size), *arguments)
     zeros = np.zeros(nominal.nv)
     for joint, zero in (joint_zero or {}).items():
         zeros[joint] = zero
@@ -244,8 +244,8 @@ def load_demo_recording() -> SimulatedRecording:
 # -- motion and friction ---------------------------------------------------------------
 
 
-def _turned(model, base_tilt, joint_axis):
-    """Copy a model with gravity turned, and origins of joints in their own frames."""
+def _rotated(model, base_tilt, joint_axis):
+    """Copy a model and rotate gravity, and joint origins in their own frames."""
     pin = import_pinocchio()
     robot = model.copy()
     gravity = robot.gravity.copy()
@@ -258,27 +258,27 @@ def _turned(model, base_tilt, joint_axis):
 
 
 def _motion(model, n, dt, frequency, n_harmonics, rng):
-    """Draw states (n, 3 * nv) of sines in all joints, inside the limits."""
+    """Draw states (n, 3 * nv) of sums of sines in all joints, within the limits."""
     t, states = np.arange(n) * dt, np.zeros((3, n, model.nv))
     (centre, reach), speed = joint_range(model), speed_limit(model)
     for j in range(model.nv):
-        # from a tenth of the highest frequency up to it
+        # Frequencies from a tenth of the highest one up to it.
         f = frequency * (0.1 + 0.9 * rng.uniform(size=n_harmonics))
         f[0] = frequency * rng.uniform(0.85, 1.0)
         w = 2 * np.pi * f
-        size = rng.uniform(0.3, 1.0, size=n_harmonics) / f
+        amp = rng.uniform(0.3, 1.0, size=n_harmonics) / f
         phase = rng.uniform(0, 2 * np.pi, size=n_harmonics)
         s, c = np.sin(np.outer(t, w) + phase), np.cos(np.outer(t, w) + phase)
-        largest = np.abs(s @ size).max(), np.abs(c @ (size * w)).max()
-        size *= min(
+        largest = np.abs(s @ amp).max(), np.abs(c @ (amp * w)).max()
+        amp *= min(
             _RANGE_SHARE * reach[j] / largest[0], _RANGE_SHARE * speed[j] / largest[1]
         )
-        states[:, :, j] = centre[j] + s @ size, c @ (size * w), -s @ (size * w**2)
+        states[:, :, j] = centre[j] + s @ amp, c @ (amp * w), -s @ (amp * w**2)
     return np.hstack(list(states))
 
 
 def _draw_friction(friction, rigid, v, a, rng):
-    """Coefficients that take some per cent of each joint's torque."""
+    """Draw friction coefficients in proportion to each joint's torque."""
     size = rigid.std(axis=0)
     share = {
         "viscous": 0.15 * size / v.std(axis=0),
@@ -298,19 +298,19 @@ def _draw_friction(friction, rigid, v, a, rng):
     }
 
 
-# -- torques that the robot has and its declared model lacks ---------------------------
+# -- torques that are missing from the declared model ----------------------------------
 
 
-def _turn(v):
-    return np.tanh(v / (_TURN * np.abs(v).max()))
+def _sign(v):
+    return np.tanh(v / (_SIGN_SPEED * np.abs(v).max()))
 
 
-# Name -> torque of size, position from the middle of the motion, at which springs are
-# at rest, and position, speed and load of the joint.
-_TORQUES = {
-    "load_friction": lambda size, away, q, v, load: size * np.abs(load) * _turn(v),
+# Name -> function that returns the torque from the size of the effect, the position
+# relative to its mean (where springs are at rest), and position, speed and load.
+_UNDECLARED_TORQUES = {
+    "load_friction": lambda size, away, q, v, load: size * np.abs(load) * _sign(v),
     "stribeck": lambda size, away, q, v, load: (
-        size / np.cosh(v / (0.1 * np.abs(v).max())) * _turn(v)
+        size / np.cosh(v / (0.1 * np.abs(v).max())) * _sign(v)
     ),
     "spring": lambda size, away, q, v, load: size * away,
     "ripple": lambda size, away, q, v, load: (
@@ -330,31 +330,31 @@ def demo_arm_urdf() -> str:
 
 
 def joint_range(model):
-    """Middle and half width of each joint's range; a default where it is unlimited."""
+    """Return centre and half width of each joint's range; a default if unlimited."""
     low, high = model.lowerPositionLimit, model.upperPositionLimit
-    # Halved first: Pinocchio's "no limit" is the largest number there is.
+    # Halved first, since Pinocchio's "no limit" is the largest float.
     reach, centre = 0.5 * high - 0.5 * low, 0.5 * high + 0.5 * low
-    wide = ~(reach <= _DEFAULT_RANGE)
-    return np.where(wide, 0.0, centre), np.where(wide, _DEFAULT_RANGE, reach)
+    unlimited = ~(reach <= _DEFAULT_RANGE)
+    return np.where(unlimited, 0.0, centre), np.where(unlimited, _DEFAULT_RANGE, reach)
 
 
 def speed_limit(model):
-    """Speed limit (nv,) of each joint; a default where the description gives none."""
+    """Return the speed limit (nv,) of each joint; a default if there is none."""
     limit = model.velocityLimit
     return np.where((limit > 0) & (limit < 1e3), limit, _DEFAULT_SPEED)
 
 
 def rigid_torques(model, states):
-    """Inverse dynamics of a Pinocchio model for rows [q | v | a]."""
+    """Return the inverse dynamics of a Pinocchio model for rows [q | v | a]."""
     rnea, data = import_pinocchio().rnea, model.createData()
     rows = zip(*np.split(states, 3, axis=1))
     return np.array([rnea(model, data, *row) for row in rows])
 
 
 def true_inertias(model, perturbation, rng):
-    """Draw inertial parameters (nv, 10) near the nominal ones, that some body has."""
+    """Draw physically consistent inertial parameters (nv, 10) near the nominal ones."""
     # The pseudo-inertia J of each body is multiplied from both sides by the exponential
-    # of a random symmetric matrix: it stays positive definite whatever is drawn.
+    # of a random symmetric matrix, which keeps it positive definite.
     from scipy.linalg import expm
 
     bodies = []
@@ -370,7 +370,7 @@ def true_inertias(model, perturbation, rng):
 
 
 def recording_fields(model, n, n_recordings, dt):
-    """Fields of a `Recording` that simulations share: n rows of each motion."""
+    """Return the `Recording` fields common to simulations of n rows per motion."""
     slides = is_prismatic(model)
     return {
         "t": np.tile(np.arange(n) * dt, n_recordings),

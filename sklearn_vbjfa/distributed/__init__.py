@@ -31,8 +31,8 @@ from sklearn_vbjfa.fit._estimate import from_moments
 from sklearn_vbjfa.recording import check_dt, expand, read_recording, recordings_in
 
 __all__ = ["fit_recordings"]
-# Results that are in memory together.
-_AT_ONCE = 8
+# Number of results that are in memory at the same time.
+_BATCH_SIZE = 8
 
 
 def fit_recordings(identifier, source):
@@ -93,7 +93,7 @@ def fit_recordings(identifier, source):
 
 
 def _identify(identifier, paths):
-    """Fit an identifier to sums over files."""
+    """Fit an identifier to sums of second moments over files."""
     dt = check_dt(identifier.dt)
     identifier.build_model()
     if len(identifier.effects_) or not from_moments(identifier.regressor):
@@ -106,59 +106,59 @@ def _identify(identifier, paths):
     urdf = fspath(model) if isinstance(model, (str, PathLike)) else None
     read = partial(_read, dt=dt, urdf=urdf, names=names)
 
-    def every(text, function, *arguments):
+    def reduce_files(label, function, *arguments):
         tasks = [(read, function, path, *arguments) for path in paths]
-        return counted(_on_workers(tasks), text, len(tasks))
+        return counted(_on_workers(tasks), label, len(tasks))
 
-    extents = list(every("lengths", _extent))
-    lengths = [n for one in extents for n in one["lengths"]]
+    extents = list(reduce_files("lengths", _extent))
+    lengths = [n for extent in extents for n in extent["lengths"]]
     longest = max(lengths)
     n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM), dt)
-    power, energy = map(sum, zip(*every("spectra", _spectra, dt, n_fft)))
+    power, energy = map(sum, zip(*reduce_files("spectra", _spectra, dt, n_fft)))
     spectra = _smoothing.spectrum(power, energy, n_fft, dt) if energy else None
-    moving = np.any([one["moving"] for one in extents], axis=0)
+    moving = np.any([extent["moving"] for extent in extents], axis=0)
     cutoff = identifier.fit_options.state_cutoff
     estimator = choose_states(dt, cutoff, longest, moving, spectra)
     keep = n_fastest(sum(lengths))
     merge = partial(MotionFacts.merge, keep=keep)
-    motion = functools.reduce(merge, every("speeds", _motion, estimator, keep))
+    motion = functools.reduce(merge, reduce_files("speeds", _motion, estimator, keep))
     plan = make_plan(identifier, (), lengths, estimator, motion)
     stops = np.cumsum(lengths).tolist()
     parts = [slice(a, b) for a, b in zip([0, *stops], stops)]
     check_length(parts, plan.lowpass, plan.cutoff)
-    torques = np.concatenate([one["torques"] for one in extents])
+    torques = np.concatenate([extent["torques"] for extent in extents])
     ranges = np.stack([motion.lowest, motion.highest])
     check_channels(names, ranges, torques)
-    first = np.cumsum([0, *(len(one["lengths"]) for one in extents)]).tolist()
-    numbering = BlockAssignment.of([plan.lowpass.centres(n).size for n in lengths])
+    first = np.cumsum([0, *(len(extent["lengths"]) for extent in extents)]).tolist()
+    blocks = BlockAssignment.of([plan.lowpass.centres(n).size for n in lengths])
     halves = identifier.input_noise is not None
-    firsts = dict(zip(paths, first))
-    sums = every(
-        "equations", _moments, plan, identifier.features_, halves, numbering, firsts
+    offsets = dict(zip(paths, first))
+    sums = reduce_files(
+        "equations", _moments, plan, identifier.features_, halves, blocks, offsets
     )
-    found = (one for one in sums if one is not None)
+    moments = (x for x in sums if x is not None)
 
     def noise(robot):
-        return [one for facts in every("noise", _noise, robot) for one in facts]
+        return [x for facts in reduce_files("noise", _noise, robot) for x in facts]
 
-    return identifier.fit_moments(plan, sum_moments(found), noise)
+    return identifier.fit_moments(plan, sum_moments(moments), noise)
 
 
 def _on_workers(tasks):
-    """Yield what files reduce to, in order, wherever Dask computes."""
+    """Yield the results of tasks in order, computed by Dask."""
     dask = _import_dask()
-    # Arguments go with the task: if they were sent ahead of it, they would be lost
-    # with the worker that has them.
-    task = dask.delayed(_of_file, pure=False, traverse=False)
-    for first in range(0, len(tasks), _AT_ONCE):
-        some = [task(*one) for one in tasks[first : first + _AT_ONCE]]
+    # Arguments are part of the task: if they were sent ahead of it, they would be lost
+    # with the worker that holds them.
+    task = dask.delayed(_reduce_file, pure=False, traverse=False)
+    for start in range(0, len(tasks), _BATCH_SIZE):
+        batch = [task(*arguments) for arguments in tasks[start : start + _BATCH_SIZE]]
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Sending large graph")
-            yield from dask.compute(*some, traverse=False)
+            yield from dask.compute(*batch, traverse=False)
 
 
 def _paths(source):
-    """Return the files of a folder, or those of a list, each once."""
+    """Return the files of a folder or list, without duplicates."""
     if isinstance(source, (str, PathLike)):
         folder = expand(source)
         source = recordings_in(folder) if folder.is_dir() else ()
@@ -183,8 +183,8 @@ def _read(path, *, dt, urdf, names):
     return recording
 
 
-def _of_file(read, function, path, *arguments):
-    """Read a file and reduce it, on one thread of linear algebra, without progress."""
+def _reduce_file(read, function, path, *arguments):
+    """Read a file and reduce it, with one BLAS thread and without progress output."""
     with one_blas_thread():
         return contextvars.Context().run(lambda: function(read(path), path, *arguments))
 
@@ -215,14 +215,14 @@ def _noise(recording, path, robot):
     return robot.noise_facts(recording)
 
 
-def _moments(recording, path, plan, features, halves, numbering, numbers):
+def _moments(recording, path, plan, features, halves, blocks, offsets):
     states, _ = smooth(recording, plan.state_estimator, halves, 1, None)
-    made = build_segments(recording, states, plan, features, first=numbers[path])
-    return accumulate(made, plan.lowpass, numbering=numbering)
+    segments = build_segments(recording, states, plan, features, first=offsets[path])
+    return accumulate(segments, plan.lowpass, numbering=blocks)
 
 
 def _import_dask():
-    """Import Dask, or say what to install."""
+    """Import Dask, or raise an error that says what to install."""
     try:
         import dask
     except ImportError as error:

@@ -102,7 +102,7 @@ class DescribedRobot:
     """A described robot with the signals of a log."""
 
     # times (nv,): correlation times [rows] of residuals, the same for all
-    # interpretations of a log that are compared. entries: precomputed regressors.
+    # interpretations of a log that are compared. X (n, nv, 10 nv): regressors.
 
     def __init__(self, bodies, signals, times=None, X=None):
         self.bodies, self.signals = bodies, signals
@@ -257,7 +257,7 @@ class DescribedRobot:
         return DescribedRobot(self.bodies, self.signals.select_rows(rows), *cache)
 
     def _loss(self, joints):
-        """Log of the unexplained share and variance (k,) of joints' torques."""
+        """Return logs of the unexplained share and variance (k,) of joints' torques."""
         is_same = np.array_equal(joints, self.joints)
         log_share = (self.baseline if is_same else self.fit(joints=joints)).loss
         variances = [self.signals.tau[self.rows[j], j].var() for j in joints]

@@ -210,7 +210,7 @@ def units(reading):
         options = [(x, *degrees) for x in (revolute, far) if x.any()]
     elif not beyond.any() and (_speeds(reading) < _too_fast(model)).all():
         options.append((revolute, "turns", "rev", 2 * np.pi))
-    # Positions far beyond limits, or many full turns, are additional evidence.
+    # Positions far beyond a limit, or beyond those of most joints, are evidence, too.
     extra = 2 * number.DECISIVE * (far.any() or many)
     required, matches = -np.inf if far.any() else clear_of_all(reading), []
     for joints, unit, symbol, factor in options:

@@ -88,14 +88,15 @@ def gravity_only(reading):
     # Torques of a gravity model contain no friction.
     if unclear or (fit.power > number.SIGMAS).any():
         return None
-    still = robot.fit(robot.regressor - robot.under_gravity(np.zeros(3))).evidence
+    weight_only = robot.fit(robot.regressor - robot.under_gravity(np.zeros(3))).evidence
     facts = {"part": inertia, "error": error[0]}
-    odds = still - robot.baseline.evidence
+    odds = weight_only - robot.baseline.evidence
     return Proposal(joints=reading.every, log_odds=odds, facts=facts)
 
 
 def base_orientation(reading):
     """Return a base orientation that differs from the description."""
+    # start, pull (3,): described and estimated gravity, in units of g.
     robot, start, chosen = reading.robot, reading.bodies.gravity, reading.robot.baseline
     size, pull = np.linalg.norm(start), start
     # Components of gravity that are not identifiable stay as described, or are zero.
@@ -104,8 +105,8 @@ def base_orientation(reading):
     if np.linalg.norm(fit.factors) < 0.5 * number.TURNED * size:
         return None
     full, shown = start + fit.factors, fit.errors < 0.5
-    still = robot.fit(robot.under_gravity(np.zeros(3)), **any_pull)
-    candidates = [full, still.factors, *np.eye(3), *-np.eye(3)]
+    no_weight = robot.fit(robot.under_gravity(np.zeros(3)), **any_pull)
+    candidates = [full, no_weight.factors, *np.eye(3), *-np.eye(3)]
     variants = len(candidates)
     for _ in range(number.PASSES):
         candidates = [size * x / max(np.linalg.norm(x), 1e-300) for x in candidates]

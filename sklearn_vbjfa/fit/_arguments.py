@@ -30,8 +30,8 @@ class FitOptions:
     Parameters
     ----------
     state_cutoff : "auto", float, array-like of shape (nv,) or None, default="auto"
-        Cut-off frequency [Hz] of `StateEstimator`; ``"auto"`` is 1.25 times that of
-        least acceleration error.
+        Cut-off frequency [Hz] of `StateEstimator`; ``"auto"`` is 1.25 times the
+        cut-off of least acceleration error.
     standstill : "auto", float, array-like of shape (nv,) or None, default="auto"
         Speed [rad/s or m/s] at or below which the equations of a joint are excluded.
         ``"auto"`` is 2 % of the 99.5th percentile of its speed; a joint that shows only

@@ -26,8 +26,7 @@ SCALES, _MIN_PRECISION = np.geomspace(1e-4, 1.0, 81), 1e-4
 _SIZE_DEVIATIONS = 3.0
 # Beyond this factor a different unit is more probable than one body that differs.
 _MAX_BODY_FACTOR = 20.0
-# Mass that replaces zero, such as that of a frame between two joints, relative to the
-# mean mass.
+# Mass that replaces zero, as between two joints, relative to the mean mass.
 _MASSLESS = 1e-3
 # Maximum number of passes, and change of a mean, in deviations, at convergence.
 _MAX_PASSES, _MAX_CHANGE = 100, 1e-3
@@ -43,7 +42,7 @@ OPTIONS = ("prior", "free", "fixed")
 
 @dataclass(frozen=True)
 class Departure:
-    """Bodies of which one differs from the description."""
+    """A body that differs from its description, with indistinguishable candidates."""
 
     # joints that carry the candidates, the most probable first; their log evidence
     # differs by less than three nats
@@ -160,10 +159,10 @@ class BodyPosterior:
     torque_size: tuple[float, float] = (1.0, np.inf)
 
 
-def little_learned(std, before):
+def little_learned(std, prior_std):
     """Return whether data leave most of the prior deviation."""
     with np.errstate(invalid="ignore"):
-        return std >= _NOT_LEARNED * before
+        return std >= _NOT_LEARNED * prior_std
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +200,7 @@ class _BodyProblem:
     """Normal equations A theta = b in units of the noise, with a description."""
 
     # Sites are in coordinates in which the prior is isotropic. `fixed_size`: the common
-    # size is that of the description.
+    # size equals the described one.
 
     description: BodyPrior
     A: np.ndarray

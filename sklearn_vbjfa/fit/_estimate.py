@@ -80,8 +80,8 @@ class Estimate:
             return self.metric
         metric = self.metric + self.bodies.noise * self.bodies.prior
         # Fixed parameters do not move with any other.
-        held = self.prior_std == 0
-        metric[np.not_equal.outer(held, held)] = 0.0
+        fixed = self.prior_std == 0
+        metric[np.not_equal.outer(fixed, fixed)] = 0.0
         return metric
 
     @property

@@ -231,11 +231,11 @@ class Recipe:
             result = pool_joint_values(result, self.alike, robot)
         if self.description is not None:
             result = with_positive_rotors(result, robot)
-        held = excluded_columns(robot.features_, robot.effects_)
-        result = _zero_held(result, held)
+        excluded = excluded_columns(robot.features_, robot.effects_)
+        result = _zero_excluded(result, excluded)
         say("consistent bodies")
         result = project(result, self.projector, robot.features_, robot.effects_)
-        result = _zero_held(result, held)
+        result = _zero_excluded(result, excluded)
         return RobotFit.of(robot, result, self._identifiable(result), segments)
 
     def fit_data(self, robot, source):
@@ -265,10 +265,10 @@ def _zero_entries(robot, moments):
     return zeros
 
 
-def _zero_held(result, held):
+def _zero_excluded(result, excluded):
     """Set the coefficients of excluded columns, which are zero in the fit, to zero."""
     theta, unconstrained = result.theta.copy(), result.theta_unconstrained.copy()
-    theta[held] = unconstrained[held] = 0.0
+    theta[excluded] = unconstrained[excluded] = 0.0
     return replace(result, theta=theta, theta_unconstrained=unconstrained)
 
 
@@ -462,7 +462,7 @@ def _correct_values(recipe, fit, source, relative):
         zeros = _zero_entries(robot, moments)
         n_rigid = robot.features_.n_parameters_
         if relative is not None:
-            zeros[:, gain_indices(robot.effects_, n_rigid)[relative.held]] = True
+            zeros[:, gain_indices(robot.effects_, n_rigid)[relative.fixed]] = True
         # A prior on the bodies would keep a value of the geometry where it is.
         bodies = None if _changes_bodies(robot) else fit.estimate.bodies
         values = ModelValues.of(

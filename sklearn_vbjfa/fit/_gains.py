@@ -40,14 +40,14 @@ class RelativeGains:
     reference: np.ndarray
 
     @property
-    def held(self):
+    def fixed(self):
         """Joints (nv,), bool, whose gain is fixed."""
         return self.reference == np.arange(self.reference.size)
 
     @property
     def references(self):
         """Reference joints of at least one other joint, a sorted list of int."""
-        return np.unique(self.reference[~self.held]).tolist()
+        return np.unique(self.reference[~self.fixed]).tolist()
 
 
 def relative_gains(moments, references=()):

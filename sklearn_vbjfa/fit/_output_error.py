@@ -246,8 +246,8 @@ def _refine(predictor, result, windows, projector):
     fit = SimulatedFit.of(predictor, windows, np.zeros((windows.count, 2 * nv)))
     before = fit.position_errors(windows)
     value, count = fit.criterion(windows), windows.observations.sum()
-    held = held_parameters(predictor)
-    metric = np.where(np.outer(~held, ~held), result.metric, 0.0)
+    fixed = fixed_parameters(predictor)
+    metric = np.where(np.outer(~fixed, ~fixed), result.metric, 0.0)
     normal = Normal.of(fit, windows)
     root = scaled_eigen(metric).inverse_root()
     eigenvalues = linalg.eigvalsh(root.T @ normal.H @ root) if root.size else [0.0]
@@ -259,7 +259,7 @@ def _refine(predictor, result, windows, projector):
             converged = True
             break
         H = normal.H + damping * largest * metric
-        raw, theta = _step(fit.predictor, result, normal, H, held, projector)
+        raw, theta = _step(fit.predictor, result, normal, H, fixed, projector)
         trial = _simulate_trial(fit, normal, theta, windows)
         trial_value = np.inf if trial is None else trial.criterion(windows)
         if not trial_value < value:
@@ -281,17 +281,17 @@ def _refine(predictor, result, windows, projector):
     )
     std = deviations(normal, metric, _MIN_DAMPING * largest, result.std)
     refined = {"theta": fit.predictor.theta_, "theta_unconstrained": unconstrained}
-    std = np.where(held, result.std, std)
+    std = np.where(fixed, result.std, std)
     return replace(result, **refined, std=std), criteria
 
 
-def _step(predictor, result, normal, H, held, projector):
+def _step(predictor, result, normal, H, fixed, projector):
     change = scaled_eigen(H).solve(-normal.g.sum(axis=0))
-    change[held] = 0.0
+    change[fixed] = 0.0
     raw = predictor.theta_ + change
     trial = replace(result, theta=raw, theta_unconstrained=raw, metric=H)
     theta = project(trial, projector, predictor.features_, predictor.effects_).theta
-    return raw, np.where(held, predictor.theta_, theta)
+    return raw, np.where(fixed, predictor.theta_, theta)
 
 
 def _simulate_trial(fit, normal, theta, windows):
@@ -353,7 +353,7 @@ def slopes(predictor, recording, states):
     # states (n, 3 nv). Returns the derivatives of true torques with respect to
     # positions, velocities and accelerations (3, n, nv, nv), their jump where the
     # velocity of the joint crosses zero (n, nv), and the regressor Phi (n, nv, p).
-    features, held = predictor.features_, held_parameters(predictor)
+    features, fixed = predictor.features_, fixed_parameters(predictor)
 
     def rows_of(states):
         return regressor_rows(
@@ -366,9 +366,9 @@ def slopes(predictor, recording, states):
 
     Phi = np.concatenate([rows(slice(None)) for rows in rows_of(states)])
     Phi /= features.gains_[:, None]
-    Phi[:, :, held] = 0.0
-    held |= of_effects(predictor, lambda effect: isinstance(effect, OfChannel))
-    theta = np.where(held, 0.0, predictor.theta_)
+    Phi[:, :, fixed] = 0.0
+    fixed |= of_effects(predictor, lambda effect: isinstance(effect, OfChannel))
+    theta = np.where(fixed, 0.0, predictor.theta_)
 
     def torque(column, values):
         perturbed = states.copy()
@@ -392,7 +392,7 @@ def slopes(predictor, recording, states):
     return derivatives, jump, Phi
 
 
-def held_parameters(predictor):
+def fixed_parameters(predictor):
     """Return the parameters (p,), bool, without sensitivities in a simulation."""
     # Values of effects in the model, and effects that a simulation omits.
     return of_effects(

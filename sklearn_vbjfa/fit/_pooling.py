@@ -141,11 +141,11 @@ def _shared_values(groups, robot, std):
     # values without information, such as those of a joint at rest, are left out.
     features, joints = robot.features_, {}
     per_joint = features.n_parameters_ // features.n_joints_
-    held = excluded_columns(features, robot.effects_)
+    excluded = excluded_columns(features, robot.effects_)
     for j in range(features.n_joints_):
         for k, name in enumerate(features.friction_):
             place = j * per_joint + 10 + k
-            if declared(name).alike and place not in held:
+            if declared(name).alike and place not in excluded:
                 joints.setdefault((name,), {})[j] = place
     for effect, span in effect_indices(robot.effects_, features.n_parameters_):
         for place, name in zip(span, effect.coefficients):

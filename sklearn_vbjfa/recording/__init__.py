@@ -1,9 +1,9 @@
-"""Recordings: what they hold, how they are read, and faults of their samples."""
+"""Recordings: data class, readers of files, time stamps, signals and drives."""
 
 from sklearn_vbjfa import _lazily
 
-# Users get `Recording` and `read_recording` from `sklearn_vbjfa.datasets`; the rest is
-# for other rooms.
+# `Recording` and `read_recording` are public in `sklearn_vbjfa.datasets`; other names
+# are for use by other subpackages.
 _MODULES = {
     "_signals": (
         "ChannelFinding",

@@ -38,7 +38,7 @@ _CHANNELS = {"q": "positions", "tau": "torques", "q_desired": "desired positions
 
 
 def _refusal(table, layout, options, robot, missing):
-    """Return an error that lists all missing channels and suggests options."""
+    """Return the error that lists all missing channels and suggests options."""
     candidates = {kind: _near_patterns(table, kind, robot.names) for kind in missing}
     parts = []
     if layout.joints and layout.joints != robot.names:
@@ -98,7 +98,7 @@ def _try_columns(table, options, columns, **more):
 
 
 def _near_patterns(table, kind, joints):
-    """Return patterns of columns that may be a kind; only complete ones if any are."""
+    """Return patterns of columns that may be a channel, complete ones if there are."""
     if kind == "t":
         numbers = table.frame.select_dtypes("number")
         is_time = {x: unit_of("t", split_unit(x)[1] or x) for x in numbers}

@@ -329,7 +329,7 @@ class CurrentDrive(Drive):
 
     @property
     def gains(self):
-        """Unknown, if the torque constant is."""
+        """Gains: "unknown" without a torque constant, else None."""
         return "unknown" if isinstance(self.torque_constant, str | None) else None
 
     @property

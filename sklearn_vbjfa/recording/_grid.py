@@ -139,13 +139,13 @@ def join(logs, *, dt: float, resample=True) -> dict:
 class FileRows:
     """The rows of a file, in the units and joint order of the package."""
 
-    path: Path  # as messages name it
+    path: Path  # as shown in messages
     name: str  # file name without suffixes
     where: Callable[[int], str]  # location of a row for messages
     t: np.ndarray  # time stamps (n,) [s]
     dt: float | None  # sample period given by the user or the file [s]
     labels: np.ndarray | None  # of recordings
-    channels: dict[str, np.ndarray]  # "q", "tau", and maybe "v" and others
+    channels: dict[str, np.ndarray]  # "q", "tau", and further ones
     robot: dict  # joints and units, as fields of a `Recording`
     notes: list
 

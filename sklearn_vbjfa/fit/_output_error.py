@@ -23,7 +23,7 @@ from sklearn_vbjfa.effects import InModel, OfChannel
 from sklearn_vbjfa.equations._equations import regressor_rows
 from sklearn_vbjfa.fit._estimate import project
 from sklearn_vbjfa.recording import take_rows
-from sklearn_vbjfa.robot._posterior import of_effects
+from sklearn_vbjfa.robot._posterior import effect_mask
 from sklearn_vbjfa.robot._windows import warn_once
 from sklearn_vbjfa.simulation import SimulationError, simulate
 
@@ -367,7 +367,7 @@ def slopes(predictor, recording, states):
     Phi = np.concatenate([rows(slice(None)) for rows in rows_of(states)])
     Phi /= features.gains_[:, None]
     Phi[:, :, fixed] = 0.0
-    fixed |= of_effects(predictor, lambda effect: isinstance(effect, OfChannel))
+    fixed |= effect_mask(predictor, lambda effect: isinstance(effect, OfChannel))
     theta = np.where(fixed, 0.0, predictor.theta_)
 
     def torque(column, values):
@@ -395,7 +395,7 @@ def slopes(predictor, recording, states):
 def fixed_parameters(predictor):
     """Return the parameters (p,), bool, without sensitivities in a simulation."""
     # Values of effects in the model, and effects that a simulation omits.
-    return of_effects(
+    return effect_mask(
         predictor, lambda e: isinstance(e, InModel) or bool(e.files.simulation)
     )
 

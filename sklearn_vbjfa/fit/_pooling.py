@@ -29,9 +29,9 @@ from sklearn_vbjfa.model import (
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._posterior import (
     BetweenRecordings,
-    body_places,
+    body_indices,
     covariance_inverse,
-    of_effects,
+    effect_mask,
 )
 
 # Words, besides numbers, that distinguish legs, arms or fingers in joint names.
@@ -514,6 +514,6 @@ def _varying_parameters(robot):
             isinstance(effect, InModel) and effect.of_bodies
         )
 
-    varying = ~of_effects(robot, excluded)
-    varying[body_places(robot)] = False
+    varying = ~effect_mask(robot, excluded)
+    varying[body_indices(robot)] = False
     return np.flatnonzero(varying)

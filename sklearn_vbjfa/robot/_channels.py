@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-# Gains are plausible within this factor of those of the other channels, and known if
-# their 90 % interval is narrower than that ...
+# Gains are plausible within this factor of the gains of the other channels, and known
+# if their 90 % interval is narrower than this factor.
 LIMIT = 5.0
 # Half width of a 90 % interval in standard deviations.
 HALF_WIDTH = 1.645
@@ -17,17 +17,17 @@ class ChannelGains:
     """Gains of the torque channels of an identified robot."""
 
     joint_names: tuple[str, ...]
-    # (nv,): what each channel reads over the torque: in units of the reference channel,
-    # or [recorded unit / (N m or N)] where a known mass says how much that is. 1
-    # (relative) where the recording does not show it
+    # (nv,): reading of each channel over the torque: relative to the reference channel,
+    # or [recorded unit / (N m or N)] if a known mass determines it. 1 (relative) if it
+    # is not identifiable
     gain: np.ndarray
-    # (nv,): 0 for a reference, which is the unit, nan where the gain is not shown
+    # (nv,): 0 for a reference, nan if the gain is not identifiable
     std: np.ndarray
-    # (nv,): joint whose channel each is relative to: itself for a reference and for a
-    # joint whose gain is not shown relative to any other
+    # (nv,): joint whose channel is the reference: itself for a reference and for a
+    # joint whose gain is not identifiable
     reference: np.ndarray
-    common: "CommonGain"  # what fixes the common factor
-    # (2, nv): ends of the 90 % intervals; nan where the gain is not shown
+    common: "CommonGain"
+    # (2, nv): ends of the 90 % intervals; nan if the gain is not identifiable
     intervals: np.ndarray = field(init=False)
 
     def __post_init__(self):
@@ -37,57 +37,57 @@ class ChannelGains:
 
     @property
     def references(self):
-        own = np.arange(self.reference.size)
-        return tuple(np.unique(self.reference[self.reference != own]).tolist())
+        joints = np.arange(self.reference.size)
+        return tuple(np.unique(self.reference[self.reference != joints]).tolist())
 
     @property
     def hidden(self):
-        """Joints (tuple of int) whose gain is not shown relative to any other."""
-        own = np.arange(self.reference.size)
-        alone = own[self.reference == own]
+        """Joints (tuple of int) whose gain is not identifiable."""
+        joints = np.arange(self.reference.size)
+        alone = joints[self.reference == joints]
         return tuple(np.setdiff1d(alone, self.references).tolist())
 
     @property
     def absolute(self):
-        """Whether a known mass fixes what a gain of 1 is."""
+        """Whether a known mass determines the common factor."""
         return self.common.factor is not None
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommonGain:
-    """What fixes the common factor of all gains."""
+    """Common factor of all gains, and the masses that determine it."""
 
-    # gain of the reference channel [recorded unit / (N m or N)]; None where nothing
-    # fixes it. Parameters were divided by it
+    # gain of the reference channel [recorded unit / (N m or N)], by which parameters
+    # were divided; None if it is unknown
     factor: float | None = None
-    std: float = float("nan")  # nan where nothing fixes it
+    std: float = float("nan")  # nan if it is unknown
     # known masses [kg] by body, or "payload"
     masses: Mapping[str, float] = field(default_factory=dict)
 
     def widened(self, theta, std, units, gains, covariance):
-        """Deviations (p,) of parameters with that of the common gain."""
-        # theta: parameters in kg and N m (p,); std: deviations of the same with the
-        # factor as it is, gains relative to a reference; units: of the parameters;
-        # gains: places of gains among them; covariance: see `common_gain`.
+        """Return deviations (p,) that include the uncertainty of the common gain."""
+        # theta: parameters in kg and N m (p,); std: their deviations for a fixed
+        # factor, gains relative to a reference; units: of the parameters; gains:
+        # indices of gains among them; covariance: see `common_gain`.
         power = np.array([_power(unit) for unit in units])
         power[gains] = 1
-        # A parameter is what it was in relative units times this power of the factor.
+        # A parameter is its value in relative units times this power of the factor.
         scale = float(self.factor) ** power
         std = np.where(np.isin(np.arange(std.size), gains), std * scale, std)
         share = self.std / self.factor
-        both = 2 * power * theta / self.factor * scale * covariance
-        return np.sqrt(np.maximum(std**2 + (power * theta * share) ** 2 + both, 0.0))
+        cross = 2 * power * theta / self.factor * scale * covariance
+        return np.sqrt(np.maximum(std**2 + (power * theta * share) ** 2 + cross, 0.0))
 
 
 def _power(unit):
-    """Return how a parameter of some unit depends on the gain of torques."""
+    """Return the power of the torque gain in a parameter with this unit."""
     if unit.startswith(("N", "kg")):
         return -1
     return int(unit.endswith(("N", "(N m)")))
 
 
 def note_of_gains(gains):
-    """Say what channels read over the torque in a written file; empty if known."""
+    """Return the note of a file on channel gains; empty if they are known."""
     if gains is None:
         return ""
     each = ", ".join(
@@ -98,7 +98,7 @@ def note_of_gains(gains):
 
 
 def note_of_units(gains):
-    """Say what units a written file is in; empty where they are kg and N m."""
+    """Return the note of a file on units; empty for kg and N m."""
     if gains is None or gains.absolute:
         return ""
     names = [gains.joint_names[j] for j in gains.references]

@@ -19,13 +19,13 @@ from sklearn_vbjfa.model import (
     joint_origin,
 )
 
-# Of the length of an axis, what may be across the coordinate axis that names it.
+# Tolerance for an axis to be called by the name of a coordinate axis.
 _ALONG = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Correction:
-    """What an effect in the model of a fitted robot asks for."""
+    """Correction of base, encoder or description by an effect in the model."""
 
     name: str  # of the effect
     joint: int  # from zero
@@ -39,27 +39,27 @@ class Correction:
 
 
 def _corrected(robot):
-    """Return the `CorrectedModel` of a fitted robot, with the turns it has."""
-    made = CorrectedModel(robot.features_.nominal_)
+    """Return the `CorrectedModel` of a fitted robot."""
+    corrected = CorrectedModel(robot.features_.nominal_)
     for effect in robot.effects_:
         if isinstance(effect, InModel):
-            effect.correct(made)
-    return made
+            effect.correct(corrected)
+    return corrected
 
 
 def turned_joints(robot):
-    """Return turns of a fitted robot's joint placements, name -> matrix (3, 3)."""
+    """Return rotations of a robot's joint placements, name -> matrix (3, 3)."""
     names = robot.joint_names_
     return {names[joint]: turn for joint, turn in _corrected(robot).turns.items()}
 
 
 def corrections_of(robot):
-    """Say what is to be corrected of a fitted robot, a tuple of `Correction`."""
+    """Return the corrections of a fitted robot, a tuple of `Correction`."""
     turned, names = _corrected(robot), robot.joint_names_
     sums = {}
     for effect in robot.effects_:
         if effect.name in _VALUES:
-            # Small turns add up, of one that was declared and found once more.
+            # Add small rotations of a declared effect that was found again.
             key = effect.name, effect.joint
             sums[key] = sums.get(key, 0.0) + effect.values
     return tuple(
@@ -70,7 +70,7 @@ def corrections_of(robot):
             values=_VALUES[name](robot, turned, joint, values),
         )
         for (name, joint), values in sums.items()
-        # Gains that are unknown anyway are in `ChannelGains`.
+        # Unknown gains are in `ChannelGains`.
         if robot.gains_ is None or name != TorqueGain.name
     )
 
@@ -125,7 +125,7 @@ def _axis_name(direction):
     return f"axis ({', '.join(f'{x:.4g}' for x in direction)})"
 
 
-# What a URDF says of a correction.
+# Notes in a URDF by effect.
 _NOTES = {
     BaseTilt.name: "The base of the recorded robot was not level: gravity is turned "
     "in its frame by roll {roll:.4g} and pitch {pitch:.4g} degrees. Level it, or "
@@ -142,8 +142,8 @@ _NOTES = {
 
 
 def note_of_corrections(robot):
-    """Say what an identified robot asks for that a URDF cannot hold; a list of str."""
+    """Return the notes of a URDF on corrections, a list of str."""
     return [
-        _NOTES[one.name].format(joint=one.joint_name, **one.values)
-        for one in corrections_of(robot)
+        _NOTES[correction.name].format(joint=correction.joint_name, **correction.values)
+        for correction in corrections_of(robot)
     ]

@@ -27,21 +27,21 @@ from sklearn_vbjfa.simulation import LeftOut, SimulationError, simulate
 
 
 def plain_totals(robot):
-    """Return what the joints of a file have of `TERMS`, (nv, 3)."""
+    """Return the coefficients of `TERMS` in a file, (nv, 3)."""
     account = _Account(robot)
     return np.column_stack([account.passive(name) for name in TERMS])
 
 
 def to_mjcf(path, robot, min_eigenvalues, notes=(), servo=None, added=None):
-    """Write a `TorqueModel` as MJCF; return what it does not have, `LeftOut` each."""
-    # notes: what else a reader of the file has to know; servo: of motors that follow
-    # positions; added: see `refitted`.
+    """Write a `TorqueModel` as MJCF; return what is left out, `LeftOut` each."""
+    # notes: further comments in the file; servo: of position-controlled motors; added:
+    # see `refitted`.
     check_possible(robot.model, min_eigenvalues, "an MJCF file")
     account = _Account(robot, added)
     dynamics = _mjcf_dynamics(account, servo)
     level = CorrectedModel(robot.model)
     for j in np.flatnonzero(dynamics.ref):
-        # The file says by `ref` what the corrected model has in its placements.
+        # The file states the zero by `ref` instead of the joint placement.
         level.move_zero(int(j), -float(dynamics.ref[j]))
     lines = [*_notes_of_mjcf(robot, dynamics, servo), *filter(None, notes)]
     write_mjcf(
@@ -88,7 +88,7 @@ def to_urdf(path, text, robot, min_eigenvalues, notes=(), turned_joints=None):
 
 def _note(lines, left):
     if left:
-        listed = "".join(f"\n- {one}" for one in dict.fromkeys(map(str, left)))
+        listed = "".join(f"\n- {item}" for item in dict.fromkeys(map(str, left)))
         lines = [*lines, f"This file does not have:{listed}"]
     return "\n".join(lines)
 
@@ -142,13 +142,13 @@ class _Account:
 
     def leave(self, name, joint, reason):
         names = self.robot.joint_names
-        one = LeftOut(
+        left_out = LeftOut(
             name=name, joint=int(joint), joint_name=names[joint], reason=reason
         )
-        self.left.append(one)
+        self.left.append(left_out)
 
     def leave_effect(self, effect, coef, reason):
-        """List what an effect with these coefficients would add, unless it is zero."""
+        """List an effect as left out unless its coefficients are zero."""
         if not np.any(coef):
             return
         fitted = self._added[effect.joint].any()
@@ -157,7 +157,7 @@ class _Account:
         self.leave(effect.name, effect.joint, reason)
 
     def total(self, name):
-        """Sum of a plain coefficient, declared and found, (nv,)."""
+        """Sum of a declared coefficient and the effects of the same law, (nv,)."""
         total = np.zeros(self.robot.n_joints)
         if name in self.robot.friction_names:
             total += self.robot.friction[:, self.robot.friction_names.index(name)]
@@ -169,7 +169,7 @@ class _Account:
         return total
 
     def passive(self, name):
-        """Total of a plain coefficient where it is not negative; the rest is left."""
+        """Total of a coefficient; negative ones are listed as left out."""
         total = self.total(name)
         for j in np.flatnonzero(total < 0):
             why = f"its coefficient is negative ({total[j]:.4g}), which would drive"
@@ -195,12 +195,12 @@ def _mjcf_dynamics(account, servo=None):
     damping, frictionloss, armature = (
         account.passive(name) for name in ("viscous", "coulomb", "rotor_inertia")
     )
-    # Constant torque, stiffness about the zero of the position, and what encoders read
-    # at the zero of the description.
+    # Constant torque, stiffness about position zero, and encoder reading at the zero of
+    # the description.
     constant, (spring, ref) = account.total("offset"), np.zeros((2, nv))
     joints = {"constant": constant, "spring": spring, "ref": ref}
     for effect, coef in account.uses:
-        # In the sums; in the model, in the gains, or a body of its own.
+        # Others are in the sums, the model, the gains, or are separate bodies.
         if not (effect.files.mjcf or effect.files.places):
             continue
         if isinstance(effect, InModel):
@@ -236,18 +236,18 @@ def _mjcf_dynamics(account, servo=None):
     )
 
 
-# What joints of MJCF have, by the names of declared friction.
+# Joint attributes of MJCF, by the names of declared friction.
 TERMS = ("coulomb", "viscous", "rotor_inertia")
-# Rows of the motion, the frequencies of its sines over the first one, and the share of
-# a joint's top speed below which its friction may have any value.
+# Rows of the motion, relative frequencies of its sines, and the share of a joint's top
+# speed below which its dry friction is indeterminate.
 _ROWS, _FREQUENCIES, _REST = 6000, (0.35, 0.7, 1.0, 1.6), 0.02
-# Windows in which the file is simulated, their length [s], and the least rows of one.
+# Number of windows in which the file is simulated, their length [s], and least rows.
 _WINDOWS, _SECONDS, _LEAST = 6, 1.0, 20
-# Change of the simulated positions, as a share of their spread, that is too large.
+# Largest change of the simulated positions, over their standard deviation.
 _CHANGED = 0.02
-# Least and most of a term of the file, over what was identified.
+# Range of a term of the file, over its identified value.
 _FACTORS = np.array([0.5, 2.0])
-# What a motion without log does not have.
+# Effects that a motion without log does not have.
 _APART = (OfChannel, OfSignals, OfTime)
 # A torque below this share of the joint's whole torque is rounding.
 _ROUNDING = 1e-9
@@ -259,19 +259,19 @@ def without_place(effect, coef):
     others |= isinstance(effect, OnAllJoints) and bool(effect.files.simulation)
     if others or not effect.files.mjcf:
         return np.zeros(len(coef))
-    held = [name for _, name in effect.files.places]
-    return np.where(np.isin(effect.coefficients, held), 0.0, coef)
+    written = [name for _, name in effect.files.places]
+    return np.where(np.isin(effect.coefficients, written), 0.0, coef)
 
 
 def typical_motion(ranges, nv, dt):
-    """States (n, 3 nv) within the ranges of a fit, and which joints move in them."""
+    """Return states (n, 3 nv) within the ranges of a fit, and the joints that move."""
     # ranges: `EffectRange` of at least one effect or friction term of each joint.
-    t, by_joint = dt * np.arange(_ROWS), {one.joint: one for one in ranges}
+    t, by_joint = dt * np.arange(_ROWS), {r.joint: r for r in ranges}
     states, moves = np.zeros((3, _ROWS, nv)), np.zeros(nv, dtype=bool)
     rng = np.random.default_rng(0)
-    for j, one in by_joint.items():
-        low, high = one.position
-        size, speed = 0.5 * (high - low), one.speed[1]
+    for j, fitted in by_joint.items():
+        low, high = fitted.position
+        size, speed = 0.5 * (high - low), fitted.speed[1]
         phase = rng.uniform(0, 2 * np.pi, len(_FREQUENCIES))
         if not (size > 0 and speed > 0):
             continue
@@ -286,10 +286,10 @@ def typical_motion(ranges, nv, dt):
 
 
 def refitted(robot, totals):
-    """Fit the joints of a file to what it lacks of an identified robot, (nv, 3)."""
-    # totals (nv, 3): of `TERMS` in the file. What was identified changes by a factor of
-    # two at most: a joint without armature would be another joint for a controller.
-    # What another joint does to one is no friction of its own.
+    """Fit `TERMS` of a file to the effects that it leaves out, changes (nv, 3)."""
+    # totals (nv, 3): of `TERMS` in the file, which change by a factor of two at most: a
+    # joint without armature would be a different plant for a controller. Torques by
+    # other joints are not fitted.
     nv, added = len(totals), np.zeros(totals.shape)
     pairs = zip(robot.effects_, robot.split(robot.theta_))
     left = [without_place(*pair) for pair in pairs]
@@ -311,9 +311,9 @@ def refitted(robot, totals):
         size, y = np.sqrt((X**2).mean(axis=0)), lacking[rows, j]
         least, most = (_FACTORS - 1.0)[:, None] * np.maximum(totals[j], 0.0)
         ends = least * size - _ROUNDING, most * size + _ROUNDING
-        found = np.clip(lsq_linear(X / size, y, ends).x / size, least, most)
-        if ((y - X @ found) ** 2).sum() < (y**2).sum():
-            added[j] = found
+        change = np.clip(lsq_linear(X / size, y, ends).x / size, least, most)
+        if ((y - X @ change) ** 2).sum() < (y**2).sum():
+            added[j] = change
     return added
 
 
@@ -322,7 +322,7 @@ def _is_known(robot):
 
 
 def warn_of_motion(robot, added, file_name):
-    """Warn of joints that move differently with what an MJCF file has of a robot."""
+    """Warn of joints that move differently in simulations of an MJCF file."""
     model = robot.torque_model()
     left = [
         coef if isinstance(effect, Drift) else without_place(effect, coef)
@@ -373,10 +373,10 @@ def warn_of_motion(robot, added, file_name):
 
 
 def changed_motion(robot, model, other):
-    """Root mean square change (nv,) of simulated positions, over their spread."""
+    """Return the RMS change (nv,) of simulated positions, over their deviation."""
     # model, other: `TorqueModel`, both driven by the torques of the first in a typical
-    # motion; infinite where the other one diverges. Raises the `SimulationError` of the
-    # first one if that diverges.
+    # motion; infinite if the other one diverges. Raises `SimulationError` if the first
+    # one diverges.
     nv, dt = model.n_joints, robot.plan.dt
     states, moves = typical_motion(robot.effect_ranges_, nv, dt)
     length, t = min(max(round(_SECONDS / dt), _LEAST), _ROWS), robot.clock(None, _ROWS)
@@ -389,9 +389,9 @@ def changed_motion(robot, model, other):
     changes, spread = [], states[:, :nv].std(axis=0)
     for rows in (slice(start, start + length) for start in starts):
         q, v, _ = np.split(states[rows.start], 3)
-        own = _simulated(model, tau[rows], q, v, t[rows])
+        expected = _simulated(model, tau[rows], q, v, t[rows])
         try:
-            changes.append(_simulated(other, tau[rows], q, v, t[rows]) - own)
+            changes.append(_simulated(other, tau[rows], q, v, t[rows]) - expected)
         except SimulationError:
             changes.append(np.inf)
     squares = np.mean([np.mean(np.square(x), axis=0) for x in changes], axis=0)
@@ -401,6 +401,6 @@ def changed_motion(robot, model, other):
 def _simulated(model, tau, q, v, t):
     """Positions (n, nv) under torques."""
     with warnings.catch_warnings():
-        # What a simulation leaves out is left out of both.
+        # Both simulations leave out the same effects.
         warnings.simplefilter("ignore")
         return simulate(model, tau, q, v, t)[:, : q.size]

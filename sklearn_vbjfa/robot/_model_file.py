@@ -1,4 +1,4 @@
-"""Identified robots as files: readable JSON with the robot description inside."""
+"""Identified robots as JSON files, with the robot description."""
 
 import json
 import math
@@ -29,10 +29,10 @@ from sklearn_vbjfa.recording._table import quoted
 
 FORMAT = "sklearn_vbjfa identified robot"
 VERSION = 1
-# Fields that follow from the others, and what is saved of a fitted `StateEstimator`.
+# Fields that follow from others, and saved attributes of a fitted `StateEstimator`.
 _NOT_SAVED = frozenset({"features_", "source", "waves", "_stepper"})
 _OF_STATES = ("cutoff_", "noise_variance_", "bandwidth_")
-# What JSON has no number for.
+# Numbers that JSON does not have.
 _SPELLED = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 # A list of numbers and words like "nan".
 _PLAIN_LIST = re.compile(r'\[\s+(?:[-+.\w]+|"-?\w+")(?:,\s+(?:[-+.\w]+|"-?\w+"))*\s+\]')
@@ -41,7 +41,7 @@ _WORDS |= {bool: "true or false", list: "a list", dict: "an object"}
 
 
 class _Wrong(ValueError):
-    """A key with a wrong value; the file is added where it is known."""
+    """A key with a wrong value; `read` adds the name of the file."""
 
     def __init__(self, at, what):
         super().__init__(f"key {at!r} {what}")
@@ -77,11 +77,11 @@ def write(path, robot):
 
 def read(path, kind, effects=()):
     """Read an `IdentifiedRobot`; ValueError for missing or wrong keys."""
-    # kind: its class; effects: classes of those that are not in the library.
+    # kind: its class; effects: classes of effects that are not in the library.
     name = str(path)
-    # What a robot has without a search in the library.
-    usual = (Follower, CommandDelay, TorqueLag, UnnamedTorque)
-    classes = {one.name: one for one in (*usual, *effects)}
+    # Effects that the search does not try.
+    further = (Follower, CommandDelay, TorqueLag, UnnamedTorque)
+    classes = {effect.name: effect for effect in (*further, *effects)}
     try:
         text = Path(path).read_text(encoding="utf-8")
         content = json.loads(text, parse_constant=_refuse)
@@ -138,10 +138,10 @@ def _robot_of(content, name, kind, classes):
             "effects in their order",
         )
     for key in ("theta_", "theta_unconstrained_", "theta_std_", "identifiable_"):
-        found = getattr(robot, key)
-        if np.shape(found) != (len(parameters),):
+        array = getattr(robot, key)
+        if np.shape(array) != (len(parameters),):
             raise _Wrong(key, f"must hold {len(parameters)} values, one per parameter")
-        if key != "theta_std_" and not np.isfinite(found).all():
+        if key != "theta_std_" and not np.isfinite(array).all():
             raise _Wrong(key, "must hold finite numbers")
     n_ranges = features.n_joints_ * len(features.friction_) + len(robot.effects_)
     if len(robot.effect_ranges_) != n_ranges:
@@ -153,7 +153,7 @@ def _robot_of(content, name, kind, classes):
 
 
 def _decode_setting(value):
-    """Return lists as tuples, and numbers that JSON does not have."""
+    """Convert lists to tuples, and "nan" and "inf" to numbers."""
     if isinstance(value, list):
         return tuple(map(_decode_setting, value))
     return _SPELLED.get(value, value) if isinstance(value, str) else value
@@ -185,7 +185,7 @@ def _decode_effect(value, at, classes):
 
 
 def _encode(value):
-    """Return a value as JSON has it: dataclasses as objects, arrays as lists."""
+    """Convert a value for JSON: dataclasses to objects, arrays to lists."""
     if isinstance(value, Effect):
         shape = value.get_params(deep=False)
         joint = shape.pop("joint")
@@ -195,32 +195,32 @@ def _encode(value):
     if is_dataclass(value):
         return {name: _encode(getattr(value, name)) for name in _saved(type(value))}
     if isinstance(value, Mapping):
-        return {key: _encode(one) for key, one in value.items()}
+        return {key: _encode(item) for key, item in value.items()}
     if isinstance(value, (np.ndarray, np.generic)):
         value = value.tolist()
     if isinstance(value, (tuple, list)):
-        return [_encode(one) for one in value]
+        return [_encode(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
     return value
 
 
 def _decode(value, kind, at, classes=None):
-    """Return the value of a type that `_encode` wrote; refuse another."""
-    # at: where it is, such as ``plan.effects[3]``; classes: of effects, by name.
+    """Convert a value that `_encode` wrote back to its type; refuse others."""
+    # at: path in the file, such as ``plan.effects[3]``; classes: of effects by name.
     origin, options = get_origin(kind), get_args(kind)
     if origin is UnionType:
         # A value or None.
         return None if value is None else _decode(value, options[0], at, classes)
     if origin is Mapping:
         parts = _plain(value, dict, at).items()
-        return {k: _decode(one, options[1], f"{at}.{k}", classes) for k, one in parts}
+        return {k: _decode(x, options[1], f"{at}.{k}", classes) for k, x in parts}
     if origin is tuple:
         parts = enumerate(_plain(value, list, at))
-        found = tuple(_decode(x, options[0], f"{at}[{k}]", classes) for k, x in parts)
-        if options[1] is not Ellipsis and len(found) != len(options):
+        items = tuple(_decode(x, options[0], f"{at}[{k}]", classes) for k, x in parts)
+        if options[1] is not Ellipsis and len(items) != len(options):
             raise _Wrong(at, f"must hold {len(options)} values")
-        return found
+        return items
     if kind is Effect:
         return _decode_effect(value, at, classes)
     if kind is StateEstimator:
@@ -249,14 +249,14 @@ def _saved(kind):
 
 
 def _decode_states(value, at):
-    found = {
+    attributes = {
         name: np.atleast_1d(_array(_value(value, name, at), f"{at}.{name}"))
         for name in _OF_STATES
     }
-    cutoffs = [c if np.isfinite(c) else None for c in found["cutoff_"]]
+    cutoffs = [c if np.isfinite(c) else None for c in attributes["cutoff_"]]
     dt = _decode(_value(value, "dt", at), float, f"{at}.dt")
     estimator = StateEstimator(dt, cutoffs)
-    vars(estimator).update(found, n_features_in_=len(cutoffs))
+    vars(estimator).update(attributes, n_features_in_=len(cutoffs))
     return estimator
 
 
@@ -274,16 +274,16 @@ def _plain(value, kind, at):
 
 def _array(value, at):
     try:
-        found = np.array(_decode_setting(value))
+        array = np.array(_decode_setting(value))
     except ValueError:
         raise _Wrong(at, "must hold rows of the same length") from None
-    if found.dtype.kind not in "bif":
+    if array.dtype.kind not in "bif":
         raise _Wrong(at, "must hold numbers")
-    return found
+    return array
 
 
 def readable(value):
     """Return JSON text with each list of plain values on a line."""
-    # Floats are written so that the same ones are read.
+    # Floats are written with all their digits.
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1)
-    return _PLAIN_LIST.sub(lambda found: " ".join(found[0].split()), text)
+    return _PLAIN_LIST.sub(lambda match: " ".join(match[0].split()), text)

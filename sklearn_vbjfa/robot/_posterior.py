@@ -1,4 +1,4 @@
-"""Which parameters are known, and how they scatter from one recording to the next."""
+"""Posterior of the parameters, and their scatter from one recording to the next."""
 
 import functools
 from dataclasses import dataclass
@@ -30,13 +30,13 @@ _HALVINGS = 70
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BetweenRecordings:
-    """How far values are off from one recording to another."""
+    """Scatter of the parameters from one recording to another."""
 
-    # recordings, or groups of them where there are many; one where these are stretches
-    # of a single recording
+    # recordings, or groups of them if there are many; one for stretches of a single
+    # recording
     count: int
-    places: np.ndarray  # (k,): parameters that were found in two of them or more
-    # (k,): deviation of the next recording's value from the one that was fitted, for a
+    places: np.ndarray  # (k,): parameters that at least two of them determine
+    # (k,): deviation of the value in the next recording from the fitted value, for a
     # scale of one
     size: np.ndarray
     weights: np.ndarray  # (m, k): probabilities of the scales
@@ -44,7 +44,7 @@ class BetweenRecordings:
 
     @property
     def deviations(self):
-        """Deviations (m, k) of the next recording's value from the fitted one."""
+        """Deviations (m, k) of values in the next recording from the fitted ones."""
         return self.scales[:, None] * self.size
 
     @property
@@ -66,29 +66,29 @@ class Marginal:
     lowest: float = -np.inf
 
     def quantiles(self, levels):
-        """Quantiles (n,) of shares (n,)."""
-        return self.beyond(np.log1p(-np.asarray(levels, dtype=float)))
+        """Quantiles (n,) of probabilities (n,)."""
+        return self.inverse_survival(np.log1p(-np.asarray(levels, dtype=float)))
 
-    def beyond(self, logs):
-        """Values (n,) above which shares are, by their logarithms, by halving."""
+    def inverse_survival(self, logs):
+        """Values (n,) of given log survival probabilities, by bisection."""
         if not self.deviations.max() > 0:
             return np.full(logs.shape, max(self.centre, self.lowest))
-        asked = self.above(np.array([self.lowest]))[0] + logs
+        wanted = self.log_survival(np.array([self.lowest]))[0] + logs
         reach = 50.0 * self.deviations.max()
         low = np.full(logs.shape, max(self.centre - reach, self.lowest))
         high = np.maximum(self.centre, low) + reach
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
-            more = self.above(middle) > asked
+            more = self.log_survival(middle) > wanted
             low, high = np.where(more, middle, low), np.where(more, high, middle)
         return 0.5 * (low + high)
 
-    def above(self, x):
-        """Logarithms of the mixture's shares above x (n,), not cut off."""
+    def log_survival(self, x):
+        """Log probabilities of values above x (n,), without the truncation."""
         with np.errstate(divide="ignore"):
-            own = np.log(self.weights)[:, None]
+            log_weights = np.log(self.weights)[:, None]
         z = (self.centre - x) / self.deviations[:, None]
-        return logsumexp(own + log_ndtr(z), axis=0)
+        return logsumexp(log_weights + log_ndtr(z), axis=0)
 
 
 # -- the posterior ---------------------------------------------------------------------
@@ -96,18 +96,18 @@ class Marginal:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Posterior:
-    """What the fit of a robot knows of all parameters together."""
+    """Joint posterior of all parameters of a robot."""
 
     theta: np.ndarray  # (p,): of the robot
-    # (p,): before the projection; where nothing tells a value, that of the robot
+    # (p,): before the projection; theta where the data determine nothing
     centre: np.ndarray
-    # (p,): deviations within recordings of each by itself, `theta_std_`
+    # (p,): marginal deviations within recordings, `theta_std_`
     std: np.ndarray
-    # (p, p): covariance of the same, with one factor for the scatter in time: what
-    # torques tell of sums stays told. Zero for what is held
+    # (p, p): covariance within recordings, with one factor for the correlation in time,
+    # which keeps the deviations of well-known sums. Zero for fixed parameters
     covariance: np.ndarray
     between: BetweenRecordings | None
-    bodies: np.ndarray  # (n, 10): places of the bodies' parameters
+    bodies: np.ndarray  # (n, 10): indices of the bodies' parameters
     nonnegative: np.ndarray  # (p,), bool: values of drives that cannot be negative
 
     @classmethod
@@ -122,8 +122,8 @@ class Posterior:
         fitted = robot.covariance
         finite = np.isfinite(np.diagonal(fitted))
         covariance[np.ix_(finite, finite)] = fitted[np.ix_(finite, finite)]
-        # Of values of the geometry only the deviations are known.
-        alone = of_the_model(robot) & ~finite & np.isfinite(robot.theta_std_)
+        # For parameters of the geometry only the deviations are known.
+        alone = model_parameter_mask(robot) & ~finite & np.isfinite(robot.theta_std_)
         covariance[alone, alone] = robot.theta_std_[alone] ** 2
         moves = np.diagonal(covariance) > 0
         return cls(
@@ -132,7 +132,7 @@ class Posterior:
             std=robot.theta_std_,
             covariance=covariance,
             between=robot.recording_variance,
-            bodies=body_places(robot),
+            bodies=body_indices(robot),
             nonnegative=_nonnegative(robot),
         )
 
@@ -142,7 +142,7 @@ class Posterior:
         return np.sqrt(np.diagonal(self.covariance))
 
     @functools.cached_property
-    def off(self):
+    def between_std(self):
         """Deviations (p,) from recording to recording."""
         out = np.zeros(self.theta.size)
         if self.between is not None:
@@ -150,48 +150,51 @@ class Posterior:
         return out
 
     def marginal(self, k):
-        """Return the `Marginal` of a parameter; None if nothing tells it."""
+        """Return the `Marginal` of a parameter; None if it is undetermined."""
         return self._mixture(k, self.std[k]) if np.isfinite(self.std[k]) else None
 
     def _mixture(self, k, within):
-        weights, off = np.ones(1), np.zeros(1)
+        weights, between = np.ones(1), np.zeros(1)
         if self.between is not None and k in self.between.places:
             at = int(np.flatnonzero(self.between.places == k)[0])
-            weights, off = self.between.weights[:, at], self.between.deviations[:, at]
+            weights = self.between.weights[:, at]
+            between = self.between.deviations[:, at]
         return Marginal(
             centre=self.centre[k],
-            deviations=np.hypot(within, off),
+            deviations=np.hypot(within, between),
             weights=weights,
             lowest=0.0 if self.nonnegative[k] else -np.inf,
         )
 
     def sample(self, seed, numbers):
-        """Draw parameters (n, p): rows of the endless table that a seed has."""
-        # Each row has random numbers of its own, and does not depend on the others.
+        """Draw parameters (n, p): rows with these numbers in the sequence of a seed."""
+        # Each row has a separate generator and does not depend on the others.
         rngs = [np.random.default_rng([seed, int(k)]) for k in numbers]
         p = self.theta.size
         x = np.array([rng.standard_normal(p) for rng in rngs])
-        # By the symmetric root of the covariance: no unit changes a draw with it.
+        # With the symmetric root of the correlations, units do not change a draw.
         value, axes, size = _spectrum(self.covariance)
         drawn = self.centre + x @ ((axes * np.sqrt(value)) @ axes.T * size)
         if self.between is not None:
-            drawn[:, self.between.places] += self._drawn_off(rngs)
-        # What is cut off takes the others along by their regression, by the share of
-        # it that is within the recording, so that the torques stay.
+            drawn[:, self.between.places] += self._draw_between(rngs)
+        # Draws of non-negative parameters move to the same quantiles of the truncated
+        # marginal. The other parameters follow by regression on the share within the
+        # recording, which preserves the torques.
         cut = np.flatnonzero(self.nonnegative & (self.within > 0))
-        # Draws move to the same quantiles of values that are not negative.
         mixed = [self._mixture(k, self.within[k]) for k in cut]
-        after = [one.beyond(one.above(drawn[:, k])) for k, one in zip(cut, mixed)]
+        logs = [m.log_survival(drawn[:, k]) for k, m in zip(cut, mixed)]
+        after = [m.inverse_survival(log) for m, log in zip(mixed, logs)]
         after = np.reshape(after, (-1, len(x)))
-        share = self.within[cut] ** 2 / (self.within[cut] ** 2 + self.off[cut] ** 2)
+        within, between = self.within[cut] ** 2, self.between_std[cut] ** 2
+        share = within / (within + between)
         precision = covariance_inverse(self.covariance[np.ix_(cut, cut)])
         moved = share * (after.T - drawn[:, cut])
         drawn += moved @ precision @ self.covariance[cut]
         drawn[:, cut] = after.T
         return self._consistent(drawn)
 
-    def _drawn_off(self, rngs):
-        """Draw how far values are off in recordings, (n, k)."""
+    def _draw_between(self, rngs):
+        """Draw deviations from recording to recording, (n, k)."""
         between, k = self.between, self.between.places.size
         share = np.array([rng.random(k) for rng in rngs])
         below = np.cumsum(between.weights, axis=0)
@@ -201,7 +204,7 @@ class Posterior:
         return z * between.deviations[chosen, np.arange(k)]
 
     def _consistent(self, drawn):
-        """Return the nearest possible draws (n, p), in the metric of the posterior."""
+        """Project draws (n, p) onto consistent bodies in the posterior's metric."""
         bodies = self.bodies.ravel()
         if not self.covariance[np.ix_(bodies, bodies)].any():
             return drawn
@@ -220,30 +223,30 @@ class Posterior:
         return drawn
 
 
-def of_the_model(robot):
-    """Parameters (p,), bool, that are values of effects in the model."""
-    return of_effects(robot, lambda effect: isinstance(effect, InModel))
+def model_parameter_mask(robot):
+    """Parameters (p,), bool, of effects in the model."""
+    return effect_mask(robot, lambda effect: isinstance(effect, InModel))
 
 
-def body_places(robot):
-    """Places (n, 10) of the parameters of bodies, with those of followers."""
+def body_indices(robot):
+    """Return indices (n, 10) of the parameters of bodies, including followers."""
     features = robot.features_
     n, nv = features.n_parameters_, features.n_joints_
     starts = np.arange(nv) * (n // nv)
-    own = of_effects(robot, lambda effect: isinstance(effect, Follower))
-    following = np.flatnonzero(own).reshape(-1, 10)
+    mask = effect_mask(robot, lambda effect: isinstance(effect, Follower))
+    following = np.flatnonzero(mask).reshape(-1, 10)
     return np.vstack([starts[:, None] + np.arange(10), following])
 
 
-def of_effects(robot, asked):
-    """Parameters (p,), bool, of the effects of which something is true."""
+def effect_mask(robot, condition):
+    """Parameters (p,), bool, of the effects that meet a condition."""
     out = [np.zeros(robot.features_.n_parameters_, dtype=bool)]
-    out += [np.repeat(asked(one), len(one.coefficients)) for one in robot.effects_]
+    out += [np.repeat(condition(e), len(e.coefficients)) for e in robot.effects_]
     return np.concatenate(out)
 
 
 def _nonnegative(robot):
-    """Parameters (p,), bool, of drives that cannot be negative."""
+    """Parameters (p,), bool, of friction and drives that cannot be negative."""
     features = robot.features_
     out = np.zeros(robot.theta_.size, dtype=bool)
     width = features.n_parameters_ // features.n_joints_
@@ -255,7 +258,7 @@ def _nonnegative(robot):
 
 
 def seed_of(random_state):
-    """Return a whole number for a random state; for one that is a number, itself."""
+    """Return a random state as an integer seed."""
     if isinstance(random_state, Integral) and random_state >= 0:
         return int(random_state)
     return int(check_random_state(random_state).randint(2**31 - 1))
@@ -265,7 +268,7 @@ def seed_of(random_state):
 
 
 def _spectrum(covariance):
-    """Eigenvalues and axes of the correlations of a covariance, and the deviations."""
+    """Eigenvalues and eigenvectors of the correlations, and the deviations."""
     size = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     size = np.where(size > 0, size, 1.0)
     correlation = covariance / np.outer(size, size)
@@ -274,7 +277,7 @@ def _spectrum(covariance):
 
 
 def covariance_inverse(covariance):
-    """Inverse of a covariance (p, p); zero where nothing varies."""
+    """Inverse of a covariance (p, p); zero for parameters without variance."""
     value, axes, size = _spectrum(covariance)
     value = np.maximum(value, _ROUNDING * value.max(initial=0.0))
     moves = np.diagonal(covariance) > 0
@@ -285,40 +288,41 @@ def covariance_inverse(covariance):
 
 # -- which parameters are measured -----------------------------------------------------
 
-# A mass is known if its deviation, and what the projection moves it by, are below this
-# share of it: a body that may as well have half or no mass was not weighed.
+# A mass is known if its deviation, including the change by the projection, is below
+# this share of it.
 _KNOWN = 0.5
-# Deviations within which a value may be that of the description.
+# Standard deviations within which a value agrees with the description.
 _NEAR = 2.0
 
 
 def min_eigenvalues(bodies):
-    """Smallest pseudo-inertia eigenvalues (nv,) of bodies (nv, k), in own scales."""
+    """Smallest pseudo-inertia eigenvalues (nv,) of bodies (nv, k), scaled by body."""
     mass, length = body_scales(bodies[:, :10])
     return min_eigenvalue(bodies[:, :10], mass_scale=mass, length_scale=length)
 
 
-def known_parameters(robot, found):
-    """State which parameters of a robot its recording determines, by an `Estimate`."""
-    # "yes": by itself, as well as its standard deviation says. "in combination": only
-    # with others; its value is one of many that agree. "from the description": the
-    # torques say little beyond it. "no": no torque depends on it, or it is a mass whose
-    # deviation, with what the projection moved it by, is over half its value.
-    seen = (np.diagonal(found.metric) > 0) | robot.identifiable_
+def known_parameters(robot, estimate):
+    """Return which parameters of a robot its recording determines, see `known_`."""
+    # "yes": individually, to within its standard deviation. "in combination": only
+    # together with others. "from the description": the data add little to the prior.
+    # "no": no torque depends on it, or it is a mass whose deviation, including the
+    # change by the projection, exceeds half its value.
+    seen = (np.diagonal(estimate.metric) > 0) | robot.identifiable_
     state = np.where(robot.identifiable_, "yes", "in combination").astype(object)
     state[~seen] = "no"
-    masses = body_places(robot)[: robot.features_.n_joints_, 0]
+    masses = body_indices(robot)[: robot.features_.n_joints_, 0]
     moved = robot.theta_ - robot.theta_unconstrained_
-    doubt = np.hypot(np.nan_to_num(robot.theta_std_, posinf=np.inf), moved)
+    deviation = np.hypot(np.nan_to_num(robot.theta_std_, posinf=np.inf), moved)
     with np.errstate(invalid="ignore"):
-        vague = ~(doubt[masses] <= _KNOWN * robot.theta_[masses])
+        vague = ~(deviation[masses] <= _KNOWN * robot.theta_[masses])
     vague &= robot.identifiable_[masses]
     state[masses[vague]] = "no"
-    silent = (state == "no") & np.isfinite(found.prior_std)
-    described = silent | found.from_description
-    if found.bodies is not None:
-        away = np.abs(robot.theta_ - found.bodies.centre)
-        described &= (found.prior_std == 0) | (away <= _NEAR * found.prior_std)
+    silent = (state == "no") & np.isfinite(estimate.prior_std)
+    described = silent | estimate.from_description
+    if estimate.bodies is not None:
+        away = np.abs(robot.theta_ - estimate.bodies.centre)
+        near = away <= _NEAR * estimate.prior_std
+        described &= (estimate.prior_std == 0) | near
     state[described] = "from the description"
     return tuple(state)
 
@@ -326,15 +330,15 @@ def known_parameters(robot, found):
 def note_of_masses(robot):
     """Name the bodies whose mass, or whose inertia, is not identified."""
     bodies, lines = body_names(robot.features_.model_), []
-    known = np.array(robot.robot_.known_)[body_places(robot)[: len(bodies)]]
-    if names := [name for name, own in zip(bodies, known) if own[0] != "yes"]:
+    known = np.array(robot.robot_.known_)[body_indices(robot)[: len(bodies)]]
+    if names := [name for name, body in zip(bodies, known) if body[0] != "yes"]:
         lines.append(
             f"Masses that are not individually identifiable: {', '.join(names)}; the "
             "values of all bodies together reproduce the torques."
         )
     described = (known[:, 4:] == "from the description").all(axis=1)
     if described.any():
-        names = [name for name, one in zip(bodies, described) if one]
+        names = [name for name, keep in zip(bodies, described) if keep]
         lines.append(f"Inertias from the description: {', '.join(names)}.")
     return " ".join(lines)
 

@@ -57,8 +57,8 @@ from sklearn_vbjfa.robot._posterior import (
     BetweenRecordings,
     Posterior,
     min_eigenvalues,
+    model_parameter_mask,
     note_of_masses,
-    of_the_model,
     outside_text,
     seed_of,
 )
@@ -67,7 +67,7 @@ from sklearn_vbjfa.robot._windows import follow
 from sklearn_vbjfa.simulation._simulate import simulate
 from sklearn_vbjfa.simulation._stepper import Load, Stepper, TorqueModel, causal
 
-# Share of a recording at each end in which at most the smoother sees one side only.
+# Largest share of a recording at each end in which the smoother is one-sided.
 _EDGE_SHARE = 0.25
 
 
@@ -78,12 +78,12 @@ class Inputs:
     recording: Recording  # the rows, with their clock
     states: np.ndarray  # (n, 3 * nv): in the band of the fit
     rest: Rest  # velocity signs at rest
-    smoother: object = None  # what the states come from; None if they were given
+    smoother: object = None  # state estimator; None for given states
 
     def counts(self, standstill):
-        """Rows in which each signal can be judged, (n, nv), bool, by its name."""
-        # Not those in which the smoother sees one side only, nor those without weight;
-        # a joint at rest has no speed, as in the fit.
+        """Return rows (n, nv), bool, in which each signal is valid, by its name."""
+        # Rows where the smoother is one-sided and rows without weight are not; a joint
+        # at rest has no speed, as in the fit.
         shape = self.states.shape[0], self.recording.nv
         inner = np.zeros(shape, dtype=bool)
         for part in self.recording.segments:
@@ -144,15 +144,15 @@ class IdentifiedRobot:
     features_: RigidBodyFeatures
     plan: Plan  # how the fit smoothed and filtered, with the values of the effects
     theta_: np.ndarray | None = None  # None before a fit
-    # parameters that the load of the effects is made with; see `make_motion`
+    # parameters with which the load of the effects is computed; see `make_motion`
     load_parameters: np.ndarray | None = None
-    # first friction by joint, then the effects, of which those that are not `bounded`
-    # are held within theirs; empty, or for all
+    # of friction by joint, then of the effects, which are held constant outside unless
+    # they are `bounded`; empty, or for all
     effect_ranges_: tuple[EffectRange, ...] = ()
-    # (p, p): of the parameters before the projection, infinite on the diagonal where
-    # nothing tells one; None if the regressor has none
+    # (p, p): of the parameters before the projection, infinite on the diagonal for
+    # undetermined ones; None if the regressor has none
     covariance: np.ndarray | None = None
-    # how far values are off from one recording to another, where there were several
+    # scatter from one recording to another, for several recordings
     recording_variance: BetweenRecordings | None = None
     theta_std_: np.ndarray | None = None
     theta_unconstrained_: np.ndarray | None = None
@@ -170,10 +170,10 @@ class IdentifiedRobot:
     _stepper: object = None
 
     def __getstate__(self):
-        """Return what is copied: all but the motion that `step` remembers."""
+        """Return the state for copies, without the motion that `step` remembers."""
         return vars(self) | {"_stepper": None}
 
-    # -- by the names of a fitted estimator ------------------------------------------
+    # -- attributes of a fitted estimator --------------------------------------------
 
     @property
     def robot_(self):
@@ -228,7 +228,7 @@ class IdentifiedRobot:
         """Cut-off frequency of the low-pass filter [Hz]; infinity without."""
         return self.plan.cutoff
 
-    # -- what it is asked -------------------------------------------------------------
+    # -- prediction, simulation, export -----------------------------------------------
 
     def predict(self, X, groups=None, t=None, signals=None):
         """Predict the joint torques.
@@ -275,12 +275,12 @@ class IdentifiedRobot:
         """
         robot = self.robot_  # also of a fitted identifier
         X, signals = robot.checked(X, signals)
-        asked = robot.prepare(X, groups, t, signals=signals)
+        inputs = robot.prepare(X, groups, t, signals=signals)
         joints = robot.joint_names_, is_prismatic(robot.features_.model_)
-        if text := outside_text(robot.outside(asked), *joints):
+        if text := outside_text(robot.outside(inputs), *joints):
             message = f"Prediction outside the range of the fit. {text}."
             warnings.warn(message, UserWarning, stacklevel=2)
-        return robot.torques(asked)
+        return robot.torques(inputs)
 
     def residuals(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
         """Return the torque residuals, filtered and masked as in the fit.
@@ -313,7 +313,7 @@ class IdentifiedRobot:
 
     def residuals_of(self, recording, predicts=True):
         """Torque residuals on a `Recording`; see `residuals`."""
-        # predicts: whether predictions are needed, beside torques and weights
+        # predicts: whether predictions are needed in addition to torques and weights
         lowpass = self.plan.lowpass
         check_length(recording.segments, lowpass, self.plan.cutoff)
         recording = self._on_clock(recording)
@@ -321,18 +321,18 @@ class IdentifiedRobot:
         states, rest = RecordingStates.of(recording, smoother), self.plan.rest(smoother)
 
         # Weighted rows have the columns of the fit; rows at rest are predicted.
-        made = (
+        segments = (
             build_segments(
                 recording,
                 states,
                 self.prediction_plan,
                 self.features_,
                 theta=self.load_parameters,
-                rest=own,
+                rest=signs,
             )
-            for own in (None, rest)
+            for signs in (None, rest)
         )
-        return compare(*made, lowpass, self.theta_ if predicts else None)
+        return compare(*segments, lowpass, self.theta_ if predicts else None)
 
     def step(self, q, v, a, t=None, signals=None):
         """Predict the torques of the next state of a running robot.
@@ -482,10 +482,10 @@ class IdentifiedRobot:
         still = np.zeros_like(rows)
         torque = self.features_.torques(rows, still, still, self.inertial())
         states = np.hstack([rows, still, still])
-        for effect, own in zip(self.effects_, self.split(self.theta_)):
+        for effect, coef in zip(self.effects_, self.split(self.theta_)):
             if isinstance(effect, Follower):
                 motion = make_motion(self.features_, states, None, [slice(None)])
-                torque = torque + effect.columns(motion) @ own
+                torque = torque + effect.columns(motion) @ coef
         return (torque * self.features_.gains_).reshape(q.shape)
 
     def to_pinocchio(self):
@@ -697,8 +697,8 @@ class IdentifiedRobot:
                 f"{drive!r}. Controls of others are torques: leave drive=None."
             )
         pairs = zip(self.effects_, self.split(self.theta_))
-        found = [x[0] for one, x in pairs if isinstance(one, CommandDelay)]
-        delay = sum(found) if found else drive.known_delay or 0.0
+        delays = [x[0] for effect, x in pairs if isinstance(effect, CommandDelay)]
+        delay = sum(delays) if delays else drive.known_delay or 0.0
         kp, kd = drive.law(self.joint_names_)
         most = drive.torque_limits(self.joint_names_)
         return Servo(kp=kp, kd=kd, torque_limits=most, delay=max(delay, 0.0))
@@ -710,27 +710,27 @@ class IdentifiedRobot:
 
     @property
     def effects_(self):
-        """Effects in use, first the bodies of joints that follow others; a tuple."""
+        """Effects in use, first the bodies of follower joints; a tuple."""
         return self.plan.effects
 
     @property
     def held(self):
-        """Ranges that the effects in use are held within, None where they are not."""
-        own = self.effect_ranges_[len(self.effect_ranges_) - len(self.effects_) :]
+        """Ranges that effects are held constant outside of, None for `bounded` ones."""
+        ranges = self.effect_ranges_[len(self.effect_ranges_) - len(self.effects_) :]
         return tuple(
-            None if effect.bounded else one for effect, one in zip(self.effects_, own)
+            None if effect.bounded else x for effect, x in zip(self.effects_, ranges)
         )
 
     @property
     def prediction_plan(self):
-        """The plan for predictions, with what effects are held within."""
+        """The plan for predictions, with the ranges of the effects."""
         return replace(self.plan, ranges=self.held)
 
-    # -- parameters by what they belong to ------------------------------------------
+    # -- groups of parameters --------------------------------------------------------
 
     def split(self, parameters):
         """Split parameters (p,) into those of each effect, a list."""
-        # In the first of several passes effects of the load are missing.
+        # In the first of several passes, load-dependent effects are missing.
         ends = np.cumsum([len(effect.coefficients) for effect in self.effects_])
         coefficients = parameters[self.features_.n_parameters_ :]
         return np.split(coefficients, ends[:-1]) if self.effects_ else []
@@ -744,19 +744,19 @@ class IdentifiedRobot:
         """Inertial parameters (nv, 10)."""
         return np.ascontiguousarray(self.bodies(self.theta_)[:, :10])
 
-    # -- queries --------------------------------------------------------------------
+    # -- inputs ---------------------------------------------------------------------
 
     def checked(self, X, signals):
         """Return positions or states, and the signals that effects vary with."""
-        X, beside = positions_and_signals(X, self.joint_names_)
+        X, columns = positions_and_signals(X, self.joint_names_)
         # Positions and states are both accepted, whichever were fitted.
         X = check_array(X, dtype=np.float64)
         check_widths(self.joint_names_, X)
-        return X, signals_for(self.effects_, signals, beside, X.shape[0])
+        return X, signals_for(self.effects_, signals, columns, X.shape[0])
 
     def clock(self, t, n_samples):
-        """Return the time of each row of a query [s], stamped if effects need it."""
-        # Without stamps it begins as the fit did.
+        """Return the time of each row [s], from time stamps if effects need them."""
+        # Without time stamps it starts at the first time of the fit.
         dt, time = self.plan.dt, self.plan.time
         if t is not None and self.plan.timed:
             return check_clock(t, n_samples, dt)
@@ -764,8 +764,8 @@ class IdentifiedRobot:
         return clock if time is None or clock is None else clock + time[0]
 
     def smoother(self, X, groups, *, in_band=False):
-        """State estimator of a query; None if X holds states."""
-        # With `in_band` it smooths to the identified band.
+        """State estimator for X; None if X holds states."""
+        # in_band: whether it smooths to the identified band.
         if X.shape[1] == 3 * self.features_.n_joints_:
             return None
         estimator = self.plan.state_estimator
@@ -774,14 +774,14 @@ class IdentifiedRobot:
         return limit_cutoffs(estimator, self.plan.cutoff) if in_band else estimator
 
     def states(self, X, groups):
-        """States (n, 3 nv) of positions, smoothed as in the fit; given ones stay."""
+        """States (n, 3 nv) of positions smoothed as in the fit, or of given states."""
         estimator = self.smoother(X, groups)
         return X if estimator is None else estimator.transform(X, groups=groups)
 
     def recording(self, X, y=None, groups=None, weight=None, t=None, signals=None):
-        """Make a `Recording` of checked arrays; zero torques where none are given."""
-        given = {"dt": self.plan.dt, "joint_names": self.joint_names_}
-        return take_arrays(X, y, groups, weight, t, signals=signals, **given)
+        """Make a `Recording` of checked arrays, by default with zero torques."""
+        keywords = {"dt": self.plan.dt, "joint_names": self.joint_names_}
+        return take_arrays(X, y, groups, weight, t, signals=signals, **keywords)
 
     def prepare(self, X, groups=None, t=None, signals=None):
         """Make the `Inputs` of the rows of a recording."""
@@ -810,36 +810,36 @@ class IdentifiedRobot:
             return recording
         return replace(recording, t=clock)
 
-    # -- answers --------------------------------------------------------------------
+    # -- predictions ----------------------------------------------------------------
 
-    def torques(self, asked):
+    def torques(self, inputs):
         """Torques (n, nv) that are predicted for `Inputs`."""
-        return np.concatenate([x.predict(self.theta_)[0] for x in self._rows(asked)])
+        return np.concatenate([x.predict(self.theta_)[0] for x in self._rows(inputs)])
 
-    def _rows(self, asked):
-        recording = asked.recording
-        own = [asked.states[rows] for rows in recording.segments]
+    def _rows(self, inputs):
+        recording = inputs.recording
+        states = [inputs.states[rows] for rows in recording.segments]
         return regressor_rows(
             recording,
-            own,
+            states,
             self.prediction_plan,
             self.features_,
             theta=self.load_parameters,
-            rest=asked.rest,
+            rest=inputs.rest,
         )
 
-    def outside(self, asked):
-        """Find where `Inputs` leaves what was fitted, tuple of `OutsideRange`."""
+    def outside(self, inputs):
+        """Find where `Inputs` leaves the ranges of the fit, tuple of `OutsideRange`."""
         wanted = {(name, e.joint) for e in self.effect_ranges_ for name in e.depends}
-        q, v, a = np.split(asked.states, 3, axis=1)
+        q, v, a = np.split(inputs.states, 3, axis=1)
         signals = {"position": q, "speed": np.abs(v), "direction": np.sign(v)}
         if any(name == "load" for name, _ in wanted):
             signals["load"] = self.features_.torques(q, v, a, self.inertial())
-        counts = asked.counts(self.plan.standstill)
-        judged = {(k, j): signals[k][counts[k][:, j], j] for k, j in wanted}
-        held = [one is not None for one in self.held]
+        valid = inputs.counts(self.plan.standstill)
+        values = {(k, j): signals[k][valid[k][:, j], j] for k, j in wanted}
+        held = [x is not None for x in self.held]
         held = [False] * (len(self.effect_ranges_) - len(held)) + held
-        return outside(self.effect_ranges_, judged, held)
+        return outside(self.effect_ranges_, values, held)
 
     # -- for other fits, and for simulation -------------------------------------------
 
@@ -852,7 +852,7 @@ class IdentifiedRobot:
             friction_names=self.features_.friction_,
             friction=bodies[:, 10:].copy(),
             effects=self.effects_,
-            coefficients=tuple(own.copy() for own in self.split(self.theta_)),
+            coefficients=tuple(coef.copy() for coef in self.split(self.theta_)),
             ranges=self.held,
             gains=self.features_.gains_.copy(),
             load=self._load(),
@@ -874,24 +874,24 @@ class IdentifiedRobot:
         )
 
     def corrected(self, effects):
-        """Return the robot corrected by effects, added to or replacing its own."""
-        own = {effect.key(): effect for effect in (*self.effects_, *effects)}
-        return replace(self, features_=self.features_.corrected(own.values()))
+        """Return the robot corrected by effects, which replace effects of equal key."""
+        by_key = {effect.key(): effect for effect in (*self.effects_, *effects)}
+        return replace(self, features_=self.features_.corrected(by_key.values()))
 
     def parameters_of_load(self):
-        """Parameters of what its load is made of, see `make_motion`."""
+        """Parameters with which the load is computed, see `make_motion`."""
         rigid, coefs = np.split(self.theta_, [self.features_.n_parameters_])
         return np.append(rigid, pick_load_free(self.effects_, coefs))
 
     def extended_by(self, effects):
         """Return the robot with further effects whose coefficients are one."""
-        # Nothing is fitted: the other parameters, and the load, stay as they are.
+        # Nothing is fitted: the other parameters and the load do not change.
         names = [name for effect in effects for name in effect.coefficients]
         load = self.load_parameters
         if load is None and needs_load(effects):
             load = self.parameters_of_load()
         plain = sum(len(e.coefficients) for e in effects if is_load_free(e))
-        of_joint = {one.joint: one for one in self.effect_ranges_}
+        of_joint = {x.joint: x for x in self.effect_ranges_}
         ranges = [
             replace(of_joint[e.joint], name=e.name, depends=e.depends) for e in effects
         ]
@@ -914,39 +914,39 @@ class IdentifiedRobot:
         )
 
     def linear_part(self, theta):
-        """Parameters (p,) without the values that the model holds."""
-        return np.where(of_the_model(self), 0.0, theta)
+        """Parameters (p,) with zeros for those in the model."""
+        return np.where(model_parameter_mask(self), 0.0, theta)
 
     def equations(self, recording, states=None):
         """Return the filtered `Equations` of a recording, as in the fit."""
-        # Columns of effects in the model are the derivatives by their values, for other
-        # fits to correct them; they have no part in what is predicted.
+        # Columns of effects in the model are derivatives with respect to their values,
+        # with which other fits correct them; predictions do not use them.
         if states is None:
             states = self.states(recording.inputs, recording.groups)
         plan = replace(self.plan, tangents=True)
-        made = RecordingStates.of_rows(recording.segments, states)
-        made = build_segments(
-            recording, made, plan, self.features_, theta=self.load_parameters
+        segments = RecordingStates.of_rows(recording.segments, states)
+        segments = build_segments(
+            recording, segments, plan, self.features_, theta=self.load_parameters
         )
-        return equations(made, plan.lowpass)
+        return equations(segments, plan.lowpass)
 
     def noise_facts(self, recording, n_jobs=None):
-        """Measure the torque noise of a recording; `NoiseFacts` of each segment."""
+        """Estimate the torque noise of a recording; `NoiseFacts` of each segment."""
         band = self.plan.dt, self.plan.cutoff
         if not stopband_exists(*band):
             return []
-        found, torques = [], self.plan.applied(recording).tau
+        facts, torques = [], self.plan.applied(recording).tau
         clock = self.plan.clock(recording)
         for part in recording.segments:
             rows = slice(part.start, min(part.stop, part.start + ROWS))
             t = None if clock is None else clock[rows]
-            own = {name: values[rows] for name, values in recording.signals.items()}
-            asked = self.prepare(recording.inputs[rows], t=t, signals=own)
+            signals = {name: x[rows] for name, x in recording.signals.items()}
+            inputs = self.prepare(recording.inputs[rows], t=t, signals=signals)
             rest = self.plan.rest(self.plan.state_estimator)
-            asked, y = replace(asked, rest=rest), torques[rows]
-            residual = y - self.torques(asked)
-            found.append(noise_facts(residual, y, asked.states, *band, n_jobs))
-        return found
+            inputs, y = replace(inputs, rest=rest), torques[rows]
+            residual = y - self.torques(inputs)
+            facts.append(noise_facts(residual, y, inputs.states, *band, n_jobs))
+        return facts
 
 
 def load_identified(path, effects=()):

@@ -11,7 +11,7 @@ from sklearn_vbjfa.robot._model_file import readable
 from sklearn_vbjfa.robot._posterior import Posterior
 
 FORMAT, VERSION = "sklearn_vbjfa ranges", 1
-# Values of `known_` that the recordings do not determine.
+# Values of `known_` for parameters that the recordings do not determine.
 _NOT_MEASURED = ("no", "from the description")
 
 
@@ -20,14 +20,14 @@ class ParameterRange:
     """Range of one parameter in a robot's next recording."""
 
     name: str  # as in `parameter_names_`
-    joint: str  # empty if it is of the robot as a whole
+    joint: str  # empty for a parameter of the whole robot
     unit: str  # of all values
     value: float  # of the identified robot, `theta_`
-    # ends of the interval; nan where nothing tells the parameter
+    # ends of the interval; nan for an undetermined parameter
     lower: float
     upper: float
-    # deviations within recordings (`theta_std_`) and from recording to recording,
-    # before anything is cut off; zero for a single recording
+    # standard deviations within recordings (`theta_std_`) and between recordings,
+    # before truncation; zero for a single recording
     within: float
     between: float
     known: str  # as in `IdentifiedRobot.known_`
@@ -119,9 +119,9 @@ def ranges_of(robot, level):
 
 
 def _range_of(robot, posterior, k, level):
-    found, ends = posterior.marginal(k), (np.nan, np.nan)
-    if found is not None:
-        ends = found.quantiles([0.5 - level / 2, 0.5 + level / 2])
+    marginal, ends = posterior.marginal(k), (np.nan, np.nan)
+    if marginal is not None:
+        ends = marginal.quantiles([0.5 - level / 2, 0.5 + level / 2])
     name = robot.parameter_names_[k]
     joint = name.partition(":")[0]
     return ParameterRange(
@@ -132,6 +132,6 @@ def _range_of(robot, posterior, k, level):
         lower=float(ends[0]),
         upper=float(ends[1]),
         within=float(robot.theta_std_[k]),
-        between=float(posterior.off[k]),
+        between=float(posterior.between_std[k]),
         known=robot.known_[k],
     )

@@ -1,4 +1,4 @@
-"""Windows of a recording, simulated one by one from measured states."""
+"""Simulation of windows of a recording from measured states."""
 
 import warnings
 from dataclasses import dataclass, field, replace
@@ -80,13 +80,13 @@ class SimulatedWindows:
         The mean of the windows' errors is smaller, by Student's t of their differences
         at a level of 5 %; a window that failed counts as the worst error of `rivals`.
         """
-        rivals = [one.errors for one in self.rivals.values()]
+        rivals = [rival.errors for rival in self.rivals.values()]
         worst = np.max(rivals, axis=(0, 1))
-        own = np.where(self.failed[:, None], worst, self.errors)
-        return np.all([clearly_smaller(own, other) for other in rivals], axis=0)
+        errors = np.where(self.failed[:, None], worst, self.errors)
+        return np.all([clearly_smaller(errors, other) for other in rivals], axis=0)
 
     def verdict(self):
-        """Say whether it is clearly better than all robots without a model."""
+        """Return in words whether it is clearly better than the `rivals`."""
         better = self.clearly_better
         without = "a robot at rest and one with constant velocity"
         if self.commanded is not None:
@@ -99,9 +99,9 @@ class SimulatedWindows:
 
     @property
     def rivals(self):
-        """The same windows of robots without a model, by what they do."""
-        # Driven by torques, of one at rest and one with constant velocity; driven by
-        # positions, of one that follows at once.
+        """Predictions without a model for the same windows, by name."""
+        # For torque inputs a robot at rest and one with constant velocity; for position
+        # commands a robot that follows without error.
         if self.commanded is not None:
             return {"as commanded": self._moving(self.commanded)}
         q, v = np.split(self.start_states[:, None], 2, axis=2)
@@ -111,9 +111,8 @@ class SimulatedWindows:
 
     @property
     def scales(self):
-        """Factors (nv,) of errors, and the units that they are then in."""
-        # Millimetres where joints slide; else degrees, and mrad for robots with
-        # position commands.
+        """Factors (nv,) that convert errors for display, and their units."""
+        # Millimetres for prismatic joints, else degrees, or mrad for position commands.
         factor, unit = (180 / np.pi, "degrees")
         if self.commanded is not None:
             factor, unit = 1e3, "mrad"
@@ -129,8 +128,8 @@ class SimulatedWindows:
 def clearly_smaller(errors, others):
     """Whether the means of errors (n, ...) are clearly smaller than those of others."""
     # Student's t of the differences row by row, one-sided at a level of 5 %. Rows
-    # follow one another in time: their mean has the variance of independent ones times
-    # 1 + 2 r, with the correlation r of neighbours where it is positive.
+    # follow one another in time: the variance of their mean is that of independent rows
+    # times 1 + 2 r, r being the correlation of neighbours, if positive.
     difference = np.asarray(errors) - np.asarray(others)
     n = len(difference)
     if n < 2:
@@ -202,55 +201,55 @@ joint_6
     y = y[:, None] if y.ndim == 1 else y
     check_consistent_length(X, y)
     check_widths(robot.joint_names_, X, y)
-    made = _measured(robot, X, groups, t, signals, window)
+    windows = _measured(robot, X, groups, t, signals, window)
 
     def simulated(rows, start, t):
-        own = {name: x[rows] for name, x in (signals or {}).items()}
+        part = {name: x[rows] for name, x in (signals or {}).items()}
         q0, v0 = np.split(start, 2)
-        return robot.simulate(y[rows], q0, v0, t, signals=own or None)
+        return robot.simulate(y[rows], q0, v0, t, signals=part or None)
 
-    return _run(made, simulated)
+    return _run(windows, simulated)
 
 
 def follow_windows(robot, drive, recording, t=None, *, window=1.0, signals=None):
-    # drive: `PDDrive`, whose channels are in the recording. The rest is that of
+    # drive: `PDDrive`, whose channels are in the recording. For other parameters see
     # `simulate_windows`.
     robot = robot.robot_
     X, signals = robot.checked(recording.inputs, signals)
-    own = {**recording.signals, **(signals or {})}
-    follower = CommandFollower(robot, drive, replace(recording, signals=own))
+    channels = {**recording.signals, **(signals or {})}
+    follower = CommandFollower(robot, drive, replace(recording, signals=channels))
     warn_left_out(robot.joint_names_, follower.left_out, stacklevel=3)
-    made = _measured(robot, X, recording.groups, t, signals, window)
+    windows = _measured(robot, X, recording.groups, t, signals, window)
     commanded = recording.signals[drive.channel].reshape(recording.q.shape)
-    made = replace(made, commanded=commanded[_rows_of(made)])
-    return _run(made, follower.run)
+    windows = replace(windows, commanded=commanded[_rows_of(windows)])
+    return _run(windows, follower.run)
 
 
-def _rows_of(made):
-    return made.starts[:, None] + np.arange(made.t.shape[1])
+def _rows_of(windows):
+    return windows.starts[:, None] + np.arange(windows.t.shape[1])
 
 
-def _run(made, simulated_window):
-    # simulated_window: of the rows of a window, its start and its times, the states (m,
-    # 3 nv).
-    rows, failures = _rows_of(made), {}
-    simulated = np.full((*rows.shape, 3 * len(made.joint_names)), np.nan)
+def _run(windows, simulated_window):
+    # simulated_window: function of the rows of a window, its start and its times that
+    # returns states (m, 3 nv).
+    rows, failures = _rows_of(windows), {}
+    simulated = np.full((*rows.shape, 3 * len(windows.joint_names)), np.nan)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for k, (first, *_, last) in enumerate(rows):
-            own = slice(first, last + 1)
+            part, start = slice(first, last + 1), windows.start_states[k]
             try:
-                simulated[k] = simulated_window(own, made.start_states[k], made.t[k])
+                simulated[k] = simulated_window(part, start, windows.t[k])
             except SimulationError as error:
                 failures[k] = str(error)
     warn_once(caught, "windows", stacklevel=4)
-    return replace(made, simulated=simulated, failures=failures)
+    return replace(windows, simulated=simulated, failures=failures)
 
 
 def _measured(robot, X, groups, t, signals, window):
-    """Cut a recording into windows that nothing has been simulated in yet."""
+    """Divide a recording into windows, before the simulation."""
     nv, dt = len(robot.joint_names_), check_dt(robot.plan.dt)
-    asked = robot.prepare(X, groups, t, signals=signals)
+    inputs = robot.prepare(X, groups, t, signals=signals)
     clock = robot.clock(None, len(X)) if t is None else np.asarray(t, dtype=float)
     check_consistent_length(X, clock)
     states = robot.states(X, groups)
@@ -259,7 +258,7 @@ def _measured(robot, X, groups, t, signals, window):
             f"window must be a time in seconds, at least the sample period {dt:g} s; "
             f"got {window!r}."
         )
-    rows = _rows(asked, robot.plan.standstill, round(window / dt), dt)
+    rows = _rows(inputs, robot.plan.standstill, round(window / dt), dt)
     return SimulatedWindows(
         joint_names=robot.joint_names_,
         prismatic=np.array(is_prismatic(robot.features_.model_)),
@@ -271,29 +270,29 @@ def _measured(robot, X, groups, t, signals, window):
     )
 
 
-def _rows(asked, standstill, length, dt):
+def _rows(inputs, standstill, length, dt):
     """Rows of the windows, (n_windows, length + 1)."""
-    inner, found = asked.counts(standstill)["position"], []
-    for part in asked.recording.segments:
+    inner, starts = inputs.counts(standstill)["position"], []
+    for part in inputs.recording.segments:
         first = part.start + int(np.argmax(inner[part].any(axis=1)))
-        found += range(first, part.stop - length, length)
-    if not found:
-        longest = max(part.stop - part.start for part in asked.recording.segments)
+        starts += range(first, part.stop - length, length)
+    if not starts:
+        longest = max(part.stop - part.start for part in inputs.recording.segments)
         raise ValueError(
             f"No recording is as long as a window of {length * dt:g} s: the longest "
             f"has {longest} rows, {longest * dt:g} s, of which the ends are left out. "
             "Give shorter windows."
         )
-    return np.array(found)[:, None] + np.arange(length + 1)
+    return np.array(starts)[:, None] + np.arange(length + 1)
 
 
 def warn_once(caught, where, stacklevel):
-    """Pass on each kind of recorded warning once, and how often it came up."""
-    # Texts that begin alike, up to a colon, are of one kind; where: what was repeated.
+    """Repeat each kind of recorded warning once, with its count."""
+    # Texts that agree up to the colon are of one kind; where: noun for the repetitions.
     kinds = {}
-    for one in caught:
-        kind = str(one.message).partition(":")[0]
-        kinds.setdefault((one.category, kind), []).append(str(one.message))
+    for warning in caught:
+        kind = str(warning.message).partition(":")[0]
+        kinds.setdefault((warning.category, kind), []).append(str(warning.message))
     for (category, _), texts in kinds.items():
         many = f" (first of {len(texts)} {where})" if len(texts) > 1 else ""
         text = f"{texts[0].rstrip('.')}{many}."
@@ -302,17 +301,17 @@ def warn_once(caught, where, stacklevel):
 
 # Why an effect of a torque channel is not simulated under a drive.
 _AT_ONCE = "torques of the drive act at once"
-# Share of a row by which rounding may move a time.
+# Tolerance for rounding of times, in rows.
 _JITTER = 1e-9
 
 
 def unfollowed(effect):
-    """Why a simulation under a drive goes without an effect; "" if it does not."""
+    """Reason why a simulation under a drive leaves out an effect, "" if it does not."""
     return effect.files.simulation or _AT_ONCE * isinstance(effect, OfChannel)
 
 
 class CommandFollower:
-    """A robot under its drive, with the commands of a recording as its only input."""
+    """Closed loop of a robot and its drive, with recorded commands as input."""
 
     # robot: `IdentifiedRobot`.
 
@@ -329,11 +328,11 @@ class CommandFollower:
         self._updates = drive.updates_per_sample(recording.dt)
         self._lags = np.maximum(velocity_lags(recording), 0.0)
         self._signals = {k: x for k, x in recording.signals.items() if x.ndim == 1}
-        # effects that a simulation goes without, each with the reason
+        # effects that are left out, with the reason
         self.left_out = [(e, unfollowed(e)) for e in robot.effects_ if unfollowed(e)]
 
     def run(self, rows, start, t):
-        """Simulate rows, a slice, from a state (3 nv,) on; t (n,) is their time."""
+        """Simulate rows, a slice, from a state (3 nv,); t (n,): their times [s]."""
         nv, late = self._command.shape[1], self._late - 0.5 / self._updates
         begin = self._begins[self._begins <= rows.start][-1]
         parts = (x[begin : rows.stop] for x in (self._command, *self._gains))
@@ -350,9 +349,9 @@ class CommandFollower:
 
 
 def follow(robot, drive, recording, window=None):
-    """Simulate a robot from its commands, from the states of a recording on."""
-    # robot: `IdentifiedRobot`; window: length [s] after which it starts from the
-    # recorded state again, None for whole recordings. Returns states (n, 3 nv).
+    """Simulate a robot from its commands, starting at recorded states."""
+    # robot: `IdentifiedRobot`; window: time [s] between restarts from the recorded
+    # state, None for whole recordings. Returns states (n, 3 nv).
     follower, clock = CommandFollower(robot, drive, recording), recording.clock
     warn_left_out(robot.joint_names_, follower.left_out, stacklevel=4)
     measured = robot.states(recording.inputs, recording.groups)
@@ -364,12 +363,12 @@ def follow(robot, drive, recording, window=None):
         for part in recording.segments
         for first in range(part.start, part.stop, length)
     ]
-    found = [follower.run(rows, measured[rows.start], clock[rows]) for rows in parts]
-    return np.concatenate(found)
+    states = [follower.run(rows, measured[rows.start], clock[rows]) for rows in parts]
+    return np.concatenate(states)
 
 
 def _seen_late(control, lags, dt, updates):
-    """Let a controller see velocities that are late by lags (nv,) [s]."""
+    """Delay the velocities that a controller reads by lags (nv,) [s]."""
     if not lags.any():
         return control
     back, past, joints = lags * updates / dt, [], np.arange(lags.size)
@@ -388,9 +387,9 @@ def _seen_late(control, lags, dt, updates):
 
 
 def law_of(command, kp, kd, most, first=0, late=0.0):
-    """Let a drive follow commands (n, nv), each held until the next one."""
+    """Return the PD control law for commands (n, nv) with zero-order hold."""
 
-    # first: row that the simulation begins with; late: delay of the commands, in rows.
+    # first: first row of the simulation; late: delay of the commands, in rows.
     def control(row, q, v):
         i = min(int(first + row), len(command) - 1)
         k = min(max(int(np.floor(first + row - late + _JITTER)), 0), len(command) - 1)

@@ -25,7 +25,7 @@ from sklearn_vbjfa.model import body_names, import_pinocchio, is_prismatic
 from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._corrections import corrections_of
-from sklearn_vbjfa.robot._posterior import body_places
+from sklearn_vbjfa.robot._posterior import body_indices
 
 # Position or velocity limits above this count as unlimited.
 _UNLIMITED = 1e3
@@ -241,7 +241,7 @@ def parameter_values(robot):
     if robot.gains_ is None or robot.gains_.absolute:
         # Unknown gains of the torque channels scale all values.
         bodies = nominal_parameters(features.nominal_), nominal_followers(features)
-        nominal[body_places(robot)] = np.vstack(bodies)
+        nominal[body_indices(robot)] = np.vstack(bodies)
     # nan if the standard deviation is not finite
     half = HALF_WIDTH * np.where(
         np.isfinite(robot.theta_std_), robot.theta_std_, np.nan
@@ -279,7 +279,7 @@ def _masses(robot, parameters):
     """Yield the masses of bodies as facts."""
     model = robot.features_.model_
     nominal = nominal_parameters(model)[:, 0].tolist()
-    rows = zip(body_names(model), body_places(robot)[:, 0], nominal)
+    rows = zip(body_names(model), body_indices(robot)[:, 0], nominal)
     for name, at, described in rows:
         about = {"kind": "mass", "name": name, "described": described}
         yield dataclasses.replace(parameters[at], **about)

@@ -33,7 +33,7 @@ _MODULES = {
     "_library": """
         available check_declared closure declarable declared declared_columns resolve
     """,
-    "_memory": "Backlash MaxwellSlip came_from elements play",
+    "_memory": "Backlash MaxwellSlip earlier_reversals elements play",
     "_motion": "HELD Floats Motion Rest State",
     "_position": "Counterbalance FrictionByPosition Ripple Spring",
     "_unnamed": "UnnamedTorque",

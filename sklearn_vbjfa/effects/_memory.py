@@ -105,7 +105,7 @@ def _reversals(q):
     return np.array(positions)
 
 
-def came_from(before):
+def earlier_reversals(before):
     """Return `Motion.before`, from the positions (k, nv) before each part."""
 
     @functools.cache

@@ -13,8 +13,8 @@ from sklearn_vbjfa.effects import (
     InModel,
     Motion,
     OnAllJoints,
-    came_from,
     declared_columns,
+    earlier_reversals,
 )
 from sklearn_vbjfa.equations._joint_moments import (
     BlockAssignment,
@@ -302,7 +302,7 @@ def regressor_rows(
         recording.signals,
         plan.ranges,
         recording.command if plan.lag is None else recording.tau,
-        came_from(recording.before),
+        earlier_reversals(recording.before),
     )
     columns = _effect_columns(plan, motion, {} if cache is None else cache)
     # Keep the splines, which need a third of the memory of `whole`.

@@ -112,7 +112,7 @@ _CORRELATION_TIMES = 10.0
 # motion; it is not noise, and must not leave only few long blocks. Noise that stays
 # correlated for longer than a block is removed before blocks are compared.
 _BLOCK_RANGE = (40, 60)
-# Minimum number of blocks: the smallest p-value is 2^-12.
+# Minimum number of blocks.
 FEWEST = 12
 # Folds take every eighth block: folds of adjacent blocks would require extrapolation,
 # which depends more on the short recording than on the effect.

@@ -14,7 +14,7 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
     make_blocks,
     phase_blocks,
 )
-from sklearn_vbjfa.effects import InModel, OnAllJoints, came_from, declared
+from sklearn_vbjfa.effects import InModel, OnAllJoints, declared, earlier_reversals
 from sklearn_vbjfa.equations._equations import make_motion, pick_load_free
 from sklearn_vbjfa.recording import check_clock
 
@@ -238,7 +238,7 @@ class RecordingView:
         t = recording.t
         self.states, self.clock = states[rows], None if t is None else t[rows]
         self.signals = {name: x[rows] for name, x in recording.signals.items()}
-        command, self.before = recording.command, came_from(recording.before)
+        command, self.before = recording.command, earlier_reversals(recording.before)
         self.command = None if command is None else command[rows]
         numbers = np.arange(recording.n_samples)[rows]
         self.index = np.searchsorted(numbers, self.recorded)

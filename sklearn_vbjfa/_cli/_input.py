@@ -48,7 +48,7 @@ def findings(arguments, recording, urdf, gains):
 
 def other_joints(urdf, held):
     """Return lines on joints that are held, and on joints that follow others."""
-    effect = "what stands elsewhere makes zeros, masses and effects of others wrong"
+    effect = "other positions bias the zeros, masses and effects of other joints"
     lines = [f"held at zero: {', '.join(held)} ({effect})"] if held else []
     mimics = [body.name for body in load_folded(urdf).followers]
     if mimics:

@@ -26,8 +26,8 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
 # root of the largest gap accepted times this.
 _RESOLUTION = 1e-7
 # Weight of the pull to the anchor, relative to the largest diagonal entry of the metric
-# in scaled units. Consistency ties what the metric sees to what it does not: a weaker
-# pull lowers the distance, by less and less, at masses further from the anchor's.
+# in scaled units. Consistency couples the null space of the metric with its complement:
+# a weaker pull lowers the distance slightly, at masses further from the anchor's.
 _ANCHOR_WEIGHT = 1e-8
 
 
@@ -41,7 +41,7 @@ class PrimalDual:
 
     @property
     def is_finite(self):
-        """Whether all of it is a number."""
+        """Whether all values are finite."""
         parts = self.vector, self.duals, self.multipliers
         return all(np.isfinite(part).all() for part in parts)
 
@@ -72,10 +72,10 @@ class Programme:
     @classmethod
     def pulled(cls, point, *, metric_root, anchor, **constraints):
         """State the programme of a metric and of a pull to an anchor."""
-        # metric_root: in scaled variables, largest column norm one (or zero). What the
-        # metric does not see is pulled to `anchor`: that makes the minimum unique.
+        # metric_root: in scaled variables, largest column norm one (or zero). Its null
+        # space is pulled to `anchor`, which makes the minimum unique.
 
-        # Up to the rounding of the metric, which is the square of its root.
+        # Rank up to the rounding of the metric, the square of its root.
         _, values, rows = svd(metric_root)
         limit = np.sqrt(values.size * np.finfo(float).eps) * values.max(initial=0.0)
         # |R x|^2 + w |N'(x - a)|^2 as one triangular factor: the stacked QR does not
@@ -93,25 +93,25 @@ class Programme:
         )
 
     def broken(self, vector):
-        """Which bodies and which columns break their constraints, two arrays, bool."""
+        """Bodies and columns that violate their constraints, two arrays, bool."""
         lowest = min_eigenvalue(vector[self.body_columns], self.constraint)
         return lowest < self.margin, vector[self.nonnegative] < 0.0
 
     def restricted(self, bodies, columns):
-        """State the programme with the constraints of some bodies and columns alone.
+        """Return the programme with the constraints of some bodies and columns only.
 
-        Returns it, in the variables of these, and a function that completes its vector.
+        Returns it, in their variables, and a function that completes its vector.
         """
-        # The others are free: they follow, by a triangular factor in which they come
-        # first.
-        own, kept = self.body_columns[bodies], self.nonnegative[columns]
-        left = np.union1d(own, kept)
+        # Unconstrained variables are eliminated by a triangular factor in which they
+        # come first.
+        chosen, kept = self.body_columns[bodies], self.nonnegative[columns]
+        left = np.union1d(chosen, kept)
         rest = np.setdiff1d(np.arange(self.n_features), left)
         Q, root = np.linalg.qr(self.root[:, np.r_[rest, left]])
         shift, k = Q.T @ self.shift, rest.size
         part = replace(
             self,
-            body_columns=np.searchsorted(left, own),
+            body_columns=np.searchsorted(left, chosen),
             nonnegative=np.searchsorted(left, kept),
             point=self.point[left],
             root=root[k:, k:],
@@ -121,9 +121,9 @@ class Programme:
         def completed(vector):
             out = self.point.copy()
             out[left] = vector
-            known = shift[:k] - root[:k, k:] @ (vector - part.point)
+            right = shift[:k] - root[:k, k:] @ (vector - part.point)
             if k:
-                out[rest] += solve_triangular(root[:k, :k], known)
+                out[rest] += solve_triangular(root[:k, :k], right)
             return out
 
         return part, completed
@@ -159,8 +159,8 @@ class Programme:
     def lift(self, vector, floor):
         """Return a vector moved inside the set along the bodies' unit matrices."""
         # Adding ``t`` times the body whose matrix is the unit matrix raises the
-        # smallest eigenvalue by exactly ``t``: to `floor`, and nothing is moved further
-        # than it has to be. Non-negative columns end at ``floor - margin`` or above.
+        # smallest eigenvalue by exactly ``t``: the least change that reaches `floor`.
+        # Non-negative columns end at ``floor - margin`` or above.
         vector = vector.copy()
         unit = np.zeros(N_INERTIAL)
         unit[0] = 1.0

@@ -1,4 +1,4 @@
-"""Projection of parameter vectors on the physically consistent ones, in a metric."""
+"""Projection of parameter vectors onto the physically consistent set in a metric."""
 
 import warnings
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
 )
 from sklearn_vbjfa.physical._solver import GAP_TARGET, ProjectionError, solve
 
-# -- which columns are bodies, and which are non-negative ------------------------------
+# -- layout: columns of bodies and non-negative columns --------------------------------
 
 # The paper's layout, and this package's default friction: ten inertial parameters and
 # the viscous friction of the joint.
@@ -36,7 +36,7 @@ _PAPER_WIDTH = 11
 
 
 def resolve_layout(n_features, options, names=None):
-    """Find the columns of the bodies (n_bodies, 10), and those that stay positive."""
+    """Find the columns of the bodies (n_bodies, 10) and the non-negative columns."""
     if options.body_starts is not None:
         starts, kept = options.body_starts, options.nonnegative
     else:
@@ -118,8 +118,8 @@ def _guessed_layout(n_features):
 
 # -- projection in a metric ------------------------------------------------------------
 
-# How many times longer than the visible part of a vector its hidden part may be before
-# it is taken for rounding; a plausible robot's are of one order.
+# Largest ratio of the part of a vector in the metric's null space to the other part
+# before it counts as rounding; for a plausible robot both are of the same order.
 _HIDDEN_LIMIT = 100.0
 
 
@@ -130,14 +130,14 @@ class Metric:
     matrix: np.ndarray  # (n_features, n_features): symmetric positive semidefinite `A`
     root: np.ndarray  # (n_features, n_features): `R` with ``R' R = A``
     size: np.ndarray  # (n_features,): square root of the diagonal
-    # (n_features, n_visible): orthonormal basis of what `A` sees, in units of `size`
+    # (n_features, n_visible): orthonormal basis of the range of `A`, in units of `size`
     basis: np.ndarray
 
     def visible_part(self, theta):
-        """Drop what the metric does not see where it dwarfs what it sees."""
-        # A least-squares solve that does not cut its singular values returns 1e10 and
-        # more along directions without information; scales and anchors do not come from
-        # those. Also returns the lengths of the hidden and the visible part.
+        """Drop the part in the metric's null space if it dwarfs the other part."""
+        # Least squares without truncation of singular values returns 1e10 and more
+        # along directions without information, which must not determine scales and
+        # anchors. Also returns the lengths of the hidden and the visible part.
         standardised = theta * self.size
         part = self.basis @ (self.basis.T @ standardised)
         hidden, visible = np.linalg.norm(standardised - part), np.linalg.norm(part)
@@ -148,7 +148,7 @@ class Metric:
         return theta, hidden, visible
 
     def without_rounding(self, theta):
-        """Return the `visible_part`; warn where that is not all."""
+        """Return the `visible_part`, with a warning if it differs from theta."""
         part, hidden, visible = self.visible_part(theta)
         if part is not theta:
             warnings.warn(
@@ -185,8 +185,8 @@ def check_metric(metric, n_features):
     correlation = metric * inverse * inverse[:, None]
     correlation = 0.5 * (correlation + correlation.T)
     eigenvalue, basis = np.linalg.eigh(correlation)
-    # A matrix computed in its own units (a clipped eigendecomposition) is semidefinite
-    # to rounding in those, though perhaps not in units of a tiny diagonal.
+    # A clipped eigendecomposition is semidefinite to rounding in its original units,
+    # but perhaps not in units of a tiny diagonal.
     if eigenvalue[0] < -1e-10 * max(eigenvalue[-1], 1.0) or np.any(
         np.abs(metric[size == 0]) > 0
     ):
@@ -242,7 +242,7 @@ class Options:
 
 @dataclass(frozen=True, kw_only=True)
 class Projection:
-    """Where vectors are projected and in which distance; validated, in SI units."""
+    """Validated constraint set and distance of a projection, in SI units."""
 
     constraint: str
     margin: float
@@ -252,7 +252,7 @@ class Projection:
     # (n_bodies,): units of each body's matrix [kg] and [m]
     mass_scale: np.ndarray
     length_scale: np.ndarray
-    # (n_features,): where unseen directions are pulled; None for the vector
+    # (n_features,): target of the null space of the metric; None for the vector
     anchor: np.ndarray | None
 
     @classmethod
@@ -273,8 +273,8 @@ class Projection:
         source = rows if anchor is None else anchor[None]
         mass_scale, length_scale = body_scales(source[:, bodies])
         if metric is None:
-            # Each parameter counts in its own unit: those of a body in units of its
-            # scales, others in units of their root mean square, 1 for zeros.
+            # Parameters of a body in units of its scales, others in units of their
+            # root mean square, 1 for zeros.
             units = np.sqrt(np.mean(rows**2, axis=0))
             units[units == 0] = 1.0
             units[bodies] = parameter_units(mass_scale, length_scale)
@@ -314,7 +314,7 @@ class Projection:
         )
         solution = solve(programme)
         if solution.gap > GAP_TARGET:
-            # An answer that is accepted, but not certified as well as was aimed at.
+            # Accepted, but above the target gap.
             warnings.warn(
                 f"The projection is certified to a relative gap of {solution.gap:.1e}, "
                 f"and not to {GAP_TARGET:.0e}: its squared distance may exceed the "
@@ -341,8 +341,8 @@ class Projection:
         units[bodies] = parameter_units(self.mass_scale, self.length_scale)
         outside = np.ones(theta.size, dtype=bool)
         outside[bodies] = False
-        # Columns outside the bodies have no unit of their own: take the one in which
-        # their metric equals the largest of the bodies.
+        # For columns outside the bodies choose the unit in which their metric equals
+        # the largest of the bodies.
         largest = (diagonal * units**2)[~outside].max(initial=0.0)
         seen = outside & (diagonal > 0)
         units[seen] = np.sqrt((largest if largest > 0 else 1.0) / diagonal[seen])
@@ -351,9 +351,9 @@ class Projection:
         return units, root / size if size > 0 else root
 
     def _settle(self, vector, units, programme):
-        """Make a vector consistent to the last bit in the user's own units."""
-        # Division by the units rounds, so an eigenvalue may come out a few rounding
-        # errors below the margin; the least lift that restores it is added.
+        """Make a vector consistent to the last bit in the units of the user."""
+        # Division by the units rounds, so that an eigenvalue may be slightly below the
+        # margin; add the smallest lift that restores it.
         bodies, kept = self.bodies, self.nonnegative
         least = _ROUNDING * np.abs(vector / units).max(initial=0.0) * units[kept]
         vector[kept] = np.where(vector[kept] > least, vector[kept], 0.0)

@@ -1,8 +1,8 @@
-"""Solve the projection's programme with a conic solver, and certify the answer.
+"""Solve the projection's programme with a conic solver, and certify the solution.
 
-clarabel solves, the refinement takes its answer to the last digits, and the programme
-certifies both. Where clarabel has no answer, or one from which the refinement does not
-reach its gap (rods with small errors, at distances of 1e-9 of the vector), the
+clarabel solves the programme, the refinement adds the last digits, and the duality gap
+certifies the result. If clarabel fails, or the refinement of its solution does not
+reach the target gap (rods with small errors, at distances of 1e-9 of the vector), the
 refinement starts from the vector with clipped eigenvalues.
 
 For clarabel the programme is stated with the displacement d from the vector to project,
@@ -25,13 +25,13 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
 from sklearn_vbjfa.physical._programme import PrimalDual, raised
 
-# The certified gap that ends the search for a better answer, relative to the squared
-# distance, and the one up to which an answer is accepted.
+# Certified gaps, relative to the squared distance: the target, and the largest that is
+# accepted.
 GAP_TARGET = 1e-9
 _GAP_LIMIT = 1e-4
 # Largest number of iterations of clarabel, and of steps of one refinement.
 _MAX_STEPS = 200
-# Share of the bodies from which on all are asked at once.
+# Share of the bodies from which all constraints are used at once.
 _MOST = 0.5
 
 
@@ -50,29 +50,29 @@ class CertifiedVector:
 
 
 def solve(programme):
-    """Solve a programme, of which the constraints that decide are found on the way."""
-    # ProjectionError if no answer has a certified gap below the limit. Without the
-    # other constraints the least distance is no larger; where its vector meets them
-    # all the same, it is the answer.
+    """Solve a programme by adding violated constraints until none is left."""
+    # ProjectionError if no solution has a certified gap below the limit. With fewer
+    # constraints the least distance is no larger; if its vector meets all of them, it
+    # is the solution.
     vector = programme.point + solve_triangular(programme.root, programme.shift)
-    found = CertifiedVector(vector=vector, gap=0.0, status="nothing to do")
+    solution = CertifiedVector(vector=vector, gap=0.0, status="nothing to do")
     broken = programme.broken(vector)
-    asked = tuple(np.zeros_like(own) for own in broken)
-    while any((own & ~known).any() for own, known in zip(broken, asked)):
-        asked = tuple(own | known for own, known in zip(broken, asked))
-        if asked[0].sum() >= _MOST * asked[0].size:
-            asked = tuple(np.ones_like(own) for own in asked)
-        part, completed = programme.restricted(*asked)
-        found = _solve_together(part)
-        found = replace(found, vector=completed(found.vector))
-        broken = programme.broken(found.vector)
-    return found
+    used = tuple(np.zeros_like(x) for x in broken)
+    while any((x & ~in_use).any() for x, in_use in zip(broken, used)):
+        used = tuple(x | in_use for x, in_use in zip(broken, used))
+        if used[0].sum() >= _MOST * used[0].size:
+            used = tuple(np.ones_like(x) for x in used)
+        part, completed = programme.restricted(*used)
+        solution = _solve_together(part)
+        solution = replace(solution, vector=completed(solution.vector))
+        broken = programme.broken(solution.vector)
+    return solution
 
 
 def _solve_together(programme):
-    """Solve a programme with clarabel, refine the answer and certify it."""
-    # The least lift is an answer by itself where hardly anything has to move; no vector
-    # is nearer than nothing, so its own squared distance bounds its excess.
+    """Solve a programme with clarabel, refine the solution and certify it."""
+    # The smallest lift is a solution if almost nothing has to change; its squared
+    # distance bounds its gap.
     vector = programme.lift(programme.point, programme.margin)
     squared, least = programme.distance(vector) ** 2, programme.resolution**2
     gap = squared / max(squared, least, np.finfo(float).tiny)
@@ -86,14 +86,14 @@ def _solve_together(programme):
         if not start.is_finite:
             continue
         end, ended = refine(programme, start)
-        # The refined vector, or the start itself where that is the better one.
+        # The refined vector, or the start if it is better.
         for candidate in (end, start):
             lifted = programme.lift(candidate.vector, programme.margin)
-            found = programme.relative_gap(
+            certified = programme.relative_gap(
                 lifted, candidate.duals, candidate.multipliers
             )
-            if found < gap:
-                vector, gap, how = lifted, found, ended
+            if certified < gap:
+                vector, gap, how = lifted, certified, ended
     if gap > _GAP_LIMIT:
         raise ProjectionError(
             f"The projection on the {programme.constraint!r} set failed: clarabel "
@@ -107,10 +107,10 @@ def _solve_together(programme):
 
 
 def solve_conic(programme):
-    """Solve with clarabel; return where it ended, and its own words."""
-    # The answer is not finite where the solver broke down.
-    # The tolerances are absolute too. The distance of a consistent vector is the unit,
-    # unless it is below the resolution, where it cannot be measured.
+    """Solve with clarabel; return its solution and status."""
+    # The solution is not finite if the solver broke down.
+    # Since tolerances are also absolute, the unit is the distance of a consistent
+    # vector, or the resolution if that is larger.
     upper = programme.distance(programme.clip(2 * programme.margin))
     scale = max(upper, programme.resolution) or 1.0
     bodies, kept = programme.body_columns, programme.nonnegative
@@ -148,8 +148,8 @@ def solve_conic(programme):
         settings,
     ).solve()
 
-    # The multipliers are those of the distance; of half its square they are as many
-    # times as large as the distance is.
+    # These are multipliers of the distance; those of half its square are larger by the
+    # factor of the distance.
     length = scale * max(solution.x[-1], 0.0)
     z = length * np.array(solution.z[n + 1 :])
     stacked = z[: n_bodies * len(row)].reshape(n_bodies, len(row)) / weight
@@ -166,32 +166,32 @@ def solve_conic(programme):
 # -- primal-dual refinement of a conic solver's answer ---------------------------------
 
 # A general conic solver stops at a relative gap of 1e-7 with several bodies and 1e-4
-# with rods, at which its barrier still places what the metric hardly sees. Here the
-# slack matrices are eliminated, and the path ends at a gap set beforehand, with
-# Newton's steps to its one point: the answer is the same whatever the start and the
-# rounding. Directions are those of Helmberg, Kojima and Monteiro (doi:10.1137/0806020),
-# with slack S, multiplier Z and target m:
+# with rods, where its barrier still determines directions of small metric. Here the
+# slack matrices are eliminated, and Newton's steps converge to the point of the central
+# path at a given gap: the solution does not depend on the start. Directions are those
+# of Helmberg, Kojima and Monteiro (doi:10.1137/0806020), with slack S, multiplier Z and
+# target m:
 #
 #     (T' T + sum_j [tr(B_k S_j^-1 B_l Z_j)]_kl) dx
 #         = -T' r + m sum_j [tr(B_k S_j^-1)]_k.
 
 
-# Where the path is entered: target of the products of slack and multipliers, relative
-# to the squared distance, and the most that an eigenvalue is raised for it.
+# Start of the path: target of the products of slack and multipliers, relative to the
+# squared distance, and the largest lift of an eigenvalue.
 _ENTRY = 1e-3
 _LARGEST_LIFT = 1e-3
-# The same from a vector with clipped eigenvalues: the least ones, in scaled units.
+# Least eigenvalues of the start from clipped eigenvalues, in scaled units.
 _CLIPPED = (0.1, 1e-2, 1.0)
-# Share of the way to the boundary that a step may go.
+# Largest share of the way to the boundary in a step.
 _BOUNDARY_SHARE = 0.95
-# The same for the last step, after which there is no path to keep to.
+# The same for the last step, which leaves the path.
 _LAST_SHARE = 1.0 - 1e-6
 _SHORTEST_STEP = 1e-6
-# Gap, relative to the squared distance, at which the path ends: above the parts in 1e11
-# to 1e9 at which rounding would stop it, and far below what is asked of an answer.
+# Gap, relative to the squared distance, at which the path ends: above the rounding
+# level of 1e-11 to 1e-9, and far below the accepted gap.
 _GAP_END = 4e-9
-# Where the path counts as near its end, in units of that, and Newton's steps there.
-# They converge to one point, wherever on the way rounding had led the iterates.
+# Distance from the end of the path, in units of that gap, and number of Newton's steps
+# there, which converge to one point.
 _NEAR = 4.0
 _CENTRINGS = 6
 # Corrections of a step with the residual of its equations.
@@ -214,9 +214,8 @@ def clipped_starts(programme):
 
 
 def refine(programme, start):
-    """Follow the central path from near an approximate solution to its end."""
-    # Also returns how it ended. Rounding may leave the end outside
-    # the set by as much.
+    """Follow the central path from an approximate solution to its end."""
+    # Also returns how it ended. Up to rounding the end is inside the set.
     kept = programme.nonnegative
     at = _inside(programme, start)
     order = len(at.duals) * programme.generators.shape[-1] + kept.size
@@ -225,21 +224,21 @@ def refine(programme, start):
         slack = programme.slack(at.vector)
         mean = (np.sum(slack * at.duals) + at.vector[kept] @ at.multipliers) / order
         end = 0.5 * _GAP_END * programme.distance(at.vector) ** 2 / order
-        # A power of two, so that the rounding of the path so far does not move it.
+        # A power of two, so that it does not depend on the rounding of earlier steps.
         end = 2.0 ** np.floor(np.log2(max(end, np.finfo(float).tiny)))
         near += mean <= _NEAR * end
         last = near > _CENTRINGS
         try:
             system = _Equations(programme, at, slack)
             if last:
-                # From the centre to the optimum, with no path to keep to.
+                # From the central path to the optimum.
                 reach, step = system.predict_and_correct(0.0, 0.0)
             elif near:
                 reach, step, _ = system.direction(end)
             else:
                 reach, step = system.predict_and_correct(mean, end)
         except (LinAlgError, np.linalg.LinAlgError):
-            # Rounding has reached the boundary: the last iterate stands.
+            # Rounding has reached the boundary: return the last iterate.
             return at, "by rounding, at a matrix that is not definite"
         share = min(1.0, (_LAST_SHARE if last else _BOUNDARY_SHARE) * reach)
         if share < _SHORTEST_STEP:
@@ -251,9 +250,9 @@ def refine(programme, start):
 
 
 def _inside(programme, start):
-    """Move a solution from the boundary, where no step leads on, to near the path."""
-    # At a solution the products of slack and multipliers are zero. Here they become
-    # `m` to ``2 m``: by a lift of ``m / |Z|``, and by multipliers of ``m / S`` added.
+    """Move a solution from the boundary to the neighbourhood of the path."""
+    # The products of slack and multipliers, zero at a solution, become `m` to ``2 m``
+    # by a lift of ``m / |Z|`` and additional multipliers of ``m / S``.
     kept = programme.nonnegative
     duals, multipliers = raised(start.duals, 0.0), np.maximum(start.multipliers, 0.0)
     tiny = np.finfo(float).tiny
@@ -322,7 +321,7 @@ class _Equations:
         single = np.zeros((kept.size, self._scale.size))
         single[np.arange(kept.size), kept] = self._bounds
         stacked = np.vstack([barrier, single, self._programme.root]) * self._scale
-        # Large rows first: Householder's method is then stable row by row.
+        # Large rows first, for row-wise stability of Householder's method.
         order = np.argsort(-np.linalg.norm(stacked, axis=1))
         return np.linalg.qr(stacked[order], mode="r")
 
@@ -362,8 +361,8 @@ class _Equations:
         change = (step[bodies] @ self._flat).reshape(shape)
         dual_step = target * self._inverse - at.duals - second_bodies
         dual_step = dual_step - _symmetric(self._inverse @ change @ at.duals)
-        # In exact arithmetic the multipliers now balance the gradient; the inverse of a
-        # slack near the boundary has too few digits for that.
+        # Balance the gradient exactly: the inverse of a slack matrix near the boundary
+        # has too few digits.
         gradient = programme.root.T @ (self._residual + programme.root @ step)
         reached = (at.duals + dual_step).reshape(n_bodies, self._flat.shape[1])
         lacking = gradient[bodies] - reached @ self._flat.T
@@ -385,7 +384,7 @@ class _Equations:
 
     def predict_and_correct(self, mean, end):
         """Return reach and step of Mehrotra's predictor and corrector."""
-        # The predictor tells how far the target can be lowered from `mean`, at most to
+        # The predictor determines the decrease of the target from `mean`, at most to
         # `end`, and its second-order term corrects the step.
         reach, step, change = self.direction(0.0)
         kept = self._programme.nonnegative

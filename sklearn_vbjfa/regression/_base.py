@@ -1,4 +1,4 @@
-"""The data and their noise at the door of all regressors, and linear prediction."""
+"""Validation of data and input noise for all regressors, and linear prediction."""
 
 import warnings
 
@@ -16,11 +16,11 @@ from sklearn_vbjfa._core._correlated import direct_share
 from sklearn_vbjfa._core._linear_systems import or_one, scaled_eigen, unit_columns
 from sklearn_vbjfa._core._runtime import one_blas_thread
 
-# Columns that are larger, or smaller than its inverse, have no squares to sum.
+# Largest magnitude of a column, and inverse of the smallest, with a finite square sum.
 LARGEST = 1e100
-# A covariance lies outside of the noise's own span by more than this share: rounding.
+# Share of a covariance outside of the span of the noise that counts as rounding.
 _OF_RANGE = 1e-6
-# Private parts of scikit-learn come from here alone.
+# The only import of private parts of scikit-learn.
 __all__ = ["Interval", "StrOptions", "check_sample_weight"]
 
 
@@ -232,8 +232,7 @@ def resolve_cross_noise(cross, noise, data):
 
 def noise_shares(noise, data, names):
     """Shares (n_active,) of the inputs' variances that are noise, None if unknown."""
-    # A share of 1 marks an input that holds no signal beyond its noise; the user is
-    # warned of it.
+    # A share of 1 marks an input without signal, for which there is a warning.
     if noise is None:
         return None
     n_active = data.x_scale.shape[0]
@@ -253,7 +252,7 @@ def noise_shares(noise, data, names):
 
 
 def warn_of_excess(data, excess, names):
-    """Name the active inputs (n_active,), bool, that are nothing but noise."""
+    """Warn of the active inputs (n_active,), bool, that are nothing but noise."""
     full = np.flatnonzero(data.active)[excess]
     if full.size:
         shown = ", ".join(str(names[i]) for i in full[:10])

@@ -1,6 +1,6 @@
-"""How the model with correlated latents is fitted: dependencies, relevance, noise.
+"""Fit of the model with correlated latents: dependencies, relevance, noise.
 
-Tags such as [C15] are equations of the guide.
+Tags such as [C15] are equations of ``docs/theory.rst``.
 """
 
 from collections import namedtuple
@@ -25,19 +25,19 @@ from sklearn_vbjfa.regression._base import standard_noise, warn_of_excess
 # An input is relevant when its coefficient is more than this many posterior standard
 # deviations away from zero.
 RELEVANT_DEVIATIONS = 2.0
-# Largest fraction of an input's variance that the prior takes for noise: an input that
-# someone measured in order to predict with it is signal for two thirds at least.
+# Largest noise fraction of an input's variance under the prior: inputs that were chosen
+# as predictors are assumed to be signal for at least two thirds.
 LARGEST_FRACTION = 1 / 3
-# Samples per input from which on each input has a precision of its own, and second
-# moments say something of the inputs' noise.
+# Samples per input from which each input has a separate precision, and second moments
+# bound the inputs' noise.
 SAMPLES_PER_INPUT = 2
 
 
-# What the bound has less for each further precision, whose prior spreads over fourteen
-# units of its logarithm, than it has for a prior over two.
+# Decrease of the bound for each further precision with a prior over fourteen units of
+# its logarithm, relative to a prior over two units.
 PRECISION_COST = float(-np.log(1e-6)) - 2.0
-# What it lacks for each coefficient beyond the number of samples, whose posterior is
-# its prior: q(beta) q(alpha) loses 0.6 of it, and half a unit tells best.
+# Correction of the bound for each coefficient beyond the number of samples, whose
+# posterior is its prior: q(beta) q(alpha) loses 0.6, and 0.5 separates models best.
 UNDETERMINED = 0.5
 
 
@@ -57,11 +57,10 @@ def largest_noise_fraction(R, r):
 
 def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf):
     """Fit the model to standardised data and its moments as a scatter matrix."""
-    # noise: the user's, validated; None estimates it, `dof` are the degrees of freedom
-    # with which it was; cross (d,): its covariance with that of y. With a selection,
-    # for noiseless queries, exactly dependent inputs are reduced to their generators
-    # and only relevant ones are fitted, with one precision in common; noisy queries are
-    # then answered by all inputs as they are, see `_average`.
+    # noise: validated input noise, None if unknown; dof: degrees of freedom of its
+    # estimate; cross (d,): its covariance with the noise of y. For noiseless queries
+    # exactly dependent inputs are reduced to their generators and only relevant ones
+    # are fitted, with a common precision; noisy queries use all inputs, see `_average`.
     m = data.moments
     d = m.xx.size
 
@@ -74,18 +73,18 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
         warn_of_excess(data, excess, labels)
     if m.n <= SAMPLES_PER_INPUT * d:
         return _fit_few(m, psi, solve, cross, dof)
-    # Zero noise is Bayesian ARD regression; a covariance is taken at its word.
+    # Zero noise is Bayesian ARD regression; a full covariance uses all inputs.
     if noise is not None and (np.ndim(noise) == 2 or not np.any(noise)):
         return _fit_all(m, psi, solve, cross, dof)
     R, r = m.S / m.n, m.xy / m.n
     exact = np.zeros((d, d))
-    as_they_are, in_common = solve(m, exact), solve(m, exact, common=True)
-    found = find_dependencies(R)
-    basis = found.basis
-    kept = _relevant_inputs(m, basis, as_they_are, solve)
+    ard, in_common = solve(m, exact), solve(m, exact, common=True)
+    dependencies = find_dependencies(R)
+    basis = dependencies.basis
+    kept = _relevant_inputs(m, basis, ard, solve)
     at = basis[kept]
-    given = psi is not None
-    if not given:
+    is_known = psi is not None
+    if not is_known:
         psi = np.zeros((d, d))
         psi[at, at] = 0.5 * largest_noise_fraction(R[np.ix_(at, at)], r[at])
     if cross is None:
@@ -97,24 +96,25 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
     solution = solve_of(at, psi[np.ix_(at, at)])
     coef = np.zeros(basis.size)
     coef[kept] = solution.state.beta_mean
-    # The inputs that were switched off belong to what is not known.
+    # The covariance includes the inputs that were not selected.
     of_basis, of_end = m.columns(basis), psi[np.ix_(basis, basis)]
-    if not given:
+    if not is_known:
         of_end = _largest_admissible(of_basis) * np.eye(basis.size)
     cov = _uncertainty(of_basis, of_end, coef, solve_of(basis, of_end), dof)
-    if not given:
+    if not is_known:
         none = np.zeros_like(of_end)
         other = in_common if basis.size == d else solve_of(basis, none)
         cov = 0.5 * (cov + _uncertainty(of_basis, none, coef, other, dof))  # [C17]
-    spread = _spread(R, basis, found.copies)
+    spread = _spread(R, basis, dependencies.copies)
     coef, cov = spread @ coef, spread @ cov @ spread.T
-    # How dependent inputs share a coefficient is known from the prior alone.
+    # Only the prior determines how dependent inputs share a coefficient.
     null = scaled_eigen(R, _DEPENDENT, scale=1.0).null_space
     split = null @ null.T
     cov += split @ _uncertainty(m, exact, coef, in_common) @ split
     relevant = np.zeros(d, dtype=bool)
-    relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
-    noisy = _average(m, as_they_are, in_common)
+    copies = [dependencies.copies[k] for k in np.flatnonzero(kept)]
+    relevant[np.concatenate(copies)] = True
+    noisy = _average(m, ard, in_common)
     noise = _output_noise(psi[np.ix_(at, at)], solution)
     return CorrelatedFit(
         noisy=noisy,
@@ -122,10 +122,10 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
             coef,
             cov,
             noise,
-            # Of exact inputs, the other end, y has the noise that it has of noisy ones.
-            open_noise=0.0 if given else max(noisy.noise - noise, 0.0),
+            # At the other end, exact inputs, y has the noise of noisy queries.
+            open_noise=0.0 if is_known else max(noisy.noise - noise, 0.0),
         ),
-        noisy_solution=as_they_are,
+        noisy_solution=ard,
         noiseless_solution=solution,
         relevant=relevant,
         psi=psi,
@@ -150,12 +150,12 @@ def _fit_all(m, psi, solve, cross, dof):
 
 
 def _fit_few(m, psi, solve, cross, dof):
-    """Fit few samples per input, whose smallest eigenvalues are those of chance."""
-    # These would decide on dependencies, and bound an unknown noise.
+    """Fit few samples per input, whose smallest eigenvalues are due to chance."""
+    # They can neither show dependencies nor bound an unknown noise.
     exact = np.zeros_like(m.S)
-    # Interpolation leaves no noise but rounding, which must not decide.
+    # The floor keeps the rounding errors of an interpolation from counting as noise.
     solution, in_common = (
-        solve(m, exact, common=one, floor=OUTPUT_FLOOR) for one in (False, True)
+        solve(m, exact, common=common, floor=OUTPUT_FLOOR) for common in (False, True)
     )
     state = solution.state
     variance = np.diagonal(state.beta_cov)
@@ -178,24 +178,24 @@ def _calibrated(m, psi, solve, cross, dof):
     P = latent.P
     direct = np.zeros(d) if cross is None else direct_share(psi, cross)
     expected = replace(m, R=m.R @ latent.H.T, z=m.z - m.R @ direct)
-    found, exact = [], np.zeros_like(psi)
+    solutions, exact = [], np.zeros_like(psi)
     for common in (False, True):
         beta = solve(expected, exact, common=common).state.beta_mean
         # The noise of y given x is at least that of beta't.
         least = beta @ P @ beta
-        found.append(solve(expected, exact, common=common, floor=least))
-    # As with many samples, relevant inputs have one precision in common.
-    ard, coef = found[0], np.zeros(d)
+        solutions.append(solve(expected, exact, common=common, floor=least))
+    # As with many samples, relevant inputs have a common precision.
+    ard, coef = solutions[0], np.zeros(d)
     kept = _relevant_inputs(expected, np.arange(d), ard, solve)
     least = ard.state.beta_mean @ P @ ard.state.beta_mean
     none = exact[np.ix_(kept, kept)]
     few = solve(expected.columns(kept), none, common=True, floor=least).state
     coef[kept] = few.beta_mean
-    found[0] = replace(ard, state=replace(few, beta_mean=coef))
-    model = _average(m, *found, evidence=UNDETERMINED * max(d - n, 0))
-    beta, state = model.coef, found[1].state
+    solutions[0] = replace(ard, state=replace(few, beta_mean=coef))
+    model = _average(m, *solutions, evidence=UNDETERMINED * max(d - n, 0))
+    beta, state = model.coef, solutions[1].state
     noise = max(model.noise - beta @ P @ beta, 0.0)
-    # Errors of both covariances: that of the inputs is known from n samples, see [C14].
+    # Sampling errors of the input covariance (n samples) and of psi, see [C14].
     A, moved = n * state.beta_cov @ latent.H / state.psi_y, psi @ beta
     through, size = beta @ moved, (beta - latent.H.T @ beta) @ moved
     middle = (size * shrunk / n + _square(moved)) / n
@@ -210,19 +210,18 @@ def _calibrated(m, psi, solve, cross, dof):
 
 def _uncertainty(m, psi, coef, in_common, dof=np.inf):
     """Second moment (d, d) about `coef` of the posterior with one common precision."""
-    # A posterior under automatic relevance determination takes the precisions for
-    # known: of a coefficient that it has switched off, or nearly, it says that it is
-    # zero. One precision, known from all coefficients together, does not. What both
-    # disagree in belongs to what is not known.
+    # The ARD posterior conditions on the precisions, so that pruned coefficients get
+    # almost no variance. A common precision, estimated from all coefficients, avoids
+    # that; the difference of both estimates is added to the covariance.
     cov = posterior_covariance(m.n, psi, in_common, dof)
     return cov + _square(in_common.state.beta_mean - coef)
 
 
 def _noisy_model(m, solution, solve, cross):
     """Model of y given noisy inputs: c = H'beta, its variance v and uncertainty."""
-    # v is psi_y + beta'P beta, less what noise of the inputs does to y directly. That
-    # of c is what a regression on the inputs as they are
-    # leaves open, see `_uncertainty`.
+    # v is psi_y + beta'P beta, without the direct gain from the noise of the inputs.
+    # The covariance of c is that of a regression on the noisy inputs, see
+    # `_uncertainty`.
     beta, latent = solution.beyond, solution.latent
     coef = latent.H.T @ beta + solution.direct  # [C5]
     exact = np.zeros_like(m.S)
@@ -248,19 +247,19 @@ def _largest_admissible(m):
     """Largest fraction of noise, f of [C16], that moments `m` admit."""
     n, d = m.n, m.xx.size
     R, r = m.S / n, m.xy / n
-    # The smallest eigenvalue of n rows is too small by (n - d) / n in the mean, for d
-    # coefficients were fitted to find it. Beyond that of R there is no signal left.
+    # The smallest eigenvalue of n rows is biased by (n - d) / n, since d coefficients
+    # were fitted to find it. Above the smallest eigenvalue of R no signal is left.
     largest = largest_noise_fraction(R, r) * n / max(n - d, 1)
     no_signal = max(float(linalg.eigvalsh(R, subset_by_index=[0, 0])[0]), 0.0)
     return min(largest, LARGEST_FRACTION, no_signal)
 
 
 def _average(m, solution, other, *, evidence=None):
-    """Answer to noisy queries: the mean of two regressions on the noisy inputs."""
-    # One gives each input a precision of its own, which suits few relevant inputs;
-    # the other one precision to all, which suits many. With many samples nothing tells
-    # beforehand which suits; their mean is nearly as good as the better one, and what
-    # they differ in is not known. Few samples fit the wrong one badly.
+    """Model for noisy queries: the mean of two regressions on the noisy inputs."""
+    # Separate precisions suit few relevant inputs, a common precision suits many. With
+    # many samples their mean is nearly as good as the better one, and their difference
+    # is added to the covariance. With few samples the evidence weights them, since the
+    # wrong one fits badly.
     share = 0.5
     if evidence is not None:
         gain = solution.history[-1] - other.history[-1] + evidence
@@ -273,11 +272,11 @@ def _average(m, solution, other, *, evidence=None):
     )
 
 
-def _relevant_inputs(m, basis, as_they_are, solve):
+def _relevant_inputs(m, basis, ard, solve):
     """Find inputs that help to predict y: ARD on noisy inputs, 2 deviations."""
-    # Asked of the noisy inputs on purpose: an input that has nothing to do with y has
-    # a zero coefficient there too, and the test has not lost power to the correction.
-    state = as_they_are.state
+    # Noisy inputs suffice: an input that is independent of y has a zero coefficient
+    # there too, and the correction for noise would cost power.
+    state = ard.state
     if basis.size < m.xx.size:
         exact = np.zeros((basis.size, basis.size))
         state = solve(m.columns(basis), exact).state
@@ -289,9 +288,9 @@ def _relevant_inputs(m, basis, as_they_are, solve):
 
 
 def _spread(R, at, copies):
-    """Matrix (d, k) that gives the columns `at` and their exact copies their shares."""
-    # Nothing tells copies apart: in standardised columns each takes the same part,
-    # with the sign of its correlation.
+    """Matrix (d, k) that divides coefficients of columns `at` among exact copies."""
+    # Copies are indistinguishable: each standardised column gets the same share, with
+    # the sign of its correlation.
     spread = np.zeros((R.shape[0], at.size))
     for k, (j, group) in enumerate(zip(at, copies)):
         sign = np.ones(1) if group.size == 1 else np.sign(R[j, group])
@@ -304,11 +303,11 @@ def _spread(R, at, copies):
 # Share of a standardised column's variance below which a dependency counts as exact:
 # a generous bound on the rounding of second moments.
 _DEPENDENT = 1e-9
-# Beyond this many dependent columns the search for extreme rays is not worth its cost.
+# Largest number of dependent columns for the search for extreme rays.
 _MOST_RAYS = 500
 
 
-# Columns that generate all others, ascending, and each with its exact copies.
+# Columns that generate all others, ascending, and the exact copies of each.
 Dependencies = namedtuple("Dependencies", "basis copies")
 
 
@@ -337,12 +336,12 @@ def find_dependencies(R):
 
 def _copies(R, columns):
     """Group columns that are multiples of each other."""
-    waiting, groups = list(columns), []
-    while waiting:
-        j = waiting[0]
-        same = [k for k in waiting if abs(R[j, k]) > 1 - _DEPENDENT]
+    remaining, groups = list(columns), []
+    while remaining:
+        j = remaining[0]
+        same = [k for k in remaining if abs(R[j, k]) > 1 - _DEPENDENT]
         groups.append(np.array(same))
-        waiting = [k for k in waiting if k not in same]
+        remaining = [k for k in remaining if k not in same]
     return groups
 
 
@@ -360,8 +359,8 @@ def _extreme_rays(F, columns):
 
 
 def _largest_volume(R, columns, rank):
-    """Columns that pivoting takes first, each the farthest from those before."""
-    # Rounded: the first of those that rounding does not tell apart.
+    """Columns that pivoting takes first, each the farthest from the previous ones."""
+    # Rounded, so that ties are resolved by the order of the columns.
     S = np.round(R[np.ix_(columns, columns)] / _DEPENDENT)
     pivots = lapack.dpstrf(S * _DEPENDENT, tol=0.0)[1]
     return columns[pivots[:rank] - 1]

@@ -1,4 +1,4 @@
-"""What the EM and the VB estimator share: moments, attributes, prediction."""
+"""Base of the EM and the VB estimator: moments, attributes, prediction."""
 
 import warnings
 from dataclasses import replace
@@ -28,7 +28,7 @@ from sklearn_vbjfa.regression._base import (
     resolve_input_noise,
 )
 
-# Coefficients whose variances are numbers.
+# Coefficients with finite variances.
 _LARGEST_UNIT = 1e140
 
 
@@ -84,8 +84,8 @@ class BaseJointFactorRegressor(BaseRegressor):
         return range(self.n_features_in_) if names is None else names
 
     def _fit_independent(self, data, noise, prior):
-        """Fit the independent-latent model and set what it determines."""
-        # noise: of the inputs, as the user gives it, validated
+        """Fit the independent-latent model and set its attributes."""
+        # noise: input noise of the user, validated
         fixed = noise_shares(noise, data, self._feature_labels())
         if data.is_degenerate:
             return self._fit_constant(data)
@@ -119,7 +119,7 @@ class BaseJointFactorRegressor(BaseRegressor):
         )
 
     def _fit_constant(self, data):
-        """Y or all inputs are constant: the intercept is all there is."""
+        """Set the attributes for a constant y or constant inputs: intercept only."""
         d = data.active.shape[0]
         zero = np.zeros(data.x_scale.size)
         cov = np.zeros((zero.size, zero.size))
@@ -133,7 +133,7 @@ class BaseJointFactorRegressor(BaseRegressor):
         return self
 
     def _set_loop_attributes(self, solution, data, log_units):
-        # log-density of what the bound is of in its own units, not standardised
+        # convert the bound from standardised units to the units of the data
         n = data.moments.n
         self.elbo_history_ = solution.history - n * log_units
         self.n_iter_ = solution.n_iter
@@ -159,7 +159,7 @@ class BaseJointFactorRegressor(BaseRegressor):
             )
 
     def _set_linear_models(self, noisy, noiseless, data):
-        """Set what the two kinds of queries need, and which of them `predict` takes."""
+        """Set the models of both kinds of queries, and the one that `predict` uses."""
         unit = data.y_scale / data.x_scale
         if unit.max(initial=1.0) > _LARGEST_UNIT:
             raise ValueError(
@@ -172,7 +172,7 @@ class BaseJointFactorRegressor(BaseRegressor):
         self.output_noise_ = noiseless.noise * y2
         answer = noisy if self.query == "noisy" else noiseless
         self.coef_ = data.expand(answer.coef * unit)
-        # A column without variation tells nothing of its coefficient.
+        # A constant column does not determine its coefficient.
         d = data.active.shape[0]
         self.coef_cov_ = np.zeros((d, d))
         self.coef_cov_[~data.active, ~data.active] = np.inf
@@ -213,8 +213,8 @@ class BaseJointFactorRegressor(BaseRegressor):
         if not return_std:
             return mean
         Xc = X - self._x_offset
-        # An input that never varied has no finite deviation, but at the value that
-        # it always had it does not matter either.
+        # An input that never varied has an infinite deviation, but does not matter at
+        # its constant value.
         finite = np.isfinite(self.coef_std_)
         known = Xc[:, finite]
         cov = self.coef_cov_[np.ix_(finite, finite)]
@@ -224,10 +224,10 @@ class BaseJointFactorRegressor(BaseRegressor):
         return mean, np.sqrt(np.maximum(parameters, 0.0) + noise)
 
 
-def fit_moments(estimator, known):
-    """Fit an estimator, itself, to the `Scatter` of rows that it never sees."""
+def fit_moments(estimator, scatter):
+    """Fit an estimator in place to a `Scatter`, without the rows."""
     estimator._validate_params()
-    return estimator._fit_moments(from_scatter(known))
+    return estimator._fit_moments(from_scatter(scatter))
 
 
 class JFARegressor(BaseJointFactorRegressor):
@@ -349,13 +349,13 @@ class JFARegressor(BaseJointFactorRegressor):
 
 # -- independent latents ---------------------------------------------------------------
 
-# Share of each input's variance that is noise at the start, where it is not given.
+# Initial noise share of each input's variance, if it is unknown.
 _INITIAL_NOISE = 0.3
 
 
 def fit_independent(data, prior, *, max_iter, tol):
     """Run the iteration; derive the solution, relevant inputs, and linear models."""
-    # Models are those of noisy and of noiseless queries, in standardised units.
+    # Linear models of noisy and of noiseless queries, in standardised units.
     moments = data.moments
     d = moments.xx.shape[0]
     state = start(moments, prior, np.full(d, _INITIAL_NOISE))

@@ -1,4 +1,4 @@
-"""Which of many tests of a kind are quick; the others are slow tests."""
+"""Parameter sets of which a part is marked slow."""
 
 from itertools import product
 
@@ -13,15 +13,15 @@ def _params(values, quick):
 
 
 def one_in(every, values):
-    """Return parameters of which the first of every so many is quick."""
+    """Return parameters; mark all but the first of every `every` as slow."""
     values = list(values)
     return _params([(x,) for x in values], [k % every == 0 for k in range(len(values))])
 
 
 def checkered(*axes):
-    """Return all combinations; every other one is quick, so that each value is in one.
+    """Return all combinations; mark every other one as slow, in a checkerboard pattern.
 
-    With two factors of two values, for example, those are two of the four.
+    The quick half still contains each value of each axis.
     """
-    places = product(*(range(len(axis)) for axis in axes))
-    return _params(list(product(*axes)), [sum(place) % 2 == 0 for place in places])
+    indices = product(*(range(len(axis)) for axis in axes))
+    return _params(list(product(*axes)), [sum(index) % 2 == 0 for index in indices])

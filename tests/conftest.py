@@ -1,4 +1,4 @@
-"""Fixtures that several folders of tests share."""
+"""Fixtures shared by several folders of tests."""
 
 import contextlib
 import importlib.util
@@ -6,12 +6,11 @@ import os
 import pickle
 from pathlib import Path
 
-# Workers share the processors: with several threads each, they wait for one another.
-# Before NumPy is loaded, as its BLAS reads this once; processes that tests start and
-# the workers of pytest-xdist inherit it.
+# One BLAS thread per process: workers of pytest-xdist share the processors. BLAS reads
+# these variables when NumPy is imported; child processes inherit them.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
-# What long runs show hangs on the clock; tests of it take this back.
+# Progress bars depend on the clock; tests of progress enable them again.
 os.environ["TQDM_DISABLE"] = "1"
 
 import pytest  # noqa: E402
@@ -19,7 +18,7 @@ import pytest  # noqa: E402
 
 @contextlib.contextmanager
 def _locked(path):
-    """Let one process at a time through; without locks of files, all."""
+    """Hold an exclusive lock on a file; do nothing where fcntl is missing."""
     try:
         import fcntl
     except ImportError:
@@ -32,29 +31,29 @@ def _locked(path):
 
 @pytest.fixture(scope="session")
 def once(tmp_path_factory):
-    """Make something in one of the workers, and read its pickle in the others."""
+    """Compute an object in one worker and load its pickle in the others."""
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent
 
-    def made(name, make):
+    def load_or_make(name, make):
         path = folder / f"{name}.pickle"
         with _locked(folder / f"{name}.lock"):
             if not path.exists():
-                whole = path.with_suffix(".part")
-                whole.write_bytes(pickle.dumps(make()))
-                whole.replace(path)
+                partial = path.with_suffix(".part")
+                partial.write_bytes(pickle.dumps(make()))
+                partial.replace(path)
             return pickle.loads(path.read_bytes())
 
-    return made
+    return load_or_make
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _kernels(once):
-    """Have one worker compile the simulator, whose machine code the others read."""
-    needed = ("numba", "pinocchio")
+    """Compile the simulator in one worker; the others load the cached machine code."""
+    modules = ("numba", "pinocchio")
     if "PYTEST_XDIST_WORKER" in os.environ and all(
-        map(importlib.util.find_spec, needed)
+        map(importlib.util.find_spec, modules)
     ):
         once("kernels", _compile)
 
@@ -64,32 +63,32 @@ def _compile():
     from sklearn_vbjfa.simulation import simulate
     from tests.simulation._machines import Arm
 
-    remembered = MaxwellSlip(0, (0.02, 0.1), (), ()), [0.3, 0.2]
+    hysteresis = MaxwellSlip(0, (0.02, 0.1), (), ()), [0.3, 0.2]
     coupled = Coupling(1, 0, 1.0), [0.05, 0.1, 0.02]
-    for effects in ([], [remembered], [coupled]):
+    for effects in ([], [hysteresis], [coupled]):
         robot = Arm().robot({"viscous": [0.3, 0.1], "coulomb": [1.0, 0.4]}, effects)
         simulate(robot, [[0.0, 0.0]] * 3, [0.4, -0.6], [1.0, -2.0])
 
 
 @pytest.fixture(scope="session")
 def measured_data_home() -> Path:
-    """Folder of the measured sets, as `data_home` of the loaders expects it.
+    """Folder of the measured data sets: `data_home` of the loaders.
 
-    Without SKLEARN_VBJFA_DATA ``shared/data`` next to the repository, or a skip.
+    Defaults to ``shared/data`` next to the repository; skips if it does not exist.
     """
-    named = os.environ.get("SKLEARN_VBJFA_DATA")
-    if named:
-        assert Path(named).is_dir(), f"SKLEARN_VBJFA_DATA is not a folder: {named}"
-        return Path(named)
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    if not beside.is_dir():
+    folder = os.environ.get("SKLEARN_VBJFA_DATA")
+    if folder:
+        assert Path(folder).is_dir(), f"SKLEARN_VBJFA_DATA is not a folder: {folder}"
+        return Path(folder)
+    default = Path(__file__).resolve().parents[2] / "shared" / "data"
+    if not default.is_dir():
         pytest.skip("no measured sets; name their folder in SKLEARN_VBJFA_DATA")
-    return beside
+    return default
 
 
 @pytest.fixture(scope="session")
 def simulated():
-    """Two motions of the made-up arm, and its truth."""
+    """Simulate two recordings of an arm with known parameters."""
     from sklearn_vbjfa.datasets import make_robot_recording
 
     return make_robot_recording(
@@ -99,7 +98,7 @@ def simulated():
 
 @pytest.fixture(scope="session")
 def new_motion(simulated):
-    """Make another motion of the same arm."""
+    """Simulate another motion of the same arm."""
     from sklearn_vbjfa.datasets import make_robot_recording
 
     return make_robot_recording(
@@ -114,7 +113,7 @@ def new_motion(simulated):
 
 @pytest.fixture(scope="session")
 def identified(simulated):
-    """Identify the made-up arm by default settings; tests must not change it."""
+    """Identify the simulated arm with default settings; tests must not modify it."""
     from sklearn_vbjfa import RobotIdentifier
 
     robot = RobotIdentifier(

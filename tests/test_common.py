@@ -1,4 +1,4 @@
-"""scikit-learn's own checks; those that no robot can pass are refused with a reason."""
+"""scikit-learn's estimator checks; those that robot estimators must reject."""
 
 import os
 import re
@@ -22,10 +22,10 @@ from sklearn_vbjfa import (
     VBJFARegressor,
 )
 
-# One joint has three columns of states, as many as most of the checks' tables.
+# One joint: three columns of states, as many as most of the checks use.
 SWING = str(Path(__file__).parent / "model" / "swing.urdf")
 
-# Few iterations: what is checked does not depend on the last digits.
+# Few iterations suffice: the checks do not depend on convergence.
 ESTIMATORS = [
     JFARegressor(query="noiseless", max_iter=15),
     VBJFARegressor(),
@@ -44,12 +44,12 @@ OTHER_OPTIONS = [
     PhysicalProjector("eq30"),
 ]
 
-# Why a check cannot pass, as the message says it.
-# Rows are samples in the order of time, not independent of one another.
+# Expected error messages of checks that cannot pass.
+# Rows are consecutive samples in time, not independent observations.
 _ORDER = "different sample order|recording must have at least 8 samples"
-# The check has fewer samples than the choice of a cut-off needs.
+# The check has fewer samples than the selection of the cutoff needs.
 _SHORT = "needs a recording of at least 16 samples"
-# A robot's states have three columns a joint, and the check another number.
+# States have three columns per joint; the check has another number of columns.
 _WIDTH = r"states \[q \| v \| a\]"
 
 STATES = {
@@ -98,37 +98,37 @@ IDENTIFIER = {
         ],
         _WIDTH,
     ),
-    # One column is positions.
+    # One column is read as positions.
     "check_fit2d_1feature": _SHORT,
 }
 
 
 def refusals(estimator):
-    """Return check -> message of what an estimator of the robot chain refuses."""
+    """Return the expected error message by name of the rejected check."""
     if isinstance(estimator, StateEstimator):
         return STATES if estimator.cutoff != "auto" else AUTOMATIC_STATES
     return FEATURES if isinstance(estimator, RigidBodyFeatures) else IDENTIFIER
 
 
 def checks_of(estimators):
-    """Parametrize by estimators and scikit-learn's checks that can run here."""
+    """Parametrize by estimator and by the scikit-learn checks that can run here."""
     mark = parametrize_with_checks(estimators)
     names, pairs = mark.args
-    # It is skipped unless the variable is set, as `.ci/full` does.
+    # scikit-learn skips it without this variable, which `.ci/full` sets.
     if not os.environ.get("SCIPY_ARRAY_API"):
         pairs = [x for x in pairs if x[1].func.__name__ != "check_array_api_input"]
     return pytest.mark.parametrize(names, pairs, **mark.kwargs)
 
 
 def messages(error):
-    """Messages of an error and of those that it was raised from."""
+    """Messages of an error and of its causes."""
     while error is not None:
         yield str(error)
         error = error.__cause__ or error.__context__
 
 
-# Some checks take standardised columns, which is a warning for a single torque, or
-# tables narrower than one body.
+# Some checks standardise the columns, which causes a warning, or use fewer columns
+# than one body has parameters.
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 @pytest.mark.filterwarnings("ignore:X is not as RigidBodyFeatures computes it")
 @pytest.mark.filterwarnings("ignore:.*too few for a body:UserWarning")
@@ -143,7 +143,7 @@ def test_estimator_with_other_options(estimator, check):
     test_estimator(estimator, check)
 
 
-# Pure noise as states: joints "move", and what the projection has to drop is a lot.
+# States are pure noise, so the projection removes a large part of the estimate.
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @checks_of(
     [
@@ -158,6 +158,6 @@ def test_robot_estimator(estimator, check):
     if expected is None:
         check(estimator)
         return
-    with pytest.raises((ValueError, AssertionError)) as refused:
+    with pytest.raises((ValueError, AssertionError)) as error_info:
         check(estimator)
-    assert any(re.search(expected, text) for text in messages(refused.value))
+    assert any(re.search(expected, text) for text in messages(error_info.value))

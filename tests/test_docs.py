@@ -1,4 +1,4 @@
-"""The guide, the README and the code say the same, and their examples run."""
+"""Consistency of the documentation, the README and the code; examples run."""
 
 import importlib.util
 import json
@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import sklearn_vbjfa
-from tests.test_imports import APART, ROOMS
+from tests.test_imports import RESTRICTED, ROOMS
 
 ALL_ROOMS = [importlib.import_module(f"sklearn_vbjfa.{x}") for x in ROOMS if x != "top"]
 PUBLIC_MODULES = [x for x in (sklearn_vbjfa, *ALL_ROOMS) if hasattr(x, "__all__")]
@@ -27,7 +27,7 @@ def read(path):
 
 
 def tagged_equations(text):
-    """Numbers of the paper's equations in tags such as [eq. 12] or [eqs. 17-25]."""
+    """Equation numbers in tags such as [eq. 12] or [eqs. 17-25]."""
     numbers = set()
     for tag in re.findall(r"\[eqs?\. ([^\]]+)\]", text):
         for first, last in re.findall(r"(\d+)(?:-(\d+))?", tag.split(", line")[0]):
@@ -36,7 +36,7 @@ def tagged_equations(text):
 
 
 def code_blocks(path):
-    """Python examples of a page, in order, with the line at which each begins."""
+    """Python examples of a page, padded so that tracebacks show the right line."""
     text = read(path)
     if path.suffix == ".md":
         pattern = r"^```python\n(.*?)^```"
@@ -65,7 +65,7 @@ def test_every_equation_tag_is_in_the_guide():
     assert explained <= used, f"not in the code: {sorted(explained - used)}"
 
 
-def test_own_equations_are_in_the_guide_and_in_the_code():
+def test_new_equations_are_in_the_guide_and_in_the_code():
     guide = read(DOCS / "theory.rst")
     printed = re.findall(r"\\tag\{(\w+)\}", guide)
     for letter in "BC":
@@ -73,10 +73,10 @@ def test_own_equations_are_in_the_guide_and_in_the_code():
         assert numbers == list(range(1, len(numbers) + 1)), letter
         assert numbers, f"no equation {letter}1"
     source = ROOT / "sklearn_vbjfa"
-    tag = re.compile(r"\[([BC]\d+)\]")
-    used = {own for path in source.rglob("*.py") for own in tag.findall(read(path))}
+    pattern = re.compile(r"\[([BC]\d+)\]")
+    used = {tag for path in source.rglob("*.py") for tag in pattern.findall(read(path))}
     assert used == set(printed)
-    assert set(tag.findall(guide)) <= set(printed)
+    assert set(pattern.findall(guide)) <= set(printed)
 
 
 def test_every_public_name_is_in_api_once():
@@ -92,7 +92,7 @@ def test_every_public_name_is_in_api_once():
     assert set(listed) == public
 
 
-def test_table_of_rooms_is_that_of_the_imports():
+def test_documented_imports_match_the_allowed_imports():
     rows = re.findall(
         r"    \* - ``(\w+)``\n      - .+(?:\n {8}.+)*\n      - (.+)\n",
         read(DOCS / "contributing.rst"),
@@ -100,8 +100,8 @@ def test_table_of_rooms_is_that_of_the_imports():
     assert [room for room, _ in rows] == ROOMS
     for room, imports in rows:
         above = set(ROOMS[: ROOMS.index(room)])
-        told = above if imports == "all above" else set(re.findall(r"\w+", imports))
-        assert told - {"none"} == APART.get(room, above), room
+        names = above if imports == "all above" else set(re.findall(r"\w+", imports))
+        assert names - {"none"} == RESTRICTED.get(room, above), room
 
 
 def test_every_dependency_is_explained():
@@ -109,7 +109,7 @@ def test_every_dependency_is_explained():
     project = tomllib.loads(read(ROOT / "pyproject.toml"))["project"]
     extras = project["optional-dependencies"].values()
     for requirement in sum(extras, project["dependencies"]):
-        # Builders may write one name with any of the three.
+        # The three separators are equivalent in names of packages.
         name = re.sub(r"[._-]+", "[._-]", re.match(r"[\w.-]+", requirement).group())
         assert re.search(rf"^(\w+ +)?{name} ", text, flags=re.M), name
 
@@ -128,7 +128,7 @@ def test_files_named_in_the_guide_exist():
             assert (ROOT / name).is_file(), f"{page.name} names {name}"
 
 
-def test_links_of_the_readme_lead_to_files():
+def test_readme_links_exist():
     links = re.findall(r"\]\(([^)]+)\)", read(ROOT / "README.md"))
     local = [link for link in links if not link.startswith("https://")]
     assert "docs/images/residual.png" in local
@@ -137,10 +137,10 @@ def test_links_of_the_readme_lead_to_files():
 
 
 def script(path, patch):
-    """Import a script of the documentation for as long as `patch` holds."""
+    """Import a script of the documentation; `patch` removes the module again."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
-    # Data classes look their module up.
+    # dataclasses looks the module up in sys.modules.
     patch.setitem(sys.modules, path.stem, module)
     spec.loader.exec_module(module)
     return module
@@ -156,14 +156,14 @@ TABLES = sorted((DOCS / "tables").glob("*.rst"))
 
 
 @pytest.mark.parametrize("path", TABLES, ids=lambda path: path.stem)
-def test_a_table_and_its_data_agree(path, recorded):
+def test_tables_match_their_data(path, recorded):
     record = json.loads(read(path.with_suffix(".json")))
-    found = [
+    tables = [
         {"headers": [*x.headers], "rows": [*map(list, x.rows)]}
         for x in recorded.tables_in(read(path))
     ]
-    assert found
-    assert record["tables"] == found
+    assert tables
+    assert record["tables"] == tables
     assert (ROOT / record["script"]).is_file()
     assert record["script"] in " ".join(read(path).split())
     for commit in record["commits"]:
@@ -172,22 +172,22 @@ def test_a_table_and_its_data_agree(path, recorded):
 
 
 @pytest.mark.slow
-def test_report_to_click_is_what_the_package_writes(monkeypatch):
+def test_example_report_is_up_to_date(monkeypatch):
     demo = script(DOCS / "demo_report.py", monkeypatch)
-    # Words, not figures: other libraries and processors move a last digit.
-    shown, made = (
+    # Compare words only: last digits depend on libraries and processors.
+    committed, generated = (
         re.findall(r">([^<>\d]*[a-z][^<>\d]*)<", text)
         for text in (read(demo.PAGE), demo.page())
     )
-    assert shown == made
+    assert committed == generated
 
 
-def test_first_numbers_of_the_readme_and_the_first_page_are_measured(recorded):
+def test_headline_figures_match_the_measured_tables(recorded):
     (models, *_) = recorded.tables_in(recorded.read("protocol_emps"))
     # model and states -> error
-    judged = {tuple(row[:2]): row[-1] for row in models.rows}
-    published = judged["published, least squares", "theirs"]
-    completed = judged["EffectDiscovery, completed model", "positions"]
+    errors = {tuple(row[:2]): row[-1] for row in models.rows}
+    published = errors["published, least squares", "theirs"]
+    completed = errors["EffectDiscovery, completed model", "positions"]
     ratios = []
     for stage in ("development", "confirmation"):
         (table, *_) = recorded.tables_in(recorded.read(f"measured_sets_{stage}"))
@@ -204,13 +204,13 @@ def test_first_numbers_of_the_readme_and_the_first_page_are_measured(recorded):
         text = " ".join(read(page).split())
         assert f"{published} %" in text
         assert f"{completed} %" in text
-        said = "more than a tenth on seven and by 8, 6 and 1 % on the others"
-        assert said in text
-    (left,) = [float(completed) for name, _, completed in rows if name == "tiago"]
-    assert f"(TIAGo) the error stays at {left:.0f} %" in read(ROOT / "README.md")
+        sentence = "more than a tenth on seven and by 8, 6 and 1 % on the others"
+        assert sentence in text
+    (tiago,) = [float(completed) for name, _, completed in rows if name == "tiago"]
+    assert f"(TIAGo) the error stays at {tiago:.0f} %" in read(ROOT / "README.md")
 
 
-# Their examples simulate, search or compile, which other tests do with smaller robots.
+# Slow examples (simulation, search, compilation), which other tests cover.
 LONG = {"design.rst", "effects.rst", "simulation.rst"}
 
 
@@ -221,7 +221,7 @@ LONG = {"design.rst", "effects.rst", "simulation.rst"}
             page, marks=[pytest.mark.slow] if page.name in LONG else [], id=page.name
         )
         for page in EXAMPLES
-        if page.name != "README.md"  # the test below
+        if page.name != "README.md"  # tested below
     ],
 )
 def test_examples_run(page, tmp_path, monkeypatch, capsys):
@@ -235,8 +235,8 @@ def test_examples_run(page, tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_the_readme_needs_no_more_than_it_installs(tmp_path):
-    # Of other extras, and no dependency of what `pip install ".[robot]"` installs.
+def test_readme_examples_run_without_optional_packages(tmp_path):
+    # Optional packages that `pip install ".[robot]"` does not install.
     absent = """
 import sys
 
@@ -248,7 +248,7 @@ class Absent:
 sys.meta_path.insert(0, Absent())
 """
     code = absent + "\n".join(code_blocks(ROOT / "README.md"))
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", code],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
@@ -256,10 +256,10 @@ sys.meta_path.insert(0, Absent())
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
 
 
-def test_a_table_is_stale_once_code_of_its_rooms_has_changed(recorded, tmp_path):
+def test_tables_are_stale_after_code_changes(recorded, tmp_path):
     package, folder = tmp_path / "package", tmp_path / "tables"
     (package / "room").mkdir(parents=True)
     code = package / "room" / "_code.py"

@@ -1,4 +1,4 @@
-"""Pages of the effects: one for each, and what they say is what the code computes."""
+"""Pages of the effects: one per effect, consistent with the code."""
 
 import re
 import sys
@@ -18,7 +18,7 @@ import simulated_effects  # noqa: E402
 NAMES = effects.available()
 USES = simulated_effects.uses()
 PARTS = ("law", "picture", "rivals", "facts")
-# What formulas hold beside parameters, and every page may take for granted.
+# Symbols in formulas that need no explanation on a page.
 SIGNALS = {"q", "v", "a", "t", "tau", "tauload", "sign", "pi", "e", "i", "g", "d"}
 SIGNALS |= {"qj", "vj", "aj", "tauj"}
 
@@ -38,7 +38,7 @@ def test_every_effect_has_a_page_and_every_page_an_effect():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_page_has_its_parts_and_links_to_others(name):
+def test_pages_have_all_sections_and_valid_links(name):
     text = page(name)
     (effect,) = effects.resolve(name)
     title, line = text.splitlines()[:2]
@@ -57,17 +57,17 @@ def test_a_page_has_its_parts_and_links_to_others(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_stands_in_a_formula_is_a_parameter_or_is_explained(name):
+def test_symbols_of_formulas_are_explained(name):
     use = USES[name]
-    said = effect_facts.explanation(type(use.effect))
-    assert "---" not in " ".join(said)
-    told = page(name) + " ".join(said)
+    explanation = effect_facts.explanation(type(use.effect))
+    assert "---" not in " ".join(explanation)
+    text = page(name) + " ".join(explanation)
     parameters = effect_facts.parameters_of(use)
     formula = effect_facts.symbols(use.effect.formula)
     explained = effect_facts.symbols(
-        " ".join(re.findall(r":math:`([^`]*)`", told.replace("\n", " ")))
+        " ".join(re.findall(r":math:`([^`]*)`", text.replace("\n", " ")))
     )
-    words = set(re.findall(r"\w+", told))
+    words = set(re.findall(r"\w+", text))
     for symbol in formula - set(parameters) - SIGNALS:
         assert symbol in explained | words, symbol
     for symbol, (units, _) in parameters.items():
@@ -85,24 +85,24 @@ def test_sources_are_in_the_bibliography(name):
         assert doi in bibliography, doi
     author, year = re.search(r"^([^,( ]+).*?\((\d{4})\)", source).groups()
     entries = re.sub(r"{\\.(\w)}", r"\1", bibliography).split("@")
-    assert any(author in one and year in one for one in entries), source
+    assert any(author in entry and year in entry for entry in entries), source
 
 
 @pytest.mark.parametrize("name", ["viscous", "coulomb", "offset"])
-def test_published_sizes_are_those_of_the_table(name):
+def test_published_values_match_the_table(name):
     table = (DOCS / "tables" / "protocol_emps.rst").read_text("utf-8")
     label = {"viscous": "Fv", "coulomb": "Fc", "offset": "offset"}[name]
     unit = {"viscous": "N s/m", "coulomb": "N", "offset": "N"}[name]
     published = re.search(rf"^{label} \[{unit}\]\s+(\S+)", table, flags=re.M)[1]
-    told = re.search(rf"^(-?[\d.]+) {unit} on the linear drive", page(name), re.M)[1]
-    assert float(told) == round(float(published), len(told.partition(".")[2]))
+    shown = re.search(rf"^(-?[\d.]+) {unit} on the linear drive", page(name), re.M)[1]
+    assert float(shown) == round(float(published), len(shown.partition(".")[2]))
 
 
-# -- what is made when the guide is built ------------------------------------------
+# -- content generated when the documentation is built ------------------------------
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_picture_is_of_the_effect(name):
+def test_figures_show_the_effect(name):
     figure = simulated_effects.figure_of(USES[name])
     chart = figure.charts[0]
     kinds = {kind for kind, _ in chart.shapes}
@@ -113,20 +113,20 @@ def test_the_picture_is_of_the_effect(name):
     assert np.abs(torque[:, USES[name].joint]).max() > 0
 
 
-def test_rivals_are_shares_of_least_squares():
-    """One candidate, by a plain regression on everything at once."""
+def test_rival_shares_match_least_squares():
+    """Compare with one joint regression on the base columns and the candidate."""
     use = USES["stribeck"]
-    at = simulated_effects.scene()
+    arm = simulated_effects.scene()
     base = simulated_effects._base_columns("")
-    sizes = at.motion.torque.std(axis=0)
+    sizes = arm.motion.torque.std(axis=0)
     step = simulated_effects.EVERY
-    torque = (simulated_effects.torque_of(use, at.motion) / sizes)[::step].ravel()
+    torque = (simulated_effects.torque_of(use, arm.motion) / sizes)[::step].ravel()
     rivals = simulated_effects.rivals_of(use)
-    left = torque - base @ np.linalg.lstsq(base, torque, rcond=None)[0]
-    assert_allclose(rivals.kept, left @ left / (torque @ torque), rtol=1e-9)
-    other = simulated_effects.columns_of(effects.ViscousQuadratic(joint=1), at.motion)
+    start = torque - base @ np.linalg.lstsq(base, torque, rcond=None)[0]
+    assert_allclose(rivals.kept, start @ start / (torque @ torque), rtol=1e-9)
+    other = simulated_effects.columns_of(effects.ViscousQuadratic(joint=1), arm.motion)
     other = (other / sizes[:, None])[::step].reshape(-1, 1)
-    both = np.hstack([base, other])
-    rest = torque - both @ np.linalg.lstsq(both, torque, rcond=None)[0]
+    columns = np.hstack([base, other])
+    residual = torque - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
     share = dict(rivals.others)["viscous_quadratic"]
-    assert_allclose(share, 1 - rest @ rest / (left @ left), rtol=1e-6)
+    assert_allclose(share, 1 - residual @ residual / (start @ start), rtol=1e-6)

@@ -1,4 +1,4 @@
-"""The gallery runs offline."""
+"""The examples of the gallery run offline."""
 
 import sys
 from pathlib import Path
@@ -17,7 +17,7 @@ def test_example_runs(path, monkeypatch, tmp_path):
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    # Figures that other tests left open do not count.
+    # Close figures that other tests left open.
     plt.close("all")
     monkeypatch.chdir(tmp_path)
     code = compile(path.read_text(encoding="utf-8"), str(path), "exec")

@@ -1,4 +1,4 @@
-"""Who may import whom, and what importing the package loads."""
+"""Allowed imports between subpackages, and modules loaded by an import."""
 
 import ast
 import functools
@@ -17,7 +17,7 @@ OPTIONAL |= {"tqdm", "pandas", "pyarrow", "rosbags", "python_calamine"}
 
 @functools.cache
 def tree_of(path):
-    """Syntax tree of a module, which every test reads anew."""
+    """Syntax tree of a module."""
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
@@ -29,7 +29,7 @@ def name_of(path):
 
 
 def room_of(module):
-    """Room of a dotted name: a folder of the package, or "top"."""
+    """Subpackage of a dotted name, or "top"."""
     parts = module.split(".")
     if len(parts) == 1:
         return "top"
@@ -40,8 +40,8 @@ def room_of(module):
 
 @functools.cache
 def every_import(path):
-    """Find dotted names, with whether they are inside a function, and for types."""
-    found = []
+    """Return imported names; whether each is inside a function, and for typing only."""
+    statements = []
 
     def visit(node, inside, types):
         names = []
@@ -49,7 +49,7 @@ def every_import(path):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             names = [node.module, *(f"{node.module}.{x.name}" for x in node.names)]
-        found.extend((name, inside, types) for name in names)
+        statements.extend((name, inside, types) for name in names)
         inside |= isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
         types |= isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
         for child in ast.iter_child_nodes(node):
@@ -57,11 +57,11 @@ def every_import(path):
                 visit(child, inside, types)
 
     visit(tree_of(path), inside=False, types=False)
-    return found
+    return statements
 
 
 def imports(path, *, inside_functions=True, for_types=True):
-    """Every imported dotted name; of ``from a import b`` both a and a.b."""
+    """Return imported dotted names; ``from a import b`` yields a and a.b."""
     return [
         name
         for name, inside, types in every_import(path)
@@ -73,21 +73,21 @@ NAMES = set(map(name_of, MODULES))
 
 
 def offenders(check):
-    """Modules of which a check finds something, with what it finds."""
-    found = {name_of(path): check(path) for path in MODULES}
-    return {name: what for name, what in found.items() if what}
+    """Return findings of a check by module, for modules that have any."""
+    findings = {name_of(path): check(path) for path in MODULES}
+    return {name: finding for name, finding in findings.items() if finding}
 
 
 def imports_at_work(path):
-    """Return the packages that a module imports, but for its annotations."""
+    """Return the packages that a module imports, except for annotations."""
     return {name.split(".")[0] for name in imports(path, for_types=False)}
 
 
 def rooms_imported(path):
-    """Rooms of the package that a module imports, with what it imports of each."""
-    # Faces of rooms name for type checkers what they import when it is asked for.
-    used, face = {}, path.stem == "__init__"
-    for name in imports(path, for_types=not face):
+    """Names that a module imports, by subpackage."""
+    # __init__ files import lazily and repeat these imports for type checkers.
+    used, is_package = {}, path.stem == "__init__"
+    for name in imports(path, for_types=not is_package):
         if name in NAMES:
             used.setdefault(room_of(name), set()).add(name)
     return used
@@ -97,13 +97,13 @@ def modules_of(room):
     return [path for path in MODULES if room_of(name_of(path)) == room]
 
 
-# Each room may import those above it, as "How the package is built" shows them.
+# Each subpackage may import those before it; see docs/contributing.rst.
 ROOMS = """
     _core effects physical regression model recording inspection simulation equations
     robot fit diagnosis design gravity datasets distributed top _cli
 """.split()
-# Rooms that stay apart although the order would allow it.
-APART = {
+# Subpackages that may import less than the order allows.
+RESTRICTED = {
     "effects": {"_core"},
     "physical": {"_core", "effects"},
     "regression": {"_core"},
@@ -112,63 +112,63 @@ APART = {
     "inspection": {"_core", "model", "recording"},
     "simulation": {"_core", "effects", "physical", "model"},
     "equations": {"_core", "effects", "physical", "model", "recording", "inspection"},
-    # Of inspection the name alone, beside read_recording: what is read is looked at.
+    # `inspection` because read_recording inspects what it reads.
     "datasets": {"physical", "model", "recording", "inspection"},
 }
-# The simulators of `datasets` work on the models themselves.
-DOORS_TO_PINOCCHIO = {"model", "datasets"}
-# scikit-learn's private parts, in one file that is no estimator.
+# The simulators of `datasets` use pinocchio models directly.
+PINOCCHIO_USERS = {"model", "datasets"}
+# The only module that imports private modules of scikit-learn.
 COMPAT = "sklearn_vbjfa.regression._base"
 
 
 def forbidden_rooms(path):
-    """Rooms that a module imports and may not, with what it imports of each."""
+    """Forbidden imports of a module, by subpackage."""
     room = room_of(name_of(path))
-    allowed = APART.get(room, set(ROOMS[: ROOMS.index(room)])) | {room}
+    allowed = RESTRICTED.get(room, set(ROOMS[: ROOMS.index(room)])) | {room}
     forbidden = {
         other: names
         for other, names in rooms_imported(path).items()
         if other not in allowed
     }
     if room != "_core":
-        # The version and the name of the package itself, inside functions.
+        # Functions import the version and the package name from the top level.
         forbidden.pop("top", None)
     return forbidden
 
 
-def test_rooms_import_one_way():
+def test_subpackages_import_in_one_direction():
     assert offenders(forbidden_rooms) == {}
 
 
-def explaining(path):
-    """Return what the search imports of what follows from it."""
+def explain_imports(path):
+    """Return what a module of the search imports from `explain`."""
     if ".diagnosis.search" not in name_of(path):
         return []
     return [name for name in imports(path) if ".diagnosis.explain" in name]
 
 
-def test_the_search_knows_nothing_of_what_follows_from_it():
-    assert offenders(explaining) == {}
+def test_search_does_not_import_explain():
+    assert offenders(explain_imports) == {}
 
 
-def test_every_room_has_its_place():
+def test_every_subpackage_is_listed():
     assert {room_of(name_of(path)) for path in MODULES} == set(ROOMS)
 
 
-def private_names_of(tree):
-    """Names with a leading underscore that a module reads of another object."""
+def private_attributes(tree):
+    """Private attributes that a module reads from objects of other modules."""
     modules = {
         alias.asname or alias.name
         for node in ast.walk(tree)
         if isinstance(node, (ast.Import, ast.ImportFrom))
         for alias in node.names
     }
-    own = {
+    defined = {
         node.name
         for node in ast.walk(tree)
         if isinstance(node, (ast.FunctionDef, ast.ClassDef))
     }
-    own |= {
+    defined |= {
         node.attr
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute)
@@ -182,33 +182,33 @@ def private_names_of(tree):
         and node.attr.startswith("_")
         and not node.attr.startswith("__")
         and ast.unparse(node.value) not in {"self", "cls", "super()"} | modules
-        and node.attr not in own
+        and node.attr not in defined
     ]
 
 
-def foreign_names(path):
-    """Private names of other objects that a module reads."""
-    # scikit-learn's own step of every fit has this name.
+def foreign_private_attributes(path):
+    """Private attributes that a module reads, except scikit-learn's own."""
+    # Every fit of scikit-learn calls this method.
     allowed = "_validate_params"
-    found = private_names_of(tree_of(path))
-    return [name for name in found if not name.endswith(f".{allowed}")]
+    names = private_attributes(tree_of(path))
+    return [name for name in names if not name.endswith(f".{allowed}")]
 
 
-def test_no_module_reaches_into_another_ones_objects():
-    assert offenders(foreign_names) == {}
+def test_no_module_reads_private_attributes_of_others():
+    assert offenders(foreign_private_attributes) == {}
 
 
 def misplaced_packages(path):
-    """Return the optional packages that a module imports where it may not."""
+    """Return the optional packages that a module must not import at that place."""
     roots = {
         name.split(".")[0]
         for name in imports(path, inside_functions=False, for_types=False)
     }
     everywhere = {name.split(".")[0] for name in imports(path)}
-    found = roots & OPTIONAL | everywhere & {"matplotlib"}
-    if room_of(name_of(path)) not in DOORS_TO_PINOCCHIO:
-        found |= imports_at_work(path) & {"pinocchio"}
-    return found
+    misplaced = roots & OPTIONAL | everywhere & {"matplotlib"}
+    if room_of(name_of(path)) not in PINOCCHIO_USERS:
+        misplaced |= imports_at_work(path) & {"pinocchio"}
+    return misplaced
 
 
 def test_optional_packages_only_inside_functions():
@@ -216,7 +216,7 @@ def test_optional_packages_only_inside_functions():
 
 
 def loaded_by(*statements):
-    """Modules that each of the statements loads in one silent process."""
+    """Modules loaded by each statement, in one process without warnings."""
     show = "print(*(sys.modules.keys() - before)); before = set(sys.modules)"
     lines = ["import sys, sklearn.base; before = set(sys.modules)"]
     for statement in statements:
@@ -232,9 +232,9 @@ def loaded_by(*statements):
     return [set(line.split()) for line in result.stdout.splitlines()]
 
 
-def test_importing_loads_little_more_than_the_linear_models_do():
-    # Names of the package are imported when they are asked for; scikit-learn loads
-    # pandas where it is installed, and that pyarrow.
+def test_import_loads_few_modules():
+    # The package imports its names lazily. scikit-learn loads pandas if it is
+    # installed, which loads pyarrow.
     rooms = ", ".join(f"{PACKAGE}.{room}" for room in ("physical", "datasets"))
     (theirs,) = loaded_by("from sklearn.linear_model import *")
     ours, rest = loaded_by(f"from {PACKAGE} import *", f"import {rooms}")
@@ -242,15 +242,15 @@ def test_importing_loads_little_more_than_the_linear_models_do():
     assert len(ours) < len(theirs) + 100
     more = {name.split(".")[0] for name in ours} - sys.stdlib_module_names
     more -= {name.split(".")[0] for name in theirs}
-    # tabulate takes wcwidth where something else has installed it
+    # tabulate imports wcwidth if it is installed.
     assert more - {"wcwidth"} == {PACKAGE, "clarabel", "tabulate"}
-    # Trees and filters are loaded by the fits that need them.
+    # Trees and filters are loaded by the first fit that needs them.
     parts = {".".join(name.split(".")[:2]) for name in ours - theirs}
     assert not [name for name in parts if name.startswith(("sklearn.", "scipy."))]
 
 
-def test_private_parts_of_sklearn_are_imported_in_one_place():
-    found = {}
+def test_private_sklearn_modules_are_imported_in_one_place():
+    users = {}
     for path in MODULES:
         private = [
             name
@@ -259,14 +259,14 @@ def test_private_parts_of_sklearn_are_imported_in_one_place():
             and any(part.startswith("_") for part in name.split("."))
         ]
         if private:
-            found[name_of(path)] = private
-    assert list(found) == [COMPAT]
+            users[name_of(path)] = private
+    assert list(users) == [COMPAT]
 
 
-def test_core_is_numpy_and_scipy_alone():
+def test_core_imports_only_numpy_and_scipy():
     standard = sys.stdlib_module_names
     others = {"_runtime": {"tqdm", "threadpoolctl"}, "_compiler": {"numba"}}
     for path in modules_of("_core"):
         roots = {name.split(".")[0] for name in imports(path)}
-        known = {"numpy", "scipy", PACKAGE} | others.get(path.stem, set())
-        assert roots - standard <= known, path.name
+        allowed = {"numpy", "scipy", PACKAGE} | others.get(path.stem, set())
+        assert roots - standard <= allowed, path.name

@@ -1,4 +1,4 @@
-"""The wheel and the source distribution hold what is needed, and install."""
+"""Content and installation of the wheel and the source distribution."""
 
 import os
 import re
@@ -34,41 +34,41 @@ RobotIdentifier(recording.urdf, dt=recording.dt).fit(recording.q, recording.tau)
 
 
 def requirements(names):
-    """Lowest versions by package, of requirements such as "pin>=3; python_version"."""
+    """Lowest version by package, from requirements such as "pin>=3; python_version"."""
     pairs = (re.match(r"([\w.-]+)(?:\[\w+\])? ?>=([\w.]+)", name) for name in names)
     return dict(pair.groups() for pair in pairs)
 
 
-def test_the_conda_recipe_asks_for_what_pip_asks_for():
+def test_conda_recipe_matches_pip_requirements():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     recipe = (ROOT / ".ci" / "conda" / "recipe.yaml").read_text("utf-8")
     listed = re.findall(r"^    - (\S+ >=[\d.]+)$", recipe, flags=re.M)
-    asked = requirements(project["dependencies"])
+    required = requirements(project["dependencies"])
     extra = requirements(project["optional-dependencies"]["robot"])
-    # conda-forge calls it as its authors do.
-    assert requirements(listed) == asked | {"pinocchio": extra["pin"]}
+    # conda-forge names the package pinocchio, PyPI pin.
+    assert requirements(listed) == required | {"pinocchio": extra["pin"]}
     assert f"version: {sklearn_vbjfa.__version__}\n" in recipe
     (script,) = project["scripts"].items()
     assert f"- {' = '.join(script)}\n" in recipe
 
 
-def test_a_release_names_one_version_everywhere():
+def test_release_check_finds_version_mismatches():
     if shutil.which("bash") is None:
         pytest.skip("the script needs bash")
-    done = subprocess.run(
+    process = subprocess.run(
         ["bash", ".ci/check-version", "v99.1.0"],
         cwd=ROOT,
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 1
+    assert process.returncode == 1
     for name in ("sklearn_vbjfa/__init__.py", "CHANGELOG.md", "CITATION.cff"):
-        assert name in done.stderr
-    assert "recipe.yaml" in done.stderr
+        assert name in process.stderr
+    assert "recipe.yaml" in process.stderr
 
 
-def test_links_of_a_release_are_absolute(tmp_path):
+def test_release_links_are_absolute(tmp_path):
     for name in ("README.md", "pyproject.toml"):
         shutil.copy(ROOT / name, tmp_path)
     script, address = (
@@ -88,9 +88,9 @@ def test_links_of_a_release_are_absolute(tmp_path):
     assert project["name"] == "sklearn-vbjfa"
 
 
-def test_what_is_tried_on_windows_runs_without_a_robot(tmp_path):
-    flow = (ROOT / ".github" / "workflows" / "release.yml").read_text("utf-8")
-    (code,) = re.findall(r"<<'CODE'\n(.*?) *CODE", flow, flags=re.DOTALL)
+def test_windows_check_runs_without_pinocchio(tmp_path):
+    workflow = (ROOT / ".github" / "workflows" / "release.yml").read_text("utf-8")
+    (code,) = re.findall(r"<<'CODE'\n(.*?) *CODE", workflow, flags=re.DOTALL)
     absent = "import sys\nsys.modules['pinocchio'] = None\n"
     effects = "from sklearn_vbjfa._cli import main\nassert main(['effects']) == 0\n"
     code = absent + textwrap.dedent(code) + effects
@@ -98,7 +98,7 @@ def test_what_is_tried_on_windows_runs_without_a_robot(tmp_path):
 
 
 def run(*arguments, cwd, **environment):
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, *arguments],
         cwd=cwd,
         env=os.environ | environment,
@@ -106,12 +106,12 @@ def run(*arguments, cwd, **environment):
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    assert process.returncode == 0, process.stdout + process.stderr
+    return process.stdout
 
 
 def build(kind, source, target):
-    """Build as installers do, by the hooks of the build backend."""
+    """Build with the hooks of the build backend, as installers do."""
     call = f"import hatchling.build as b; b.build_{kind}({str(target)!r})"
     run("-c", call, cwd=source)
     return next(target.iterdir())
@@ -132,7 +132,7 @@ def sdist(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_wheel_holds_the_package_and_installs(tmp_path):
+def test_wheel_contains_the_package_and_installs(tmp_path):
     wheel = build("wheel", ROOT, tmp_path)
     names = zipfile.ZipFile(wheel).namelist()
     files = {
@@ -168,7 +168,7 @@ def test_source_distribution_builds_the_same_wheel(sdist, tmp_path):
 
 @pytest.mark.slow
 def test_every_public_name_has_a_type(tmp_path):
-    """What type checkers see of the package, as ``py.typed`` promises."""
+    """Check the types that ``py.typed`` promises with mypy."""
     names = [(m.__name__, name) for m in PUBLIC_MODULES for name in m.__all__]
     lines = [
         f"from {module} import {name} as n{k}" for k, (module, name) in enumerate(names)
@@ -182,7 +182,7 @@ def test_every_public_name_has_a_type(tmp_path):
     (tmp_path / "use.py").write_text("\n".join(lines), encoding="utf-8")
     options = [f"--config-file={ROOT / 'pyproject.toml'}", "--cache-dir"]
     options += [str(tmp_path / "cache"), str(tmp_path / "use.py")]
-    said = run("-m", "mypy", *options, cwd=ROOT)
-    revealed = [line for line in said.splitlines() if "Revealed type" in line]
+    output = run("-m", "mypy", *options, cwd=ROOT)
+    revealed = [line for line in output.splitlines() if "Revealed type" in line]
     assert len(revealed) == len(names) + 2
     assert [line for line in revealed if line.endswith('"Any"')] == []

@@ -1,4 +1,4 @@
-"""What users of scikit-learn expect beside its checks: frames, copies, notebooks."""
+"""Conventions of scikit-learn beyond its checks: data frames, copies, display."""
 
 import pickle
 import re
@@ -59,42 +59,42 @@ def transformers():
 
 
 @pytest.mark.parametrize("name", transformers())
-@pytest.mark.parametrize("given", ["array", "frame"])
-def test_transformers_return_frames(name, given, states):
+@pytest.mark.parametrize("container", ["array", "frame"])
+def test_transformers_return_frames(name, container, states):
     import pandas
 
-    transformer, takes = transformers()[name]
-    X = {"qva": states, "q": states[:, :2], "theta": np.array([BODY, BODY])}[takes]
-    if given == "frame":
+    transformer, kind = transformers()[name]
+    X = {"qva": states, "q": states[:, :2], "theta": np.array([BODY, BODY])}[kind]
+    if container == "frame":
         names = [f"column {j}" for j in range(X.shape[1])]
         X = pandas.DataFrame(X, columns=names, index=np.arange(len(X)) + 100)
-    plain = clone(transformer).fit(X).transform(X)
-    assert isinstance(plain, np.ndarray)
+    expected = clone(transformer).fit(X).transform(X)
+    assert isinstance(expected, np.ndarray)
     transformer.set_output(transform="pandas")
     frame = transformer.fit_transform(X)
     assert isinstance(frame, pandas.DataFrame)
     assert list(frame.columns) == list(transformer.get_feature_names_out())
-    assert len(set(frame.columns)) == plain.shape[1]
-    np.testing.assert_array_equal(frame.to_numpy(), plain)
-    if given == "frame":
+    assert len(set(frame.columns)) == expected.shape[1]
+    np.testing.assert_array_equal(frame.to_numpy(), expected)
+    if container == "frame":
         assert list(frame.index) == list(X.index)
 
 
-def test_frames_all_through_the_chain(recording):
+def test_pipeline_accepts_data_frames(recording):
     import pandas
 
     q = pandas.DataFrame(recording.q, columns=recording.joint_names)
 
     plain = chain(recording).fit(recording.q, recording.tau)
-    framed = chain(recording).set_output(transform="pandas").fit(q, recording.tau)
-    np.testing.assert_array_equal(plain["torque"].theta_, framed["torque"].theta_)
-    assert list(framed["features"].feature_names_in_[:2]) == ["q_joint_1", "q_joint_2"]
-    names = framed[:-1].get_feature_names_out()
-    assert list(framed["torque"].feature_names_in_) == list(names)
-    np.testing.assert_array_equal(plain.predict(recording.q), framed.predict(q))
+    fitted = chain(recording).set_output(transform="pandas").fit(q, recording.tau)
+    np.testing.assert_array_equal(plain["torque"].theta_, fitted["torque"].theta_)
+    assert list(fitted["features"].feature_names_in_[:2]) == ["q_joint_1", "q_joint_2"]
+    names = fitted[:-1].get_feature_names_out()
+    assert list(fitted["torque"].feature_names_in_) == list(names)
+    np.testing.assert_array_equal(plain.predict(recording.q), fitted.predict(q))
 
 
-def test_names_of_states_are_checked(states):
+def test_state_feature_names_are_checked(states):
     import pandas
 
     positions = states[:, :2]
@@ -113,7 +113,7 @@ def test_names_of_states_are_checked(states):
 
 
 def estimators():
-    """One of each, with models as path and as object."""
+    """One instance of each estimator, with models as path and as object."""
     robot = RobotIdentifier(arm("YY"), dt=0.01, friction=("viscous",))
     return [
         EffectDiscovery(robot, effects=["coulomb"]),
@@ -139,7 +139,7 @@ def name_of(estimator):
     return type(estimator).__name__
 
 
-def test_every_estimator_is_looked_at():
+def test_every_estimator_is_tested():
     public = {
         name
         for name in sklearn_vbjfa.__all__
@@ -165,38 +165,38 @@ def test_tags(estimator):
 
 
 @pytest.mark.parametrize("estimator", estimators(), ids=name_of)
-def test_text_and_notebooks_are_short(estimator):
+def test_repr_and_html_are_short(estimator):
     text = repr(estimator)
     assert text.startswith(name_of(estimator) + "(")
     assert len(text) < 1200
     html = estimator._repr_html_()
     body = re.sub(r"<(style|script)>.*?</\1>", "", html, flags=re.DOTALL)
     assert name_of(estimator) in body
-    # parameters are folded away; unfolded they are still no more than a page
+    # Unfolded, the parameters fit on one page.
     assert len(re.sub(r"<[^>]+>", "", body).split()) < 600
     with sklearn.config_context(display="text"):
         bundle = estimator._repr_mimebundle_()
     assert list(bundle) == ["text/plain"]
 
 
-def test_a_discovery_shows_its_identifier():
+def test_discovery_html_shows_its_identifier():
     html = estimators()[0]._repr_html_()
     assert "identifier: RobotIdentifier" in html
 
 
-def assert_same(one, other):
-    """Compare the parameters of two estimators, one level after the other."""
-    assert type(one) is type(other)
-    theirs = other.get_params(deep=False)
-    for name, value in one.get_params(deep=False).items():
+def assert_same(estimator, other):
+    """Compare the parameters of two estimators recursively."""
+    assert type(estimator) is type(other)
+    other_parameters = other.get_params(deep=False)
+    for name, value in estimator.get_params(deep=False).items():
         if hasattr(value, "get_params"):
-            assert_same(value, theirs[name])
+            assert_same(value, other_parameters[name])
         elif isinstance(value, tuple) and any(hasattr(v, "get_params") for v in value):
-            assert len(value) == len(theirs[name])
-            for mine, its in zip(value, theirs[name]):
-                assert_same(mine, its)
+            assert len(value) == len(other_parameters[name])
+            for element, other_element in zip(value, other_parameters[name]):
+                assert_same(element, other_element)
         else:
-            assert np.all(value == theirs[name]), name
+            assert np.all(value == other_parameters[name]), name
 
 
 @pytest.mark.parametrize("estimator", estimators(), ids=name_of)
@@ -204,9 +204,9 @@ def assert_same(one, other):
     "copy", [clone, lambda e: pickle.loads(pickle.dumps(e))], ids=["clone", "pickle"]
 )
 def test_copies(estimator, copy):
-    found = copy(estimator)
-    assert found is not estimator
-    assert_same(estimator, found)
+    copied = copy(estimator)
+    assert copied is not estimator
+    assert_same(estimator, copied)
 
 
 @pytest.mark.parametrize("kind", ["path", "model"])
@@ -214,12 +214,12 @@ def test_fitted_identifiers_are_pickled(recording, kind):
     model = recording.urdf if kind == "path" else recording.robot_model()
     robot = RobotIdentifier(model, dt=recording.dt, friction=("viscous",))
     robot.fit(recording.q, recording.tau, groups=recording.groups)
-    found = pickle.loads(pickle.dumps(robot))
-    np.testing.assert_array_equal(found.theta_, robot.theta_)
+    loaded = pickle.loads(pickle.dumps(robot))
+    np.testing.assert_array_equal(loaded.theta_, robot.theta_)
     groups = recording.groups
     np.testing.assert_array_equal(
-        found.predict(recording.q, groups=groups),
+        loaded.predict(recording.q, groups=groups),
         robot.predict(recording.q, groups=groups),
     )
-    again = clone(found).fit(recording.q, recording.tau, groups=groups)
-    np.testing.assert_array_equal(again.theta_, robot.theta_)
+    refitted = clone(loaded).fit(recording.q, recording.tau, groups=groups)
+    np.testing.assert_array_equal(refitted.theta_, robot.theta_)

@@ -98,7 +98,7 @@ class Drift(Varied, OfTime):
     def check(self):
         super().check()
         if not -np.inf < self.begin < self.end:
-            raise ValueError(f"drift must begin before its end; got {self.begin!r}.")
+            raise ValueError(f"begin must be below end; got {self.begin}, {self.end}.")
 
     @property
     def units(self):

@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import or_one, orthonormal_basis
-from sklearn_vbjfa.diagnosis.search._blocks import memory_time
+from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
 from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain
 from sklearn_vbjfa.effects import InModel, OnAllJoints, closure
 from sklearn_vbjfa.equations._equations import make_motion
@@ -143,9 +143,8 @@ def memory_seconds(search):
     view = search.view
     # The low-pass correlates rows within half a period of its cut-off frequency.
     stride = max(1, int(np.ceil(0.5 / (view.robot.cutoff_ * view.step) - 1e-9)))
-    sampling = view.starts, view.step, stride
-    pairs = zip(_residuals(search), view.root.T > 0)
-    return max((memory_time(*pair, *sampling) for pair in pairs), default=0.0)
+    residual = _residuals(search).T
+    return correlation_time(residual, view.root, view.step, view.starts, stride)
 
 
 # -- effects that are not identifiable -------------------------------------------------

@@ -3,6 +3,7 @@
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain
 from sklearn_vbjfa.effects import UnnamedTorque
 
 # Ridge penalties of the terms of one quantity, per row, for columns of unit root mean
@@ -58,12 +59,8 @@ def _fit_joint(view, motion, joint, residual, settings):
     error = residual.copy()
     for rows, held_out in zip(folds, moments):
         error[rows] -= X[rows] @ _weights(moments, held_out, penalties, residual.size)
-    before, after = blocks.sums(residual**2), blocks.sums(error**2)
-    gain = before - after
-    errors = np.sqrt(gain.size) * gain.std(ddof=1)
-    if not gain.sum() > max(
-        settings.significance * errors, settings.min_gain * before.sum()
-    ):
+    gain = CrossValidatedGain.of(blocks.sums(residual**2), blocks.sums(error**2))
+    if not gain.gain > max(settings.significance * gain.gain_std, settings.min_gain):
         return []
     weights = _weights(moments, (0.0, 0.0), penalties, residual.size) / scale
     return [

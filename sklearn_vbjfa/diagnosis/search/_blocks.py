@@ -73,35 +73,19 @@ def _integrated(phi):
     return float(1.0 / (gain**2 * cov[0])) if cov[0] > 0 else np.inf
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Bridge:
-    """Linear interpolation over missing rows."""
-
-    # (m,): available rows before and after each row
-    low: np.ndarray
-    high: np.ndarray
-    share: np.ndarray  # (m,): relative position between them
-
-    @classmethod
-    def of(cls, used, starts):
-        """Interpolate unused rows (m,) in each part; None if none is missing."""
-        if used.all() or not used.any():
-            return None
-        m = used.size
-        low, high, share = np.empty(m, int), np.empty(m, int), np.empty(m)
-        for a, b in itertools.pairwise([*starts, m]):
-            # A part without used rows keeps the value of its first row.
-            rows = a + np.flatnonzero(used[a:b]) if used[a:b].any() else np.array([a])
+def interpolated(x, used, starts):
+    """Interpolate the unused rows of x (m, ...) linearly in each part."""
+    out = x.copy()
+    for a, b in itertools.pairwise([*starts, used.size]):
+        rows = a + np.flatnonzero(used[a:b])
+        # Without used rows a part remains as it is.
+        if 0 < rows.size < b - a:
             position = np.interp(np.arange(a, b), rows, np.arange(rows.size))
-            low[a:b] = rows[np.floor(position).astype(int)]
-            high[a:b] = rows[np.ceil(position).astype(int)]
-            share[a:b] = position % 1.0
-        return cls(low=low, high=high, share=share)
-
-    def __call__(self, x):
-        """Interpolate the missing rows of x (m, ...)."""
-        share = self.share.reshape((-1,) + (1,) * (x.ndim - 1))
-        return (1.0 - share) * x[self.low] + share * x[self.high]
+            low = rows[np.floor(position).astype(int)]
+            high = rows[np.ceil(position).astype(int)]
+            share = (position % 1.0).reshape(-1, *(1,) * (x.ndim - 1))
+            out[a:b] = (1.0 - share) * x[low] + share * x[high]
+    return out
 
 
 # An autoregression with a root this close to the unit circle is a random walk.
@@ -149,7 +133,7 @@ class Blocks:
         return np.add.reduceat(values[self.order], self.starts, axis=0)
 
 
-def correlation_time(residual, weight, step, starts):
+def correlation_time(residual, weight, step, starts, stride=1):
     """Compute the longest integrated correlation time of residuals (m, nv) [s]."""
     # See `memory_time`: sums of sample autocorrelations are biased low for slow
     # residuals, as the sample mean is subtracted.
@@ -157,7 +141,7 @@ def correlation_time(residual, weight, step, starts):
     for r, used in zip(residual.T, weight.T > 0):
         r = np.where(used, r, 0.0)
         if r.any():
-            times.append(memory_time(r, used, np.asarray(starts), step))
+            times.append(memory_time(r, used, np.asarray(starts), step, stride))
     return float(max(times, default=0.0))
 
 

@@ -88,8 +88,9 @@ class Candidate:
 class Candidates:
     """Candidates on all joints given a fit, cached for unchanged joints."""
 
-    # families: of all effects, by joint; noise: the fit whose residual is the noise;
-    # rejected: keys of rejected effects; no_bank: joints without presliding friction.
+    # families: of all effects, by joint; noise: the fit whose residual is the noise
+    # (None: evidence is not discounted, but that of banks is exact); rejected: keys of
+    # rejected effects; no_bank: joints without presliding friction.
 
     def __init__(self, problem, library, settings, no_bank=()):
         self.library, self.settings = library, settings
@@ -171,7 +172,9 @@ class Candidates:
         if candidate.discounted:
             return candidate
         family, coef = candidate.family, candidate.coef
-        if isinstance(candidate.effect, Sudden):
+        if self.noise is None:
+            excess = Overdispersion()
+        elif isinstance(candidate.effect, Sudden):
             # A slightly wrong instant leaves a residual as large as the jump.
             scale = self.settings.scale
             near = fit.problem.columns([jump(fit, candidate.effect, scale, near=True)])
@@ -283,19 +286,6 @@ class Candidates:
                 best = max(best, candidate.order)
         discounted = [c for c in discounted if c.order > best - margin - 1e-9]
         return sorted(discounted, key=lambda c: -c.order)
-
-    def most_probable(self, fit, candidates):
-        """Return the most probable candidate, None if there is none."""
-        # The evidence of banks is an upper bound; compute it exactly for the best.
-        best = None
-        for candidate in sorted(candidates, key=lambda c: -c.log_odds):
-            if best is not None and candidate.log_odds <= best.log_odds:
-                break
-            if isinstance(candidate.effect, Bank) and not candidate.discounted:
-                candidate = self.candidate(fit, candidate.family, Overdispersion())
-            if best is None or (candidate and candidate.log_odds > best.log_odds):
-                best = candidate
-        return best
 
     # -- members of the model ---------------------------------------------------------
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, special
 
-from sklearn_vbjfa.diagnosis.search._blocks import Bridge
+from sklearn_vbjfa.diagnosis.search._blocks import interpolated
 
 # Frequency bands per octave, and the minimum number of cosines in a band.
 _PER_OCTAVE, _FEWEST = 2, 2
@@ -26,9 +26,8 @@ class Cosines:
     def __init__(self, view):
         m = view.index.size
         self._parts = list(itertools.pairwise([*view.starts, m]))
-        used = view.root > 0
-        self.fill = used.mean(axis=0)
-        self._bridges = [Bridge.of(rows, view.starts) for rows in used.T]
+        self._used, self._starts = view.root.T > 0, view.starts
+        self.fill = self._used.mean(axis=1)
         frequency = np.empty(m)
         for a, b in self._parts:
             frequency[a:b] = np.arange(b - a) / (2.0 * (b - a) * view.step)
@@ -42,10 +41,8 @@ class Cosines:
 
     def __call__(self, rows, joints):
         """Transform rows (nj, m, ...) of some joints to cosines (nj, n, ...)."""
-        whole = rows.copy()
-        for i, j in enumerate(joints):
-            if self._bridges[j] is not None:
-                whole[i] = self._bridges[j](rows[i])
+        pairs = zip(rows, self._used[list(joints)])
+        whole = np.array([interpolated(x, used, self._starts) for x, used in pairs])
         for a, b in self._parts:
             whole[:, a:b] = fft.dct(whole[:, a:b], axis=1, norm="ortho")
         return whole[:, self._kept]

@@ -89,18 +89,17 @@ class Path:
         """Weight by the residual spectrum of a model with too many effects."""
         fit, candidates = spectrum_of(fit, self.settings), self.candidates
         for _ in range(self.settings.most):
-            added, candidates.noise = [], fit
+            # Unmodelled torque that repeats would resemble many effects.
+            added, candidates.noise = [], fit if self.view.repetition else None
             for joint, families in candidates.families.items():
                 say(f"round {self.round + 1}, joint {joint + 1} of {self.view.nv}")
                 # Prior of `expected` effects on each joint.
                 least = np.log(max(len(families), 1) / self.settings.expected)
                 least += candidates.log_prior
                 probable = [c for c in candidates.on(fit, joint) if c.log_odds > least]
-                if self.view.repetition:
-                    # Unmodelled torque that repeats would resemble many effects.
-                    probable = candidates.best_discounted(fit, probable)
-                best = candidates.most_probable(fit, probable)
-                if best is not None and best.log_odds > least:
+                best = candidates.best_discounted(fit, probable)[:1]
+                if best and best[0].log_odds > least:
+                    best = best[0]
                     member = best.family.member(best.best, self.settings.scale)
                     is_jump = isinstance(best.effect, Sudden)
                     added.append(self._member(fit, best) if is_jump else member)
@@ -309,8 +308,7 @@ class Path:
         for i, member in enumerate(fit.members):
             used = fit.coefficients(i) > 0
             if isinstance(member.effect, Bank) and used.any() and not used.all():
-                less = fit.problem.only(member.columns, used)
-                return self.scaled(with_shape(fit, i, less.effects[0]))
+                return self.scaled(with_shape(fit, i, member.effect.only(used)))
         return fit
 
     def _exchanged(self, fit, visited):

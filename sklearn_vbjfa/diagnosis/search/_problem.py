@@ -193,14 +193,6 @@ class Problem:
             columns = Columns(effects, joints, values, unit, self.edges, load)
         return self.view.keep(key, columns)
 
-    def only(self, columns, used):
-        """Return `Columns` of selected elements (k,) of a bank with one shape."""
-        effects = [columns.effects[0].only(used)]
-        values, unit = columns.values[..., used], columns.unit[:, used]
-        load = columns.load if "load" in effects[0].needs else None
-        selected = Columns(effects, columns.joints, values, unit, self.edges, load)
-        return self.view.keep(self._key(effects), selected)
-
     def _key(self, effects):
         """Return a cache key of columns: all that they depend on except the load."""
         joints = effects[0].acts_on(self.view.nv)

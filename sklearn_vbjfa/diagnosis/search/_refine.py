@@ -175,7 +175,7 @@ def best_shape(fit, effect, scale):
     """Return an effect with its best shape between the grid points."""
     # `step_shapes` refines smooth parameters, jointly with other new members.
     if isinstance(effect, Bank):
-        return bank(fit, effect, fit.problem.shapes(effect), scale)
+        return bank(fit, effect, scale)
     if isinstance(effect, Sudden):
         return jump(fit, effect, scale)
     return effect
@@ -185,17 +185,13 @@ def search_shapes(fit, indices, scale):
     """Refine the shapes of members, jointly where smooth, else one by one."""
     fit = step_shapes(fit, indices)
     for i in indices:
-        effect, reduced = fit.members[i].effect, fit.without(i)
-        if isinstance(effect, Bank):
-            shape = bank(reduced, effect, fit.problem.shapes(effect), scale)
-        elif isinstance(effect, Sudden):
-            shape = jump(reduced, effect, scale)
+        effect = fit.members[i].effect
+        if isinstance(effect, (Bank, Sudden)):
+            fit = with_shape(fit, i, best_shape(fit.without(i), effect, scale))
         else:
             forms = (with_shape(fit, i, form) for form in effect.forms())
             forms = [step_shapes(form, [i]) for form in forms]
             fit = max([fit, *forms], key=Fit.log_evidence)
-            continue
-        fit = with_shape(fit, i, shape)
     return fit
 
 
@@ -206,11 +202,11 @@ def with_shape(fit, i, effect):
     return Fit(fit.base, members)
 
 
-def bank(fit, effect, shapes, scale):
+def bank(fit, effect, scale):
     """Return the best bank given a fit, with its elements of positive size."""
     # Columns that do not depend on the load stay cached if it changes.
     problem, by_needs, best = fit.problem, {}, []
-    for shape in shapes:
+    for shape in problem.shapes(effect):
         by_needs.setdefault(shape.needs, []).append(shape)
     for group in by_needs.values():
         groups = fit.groups(problem.columns(group))
@@ -220,9 +216,9 @@ def bank(fit, effect, shapes, scale):
     _, chosen, coef = max(best, key=lambda x: x[0])
     used = coef[: len(chosen.coefficients)] > 0
     if used.any():
-        finer = problem.columns([chosen.only(used).finer()])
-        used = fit.groups(finer).coefficients()[0] > 0
-    return problem.only(finer, used).effects[0] if used.any() else effect
+        chosen = chosen.only(used).finer()
+        used = fit.groups(problem.columns([chosen])).coefficients()[0] > 0
+    return chosen.only(used) if used.any() else effect
 
 
 # -- instants of jumps

@@ -1,4 +1,4 @@
-"""Small recordings of robots with faults in their geometry and channels."""
+"""Small simulated recordings of robots with faulty geometry or torque channels."""
 
 from dataclasses import replace
 
@@ -11,18 +11,18 @@ from tests.effects._faults import measured
 PLAIN = record("ZYX", seed=2)
 
 
-def with_faults(truth, recording=PLAIN):
-    """Record the same motion, as encoders read it, on a robot with faults.
+def with_faults(faults, recording=PLAIN):
+    """Record the same encoder readings on a robot with faults.
 
-    Its `torque` is that of the faulty robot; gains are on what other effects add too.
+    Gains also scale the torques of other effects.
     """
     nv = recording.q.shape[1]
     states = np.hstack([recording.q, recording.v, recording.a])
     gains = np.ones(nv)
-    for effect in truth:
+    for effect in faults:
         if isinstance(effect, TorqueGain):
             gains[effect.joint] = effect.gain
     friction = np.array(VISCOUS[:nv]) * recording.v
-    # `Recording.torque` adds the friction that passes channels without a gain.
-    load = measured(recording.model, states, truth) + (gains - 1) * friction
+    # `Recording.torque` adds the friction again, without a gain.
+    load = measured(recording.model, states, faults) + (gains - 1) * friction
     return replace(recording, load=load)

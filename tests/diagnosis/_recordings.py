@@ -1,4 +1,4 @@
-"""Small simulated recordings whose missing effects are known."""
+"""Small simulated recordings with known missing effects."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ VISCOUS = (0.8, 0.5, 0.3, 0.4)
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Positions and torques with noise, and the exact signals."""
+    """Noisy positions and torques, and the exact signals."""
 
     model: object
     t: np.ndarray
@@ -25,30 +25,30 @@ class Recording:
     noise: np.ndarray
 
     def torque(self, **effects):
-        """Measured torque with functions (self) -> torque of joint_1, joint_2, ..."""
+        """Return the measured torque; keyword joint_1 adds the torque of a function."""
         nv = self.q.shape[1]
         torque = self.load + np.array(VISCOUS[:nv]) * self.v + self.noise
         for name, effect in effects.items():
             torque[:, int(name[-1]) - 1] += effect(self)
         return torque
 
-    def robot(self, **given):
+    def robot(self, **options):
         """Make the declared model."""
-        given = {"dt": DT, "friction": ("viscous",), **given}
-        return RobotIdentifier(self.model, **given)
+        options = {"dt": DT, "friction": ("viscous",), **options}
+        return RobotIdentifier(self.model, **options)
 
-    def discover(self, torque, effects="all", groups=None, robot=None, t=None, **given):
-        """Close the loop."""
-        loop = EffectDiscovery(
+    def discover(self, torque, effects="all", groups=None, robot=None, t=None, **extra):
+        """Search the recording for effects."""
+        discovery = EffectDiscovery(
             self.robot() if robot is None else robot,
             effects=effects,
-            **{"random_state": 0, **given},
+            **{"random_state": 0, **extra},
         )
-        return loop.fit(self.position, torque, groups=groups, t=t)
+        return discovery.fit(self.position, torque, groups=groups, t=t)
 
 
 def record(axes="ZY", duration=24.0, noise=0.05, seed=0, encoder=2e-5, size=1.0):
-    """Simulate the declared model alone; `noise` is that of the torques [N m]."""
+    """Simulate the declared model; `noise` is the torque noise [N m]."""
     model = arm(axes)
     nv = model.nv
     t, states = motion(nv, duration=duration, dt=DT, seed=seed, size=size)
@@ -67,13 +67,13 @@ def record(axes="ZY", duration=24.0, noise=0.05, seed=0, encoder=2e-5, size=1.0)
 
 
 def named(loop):
-    """Names and joints of what was found."""
+    """Return name and joint of each reported effect."""
     return sorted((effect.name, effect.joint) for effect in loop.effects_)
 
 
 @dataclass(frozen=True, eq=False)
 class Searched:
-    """Recordings that are searched once for many tests; see the fixtures."""
+    """Recordings that a session fixture searches once."""
 
     parts: tuple
     torques: tuple
@@ -96,19 +96,19 @@ class Searched:
         """Label of each row."""
         return np.repeat(self.labels, [part.t.size for part in self.parts])
 
-    def robot(self, **given):
+    def robot(self, **options):
         """Make the declared model."""
-        return self.parts[0].robot(friction=self.friction, **given)
+        return self.parts[0].robot(friction=self.friction, **options)
 
     def search(self, torque=None):
         """Search the recordings, or the same motion with another torque."""
-        loop = EffectDiscovery(self.robot(), effects=self.library, random_state=0)
+        discovery = EffectDiscovery(self.robot(), effects=self.library, random_state=0)
         torque = self.torque if torque is None else torque
-        return loop.fit(self.position, torque, groups=self.groups)
+        return discovery.fit(self.position, torque, groups=self.groups)
 
 
 _ARM = record("ZY", seed=0, duration=20.0)
-# A spring of 4 N m/rad that rests at -0.25 rad.
+# A spring of 4 N m/rad with its equilibrium at -0.25 rad.
 SPRINGY = Searched(
     (_ARM,),
     (_ARM.torque(joint_1=lambda r: 4.0 * r.q[:, 0] + 1.0),),

@@ -1,4 +1,4 @@
-"""Fitted searches that several tests look at; each agrees with itself."""
+"""Shared fitted searches; the report of every fit is checked for consistency."""
 
 import pytest
 
@@ -7,27 +7,27 @@ from tests.diagnosis.report._consistent import assert_consistent
 
 @pytest.fixture(autouse=True, scope="session")
 def consistent_reports():
-    """Look at the report of each search that is fitted."""
+    """Check the report of each fitted search."""
     from sklearn_vbjfa import EffectDiscovery
 
     fit = EffectDiscovery.fit
 
-    def fit_and_look(self, *args, **given):
-        found = fit(self, *args, **given)
-        assert_consistent(found.report_)
-        return found
+    def fit_and_check(self, *args, **options):
+        discovery = fit(self, *args, **options)
+        assert_consistent(discovery.report_)
+        return discovery
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(EffectDiscovery, "fit", fit_and_look)
+        patch.setattr(EffectDiscovery, "fit", fit_and_check)
         yield
 
 
-# Tests must not change what these return.
+# Tests must not modify these fixtures.
 
 
 @pytest.fixture(scope="session")
 def springy(once):
-    """Search in the recording of a spring on the first joint, `SPRINGY`."""
+    """Search `SPRINGY`, a recording with a spring on the first joint."""
     from tests.diagnosis._recordings import SPRINGY
 
     return once("springy", lambda: SPRINGY.search())
@@ -35,7 +35,7 @@ def springy(once):
 
 @pytest.fixture(scope="session")
 def complete(once):
-    """Search in a recording that lacks nothing."""
+    """Search a recording without missing effects."""
     from tests.diagnosis._recordings import COMPLETE
 
     return once("complete", lambda: COMPLETE.search())
@@ -43,7 +43,7 @@ def complete(once):
 
 @pytest.fixture(scope="session")
 def two_motions(once):
-    """Search in two recordings of a robot that lacks nothing, "slow" and "fast"."""
+    """Search two recordings without missing effects, "slow" and "fast"."""
     from tests.diagnosis._recordings import TWO_MOTIONS
 
     return once("two_motions", lambda: TWO_MOTIONS.search())

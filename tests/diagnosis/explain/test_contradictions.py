@@ -13,12 +13,12 @@ PAIR = TWO_MOTIONS.parts
 FOUR = tuple(record("ZY", seed=seed, duration=16.0) for seed in (13, 14, 15, 16))
 
 
-def compared(recordings, spoil=lambda k, torque, r: torque, bodies="free"):
-    """Contradictions between recordings of an arm, the k-th of them spoilt."""
-    X = np.concatenate([one.position for one in recordings])
-    y = [spoil(k, one.torque(), one) for k, one in enumerate(recordings)]
+def compare(recordings, disturb=lambda k, torque, r: torque, bodies="free"):
+    """Find contradictions between recordings of an arm, with disturbed torques."""
+    X = np.concatenate([part.position for part in recordings])
+    y = [disturb(k, part.torque(), part) for k, part in enumerate(recordings)]
     y = np.concatenate(y)
-    lengths = [len(one.t) for one in recordings]
+    lengths = [len(part.t) for part in recordings]
     groups = np.repeat(np.arange(len(lengths)), lengths)
     robot = recordings[0].robot(friction=("viscous", "coulomb"), bodies=bodies)
     robot.fit(X, y, groups)
@@ -29,29 +29,29 @@ def compared(recordings, spoil=lambda k, torque, r: torque, bodies="free"):
     return fit, contradictions(RecordingMoments.of(fit), SPREAD, 0.05)
 
 
-def second(change):
-    """Spoil the second recording alone."""
+def second_only(change):
+    """Disturb the second recording only."""
     return lambda k, torque, r: change(torque, r) if k == 1 else torque
 
 
-gain = second(lambda torque, r: torque * [1.0, 1.2])
-flipped = second(lambda torque, r: torque * [1.0, -1.0])
-offset = second(lambda torque, r: torque + [0.0, 0.7])
-friction = second(lambda torque, r: torque + 0.8 * np.sign(r.v))
-joint_friction = second(lambda torque, r: torque + [0.0, 0.8] * np.sign(r.v))
+gain = second_only(lambda torque, r: torque * [1.0, 1.2])
+flipped = second_only(lambda torque, r: torque * [1.0, -1.0])
+offset = second_only(lambda torque, r: torque + [0.0, 0.7])
+friction = second_only(lambda torque, r: torque + 0.8 * np.sign(r.v))
+joint_friction = second_only(lambda torque, r: torque + [0.0, 0.8] * np.sign(r.v))
 
 
 def test_recordings_of_one_robot_agree():
     seeds = [(seed, seed + 50) for seed in range(20, 26)]
     pairs = [[record("ZY", seed=k, duration=16.0) for k in pair] for pair in seeds]
-    # A single one contradicts nothing.
+    # A single recording cannot contradict another.
     for recordings in (PAIR[:1], PAIR, FOUR, *pairs):
-        assert compared(recordings)[1] == ()
+        assert compare(recordings)[1] == ()
 
 
 @pytest.mark.parametrize("recordings", [PAIR, FOUR])
 @pytest.mark.parametrize(
-    ("spoil", "cause", "value"),
+    ("disturb", "cause", "value"),
     [
         (gain, "gain", 1.2),
         (flipped, "gain", -1.0),
@@ -59,81 +59,81 @@ def test_recordings_of_one_robot_agree():
         (joint_friction, "friction", np.nan),
     ],
 )
-def test_the_recording_and_the_cause_are_named(recordings, spoil, cause, value):
-    _, (one,) = compared(recordings, spoil)
-    assert (one.cause, one.joint) == (cause, 1)
-    # Friction is declared: one recording has more, or the other one less.
+def test_recording_and_cause_are_reported(recordings, disturb, cause, value):
+    _, (contradiction,) = compare(recordings, disturb)
+    assert (contradiction.cause, contradiction.joint) == (cause, 1)
+    # With two recordings, more friction in one equals less in the other.
     if len(recordings) > 2 or cause != "friction":
-        assert one.recording == 1
-    assert one.value == pytest.approx(value, rel=0.03, nan_ok=True)
-    assert one.p_value < 0.05
-    assert not one.alone > np.sqrt(0.5) * one.together
+        assert contradiction.recording == 1
+    assert contradiction.value == pytest.approx(value, rel=0.03, nan_ok=True)
+    assert contradiction.p_value < 0.05
+    assert not contradiction.alone > np.sqrt(0.5) * contradiction.together
 
 
-def keys(found):
-    return {(one.cause, one.recording, one.joint) for one in found}
+def keys(matches):
+    return {(x.cause, x.recording, x.joint) for x in matches}
 
 
-def test_a_fault_of_the_model_is_no_difference_and_hides_none():
+def test_model_errors_neither_cause_nor_hide_contradictions():
     def fault(k, torque, recording):
-        lacking = np.sin(5 * recording.q) * np.sign(recording.v)
-        return torque + 0.03 * torque.std(axis=0) * lacking
+        unmodelled = np.sin(5 * recording.q) * np.sign(recording.v)
+        return torque + 0.03 * torque.std(axis=0) * unmodelled
 
     def with_offset(k, torque, recording):
         return fault(k, torque, recording) + [0.0, 0.12 * torque[:, 1].std() * (k == 1)]
 
-    assert compared(FOUR, fault)[1] == ()
-    assert keys(compared(FOUR, with_offset)[1]) == {("offset", 1, 1)}
+    assert compare(FOUR, fault)[1] == ()
+    assert keys(compare(FOUR, with_offset)[1]) == {("offset", 1, 1)}
 
 
-def carried(recording, body):
-    """Torque of a body at the end of the arm."""
+def torque_of(recording, body):
+    """Torque of a body attached to the last link."""
     states = np.hstack([recording.q, recording.v, recording.a])
     return last_body_regressor(recording.model, states) @ body
 
 
-def test_another_load_in_one_recording():
+def test_a_payload_in_one_recording_is_found():
     ball = np.array([0.6, 0.05, 0.02, 0.12, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02])
-    found = compared(FOUR, second(lambda torque, r: torque + carried(r, ball)))[1]
-    assert {(one.recording, one.cause) for one in found} == {(1, "payload")}
+    found = compare(FOUR, second_only(lambda torque, r: torque + torque_of(r, ball)))[1]
+    assert {(x.recording, x.cause) for x in found} == {(1, "payload")}
 
 
-def test_a_last_link_that_is_heavier_is_a_payload():
+def test_a_heavier_last_link_is_reported_as_payload():
     model = FOUR[0].model
     last = 0.3 * model.inertias[model.nv].toDynamicParameters()
-    heavier = second(lambda torque, r: torque + carried(r, last))
-    found = compared(FOUR, heavier, bodies="prior")[1]
-    assert {(one.cause, one.recording) for one in found} == {("payload", 1)}
-    # Its mass acts on no joint of this arm.
-    assert np.isnan([one.value for one in found]).all()
+    heavier = second_only(lambda torque, r: torque + torque_of(r, last))
+    matches = compare(FOUR, heavier, bodies="prior")[1]
+    assert {(x.cause, x.recording) for x in matches} == {("payload", 1)}
+    # Its mass is not identifiable on this arm.
+    assert np.isnan([x.value for x in matches]).all()
 
 
-def test_recordings_that_differ_each_in_its_way():
-    def both(k, torque, recording):
+def test_several_contradictions_are_found():
+    def friction_and_offset(k, torque, recording):
         return friction(k, torque, recording) + [0.0, 0.7 * (k == 2)]
 
     expected = {("friction", 1, 0), ("friction", 1, 1), ("offset", 2, 1)}
-    assert keys(compared(FOUR, both)[1]) == expected
+    assert keys(compare(FOUR, friction_and_offset)[1]) == expected
     offsets = (0.6, -0.5, 0.3, -0.7)
 
-    def each(k, torque, recording):
+    def own_offset(k, torque, recording):
         return torque + [0.0, offsets[k]]
 
-    found = compared(FOUR, each)[1]
-    assert keys(found) == {("offset", k, 1) for k in range(4)}
-    for one in found:
-        assert one.value == pytest.approx(offsets[one.recording], rel=0.05)
+    matches = compare(FOUR, own_offset)[1]
+    assert keys(matches) == {("offset", k, 1) for k in range(4)}
+    for x in matches:
+        assert x.value == pytest.approx(offsets[x.recording], rel=0.05)
 
 
-def test_errors_are_those_of_fits_made_one_by_one():
-    fit, result = compared(PAIR, gain)
+def test_contradiction_errors_match_separate_fits():
+    fit, result = compare(PAIR, gain)
     view = fit.view
     label = view.blocks.label
     origin = view.origin
-    worst = max(result, key=lambda one: one.together)
-    own = np.flatnonzero(origin == worst.recording)
-    blocks = np.unique(label[own])
-    third = np.arange(blocks.size) * 3 // blocks.size
+    worst = max(result, key=lambda x: x.together)
+    rows_of_worst = np.flatnonzero(origin == worst.recording)
+    blocks = np.unique(label[rows_of_worst])
+    fold = np.arange(blocks.size) * 3 // blocks.size
     Phi, tau = view.equations.Phi, view.equations.tau
     weight = view.equations.weight * view.precision
     size = np.linalg.norm(Phi.reshape(-1, Phi.shape[2]), axis=0)
@@ -141,24 +141,24 @@ def test_errors_are_those_of_fits_made_one_by_one():
     def squares(kept):
         total = 0.0
         for k in range(3):
-            out = np.isin(label, blocks[third == k])
+            out = np.isin(label, blocks[fold == k])
             rows = kept & ~out
             root = np.sqrt(weight[rows])[:, :, None]
             A = (Phi[rows] * root).reshape(-1, Phi.shape[2]) / np.maximum(size, 1e-9)
             b = (tau[rows] * root[:, :, 0]).ravel()
             theta = np.linalg.lstsq(A, b, rcond=1e-7)[0] / np.maximum(size, 1e-9)
-            rest = tau[out, worst.joint] - Phi[out, worst.joint] @ theta
-            total += (view.equations.weight[out, worst.joint] * rest**2).sum()
+            residual = tau[out, worst.joint] - Phi[out, worst.joint] @ theta
+            total += (view.equations.weight[out, worst.joint] * residual**2).sum()
         return total
 
-    mean = view.equations.weight[own, worst.joint].sum()
+    mean = view.equations.weight[rows_of_worst, worst.joint].sum()
     alone = np.sqrt(squares(origin == worst.recording) / mean)
     together = np.sqrt(squares(np.ones(origin.size, dtype=bool)) / mean)
     assert worst.alone == pytest.approx(alone, rel=1e-3)
     assert worst.together == pytest.approx(together, rel=1e-3)
 
 
-def test_the_report_names_the_recording_and_the_cause(two_motions):
+def test_report_names_the_contradicting_recording(two_motions):
     torques = [gain(k, torque, None) for k, torque in enumerate(TWO_MOTIONS.torques)]
     loop = TWO_MOTIONS.search(np.concatenate(torques))
     text = " ".join(str(loop.report_).split())
@@ -174,7 +174,7 @@ def test_the_report_names_the_recording_and_the_cause(two_motions):
 
 
 @pytest.mark.slow
-def test_recordings_of_one_motion_are_left_out_together():
+def test_repeated_motions_are_left_out_together():
     q = np.concatenate([PAIR[k].position for k in (0, 1, 0)])
     rng = np.random.default_rng(0)
     tau = np.concatenate([PAIR[k].torque() for k in (0, 1, 0)])

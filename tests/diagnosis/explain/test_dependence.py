@@ -1,4 +1,4 @@
-"""Signals that a residual varies with."""
+"""Dependence of residuals on signals."""
 
 import numpy as np
 import pytest
@@ -22,18 +22,18 @@ def noise(seed=0):
     return np.random.default_rng(seed).normal(size=VIEW.index.size)
 
 
-def test_what_a_residual_follows_is_named_first():
-    seen = signals()
-    position = seen["position of elbow"]
+def test_strongest_dependence_is_listed_first():
+    inputs = signals()
+    position = inputs["position of elbow"]
     bend = np.cos(3 * position / np.abs(position).max())
     residual = (bend - bend.mean()) / bend.std() + noise()
-    first, *_ = dependences(residual, VIEW.equations.weight[:, 1], seen, VIEW.blocks)
+    first, *_ = dependences(residual, VIEW.equations.weight[:, 1], inputs, VIEW.blocks)
     assert first.signal == "position of elbow"
     assert first.share == pytest.approx(0.5, abs=0.1)
-    assert first.p_value < 0.01 / len(seen)
+    assert first.p_value < 0.01 / len(inputs)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_white_noise_follows_nothing(seed):
+def test_white_noise_depends_on_no_signal(seed):
     weight = VIEW.equations.weight[:, 0]
     assert dependences(noise(seed), weight, signals(), VIEW.blocks) == ()

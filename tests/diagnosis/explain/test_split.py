@@ -1,4 +1,4 @@
-"""Which rows are kept for the end."""
+"""Split into searched and held-out rows."""
 
 import numpy as np
 import pytest
@@ -13,36 +13,36 @@ DT = 0.02
 MODEL = arm("ZY")
 
 
-def robot(**given):
-    return RobotIdentifier(MODEL, dt=DT, friction=("viscous",), **given)
+def robot(**options):
+    return RobotIdentifier(MODEL, dt=DT, friction=("viscous",), **options)
 
 
 def motion(seconds, still=(), seed=0):
-    """Positions (n, 2) in steady motion that pauses in intervals [s] of joints."""
+    """Positions (n, 2) of a steady motion; `still` lists pauses (joint, start, end)."""
     t = np.arange(round(seconds / DT)) * DT
-    going = np.ones((t.size, 2))
+    pace = np.ones((t.size, 2))
     for joint, low, high in still:
-        going[(t >= low) & (t < high), joint] = 0.0
-    # Pauses begin and end in half a second.
+        pace[(t >= low) & (t < high), joint] = 0.0
+    # Joints stop and start within half a second.
     smooth = np.hanning(25) / np.hanning(25).sum()
-    going = np.column_stack([np.convolve(g, smooth, mode="same") for g in going.T])
-    path = np.cumsum(going, axis=0) * DT
+    pace = np.column_stack([np.convolve(g, smooth, mode="same") for g in pace.T])
+    path = np.cumsum(pace, axis=0) * DT
     rng = np.random.default_rng(seed)
     return np.sin(2 * np.pi * path * [0.5, 0.4]) + 1e-6 * rng.normal(size=(t.size, 2))
 
 
-def divided(robot, X, groups=None, share=0.25):
-    """Split of a recording of positions or states by a robot that is not fitted."""
-    known = {"dt": robot.dt, "joint_names": ("a", "b")}
-    whole = take_arrays(X, np.zeros((len(X), 2)), groups, **known)
+def split_positions(robot, X, groups=None, share=0.25):
+    """Split a recording of positions or states with an unfitted identifier."""
+    keywords = {"dt": robot.dt, "joint_names": ("a", "b")}
+    whole = take_arrays(X, np.zeros((len(X), 2)), groups, **keywords)
     return split_in_time(robot, whole, share)
 
 
 @pytest.fixture(scope="module")
 def minute():
-    """Return positions of a minute of motion, and how they are split."""
+    """Return positions of one minute of motion, and their split."""
     q = motion(60.0)
-    return q, divided(robot(cutoff=4.0), q)
+    return q, split_positions(robot(cutoff=4.0), q)
 
 
 def moving(q):
@@ -51,32 +51,32 @@ def moving(q):
 
 
 def whole(split, n, groups=None):
-    """Every row is in one part, stretches are contiguous and in order."""
+    """Assert that the parts are a partition and that cuts start new pieces."""
     search, test = split.rows, split.held_out_rows
     assert_array_equal(np.sort(np.r_[search, test]), np.arange(n))
     assert np.all(np.diff(search) > 0)
     assert np.all(np.diff(test) > 0)
-    # Nothing is filtered across a cut, and all else is.
+    # Filters must not cross a cut.
     groups = np.zeros(n) if groups is None else groups
     cut = (np.diff(search) > 1) | (np.diff(groups[search]) != 0)
     assert_array_equal(np.diff(split.pieces) > 0, cut)
 
 
-def test_several_stretches_of_a_single_recording(minute):
+def test_a_single_recording_has_several_held_out_segments(minute):
     q, split = minute
     whole(split, len(q))
     assert len(split.stretches) == 3
     assert split.held_out_rows.size == pytest.approx(0.25 * len(q), rel=0.05)
     assert split.stretches[-1].stop == len(q)
-    middle = [0.5 * (s.start + s.stop) / len(q) for s in split.stretches]
-    assert_allclose(middle, (np.arange(3) + 0.875) / 3, atol=0.03)
+    centres = [0.5 * (s.start + s.stop) / len(q) for s in split.stretches]
+    assert_allclose(centres, (np.arange(3) + 0.875) / 3, atol=0.03)
     assert split.borders == ((True, True), (True, True), (True, False))
 
 
-def test_both_ends_of_each_of_several_recordings():
+def test_both_ends_of_several_recordings_are_held_out():
     q = motion(90.0)
     groups = np.repeat([7, 3, 7], [2000, 1000, 1500])
-    split = divided(robot(cutoff=8.0), q, groups)
+    split = split_positions(robot(cutoff=8.0), q, groups)
     whole(split, len(q), groups)
     edges = [(s.start, s.stop) for s in split.stretches]
     assert [a for a, _ in edges[::2]] == [0, 2000, 3000]
@@ -86,56 +86,56 @@ def test_both_ends_of_each_of_several_recordings():
     assert split.borders == ((False, True), (True, False)) * 3
 
 
-def test_a_robot_that_comes_to_rest_is_judged_in_motion():
+def test_held_out_rows_contain_motion():
     q = motion(60.0, still=[(0, 40.0, 60.0), (1, 40.0, 60.0)])
-    split = divided(robot(), q)
+    split = split_positions(robot(), q)
     whole(split, len(q))
     share = moving(q)[split.held_out_rows].sum() / moving(q).sum()
     assert share == pytest.approx(0.25, abs=0.04)
-    # The last quarter of the rows holds none of it.
+    # The last quarter of the rows contains no motion.
     assert moving(q)[-len(q) // 4 :].sum() == 0
 
 
-def test_joints_that_move_one_at_a_time_are_all_judged():
+def test_held_out_rows_contain_motion_of_every_joint():
     q = motion(80.0, still=[(0, 40.0, 80.0), (1, 0.0, 40.0)])
     for groups in (None, np.repeat([0, 1], len(q) // 2)):
-        split = divided(robot(), q, groups)
+        split = split_positions(robot(), q, groups)
         whole(split, len(q), groups)
         share = moving(q)[split.held_out_rows].sum(axis=0) / moving(q).sum(axis=0)
         assert np.all(share > 0.12), share
         assert np.all(share < 0.4), share
 
 
-def test_the_guard_leaves_half_of_every_stretch(minute):
+def test_the_guard_keeps_half_of_every_segment(minute):
     q, split = minute
-    near = split.with_guard(10)
-    assert near.held_out_rows.size == split.held_out_rows.size - 10 * 5
-    assert near.stretches[-1].stop == len(q)
-    assert_array_equal(near.rows, split.rows)
-    far = split.with_guard(10**6)
-    assert far.held_out_rows.size < near.held_out_rows.size
-    for before, after in zip(split.stretches, far.stretches):
+    narrow = split.with_guard(10)
+    assert narrow.held_out_rows.size == split.held_out_rows.size - 10 * 5
+    assert narrow.stretches[-1].stop == len(q)
+    assert_array_equal(narrow.rows, split.rows)
+    wide = split.with_guard(10**6)
+    assert wide.held_out_rows.size < narrow.held_out_rows.size
+    for before, after in zip(split.stretches, wide.stretches):
         assert after.stop - after.start >= 0.5 * (before.stop - before.start)
 
 
-def test_a_short_recording_gives_more_for_a_verdict():
+def test_short_recordings_have_a_larger_held_out_share():
     q = motion(16.0)
-    split = divided(robot(cutoff=2.2), q, None, 0.15)
+    split = split_positions(robot(cutoff=2.2), q, None, 0.15)
     share = split.held_out_rows.size / len(q)
     assert 0.16 < share < 0.41
     assert np.all(split.count_moving(split.stretches) >= split.need)
-    # Not in vain, where even that is too little.
-    short = divided(robot(cutoff=2.2), q[:400], None, 0.15)
-    assert short.held_out_rows.size == pytest.approx(0.15 * 400, rel=0.6)
+    # The share is not increased if even that is not enough.
+    shorter = split_positions(robot(cutoff=2.2), q[:400], None, 0.15)
+    assert shorter.held_out_rows.size == pytest.approx(0.15 * 400, rel=0.6)
 
 
-def test_a_stretch_in_which_something_jumps_is_not_judged(minute):
+def test_segments_with_a_jump_are_not_held_out(minute):
     q, split = minute
     clock = np.arange(len(q)) * DT
     first, second, last = split.stretches
     inside = clock[(second.start + second.stop) // 2]
     assert split.without(clock, [inside]).stretches == (first, last)
-    # Where the search begins again is as far as it knows.
+    # An instant at the first row after the segment also excludes it.
     assert split.without(clock, [clock[second.stop]]).stretches == (first, last)
-    for known in (clock[second.start - 1], clock[second.stop + 1], clock[last.start]):
-        assert split.without(clock, [known]).stretches == split.stretches
+    for instant in (clock[second.start - 1], clock[second.stop + 1], clock[last.start]):
+        assert split.without(clock, [instant]).stretches == split.stretches

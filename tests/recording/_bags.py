@@ -1,4 +1,4 @@
-"""Bags with joint states, as drivers publish them, written by rosbags."""
+"""ROS bags with joint states, written by rosbags."""
 
 from dataclasses import dataclass, field
 
@@ -9,8 +9,8 @@ import numpy as np
 class States:
     """Messages of one topic.
 
-    names : a tuple of joints for every message; q, tau (and v) : lists of their values;
-    received : time at which the recorder wrote them [s]; stamps : those in the headers.
+    names : a tuple of joints per message; q, tau (and v) : lists of their values;
+    received : times at which the recorder wrote them [s]; stamps : header stamps [s].
     """
 
     topic: str = "/joint_states"
@@ -23,39 +23,39 @@ class States:
 
 
 def states(t, joints, q, tau, **more):
-    """Return messages that all name the same joints."""
+    """Return messages with the same joints in each."""
     count = len(t)
     return States(
         names=count * [tuple(joints)], q=list(q), tau=list(tau), received=t, **more
     )
 
 
-def _messages(typestore, one, header):
+def _messages(typestore, topic, header):
     """Yield (time of receipt [ns], message)."""
     JointState = typestore.types["sensor_msgs/msg/JointState"]
-    stamps = one.received if one.stamps is None else one.stamps
-    for k, received in enumerate(one.received):
+    stamps = topic.received if topic.stamps is None else topic.stamps
+    for k, received in enumerate(topic.received):
         stamp = round(1e9 * float(stamps[k]))
         message = JointState(
             header(k, stamp),
-            list(one.names[k]),
-            np.array(one.q[k], dtype=float),
-            np.array(one.v[k] if one.v else [], dtype=float),
-            np.array(one.tau[k], dtype=float),
+            list(topic.names[k]),
+            np.array(topic.q[k], dtype=float),
+            np.array(topic.v[k] if topic.v else [], dtype=float),
+            np.array(topic.tau[k], dtype=float),
         )
         yield round(1e9 * float(received)) + 10**9, message
 
 
 def _write(bag, topics, typestore, serialize, header):
     kind = "sensor_msgs/msg/JointState"
-    for one in topics:
-        connection = bag.add_connection(one.topic, kind, typestore=typestore)
-        for received, message in _messages(typestore, one, header):
+    for topic in topics:
+        connection = bag.add_connection(topic.topic, kind, typestore=typestore)
+        for received, message in _messages(typestore, topic, header):
             bag.write(connection, received, serialize(message, kind))
 
 
 def write_ros2(folder, topics, plugin="SQLITE3", other=False, packed=None):
-    """Write a bag of ROS 2; return the file with the messages."""
+    """Write a ROS 2 bag; return the file with the messages."""
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
     from rosbags.typesys import Stores, get_typestore
@@ -75,15 +75,15 @@ def write_ros2(folder, topics, plugin="SQLITE3", other=False, packed=None):
         if other:
             kind = "std_msgs/msg/String"
             connection = bag.add_connection("/rosout", kind, typestore=typestore)
-            word = typestore.types[kind]("hello")
-            bag.write(connection, 10**9, typestore.serialize_cdr(word, kind))
+            message = typestore.types[kind]("hello")
+            bag.write(connection, 10**9, typestore.serialize_cdr(message, kind))
         _write(bag, topics, typestore, typestore.serialize_cdr, header)
     (file,) = [x for x in folder.iterdir() if x.suffix != ".yaml"]
     return file
 
 
 def write_ros1(file, topics, compression=None):
-    """Write a bag of ROS 1; return it."""
+    """Write a ROS 1 bag; return its path."""
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
 

@@ -1,4 +1,4 @@
-"""Two episodes as a data set of LeRobot, at 100 Hz."""
+"""A LeRobot data set of two episodes at 100 Hz."""
 
 import json
 
@@ -8,7 +8,7 @@ from pyarrow import parquet
 
 
 def write_lerobot(folder, names, values, files, **info):
-    """Write values (n, 2) by their keys, in files of as many rows each."""
+    """Write values (n, 2) by their keys, split evenly over the files."""
     (folder / "meta").mkdir(parents=True)
     feature = {"dtype": "float32", "shape": [2], "fps": 100, "names": names}
     info |= {"fps": 100, "features": dict.fromkeys(values, feature)}

@@ -1,4 +1,4 @@
-"""One robot's recording as several tools write it, by the names in their documentation.
+"""One recording in the file formats of several tools, with their documented names.
 
 Sources of the names:
 
@@ -22,9 +22,9 @@ import csv
 
 import numpy as np
 
-# What the channels of an UR would read for a torque [N m/A].
+# Torque constants of the current channels of a UR [N m/A].
 GAINS = (12.5, 12.5, 12.5, 9.0, 9.0, 9.0)
-# Begin of the clocks that count from 1970 [s].
+# Start of the clocks that count from 1970 [s].
 EPOCH = 1_700_000_000.25
 
 
@@ -40,22 +40,22 @@ def _cells(values):
     return [f"{x:.9f}" for x in values]
 
 
-def _counted(pattern, n, first=0):
+def _numbered(pattern, n, first=0):
     return [pattern.format(k) for k in range(first, first + n)]
 
 
 def _shuffled(recording):
-    """Order in which a driver publishes the joints: not that of the robot."""
+    """Order in which a driver publishes the joints, unlike that of the model."""
     return np.argsort([name[::-1] for name in recording.joint_names])[::-1]
 
 
 def ros_csv(recording, folder):
-    """/joint_states by bagpy."""
+    """Write /joint_states as bagpy does."""
     order, n = _shuffled(recording), recording.nv
     header = ["Time", "header.seq", "header.stamp.secs", "header.stamp.nsecs"]
     header += ["header.frame_id", "name"]
-    header += _counted("position_{}", n) + _counted("velocity_{}", n)
-    header += _counted("effort_{}", n)
+    header += _numbered("position_{}", n) + _numbered("velocity_{}", n)
+    header += _numbered("effort_{}", n)
     names = str([recording.joint_names[j] for j in order])
     rows = []
     for k, t in enumerate(recording.t + EPOCH):
@@ -66,7 +66,7 @@ def ros_csv(recording, folder):
 
 
 def plotjuggler(recording, folder):
-    """Export of all series of /joint_states."""
+    """Write an export of all series of /joint_states."""
     series = {"/joint_states/header/stamp": recording.t + EPOCH}
     for j, name in enumerate(recording.joint_names):
         series[f"/joint_states/{name}/position"] = recording.q[:, j]
@@ -79,13 +79,13 @@ def plotjuggler(recording, folder):
 
 
 def rostopic(recording, folder):
-    """``rostopic echo -p /joint_states``."""
+    """Write the output of ``rostopic echo -p /joint_states``."""
     order, n = _shuffled(recording), recording.nv
     header = ["%time", "field.header.seq", "field.header.stamp"]
     header += ["field.header.frame_id"]
     for pattern in ("field.name{}", "field.position{}", "field.velocity{}"):
-        header += _counted(pattern, n)
-    header += _counted("field.effort{}", n)
+        header += _numbered(pattern, n)
+    header += _numbered("field.effort{}", n)
     names = [recording.joint_names[j] for j in order]
     rows = []
     for k, t in enumerate(recording.t):
@@ -96,7 +96,7 @@ def rostopic(recording, folder):
 
 
 def ros2_echo(recording, folder):
-    """``ros2 topic echo --csv /joint_states``."""
+    """Write the output of ``ros2 topic echo --csv /joint_states``."""
     order, n = _shuffled(recording), recording.nv
     names = [recording.joint_names[j] for j in order]
     rows = [
@@ -115,10 +115,10 @@ def ros2_echo(recording, folder):
 
 
 def rtde(recording, folder):
-    """``record.py``, with currents."""
+    """Write the output of ``record.py``, with currents."""
     n = recording.nv
-    header = ["timestamp", *_counted("target_q_{}", n), *_counted("actual_q_{}", n)]
-    header += _counted("actual_current_{}", n)
+    header = ["timestamp", *_numbered("target_q_{}", n), *_numbered("actual_q_{}", n)]
+    header += _numbered("actual_current_{}", n)
     current = recording.tau / np.array(GAINS[:n])
     rows = (
         [f"{t:.6f}", *_cells(q), *_cells(q + 1e-3), *_cells(i)]
@@ -128,12 +128,12 @@ def rtde(recording, folder):
 
 
 def libfranka(recording, folder):
-    """``logToCSV``."""
+    """Write the output of ``logToCSV``."""
     n = recording.nv
     header = ["time", "success_rate"]
     for name in ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered"):
-        header += _counted(f"state.{name}[{{}}]", n)
-    header += _counted("cmd.q_d[{}]", n) + _counted("cmd.tau_J_d[{}]", n)
+        header += _numbered(f"state.{name}[{{}}]", n)
+    header += _numbered("cmd.q_d[{}]", n) + _numbered("cmd.tau_J_d[{}]", n)
     header = [header[0], *(f" {name}" for name in header[1:])]
     zeros = n * ["0"]
     rows = []
@@ -145,9 +145,9 @@ def libfranka(recording, folder):
 
 
 def plain(recording, folder):
-    """Names and units of this package."""
+    """Write names and units of this package."""
     n = recording.nv
-    header = ["t", *_counted("q{}", n, 1), *_counted("tau{}", n, 1)]
+    header = ["t", *_numbered("q{}", n, 1), *_numbered("tau{}", n, 1)]
     rows = (
         [f"{t:.6f}", *_cells(q), *_cells(tau)]
         for t, q, tau in zip(recording.t, recording.q, recording.tau)

@@ -1,4 +1,4 @@
-"""How tests read a file: with what was said, or refused in one line."""
+"""Helpers to read a file and collect its warnings or its error."""
 
 import re
 import warnings
@@ -9,7 +9,7 @@ from sklearn_vbjfa.datasets import read_recording
 
 
 def read(path, **options):
-    """Return a recording and what was said, list of str."""
+    """Return a recording and its warnings, list of str."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         recording = read_recording(path, **options)
@@ -17,13 +17,13 @@ def read(path, **options):
 
 
 def read_text(path, **options):
-    """Return a recording and what was said, in one text."""
-    recording, said = read(path, **options)
-    return recording, " ".join(said)
+    """Return a recording and its warnings as one string."""
+    recording, messages = read(path, **options)
+    return recording, " ".join(messages)
 
 
 def refusal(path, **options):
-    """Return the error of a file: one line that names it."""
+    """Return the error for a file; it must be one line that names the file."""
     with pytest.raises(ValueError, match=re.escape(str(path))) as caught:
         read_recording(path, **options)
     assert "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""Recording that tests write in many ways."""
+"""Simulated recording that tests write to files of many formats."""
 
 import pytest
 
@@ -6,6 +6,6 @@ from sklearn_vbjfa.datasets import make_robot_recording
 
 
 @pytest.fixture(scope="session")
-def made():
-    """Simulate the arm of six joints for 1000 samples."""
+def arm():
+    """Simulate 1000 samples of an arm with six joints."""
     return make_robot_recording(duration=4, dt=0.004, random_state=3)

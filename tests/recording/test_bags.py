@@ -1,4 +1,4 @@
-"""Joint states out of bags: whatever joints they name, and what is refused."""
+"""Joint states read from ROS bags: joints, stamps, topics and errors."""
 
 import shutil
 from pathlib import Path
@@ -17,12 +17,12 @@ Q = np.column_stack([np.sin(3 * T + j) for j in range(3)])
 TAU = np.column_stack([np.cos(2 * T + j) for j in range(3)])
 
 
-def arm(**changes):
+def log(**changes):
     return states(**{"t": T, "joints": JOINTS, "q": Q, "tau": TAU} | changes)
 
 
-def refused(path, **options):
-    """Return the text of the refusal, which begins with the file, and its options."""
+def error_of(path, **options):
+    """Return the error message, which starts with the file, and its options."""
     error = refusal(path, **options)
     assert str(error).startswith(str(path))
     return str(error), getattr(error, "options", {})
@@ -41,22 +41,22 @@ def write(request, tmp_path):
     return write
 
 
-def test_every_format_with_and_without_its_folder(write, tmp_path):
-    file = write(arm())
+def test_bag_formats_with_and_without_a_folder(write, tmp_path):
+    file = write(log())
     alone = Path(shutil.copy(file, tmp_path / f"alone{file.suffix}"))
     for path in (file, alone):
-        recording, said = read(path)
+        recording, notes = read(path)
         assert recording.joint_names == JOINTS
         np.testing.assert_array_equal(recording.q, Q)
         np.testing.assert_array_equal(recording.tau, TAU)
         assert recording.dt == pytest.approx(DT)
-        assert "read from /joint_states: position [rad or m] as q and effort" in said
+        assert "read from /joint_states: position [rad or m] as q and effort" in notes
     if file.parent != tmp_path:
         recording, _ = read(file.parent)
         np.testing.assert_array_equal(recording.q, Q)
 
 
-def test_joints_by_name_in_another_order_each_time(tmp_path):
+def test_joint_order_may_change_between_messages(tmp_path):
     rng = np.random.default_rng(0)
     orders = [rng.permutation(3) for _ in range(N)]
     mixed = States(
@@ -70,15 +70,15 @@ def test_joints_by_name_in_another_order_each_time(tmp_path):
     np.testing.assert_array_equal(recording.tau, TAU)
 
 
-def test_stamps_of_the_header_count_unless_they_stand_still(tmp_path):
+def test_header_stamps_are_used_unless_constant(tmp_path):
     late = T + 0.004 * np.random.default_rng(0).uniform(size=N)
-    file = write_ros2(tmp_path / "a", [arm(t=late, stamps=T)])
-    recording, said = read(file)
+    file = write_ros2(tmp_path / "a", [log(t=late, stamps=T)])
+    recording, notes = read(file)
     np.testing.assert_allclose(recording.t, T, atol=1e-9)
-    file = write_ros2(tmp_path / "b", [arm(stamps=np.zeros(N))])
-    recording, said = read(file)
+    file = write_ros2(tmp_path / "b", [log(stamps=np.zeros(N))])
+    recording, notes = read(file)
     np.testing.assert_allclose(recording.t, T, atol=1e-9)
-    assert "stamps in the headers stand still" in said
+    assert "stamps in the headers stand still" in notes
 
 
 def gripper(**more):
@@ -88,11 +88,11 @@ def gripper(**more):
 
 
 def merged(*topics):
-    """Return one topic of the messages of several."""
+    """Return the messages of several topics as one topic."""
     order = np.argsort(np.concatenate([x.received for x in topics]), kind="stable")
 
     def values(name):
-        listed = [x for one in topics for x in getattr(one, name)]
+        listed = [x for topic in topics for x in getattr(topic, name)]
         return [listed[k] for k in order]
 
     return States(
@@ -103,70 +103,70 @@ def merged(*topics):
     )
 
 
-def test_joints_that_come_and_go(tmp_path):
-    both = merged(arm(), states(**gripper()))
-    file = write_ros2(tmp_path / "bag", [both])
-    recording, said = read(file)
+def test_messages_of_other_joints_are_skipped(tmp_path):
+    mixed = merged(log(), states(**gripper()))
+    file = write_ros2(tmp_path / "bag", [mixed])
+    recording, notes = read(file)
     assert recording.joint_names == JOINTS
     np.testing.assert_array_equal(recording.q, Q)
-    assert "joint(s) finger of /joint_states left out" in said
-    assert "20 of 100 messages of /joint_states lack some of the joints taken" in said
-    # Those that were asked for, though they come less often.
-    recording, said = read(file, joint_names=["finger"])
+    assert "joint(s) finger of /joint_states left out" in notes
+    assert "20 of 100 messages of /joint_states lack some of the joints taken" in notes
+    # Requested joints are read although fewer messages hold them.
+    recording, notes = read(file, joint_names=["finger"])
     assert recording.n_samples == 20
-    assert "80 of 100 messages" in said
+    assert "80 of 100 messages" in notes
 
 
-def test_messages_that_lack_a_joint_are_gaps(tmp_path):
-    lost = arm()
+def test_messages_missing_a_joint_are_interpolated(tmp_path):
+    incomplete = log()
     for k in (20, 41):
-        lost.names[k] = JOINTS[:2]
-        lost.q[k], lost.tau[k] = Q[k, :2], TAU[k, :2]
-    recording, said = read(write_ros2(tmp_path / "bag", [lost]))
+        incomplete.names[k] = JOINTS[:2]
+        incomplete.q[k], incomplete.tau[k] = Q[k, :2], TAU[k, :2]
+    recording, notes = read(write_ros2(tmp_path / "bag", [incomplete]))
     assert recording.joint_names == JOINTS
     assert recording.n_samples == N
     np.testing.assert_allclose(recording.q, Q, atol=1e-5)
-    assert "2 of 80 messages" in said
-    assert "2 single sample(s) are missing" in said
+    assert "2 of 80 messages" in notes
+    assert "2 single sample(s) are missing" in notes
 
 
-def test_messages_without_names_are_numbered(tmp_path):
-    plain = arm()
-    plain.names[:] = N * [()]
-    recording, _ = read(write_ros2(tmp_path / "bag", [plain]))
+def test_unnamed_joints_are_numbered(tmp_path):
+    unnamed = log()
+    unnamed.names[:] = N * [()]
+    recording, _ = read(write_ros2(tmp_path / "bag", [unnamed]))
     assert recording.joint_names == ("joint_1", "joint_2", "joint_3")
     np.testing.assert_array_equal(recording.q, Q)
 
 
-def test_velocities_are_taken_if_all_messages_have_them(tmp_path):
-    recording, _ = read(write_ros2(tmp_path / "a", [arm(v=list(2 * Q))]))
+def test_velocities_are_read_if_in_every_message(tmp_path):
+    recording, _ = read(write_ros2(tmp_path / "a", [log(v=list(2 * Q))]))
     np.testing.assert_array_equal(recording.v, 2 * Q)
-    recording, _ = read(write_ros2(tmp_path / "b", [arm()]))
+    recording, _ = read(write_ros2(tmp_path / "b", [log()]))
     assert recording.v is None
 
 
 # -- robots ----------------------------------------------------------------------------
 
 
-def test_sensors_and_joints_that_were_not_recorded(tmp_path, made):
-    """A sensor's joint is none of the robot's; the last two joints are held."""
-    joints = ("tilt_sensor", *made.joint_names[3::-1])
-    q = np.column_stack([made.t, made.q[:, 3::-1]])
-    tau = np.column_stack([made.t, made.tau[:, 3::-1]])
-    file = write_ros2(tmp_path / "bag", [states(made.t, joints, q, tau)])
-    recording, said = read(file, urdf=made.urdf)
-    assert recording.joint_names == made.joint_names[:4]
-    np.testing.assert_array_equal(recording.q, made.q[:, :4])
-    np.testing.assert_array_equal(recording.tau, made.tau[:, :4])
-    assert "joint(s) tilt_sensor of /joint_states left out" in said
-    assert "no columns of joint(s) joint_5, joint_6: held at zero" in said
+def test_sensor_joints_are_skipped_and_unrecorded_joints_held(tmp_path, arm):
+    """A sensor's joint is not in the model; the last two joints are held at zero."""
+    joints = ("tilt_sensor", *arm.joint_names[3::-1])
+    q = np.column_stack([arm.t, arm.q[:, 3::-1]])
+    tau = np.column_stack([arm.t, arm.tau[:, 3::-1]])
+    file = write_ros2(tmp_path / "bag", [states(arm.t, joints, q, tau)])
+    recording, notes = read(file, urdf=arm.urdf)
+    assert recording.joint_names == arm.joint_names[:4]
+    np.testing.assert_array_equal(recording.q, arm.q[:, :4])
+    np.testing.assert_array_equal(recording.tau, arm.tau[:, :4])
+    assert "joint(s) tilt_sensor of /joint_states left out" in notes
+    assert "no columns of joint(s) joint_5, joint_6: held at zero" in notes
 
 
 # -- what is refused -------------------------------------------------------------------
 
 
-def test_a_bag_without_joint_states(tmp_path):
-    text, options = refused(write_ros2(tmp_path / "bag", [], other=True))
+def test_bag_without_joint_states_is_refused(tmp_path):
+    text, options = error_of(write_ros2(tmp_path / "bag", [], other=True))
     assert (
         "holds no joint states: expected a topic of sensor_msgs/msg/JointState" in text
     )
@@ -174,58 +174,58 @@ def test_a_bag_without_joint_states(tmp_path):
     assert not options
 
 
-def test_several_topics_of_joint_states(tmp_path):
-    topics = [arm(), arm(q=2 * Q, topic="/left/joint_states")]
+def test_several_joint_state_topics_need_a_choice(tmp_path):
+    topics = [log(), log(q=2 * Q, topic="/left/joint_states")]
     file = write_ros2(tmp_path / "bag", topics, other=True)
-    text, options = refused(file)
+    text, options = error_of(file)
     assert "give --topic (in Python: topic=...), one of /joint_states, /left" in text
     recording, _ = read(file, **options)
     np.testing.assert_array_equal(recording.q, Q)
     recording, _ = read(file, topic="left/joint_states")
     np.testing.assert_array_equal(recording.q, 2 * Q)
-    text, _ = refused(file, topic="/right")
+    text, _ = error_of(file, topic="/right")
     assert "/rosout (std_msgs/msg/String)" in text
 
 
 @pytest.mark.parametrize("part", [0.02, 0.5, 0.9])
-def test_a_bag_that_was_cut(write, part):
-    file = write(arm())
+def test_truncated_bag_is_refused(write, part):
+    file = write(log())
     content = file.read_bytes()
     file.write_bytes(content[: int(part * len(content))])
-    text, _ = refused(file)
+    text, _ = error_of(file)
     assert "is not a complete bag" in text
-    # No tuple of Python's.
+    # The message is not the repr of a tuple.
     assert "',)" not in text
 
 
 @pytest.mark.parametrize("mode", ["FILE", "MESSAGE", "STORAGE"])
-def test_bags_packed_by_zstandard(tmp_path, mode):
+def test_zstandard_compressed_bags(tmp_path, mode):
     plugin = "MCAP" if mode == "STORAGE" else "SQLITE3"
-    file = write_ros2(tmp_path / "bag", [arm()], plugin, packed=mode)
+    file = write_ros2(tmp_path / "bag", [log()], plugin, packed=mode)
     recording, _ = read(file.parent)
     np.testing.assert_array_equal(recording.q, Q)
     content = file.read_bytes()
     file.write_bytes(content[: len(content) // 2])
-    refused(file.parent)
+    error_of(file.parent)
 
 
-def test_a_driver_that_does_not_know_yet(tmp_path):
-    begin = arm(tau=np.where(T[:, None] < 0.1, np.nan, TAU), v=list(np.full_like(Q, 0)))
-    begin.q[40] = np.array([np.nan, 0, 0])
-    begin.v[60] = np.array([np.nan, 0, 0])
-    recording, said = read(write_ros2(tmp_path / "bag", [begin]))
+def test_messages_with_nan_are_skipped(tmp_path):
+    start = log(tau=np.where(T[:, None] < 0.1, np.nan, TAU), v=list(np.full_like(Q, 0)))
+    start.q[40] = np.array([np.nan, 0, 0])
+    start.v[60] = np.array([np.nan, 0, 0])
+    recording, notes = read(write_ros2(tmp_path / "bag", [start]))
     assert recording.n_samples == N - 10
     np.testing.assert_allclose(recording.q, Q[10:], atol=1e-4)
-    assert "11 of 80 messages of /joint_states lack some of the joints taken" in said
+    assert "11 of 80 messages of /joint_states lack some of the joints taken" in notes
 
 
-def test_a_joint_whose_effort_nobody_knows(tmp_path, made):
-    names, tau = made.joint_names, made.tau.copy()
+def test_joint_with_nan_efforts_is_left_out(tmp_path, arm):
+    names, tau = arm.joint_names, arm.tau.copy()
     tau[:, 5] = np.nan
-    file = write_ros2(tmp_path / "bag", [states(made.t, names, made.q, tau)])
-    recording, said = read(file, urdf=made.urdf)
+    file = write_ros2(tmp_path / "bag", [states(arm.t, names, arm.q, tau)])
+    recording, notes = read(file, urdf=arm.urdf)
     assert recording.joint_names == names[:5]
-    assert f"joint(s) {names[5]} of /joint_states left out" in said
-    file = write_ros2(tmp_path / "none", [arm(tau=np.full_like(TAU, np.nan))])
-    text, _ = refused(file)
+    assert f"joint(s) {names[5]} of /joint_states left out" in notes
+    file = write_ros2(tmp_path / "none", [log(tau=np.full_like(TAU, np.nan))])
+    text, _ = error_of(file)
     assert "none of the 80 messages of /joint_states has positions and efforts" in text

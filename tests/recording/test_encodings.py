@@ -1,4 +1,4 @@
-"""Text as Excel saves it: other encodings, decimal commas, units with signs."""
+"""Text saved by Excel: encodings, decimal commas, unit symbols."""
 
 import numpy as np
 import pytest
@@ -9,8 +9,8 @@ from tests.recording.test_reader import DT, N, assert_same, table
 HEADER = ("t [ms]", "q1 [°]", "q2 [°]", "tau1 [Nm]", "tau2 [Nm]", "Öl [°C]")
 
 
-def german(separator):
-    """Text with decimal commas, and what it says in units of this package."""
+def german_csv(separator):
+    """Return text with decimal commas, and its columns in units of this package."""
     columns = table()
     cells = [1e3 * np.arange(N) * DT]
     cells += [np.rad2deg(columns[name]) for name in ("q1", "q2")]
@@ -32,17 +32,17 @@ def german(separator):
         ("\t", "utf-16-be with a mark", ""),
     ],
 )
-@pytest.mark.parametrize("told", ["", '"sep={}"\r\n'])
-def test_excel_in_german(separator, encoding, note, told, tmp_path):
-    text, columns = german(separator)
-    text = told.format(separator) + text
+@pytest.mark.parametrize("separator_line", ["", '"sep={}"\r\n'])
+def test_german_excel_export(separator, encoding, note, separator_line, tmp_path):
+    text, columns = german_csv(separator)
+    text = separator_line.format(separator) + text
     if encoding.endswith(" with a mark"):
         encoding, text = encoding.partition(" ")[0], "\N{BYTE ORDER MARK}" + text
     path = tmp_path / "log.csv"
     path.write_bytes(text.encode(encoding))
-    recording, said = read_text(path)
-    assert note in said
-    assert bool(note) == ("cp1252" in said)
+    recording, notes = read_text(path)
+    assert note in notes
+    assert bool(note) == ("cp1252" in notes)
     assert_same(recording, columns, atol=1e-8)
     assert recording.dt == pytest.approx(DT)
     np.testing.assert_allclose(recording.signals["Öl [°C]"], np.linspace(20, 40, N))
@@ -51,16 +51,16 @@ def test_excel_in_german(separator, encoding, note, told, tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        # No character of the code page.
+        # Byte undefined in the code page.
         (b"t,q1\x81\n", "can't decode byte 0x81"),
-        # Damage to a file in UTF-8, not at the beginning.
+        # A corrupt byte in a UTF-8 file, not at its start.
         (b"t,q1\n" + 9 * b"0.1,0.2\n" + b"\x00\xff\n", "is binary"),
         ("t,q1\n".encode("utf-16")[:-1], "truncated data"),
     ],
 )
-def test_what_is_no_text_is_refused(content, message, tmp_path):
+def test_undecodable_text_is_refused(content, message, tmp_path):
     path = tmp_path / "log.csv"
     path.write_bytes(content)
-    said = str(refusal(path))
-    assert message in said
-    assert said.endswith("save it as CSV in UTF-8.")
+    message_text = str(refusal(path))
+    assert message in message_text
+    assert message_text.endswith("save it as CSV in UTF-8.")

@@ -1,4 +1,4 @@
-"""Formats beside CSV, npz and parquet: packed text, sheets, MATLAB, npy, LeRobot."""
+"""Other formats: compressed text, spreadsheets, MATLAB, npy, LeRobot, JSON."""
 
 import bz2
 import datetime
@@ -17,24 +17,24 @@ from tests.recording._lerobot import write_lerobot
 from tests.recording._reading import read_text, refusal
 from tests.recording.test_reader import DT, N, assert_same, table, write
 
-PACK = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
+COMPRESS = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
 
 
-# -- packed ----------------------------------------------------------------------------
+# -- compressed text -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ending", PACK)
-def test_packed_text(tmp_path, ending):
+@pytest.mark.parametrize("ending", COMPRESS)
+def test_compressed_text(tmp_path, ending):
     columns = table()
     plain = write(tmp_path / "arm.csv", columns)
     path = tmp_path / f"arm.csv{ending}"
-    path.write_bytes(PACK[ending](plain.read_bytes()))
+    path.write_bytes(COMPRESS[ending](plain.read_bytes()))
     recording = read_recording(path)
     assert_same(recording, columns)
     assert recording.name == "arm"
-    # Lines are those of the text.
+    # Line numbers refer to the uncompressed text.
     text = plain.read_text().replace("\n0.01,", "\noff,", 1)
-    path.write_bytes(PACK[ending](text.encode()))
+    path.write_bytes(COMPRESS[ending](text.encode()))
     assert "'off' in line 3, column 't' is not a number" in str(refusal(path))
 
 
@@ -52,7 +52,7 @@ def test_standard_input(tmp_path, monkeypatch, pack):
     assert_same(recording, columns)
 
 
-def test_a_pipe_that_ends_early(tmp_path, monkeypatch):
+def test_truncated_standard_input(tmp_path, monkeypatch):
     content = write(tmp_path / "arm.csv", table()).read_bytes()
     path = tmp_path / "pipe"
     path.write_bytes(content[:-25])
@@ -67,7 +67,7 @@ def test_a_pipe_that_ends_early(tmp_path, monkeypatch):
             read_recording("-")
 
 
-def test_without_pandas_one_line_says_how_to_install_it(tmp_path, monkeypatch):
+def test_error_without_pandas_names_the_extra_to_install(tmp_path, monkeypatch):
     path = write(tmp_path / "arm.csv", table())
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ImportError, match=r'pip install "sklearn-vbjfa\[robot\]"'):
@@ -99,7 +99,7 @@ def rows_of(columns):
     return [list(columns), *(list(map(float, row)) for row in zip(*columns.values()))]
 
 
-def test_a_sheet_with_text_and_dates(sheet):
+def test_spreadsheet_with_text_and_dates(sheet):
     columns = table(1)
     begin = datetime.datetime(2026, 11, 22, 12)
     times = [begin + datetime.timedelta(milliseconds=10 * k) for k in range(N)]
@@ -107,15 +107,15 @@ def test_a_sheet_with_text_and_dates(sheet):
     rows = zip(times, degrees, columns["tau1"], N * ["run"])
     head = [[], ["t", "q1 [°]", "tau1", "mode"]]
     path = sheet([*head, *([x, float(q), float(u), m] for x, q, u, m in rows)])
-    recording, said = read_text(path)
-    assert "mode hold no finite numbers" in said
-    assert "converted from °" in said
+    recording, notes = read_text(path)
+    assert "mode hold no finite numbers" in notes
+    assert "converted from °" in notes
     np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-9)
     assert recording.dt == pytest.approx(DT)
 
 
 @pytest.mark.parametrize("before", [[], [[]], [[["note"], ["recorded on Monday"]]]])
-def test_the_first_sheet_with_a_table_in_it(before, sheet):
+def test_first_sheet_with_a_table_is_read(before, sheet):
     columns = table()
     assert_same(read_recording(sheet(*before, rows_of(columns))), columns)
 
@@ -145,7 +145,7 @@ def test_matlab(tmp_path, turned, inside, compressed):
     assert_same(read_recording(path), columns)
 
 
-def test_matlab_of_the_wrong_version(tmp_path):
+def test_unsupported_matlab_version_is_refused(tmp_path):
     path = tmp_path / "arm.mat"
     path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(900))
     message = str(refusal(path))
@@ -178,8 +178,8 @@ def lerobot(tmp_path):
         values = {"observation.state": arrays["q"], "action": arrays["q"] + 0.1}
         values["observation.effort"] = arrays["tau"]
         files = [f"episode_{k:06d}" for k in range(2)]
-        known = {"codebase_version": "v2.1"}
-        return write_lerobot(tmp_path / "set", names, values, files, **known)
+        info = {"codebase_version": "v2.1"}
+        return write_lerobot(tmp_path / "set", names, values, files, **info)
 
     return save
 
@@ -193,9 +193,9 @@ def test_a_lerobot_data_set(lerobot, nested):
     assert recording.joint_names == ("hip", "knee")
     assert recording.group_names == ("0", "1")
     assert not recording.signals
-    one = folder / "data" / "chunk-000" / "episode_000001.parquet"
+    episode = folder / "data" / "chunk-000" / "episode_000001.parquet"
     with pytest.warns(UserWarning, match="taken as a LeRobot data set"):
-        recording = read_recording(one)
+        recording = read_recording(episode)
     np.testing.assert_allclose(recording.q[:, 0], table()["q1"][N // 2 :], atol=1e-9)
 
 
@@ -237,14 +237,14 @@ def test_json(kind, tmp_path):
 def test_json_lines(ending, tmp_path):
     text = "\n".join(map(json.dumps, records_of(table()))) + "\n"
     path = tmp_path / f"arm{ending}"
-    path.write_bytes(PACK.get(f".{ending.split('.')[-1]}", bytes)(text.encode()))
+    path.write_bytes(COMPRESS.get(f".{ending.split('.')[-1]}", bytes)(text.encode()))
     assert_same(read_recording(path), table())
 
 
 # -- lists within cells, recordings within a list --------------------------------------
 
 
-def test_lists_of_joint_states_as_numpy_writes_them(tmp_path):
+def test_lists_of_joint_states_in_csv_cells(tmp_path):
     columns, arrays = matrices()
     lines = ["time,name,position,effort"]
     for t, q, tau in zip(arrays["t"], arrays["q"], arrays["tau"]):
@@ -258,7 +258,7 @@ def test_lists_of_joint_states_as_numpy_writes_them(tmp_path):
 
 
 @pytest.mark.parametrize("separator", [",", ", ", " "])
-def test_cells_that_hold_lists_are_columns(separator, tmp_path):
+def test_lists_in_csv_cells_are_columns(separator, tmp_path):
     columns, arrays = matrices()
     names = ("q", "tau")
     lines = [",".join(("t", *names))]
@@ -268,7 +268,7 @@ def test_cells_that_hold_lists_are_columns(separator, tmp_path):
     path = tmp_path / "arm.csv"
     path.write_text("\n".join(lines) + "\n")
     assert_same(read_recording(path), columns)
-    # A row that is cut within a list is no row.
+    # A row truncated within a list is skipped.
     path.write_text("\n".join(lines)[:-3])
     with pytest.warns(UserWarning, match="the last line is cut"):
         assert read_recording(path).n_samples == N - 1
@@ -278,7 +278,7 @@ def test_cells_that_hold_lists_are_columns(separator, tmp_path):
         read_recording(path)
 
 
-def test_rows_of_lists_in_brackets_have_no_names(tmp_path):
+def test_rows_of_bracketed_lists_need_a_mapping(tmp_path):
     columns = table()
     lines = [
         f"({q1:.12g} {q2:.12g}) 1 ({tau1:.12g} {tau2:.12g}) 1"
@@ -289,11 +289,11 @@ def test_rows_of_lists_in_brackets_have_no_names(tmp_path):
     path = tmp_path / "arm.txt"
     path.write_text("\n".join(lines) + "\n")
     assert "no names of columns; give the places of its 6 columns" in str(refusal(path))
-    found = read_recording(path, columns="q=1-2,tau=4-5", dt=DT)
-    assert_same(found, columns)
+    recording = read_recording(path, columns="q=1-2,tau=4-5", dt=DT)
+    assert_same(recording, columns)
 
 
-def test_a_list_of_recordings_of_different_lengths(tmp_path):
+def test_recordings_of_different_lengths_are_refused(tmp_path):
     columns = table()
     trials = [
         {"kind": kind, **{key: columns[key][:n].tolist() for key in ("q1", "tau1")}}
@@ -312,12 +312,12 @@ def test_a_list_of_recordings_of_different_lengths(tmp_path):
         ("sec", "usec", 10**6),
     ],
 )
-def test_two_columns_are_one_clock(seconds, rest, count, tmp_path):
+def test_seconds_and_fractions_in_two_columns(seconds, rest, count, tmp_path):
     columns = table()
     stamps = np.round((1_700_000_000.25 + columns.pop("t")) * count).astype(int)
     clock = {seconds: stamps // count, rest: stamps % count}
     path = write(tmp_path / "arm.csv", clock | columns)
     with pytest.warns(UserWarning, match=f"t = {seconds}"):
-        found = read_recording(path)
-    assert found.dt == pytest.approx(DT)
-    assert not found.signals
+        recording = read_recording(path)
+    assert recording.dt == pytest.approx(DT)
+    assert not recording.signals

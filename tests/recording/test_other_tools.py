@@ -1,4 +1,4 @@
-"""Tables as other tools write them: titles, an index, no header, mixed units."""
+"""Tables of other tools: title lines, an index column, no header, mixed units."""
 
 import re
 
@@ -14,7 +14,7 @@ from tests.recording._reading import read
 from tests.recording.test_reader import DT, assert_same, table, write
 
 
-def same(recording):
+def assert_table(recording):
     assert_same(recording, table(), atol=1e-8)
     assert recording.dt == pytest.approx(DT)
 
@@ -29,7 +29,7 @@ def urdf(tmp_path):
     )
 
 
-def rows(separator=","):
+def table_lines(separator=","):
     """Lines of the table, the header first."""
     columns = {name: table()[name] for name in ("t", "q1", "q2", "tau1", "tau2")}
     lines = [separator.join(columns)]
@@ -38,7 +38,7 @@ def rows(separator=","):
     ]
 
 
-# -- what stands above the names -------------------------------------------------------
+# -- lines above the column names ------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -49,14 +49,14 @@ def rows(separator=","):
         ["one,two,three", "4 words,of,it"],
     ],
 )
-def test_titles_above_the_names(titles, tmp_path):
-    lines = rows()
+def test_title_lines_above_the_header(titles, tmp_path):
+    lines = table_lines()
     path = tmp_path / "arm.csv"
     path.write_text("\n".join([*titles, *lines, ""]))
-    recording, said = read(path)
-    same(recording)
-    assert f"the names of the columns are in line {len(titles) + 1}." in said[-1]
-    # Lines are those of the file.
+    recording, notes = read(path)
+    assert_table(recording)
+    assert f"the names of the columns are in line {len(titles) + 1}." in notes[-1]
+    # Line numbers in messages refer to the file.
     first = len(titles) + 2
     lines[2] = lines[2].replace(",", ",off", 1)
     path.write_text("\n".join([*titles, *lines, ""]))
@@ -64,8 +64,8 @@ def test_titles_above_the_names(titles, tmp_path):
         read(path)
 
 
-def test_a_row_of_units_below_the_names(tmp_path):
-    header, *lines = rows(";")
+def test_row_of_units_below_the_header(tmp_path):
+    header, *lines = table_lines(";")
     units = "[ms];[deg];rad;mNm;Nm"
     scaled = []
     for line in lines:
@@ -74,24 +74,24 @@ def test_a_row_of_units_below_the_names(tmp_path):
         scaled.append(";".join(f"{x:.10g}" for x in row))
     path = tmp_path / "arm.csv"
     path.write_text("\n".join(["Export 7", header, units, *scaled, ""]))
-    recording, said = read(path)
-    same(recording)
-    assert any("converted from deg, mNm" in x for x in said)
+    recording, notes = read(path)
+    assert_table(recording)
+    assert any("converted from deg, mNm" in x for x in notes)
 
 
 # -- an index, no header ---------------------------------------------------------------
 
 
-def test_the_index_of_a_data_frame(tmp_path):
+def test_index_column_of_a_data_frame(tmp_path):
     path = tmp_path / "arm.csv"
-    header, *lines = rows()
+    header, *lines = table_lines()
     numbered = [f"{k},{line}" for k, line in enumerate(lines)]
     path.write_text("\n".join([f",{header}", *numbered, ""]))
-    recording, said = read(path)
-    same(recording)
+    recording, notes = read(path)
+    assert_table(recording)
     assert not recording.signals
-    assert "the first column has no name and counts the rows" in said[-1]
-    # What does not count the rows has to have a name.
+    assert "the first column has no name and counts the rows" in notes[-1]
+    # A column that does not number the rows needs a name.
     path.write_text("\n".join([f",{header}", *(f"7,{line}" for line in lines)]))
     with pytest.raises(ValueError, match="column 1 has no name in line 1; name it"):
         read(path)
@@ -100,10 +100,10 @@ def test_the_index_of_a_data_frame(tmp_path):
         read(path)
 
 
-def test_names_of_joints_that_change_from_row_to_row(made, tmp_path):
-    path = KINDS["ros2 topic echo --csv"](made, tmp_path)
-    _, said = read(path, urdf=made.urdf)
-    assert "/joint_states as a table: q = position_5 ... position_0" in said[0]
+def test_joint_names_must_not_change_between_rows(arm, tmp_path):
+    path = KINDS["ros2 topic echo --csv"](arm, tmp_path)
+    _, notes = read(path, urdf=arm.urdf)
+    assert "/joint_states as a table: q = position_5 ... position_0" in notes[0]
     lines = path.read_text().splitlines()
     lines[::2] = [re.sub("(joint_.),(joint_.)", r"\2,\1", x) for x in lines[::2]]
     path.write_text("\n".join(lines))
@@ -114,35 +114,35 @@ def test_names_of_joints_that_change_from_row_to_row(made, tmp_path):
 # -- units -----------------------------------------------------------------------------
 
 
-def test_joints_with_units_of_their_own(tmp_path, urdf):
+def test_units_may_differ_between_joints(tmp_path, urdf):
     columns = table()
-    new = {
+    renamed = {
         "time [ms]": 1e3 * columns["t"],
         "shoulder.ActPos [deg]": np.rad2deg(columns["q1"]),
         "lift.ActPos [mm]": 1e3 * columns["q2"],
         "shoulder.ActTorque [mNm]": 1e3 * columns["tau1"],
         "lift.ActTorque [N]": columns["tau2"],
     }
-    path = write(tmp_path / "arm.csv", new)
+    path = write(tmp_path / "arm.csv", renamed)
     with pytest.raises(RecordingRefused) as caught:
         read_recording(path, urdf=urdf)
     assert caught.value.options == {"columns": "q={joint}.ActPos,tau={joint}.ActTorque"}
     recording, _ = read(path, urdf=urdf, **caught.value.options)
-    same(recording)
+    assert_table(recording)
     assert recording.torque_units == ("N m", "N")
 
 
 # -- arrays ----------------------------------------------------------------------------
 
 
-def test_thousandths_are_tenths_of_a_hundredth(tmp_path):
+def test_per_mille_is_a_tenth_of_per_cent(tmp_path):
     t = 0.01 * np.arange(100)
-    found = []
+    torques = []
     for unit, share in (("%", 1.0), ("‰", 10.0), ("permille", 10.0)):
         path = tmp_path / "x.csv"
-        rows = np.column_stack([t, np.sin(t), share * (3 + np.cos(t))])
+        data = np.column_stack([t, np.sin(t), share * (3 + np.cos(t))])
         head = f"t,q1,tau1 [{unit}]"
-        np.savetxt(path, rows, delimiter=",", header=head, comments="", encoding="utf8")
-        found.append(read_recording(path, gains=[2.0]).tau[:, 0])
-    for tau in found:
+        np.savetxt(path, data, delimiter=",", header=head, comments="", encoding="utf8")
+        torques.append(read_recording(path, gains=[2.0]).tau[:, 0])
+    for tau in torques:
         np.testing.assert_allclose(tau, 2.0 * (3 + np.cos(t)), rtol=1e-12)

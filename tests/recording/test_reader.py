@@ -1,4 +1,4 @@
-"""Recordings of one's own: columns, units and time stamps, and what is refused."""
+"""Reading tables: formats, columns, units, time stamps and error messages."""
 
 import csv as csv_module
 import re
@@ -15,7 +15,7 @@ DT = 0.01
 
 
 def table(nv=2, n=N, dt=DT):
-    """Columns of a smooth recording."""
+    """Return the columns of a smooth recording."""
     t = dt * np.arange(n)
     columns = {"t": t}
     for j in range(1, nv + 1):
@@ -40,16 +40,16 @@ def csv(tmp_path):
 
 
 def assert_same(recording, columns, nv=2, atol=1e-9):
-    for kind, found in (("q", recording.q), ("tau", recording.tau)):
+    for kind, values in (("q", recording.q), ("tau", recording.tau)):
         expected = np.column_stack([columns[f"{kind}{j + 1}"] for j in range(nv)])
-        np.testing.assert_allclose(found, expected, atol=atol)
+        np.testing.assert_allclose(values, expected, atol=atol)
 
 
 # -- formats ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", " ", "|"])
-def test_csv_is_read_whatever_separates_it(csv, separator):
+def test_csv_separators(csv, separator):
     columns = table()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -63,7 +63,7 @@ def test_csv_is_read_whatever_separates_it(csv, separator):
     assert recording.torque_units == ("N m", "N m")
 
 
-def test_a_commented_header_is_a_header(tmp_path):
+def test_commented_header(tmp_path):
     columns = table(1)
     path = tmp_path / "arm.txt"
     np.savetxt(path, np.column_stack(list(columns.values())), header=" ".join(columns))
@@ -106,7 +106,7 @@ def test_parquet_and_feather(kind, tmp_path):
         assert read_recording(path).n_samples == N - 1
 
 
-def test_cells_in_quotes_are_numbers(tmp_path):
+def test_quoted_numbers(tmp_path):
     columns = table(1)
     path = tmp_path / "arm.csv"
     with path.open("w", newline="") as file:
@@ -122,7 +122,7 @@ def test_cells_in_quotes_are_numbers(tmp_path):
 
 @pytest.mark.parametrize("pattern", ["{}_{}", "{}[{}]", "{}.{}", "{}({})"])
 @pytest.mark.parametrize("first", [0, 1])
-def test_other_spellings_of_the_numbers(csv, pattern, first):
+def test_spellings_of_joint_numbers(csv, pattern, first):
     columns = table()
     renamed = {"T": columns["t"]}
     for kind in ("q", "tau"):
@@ -165,7 +165,7 @@ def test_other_columns_are_signals(csv):
     np.testing.assert_array_equal(recording.signals["current"], np.arange(N))
 
 
-def test_recording_of_the_described_robot(csv, tmp_path):
+def test_columns_follow_the_joints_of_the_urdf(csv, tmp_path):
     arm = make_robot_recording(duration=1.0, random_state=0)
     columns = {f"q_{name}": x for name, x in zip(arm.joint_names, arm.q.T)}
     columns |= {f"tau_{name}": x for name, x in zip(arm.joint_names, arm.tau.T)}
@@ -174,21 +174,21 @@ def test_recording_of_the_described_robot(csv, tmp_path):
     np.testing.assert_allclose(recording.q, arm.q, atol=1e-9)
     assert recording.joint_names == arm.joint_names
     assert recording.robot_model().nv == 6
-    # Some of the joints, counted, in another order than the model's.
+    # A subset of the joints, numbered in an order unlike the model's.
     last, first = arm.joint_names[4], arm.joint_names[1]
     names = [f"{kind}_{name}" for kind in ("q", "tau") for name in (last, first)]
     path = csv(dict(zip(("q1", "q2", "tau1", "tau2"), map(columns.get, names))))
-    known = {"dt": arm.dt, "urdf": arm.urdf}
-    recording = read_recording(path, **known, joint_names=[last, first])
+    keywords = {"dt": arm.dt, "urdf": arm.urdf}
+    recording = read_recording(path, **keywords, joint_names=[last, first])
     np.testing.assert_allclose(recording.q, arm.q[:, [1, 4]], atol=1e-9)
     assert tuple(recording.robot_model().names)[1:] == (first, last)
     with pytest.raises(ValueError, match=r"2 column\(s\) q for 6 joint"):
-        read_recording(path, **known)
+        read_recording(path, **keywords)
     with pytest.raises(ValueError, match="no movable joint 'nose'"):
-        read_recording(path, **known, joint_names=["nose", last])
+        read_recording(path, **keywords, joint_names=["nose", last])
 
 
-# -- what is refused -------------------------------------------------------------------
+# -- errors ----------------------------------------------------------------------------
 
 
 def drop(name):
@@ -219,7 +219,7 @@ def put(name, row, value):
         (put("t", 7, 0.001), r"time runs backwards to 0\.001 s in line 9"),
     ],
 )
-def test_bad_cells_and_columns_are_named_in_one_line(csv, change, message):
+def test_bad_cells_and_columns_give_one_line_errors(csv, change, message):
     columns = table()
     change(columns)
     assert re.search(message, str(refusal(csv(columns))))
@@ -244,15 +244,15 @@ def test_bad_cells_and_columns_are_named_in_one_line(csv, change, message):
         ("t,q1,tau1,segment\n0,1,2,a\n0,1,2,b\n", "two time stamps or more"),
     ],
 )
-def test_bad_headers_are_named_in_one_line(tmp_path, text, message):
+def test_bad_headers_give_one_line_errors(tmp_path, text, message):
     path = tmp_path / "arm.csv"
     path.write_text(text)
-    said = str(refusal(path))
-    assert said.startswith(f"{path}: ")
-    assert message in said
+    error = str(refusal(path))
+    assert error.startswith(f"{path}: ")
+    assert message in error
 
 
-def test_files_that_are_none(tmp_path):
+def test_unreadable_files_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.csv: no such file"):
         read_recording(tmp_path / "none.csv")
     for name, content, message in (
@@ -287,10 +287,10 @@ def test_contradicting_arguments_are_refused(csv, options, message):
 # -- time ------------------------------------------------------------------------------
 
 
-def test_segments_are_recordings(csv):
+def test_segment_column_separates_recordings(csv):
     columns = table(1)
     columns["segment"] = ["slow"] * 20 + ["fast"] * 25 + ["slow"] * 15
-    columns["t"][20:] -= columns["t"][20]  # the clock starts anew
+    columns["t"][20:] -= columns["t"][20]  # the clock restarts
     recording = read_recording(csv(columns))
     assert recording.group_names == ("slow", "fast", "slow (2)")
     np.testing.assert_array_equal(np.bincount(recording.groups), [20, 25, 15])
@@ -303,17 +303,17 @@ def test_segments_are_recordings(csv):
 
 
 @pytest.mark.parametrize("digits", [3, 4, 6])
-def test_rounded_stamps_are_a_steady_clock(csv, digits):
+def test_rounded_stamps_give_a_regular_clock(csv, digits):
     columns = table(1, n=3000, dt=1 / 300)
     columns["t"] = np.round(columns["t"], digits)
-    recording, said = read(csv(columns))
-    # Milliseconds are too coarse for it, and positions tell.
-    assert ["the sampling was regular" in x for x in said] == [True] * (digits == 3)
+    recording, notes = read(csv(columns))
+    # Stamps rounded to milliseconds are too coarse; the positions decide.
+    assert ["the sampling was regular" in x for x in notes] == [True] * (digits == 3)
     assert recording.dt == pytest.approx(1 / 300, rel=1e-3)
     assert_same(recording, columns, nv=1)
 
 
-def test_missing_samples_are_bridged_and_gaps_are_not(csv):
+def test_single_missing_samples_are_interpolated_and_gaps_split(csv):
     columns = table(1, n=300)
     keep = np.ones(300, dtype=bool)
     keep[[50, 51, 90]] = False  # bridged
@@ -336,7 +336,7 @@ def test_missing_samples_are_bridged_and_gaps_are_not(csv):
     "nothing", ["", "nan", "NaN", "NA", "N/A", "null", "None", "-"]
 )
 @pytest.mark.parametrize("stamped", [True, False])
-def test_rows_that_lack_a_number_are_no_samples(csv, nothing, stamped):
+def test_rows_with_missing_numbers_are_skipped(csv, nothing, stamped):
     columns = table(n=300)
     put("tau2", 40, nothing)(columns)
     put("q1", 90, nothing)(columns)
@@ -349,20 +349,20 @@ def test_rows_that_lack_a_number_are_no_samples(csv, nothing, stamped):
         recording = read_recording(csv(columns), dt=DT)
     assert recording.n_samples == 300
     np.testing.assert_allclose(recording.q[:, 0], full["q1"], atol=1e-5)
-    # A column that lacks more is refused.
+    # A column with many missing values is refused.
     for row in range(100, 180):
         put("tau2", row, nothing)(columns)
     with pytest.raises(ValueError, match="nan or nothing in line"):
         read_recording(csv(columns), dt=DT)
 
 
-def test_rows_of_a_second_source_without_torques_are_left_out(csv):
+def test_rows_of_a_second_source_without_torques_are_skipped(csv):
     columns = table(n=300)
     second = slice(2, None, 3)
     expected = {name: np.delete(x, np.s_[second]) for name, x in columns.items()}
     for j in (1, 2):
         columns[f"tau{j}"][second] = 0.0
-    # Stamps of the first source alone are regular.
+    # Only the stamps of the first source are regular.
     late = 0.4 * DT * (np.arange(300) % 3 == 2)
     columns["t"] = 0.5 * DT * (2 * (np.arange(300) // 3) + np.arange(300) % 3) + late
     expected["t"] = np.delete(columns["t"], np.s_[second])

@@ -1,4 +1,4 @@
-"""Recording: validation, selection, models of single-joint benches."""
+"""Recording: validation, selection, models of single-joint test benches."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_select_keeps_rows_and_renumbers_labels():
 
 
 @pytest.mark.parametrize("entry", ["Fast", 3, -1])
-def test_select_refuses_what_is_not_there(entry):
+def test_select_refuses_unknown_recordings(entry):
     with pytest.raises(
         ValueError, match=r"choose from the names .* or the labels 0 to 2"
     ):
@@ -76,7 +76,7 @@ def test_inconsistent_fields_are_refused_by_name(changes):
     assert "must" in str(caught.value)
 
 
-def test_no_description_gives_a_remedy():
+def test_missing_description_suggests_a_remedy():
     with pytest.raises(FileNotFoundError, match=r"dataclasses\.replace"):
         make_recording().robot_model()
 
@@ -89,7 +89,7 @@ def test_no_description_gives_a_remedy():
         ("bam_xl330", ("servo",), [0.3], [0.49 * 9.81 * 0.1 * np.sin(0.3)]),
     ],
 )
-def test_gravity_of_the_one_joint_models(name, joints, q, gravity):
+def test_gravity_of_the_single_joint_models(name, joints, q, gravity):
     import pinocchio as pin
 
     recording = make_recording(
@@ -114,7 +114,7 @@ def test_double_pendulum_model_has_the_published_dynamics():
     )
     model = recording.robot_model()
     q, a = np.array([0.4, -0.7]), np.array([1.3, 0.6])
-    # Lagrange's equations of the publishers, inertias about the joints.
+    # Published Lagrange equations, with inertias about the joints.
     m1, m2, l1, r1, r2 = 0.5593806151425046, 0.6043459469186889, 0.3, 0.3, 0.18377686083
     i1, i2 = 0.053470810264216295, 0.02392374528789766
     coupling = i2 + m2 * l1 * r2 * np.cos(q[1])

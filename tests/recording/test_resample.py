@@ -23,7 +23,7 @@ def test_cubic_reproduces_a_cubic_and_linear_a_line():
     assert 0 <= (t[-1] - t[0]) - grid[-1] < 0.01
     x = grid + t[0]
     np.testing.assert_allclose(part["q"][:, :2], np.c_[x**3 - x, 2 * x**2])
-    # A joint that stands does not move by rounding.
+    # A constant position stays constant to the last bit.
     assert (part["q"][:, 2] == 0.1038).all()
     np.testing.assert_allclose(part["tau"], np.column_stack([3 * x, 1 - x]))
     np.testing.assert_allclose(part["temperature"], 20 + x)

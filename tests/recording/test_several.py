@@ -1,4 +1,4 @@
-"""Several files of one robot as one recording: what must agree, names."""
+"""Several files of one robot as one recording: names, periods, mismatches."""
 
 import re
 import warnings
@@ -13,55 +13,55 @@ from tests.recording.test_reader import N, table, write
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    """Working folder with the folder runs."""
+def runs_folder(tmp_path, monkeypatch):
+    """Change into a folder that contains the folder runs."""
     monkeypatch.chdir(tmp_path)
     Path("runs").mkdir()
     return tmp_path
 
 
-def motion(phase, **given):
-    """Columns of another motion of the same robot."""
-    columns = table(**given)
+def motion(phase, **options):
+    """Return the columns of another motion of the same robot."""
+    columns = table(**options)
     for j in (1, 2):
         columns[f"q{j}"] = columns[f"q{j}"] + phase * np.sin(5 * columns["t"])
     return columns
 
 
 def files(**tables):
-    """Write a file of the folder runs for each of some tables."""
+    """Write each table to a file in the folder runs."""
     return [str(write(Path(f"runs/{name}.csv"), x)) for name, x in tables.items()]
 
 
-def told(paths, **options):
-    """Read files; the recording, and each warning with whether it is a doubt."""
+def read(paths, **options):
+    """Return the recording and each warning with whether it is a DoubtWarning."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         recording = read_recording(paths, **options)
     return recording, [(str(x.message), x.category is DoubtWarning) for x in caught]
 
 
-def in_segments(columns, *labels):
+def segments(columns, *labels):
     """Label equal parts of a table."""
     return columns | {"segment": np.repeat(labels, len(columns["t"]) // len(labels))}
 
 
-def refused(paths, message, **options):
-    """Return the one line of a refusal, which has a message."""
+def error_of(paths, message, **options):
+    """Return the one line of the error, which must contain the message."""
     with pytest.raises(ValueError, match=re.escape(message)) as error:
         read_recording(paths, **options)
     (line,) = str(error.value).splitlines()
     return line
 
 
-# -- what they are together ------------------------------------------------------------
+# -- names and signals -----------------------------------------------------------------
 
 
-def test_recordings_are_called_after_their_files(here):
+def test_recordings_are_named_after_their_files(runs_folder):
     tables = {"slow": motion(0.1), "fast": motion(0.2)}
     paths = files(**tables)
-    recording, said = told(paths)
-    assert said == []
+    recording, notes = read(paths)
+    assert notes == []
     assert recording.name == "runs"
     assert recording.group_names == ("slow", "fast")
     assert recording.description == "Read from slow.csv, fast.csv."
@@ -72,36 +72,36 @@ def test_recordings_are_called_after_their_files(here):
     assert read_recording(paths[:1]).group_names == ("slow",)
 
 
-def test_recordings_in_a_file_keep_their_own_names(here):
+def test_recordings_in_one_file_keep_their_names(runs_folder):
     gap = motion(0.3, n=3 * N)
     gap = {name: np.delete(column, slice(N, 2 * N)) for name, column in gap.items()}
-    paths = files(two=in_segments(motion(0.1), "up", "down"), one=motion(0.2), gap=gap)
-    recording, said = told(paths)
+    paths = files(two=segments(motion(0.1), "up", "down"), one=motion(0.2), gap=gap)
+    recording, notes = read(paths)
     assert recording.group_names == ("two up", "two down", "one", "gap [1]", "gap [2]")
     assert recording.select("two down").n_samples == N // 2
-    ((message, doubt),) = said
-    assert message.startswith("runs/gap.csv: 1 gap(s) of 5 periods or more")
+    ((note, doubt),) = notes
+    assert note.startswith("runs/gap.csv: 1 gap(s) of 5 periods or more")
     assert doubt
 
 
-def test_signals_are_those_of_all_files(here):
+def test_signals_missing_in_one_file_are_left_out(runs_folder):
     n = np.arange(N)
-    x = {
+    tables = {
         "a": motion(0.1) | {"warm": 1.0 * n, "volt": 2.0 * n, "state": 3.0 * n},
         "b": motion(0.2) | {"warm": 5.0 * n, "state": ["run"] * N, "load": 4.0 * n},
     }
-    recording, said = told(files(**x))
+    recording, notes = read(files(**tables))
     assert list(recording.signals) == ["warm"]
     np.testing.assert_array_equal(recording.signals["warm"], np.r_[n, 5 * n])
     missing = "column(s) volt, state, load are not in all files and are left out."
-    assert (missing, False) in said
+    assert (missing, False) in notes
 
 
 # -- periods ---------------------------------------------------------------------------
 
 
-def sampled(dt, seed=0, n=2000):
-    """Two noisy joints at a sample period; the noise of a torque is 0.1."""
+def noisy(dt, seed=0, n=2000):
+    """Return the columns of two joints with a torque noise of 0.1."""
     t, rng = dt * np.arange(n), np.random.default_rng(seed)
     q = np.sin(np.outer(t, [2.0, 3.0]))
     tau = np.cos(np.outer(t, [2.0, 3.0])) + 0.1 * rng.normal(size=q.shape)
@@ -112,36 +112,36 @@ def sampled(dt, seed=0, n=2000):
     }
 
 
-def test_nearly_the_same_period_is_interpolated(here):
-    paths = files(a=sampled(0.01), b=sampled(0.01, 1), c=sampled(0.010047, 2))
+def test_nearly_equal_periods_are_resampled(runs_folder):
+    paths = files(a=noisy(0.01), b=noisy(0.01, 1), c=noisy(0.010047, 2))
     recording = read_recording(paths)
     assert recording.dt == pytest.approx(0.01)
     part = recording.select("c")
     assert part.n_samples == 2009  # 1999 periods of 10.047 ms
     np.testing.assert_allclose(part.q[:, 0], np.sin(2 * part.t), atol=1e-6)
-    # Interpolated torques have less noise than those that were measured.
+    # Interpolated torques have less noise than measured ones.
     np.testing.assert_allclose(recording.torque_noise, 0.1, rtol=0.1)
     assert read_recording(paths[:2]).torque_noise is None
 
 
-def test_noise_before_interpolation_is_that_of_all_files(here):
-    x = {name: sampled(0.01, seed) for seed, name in enumerate("abc")}
+def test_noise_before_interpolation_is_pooled_over_files(runs_folder):
+    x = {name: noisy(0.01, seed) for seed, name in enumerate("abc")}
     for name, rows in (("b", [500]), ("c", [700, 900])):
         x[name] = {key: np.delete(column, rows) for key, column in x[name].items()}
     x["c"] |= {key: 3 * x["c"][key] for key in ("tau1", "tau2")}
     paths = files(**x)
     alone = [read_recording(path).torque_noise for path in paths[1:]]
-    found = read_recording(paths).torque_noise
-    np.testing.assert_allclose(found, np.sqrt(np.mean(np.square(alone), axis=0)))
+    noise = read_recording(paths).torque_noise
+    np.testing.assert_allclose(noise, np.sqrt(np.mean(np.square(alone), axis=0)))
 
 
-def test_other_periods_are_refused(here):
-    paths = files(a=sampled(0.01), b=sampled(0.01005), c=sampled(0.005))
-    line = refused(paths, "runs/c.csv has a sample period of 0.005 s")
+def test_different_periods_are_refused(runs_folder):
+    paths = files(a=noisy(0.01), b=noisy(0.01005), c=noisy(0.005))
+    line = error_of(paths, "runs/c.csv has a sample period of 0.005 s")
     assert "runs/b.csv one of 0.01005 s: resample" in line
 
 
-# -- what must agree -------------------------------------------------------------------
+# -- mismatches ------------------------------------------------------------------------
 
 
 def without(columns, *names):
@@ -174,12 +174,12 @@ DIFFERENT = {
 
 
 @pytest.mark.parametrize("kind", DIFFERENT)
-def test_files_that_were_not_recorded_alike(kind, here):
+def test_mismatching_files_are_refused(kind, runs_folder):
     first, second, options, message = DIFFERENT[kind]
     paths = files(a=first, b=motion(0.3), odd=second)
     if kind == "units of positions":
         paths = files(a=first, odd=second)
     message = f"runs/a.csv {message.format('runs/odd.csv')}; expected "
-    line = refused(paths, message, **options)
+    line = error_of(paths, message, **options)
     assert line.startswith(message)
     assert "correct one of them" in line

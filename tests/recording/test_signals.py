@@ -1,4 +1,4 @@
-"""Which columns beside the motion may stand for a cause, and why others may not."""
+"""Selection of recorded signals: columns accepted as conditions, and rejections."""
 
 import numpy as np
 import pytest
@@ -30,14 +30,14 @@ NOISE = RNG.normal(size=N)
 WARM = 30 + 10 * np.sin(0.5 * T)
 
 
-def recording(**changed):
+def record(**changed):
     X = changed.pop("X", Q)
-    given = {"dt": DT, "joint_names": ("hip", "knee"), **changed}
-    return take_arrays(X, TAU, GROUPS, **given)
+    keywords = {"dt": DT, "joint_names": ("hip", "knee"), **changed}
+    return take_arrays(X, TAU, GROUPS, **keywords)
 
 
-STATES = recording(X=np.hstack([Q, V, A]))
-MEASURED = recording()
+STATES = record(X=np.hstack([Q, V, A]))
+MEASURED = record()
 CHANNELS = {
     "position of knee": Q[:, 1],
     "velocity of hip": V[:, 0],
@@ -47,25 +47,25 @@ CHANNELS = {
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
-@pytest.mark.parametrize("given", [MEASURED, STATES], ids=["positions", "states"])
-def test_copies_of_channels_are_known(channel, given):
-    said = f"is the {channel} under another name"
-    assert said in fault(CHANNELS[channel], given)
-    assert said in fault(-7e3 * CHANNELS[channel] + 1e4, given)
+@pytest.mark.parametrize("recording", [MEASURED, STATES], ids=["positions", "states"])
+def test_copies_of_channels_are_rejected(channel, recording):
+    message = f"is the {channel} under another name"
+    assert message in fault(CHANNELS[channel], recording)
+    assert message in fault(-7e3 * CHANNELS[channel] + 1e4, recording)
     noisy = CHANNELS[channel] + 0.1 * CHANNELS[channel].std() * NOISE
-    assert said in fault(noisy, given)
+    assert message in fault(noisy, recording)
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
-def test_what_follows_a_channel_is_left_out_where_nobody_asks_for_it(channel):
+def test_correlated_signals_are_rejected_unless_requested(channel):
     values = CHANNELS[channel]
-    half = values + 0.5 * values.std() * np.sin(23 * T)
+    correlated = values + 0.5 * values.std() * np.sin(23 * T)
     if channel.startswith(("velocity", "acceleration")):
-        half = values + 0.5 * values.std() * np.sin(1.1 * T)
-    explained = fault(half, STATES, 0.8)
-    assert f"follows the {channel}" in explained
-    assert "ask for it by name" in explained
-    assert fault(half, STATES) == ""
+        correlated = values + 0.5 * values.std() * np.sin(1.1 * T)
+    message = fault(correlated, STATES, 0.8)
+    assert f"follows the {channel}" in message
+    assert "ask for it by name" in message
+    assert fault(correlated, STATES) == ""
 
 
 SIGNALS = {
@@ -80,9 +80,9 @@ SIGNALS = {
 
 
 @pytest.mark.parametrize("name", SIGNALS)
-@pytest.mark.parametrize("given", [MEASURED, STATES], ids=["positions", "states"])
-def test_conditions_of_a_robot_are_none(name, given):
-    assert fault(SIGNALS[name], given, 0.8) == ""
+@pytest.mark.parametrize("recording", [MEASURED, STATES], ids=["positions", "states"])
+def test_conditions_of_a_robot_are_accepted(name, recording):
+    assert fault(SIGNALS[name], recording, 0.8) == ""
 
 
 @pytest.mark.parametrize(
@@ -99,11 +99,11 @@ def test_conditions_of_a_robot_are_none(name, given):
     ],
     ids=["s", "epoch", "ms", "ns", "min", "rows", "each", "jitter"],
 )
-def test_clocks_are_known(values):
+def test_clocks_are_rejected(values):
     assert fault(np.asarray(values, dtype=float), MEASURED).startswith("is a clock")
 
 
-# -- what is given and what is offered
+# -- requested and offered signals
 
 
 class Uses(OfSignals):
@@ -113,16 +113,16 @@ class Uses(OfSignals):
         self.recorded = recorded
 
 
-def test_what_is_offered_is_taken_or_said():
+def test_offered_signals_are_used_or_reported():
     offered = OfferedSignals(
         label=np.full(N, "a"),
         warm=WARM,
         torque=TAU[:, 0],
         gap=np.where(T > 1, T, np.nan),
     )
-    found, said = scan_signals(None, offered, MEASURED, (Uses(),))
-    assert list(found) == ["warm"]
-    (one,) = said
+    signals, findings = scan_signals(None, offered, MEASURED, (Uses(),))
+    assert list(signals) == ["warm"]
+    (one,) = findings
     names = "Column(s) 'label', 'torque', 'gap' are not used as signals: "
     assert one.message.startswith(names + "'label' holds 'a' and not numbers; 'torque'")
     assert (one.kind, one.joints, one.severity) == ("unusable_signal", (), "note")
@@ -130,8 +130,8 @@ def test_what_is_offered_is_taken_or_said():
     _, (one,) = scan_signals(None, many, MEASURED, (Uses(),))
     assert "'c4' and 25 more are not" in one.message
     assert len(one.message) < 400
-    asked, _ = scan_signals({"tool": SIGNALS["steps"]}, offered, MEASURED, (Uses(),))
-    assert set(asked) == {"tool", "warm"}
+    chosen, _ = scan_signals({"tool": SIGNALS["steps"]}, offered, MEASURED, (Uses(),))
+    assert set(chosen) == {"tool", "warm"}
     one, _ = scan_signals(None, offered, MEASURED, (Uses("warm"),))
     assert list(one) == ["warm"]
     for name in ("label", "gap"):
@@ -146,25 +146,25 @@ def test_what_is_offered_is_taken_or_said():
 # -- data frames and files
 
 
-def test_columns_of_a_frame_are_divided():
+def test_data_frame_columns_are_split_into_positions_and_signals():
     import pandas
 
     names = ("hip", "knee")
     columns = {"q_knee": Q[:, 1], "warm": WARM, "q_hip": Q[:, 0], "t": T}
     X = pandas.DataFrame({**columns, "tau_hip": T, "tau_knee": T, "v_hip": T})
-    found, beside = positions_and_signals(X, names)
-    np.testing.assert_array_equal(found, Q)
-    assert list(beside) == ["warm", "v_hip"]
+    positions, signals = positions_and_signals(X, names)
+    np.testing.assert_array_equal(positions, Q)
+    assert list(signals) == ["warm", "v_hip"]
     states = pandas.DataFrame(
         {f"{kind}{j}": x[:, j] for kind, x in zip("qva", (Q, V, A)) for j in (0, 1)}
     ).assign(warm=WARM)
-    found, beside = positions_and_signals(states, names)
-    assert list(beside) == ["warm"]
-    np.testing.assert_array_equal(found, STATES.states)
+    positions, signals = positions_and_signals(states, names)
+    assert list(signals) == ["warm"]
+    np.testing.assert_array_equal(positions, STATES.states)
 
 
 @pytest.mark.parametrize("kind", ["csv", "npz", "parquet"])
-def test_other_columns_of_a_file_are_signals_by_their_names(kind, tmp_path):
+def test_other_columns_of_a_file_are_named_signals(kind, tmp_path):
     source = tmp_path / f"arm.{kind}"
     columns = {"t": T, "q1": Q[:, 0], "tau1": TAU[:, 0], "a1": A[:, 0], "Temp °C": WARM}
     if kind == "npz":
@@ -177,7 +177,7 @@ def test_other_columns_of_a_file_are_signals_by_their_names(kind, tmp_path):
             frame.to_csv(source, index=False)
         else:
             frame.to_parquet(source)
-    found = read_recording(source)
-    offered = OfferedSignals.from_recording(found)
+    recording = read_recording(source)
+    offered = OfferedSignals.from_recording(recording)
     assert list(offered) == ["Temp °C"]
     np.testing.assert_allclose(offered["Temp °C"], WARM, rtol=1e-9)

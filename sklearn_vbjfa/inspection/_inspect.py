@@ -70,14 +70,14 @@ class Hypothesis:
             value=candidate.value,
             remedy=candidate.remedy,
             rivals=rivals,
-            evidence=evidence,
-            **candidate.facts,
+            **{"evidence": evidence, **candidate.facts},
         )
 
 
 # fmt: off
 TABLE = (
     Hypothesis("position_counts", "error", positions.encoder_counts, when="first"),
+    Hypothesis("commands", "error", positions.misread_commands, when="first"),
     Hypothesis("motion_as_torque", "error", torques.motion_as_torque, when="first"),
     Hypothesis("unsigned_torque", "error", torques.unsigned, when="first"),
     # -- positions and time
@@ -182,6 +182,7 @@ def inspect_as(recording, model, **settings):
         np.asarray(recording.group_names)[recording.groups],
         named=recording.joints_named,
         weight=recording.weight,
+        feedback=recording.feedback,
         **settings,
     )
 
@@ -233,6 +234,7 @@ def inspect_channels(
     bodies="prior",
     named=False,
     weight=None,
+    feedback=None,
 ):
     """Inspect channels that are given as arrays; see `inspect_recording`."""
     # q, tau (n_samples, nv): as in `Recording`; tau may be a motor quantity.
@@ -271,7 +273,7 @@ def inspect_channels(
         rows, parts = subsample(parts, log.every)
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
-    reading = Reading(model, names, q, tau, dt, parts, usable, drive, named)
+    reading = Reading(model, names, q, tau, dt, parts, usable, drive, named, feedback)
     recordings = recording_names(groups, [part.start for part in all_parts])
     is_long = [part.stop - part.start >= number.MIN_SAMPLES for part in all_parts]
     recordings = list(itertools.compress(recordings, is_long))

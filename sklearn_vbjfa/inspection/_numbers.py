@@ -64,6 +64,8 @@ TOO_SLOW, LONG_PERIOD = 0.01, 0.15
 # error of no joint by more than this, or this share of the total fall. Iterations, and
 # step that ends them [samples]; time constants of a low-pass relative to the lag.
 LEAST_LAG, HARM, MOVES, SAMPLE, CONSTANTS = 3.0, 0.125, 8, 0.75, (0.7, 1.0, 1.4)
+# Longest delay of positions against their commands [s].
+LATE_COMMAND = 0.15
 # A contact torque exceeds this many residual standard deviations; least duration (as
 # the denominator of a share of the log), and number of possible ends.
 CONTACT, SHORTEST_CONTACT, CONTACT_ENDS = 3.0, 20, 80

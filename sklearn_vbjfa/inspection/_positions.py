@@ -23,6 +23,7 @@ from sklearn_vbjfa.inspection._reading import (
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.inspection._torques import other_robot
 from sklearn_vbjfa.model import is_prismatic
+from sklearn_vbjfa.recording import listed_joints
 
 # -- order, direction and coupling -----------------------------------------------------
 
@@ -130,6 +131,71 @@ def _fit_shared_torques(reading, change, j, i):
     return robot.fit(columns=torques, deviation=number.WIDE)
 
 
+# -- commands -------------------------------------------------------------------------
+
+# Units of commands of angles, with their symbols and factors to that of the positions.
+_UNITS = ("", "", 1.0), ("degrees", "deg", np.pi / 180), ("turns", "rev", 2 * np.pi)
+
+
+def misread_commands(reading):
+    """Return commands of another unit, order or direction than the positions."""
+    if reading.feedback is None or reading.signals is None:
+        return None
+    joints, own = np.array(reading.every), np.eye(reading.nv, dtype=bool)
+    factors = np.array([np.where(reading.slides, 1.0, x) for *_, x in _UNITS])
+    factors = np.vstack([factors, -factors])
+    loss = np.log(np.maximum(_unexplained(reading, factors), number.LEAST_NOISE))
+    changes = (factors < 0) + 1.0 * (np.abs(factors) != 1)
+    cost = loss + number.CLEAR_OF_JOINT * (changes[:, :, None] + ~own)
+    # Robots may not follow: changed commands must also be far better than none.
+    cost[0][own] = np.minimum(cost[0][own], 0.0)
+    _, order = scipy.optimize.linear_sum_assignment(cost.min(axis=0))
+    best = cost.argmin(axis=0)[joints, order]
+    tracking = loss[:, joints, joints]
+    # Robots that barely follow have the unit of the others if it is far more probable.
+    unit = (best % len(_UNITS)).max()
+    far = tracking[0] - tracking[unit] > number.DECISIVE
+    faults = {
+        "command_unit": far | (best % len(_UNITS) > 0),
+        "swapped_commands": order != joints,
+        "command_sign": factors[best, joints] < 0,
+    }
+    # Beyond the resonance of soft gains, positions oppose right commands.
+    poor = np.ones(reading.nv, dtype=bool)
+    if not reading.is_uninformative():
+        least = 2 * np.log(number.GOOD_FIT)
+        poor[reading.robot.joints] = reading.robot.baseline.loss > least
+    kind = next((x for x, wrong in faults.items() if (wrong & poor).any()), None)
+    if kind is None:
+        return None
+    moved = np.flatnonzero(faults[kind])
+    fall = np.exp((tracking[0] - loss[best, joints, order])[moved].mean())
+    facts = {
+        "evidence": f"squared tracking errors fall by the factor {fall:.3g}",
+        "what": "commands (q_desired)",
+        "held": listed_joints(reading.names, order[moved]),
+        "unit": _UNITS[unit][0],
+        "given": unit_remedy(reading, "q_desired", _UNITS[unit][1], moved),
+    }
+    joints = tuple(moved.tolist())
+    return Proposal(joints=joints, log_odds=np.inf, kind=kind, facts=facts)
+
+
+def _unexplained(reading, factors):
+    """Share of each position's variance that each command leaves, (m, nv, nv)."""
+    # factors (m, nv): of all commands, for each position.
+    (kp, kd), signals = reading.feedback, reading.signals
+    q, v, _ = np.split(signals.states, 3, axis=1)
+    command = q + (signals.tau + kd * v) / np.where(kp > 0, kp, np.inf)
+    error = factors[:, None, :, None] * command[:, None] - q[:, :, None]
+    error -= error.mean(axis=1, keepdims=True)
+    # Positions follow late, to first order by their speed times the delay.
+    v, variance = v[:, :, None], np.maximum(q.var(axis=0), 1e-300)[:, None]
+    late = (error * v).mean(axis=1) / np.maximum((v**2).mean(axis=0), 1e-300)
+    error -= np.clip(late, 0.0, number.LATE_COMMAND)[:, None] * v
+    return (error**2).mean(axis=1) / variance
+
+
 # -- zeros -----------------------------------------------------------------------------
 
 
@@ -222,11 +288,7 @@ def units(reading):
         if match is None:
             continue
         j = max(match.joints, key=lambda k: np.ptp(q[:, k]))
-        all_revolute = len(match.joints) == np.count_nonzero(revolute)
-        column = "q_{joint}" if reading.named else "q{i}"
-        remedy = f'give columns="q={column} [{symbol}]" with the names of your columns'
-        if reading.alone or not all_revolute:
-            remedy = f"add the unit to their names in the header: 'q{j + 1} [{symbol}]'"
+        remedy = unit_remedy(reading, "q", symbol, match.joints)
         facts = {"unit": unit, "given": remedy}
         facts |= {"name": reading.names[j], "low": q[:, j].min(), "high": q[:, j].max()}
         matches.append(replace(match, log_odds=match.log_odds + extra, facts=facts))
@@ -234,6 +296,16 @@ def units(reading):
     if best is None or best.log_odds + number.PRIOR < number.DECISIVE:
         return best
     return _with_ratios(reading, best)
+
+
+def unit_remedy(reading, channel, symbol, joints):
+    """Return how to give the unit of a channel of some joints."""
+    same_kind = reading.slides == reading.slides[joints[0]]
+    if reading.alone or len(joints) < np.count_nonzero(same_kind):
+        name = f"{channel}{joints[0] + 1} [{symbol}]"
+        return f"add the unit to their names in the header: {name!r}"
+    column = f"{channel}={channel}" + ("_{joint}" if reading.named else "{i}")
+    return f'give columns="{column} [{symbol}]" with the names of your columns'
 
 
 def _with_ratios(reading, best):

@@ -227,6 +227,7 @@ class Reading:
     usable: np.ndarray  # (n, nv): samples without known faults
     drive: object = None  # drive that generated the torques; None if measured
     named: bool = False  # whether columns carry the joints' names
+    feedback: np.ndarray | None = None  # as in `Recording`
     alone: bool = False  # whether it is one of several recordings
 
     def __post_init__(self):

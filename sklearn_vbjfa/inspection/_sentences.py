@@ -99,6 +99,11 @@ SENTENCES = {
     "model ({evidence}). Multiply position and torque by -1, or turn the axis.",
     "position_sign": "The position of {who} has the wrong sign ({evidence}). Multiply "
     "it by -1.",
+    "command_unit": "The {what} of {who} are in {unit} ({evidence}). Convert them, or "
+    "{given}.",
+    "command_sign": "The {what} of {who} have the wrong sign ({evidence}). Multiply "
+    "them by -1.",
+    "swapped_commands": _SWAPPED,
     "coupled_position": "The position of {name} contains that of {other}, as of "
     "coupled axes ({evidence}). Replace it by that of {name} {minus} that of {other}"
     "{also}.",
@@ -133,7 +138,8 @@ SENTENCES = {
     "masses require: {units}. Multiply it by the factor to N m or the gear ratio "
     "(about {ratio:.3g} would fit).",
     "gear_factor:commanded": "The commanded torques are {factor:.2g} times those of "
-    "the described robot: check {numbers}.",
+    "the described robot: check kp [N m/rad] and kd [N m s/rad] (not per degree, nor "
+    "in units of the firmware), and the unit of the positions.",
     "other_robot": "The torques are {size:.2g} times the described ones (median) and "
     "{share} of them is not explained: wrong description, or another unit.",
     "silent_torque": "The torque of {who} does not follow the motion and is {size:.2g} "

@@ -130,7 +130,6 @@ def common_scale(reading):
     facts = {"factor": factor, "low": low, "high": high, "gain": 1 / factor}
     facts["inside"] = f" ({units} would be inside)" if units else ""
     facts["unknown"] = ', or gains="unknown"' if reading.nv > 1 else ""
-    facts["numbers"] = reading.drive.numbers if reading.commanded else ""
     return Proposal(
         change=Change(torques=times(reading.nv, 1 / factor)),
         joints=reading.every,

@@ -170,11 +170,6 @@ class PDDrive(Drive):
     channel = "q_desired"
     uses_positions = True
     extra_channels = COMMANDS[1:]
-    # parameters to check if the order of magnitude of the torques is wrong
-    numbers = (
-        "kp [N m/rad] and kd [N m s/rad] (not per degree, nor in units of the "
-        "firmware), and the unit of the positions"
-    )
 
     def __init__(self, kp=None, kd=None, *, delay="auto", saturation=None, period=None):
         self.kp = kp
@@ -311,12 +306,6 @@ class CurrentDrive(Drive):
         Whether currents are signed. False for magnitudes, as some drives log them: the
         sign is then that of the modelled torque, or, where this is near zero, both
         signs weighted by their probability.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.robot import CurrentDrive
-    >>> CurrentDrive(torque_constant=5.0)
-    CurrentDrive(torque_constant=5.0)
     """
 
     channel = "current"
@@ -355,12 +344,6 @@ class VoltageDrive(Drive):
     ----------
     .. [1] M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for
        the physics simulation of servo actuators", ICRA 2025.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.robot import VoltageDrive
-    >>> VoltageDrive(supply=7.4)
-    VoltageDrive(supply=7.4)
     """
 
     channel = "voltage"

@@ -108,6 +108,29 @@ def test_positions_are_simulated_from_commands_alone(run, told):
     assert "kd is missing: give kd=" in err
 
 
+# What was done to the commands of both joints, and the message about it.
+MISREAD = {
+    "degrees": (np.degrees, "(q_desired) of all joints are in degrees"),
+    "sign": (lambda aim: aim * [1, -1], "(q_desired) of elbow have the wrong sign"),
+    "order": (lambda aim: aim[:, ::-1], "of all joints appear to be swapped"),
+}
+
+
+@pytest.mark.parametrize("fault", MISREAD)
+def test_commands_that_positions_do_not_follow_are_refused(fault, run, told):
+    misread, message = MISREAD[fault]
+    names = "q_desired_shoulder", "q_desired_elbow"
+    aims = misread(np.column_stack([told[name] for name in names])).T
+    columns = dict(zip(names, aims))
+    code, out, err = run("identify", *FEW, **columns)
+    assert (code, out) == (2, "")
+    assert message in err
+    if fault == "degrees":
+        option = re.search("--columns '(.*?)'", err)[1]
+        code, _, err = run("inspect", "--columns", option, **columns)
+        assert code == 0, err
+
+
 # -- currents and voltages -------------------------------------------------------------
 
 CONSTANTS = {"shoulder": 4.0, "elbow": 2.5}

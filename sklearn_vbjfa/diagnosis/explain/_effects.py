@@ -51,6 +51,13 @@ class DiscoveredEffect:
         most = _POSSIBLE if self.warning else 1.0
         return min(self.evidence.probability, most)
 
+    @property
+    def is_determined(self):
+        """Whether the interval of a force, torque or stiffness, if any, omits zero."""
+        # Correlated size and shape parameters do not put the torque itself in question.
+        ends = [x for k, x in self.intervals.items() if "N" in self.units.get(k, "")]
+        return not ends or any(low > 0 or high < 0 for low, high in ends)
+
 
 def discovered_effects(search, final, names, prismatic):
     """Yield each `DiscoveredEffect`, with the values of the final fit."""

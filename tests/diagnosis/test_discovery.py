@@ -1,4 +1,4 @@
-"""The whole loop on small recordings whose missing effects are known."""
+"""EffectDiscovery on small recordings with known missing effects."""
 
 import pickle
 
@@ -32,7 +32,7 @@ def quadratic(size):
 
 
 def lugre(r, joint=1, force=1.2, displacement=0.02):
-    """Bristles integrated in time, with a steady state of constant force."""
+    """Integrate the LuGre bristle model with constant friction force."""
     fine = np.linspace(r.t[0], r.t[-1], 40 * (r.t.size - 1) + 1)
     speed, z = np.interp(fine, r.t, r.v[:, joint]), np.zeros(fine.size)
     half = 0.5 * (fine[1] - fine[0])
@@ -46,8 +46,8 @@ def lugre(r, joint=1, force=1.2, displacement=0.02):
 
 
 @pytest.mark.parametrize("encoder", one_in(2, [3e-4, 3e-3]))
-def test_noise_of_the_positions_makes_no_names(encoder):
-    """Up to 150 times that of the other recordings: what it takes from the columns."""
+def test_encoder_noise_causes_no_false_positives(encoder):
+    """Encoder noise up to 150 times that of the other recordings."""
     noisy = record("ZY", seed=0, duration=30.0, encoder=encoder)
     library = ["load_friction", "viscous_quadratic", "jerk", "elastic", *PLAIN]
     assert noisy.discover(noisy.torque(), library).effects_ == ()
@@ -55,8 +55,8 @@ def test_noise_of_the_positions_makes_no_names(encoder):
     assert named(noisy.discover(with_spring, library)) == [("spring", 0)]
 
 
-def unlike(name):
-    """Torque of an effect by code of its own: joint -> torque, true parameters."""
+def torque_and_truth(name):
+    """Return an independent implementation by joint, and the true parameters."""
     return {
         "spring": ({"joint_1": spring(4.0, -1.0)}, {"k": 4.0, "q0": 0.25}),
         "ripple": (
@@ -103,11 +103,11 @@ def unlike(name):
         ("load_friction", ["coulomb", "stribeck"]),
     ],
 )
-def test_one_effect_is_found_where_it_is_with_its_parameters(name, rivals):
-    added, truth = unlike(name)
-    torque = ARM.torque(**added)
+def test_an_effect_is_found_with_joint_and_parameters(name, rivals):
+    torques, truth = torque_and_truth(name)
+    torque = ARM.torque(**torques)
     loop = ARM.discover(torque, [*rivals, name])
-    joint = int(next(iter(added))[-1]) - 1
+    joint = int(next(iter(torques))[-1]) - 1
     assert (name, joint) in named(loop)
     (effect,) = [e for e in loop.effects_ if (e.name, e.joint) == (name, joint)]
     for key, value in truth.items():
@@ -129,24 +129,24 @@ def test_two_effects_on_two_joints():
     assert loop.unexplained_ == ()
 
 
-def test_no_false_alarm(complete):
+def test_no_false_positives(complete):
     assert complete.effects_ == complete.unexplained_ == ()
     assert complete.validation_model_ is complete.baseline_
     assert_array_equal(complete.error_after_, complete.error_plain_)
     errors = complete.report_.outcome.errors
-    low, high = np.transpose([one.intervals["after"] for one in errors])
+    low, high = np.transpose([x.intervals["after"] for x in errors])
     assert np.all((low < complete.error_after_) & (complete.error_after_ < high))
     assert "cost" not in str(complete.report_)
 
 
 @pytest.mark.slow
-def test_no_false_alarm_with_the_whole_library_on_three_joints():
+def test_no_false_positives_of_the_whole_library():
     recording = record("ZYX", seed=6, duration=20.0)
     loop = recording.discover(recording.torque())
     assert loop.effects_ == ()
 
 
-def test_a_slider_has_its_own_units():
+def test_units_of_prismatic_joints():
     recording = record("zY", seed=0, size=0.4)
     torque = recording.torque(joint_1=spring(20.0))
     loop = recording.discover(torque, ["viscous_quadratic", "spring", "ripple"])
@@ -157,10 +157,10 @@ def test_a_slider_has_its_own_units():
     assert effect.joint_name == "joint_1"
 
 
-# -- what is written down
+# -- attributes
 
 
-def test_effects_carry_what_is_needed(springy):
+def test_attributes_of_discovered_effects(springy):
     (effect,) = springy.effects_
     assert (effect.name, effect.joint, effect.joint_name) == ("spring", 0, "joint_1")
     assert effect.units == {"k": "N m/rad", "q0": "rad"}
@@ -183,68 +183,68 @@ def test_effects_carry_what_is_needed(springy):
 
 
 def split_of(robot, position, torque=None, share=0.25):
-    """Return a recording and how it is split into searched and held-out rows."""
+    """Return a recording and its split into searched and held-out rows."""
     names = [f"joint_{k}" for k in range(position.shape[1])]
     torque = position if torque is None else torque
-    whole = take_arrays(position, torque, None, dt=robot.dt, joint_names=names)
-    return whole, split_in_time(robot, whole, share)
+    recording = take_arrays(position, torque, None, dt=robot.dt, joint_names=names)
+    return recording, split_in_time(robot, recording, share)
 
 
 def held_out(split):
-    """Rows of all held-out stretches."""
+    """Return the rows of all held-out segments."""
     return np.r_[split.stretches]
 
 
-def test_the_error_is_that_of_the_untouched_part(springy):
-    whole, split = split_of(ARM.robot(), ARM.position, GOOD)
-    search = split.searched(whole)
-    again = ARM.robot().fit(search.q, search.tau, groups=search.groups)
-    assert_allclose(again.theta_, springy.declared_.theta_, rtol=1e-9)
+def test_errors_are_computed_on_held_out_data(springy):
+    recording, split = split_of(ARM.robot(), ARM.position, GOOD)
+    search = split.searched(recording)
+    refitted = ARM.robot().fit(search.q, search.tau, groups=search.groups)
+    assert_allclose(refitted.theta_, springy.declared_.theta_, rtol=1e-9)
     guard = springy.report_.outcome.provenance["settings"]["guard_seconds"]
-    rest = split.with_guard(round(guard / ARM.robot().dt))
-    assert 0 < held_out(rest).size <= held_out(split).size
-    rest = rest.held_out(whole)
+    test = split.with_guard(round(guard / ARM.robot().dt))
+    assert 0 < held_out(test).size <= held_out(split).size
+    test = test.held_out(recording)
     weight = []
     for model, error in (
         (springy.declared_, springy.error_before_),
         (springy.validation_model_, springy.error_after_),
     ):
-        found = model.residuals(rest.q, rest.tau, groups=rest.groups)
-        assert_allclose(found.rms(), error * springy.torque_std_, rtol=1e-9)
-        weight.append(found.weight)
-    # The joints hardly ever rest.
-    total = weight[0].shape[0] * np.diff(found.index[:2])[0] * ARM.robot().dt
+        residuals = model.residuals(test.q, test.tau, groups=test.groups)
+        assert_allclose(residuals.rms(), error * springy.torque_std_, rtol=1e-9)
+        weight.append(residuals.weight)
+    # The joints move most of the time.
+    total = weight[0].shape[0] * np.diff(residuals.index[:2])[0] * ARM.robot().dt
     seconds = springy.report_.outcome.column("seconds")
     assert np.all((seconds > 0.7 * total) & (seconds <= total))
 
 
-def test_the_spread_is_that_of_the_whole_recording(springy):
-    """Of all moving time, so that a quiet end cannot make a small error large."""
+def test_torque_std_uses_the_whole_recording(springy):
+    """A quiet held-out part must not make a small error large."""
     whole = springy.declared_.residuals(ARM.position, GOOD)
     moving = np.array([x[w > 0].std() for x, w in zip(whole.torque.T, whole.weight.T)])
     assert_allclose(springy.torque_std_, moving, rtol=0.1)
 
 
-def test_the_model_that_is_handed_over_knows_all_data(springy):
+def test_the_identifier_is_fitted_to_all_data(springy):
     (effect,) = springy.effects_
-    again = ARM.robot(
+    refitted = ARM.robot(
         effects=(effect.effect,),
         friction=springy.baseline_.features_.friction_,
         cutoff=springy.validation_model_.cutoff_,
         options=FitOptions(standstill=springy.validation_model_.standstill_),
     ).fit(ARM.position, GOOD)
-    assert_allclose(again.theta_, springy.identifier_.theta_, rtol=1e-9)
+    assert_allclose(refitted.theta_, springy.identifier_.theta_, rtol=1e-9)
     assert not np.allclose(
         springy.validation_model_.theta_, springy.identifier_.theta_, rtol=1e-6
     )
-    more, less = springy.identifier_.theta_std_, springy.validation_model_.theta_std_
-    known = np.isfinite(less)
-    assert known.any()
-    assert np.all(more[known] < 1.2 * less[known])
+    all_, part = springy.identifier_.theta_std_, springy.validation_model_.theta_std_
+    finite = np.isfinite(part)
+    assert finite.any()
+    assert np.all(all_[finite] < 1.2 * part[finite])
     assert "fitted to all data" in text_of(springy.report_)
 
 
-def test_prediction_is_that_of_the_completed_model(springy):
+def test_prediction_uses_the_completed_model(springy):
     predicted = springy.predict(ARM.position)
     assert_array_equal(predicted, springy.identifier_.predict(ARM.position))
     truth = ARM.load + [0.8, 0.5] * ARM.v
@@ -257,7 +257,7 @@ def test_prediction_is_that_of_the_completed_model(springy):
 # -- the held-out part
 
 
-def test_the_search_does_not_touch_the_untouched_part(springy):
+def test_the_search_ignores_held_out_data(springy):
     rows = held_out(split_of(ARM.robot(), ARM.position)[1])
     other = GOOD.copy()
     other[rows] += 3 * np.random.default_rng(0).normal(size=(rows.size, 2))
@@ -272,8 +272,8 @@ def test_the_search_does_not_touch_the_untouched_part(springy):
 # -- recordings
 
 
-def test_time_stamps_set_the_clock():
-    added, _ = unlike("drift")
+def test_effects_of_time_use_the_time_stamps():
+    added, _ = torque_and_truth("drift")
     torque = ARM.torque(**added)
     loop = ARM.discover(torque, ["coulomb", "drift"], t=ARM.t + 4.0)
     assert named(loop) == [("drift", 1)]
@@ -285,10 +285,10 @@ def test_time_stamps_set_the_clock():
     )
 
 
-# -- what is looked for
+# -- searched effects
 
 
-def test_no_effects_are_wanted():
+def test_max_effects_zero_adds_no_effects():
     torque = ARM.torque(joint_2=quadratic(0.4), joint_1=spring(4.0, 1.0))
     loop = ARM.discover(torque, [*PLAIN, "viscous_quadratic"], max_effects=0)
     assert loop.effects_ == ()
@@ -296,7 +296,7 @@ def test_no_effects_are_wanted():
     assert_array_equal(loop.error_after_, loop.error_plain_)
 
 
-def test_an_effect_of_ones_own():
+def test_a_custom_effect_is_found():
     torque = ARM.torque(joint_2=lambda r: 3 * r.q[:, 1] ** 3)
     loop = ARM.discover(torque, [*PLAIN, Cubic])
     assert ("cubic", 1) in named(loop)
@@ -306,18 +306,18 @@ def test_an_effect_of_ones_own():
     report = loop.report_
     for text in (str(report), text_of(report)):
         assert "stiffening cable" in text
-        # Names are for code, and for the parameters as files have them.
-        told = text.split("Identified parameters")[0].split("Searched for")[0]
-        assert "cubic" not in told
+        # Class names appear only in the lists of parameters and settings.
+        shown = text.split("Identified parameters")[0].split("Searched for")[0]
+        assert "cubic" not in shown
     assert effect.name in {e["name"] for e in report.to_dict()["effects"]}
 
 
-def test_declared_effects_stay():
+def test_declared_effects_are_kept():
     torque = ARM.torque(joint_2=coulomb(1.0), joint_1=spring(4.0, 1.0))
     robot = ARM.robot(effects=(effects.Coulomb(1),))
     loop = ARM.discover(torque, PLAIN, robot=robot)
     assert named(loop) == [("spring", 0)]
-    # The plain term is on every joint now, and once.
+    # The term is declared on every joint, and only once.
     assert [e.name for e in loop.declared_.effects_] == ["coulomb"]
     assert [e.name for e in loop.identifier_.effects_] == ["spring"]
     values = dict(zip(loop.identifier_.parameter_names_, loop.identifier_.theta_))
@@ -326,36 +326,36 @@ def test_declared_effects_stay():
     assert loop.effects_[0].parameters["k"] == pytest.approx(4.0, rel=0.05)
 
 
-def test_other_regressors_close_the_loop_as_well():
+def test_other_regressors_are_supported():
     robot = ARM.robot(regressor=LinearRegression(), projector=None)
     loop = ARM.discover(GOOD, PLAIN, robot=robot)
     assert named(loop) == [("spring", 0)]
 
 
-# -- what cannot be found
+# -- identifiability and unexplained torque
 
 
-def test_plain_terms_that_the_bodies_hold_as_well_are_not_known_alone(springy):
-    """The first rotor turns with its link; only their sum is felt."""
-    known = dict(
+def test_identifiable_flags_of_friction_terms(springy):
+    """Only the sum of rotor and link inertia of the first joint is identifiable."""
+    flags = dict(
         zip(springy.identifier_.parameter_names_, springy.identifier_.identifiable_)
     )
-    assert not known["joint_1:rotor_inertia"]
+    assert not flags["joint_1:rotor_inertia"]
     for name in ("joint_1:coulomb", "joint_2:coulomb", "joint_2:offset"):
-        assert known[name], name
-    # The spring has a constant of its own.
-    assert not known["joint_1:offset"]
-    assert known["joint_1:spring:c"]
-    # A slider's weight is an offset.
+        assert flags[name], name
+    # The constant term of the spring replaces the offset.
+    assert not flags["joint_1:offset"]
+    assert flags["joint_1:spring:c"]
+    # The weight of a vertical prismatic joint equals an offset.
     recording = record("zY", seed=0, size=0.4)
     loop = recording.discover(recording.torque(), ["spring"], max_effects=0)
-    known = dict(zip(loop.baseline_.parameter_names_, loop.baseline_.identifiable_))
-    assert not known["joint_1:offset"]
-    assert known["joint_2:offset"]
+    flags = dict(zip(loop.baseline_.parameter_names_, loop.baseline_.identifiable_))
+    assert not flags["joint_1:offset"]
+    assert flags["joint_2:offset"]
 
 
-def test_what_a_recording_does_not_excite_is_told_apart():
-    """A joint that hardly moves shows little, which another motion would."""
+def test_unexcited_effects_are_reported():
+    """A joint that hardly moves needs another motion."""
     recording = record("ZY", seed=0, size=0.02, noise=0.002, encoder=1e-7)
     loop = recording.discover(recording.torque(), ["counterbalance", "offset"])
     hidden = {(h.name, h.joint): h for h in loop.not_identifiable_}
@@ -364,7 +364,7 @@ def test_what_a_recording_does_not_excite_is_told_apart():
     assert hidden["counterbalance", 1].joint_name == "joint_2"
 
 
-def test_what_an_accepted_effect_holds_is_not_hidden(springy):
+def test_terms_of_accepted_effects_are_not_reported_as_hidden(springy):
     assert ("offset", 0) not in {(h.name, h.joint) for h in springy.not_identifiable_}
 
 
@@ -375,30 +375,30 @@ OUTSIDE = {
 
 
 @pytest.mark.parametrize("kind", OUTSIDE)
-def test_what_the_library_does_not_have_is_unexplained(kind):
-    added = OUTSIDE[kind]
-    joint = int(next(iter(added))[-1]) - 1
-    likely = ["coulomb", "spring", "load_friction", "coupling", "drift"]
-    loop = ARM.discover(ARM.torque(**added), likely)
+def test_torques_outside_the_library_are_unexplained(kind):
+    torques = OUTSIDE[kind]
+    joint = int(next(iter(torques))[-1]) - 1
+    library = ["coulomb", "spring", "load_friction", "coupling", "drift"]
+    loop = ARM.discover(ARM.torque(**torques), library)
     assert loop.effects_ == ()
-    (rest,) = loop.unexplained_
-    assert rest.joint == joint
-    assert rest.joint_name == f"joint_{joint + 1}"
-    assert not rest.floor > 0.3 * rest.rms
-    # What is no noise may hide it.
-    assert np.isnan(rest.floor) or rest.rms > 3 * rest.floor
-    # On the held-out part, where the floor is a small part of it.
-    assert rest.of_torque == pytest.approx(loop.error_after_[joint], rel=0.1)
+    (residual,) = loop.unexplained_
+    assert residual.joint == joint
+    assert residual.joint_name == f"joint_{joint + 1}"
+    assert not residual.floor > 0.3 * residual.rms
+    # The noise floor may be undefined.
+    assert np.isnan(residual.floor) or residual.rms > 3 * residual.floor
+    # Relative to the torque, as the error on held-out data.
+    assert residual.of_torque == pytest.approx(loop.error_after_[joint], rel=0.1)
 
 
-def test_unexplained_names_the_signal_that_it_varies_with():
+def test_unexplained_torque_names_the_dependent_signal():
     torque = ARM.torque(joint_1=lambda r: 1.5 * np.cos(6 * r.q[:, 1]))
     loop = ARM.discover(torque, ["coulomb"])
     assert loop.effects_ == ()
-    (rest,) = loop.unexplained_
-    assert rest.joint == 0
-    assert rest.signals[0].signal == "position of joint_2"
-    assert rest.signals[0].share > 0.3
+    (residual,) = loop.unexplained_
+    assert residual.joint == 0
+    assert residual.signals[0].signal == "position of joint_2"
+    assert residual.signals[0].share > 0.3
 
 
 def test_friction_that_depends_on_another_joint_is_no_delay():
@@ -412,26 +412,26 @@ def test_friction_that_depends_on_another_joint_is_no_delay():
 # -- scikit-learn
 
 
-def test_pickled_and_fitted_again(springy):
-    again = pickle.loads(pickle.dumps(springy))
-    assert named(again) == named(springy) == [("spring", 0)]
-    assert_array_equal(again.predict(ARM.position), springy.predict(ARM.position))
-    assert str(again.report_) == str(springy.report_)
-    again.fit(ARM.position, ARM.torque(joint_2=lambda r: 4.0 * r.q[:, 1]))
-    assert named(again) == [("spring", 1)]
+def test_a_pickled_discovery_can_be_refitted(springy):
+    copied = pickle.loads(pickle.dumps(springy))
+    assert named(copied) == named(springy) == [("spring", 0)]
+    assert_array_equal(copied.predict(ARM.position), springy.predict(ARM.position))
+    assert str(copied.report_) == str(springy.report_)
+    copied.fit(ARM.position, ARM.torque(joint_2=lambda r: 4.0 * r.q[:, 1]))
+    assert named(copied) == [("spring", 1)]
 
 
-# -- what is refused
+# -- rejected input
 
 
-def refused(message, robot=None, X=ARM.position, y=GOOD, t=None, groups=None, **given):
-    loop = EffectDiscovery(ARM.robot() if robot is None else robot, **given)
+def rejected(message, robot=None, X=ARM.position, y=GOOD, t=None, groups=None, **extra):
+    search = EffectDiscovery(ARM.robot() if robot is None else robot, **extra)
     with pytest.raises(ValueError, match=message):
-        loop.fit(X, y, t=t, groups=groups)
+        search.fit(X, y, t=t, groups=groups)
 
 
 @pytest.mark.parametrize(
-    ("message", "given"),
+    ("message", "options"),
     [
         ("Unknown effect 'stiction'; expected one of visc", {"effects": ["stiction"]}),
         ("effects names coulomb twice", {"effects": ["coulomb", "coulomb"]}),
@@ -450,12 +450,12 @@ def refused(message, robot=None, X=ARM.position, y=GOOD, t=None, groups=None, **
         ),
     ],
 )
-def test_other_settings_are_refused(message, given):
-    refused(message, **given)
+def test_invalid_settings_are_rejected(message, options):
+    rejected(message, **options)
 
 
 @pytest.mark.parametrize(
-    ("message", "given"),
+    ("message", "options"),
     [
         ("torque of joint_2 has the wrong sign", {"y": GOOD * [1, -1]}),
         ("y must have 2 column", {"y": GOOD[:, :1]}),
@@ -467,11 +467,11 @@ def test_other_settings_are_refused(message, given):
         ("short|too little|at least", {"X": ARM.position[:20], "y": GOOD[:20]}),
     ],
 )
-def test_wrong_recordings_are_refused(message, given):
-    refused(message, **given)
+def test_invalid_recordings_are_rejected(message, options):
+    rejected(message, **options)
 
 
-def test_an_unfitted_loop_says_so():
+def test_predict_requires_fit():
     with pytest.raises(ValueError, match="not fitted"):
         EffectDiscovery(ARM.robot()).predict(ARM.position)
 
@@ -480,33 +480,33 @@ def test_an_unfitted_loop_says_so():
 
 
 @pytest.mark.slow
-def test_channels_that_a_drive_has_not_are_not_looked_for():
-    """Torques that lag: a lag of their channel, which only measured ones have."""
-    told = drives.told(duration=20.0)
+def test_channel_effects_are_not_searched_for_drive_torques():
+    """A channel lag is searched for measured torques, not for torques of a drive."""
+    motion = drives.told(duration=20.0)
     rng = np.random.default_rng(0)
-    jerk = np.gradient(told.states[:, 6:], drives.DT, axis=0)
-    more = -2e-3 * jerk * [0.0, 1.0, 0.0] + 0.05 * rng.standard_normal(jerk.shape)
-    told.signals["q_desired"] += more / drives.KP
+    jerk = np.gradient(motion.states[:, 6:], drives.DT, axis=0)
+    extra = -2e-3 * jerk * [0.0, 1.0, 0.0] + 0.05 * rng.standard_normal(jerk.shape)
+    motion.signals["q_desired"] += extra / drives.KP
     drive = drives.PDDrive(drives.KP, drives.KD, delay=0.0)
-    recording = drive.driven(told)
+    recording = drive.driven(motion)
     robot = RobotIdentifier(drives.ARM, dt=drives.DT)
-    asked = {"effects": ["jerk", "torque_filter", "delay"]}
-    measured = EffectDiscovery(robot, **asked).fit(recording.states, recording.tau)
-    assert [one.joint for one in measured.effects_] == [1]
-    made = EffectDiscovery(clone(robot).set_params(drive=drive), **asked)
+    options = {"effects": ["jerk", "torque_filter", "delay"]}
+    measured = EffectDiscovery(robot, **options).fit(recording.states, recording.tau)
+    assert [x.joint for x in measured.effects_] == [1]
+    by_drive = EffectDiscovery(clone(robot).set_params(drive=drive), **options)
     left_out = r"Not available with PDDrive: jerk \(.*; torque_filter \("
     with pytest.warns(UserWarning, match=left_out):
-        made.fit_recording(recording)
-    assert made.effects_ + made.possible_ == ()
-    assert max(made.unexplained_, key=lambda one: one.rms).joint == 1
+        by_drive.fit_recording(recording)
+    assert by_drive.effects_ + by_drive.possible_ == ()
+    assert max(by_drive.unexplained_, key=lambda x: x.rms).joint == 1
 
 
-def test_a_doubtful_channel_is_a_warning():
-    made = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
-    tau = made.tau * np.where(np.arange(6) == 3, 1000.0, 1.0)
-    search = EffectDiscovery(RobotIdentifier(made.urdf, dt=made.dt), effects=[])
+def test_a_doubtful_channel_raises_a_warning():
+    arm = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
+    tau = arm.tau * np.where(np.arange(6) == 3, 1000.0, 1.0)
+    search = EffectDiscovery(RobotIdentifier(arm.urdf, dt=arm.dt), effects=[])
     with pytest.warns(DoubtWarning, match="joint_4"):
-        search.fit(made.q, tau)
-    assert [one.kind for one in search.report_.outcome.findings["channels"]] == [
+        search.fit(arm.q, tau)
+    assert [x.kind for x in search.report_.outcome.findings["channels"]] == [
         "gear_factor"
     ]

@@ -18,8 +18,8 @@ def fixture_pyplot():
     pyplot.close("all")
 
 
-# Positions and torques of a recording, and a search in it.
-GIVEN = SPRINGY.position, SPRINGY.torque
+# Positions and torques of the searched recording.
+DATA = SPRINGY.position, SPRINGY.torque
 
 
 def make_display(kind=TorqueDisplay, **changes):
@@ -36,31 +36,31 @@ def make_display(kind=TorqueDisplay, **changes):
 
 
 @pytest.mark.parametrize("kind", [ResidualDisplay, TorqueDisplay])
-def test_a_discovery_shows_before_and_after(kind, springy, pyplot):
-    display = kind.from_estimator(springy, *GIVEN, joints=[1, 0]).plot()
+def test_displays_show_before_and_after(kind, springy, pyplot):
+    display = kind.from_estimator(springy, *DATA, joints=[1, 0]).plot()
     assert display.joint_names == ("joint_2", "joint_1")
-    found = [m.residuals(*GIVEN) for m in (springy.declared_, springy.identifier_)]
-    expected = [(r.predicted, r.residual) for r in found]
+    results = [m.residuals(*DATA) for m in (springy.declared_, springy.identifier_)]
+    expected = [(r.predicted, r.residual) for r in results]
     if kind is TorqueDisplay:
-        time = found[0].index * springy.identifier.dt
-        torques = (found[0].torque, *(r.predicted for r in found))
+        time = results[0].index * springy.identifier.dt
+        torques = (results[0].torque, *(r.predicted for r in results))
         expected = [(time[:, None] + 0.0 * x, x) for x in torques]
     shown = [line.get_data() for line in display.lines_]
     assert len(shown) == 2 * len(expected)
     step = -(-len(display.time) // len(shown[0][0]))
     for k, joint in enumerate((1, 0)):
-        for values, own in zip(expected, shown[k * len(expected) :]):
-            for one, drawn in zip(values, own):
-                np.testing.assert_allclose(drawn, one[::step, joint], atol=1e-12)
+        for values, lines in zip(expected, shown[k * len(expected) :]):
+            for value, drawn in zip(values, lines):
+                np.testing.assert_allclose(drawn, value[::step, joint], atol=1e-12)
 
 
-def test_an_identifier_shows_one_model(springy, pyplot):
-    display = ResidualDisplay.from_estimator(springy.declared_, *GIVEN)
+def test_display_of_an_identifier_shows_one_model(springy, pyplot):
+    display = ResidualDisplay.from_estimator(springy.declared_, *DATA)
     assert display.after is None
     assert len(display.plot().lines_) == 2
 
 
-def test_plot_makes_a_row_for_each_joint(pyplot):
+def test_plot_draws_one_row_per_joint(pyplot):
     display = make_display(ResidualDisplay).plot()
     assert display.axes_.shape == (2,)
     assert display.axes_[0].get_ylabel() == "a [N m]"

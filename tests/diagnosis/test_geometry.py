@@ -1,4 +1,4 @@
-"""The loop on robots whose base leans, whose zeros, axes or channels are off."""
+"""EffectDiscovery with tilted bases and wrong encoder zeros, axes or gains."""
 
 from dataclasses import replace
 
@@ -22,8 +22,8 @@ LIBRARY += ("spring", "viscous_quadratic")
 ARM = record("ZYX", seed=2, duration=30.0)
 
 
-def discover(truth, declared=(), **torque):
-    faulty, robot = with_faults(truth, ARM), ARM.robot(effects=declared)
+def discover(faults, declared=(), **torque):
+    faulty, robot = with_faults(faults, ARM), ARM.robot(effects=declared)
     return faulty.discover(faulty.torque(**torque), effects=list(LIBRARY), robot=robot)
 
 
@@ -35,7 +35,7 @@ TRUTHS = {
 }
 
 
-# Tilts and zeros are found below, beside others.
+# Tilts and zeros are tested below, with other effects.
 @pytest.fixture(
     scope="module", params=["axis", pytest.param("gain", marks=pytest.mark.slow)]
 )
@@ -44,46 +44,46 @@ def one_fault(request):
     return truth, discover([truth])
 
 
-def test_the_fault_is_named_with_its_value(one_fault):
+def test_the_fault_is_found_with_its_value(one_fault):
     truth, loop = one_fault
     assert named(loop) == [(truth.name, truth.joint)]
-    (found,) = loop.effects_
+    (effect,) = loop.effects_
     for name, value in zip(truth.coefficients, truth.values):
-        low, high = found.intervals[name]
-        # Of 90 % in a single recording: a little more is allowed for.
+        low, high = effect.intervals[name]
+        # A 90 % interval may miss the truth in one recording.
         slack = 0.75 * (high - low)
         assert low - slack < value < high + slack
         assert high - low < 0.02
-        assert low < found.parameters[name] < high
-    assert set(found.parameters) == set(truth.coefficients)
-    assert set(found.units.values()) <= {"rad", "1"}
-    assert (found.scope == "robot") == isinstance(truth, OfRobot)
-    assert_allclose(found.effect.values, list(found.parameters.values()))
+        assert low < effect.parameters[name] < high
+    assert set(effect.parameters) == set(truth.coefficients)
+    assert set(effect.units.values()) <= {"rad", "1"}
+    assert (effect.scope == "robot") == isinstance(truth, OfRobot)
+    assert_allclose(effect.effect.values, list(effect.parameters.values()))
 
 
-def test_the_error_falls_to_the_noise(one_fault):
+def test_the_correction_reduces_the_error(one_fault):
     truth, loop = one_fault
     torque = with_faults([truth]).torque()
     spread = torque.std(axis=0)
     assert np.all(loop.error_after_ < np.maximum(1.2 * loop.error_before_, 0.02))
     worst = np.argmax(loop.error_before_ - loop.error_after_)
     assert loop.error_after_[worst] < 0.5 * loop.error_before_[worst]
-    # On a motion that nobody has seen as well.
+    # The error also falls on another motion.
     other = record("ZYX", seed=7, duration=10.0, noise=0.0)
-    there = with_faults([truth], other).torque()
-    error = loop.identifier_.predict(other.position) - there
-    declared = loop.declared_.predict(other.position) - there
+    other_torque = with_faults([truth], other).torque()
+    error = loop.identifier_.predict(other.position) - other_torque
+    declared = loop.declared_.predict(other.position) - other_torque
     size = np.sqrt(np.mean(error**2, axis=0)) / spread
     assert np.all(size < 0.05)
     assert np.sum((error / spread) ** 2) < 0.3 * np.sum((declared / spread) ** 2)
 
 
-def test_the_completed_model_holds_the_value(one_fault):
+def test_the_completed_model_contains_the_correction(one_fault):
     truth, loop = one_fault
-    (own,) = loop.identifier_.effects_
-    assert own.key() == truth.key()
-    assert_allclose(own.values, truth.values, atol=0.01)
-    assert_allclose(loop.identifier_.theta_[-own.values.size :], own.values)
+    (effect,) = loop.identifier_.effects_
+    assert effect.key() == truth.key()
+    assert_allclose(effect.values, truth.values, atol=0.01)
+    assert_allclose(loop.identifier_.theta_[-effect.values.size :], effect.values)
     assert loop.declared_.effects_ == ()
     text = text_of(loop.report_).lower()
     assert f"{truth.label} " in text
@@ -92,7 +92,7 @@ def test_the_completed_model_holds_the_value(one_fault):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*the base, which root")
-def test_a_free_base_that_was_held_askew(tmp_path):
+def test_tilt_of_a_fixed_floating_base(tmp_path):
     path = tmp_path / "legs.xml"
     path.write_text(legs_mjcf())
     lean = np.deg2rad(3.0)
@@ -101,39 +101,39 @@ def test_a_free_base_that_was_held_askew(tmp_path):
         askew, duration=20.0, dt=0.01, frequency=1.0, torque_noise=0.02, random_state=0
     )
     data = recording.q, recording.tau
-    told = RobotIdentifier(path, dt=recording.dt, effects=[BaseTilt()]).fit(*data)
-    # A base that leans has gravity turned the other way.
-    assert_allclose(told.effects_[0].values, [-lean, 0.0], atol=np.deg2rad(0.2))
+    robot = RobotIdentifier(path, dt=recording.dt, effects=[BaseTilt()]).fit(*data)
+    # The tilt turns gravity, opposite to the base.
+    assert_allclose(robot.effects_[0].values, [-lean, 0.0], atol=np.deg2rad(0.2))
 
 
-def test_a_robot_without_faults_has_none():
+def test_no_corrections_without_faults():
     loop = discover([])
     assert named(loop) == []
     assert_allclose(loop.error_after_, loop.error_plain_)
-    # Neither the first zero, of a vertical axis, nor the last one shows.
-    told = {(h.name, h.joint) for h in loop.not_identifiable_}
-    assert {("joint_zero", 0), ("joint_zero", 2)} <= told
-    assert ("base_tilt", 0) not in told
-    assert ("joint_zero", 1) not in told
+    # The zeros of the vertical first joint and of the last are not identifiable.
+    hidden = {(h.name, h.joint) for h in loop.not_identifiable_}
+    assert {("joint_zero", 0), ("joint_zero", 2)} <= hidden
+    assert ("base_tilt", 0) not in hidden
+    assert ("joint_zero", 1) not in hidden
 
 
 @pytest.mark.slow
-def test_a_declared_tilt_is_found_by_the_identifier():
-    """And what the search adds comes beside it."""
+def test_a_declared_tilt_is_estimated_by_the_identifier():
+    """The search adds a second correction."""
     truth = [BaseTilt(0, 0.07, -0.04), JointZero(1, 0.06)]
     loop = discover(truth, declared=[BaseTilt()])
     assert named(loop) == [("joint_zero", 1)]
     tilt, zero = loop.identifier_.effects_
     assert_allclose(tilt.values, truth[0].values, atol=0.01)
     assert_allclose(zero.values, truth[1].values, atol=0.01)
-    # The declared model had the tilt as good as it could without the zero.
+    # The declared model estimates the tilt without the zero.
     (first,) = loop.declared_.effects_
     assert first.corrects
     assert loop.not_identifiable_ is not None
     assert "base_tilt" not in {e.name for e in loop.effects_}
 
 
-def test_a_robot_without_gravity_has_no_tilt_to_find():
+def test_tilt_requires_gravity():
     model = ARM.model.copy()
     model.gravity.linear = np.zeros(3)
     states = np.hstack([ARM.q, ARM.v, ARM.a])
@@ -144,8 +144,8 @@ def test_a_robot_without_gravity_has_no_tilt_to_find():
 
 
 @pytest.mark.slow
-def test_the_tilt_of_a_robot_of_two_branches_is_one():
-    """Each branch finds it alone; the robot leans as a whole."""
+def test_tilt_of_two_branches_is_reported_once():
+    """Each branch finds the tilt; it is reported once for the robot."""
     model = arms(2)
     roll, pitch = 0.06, -0.03
     leaning = model.copy()

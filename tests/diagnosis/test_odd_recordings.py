@@ -1,4 +1,4 @@
-"""Recordings of robots that rest, pause, or change: a true verdict, or none and why."""
+"""Verdicts on recordings with pauses, rest, changes or faulty channels."""
 
 import numpy as np
 import pytest
@@ -15,27 +15,27 @@ DT = 0.02
 MODEL = arm("ZY")
 VISCOUS, COULOMB = np.array([0.8, 0.5]), np.array([0.6, 0.4])
 PLAIN = ["spring", "offset", "payload", "load_friction"]
-ONE = record("ZY")
+ARM = record("ZY")
 
 
 def motion(t, pace):
-    """States (n, 6) along a path in every joint, at its own pace (n, 2) from 0 to 1."""
+    """States (n, 6) along a path with a pace (n, 2) between 0 and 1 for each joint."""
     smooth = np.hanning(51) / np.hanning(51).sum()
     pace = np.column_stack([np.convolve(x, smooth, mode="same") for x in pace.T])
     at = np.cumsum(pace, axis=0) * DT
-    rate = np.gradient(pace, DT, axis=0)
+    slope = np.gradient(pace, DT, axis=0)
     q, v, a = (np.zeros_like(pace) for _ in range(3))
     for size, w, phase in ((0.7, [2.1, 2.9], 0.3), (0.4, [4.7, 3.7], 1.1)):
         w = np.array(w)
         q += size * np.sin(w * at + phase)
         v += size * w * np.cos(w * at + phase) * pace
-        a += size * w * np.cos(w * at + phase) * rate
+        a += size * w * np.cos(w * at + phase) * slope
         a -= size * w**2 * np.sin(w * at + phase) * pace**2
     return np.hstack([q, v, a])
 
 
 def measure(t, pace, seed=0, extra=None, friction=1.0):
-    """Positions and torques; at rest friction is anywhere in its band."""
+    """Simulate positions and torques; static friction varies in its range."""
     rng = np.random.default_rng(seed)
     states = motion(t, pace)
     q, v, _ = np.split(states, 3, axis=1)
@@ -55,7 +55,7 @@ def close(q, tau, effects=PLAIN, groups=None):
 
 
 def pauses(t, *moving):
-    """Pace that is 1 in the given intervals of each joint, else 0."""
+    """Pace: 1 in the given intervals of each joint, else 0."""
     pace = np.zeros((t.size, 2))
     for j, intervals in enumerate(moving):
         for low, high in intervals:
@@ -72,8 +72,8 @@ def elbow_spring(q, v):
 
 
 @pytest.mark.parametrize("step", one_in(4, [0.3, 0.05, 0.2, 0.5]))
-def test_coarse_torques_are_told_and_name_nothing(step):
-    """Steps in shares of the spread, on both joints; something is missing."""
+def test_coarse_torques_are_reported_and_name_nothing(step):
+    """Quantised torques with a missing spring; `step` is relative to their std."""
     t = seconds(40.0)
     q, tau = measure(t, pauses(t, [(1, 39)], [(1, 39)]), extra=elbow_spring)
     size = step * tau.std(axis=0)
@@ -89,26 +89,26 @@ def test_coarse_torques_are_told_and_name_nothing(step):
     assert np.isfinite(loop.error_after_).all()
 
 
-def true_of_a_complete_robot(loop):
+def assert_complete(loop):
     assert loop.effects_ == ()
     assert loop.report_.status == "nothing", loop.report_.headline
     assert all(v.status == "floor" for v in loop.report_.joints)
 
 
 @pytest.mark.slow
-def test_a_robot_that_comes_to_rest():
+def test_rest_at_the_end_of_the_recording():
     t = seconds(60.0)
     q, tau = measure(t, pauses(t, [(2, 38)], [(2, 38)]), extra=elbow_spring)
     loop = close(q, tau)
     assert named(loop) == [("spring", 1)]
     assert loop.report_.status == "complete"
-    # A few per cent of the torque, whatever little of it there is at the end.
+    # Relative to the torque in motion, although the end is at rest.
     assert np.all(loop.error_after_ < 0.1)
 
 
 @pytest.mark.slow
-def test_groups_that_differ_in_temperature():
-    """A third less friction in the second: never "nothing is missing"."""
+def test_friction_that_differs_between_recordings():
+    """The second recording has a third less friction; something must be missing."""
     t = seconds(30.0)
     pace = pauses(t, [(1, 29)], [(1, 29)])
     parts = measure(t, pace), measure(t, 0.9 * pace, seed=1, friction=0.66)
@@ -121,7 +121,7 @@ def test_groups_that_differ_in_temperature():
     assert "payload" not in {e.name for e in loop.effects_}
 
 
-# Lengths of recordings [s], whether all are one, and the joint that moves in the first.
+# Lengths [s], whether the motion is the same, joint that moves in the first one only.
 ODD = {
     "of 5 s": ([5.0], False, None),
     "the same ten times": ([25.0] * 10, True, None),
@@ -131,72 +131,72 @@ ODD = {
 
 
 @pytest.mark.parametrize(("lengths", "same", "joint"), ODD.values(), ids=ODD)
-def test_odd_sets_of_recordings(lengths, same, joint):
-    made = []
+def test_expected_error_for_unusual_sets_of_recordings(lengths, same, joint):
+    recordings = []
     for number, length in enumerate([*lengths, 25.0]):
         last = number == len(lengths)
         kind = 0 if same and not last else number
         pace = np.full((round(length / DT), 2), 1.0 - 0.07 * kind)
         if joint is not None and number and not last:
             pace[:, joint] = 0.0
-        made.append(measure(seconds(length), pace, seed=kind))
-    q, tau = (np.concatenate(x) for x in zip(*made[:-1]))
-    groups = np.repeat(np.arange(len(lengths)), [len(x) for x, _ in made[:-1]])
+        recordings.append(measure(seconds(length), pace, seed=kind))
+    q, tau = (np.concatenate(x) for x in zip(*recordings[:-1]))
+    groups = np.repeat(np.arange(len(lengths)), [len(x) for x, _ in recordings[:-1]])
     loop = close(q, tau, groups=groups)
     *_, following = loop.report_.outcome.facts_of("next recording")
-    error = loop.identifier_.residuals(*made[-1]).rms() / loop.torque_std_
+    error = loop.identifier_.residuals(*recordings[-1]).rms() / loop.torque_std_
     assert not loop.effects_
     assert not loop.report_.outcome.findings["contradictions"]
-    # Ten copies of one recording know their noise too well.
+    # Ten copies of one recording underestimate the error slightly.
     low, high = following.interval
     assert 0.95 * low <= error.mean() <= high
 
 
-# -- what is wrong with channels comes first
+# -- faulty channels come first
 
 
-def test_a_torque_in_another_unit_is_told_before_anything(two_motions):
-    true_of_a_complete_robot(two_motions)
+def test_a_wrong_torque_unit_comes_first(two_motions):
+    assert_complete(two_motions)
     report = TWO_MOTIONS.search(TWO_MOTIONS.torque * [1.0, 1e-3]).report_
     assert report.status == "faulty"
     assert report.headline.startswith("Fix the recording first. ")
-    # The masses of the description say which of the two is right.
-    (one,) = report.outcome.findings["channels"]
-    assert (one.kind, one.joints) == ("gear_factor", (1,))
+    # The described masses decide which channel is wrong.
+    (channel,) = report.outcome.findings["channels"]
+    assert (channel.kind, channel.joints) == ("gear_factor", (1,))
 
 
-def test_columns_are_found_by_the_names_of_joints(two_motions):
+def test_columns_are_matched_by_joint_names(two_motions):
     import pandas
 
-    sound, q, tau = two_motions, TWO_MOTIONS.position, TWO_MOTIONS.torque
-    groups, loop = TWO_MOTIONS.groups, clone(sound)
+    fitted, q, tau = two_motions, TWO_MOTIONS.position, TWO_MOTIONS.torque
+    groups, loop = TWO_MOTIONS.groups, clone(fitted)
     names = ["joint_2", "joint_1"]
     X = pandas.DataFrame(q[:, ::-1], columns=[f"q_{name}" for name in names])
     y = pandas.DataFrame(tau[:, ::-1], columns=[f"tau_{name}" for name in names])
-    named_ones = loop.fit(X, y, groups=groups)
-    np.testing.assert_allclose(named_ones.error_after_, sound.error_after_, rtol=1e-9)
-    np.testing.assert_allclose(named_ones.predict(X[:300]), sound.predict(q[:300]))
-    assert named_ones.score(X, y, groups=groups) > 0.99
+    by_name = loop.fit(X, y, groups=groups)
+    np.testing.assert_allclose(by_name.error_after_, fitted.error_after_, rtol=1e-9)
+    np.testing.assert_allclose(by_name.predict(X[:300]), fitted.predict(q[:300]))
+    assert by_name.score(X, y, groups=groups) > 0.99
     with pytest.raises(ValueError, match="q_elbow"):
         loop.fit(X.rename(columns={"q_joint_2": "q_elbow"}), y, groups=groups)
 
 
 @pytest.fixture
 def other(monkeypatch):
-    """Let identifiers say that the torques are those of another robot."""
-    said = ChannelFinding("other_robot", (0, 1), "warning", "Torques of another robot.")
-    monkeypatch.setattr(RobotIdentifier, "findings", lambda *_: (said,))
-    return said
+    """Patch the channel findings: torques of another robot."""
+    note = ChannelFinding("other_robot", (0, 1), "warning", "Torques of another robot.")
+    monkeypatch.setattr(RobotIdentifier, "findings", lambda *_: (note,))
+    return note
 
 
 @pytest.mark.parametrize("library", [(), ["spring", "offset"]])
-def test_another_robot_is_not_one_whose_torques_are_explained(library, other):
-    torque = ONE.torque(joint_1=lambda r: 9.0 * r.q[:, 0])
-    channels = ONE.discover(torque, library).report_.outcome.findings["channels"]
+def test_explained_torques_clear_the_wrong_robot_finding(library, other):
+    torque = ARM.torque(joint_1=lambda r: 9.0 * r.q[:, 0])
+    channels = ARM.discover(torque, library).report_.outcome.findings["channels"]
     assert channels == (() if library else (other,))
 
 
-def test_another_robot_is_told_of_where_nothing_shows_the_errors(other):
+def test_wrong_robot_finding_stays_without_error_estimates(other):
     t = DT * np.arange(1500)
     loop = close(*measure(t, pauses(t, [(0, 0.6)], [(0, 0.6)])), effects=())
     assert not loop.report_.outcome.column("enough").any()
@@ -204,7 +204,7 @@ def test_another_robot_is_told_of_where_nothing_shows_the_errors(other):
 
 
 @pytest.mark.parametrize("turns", ["before the velocity", "after it"])
-def test_friction_of_joints_that_stop_has_no_other_name(turns):
+def test_friction_of_stopping_joints_causes_no_false_positives(turns):
     t, rng = DT * np.arange(3000), np.random.default_rng(0)
     wanted = motion(t, np.ones((t.size, 2)))[:, 2:4]
     v = np.sign(wanted) * np.maximum(np.abs(wanted) - 0.3, 0.0)

@@ -1,4 +1,4 @@
-"""Where the motion repeats, so does what is not modelled, and it has no name."""
+"""Repeated motions: torques that depend on the phase must not be named."""
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
 MODEL = arm("Y")
 
 
-def recorded(seed, undeclared=None, disturbance=0.05):
-    """Positions and torques of a motion of 10 s, six times, a curve of it added."""
+def simulate(seed, undeclared=None, disturbance=0.05):
+    """Simulate six repetitions of 10 s with a torque that depends on the phase."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(TIMES * PERIOD / DT)) * DT
     q, v, a = np.zeros((3, t.size))
@@ -29,8 +29,8 @@ def recorded(seed, undeclared=None, disturbance=0.05):
     if undeclared is not None:
         tau += undeclared(q, v)
     orders = np.arange(1, 31)
-    size = rng.normal(size=30) + 1j * rng.normal(size=30)
-    curve = (size @ np.exp(2j * np.pi * orders[:, None] * t / PERIOD)).real
+    amplitude = rng.normal(size=30) + 1j * rng.normal(size=30)
+    curve = (amplitude @ np.exp(2j * np.pi * orders[:, None] * t / PERIOD)).real
     residual = np.sqrt(0.9) * curve / curve.std() + np.sqrt(0.1) * rng.normal(
         size=t.size
     )
@@ -38,29 +38,29 @@ def recorded(seed, undeclared=None, disturbance=0.05):
     return (q + 2e-5 * rng.normal(size=t.size))[:, None], tau[:, None]
 
 
-def closed(q, tau, groups=None):
+def discover(q, tau, groups=None):
     robot = RobotIdentifier(MODEL, dt=DT, friction=PLAIN)
     return EffectDiscovery(robot).fit(q, tau, groups=groups)
 
 
-# With blocks of time in place of phases each of these has names.
+# Cross-validation over time blocks instead of phases would name effects here.
 @pytest.mark.parametrize("case", one_in(2, [(9, 1), (12, 1), (12, TIMES), (0, TIMES)]))
-def test_a_curve_of_the_phase_has_no_name(case):
+def test_phase_dependent_torques_are_not_named(case):
     seed, recordings = case
-    q, tau = recorded(seed)
+    q, tau = simulate(seed)
     groups = np.arange(len(q)) * recordings // len(q)
-    loop = closed(q, tau, groups)
+    loop = discover(q, tau, groups)
     assert loop.effects_ == ()
-    (motion,) = loop.report_.outcome.findings["repeated"]
-    assert motion["seconds"] == pytest.approx(PERIOD, abs=0.05)
-    assert motion["count"] == pytest.approx(TIMES, rel=0.01)
+    (repetition,) = loop.report_.outcome.findings["repeated"]
+    assert repetition["seconds"] == pytest.approx(PERIOD, abs=0.05)
+    assert repetition["count"] == pytest.approx(TIMES, rel=0.01)
     assert "Repeated motion: " in text_of(loop.report_)
     assert loop.report_.has_open_questions
     assert "a longer motion that does not repeat" in text_of(loop.report_)
 
 
-def test_an_effect_that_the_phases_show_is_named():
-    q, tau = recorded(
+def test_effects_are_found_in_repeated_motions():
+    q, tau = simulate(
         1, lambda q, v: 1.5 * np.exp(-((v / 0.2) ** 2)) * np.sign(v), 0.02
     )
-    assert [e.name for e in closed(q, tau).effects_] == ["stribeck"]
+    assert [e.name for e in discover(q, tau).effects_] == ["stribeck"]

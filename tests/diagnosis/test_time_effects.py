@@ -1,4 +1,4 @@
-"""Effects of time in the loop: which are named, and what is said of the time after."""
+"""EffectDiscovery with effects of time, and predictions after the recording."""
 
 import numpy as np
 import pytest
@@ -6,32 +6,32 @@ import pytest
 from tests._quick import checkered, one_in
 from tests.diagnosis._recordings import named, record
 
-ONE = record("ZY", duration=30.0, seed=2)
+ARM = record("ZY", duration=30.0, seed=2)
 LENGTH = 30.0
 FRICTION = 1.5
 LIBRARY = ["coulomb", "drift", "offset"]
 
 
-def close(change, recording=ONE, library=LIBRARY, **given):
-    """Close the loop where the Coulomb friction of joint 1 changes with time."""
+def discover(change, recording=ARM, library=LIBRARY, **options):
+    """Search a recording in which the Coulomb friction of joint 1 changes."""
 
     def friction(r):
         return (FRICTION + change(r.t / LENGTH)) * np.sign(r.v[:, 0])
 
-    return recording.discover(recording.torque(joint_1=friction), library, **given)
+    return recording.discover(recording.torque(joint_1=friction), library, **options)
 
 
 @pytest.fixture(scope="module")
 def warming():
-    return close(lambda s: 2.0 * np.exp(-s / 0.5))
+    return discover(lambda s: 2.0 * np.exp(-s / 0.5))
 
 
-# -- what is a drift and what is not
+# -- drifts
 
 
 @pytest.mark.parametrize("share", one_in(2, [0.3, 0.8]))
-def test_a_drift_that_lasts_is_named(share):
-    loop = close(lambda s: np.exp(-s / share))
+def test_slow_drifts_are_found(share):
+    loop = discover(lambda s: np.exp(-s / share))
     assert named(loop) == [("drift", 0)]
     (drift,) = (e for e in loop.effects_ if e.name == "drift")
     low, high = drift.intervals["time_constant"]
@@ -39,43 +39,43 @@ def test_a_drift_that_lasts_is_named(share):
 
 
 @pytest.mark.parametrize("share", one_in(2, [0.06, 0.04]))
-def test_what_faded_within_the_first_seconds_is_a_drift_if_anything(share):
+def test_fast_drifts_cause_no_other_effects(share):
     recording = record("ZY", duration=LENGTH, seed=4)
-    loop = close(lambda s: 3.0 * np.exp(-s / share), recording)
-    found = (*loop.effects_, *loop.possible_)
-    assert {effect.name for effect in found} <= {"drift"}
+    loop = discover(lambda s: 3.0 * np.exp(-s / share), recording)
+    reported = (*loop.effects_, *loop.possible_)
+    assert {effect.name for effect in reported} <= {"drift"}
 
 
 @pytest.mark.parametrize(("phase", "periods"), checkered([0.0, 0.25], [2.0, 1.0]))
-def test_what_comes_and_goes_is_no_drift(periods, phase):
-    loop = close(lambda s: 0.5 * np.cos(2 * np.pi * (periods * s + phase)))
+def test_periodic_changes_are_no_drift(periods, phase):
+    loop = discover(lambda s: 0.5 * np.cos(2 * np.pi * (periods * s + phase)))
     assert loop.effects_ == ()
 
 
 # -- the time after the recording
 
 
-def test_the_motion_after_the_recording_is_predicted(warming):
-    later = warming.predict(ONE.position, t=ONE.t + LENGTH)
-    moves = np.abs(ONE.v[:, 0]) > 0.3
-    # Much less of it is left than in the recording.
-    whole = warming.predict(ONE.position)
+def test_prediction_after_the_recording(warming):
+    later = warming.predict(ARM.position, t=ARM.t + LENGTH)
+    moves = np.abs(ARM.v[:, 0]) > 0.3
+    # The drift has decayed after the recording.
+    whole = warming.predict(ARM.position)
     assert np.abs(later - whole)[moves, 0].max() > 1.0
 
 
 @pytest.mark.slow
-def test_a_payload_stays():
+def test_payload_is_kept_after_the_recording():
     from tests.effects._arms import inverse_dynamics, with_changed_body
 
     body = np.array([0.8, 0.0, 0.1, 0.2, 0.06, 0.0, 0.04, 0.0, 0.0, 0.04])
-    states = np.hstack([ONE.q, ONE.v, ONE.a])
-    more = inverse_dynamics(with_changed_body(ONE.model, body), states) - ONE.load
-    torque = ONE.torque() + more * (ONE.t >= 12.0)[:, None]
-    loop = ONE.discover(torque, ["payload", "offset"])
+    states = np.hstack([ARM.q, ARM.v, ARM.a])
+    more = inverse_dynamics(with_changed_body(ARM.model, body), states) - ARM.load
+    torque = ARM.torque() + more * (ARM.t >= 12.0)[:, None]
+    loop = ARM.discover(torque, ["payload", "offset"])
     (payload,) = loop.effects_
     assert payload.name == "payload"
-    now, later = (loop.predict(ONE.position, t=ONE.t + s) for s in (0.0, LENGTH))
-    before, after = ONE.t < 11.9, ONE.t > 12.1
+    now, later = (loop.predict(ARM.position, t=ARM.t + s) for s in (0.0, LENGTH))
+    before, after = ARM.t < 11.9, ARM.t > 12.1
     np.testing.assert_allclose(later[after], now[after], rtol=1e-9)
     errors = np.abs(later - now - more)[before]
     assert errors.mean() < 0.05 * np.abs(more[before]).mean()

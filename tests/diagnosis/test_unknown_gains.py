@@ -1,4 +1,4 @@
-"""The loop with torque channels of unknown gains."""
+"""EffectDiscovery with torque channels of unknown gain."""
 
 from dataclasses import replace
 
@@ -22,11 +22,11 @@ VISCOUS = np.array([0.5, 0.4, 0.3])
 
 @pytest.fixture(scope="module")
 def recording():
-    """Currents of an arm that picks up a ball, with a spring that is not declared."""
+    """Simulate currents of an arm that picks up a ball; a spring is not declared."""
     model = arm("ZYX")
     t, states = motion(NV, duration=40.0, dt=DT, seed=4)
-    both = (inverse_dynamics(one, states) for one in (with_ball(model), model))
-    tau = np.where((t >= PICKED)[:, None], *both)
+    torques = (inverse_dynamics(x, states) for x in (with_ball(model), model))
+    tau = np.where((t >= PICKED)[:, None], *torques)
     tau += VISCOUS * states[:, NV : 2 * NV]
     tau[:, 1] += STIFFNESS * states[:, 1]
     white = np.random.default_rng(0).normal(size=tau.shape)
@@ -36,7 +36,7 @@ def recording():
 PAYLOAD = Payload(joint=NV - 1, instant=PICKED, centre=tuple(CENTRE))
 
 
-def close(recording, masses, effects, declared=(PAYLOAD,)):
+def discover(recording, masses, effects, declared=(PAYLOAD,)):
     model, X, y = recording
     robot = RobotIdentifier(
         model,
@@ -51,39 +51,39 @@ def close(recording, masses, effects, declared=(PAYLOAD,)):
     return loop.fit(X, y)
 
 
-def test_effects_are_found_beside_unknown_gains(recording):
-    loop = close(recording, {"payload": MASS}, ["spring", "torque_gain", "offset"])
-    (found,) = loop.effects_
-    assert (found.name, found.joint) == ("spring", 1)
-    # In N m/rad: what is reported is of the model that is handed over.
-    low, high = found.intervals["k"]
+def test_effects_are_found_with_unknown_gains(recording):
+    loop = discover(recording, {"payload": MASS}, ["spring", "torque_gain", "offset"])
+    (effect,) = loop.effects_
+    assert (effect.name, effect.joint) == ("spring", 1)
+    # In N m/rad: parameters of the completed model.
+    low, high = effect.intervals["k"]
     assert low - (high - low) < STIFFNESS < high + (high - low)
-    assert_allclose(found.parameters["k"], STIFFNESS, rtol=0.05)
+    assert_allclose(effect.parameters["k"], STIFFNESS, rtol=0.05)
     assert_allclose(loop.identifier_.gains_.gain, GAINS, rtol=0.03)
     assert np.all(loop.error_after_ < 0.02)
     assert loop.report_.outcome.robot["gains"] is loop.identifier_.gains_
 
 
 @pytest.mark.slow
-def test_a_payload_that_is_found_fixes_the_common_gain(recording):
-    loop = close(recording, {"payload": MASS}, ["payload", "spring"], ())
-    # The spring saves too little of the error to be named.
+def test_a_discovered_payload_fixes_the_common_gain(recording):
+    loop = discover(recording, {"payload": MASS}, ["payload", "spring"], ())
+    # The spring reduces the error too little to be named.
     probable = (*loop.effects_, *loop.possible_)
     assert {(e.name, e.joint) for e in probable} == {("spring", 1), ("payload", 2)}
     assert [e.name for e in loop.effects_] == ["payload"]
     assert not loop.declared_.gains_.absolute
     assert loop.identifier_.gains_.absolute
     assert_allclose(loop.identifier_.gains_.gain, GAINS, rtol=0.03)
-    found = {e.name: e for e in probable}
-    assert_allclose(found["payload"].parameters["dm"], MASS, rtol=1e-6)
-    assert_allclose(found["spring"].parameters["k"], STIFFNESS, rtol=0.05)
-    low, high = found["spring"].intervals["k"]
+    by_name = {e.name: e for e in probable}
+    assert_allclose(by_name["payload"].parameters["dm"], MASS, rtol=1e-6)
+    assert_allclose(by_name["spring"].parameters["k"], STIFFNESS, rtol=0.05)
+    low, high = by_name["spring"].intervals["k"]
     assert low - (high - low) < STIFFNESS < high + (high - low)
     assert "follows from the payload of 1.5 kg" in text_of(loop.report_)
 
 
-def test_the_reference_stays_and_gains_are_not_searched(recording):
-    loop = close(recording, None, ["spring", "torque_gain"])
+def test_reference_channel_is_kept_and_gains_are_not_searched(recording):
+    loop = discover(recording, None, ["spring", "torque_gain"])
     references = {
         robot.gains_.references
         for robot in (loop.declared_, loop.validation_model_, loop.identifier_)
@@ -93,21 +93,21 @@ def test_the_reference_stays_and_gains_are_not_searched(recording):
     assert "torque_gain" not in searched
     (first,) = references.pop()
     assert_allclose(loop.identifier_.gains_.gain, GAINS / GAINS[first], rtol=0.03)
-    (found,) = loop.effects_
-    assert_allclose(found.parameters["k"], STIFFNESS * GAINS[first], rtol=0.05)
-    low, high = found.intervals["k"]
-    assert high - low < 0.1 * found.parameters["k"]
+    (effect,) = loop.effects_
+    assert_allclose(effect.parameters["k"], STIFFNESS * GAINS[first], rtol=0.05)
+    low, high = effect.intervals["k"]
+    assert high - low < 0.1 * effect.parameters["k"]
 
 
 @pytest.mark.parametrize(
     ("unit", "gains", "options"),
     [("N m", None, {"gains": (-1, 1, 1, 1, 1, 1)}), ("A", "unknown", {})],
 )
-def test_signs_are_offered_as_gains_of_torques_alone(unit, gains, options):
-    made = make_robot_recording(random_state=3, duration=16.0)
-    tau = made.tau * [-1, 1, 1, 1, 1, 1]
-    wrong = replace(made, tau=tau, torque_units=6 * (unit,), states=None)
-    loop = EffectDiscovery(RobotIdentifier(made.urdf, dt=made.dt, gains=gains))
-    with pytest.raises(RecordingRefused, match="has the wrong sign") as caught:
+def test_sign_corrections_are_suggested_for_torques_only(unit, gains, options):
+    arm = make_robot_recording(random_state=3, duration=16.0)
+    tau = arm.tau * [-1, 1, 1, 1, 1, 1]
+    wrong = replace(arm, tau=tau, torque_units=6 * (unit,), states=None)
+    loop = EffectDiscovery(RobotIdentifier(arm.urdf, dt=arm.dt, gains=gains))
+    with pytest.raises(RecordingRefused, match="has the wrong sign") as error_info:
         loop.fit_recording(wrong)
-    assert caught.value.options == options
+    assert error_info.value.options == options

@@ -49,7 +49,7 @@ def test_only_by_name_and_not_to_be_changed():
     assert hash(SearchSettings()) == hash(SearchSettings())
 
 
-def test_other_settings_are_refused():
+def test_invalid_settings_are_rejected():
     with pytest.raises(ValueError, match=r"settings.*SearchSettings"):
         close(settings={"expected": 1.0})
 

@@ -29,8 +29,8 @@ _CYCLES = 0.3
 class Spring(Converted):
     """Linear spring, tau = k (q - q0): balancing springs, hoses, cables, flexures.
 
-    This is the torque of the drive; the spring's own torque is -k (q - q0). Source:
-    Khalil and Dombre (2004), chapter 9.
+    This is the torque of the drive; the spring's own torque is -k (q - q0). The torque
+    offset of the joint is part of k q0. Source: Khalil and Dombre (2004), chapter 9.
     """
 
     name = "spring"

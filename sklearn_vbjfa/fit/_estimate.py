@@ -74,6 +74,14 @@ class Estimate:
         return identifiable(self.metric)
 
     @property
+    def marginal_std(self):
+        """`std`, infinite for a part that neither data nor prior determine, (p,)."""
+        # A described body is determined, and directions that change it.
+        free, metric = np.isnan(self.prior_std), self.posterior_metric
+        lost = free & (np.diagonal(metric) > 0) & ~identifiable(metric, free)
+        return np.where(lost & ~np.isnan(self.std), np.inf, self.std)
+
+    @property
     def posterior_metric(self):
         """`metric` plus the precision of the prior in the same units, (p, p)."""
         if self.bodies is None:
@@ -489,9 +497,9 @@ def _fit_projector(projector, features, theta, metric):
     return fitted.fit(theta[None])
 
 
-def identifiable(metric):
-    """Return the parameters (p,), bool, whose unit vectors the data determine."""
-    excited = np.diagonal(metric) > 0
+def identifiable(metric, free=True):
+    """Return the free parameters (p,), bool, whose unit vectors the data determine."""
+    excited = free & (np.diagonal(metric) > 0)
     result = np.zeros(excited.size, dtype=bool)
     if excited.any():
         eigen = scaled_eigen(metric[np.ix_(excited, excited)], IDENTIFIABLE)

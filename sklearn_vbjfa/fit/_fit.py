@@ -144,7 +144,7 @@ class RobotFit:
             self.robot,
             theta_=result.theta,
             theta_unconstrained_=result.theta_unconstrained,
-            theta_std_=result.std,
+            theta_std_=result.marginal_std,
             # Exactly symmetric, since a file stores one triangle.
             covariance=None if C is None else 0.5 * (C + C.T),
             **changes,
@@ -250,12 +250,8 @@ class Recipe:
 
     def _identifiable(self, result):
         """Return which parameters (p,) the equations determine individually."""
-        if self.bodies != "fixed":
-            return result.identifiable
-        others = ~result.from_description
-        identified = np.zeros(others.size, dtype=bool)
-        identified[others] = identifiable(result.metric[np.ix_(others, others)])
-        return identified
+        free = self.bodies != "fixed" or ~result.from_description
+        return identifiable(result.metric, free)
 
 
 def _zero_entries(robot, moments):

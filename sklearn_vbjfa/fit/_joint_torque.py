@@ -148,7 +148,7 @@ class JointTorqueRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
             total, self.regressor, joint_weights=self.joint_weights, rows=[rows]
         )
         self.theta_unconstrained_ = result.theta_unconstrained
-        self.theta_std_ = result.std
+        self.theta_std_ = result.marginal_std
         self.joint_weights_ = result.joint_weights
         self.metric_ = result.metric
         self.regressor_ = result.regressor

@@ -240,7 +240,7 @@ def _unit(y, S):
 
 def pool_joint_values(result, groups, robot):
     """Return an `Estimate` with partial pooling over joints of the same drive."""
-    shared = _shared_values(groups, robot, result.std)
+    shared = _shared_values(groups, robot, result.marginal_std)
     if not shared:
         return result
     C, ratio = uninflated_covariance(result)
@@ -392,6 +392,8 @@ def between_recordings(result, robot):
     keys, grams, scores = weighted_parts(stats, stats.recordings, weight, result.theta)
     power = grams[:, index, index]
     index = index[(power > 0).sum(axis=0) > 1]
+    # Separate draws of values of which only the sum is determined would change it.
+    index = index[~np.isinf(robot.theta_std_[index])]
     if not index.size:
         return None
     noise = _noise_within(result, keys, grams, scores, index)

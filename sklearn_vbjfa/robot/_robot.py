@@ -113,8 +113,8 @@ class IdentifiedRobot:
         Parameters before the projection.
     theta_std_ : ndarray of shape (p,)
         Posterior standard deviations of `theta_unconstrained_`, which allow for
-        residuals that are correlated in time (see Notes). nan if the regressor provides
-        none.
+        residuals that are correlated in time (see Notes). Infinite if only sums with
+        others are determined, nan if the regressor provides none.
     identifiable_ : ndarray of shape (p,), bool
         Parameters that the data determine individually, not only in combination.
     known_ : tuple of str
@@ -276,10 +276,7 @@ class IdentifiedRobot:
         robot = self.robot_  # also of a fitted identifier
         X, signals = robot.checked(X, signals)
         inputs = robot.prepare(X, groups, t, signals=signals)
-        joints = robot.joint_names_, is_prismatic(robot.features_.model_)
-        if text := outside_text(robot.outside(inputs), *joints):
-            message = f"Prediction outside the range of the fit. {text}."
-            warnings.warn(message, UserWarning, stacklevel=2)
+        robot.warn_outside(inputs, stacklevel=3)
         return robot.torques(inputs)
 
     def residuals(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
@@ -827,6 +824,13 @@ class IdentifiedRobot:
             theta=self.load_parameters,
             rest=inputs.rest,
         )
+
+    def warn_outside(self, inputs, stacklevel):
+        """Warn if `Inputs` leaves the ranges of the fit."""
+        joints = self.joint_names_, is_prismatic(self.features_.model_)
+        if text := outside_text(self.outside(inputs), *joints):
+            message = f"Prediction outside the range of the fit. {text}."
+            warnings.warn(message, UserWarning, stacklevel=stacklevel)
 
     def outside(self, inputs):
         """Find where `Inputs` leaves the ranges of the fit, tuple of `OutsideRange`."""

@@ -250,6 +250,7 @@ def _measured(robot, X, groups, t, signals, window):
     """Divide a recording into windows, before the simulation."""
     nv, dt = len(robot.joint_names_), check_dt(robot.plan.dt)
     inputs = robot.prepare(X, groups, t, signals=signals)
+    robot.warn_outside(inputs, stacklevel=4)
     clock = robot.clock(None, len(X)) if t is None else np.asarray(t, dtype=float)
     check_consistent_length(X, clock)
     states = robot.states(X, groups)

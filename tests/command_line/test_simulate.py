@@ -3,6 +3,7 @@
 import csv
 import functools
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -81,6 +82,17 @@ def test_a_saved_robot_is_simulated_over_all_rows(good, saved, recording, capsys
         ("at_rest", found.rivals["at rest"].errors),
     ):
         assert float(first[name]) == pytest.approx(np.rad2deg(errors[0, 0]), rel=1e-3)
+
+
+def test_direction_outside_the_fit_gives_a_note(good, saved, tmp_path, capsys):
+    robot = load_identified(saved)
+    forward = (replace(x, direction=(1.0, 1.0)) for x in robot.effect_ranges_)
+    path = tmp_path / "forward.json"
+    replace(robot, effect_ranges_=tuple(forward)).save(path)
+    _, _, err = run(capsys, "simulate", good, "--model", path)
+    assert "shoulder: backward motion, fitted on forward motion only" in err
+    _, _, err = run(capsys, "simulate", good, "--model", saved, "--force")
+    assert "motion only" not in err
 
 
 def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):

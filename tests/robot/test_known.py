@@ -53,6 +53,40 @@ def test_a_slider_is_weighed_and_the_link_of_a_revolute_joint_is_not():
     assert note_of_masses(fitted("x")[0]) == ""
 
 
+@pytest.mark.parametrize("bodies", ["free", "prior"])
+def test_one_direction_determines_a_sum_only(bodies, tmp_path):
+    """Coulomb friction of 2 N m and an offset of 1 N m on joints that never turn."""
+    model, terms = arm("ZY"), ("viscous", "coulomb", "offset")
+    _, states = motion(2, dt=0.01, seed=3, size=0.2)
+    q, v, a = np.split(states, 3, axis=1)
+    speed = 0.1 - v.min(axis=0)
+    time = 0.01 * np.arange(len(q))[:, None]
+    states = np.hstack([q + speed * time, v + speed, a])
+    torque = inverse_dynamics(model, states) + 0.5 * states[:, 2:4] + 3.0
+    torque += 0.01 * np.random.default_rng(0).normal(size=torque.shape)
+    options = FitOptions(standstill=None)
+    robot = RobotIdentifier(
+        model, dt=0.01, friction=terms, options=options, bodies=bodies
+    ).fit(states, torque)
+    std = robot.theta_std_.reshape(2, -1)
+    assert np.isinf(std[:, 11:]).all()
+    assert (std[:, 10] < 0.1).all()
+    # A description determines bodies that the motion does not.
+    alone = robot.identifiable_.reshape(2, -1)[:, :10]
+    assert np.isfinite(std[:, :10][alone]).all()
+    assert np.isfinite(std[:, :10]).all() == (bodies == "prior")
+    sums = robot.sample(20, 0).reshape(20, 2, -1)[:, :, 11:].sum(axis=2)
+    np.testing.assert_allclose(sums, 3.0, atol=0.1)
+    ranges = robot.ranges()
+    ranges.save(tmp_path / "ranges.json")
+    text = (tmp_path / "ranges.json").read_text(encoding="utf-8")
+    for joint in ("joint_1", "joint_2"):
+        assert np.isnan(ranges[f"{joint}:coulomb"].upper)
+        assert f"{joint}:viscous" in text
+        assert f"{joint}:coulomb" not in text
+        assert f"{joint}:offset" not in text
+
+
 def test_a_mass_in_much_noise_is_not_known():
     quiet, loud = (fitted("x", noise=noise)[0] for noise in (1.0, 2000.0))
     assert quiet.robot_.known_[0] == "yes"

@@ -124,7 +124,8 @@ def _is_significant(effect, estimate, half):
 
 def named_values(effect, estimate):
     """Return parameters and their standard deviations (delta method), by name."""
-    covariance, k = estimate.covariance, len(estimate.coef)
+    covariance, k = estimate.covariance.copy(), len(estimate.coef)
+    covariance[:k, :k] += estimate.of_prior
     x = np.array(estimate.coef, dtype=float)
     scale = np.sqrt(np.maximum(np.diagonal(covariance)[:k], 0.0))
     # Also small relative to the value, which may be below its standard deviation.

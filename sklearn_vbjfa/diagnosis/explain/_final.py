@@ -33,6 +33,9 @@ class EffectEstimate:
     shape: tuple  # names of the shape parameters that were tuned
     covariance: np.ndarray  # (k + n_shape, k + n_shape)
     freedom: float  # degrees of freedom of the covariance
+    # (k, k): further covariance of the coefficients, of directions that only a prior
+    # determines; nan on the diagonal if nothing does
+    of_prior: np.ndarray | float = 0.0
     # probabilities and parameters of other forms of the effect, see `Shaped.averaged`
     forms: tuple = ()
 
@@ -43,7 +46,8 @@ class EffectEstimate:
         finite = np.isfinite(np.diagonal(shape))
         cross = rows[:, k:][:, finite]
         explained = cross @ np.linalg.pinv(shape[np.ix_(finite, finite)]) @ cross.T
-        return replace(self, shape=(), covariance=rows[:, :k] - explained, forms=())
+        covariance = rows[:, :k] - explained
+        return replace(self, shape=(), covariance=covariance, of_prior=0.0, forms=())
 
 
 class FinalFit:
@@ -114,18 +118,31 @@ class FinalFit:
         # The variance is inversely proportional to the number of fitted rows.
         covariance = self.share * variance.scores.T @ variance.scores
         edges = np.cumsum([self.view.Z.shape[2], *(x.shape[2] for x in extra)])
+        of_prior, at = self._prior_covariance(), self.declared.theta_.size
         estimates = []
         for i, (a, b) in enumerate(itertools.pairwise(edges)):
             # Degrees of freedom of columns that are not excited are nan.
             freedom = np.fmin.reduce(variance.freedom[a:b], initial=np.inf)
+            own = slice(at, at := at + coefs[i].size)
             estimate = EffectEstimate(
                 coef=coefs[i],
                 shape=shapes[i],
                 covariance=covariance[a:b, a:b],
                 freedom=float(freedom),
+                of_prior=of_prior[own, own],
             )
             estimates.append(replace(estimate, forms=self._forms(i, estimate)))
         return estimates
+
+    def _prior_covariance(self):
+        """Return the covariance (p, p) due to the prior, see `EffectEstimate`."""
+        found, lost = self.identifier.estimate_, np.isinf(self.identifier.theta_std_)
+        covariance = np.zeros((lost.size, lost.size))
+        if found.bodies is not None:
+            C = np.nan_to_num(found.covariance, posinf=0.0)
+            covariance = C @ found.bodies.prior @ C
+        covariance[lost, lost] = np.nan
+        return covariance
 
     def _derivative(self, effect, name, coef):
         """Differentiate an effect's torque by a shape parameter, (m, nv, 1)."""

@@ -188,6 +188,8 @@ def _uses(outcome, status, joints):
     large = [joint.joint for joint in outcome.errors if joint.after > _LARGE]
     effects = (*outcome.findings["effects"], *outcome.findings["possible"])
     library = outcome.robot["library"]
+    motion = enumerate(outcome.robot["motion"])
+    one_way = [j for j, x in motion if x.resting < 1 and not x.reversals]
     hidden = {e.joint for e in effects if library[e.name].files.simulation}
     hidden = sorted(hidden.union(outcome.robot["unsimulated"]))
     uses = []
@@ -204,7 +206,7 @@ def _uses(outcome, status, joints):
                 causes.setdefault(code, []).append(verdict.joint)
         allowed = not causes
         if allowed:
-            qualified = {"large": large, "rose": rose}
+            qualified = {"large": large, "rose": rose, "one way": one_way}
             if name == "simulation":
                 qualified["left out"] = hidden
             causes |= {code: x for code, x in qualified.items() if x}

@@ -173,6 +173,8 @@ def parameter_text(effect):
         unit = effect.units.get(key, "")
         unit = "" if unit == "1" else unit
         texts.append(f"{key} = {with_error(value, interval, unit)}")
+    if effect.effect is not None and effect.effect.constant:
+        texts.append("torque offset included")
     return texts
 
 

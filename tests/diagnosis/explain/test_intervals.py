@@ -13,7 +13,8 @@ from sklearn_vbjfa.diagnosis.explain import (
     error_intervals,
     named_values,
 )
-from sklearn_vbjfa.effects import AsymmetricFriction, Stribeck
+from sklearn_vbjfa.diagnosis.report._words import parameter_text
+from sklearn_vbjfa.effects import AsymmetricFriction, Spring, Stribeck
 from sklearn_vbjfa.equations import TorqueResiduals
 from sklearn_vbjfa.robot import FitOptions
 from tests.core._problems import coloured
@@ -255,6 +256,41 @@ def test_a_shared_constant_is_reported_for_one_effect():
     assert low - 0.5 * (high - low) < truth < high + 0.5 * (high - low)
     ((other, omitted),) = constants - {(name, key)}
     assert by_name[other].parameters[omitted] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("bodies", ["prior", "free"])
+def test_rest_position_of_a_spring_includes_the_uncertainty_of_the_weight(bodies):
+    """A vertical slider of 3.2 kg, described with 4 kg: one constant force."""
+    recording = record("z", seed=1)
+    force = recording.torque(
+        joint_1=lambda r: 250.0 * (r.q[:, 0] - 0.1) - 0.8 * (9.81 + r.a[:, 0])
+    )
+    robot = recording.robot(bodies=bodies)
+    (spring,) = recording.discover(force, ["spring"], robot=robot).effects_
+    low, high = spring.intervals["k"]
+    assert low - 1.0 < 250.0 < high + 1.0
+    assert high - low < 10.0
+    if bodies == "free":
+        # Accelerations determine the sum of mass and rotor inertia only.
+        assert "q0" not in spring.intervals
+        assert "+-" not in parameter_text(spring)[1]
+    else:
+        low, high = spring.intervals["q0"]
+        assert low < 0.1 < high
+
+
+def test_derived_value_of_an_undetermined_coefficient():
+    keywords = {"coef": np.array([4.0, -2.0]), "shape": (), "freedom": 30.0}
+    keywords["covariance"] = np.diag([0.1, 0.2]) ** 2
+    effect, found = Spring(), []
+    for of_prior in (0.0, np.diag([0.0, 0.6]) ** 2, np.diag([0.0, np.nan])):
+        estimate = EffectEstimate(**keywords, of_prior=of_prior)
+        found.append(named_values(effect, estimate)[1])
+        conditional = named_values(effect, estimate.given_shape())[1]
+        assert conditional == named_values(effect, EffectEstimate(**keywords))[1]
+    assert_allclose([one["k"] for one in found], 0.1, rtol=1e-6)
+    expected = [np.hypot(0.1 * 0.5, c) / 4.0 for c in (0.2, np.hypot(0.2, 0.6))]
+    assert_allclose([one["q0"] for one in found], [*expected, np.nan], rtol=1e-6)
 
 
 def test_alternative_forms_widen_intervals():

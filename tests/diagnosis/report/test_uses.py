@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
+from sklearn_vbjfa.inspection import JointMotion
 from tests.diagnosis.report._outcomes import changed, finding, make_outcome
 from tests.diagnosis.report._pages import line_of, make_mass
 from tests.diagnosis.report.test_report import STATUS
@@ -37,6 +38,20 @@ def test_an_effect_that_simulations_leave_out_qualifies_them():
     (effect,) = outcome.findings["effects"]
     report = Report(changed(outcome, effects=(replace(effect, name="elastic"),)))
     assert "simulation (joint 2: simulations leave an effect out)" in line_of(report)
+
+
+def test_motion_in_one_direction_qualifies_the_uses():
+    known = {"lowest": -1.0, "highest": 1.0, "fastest": 1.0, "torques": (-1.0, 1.0)}
+    known |= {"slides": False, "shows": (), "hides": ()}
+    motion = [
+        JointMotion(name=f"joint{j + 1}", reversals=turns, resting=resting, **known)
+        for j, (turns, resting) in enumerate(
+            zip([9, 0, 9, 0, 9, 9], [0, 0, 0, 1, 0, 0])
+        )
+    ]
+    report = Report(make_outcome(channels=(), motion=motion))
+    assert all(of(report).values())
+    assert "(joint 2: one direction of motion only)" in line_of(report)
 
 
 def test_a_residual_above_the_noise_forbids_collision_detection_alone():

@@ -192,13 +192,16 @@ def _uses(outcome, status, joints):
     one_way = [j for j, x in motion if x.resting < 1 and not x.reversals]
     hidden = {e.joint for e in effects if library[e.name].files.simulation}
     hidden = sorted(hidden.union(outcome.robot["unsimulated"]))
+    # Without a torque sensor, a wrong gain is an error of the control law itself.
+    gains = [x.joint for x in effects if x.name == "torque_gain" and not x.warning]
+    wrong = {"gain": gains} if gains and outcome.robot["drive"] else {}
     uses = []
     for name, forbidden in (
         ("feedforward", _UNTRUSTED),
         ("simulation", _UNTRUSTED),
         ("collision detection", _UNTRUSTED + _ABOVE_NOISE),
     ):
-        causes = {overall: []} if overall else {}
+        causes = {overall: []} if overall else dict(wrong)
         for verdict in joints if not overall else ():
             # A joint with a large held-out error does not reproduce its fit.
             code = verdict.status if verdict.status in forbidden else verdict.detail

@@ -185,6 +185,15 @@ def test_an_effect_of_unknown_size_is_told():
         assert ("its form is not determined" in text) == told
 
 
+def test_a_wrong_gain_of_a_control_law_forbids_its_use():
+    (effect,) = make_outcome(nv=3, n_effects=1).findings["effects"]
+    outcome = make_outcome(effects=(replace(effect, name="torque_gain"),))
+    drive = {"kind": "PDDrive", "delay": None, "saturated": [0.0] * 3}
+    for given, wrong in ((None, False), (drive, True)):
+        report = Report(replace(outcome, robot={**outcome.robot, "drive": given}))
+        assert ("gains of the drive need correction" in line_of(report)) == wrong
+
+
 @pytest.mark.parametrize("shown", [line_of, text_of])
 def test_an_effect_has_value_gain_odds_and_rivals(shown):
     text = shown(Report(make_outcome(nv=3, n_effects=1)))

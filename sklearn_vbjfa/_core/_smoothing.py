@@ -138,7 +138,7 @@ def acceleration_spectra(segments, dt):
     if longest < MIN_SPECTRUM:
         raise ValueError(
             "Choosing the cut-off from the data needs a recording of at least "
-            f"{MIN_SPECTRUM} samples, got {longest}; give cutoff in Hz."
+            f"{MIN_SPECTRUM} samples, got {longest}: check groups, or give a cutoff."
         )
     n_fft = fft_length(longest, dt)
     power, energy = 0.0, 0.0
@@ -384,6 +384,8 @@ def contiguous_groups(groups, n_samples):
             f"groups must hold one label per row, shape ({n_samples},); got shape "
             f"{labels.shape}."
         )
+    if labels.dtype.kind == "f" and np.isnan(labels).any():
+        raise ValueError("groups must label every row; got nan.")
     borders = np.flatnonzero(labels[1:] != labels[:-1]) + 1
     ends = [0, *map(int, borders), n_samples]
     return [slice(a, b) for a, b in itertools.pairwise(ends)]

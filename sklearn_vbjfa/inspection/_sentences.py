@@ -38,8 +38,8 @@ SENTENCES = {
     "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
     "{mean:.4g}, which is its noise. Lock it in the model, or record a motion of it.",
-    "still_joint:all": "No joint moves: each position stays within its noise, at most "
-    "{range:.3g} about {mean:.4g}. Check the position columns.",
+    "still_joint:all": "No joint moves: positions vary by {range:.3g} at most, within "
+    "their noise. Check the position columns.",
     "repeated_rows": "{count} rows ({share}) equal the row before them in every "
     "channel, up to {longest} in a row, the first in row {row}. Leave them out, and "
     "split the recording there (groups).",

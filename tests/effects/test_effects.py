@@ -521,6 +521,7 @@ def test_effects_of_the_bodies_ask_for_them(name):
             {"groups": np.zeros(5)},
             r"groups must hold one label per row, shape \(600,\)",
         ),
+        ({"groups": np.full(600, np.nan)}, "groups must label every row; got nan"),
         ({"load": LOAD * np.nan}, "NaN"),
     ],
 )

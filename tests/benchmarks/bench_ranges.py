@@ -31,12 +31,12 @@ _ORDER = [3, 0, 1, 2]
 def measure(urdf, n, share, trials):
     """Return how often each value is in its range (4,), and in that of noise alone."""
     sys.path.append(str(ROOT))
-    from tests.robot._differing import held, share_of
+    from tests.robot._differing import covers, share_of
 
     with warnings.catch_warnings():
         # States are drawn one by one.
         warnings.filterwarnings("ignore", message="The rows are not in the order")
-        done = [held(urdf, 5000 + k, n, share_of(share)) for k in range(trials)]
+        done = [covers(urdf, 5000 + k, n, share_of(share)) for k in range(trials)]
     inside, noise = (np.array(one) for one in zip(*done))
     return inside.mean(axis=0)[_ORDER], noise.mean()
 

@@ -1,10 +1,10 @@
-"""Small arms, motions and torques, made without the package."""
+"""Small arms, motions and torques, computed independently of the package."""
 
 import numpy as np
 
 
 def arm(axes="ZYX", gravity=9.81):
-    """Make a serial arm; X, Y, Z are revolute joints and x, y, z sliders."""
+    """Make a serial arm; X, Y, Z are revolute and x, y, z prismatic joints."""
     import pinocchio as pin
 
     rng = np.random.default_rng(5)
@@ -41,7 +41,7 @@ def motion(nv, duration=20.0, dt=0.01, seed=0, size=1.0, top=0.9):
 
 
 def inverse_dynamics(model, states):
-    """Torques of the rigid bodies, row by row."""
+    """Return the rigid-body torques, row by row."""
     import pinocchio as pin
 
     data = model.createData()
@@ -53,14 +53,14 @@ def inverse_dynamics(model, states):
 class Derivatives:
     """Derivatives of `inverse_dynamics` by the geometry, by central differences.
 
-    With the names of `TorqueDerivatives`, and none of its mathematics.
+    Has the interface of `TorqueDerivatives`, without its mathematics.
     """
 
     def __init__(self, model, states, step=1e-4):
         self._model, self._states, self._step = model, states, step
 
     def _change(self, change):
-        """Differentiate by a number that `change` (model, number) puts in."""
+        """Differentiate by the scalar that `change` applies to a model and states."""
         high, low = (self._model.copy() for _ in range(2))
         shifted = self._states.copy(), self._states.copy()
         change(high, shifted[0], self._step)
@@ -69,7 +69,7 @@ class Derivatives:
         return rise / (2 * self._step)
 
     def by_turn(self, joint, turns):
-        """By turns (3, k) of a joint's placement in its own axes, (n, nv, k)."""
+        """Differentiate by rotations (3, k) of a joint's placement, (n, nv, k)."""
         import pinocchio as pin
 
         def about(axis):
@@ -82,7 +82,7 @@ class Derivatives:
         return np.stack([about(axis) for axis in np.eye(3)], axis=2) @ turns
 
     def by_position(self, joint):
-        """By the position of a joint, (n, nv)."""
+        """Differentiate by the position of a joint, (n, nv)."""
 
         def change(model, states, shift):
             states[:, joint] += shift
@@ -90,7 +90,7 @@ class Derivatives:
         return self._change(change)
 
     def by_gravity(self):
-        """By the vector of gravity, (n, nv, 3)."""
+        """Differentiate by the gravity vector, (n, nv, 3)."""
 
         def along(axis):
             def change(model, states, size):
@@ -107,16 +107,16 @@ class Derivatives:
         return np.eye(3)[["XYZ".index(name[-1]) for name in names]]
 
     def rotation(self, joint):
-        """Axes of a joint's placement, (3, 3)."""
+        """Return the rotation of a joint's placement, (3, 3)."""
         return self._model.jointPlacements[joint + 1].rotation
 
-    # Nothing was corrected.
+    # The model has no corrections.
     nominal_rotation = rotation
     nominal_gravity = property(lambda self: self._model.gravity.linear)
 
 
 def with_changed_body(model, delta):
-    """Copy whose last body has other inertial parameters, by delta (10,)."""
+    """Return a copy with delta (10,) added to the last body's parameters."""
     import pinocchio as pin
 
     other = model.copy()
@@ -126,14 +126,14 @@ def with_changed_body(model, delta):
 
 
 def last_body_regressor(model, states):
-    """Regressor of the last body's ten parameters, (n, nv, 10)."""
+    """Return the regressor of the last body's ten parameters, (n, nv, 10)."""
     from tests.model._trees import by_sample
 
     return by_sample(model, *np.split(states, 3, axis=1))[:, :, -1]
 
 
 def stops_sample_by_sample(q, displacement, level=None):
-    """Stop operator by its definition; moving, it is at most at its level (n,)."""
+    """Return the stop operator by its definition, limited to a level (n,)."""
     level, z = np.ones(q.size) if level is None else level, np.zeros_like(q)
     for i in range(1, q.size):
         z[i] = z[i - 1] + (q[i] - q[i - 1]) / displacement
@@ -145,7 +145,7 @@ def stops_sample_by_sample(q, displacement, level=None):
 
 
 def bristles_sample_by_sample(q, displacement, level):
-    """Bristle of LuGre, z' = dq / d (1 - sign(dq) z / level), by its exact step."""
+    """Step the LuGre bristle, z' = dq / d (1 - sign(dq) z / level), exactly."""
     z = np.zeros_like(q)
     for i in range(1, q.size):
         end = np.sign(q[i] - q[i - 1]) * level[i]
@@ -155,7 +155,7 @@ def bristles_sample_by_sample(q, displacement, level):
 
 
 def lag_step_by_step(x, dt, time_constant, n=200):
-    """Low-pass of the first order of what is straight between samples, by Euler."""
+    """Apply a first-order low-pass to linearly interpolated samples, by Euler steps."""
     fine = np.interp(np.arange(0, x.size - 1 + 1e-9, 1 / n), np.arange(x.size), x)
     middle, y = 0.5 * (fine[1:] + fine[:-1]), np.full_like(fine, fine[0])
     for i, now in enumerate(middle):
@@ -164,7 +164,7 @@ def lag_step_by_step(x, dt, time_constant, n=200):
 
 
 def play_sample_by_sample(q, width):
-    """Play operator as it is defined."""
+    """Return the play operator by its definition."""
     out = np.empty(q.size)
     out[0] = q[0]
     for i in range(1, q.size):

@@ -1,4 +1,4 @@
-"""Robots with faults, by other code than the package's, and an effect of one's own."""
+"""Robots with faults, independent of the package's code, and a custom effect."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from tests.effects._arms import inverse_dynamics
 
 
 class Cubic(Effect):
-    """Spring that stiffens, and that nobody but its author knows."""
+    """Stiffening spring that is not in the library."""
 
     name = "cubic"
     label = "stiffening cable"
@@ -20,15 +20,15 @@ class Cubic(Effect):
 
 
 def across(model, joint):
-    """Axes of a correction of a joint of `arm`, written out."""
+    """Return the two axes about which the axis of a joint of `arm` is corrected."""
     letter = model.joints[joint + 1].shortname()[-1]
     return {"Z": np.eye(3)[:2], "X": np.eye(3)[1:], "Y": np.eye(3)[[0, 2]]}[letter]
 
 
 def faulty(model, effects):
-    """Robot, shifts of the encoders and gains of the channels, as the guide says.
+    """Return the robot, encoder shifts and channel gains as defined in the guide.
 
-    Effects of one kind on one joint come once.
+    There is at most one effect of each kind per joint.
     """
     import pinocchio as pin
 
@@ -53,7 +53,7 @@ def faulty(model, effects):
 
 
 def measured(model, states, effects, viscous=0.0):
-    """Torques (n, nv) that are read where the encoders read some states."""
+    """Return the measured torques (n, nv) where the encoders read the given states."""
     other, shifts, gains = faulty(model, effects)
     nv = model.nv
     true = states - np.r_[shifts, np.zeros(2 * nv)]

@@ -1,4 +1,4 @@
-"""Declared columns are those of the effects of the same names."""
+"""Columns of declared friction equal those of the effects with the same names."""
 
 import numpy as np
 import pytest
@@ -21,11 +21,11 @@ def test_four_effects_can_be_declared():
 
 @pytest.mark.parametrize("rest", [None, REST])
 @pytest.mark.parametrize("joint", [0, 1])
-def test_columns_are_those_of_the_effects(joint, rest):
+def test_declared_columns_equal_the_effects_columns(joint, rest):
     names = effects.declarable()
     columns = effects.declared_columns(names, V, A, rest)
     assert columns.shape == (*V.shape, len(names))
     signals = Motion(q=Q, v=V, a=A, rest=rest)
     for k, effect in enumerate(effects.resolve(names)):
-        own = effect.set_params(joint=joint).columns(signals)
-        assert_array_equal(columns[:, [joint], k], own)
+        column = effect.set_params(joint=joint).columns(signals)
+        assert_array_equal(columns[:, [joint], k], column)

@@ -1,4 +1,4 @@
-"""Columns of the effects against closed forms and literal loops."""
+"""Columns of the effects against closed forms and sample-by-sample loops."""
 
 import numpy as np
 import pytest
@@ -21,16 +21,16 @@ from tests.effects._arms import (
     with_changed_body,
 )
 
-# The guide pins the names and their order; tests/test_docs.py compares.
+# The guide lists the names in this order; tests/test_docs.py compares.
 NAMES = effects.available()
-# Effects of the robot's geometry: their columns need the bodies.
+# Effects whose columns need the rigid-body dynamics.
 GEOMETRY = ("base_tilt", "joint_zero", "joint_axis")
 BODIES = ("elastic", "payload", *GEOMETRY)
 # Two joints: q1 q2 v1 v2 a1 a2
 T, X = motion(2, duration=6.0, seed=3)
 Q, V, A = np.split(X, 3, axis=1)
 LOAD = np.column_stack([3 * np.sin(2 * T) - 1, 2 * np.cos(3 * T)])
-# Beside the motion: a temperature that rises and falls, and a tool that is used once.
+# Signals: a temperature that rises and falls, and a tool that is attached once.
 RECORDED = {"temperature": 30 + 8 * np.sin(0.9 * T), "tool": 1.0 * (T > 3)}
 
 
@@ -44,7 +44,7 @@ def library_effect(name, joint=0):
 
 
 def signals(prismatic=(False, False), scale=1.0, **changed):
-    """Motion of two joints with all signals."""
+    """Return the motion of two joints with all signals."""
     model = arm("ZY")
     return Motion(
         **{
@@ -64,16 +64,16 @@ def signals(prismatic=(False, False), scale=1.0, **changed):
     )
 
 
-def transform(effect, **given):
-    given = {"t": T, "load": LOAD, "signals": RECORDED, **given}
-    return effect.fit(X).transform(X, **given)
+def transform(effect, **keywords):
+    keywords = {"t": T, "load": LOAD, "signals": RECORDED, **keywords}
+    return effect.fit(X).transform(X, **keywords)
 
 
 # -- the library
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_numbers_of_coefficients_units_and_columns_agree(name):
+def test_coefficients_units_and_columns_agree(name):
     effect = library_effect(name)
     k = len(effect.coefficients)
     assert k == len(effect.units) == len(set(effect.coefficients))
@@ -90,8 +90,8 @@ def test_numbers_of_coefficients_units_and_columns_agree(name):
     assert effect.record
 
 
-def slides(name):
-    """Whether an effect can be on a joint that slides."""
+def applies_to_prismatic(name):
+    """Return whether an effect applies to a prismatic joint."""
     reason = library_effect(name).applies(signals((True, True)))
     return "prismatic" not in reason
 
@@ -101,12 +101,12 @@ def slides(name):
 def test_parameters_have_units(name, prismatic):
     effect = library_effect(name)
     values = effect.parameters(np.linspace(0.5, 1.0, len(effect.coefficients)))
-    if prismatic and not slides(name):
+    if prismatic and not applies_to_prismatic(name):
         return
     units = effect.parameter_units(prismatic)
     assert all(isinstance(value, float) for value in values.values())
     assert set(values) | set(effect.continuous) <= set(units)
-    # What turns by an angle does so on a joint that slides as well.
+    # Angles stay angles on a prismatic joint.
     angles = {"angle", "phase", "roll", "pitch", "about_x", "about_y"}
     assert "rad" not in " ".join(
         unit for key, unit in units.items() if prismatic and key not in angles
@@ -114,7 +114,7 @@ def test_parameters_have_units(name, prismatic):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("requested", "message"),
     [
         ("stiction", "Unknown effect 'stiction'; expected one of viscous, coulomb"),
         (["coulomb", "all"], "Unknown effect 'all'"),
@@ -123,28 +123,28 @@ def test_parameters_have_units(name, prismatic):
         ([int], "classes or instances of Effect"),
     ],
 )
-def test_unknown_effects_are_refused(given, message):
+def test_unknown_effects_are_refused(requested, message):
     with pytest.raises(ValueError, match=message):
-        effects.resolve(given)
+        effects.resolve(requested)
 
 
 # -- columns
 
 
 def distance(angle, r):
-    """Distance of the point (r, 0) turned by an angle from the point (1, 0)."""
+    """Return the distance of the point (r, 0), rotated by an angle, from (1, 0)."""
     return np.hypot(r * np.cos(angle) - 1, r * np.sin(angle))
 
 
 def lever_arm(angle, r):
-    """Distance from the axis of the line through both, with its sign."""
+    """Return the signed distance of the line through both points from the axis."""
     x, y = r * np.cos(angle), r * np.sin(angle)
     # cross product of a point of the line with its direction
     return (x * 0 - y * 1) / -np.hypot(x - 1, y)
 
 
 def closed_forms():
-    """Effect on the second joint, and its columns by hand."""
+    """Return parameters of effects on the second joint, and their columns by hand."""
     q, v, a, load = Q[:, 1], V[:, 1], A[:, 1], LOAD[:, 1]
     w = V[:, 0]
     one = np.ones_like(q)
@@ -195,7 +195,7 @@ def closed_forms():
         "counterbalance linkage": (
             {"form": "linkage", "ratio": 0.4, "angle": 0.3},
             [
-                # 1 m and 0.4 m from the axis: lever arm of a unit force, and of 1 N / m
+                # Torque of a force of 1 N, and of a spring of 1 N/m
                 lever_arm(q - 0.3, 0.4) / 0.4,
                 lever_arm(q - 0.3, 0.4) * distance(q - 0.3, 0.4) / 0.4,
             ],
@@ -240,7 +240,7 @@ def closed_forms():
 
 
 @pytest.mark.parametrize("case", closed_forms())
-def test_columns_are_what_the_formula_says(case):
+def test_columns_match_closed_forms(case):
     parameters, expected = closed_forms()[case]
     effect = library_effect(case.split()[0], joint=1).set_params(**parameters)
     assert_allclose(transform(effect), np.column_stack(expected), rtol=1e-9, atol=1e-12)
@@ -253,7 +253,7 @@ walks = st.lists(st.integers(-40, 40), min_size=2, max_size=40).map(
 
 @settings(deadline=None, max_examples=25)
 @given(q=walks, displacement=st.sampled_from([0.03125, 0.25, 1.0, 4.0]))
-def test_stops_on_any_walk(q, displacement):
+def test_stop_operators_on_random_walks(q, displacement):
     z = elements(q, (displacement, 2 * displacement))
     assert_allclose(z[:, 0], stops_sample_by_sample(q, displacement), atol=1e-12)
     assert_allclose(z[:, 1], stops_sample_by_sample(q, 2 * displacement), atol=1e-12)
@@ -262,43 +262,43 @@ def test_stops_on_any_walk(q, displacement):
 
 @settings(deadline=None, max_examples=25)
 @given(q=walks, creeps=st.booleans())
-def test_elements_go_on_from_the_positions_before(q, creeps):
+def test_elements_continue_from_previous_positions(q, creeps):
     half, d = len(q) // 2, (0.03125, 0.25, 1.0)
     whole = elements(q, d, creeps=creeps)
     later = elements(q[half:], d, creeps=creeps, before=q[:half])
     assert_allclose(later, whole[half:], atol=1e-12)
 
 
-def test_a_virgin_curve_is_the_torque_of_a_motion_from_rest():
+def test_virgin_curve_is_the_torque_of_a_motion_from_rest():
     effect = effects.MaxwellSlip(displacements=(0.01, 0.04))
     coef, x = [2.0, 1.0], np.linspace(0.0, 0.06, 13)
     states = np.column_stack([x, np.ones((13, 2))])
     curve = effect.fit_transform(states) @ coef
     assert_allclose(effect.virgin_curve(coef, x), curve)
-    found = effect.parameters(coef)
-    assert found["Fc"] == 3.0
-    assert_allclose(np.interp(found["half"], x, curve), 1.5)
+    parameters = effect.parameters(coef)
+    assert parameters["Fc"] == 3.0
+    assert_allclose(np.interp(parameters["half"], x, curve), 1.5)
 
 
-def test_elements_of_no_displacement_are_what_a_bank_contains():
+def test_zero_displacements_reduce_to_the_contained_effects():
     small = dict.fromkeys(("displacements", "loaded", "falling"), (0.0,))
     bank = effects.MaxwellSlip(0, vs=0.3, **small)
     assert bank.contains == ("coulomb", "load_friction")
     plain = effects.Coulomb(0), effects.LoadFriction(0)
     plain += (effects.Stribeck(0, vs=0.3, k=2),)
-    given, moves = signals(), V[:, 0] != 0
-    coulomb, load, stribeck = (e.columns(given)[moves] for e in plain)
+    moved, moving = signals(), V[:, 0] != 0
+    coulomb, load, stribeck = (e.columns(moved)[moving] for e in plain)
     expected = np.hstack([coulomb, load, coulomb + stribeck])
-    assert_allclose(bank.columns(given)[moves], expected, atol=1e-12)
+    assert_allclose(bank.columns(moved)[moving], expected, atol=1e-12)
     assert effects.MaxwellSlip(0).contains == ("coulomb",)
 
 
-def test_an_element_of_no_displacement_holds_where_the_joint_may_rest():
+def test_zero_displacement_element_keeps_its_sign_near_rest():
     z = elements(np.zeros(6), (0.0,), sign=np.array([0.4, 1.0, 0.6, -0.6, -1.0, 0.0]))
     assert_array_equal(z[:, 0], [0.0, 1.0, 1.0, 1.0, -1.0, -1.0])
 
 
-def test_elements_that_are_left_keep_their_columns():
+def test_only_selects_columns_of_the_bank():
     bank = effects.MaxwellSlip(
         displacements=(0.01, 0.04), loaded=(0.1,), falling=(0.02, 0.03), vs=0.3
     )
@@ -308,23 +308,23 @@ def test_elements_that_are_left_keep_their_columns():
 
 
 @pytest.mark.parametrize("values", [(), (0.1, -1.0), (np.nan,)])
-def test_a_bank_needs_displacements(values):
+def test_invalid_displacements_are_refused(values):
     with pytest.raises(ValueError, match="displacements"):
         transform(effects.MaxwellSlip(displacements=values))
 
 
 @settings(deadline=None, max_examples=40)
 @given(q=walks, width=st.sampled_from([0.0, 0.125, 1.0, 3.0]))
-def test_play_on_any_walk(q, width):
+def test_play_operator_on_random_walks(q, width):
     p = play(q, width)
     assert_allclose(p, play_sample_by_sample(q, width), atol=1e-12)
     assert np.all(np.abs(p - q) <= 0.5 * width + 1e-12)
-    # twice the same play is the play of twice the width
+    # Applying a play twice is a play of twice the width.
     assert_allclose(play(p, width), play(q, 2 * width), atol=1e-12)
 
 
-def test_elastic_is_the_derivative_by_the_compliance():
-    """Against the analytic derivatives of inverse dynamics."""
+def test_elastic_columns_are_the_derivatives_by_the_compliance():
+    """Compare with the analytic derivatives of inverse dynamics."""
     import pinocchio as pin
 
     model = arm("ZYX")
@@ -359,7 +359,7 @@ def test_elastic_is_the_derivative_by_the_compliance():
     assert_allclose(columns[inside, :, 0], expected, atol=2e-3 * size)
 
 
-def test_payload_is_the_torque_of_a_changed_body():
+def test_payload_columns_are_the_torque_of_the_added_body():
     model = arm("ZY")
     delta = np.r_[0.7, 0.02, -0.05, 0.1, np.zeros(6)]
     heavier = with_changed_body(model, delta)
@@ -370,37 +370,37 @@ def test_payload_is_the_torque_of_a_changed_body():
     assert_allclose(columns @ coef, added * (T >= 2.5)[:, None], atol=1e-9)
 
 
-def test_a_payload_is_a_ball_around_its_centre_of_mass():
-    """Exactly, where it is linearised at its own centre."""
+def test_payload_is_a_sphere_around_its_centre_of_mass():
+    """The columns are exact if linearised at the payload's centre."""
     import pinocchio as pin
 
     model = arm("ZY")
-    ball = pin.SE3(np.eye(3), np.array([0.08, -0.05, 0.11])).act(
+    sphere = pin.SE3(np.eye(3), np.array([0.08, -0.05, 0.11])).act(
         pin.Inertia.FromSphere(0.7, 0.06)
     )
-    delta = ball.toDynamicParameters()
+    delta = sphere.toDynamicParameters()
     heavier = with_changed_body(model, delta)
     added = inverse_dynamics(heavier, X) - inverse_dynamics(model, X)
     coef = np.r_[delta[:4], 0.4 * 0.7 * 0.06**2]
     effect = effects.Payload(joint=1, instant=-1.0)
-    there = effect.linearised_at(coef)
-    assert_allclose(there.centre, [0.08, -0.05, 0.11])
-    assert_allclose(there.columns(signals()) @ coef, added, atol=1e-9)
-    # To first order beside it.
+    linearised = effect.linearised_at(coef)
+    assert_allclose(linearised.centre, [0.08, -0.05, 0.11])
+    assert_allclose(linearised.columns(signals()) @ coef, added, atol=1e-9)
+    # Accurate to first order near the centre.
     rough = np.abs(effect.columns(signals()) @ coef - added).max()
     near = effects.Payload(joint=1, instant=-1.0, centre=(0.081, -0.05, 0.11))
     assert np.abs(near.columns(signals()) @ coef - added).max() < 1e-3 * rough
-    # Of a mass of nothing there is no centre, and it is not far away.
+    # The centre of a payload without mass is the origin.
     for mass in (0.0, 0.01):
-        nowhere = effect.linearised_at(np.r_[mass, 0.1, 0.0, 0.0, 0.0])
-        assert nowhere.centre == (0.0, 0.0, 0.0)
+        massless = effect.linearised_at(np.r_[mass, 0.1, 0.0, 0.0, 0.0])
+        assert massless.centre == (0.0, 0.0, 0.0)
 
 
 # -- recordings
 
 
 def recordings_of(effect):
-    """Columns of two recordings together, and of each alone."""
+    """Return columns of two recordings with groups, one by one, and without groups."""
     half = T.size // 2
     groups = np.r_[np.zeros(half), np.ones(T.size - half)]
     effect = effect.fit(X)
@@ -419,7 +419,7 @@ def recordings_of(effect):
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in BODIES])
-def test_nothing_is_remembered_across_recordings(name):
+def test_memory_is_reset_between_recordings(name):
     effect = library_effect(name)
     memory = name in ("delay", "torque_filter", "jerk", "maxwell_slip", "backlash")
     if name == "maxwell_slip":
@@ -427,28 +427,28 @@ def test_nothing_is_remembered_across_recordings(name):
     elif memory and effect.continuous:
         (shape,) = effect.continuous
         effect.set_params(**{shape: 0.2})
-    together, apart, one = recordings_of(effect)
+    together, apart, ungrouped = recordings_of(effect)
     assert_array_equal(together, apart)
-    assert np.array_equal(together, one) != memory
+    assert np.array_equal(together, ungrouped) != memory
 
 
 # -- shapes
 
 
-SCALED = [n for n in NAMES if n not in BODIES and slides(n)]
+SCALED = [n for n in NAMES if n not in BODIES and applies_to_prismatic(n)]
 
 
 @pytest.mark.parametrize("name", SCALED)
-def test_millimetres_give_the_same_columns(name):
-    """Shapes follow the unit of a prismatic joint, columns but for a factor."""
+def test_columns_are_the_same_in_millimetres(name):
+    """Shapes scale with the unit of a prismatic joint; columns differ by a factor."""
     metres = signals((True, True))
     millimetres = signals((True, True), scale=1000.0)
     effect = library_effect(name)
-    one, other = effect.shapes(metres), effect.shapes(millimetres)
-    assert len(one) == len(other) > 0
-    for here, there in zip(one, other):
-        a = clone(effect).set_params(**here).columns(metres)
-        b = clone(effect).set_params(**there).columns(millimetres)
+    shapes, shapes_mm = effect.shapes(metres), effect.shapes(millimetres)
+    assert len(shapes) == len(shapes_mm) > 0
+    for shape, shape_mm in zip(shapes, shapes_mm):
+        a = clone(effect).set_params(**shape).columns(metres)
+        b = clone(effect).set_params(**shape_mm).columns(millimetres)
         a, b = (x / np.sqrt(np.mean(x**2, axis=0)) for x in (a, b))
         assert_allclose(a, b, atol=1e-6)
 
@@ -456,7 +456,7 @@ def test_millimetres_give_the_same_columns(name):
 # -- parameters
 
 
-def test_parameters_mean_what_they_are_called():
+def test_named_parameters():
     assert effects.Spring().parameters([4.0, -2.0]) == {"k": 4.0, "q0": 0.5}
     assert np.isnan(effects.Spring().parameters([0.0, 1.0])["q0"])
     coef = [3 * np.cos(0.7), 3 * np.sin(0.7)]
@@ -475,25 +475,25 @@ def test_parameters_mean_what_they_are_called():
     assert effects.Drift().parameter_units()["D"] == "N m"
 
 
-def test_keys_tell_uses_apart_but_not_shapes():
+def test_keys_depend_on_use_and_not_on_shape():
     assert effects.Stribeck(vs=0.1, k=1).key() == effects.Stribeck(vs=0.2, k=2).key()
     assert effects.Drift(of="offset").key() != effects.Drift(of="coulomb").key()
-    here, there = (effects.Signal(signal="T", reference=x) for x in (0.0, 30.0))
-    assert here.key() == there.key()
-    assert here.key() != effects.Signal(signal="U").key()
-    assert here.key() != effects.Signal(signal="T", of="viscous").key()
+    cold, warm = (effects.Signal(signal="T", reference=x) for x in (0.0, 30.0))
+    assert cold.key() == warm.key()
+    assert cold.key() != effects.Signal(signal="U").key()
+    assert cold.key() != effects.Signal(signal="T", of="viscous").key()
     assert effects.Coupling(other=1).key() != effects.Coupling(other=2).key()
     assert effects.Coulomb(0).key() != effects.Coulomb(1).key()
     short, long = (effects.FrictionByPosition(0, period=p) for p in (0.1, 2.0))
     assert short.key() == long.key()
     assert long.key() in short.excludes()
-    # Two ripples of a joint have periods that differ clearly.
+    # Ripples of one joint must have clearly different periods.
     first, near, far = (effects.Ripple(period=x) for x in (0.1, 0.12, 0.3))
     assert near.key() in first.excludes()
     assert far.key() not in first.excludes()
 
 
-# -- what is missing
+# -- missing signals
 
 
 @pytest.mark.parametrize("name", [e.name for e in effects.resolve("all") if e.needs])
@@ -507,13 +507,13 @@ def test_missing_signals_are_named(name):
 
 
 @pytest.mark.parametrize("name", BODIES)
-def test_effects_of_the_bodies_ask_for_them(name):
+def test_effects_of_the_bodies_need_rigid_body_dynamics(name):
     with pytest.raises(ValueError, match="needs the rigid-body dynamics"):
         transform(library_effect(name))
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("inputs", "message"),
     [
         ({"t": T[:-1]}, r"t must have shape \(600,\)"),
         ({"load": LOAD[:, :1]}, r"load must have shape \(600, 2\)"),
@@ -525,17 +525,17 @@ def test_effects_of_the_bodies_ask_for_them(name):
         ({"load": LOAD * np.nan}, "NaN"),
     ],
 )
-def test_wrong_signals_are_refused(given, message):
+def test_invalid_signals_are_refused(inputs, message):
     with pytest.raises(ValueError, match=message):
-        transform(effects.LoadFriction(), **given)
+        transform(effects.LoadFriction(), **inputs)
 
 
 @given(
     ratio=st.floats(0.05, 0.95), angle=st.floats(-3.0, 3.0), rest=st.floats(0.0, 1.5)
 )
 @settings(deadline=None, max_examples=25)
-def test_a_linkage_has_the_work_of_its_spring(ratio, angle, rest):
-    """The torque is the derivative of the energy of a coil spring of length `rest`."""
+def test_linkage_torque_is_the_derivative_of_the_spring_energy(ratio, angle, rest):
+    """The energy is that of a coil spring of free length `rest`."""
     q = np.linspace(-1.0, 1.0, 2001)
     energy = 0.5 * 7.0 * (distance(q - angle, ratio) - rest) ** 2
     effect = effects.Counterbalance(form="linkage", ratio=ratio, angle=angle)
@@ -544,7 +544,7 @@ def test_a_linkage_has_the_work_of_its_spring(ratio, angle, rest):
     assert_allclose(torque[1:-1], np.gradient(energy, q)[1:-1], atol=2e-3)
 
 
-# -- settings that cannot be
+# -- invalid settings
 
 
 @pytest.mark.parametrize(
@@ -564,7 +564,7 @@ def test_shape_parameters_of_zero_are_refused(effect):
 
 
 @pytest.mark.parametrize("constant", [0.5, 1e5])
-def test_a_drift_over_a_recording_is_its_decrease_around_its_mean(constant):
+def test_drift_over_a_recording_has_zero_mean_and_unit_decrease(constant):
     t = np.linspace(3.0, 8.0, 100_001)
     motion = Motion(q=t[:, None], v=t[:, None], a=t[:, None], t=t)
     shape = {"time_constant": constant, "begin": 3.0, "end": 8.0}
@@ -581,11 +581,11 @@ def test_a_drift_over_a_recording_is_its_decrease_around_its_mean(constant):
 
 
 @pytest.mark.parametrize("of", ["coulomb", "offset", "viscous"])
-def test_a_drift_does_not_grow_before_the_fit(of):
+def test_drift_is_constant_before_the_fitted_time(of):
     drift = effects.Drift(of=of, time_constant=2.0)
     whole = signals(t=T - 100.0)
-    known = signals(t=T - 100.0, since=-97.0)
+    fitted = signals(t=T - 100.0, since=-97.0)
     expected = drift.columns(signals(t=np.maximum(T - 100.0, -97.0)))
-    assert_array_equal(drift.columns(known), expected)
+    assert_array_equal(drift.columns(fitted), expected)
     later = T - 100.0 >= -97.0
-    assert_array_equal(drift.columns(known)[later], drift.columns(whole)[later])
+    assert_array_equal(drift.columns(fitted)[later], drift.columns(whole)[later])

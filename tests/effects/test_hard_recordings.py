@@ -1,4 +1,4 @@
-"""Friction with memory in recordings that hardly show it."""
+"""Hysteretic friction in recordings with poor excitation."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ SLIPS = sum(
 TORQUE = LOAD + 0.5 * V + SLIPS + NOISE
 
 
-def searched(q, tau, *names, cutoff="auto"):
+def search(q, tau, *names, cutoff="auto"):
     robot = RobotIdentifier(MODEL, dt=0.02, cutoff=cutoff)
     return EffectDiscovery(robot, effects=names, random_state=0).fit(q, tau)
 
@@ -31,16 +31,16 @@ def searched(q, tau, *names, cutoff="auto"):
         (np.round(Q / 0.08) * 0.08, TORQUE, 0.05),  # coarser than every threshold
     ],
 )
-def test_the_size_of_the_friction_is_found(q, tau, tolerance):
-    (effect,) = searched(q, tau, "maxwell_slip", "coulomb").effects_
+def test_friction_level_is_estimated(q, tau, tolerance):
+    (effect,) = search(q, tau, "maxwell_slip", "coulomb").effects_
     assert effect.name == "maxwell_slip"
     assert effect.parameters["Fc"] == pytest.approx(3.0, rel=tolerance)
 
 
-def test_equal_elements_that_cancel_do_not_hide_the_friction():
+def test_friction_is_found_with_coarse_encoders():
     coarse = np.round(Q / 0.08) * 0.08
-    found = searched(coarse, TORQUE, "maxwell_slip", "coulomb", cutoff=5.0)
-    (effect,) = found.effects_
+    discovery = search(coarse, TORQUE, "maxwell_slip", "coulomb", cutoff=5.0)
+    (effect,) = discovery.effects_
     low, high = effect.intervals["Fc"]
     assert 2.5 < low < 3.04 < high < 3.5
 
@@ -50,4 +50,4 @@ def test_a_joint_that_never_reverses_shows_no_memory():
     v = np.gradient(q, 0.02, axis=0)
     states = np.hstack([q, v, np.gradient(v, 0.02, axis=0)])
     tau = inverse_dynamics(MODEL, states) + 0.5 * v + 1.0 + NOISE
-    assert searched(q, tau, "maxwell_slip", "coulomb").effects_ == ()
+    assert search(q, tau, "maxwell_slip", "coulomb").effects_ == ()

@@ -51,7 +51,7 @@ def columns(model, states, effects, effect):
 
 
 def wall(axes, gravity):
-    """Make an arm in whose base gravity points elsewhere."""
+    """Make an arm with another gravity vector."""
     model = arm(axes)
     model.gravity.linear = np.array(gravity, dtype=float)
     return model
@@ -93,43 +93,43 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_columns_are_the_derivatives_at_the_present_values(case):
-    model, used = CASES[case]
+def test_columns_are_derivatives_at_the_current_values(case):
+    model, faults = CASES[case]
     _, states = motion(3, duration=0.5, dt=0.02, seed=4)
-    for i, effect in enumerate(used):
-        found = columns(model, states, used, effect)
+    for i, effect in enumerate(faults):
+        derivatives = columns(model, states, faults, effect)
         for k, name in enumerate(effect.coefficients):
-            made = []
+            torques = []
             for step in (STEP, -STEP):
-                moved = [*used]
-                moved[i] = clone(effect).set_params(
+                perturbed = [*faults]
+                perturbed[i] = clone(effect).set_params(
                     **{name: getattr(effect, name) + step}
                 )
-                made.append(measured(model, states, moved))
-            expected = (made[0] - made[1]) / (2 * STEP)
+                torques.append(measured(model, states, perturbed))
+            expected = (torques[0] - torques[1]) / (2 * STEP)
             size = np.abs(expected).max()
             assert size > 0.1
-            assert_allclose(found[:, :, k], expected, atol=1e-7 * size)
+            assert_allclose(derivatives[:, :, k], expected, atol=1e-7 * size)
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_corrected_models_say_what_the_guide_says(case):
-    model, used = CASES[case]
+def test_corrected_models_follow_the_documented_conventions(case):
+    model, faults = CASES[case]
     _, states = motion(3, duration=0.3, dt=0.02, seed=4)
     robot = CorrectedModel(model)
-    for effect in used:
+    for effect in faults:
         effect.correct(robot)
-    found = robot.gains * inverse_dynamics(robot.model, states)
-    assert_allclose(found, measured(model, states, used), atol=1e-10)
+    torques = robot.gains * inverse_dynamics(robot.model, states)
+    assert_allclose(torques, measured(model, states, faults), atol=1e-10)
 
 
-def test_a_gain_is_that_of_the_whole_torque_where_it_is_known():
-    """Friction passes the channel as the load does."""
+def test_gain_scales_the_whole_torque():
+    """The gain scales friction as well as the rigid-body torque."""
     q = np.linspace(0.0, 1.0, 5)[:, None] * np.ones(2)
     load, torque = 3.0 + q, 7.0 - q
-    known = Motion(q=q, v=q, a=q, load=load, torque=torque)
+    signals = Motion(q=q, v=q, a=q, load=load, torque=torque)
     expected = torque[:, [1]] / 1.25
-    assert_allclose(TorqueGain(1, 1.25).columns(known), expected)
+    assert_allclose(TorqueGain(1, 1.25).columns(signals), expected)
 
 
 # -- values
@@ -143,23 +143,23 @@ ALL = [
 
 
 @pytest.mark.parametrize("effect", ALL)
-def test_values_are_parameters_that_coefficients_correct(effect):
+def test_coefficients_are_corrections_of_the_values(effect):
     k = len(effect.coefficients)
     assert isinstance(effect, InModel)
     assert len(effect.values) == len(effect.nominal) == k
     step = 0.01 * np.arange(1, k + 1)
-    further = effect.linearised_at(step)
-    assert_allclose(further.values, effect.values + step)
-    assert further is not effect
+    updated = effect.linearised_at(step)
+    assert_allclose(updated.values, effect.values + step)
+    assert updated is not effect
     assert_allclose(effect.linearised_at(np.zeros(k)).values, effect.values)
     assert_allclose(effect.with_values(step).values, step)
     names = effect.coefficients
-    assert all(isinstance(getattr(further, name), float) for name in names)
-    # What is called a parameter is the value and not the correction.
+    assert all(isinstance(getattr(updated, name), float) for name in names)
+    # Parameters are values and not corrections.
     assert effect.parameters(effect.values) == dict(zip(names, effect.values))
-    assert further.key() == effect.key()
-    assert further.joint == effect.joint
-    assert pickle.loads(pickle.dumps(further)).get_params() == further.get_params()
+    assert updated.key() == effect.key()
+    assert updated.joint == effect.joint
+    assert pickle.loads(pickle.dumps(updated)).get_params() == updated.get_params()
 
 
 @pytest.mark.parametrize(
@@ -172,23 +172,23 @@ def test_values_are_parameters_that_coefficients_correct(effect):
         (TorqueGain(limit=5.0), 0.2, 5.0),
     ],
 )
-def test_what_is_plausible(effect, low, high):
+def test_bounds(effect, low, high):
     assert_allclose(effect.bounds()[0], low)
     assert_allclose(effect.bounds()[1], high)
-    idle = np.array(effect.nominal)
+    nominal = np.array(effect.nominal)
     for end, inside in ((low, 1), (high, -1)):
-        away = 1e-6 * inside
-        assert effect.natural(end - idle + away)
-        assert effect.plausible(end - idle + away)
-        for k in range(idle.size):
-            # One value outside is enough.
-            out = np.zeros(idle.size)
-            out[k] = end - idle[k] - away
-            assert not effect.natural(out)
-    # What counts is the corrected value.
-    almost = effect.with_values(np.full(idle.size, high - 0.01))
-    assert almost.natural(np.full(idle.size, 0.005))
-    assert not almost.natural(np.full(idle.size, 0.02))
+        margin = 1e-6 * inside
+        assert effect.natural(end - nominal + margin)
+        assert effect.plausible(end - nominal + margin)
+        for k in range(nominal.size):
+            # One value outside the bounds is enough.
+            outside = np.zeros(nominal.size)
+            outside[k] = end - nominal[k] - margin
+            assert not effect.natural(outside)
+    # Bounds apply to the corrected value.
+    almost = effect.with_values(np.full(nominal.size, high - 0.01))
+    assert almost.natural(np.full(nominal.size, 0.005))
+    assert not almost.natural(np.full(nominal.size, 0.02))
 
 
 @pytest.mark.parametrize(
@@ -201,6 +201,6 @@ def test_what_is_plausible(effect, low, high):
         (TorqueGain(gain=-1.1), "gain of torque_gain must be positive"),
     ],
 )
-def test_values_that_are_none_are_refused(effect, message):
+def test_invalid_values_are_refused(effect, message):
     with pytest.raises(ValueError, match=message):
         effect.check()

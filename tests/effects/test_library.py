@@ -1,4 +1,4 @@
-"""What the library says of its effects."""
+"""Texts and containment of the library's effects."""
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.effects import closure
@@ -8,16 +8,16 @@ def plain_label(joint):
     return f"joint {joint + 1}"
 
 
-def test_every_effect_says_what_reports_and_guide_need():
+def test_every_effect_has_a_label_and_a_formula():
     for effect in effects.resolve():
         assert effect.label
         assert effect.formula
         assert effect.describe({}, plain_label) == effect.label
 
 
-def test_closure_follows_what_is_contained():
+def test_closure_of_contained_effects():
     library = effects.resolve()
     assert closure(effects.Viscous(), library) == set()
     assert closure(effects.Backlash(), library) == {"spring", "coulomb", "offset"}
-    # Of what the library does not hold nothing more is known.
+    # Effects that are not in the library contribute only their own names.
     assert closure(effects.Backlash(), ()) == {"spring", "coulomb"}

@@ -1,4 +1,4 @@
-"""What varies with a recorded signal: columns, units, words, and what is refused."""
+"""Effects that vary with a recorded signal: columns, units and shapes."""
 
 import numpy as np
 import pytest
@@ -19,17 +19,17 @@ def moved(**changed):
 
 
 @pytest.mark.parametrize("of", ["offset", "coulomb", "viscous"])
-def test_another_reference_is_another_share_of_the_plainer_effect(of):
-    """As k (s - r) f = k (s - r') f + k (r' - r) f."""
+def test_reference_changes_only_the_share_of_the_base_effect(of):
+    """Check k (s - r) f = k (s - r') f + k (r' - r) f."""
     plain = {"offset": 1.0, "coulomb": np.sign(V[:, 1]), "viscous": V[:, 1]}[of]
     given = {"joint": 1, "signal": "temperature", "of": of}
-    here, there = (
+    low, high = (
         effects.Signal(**given, reference=r).columns(moved())[:, 0] for r in (20.0, 31)
     )
-    assert_allclose(here - there, (31 - 20) * plain * np.ones(T.size), atol=1e-12)
+    assert_allclose(low - high, (31 - 20) * plain * np.ones(T.size), atol=1e-12)
 
 
-def test_units_of_the_signal_change_the_coefficient_alone():
+def test_signal_units_only_scale_the_columns():
     celsius = effects.Signal(signal="temperature", reference=25.0)
     kelvin = effects.Signal(signal="temperature", reference=298.15)
     fahrenheit = effects.Signal(signal="temperature", reference=77.0)
@@ -40,7 +40,7 @@ def test_units_of_the_signal_change_the_coefficient_alone():
     assert_allclose(fahrenheit.columns(scaled), 1.8 * base, atol=1e-10)
 
 
-def test_all_signals_that_vary_are_tried_about_their_mean():
+def test_shapes_cover_all_varying_signals_about_their_mean():
     flat = {**SIGNALS, "humidity": np.full(T.size, 40.0)}
     shapes = effects.Signal(joint=1).shapes(moved(signals=flat))
     assert {(s["signal"], s["of"]) for s in shapes} == {
@@ -51,7 +51,7 @@ def test_all_signals_that_vary_are_tried_about_their_mean():
     assert effects.Signal().shapes(moved(signals={})) == []
 
 
-def test_a_data_frame_of_signals_will_do():
+def test_signals_as_a_data_frame():
     import pandas
 
     effect = effects.Signal(signal="voltage").fit(X)

@@ -1,4 +1,4 @@
-"""Columns of data frames are found by name, rows out of order are told of."""
+"""Data frame columns are matched by name; rows out of order give a warning."""
 
 import warnings
 
@@ -36,7 +36,7 @@ def test_torques_in_any_order(simulated, names):
     np.testing.assert_array_equal(torques_in_order(y, NAMES), simulated.tau)
 
 
-def test_a_fit_takes_columns_in_any_order(simulated):
+def test_fit_accepts_columns_in_any_order(simulated):
     plain = identify(simulated, simulated.q, simulated.tau)
     names = [f"q_{name}" for name in NAMES]
     X, y = frame(simulated.q, names), frame(simulated.tau, NAMES)
@@ -46,9 +46,9 @@ def test_a_fit_takes_columns_in_any_order(simulated):
     rows = slice(500, 900)
     expected = plain.predict(simulated.q[rows])
     np.testing.assert_allclose(robot.predict(X[rows]), expected, atol=1e-5)
-    left = robot.residuals(X, y, simulated.groups).normalised_error()
-    right = plain.residuals(simulated.q, simulated.tau, simulated.groups)
-    np.testing.assert_allclose(left, right.normalised_error(), rtol=1e-5)
+    error = robot.residuals(X, y, simulated.groups).normalised_error()
+    expected_error = plain.residuals(simulated.q, simulated.tau, simulated.groups)
+    np.testing.assert_allclose(error, expected_error.normalised_error(), rtol=1e-5)
 
 
 def test_states_by_name():
@@ -61,7 +61,7 @@ def test_states_by_name():
     np.testing.assert_array_equal(positions_and_signals(shuffled, NAMES)[0], values)
 
 
-def test_foreign_names_are_refused(simulated):
+def test_unknown_column_names_are_refused(simulated):
     X = pandas.DataFrame(simulated.q, columns=[*NAMES[:5], "gripper"])
     with pytest.raises(ValueError, match=r"X has columns .*, gripper; ") as caught:
         identify(simulated, X, simulated.tau)
@@ -75,15 +75,15 @@ def test_foreign_names_are_refused(simulated):
 
 
 @pytest.fixture(scope="module")
-def two():
-    """Return a small arm, and two of its recordings one after the other."""
+def logs():
+    """Return a small arm and two concatenated recordings of it."""
     model, parts = arm("ZY"), [motion(2, 8.0, seed=seed)[1] for seed in (1, 2)]
     states = np.concatenate(parts)
     return model, states[:, :2], inverse_dynamics(model, states)
 
 
-def messages(two, rows=slice(None), groups=None):
-    model, q, tau = two
+def fit_warnings(logs, rows=slice(None), groups=None):
+    model, q, tau = logs
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         RobotIdentifier(model, dt=0.01, friction=()).fit(
@@ -92,15 +92,15 @@ def messages(two, rows=slice(None), groups=None):
     return [str(warning.message) for warning in caught]
 
 
-def test_forgotten_groups_are_told_of_in_the_words_of_the_checks(two):
-    model, q, tau = two
+def test_missing_groups_give_the_warning_of_the_channel_checks(logs):
+    model, q, tau = logs
     findings = inspect_channels(model, q, tau, 0.01)
-    words = [f.message for f in findings if f.kind == "position_jumps"]
-    assert words
-    assert messages(two)[: len(words)] == words
-    assert messages(two, groups=np.repeat([0, 1], len(q) // 2)) == []
+    expected = [f.message for f in findings if f.kind == "position_jumps"]
+    assert expected
+    assert fit_warnings(logs)[: len(expected)] == expected
+    assert fit_warnings(logs, groups=np.repeat([0, 1], len(q) // 2)) == []
 
 
-def test_shuffled_rows_are_told_of(two):
-    said = messages(two, np.random.default_rng(0).permutation(len(two[1])))
-    assert said[0].startswith("The rows are not in the order of time")
+def test_shuffled_rows_give_a_warning(logs):
+    notes = fit_warnings(logs, np.random.default_rng(0).permutation(len(logs[1])))
+    assert notes[0].startswith("The rows are not in the order of time")

@@ -1,8 +1,8 @@
-"""Tests of the robot chain."""
+"""Tests of robot identification."""
 
 from sklearn_vbjfa.robot import FitOptions
 
-# States as they are, all rows, no filter and no projection.
+# Unfiltered states, all rows, no projection.
 EXACT = {
     "friction": ("viscous",),
     "projector": None,

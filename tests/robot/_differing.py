@@ -1,4 +1,4 @@
-"""Recordings of a joint whose armature, damping and friction differ between them."""
+"""Recordings of a joint whose armature and friction vary between recordings."""
 
 import numpy as np
 
@@ -16,8 +16,8 @@ NAMES = [f"hip:{name}" for name in VALUES]
 
 
 def recordings(urdf, seed, n, *, off, rows=80, noise=0.05):
-    """Rows, torques and labels of n recordings, and the values of one more."""
-    # off (4,): deviations of the joint's values from recording to recording
+    """Return rows, torques and labels of n recordings, and the values of one more."""
+    # off (4,): standard deviations of the joint's values between recordings
     rng = np.random.default_rng(seed)
     features = RigidBodyFeatures(urdf, friction=tuple(VALUES)).load()
     body, X, y = nominal_parameters(features.model_)[0], [], []
@@ -36,14 +36,14 @@ def recordings(urdf, seed, n, *, off, rows=80, noise=0.05):
 
 
 def share_of(share):
-    """Deviations of the joint's values, a share of each."""
+    """Return standard deviations of the joint's values as a share of each."""
     return share * np.array([0.3, 0.5, 0.25, 0.1])
 
 
-def held(urdf, seed, n, off):
-    """Whether values of a left-out recording are in the ranges, and by noise alone."""
+def covers(urdf, seed, n, off):
+    """Test whether values of a held-out recording lie in the ranges, and by noise."""
     X, y, labels, new = recordings(urdf, seed, n, off=off)
-    found = RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels).ranges(0.9)
-    both = [(found[name], value) for name, value in zip(NAMES, new)]
-    noise = [abs(value - one.value) <= 1.645 * one.within for one, value in both]
-    return [one.lower <= value <= one.upper for one, value in both], noise
+    ranges = RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels).ranges(0.9)
+    pairs = [(ranges[name], value) for name, value in zip(NAMES, new)]
+    noise = [abs(value - row.value) <= 1.645 * row.within for row, value in pairs]
+    return [row.lower <= value <= row.upper for row, value in pairs], noise

@@ -1,4 +1,4 @@
-"""Recording that several tests of the chain fit."""
+"""Recording of a faulty arm that several tests fit."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 
 @pytest.fixture(scope="session")
 def moved():
-    """Record an arm of which everything is wrong."""
+    """Simulate an arm with errors in tilt, zero, axis and gain."""
     return make_robot_recording(
         duration=16.0,
         dt=0.01,

@@ -1,4 +1,4 @@
-"""The whole chain on a simulated arm, whose truth is known."""
+"""RobotIdentifier on a simulated arm with known parameters."""
 
 import numpy as np
 import pinocchio as pin
@@ -29,25 +29,25 @@ def identify(recording, torque=None, **settings):
 
 
 def squared_error(robot, X, torque):
-    """Mean squared error over the torque's variance, joint by joint."""
+    """Return the mean squared error over the torque's variance per joint."""
     return np.mean((robot.predict(X) - torque) ** 2, axis=0) / torque.var(axis=0)
 
 
 # -- recovery
 
 
-def test_predicts_another_motion_and_is_a_possible_robot(identified, new_motion):
-    # Some 850 filtered equations a joint for 12 parameters each, 5 % of torque noise
-    # of which the filter passes a tenth of the band: 0.05^2 / 10 * 12 / 850 = 4e-6
-    # and a few times that, since the motions differ.
+def test_predictions_generalise_and_bodies_are_consistent(identified, new_motion):
+    # About 850 filtered equations per joint for 12 parameters; the filter passes a
+    # tenth of the band of 5 % torque noise: 0.05^2 / 10 * 12 / 850 = 4e-6, and a few
+    # times that because the motions differ.
     error = squared_error(identified, new_motion.states, new_motion.tau_clean)
     assert np.all(error < 1e-4)
     assert np.all(identified.min_eigenvalues_ > 0)
     assert np.all(identified.theta_.reshape(6, 12)[:, 10:] >= 0)
 
 
-def test_one_body_alone_does_not_set_the_size_of_all():
-    # Its hand is heard best, and its mass is another way than described.
+def test_common_scale_is_not_set_by_a_single_body():
+    # The last body has the strongest signal, and its mass deviates most.
     recording = make_robot_recording(duration=20, random_state=3)
     robot = identify(recording)
     assert robot.common_size_ == pytest.approx(1.0, abs=0.3)
@@ -55,12 +55,12 @@ def test_one_body_alone_does_not_set_the_size_of_all():
     assert (np.abs(np.log(masses)) < 0.5).all()
 
 
-def test_noiseless_states_and_torques_give_the_torque_exactly(simulated, new_motion):
+def test_fit_is_exact_without_noise(simulated, new_motion):
     robot = RobotIdentifier(
         simulated.urdf, friction=FRICTION, options=FitOptions(standstill=None)
     )
     robot.fit(simulated.states, simulated.tau_clean, groups=simulated.groups)
-    # relevance determination may drop what explains less than about 1e-5
+    # Relevance determination may drop columns that explain less than about 1e-5.
     error = squared_error(robot, new_motion.states, new_motion.tau_clean)
     assert np.all(error < 1e-9)
     plain = robot.set_params(projector=None, regressor=LinearRegression())
@@ -69,21 +69,21 @@ def test_noiseless_states_and_torques_give_the_torque_exactly(simulated, new_mot
     assert np.all(error < 1e-18)
 
 
-def test_groups_of_a_query_are_kept_apart(identified, simulated):
+def test_predict_filters_groups_separately(identified, simulated):
     parts = [simulated.q[simulated.groups == k][:500] for k in (0, 1)]
     groups = np.repeat([0, 1], 500)
     together = identified.predict(np.concatenate(parts), groups=groups)
     blind = identified.predict(np.concatenate(parts))
     apart = np.concatenate([identified.predict(part) for part in parts])
-    # the cut-offs are those of the fit in both, so nothing else differs
+    # Both use the cut-offs of the fit, so only the grouping differs.
     np.testing.assert_allclose(together, apart, rtol=1e-8, atol=1e-8)
     assert np.abs(blind - apart)[495:505].max() > 1.0
 
 
-# -- what the data determine
+# -- identifiability
 
 
-def test_identifiable_is_what_random_motions_determine(identified, simulated):
+def test_identifiable_matches_random_excitation(identified, simulated):
     model = load_model(simulated.urdf)
     data = model.createData()
     rng = np.random.default_rng(3)
@@ -98,43 +98,43 @@ def test_identifiable_is_what_random_motions_determine(identified, simulated):
         rows.append(block.reshape(6, 72))
     rows = np.concatenate(rows)
     size = np.linalg.norm(rows, axis=0)
-    # Columns that are zero but for rounding count for nothing.
-    seen = size > 1e-10 * size.max()
-    _, values, directions = np.linalg.svd(rows[:, seen] / size[seen])
+    # Columns of rounding errors count as zero.
+    nonzero = size > 1e-10 * size.max()
+    _, values, directions = np.linalg.svd(rows[:, nonzero] / size[nonzero])
     null = directions[np.sum(values > 1e-10 * values[0]) :]
     expected = np.zeros(72, dtype=bool)
-    expected[seen] = np.sum(null**2, axis=0) < 1e-12
+    expected[nonzero] = np.sum(null**2, axis=0) < 1e-12
     np.testing.assert_array_equal(identified.identifiable_, expected)
     # 36 base parameters of a six-axis arm (the first axis vertical) and 12 of friction
     assert np.sum(values > 1e-10 * values[0]) == 36 + 12
 
 
-def test_what_no_torque_depends_on_comes_from_the_model(identified, simulated):
-    # The first body turns about a vertical axis: of its ten only I_zz is felt.
+def test_parameters_without_effect_come_from_the_model(identified, simulated):
+    # The first axis is vertical: only I_zz of its body affects the torque.
     nominal = nominal_parameters(load_model(simulated.urdf))[0]
     first = identified.theta_[:10]
     assert np.all(identified.from_description_[:9])
     free = identify(simulated, bodies="free")
     assert np.all(np.isinf(free.theta_std_[:9]))
-    # the anchor is the model scaled as a whole, and consistency holds it together
+    # The prior is the scaled model, and consistency keeps it close.
     np.testing.assert_allclose(first[0] / nominal[0], 1.0, atol=0.6)
-    # and rounding alone never passes for information
+    # Rounding errors are not taken for information.
     assert np.abs(identified.theta_unconstrained_).max() < 100
     weighed = np.diagonal(identified.estimate_.metric)[:9]
     np.testing.assert_array_equal(weighed, 0.0)
 
 
 @pytest.mark.parametrize("factor", [1e6, 1e-6])
-def test_torques_in_another_unit_are_the_robot_in_that_unit(
+def test_parameters_scale_with_the_torque_unit(
     identified, simulated, new_motion, factor
 ):
     other = identify(simulated, factor * simulated.tau)
     unit = np.abs(identified.theta_.reshape(6, 12)).max(axis=0)
     unit = np.maximum(unit, 1e-12)
     for name, rtol in (("theta_unconstrained_", 1e-8), ("theta_", 1e-4)):
-        got = getattr(other, name).reshape(6, 12) / factor / unit
+        actual = getattr(other, name).reshape(6, 12) / factor / unit
         expected = getattr(identified, name).reshape(6, 12) / unit
-        np.testing.assert_allclose(got, expected, rtol=0, atol=rtol)
+        np.testing.assert_allclose(actual, expected, rtol=0, atol=rtol)
     np.testing.assert_allclose(
         other.predict(new_motion.states) / factor,
         identified.predict(new_motion.states),
@@ -164,7 +164,7 @@ def test_automatic_cutoff_is_five_bandwidths(identified):
 
 @pytest.mark.parametrize(("times", "cutoff"), [(5, 5.0), (10, 3.0)])
 def test_slow_motion_is_filtered_at_the_lowest_cutoff(simulated, times, cutoff):
-    # The same positions at a lower rate are slower.
+    # The same positions at a lower sampling rate are a slower motion.
     slow = identify(simulated, dt=times * simulated.dt)
     assert slow.state_estimator_.bandwidth_.max() < 0.6
     assert slow.cutoff_ == pytest.approx(cutoff)
@@ -176,13 +176,13 @@ def test_automatic_standstill_is_two_per_cent_of_the_speed(identified, simulated
     np.testing.assert_allclose(identified.standstill_, 0.02 * fast, rtol=0.02)
 
 
-def test_a_joint_whose_speed_is_rounding_stands_still():
+def test_speeds_of_rounding_errors_count_as_standstill():
     fast = np.array([3.0, 1e-30])
     assert (resolve_standstill("auto", fast) > fast).tolist() == [False, True]
 
 
 @pytest.mark.parametrize("noise", [1e-5, 1e-3])
-def test_noise_of_a_joint_at_rest_is_no_motion(simulated, noise):
+def test_encoder_noise_at_rest_is_not_motion(simulated, noise):
     model, rng = load_model(simulated.urdf), np.random.default_rng(0)
     states = np.array(simulated.states)
     states[:, [2, 8, 14]] = 0.3, 0.0, 0.0
@@ -196,8 +196,8 @@ def test_noise_of_a_joint_at_rest_is_no_motion(simulated, noise):
 
 
 @pytest.mark.parametrize("cutoff", [None, 10.0])
-def test_standing_samples_are_left_out(simulated, cutoff):
-    # While a joint stands, stiction holds: its torque may be anything.
+def test_standstill_samples_are_excluded(simulated, cutoff):
+    # During standstill, stiction makes the torque arbitrary.
     rest = np.zeros((300, 18))
     rest[:, :6] = simulated.states[0, :6]
     states = np.concatenate([simulated.states, rest])
@@ -211,54 +211,52 @@ def test_standing_samples_are_left_out(simulated, cutoff):
     standing = masked.index >= 3200
     assert standing.sum() > 50
     np.testing.assert_array_equal(masked.weight[standing], 0.0)
-    # what is left is exact; the projection of exact parameters moves them by rounding
+    # The remaining rows are exact; projection changes exact parameters by rounding.
     assert np.all(masked.normalised_error() < 1e-5)
-    everything = (
+    unmasked = (
         clone(robot)
         .set_params(options=FitOptions(standstill=None))
         .fit(states, tau, groups=groups)
     )
-    np.testing.assert_array_equal(everything.standstill_, -1.0)
+    np.testing.assert_array_equal(unmasked.standstill_, -1.0)
     np.testing.assert_array_less(
-        robot.estimate_.moments.n_rows, everything.estimate_.moments.n_rows
+        robot.estimate_.moments.n_rows, unmasked.estimate_.moments.n_rows
     )
-    spoiled = everything.residuals(simulated.states, simulated.tau_clean)
-    assert spoiled.normalised_error().max() > 0.01
+    corrupted = unmasked.residuals(simulated.states, simulated.tau_clean)
+    assert corrupted.normalised_error().max() > 0.01
 
 
 # -- residuals
 
 
-def test_residuals_are_filtered_torques_against_filtered_predictions(
-    identified, simulated
-):
-    found = identified.residuals(simulated.q, simulated.tau, groups=simulated.groups)
+def test_residuals_compare_filtered_torques_and_predictions(identified, simulated):
+    errors = identified.residuals(simulated.q, simulated.tau, groups=simulated.groups)
     lowpass = identified.robot_.plan.lowpass
     states = identified.state_estimator_.transform(simulated.q, groups=simulated.groups)
-    at = found.index[100]
-    window = slice(at - lowpass.half, at + lowpass.half + 1)
+    row = errors.index[100]
+    window = slice(row - lowpass.half, row + lowpass.half + 1)
     np.testing.assert_allclose(
-        found.torque[100], lowpass.taps @ simulated.tau[window], rtol=1e-10
+        errors.torque[100], lowpass.taps @ simulated.tau[window], rtol=1e-10
     )
     np.testing.assert_allclose(
-        found.predicted[100],
+        errors.predicted[100],
         lowpass.taps @ identified.predict(states[window]),
         rtol=1e-8,
     )
-    np.testing.assert_array_equal(found.residual, found.torque - found.predicted)
-    # 5 % of white torque noise of which 2 * 5.1 Hz of 100 Hz pass
+    np.testing.assert_array_equal(errors.residual, errors.torque - errors.predicted)
+    # 5 % white torque noise, of which 2 * 5.1 Hz of 100 Hz pass.
     expected = simulated.torque_noise * np.sqrt(2 * identified.cutoff_ * simulated.dt)
-    np.testing.assert_allclose(found.rms(), expected, rtol=0.25)
-    squares = found.residual[:, 3] ** 2 * found.weight[:, 3]
-    rms = np.sqrt(squares.sum() / found.weight[:, 3].sum())
-    assert found.rms()[3] == pytest.approx(rms)
-    mean = np.average(found.torque[:, 3], weights=found.weight[:, 3])
-    spread = np.average((found.torque[:, 3] - mean) ** 2, weights=found.weight[:, 3])
-    assert found.normalised_error()[3] == pytest.approx(rms / np.sqrt(spread))
+    np.testing.assert_allclose(errors.rms(), expected, rtol=0.25)
+    squares = errors.residual[:, 3] ** 2 * errors.weight[:, 3]
+    rms = np.sqrt(squares.sum() / errors.weight[:, 3].sum())
+    assert errors.rms()[3] == pytest.approx(rms)
+    mean = np.average(errors.torque[:, 3], weights=errors.weight[:, 3])
+    power = np.average((errors.torque[:, 3] - mean) ** 2, weights=errors.weight[:, 3])
+    assert errors.normalised_error()[3] == pytest.approx(rms / np.sqrt(power))
 
 
 @pytest.mark.parametrize("encoder_noise", [1e-4, 1e-3])
-def test_noise_floor_is_what_noise_alone_leaves(encoder_noise):
+def test_noise_floor_matches_the_residual_of_noise_alone(encoder_noise):
     recording = make_robot_recording(
         duration=16.0,
         dt=0.01,
@@ -275,10 +273,10 @@ def test_noise_floor_is_what_noise_alone_leaves(encoder_noise):
         recording.torque_noise * np.sqrt(taps @ taps),
         rtol=0.15,
     )
-    found = robot.residuals(recording.q, recording.tau, groups=recording.groups)
-    # Coulomb friction at reversals is not in the floor, parameters fitted to it are.
-    np.testing.assert_allclose(found.rms() / robot.noise_floor_, 1.0, atol=0.2)
-    # the same without the inputs' share, which is that of the encoders alone
+    residuals = robot.residuals(recording.q, recording.tau, groups=recording.groups)
+    # The floor omits Coulomb friction at reversals and includes parameter errors.
+    np.testing.assert_allclose(residuals.rms() / robot.noise_floor_, 1.0, atol=0.2)
+    # Without input noise, only the torque noise remains.
     exact = identify(recording, input_noise=None)
     np.testing.assert_array_equal(exact.estimate_.noise()[0], 0.0)
     np.testing.assert_allclose(exact.noise_floor_, exact.torque_noise_, rtol=1e-12)
@@ -293,7 +291,7 @@ def test_noise_floor_is_what_noise_alone_leaves(encoder_noise):
 # -- robots of other kinds
 
 
-def test_one_joint_takes_a_flat_torque():
+def test_single_joint_accepts_one_dimensional_torque():
     from tests.model._robots import swing
 
     recording = make_robot_recording(swing(), duration=10.0, dt=0.01, random_state=0)
@@ -307,22 +305,22 @@ def test_one_joint_takes_a_flat_torque():
 # -- noise
 
 
-def test_noise_of_encoders_is_what_exact_torques_leave():
+def test_input_noise_matches_the_residual_of_exact_torques():
     # A wheel of inertia 0.5 and viscous friction: tau = 0.5 a + 0.2 v.
     dt, t = 0.005, 0.005 * np.arange(8000)
     w = 2 * np.pi * np.array([0.7, 1.9])
     q = np.sin(np.outer(t, w)).sum(axis=1)
     tau = 0.2 * np.cos(np.outer(t, w)) @ w - 0.5 * np.sin(np.outer(t, w)) @ w**2
-    read = q + 1e-4 * np.random.default_rng(0).normal(size=q.size)
-    robot = RobotIdentifier(wheel().model, dt=dt).fit(read[:, None], tau[:, None])
-    left = robot.residuals(read[:, None], tau[:, None]).rms()
-    # Accelerations are wrong by what the smoother lets through of the encoders' noise.
-    np.testing.assert_allclose(robot.estimate_.noise()[0], left, rtol=0.15)
-    assert robot.output_noise_[0] < 0.6 * left[0]
+    encoder = q + 1e-4 * np.random.default_rng(0).normal(size=q.size)
+    robot = RobotIdentifier(wheel().model, dt=dt).fit(encoder[:, None], tau[:, None])
+    residual = robot.residuals(encoder[:, None], tau[:, None]).rms()
+    # The residual is the encoder noise in the accelerations that passes the smoother.
+    np.testing.assert_allclose(robot.estimate_.noise()[0], residual, rtol=0.15)
+    assert robot.output_noise_[0] < 0.6 * residual[0]
 
 
-def test_torque_noise_is_what_passes_the_low_pass(simulated):
-    # White noise up to the cut-off, but for the slope of the filter.
+def test_torque_noise_is_scaled_by_the_low_pass(simulated):
+    # White noise up to the cut-off, except for the filter's finite slope.
     cutoff, noise = 5.0, np.linspace(0.1, 0.6, 6)
     options = FitOptions(torque_noise=noise)
     robot = identify(simulated, cutoff=cutoff, options=options)
@@ -330,17 +328,17 @@ def test_torque_noise_is_what_passes_the_low_pass(simulated):
     np.testing.assert_allclose(robot.torque_noise_, expected, rtol=0.06)
 
 
-def test_bodies_of_fewer_rows_are_nearly_those_of_all(monkeypatch):
+def test_subsampled_rows_give_nearly_the_same_fit(monkeypatch):
     recording = make_robot_recording(duration=20.0, dt=0.002, random_state=0)
     robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
     every = clone(robot).fit(recording.q, recording.tau)
     monkeypatch.setattr(_equations, "_MANY_ROWS", 1000)
     fewer = clone(robot).fit(recording.q, recording.tau)
-    told = every.theta_std_ > 0
-    away = np.abs(fewer.theta_ - every.theta_)[told] / every.theta_std_[told]
-    assert 0 < away.max() < 0.5
-    one, other = (
-        known.residuals(recording.q, recording.tau).predicted
-        for known in (fewer, every)
+    fitted = every.theta_std_ > 0
+    change = np.abs(fewer.theta_ - every.theta_)[fitted] / every.theta_std_[fitted]
+    assert 0 < change.max() < 0.5
+    subset, full = (
+        model.residuals(recording.q, recording.tau).predicted
+        for model in (fewer, every)
     )
-    assert (np.abs(one - other).max(axis=0) < 2e-3 * other.std(axis=0)).all()
+    assert (np.abs(subset - full).max(axis=0) < 2e-3 * full.std(axis=0)).all()

@@ -1,4 +1,4 @@
-"""The identifier finds tilts, zeros, axes and gains of a robot that has them."""
+"""Identification of base tilts, joint zeros, axes and torque gains."""
 
 import numpy as np
 import pytest
@@ -24,28 +24,28 @@ _, ELSEWHERE = motion(3, duration=3.0, dt=DT, seed=9)
 
 
 def torques(model, truth, states=STATES, noise=0.0, seed=0):
-    """Torques of a robot with faults, with white noise."""
+    """Return torques of a robot with faults, with white noise."""
     exact = measured(model, states, truth, VISCOUS[: model.nv])
     return exact + noise * np.random.default_rng(seed).normal(size=exact.shape)
 
 
-def idle(truth):
-    """Return the same effects with values that correct nothing."""
+def nominal(truth):
+    """Return the same effects with their nominal values."""
     return [type(effect)(joint=effect.joint) for effect in truth]
 
 
-def fit(model, effects, tau, states=STATES, weight=None, groups=None, **given):
-    robot = RobotIdentifier(model, effects=effects, **{**EXACT, "dt": DT, **given})
+def fit(model, effects, tau, states=STATES, weight=None, groups=None, **keywords):
+    robot = RobotIdentifier(model, effects=effects, **{**EXACT, "dt": DT, **keywords})
     return robot.fit(states, tau, sample_weight=weight, groups=groups)
 
 
 def values(robot):
-    """Values of the effects in the model, as the instances hold them."""
-    found = [e.values for e in robot.effects_ if isinstance(e, InModel)]
-    return np.concatenate(found)
+    """Return the values of the fitted effects of the model."""
+    parts = [e.values for e in robot.effects_ if isinstance(e, InModel)]
+    return np.concatenate(parts)
 
 
-def own(robot, parameters):
+def effect_part(robot, parameters):
     return parameters[robot.features_.n_parameters_ :]
 
 
@@ -69,24 +69,24 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("case", one_in(4, FAULTS))
-def test_values_are_found_without_noise(case):
+def test_values_are_exact_without_noise(case):
     model, truth = FAULTS[case]
-    robot = fit(model, idle(truth), torques(model, truth))
+    robot = fit(model, nominal(truth), torques(model, truth))
     expected = np.concatenate([e.values for e in truth])
     assert_allclose(values(robot), expected, atol=1e-6)
-    assert_array_equal(own(robot, robot.theta_), values(robot))
-    assert own(robot, robot.identifiable_).all()
+    assert_array_equal(effect_part(robot, robot.theta_), values(robot))
+    assert effect_part(robot, robot.identifiable_).all()
     assert [e.name for e in robot.effects_] == [e.name for e in truth]
-    # Wherever it moves, the model is the robot that was measured.
-    there = torques(model, truth, ELSEWHERE)
-    assert_allclose(robot.predict(ELSEWHERE), there, atol=1e-6 * np.abs(there).max())
+    # Predictions for another motion match the measured robot.
+    tau = torques(model, truth, ELSEWHERE)
+    assert_allclose(robot.predict(ELSEWHERE), tau, atol=1e-6 * np.abs(tau).max())
 
 
 # -- noise
 
 
 def literal_regressor(model, effects, states):
-    """Regressor matrices (n, nv, 11 nv) of the robot with faults, by Pinocchio."""
+    """Return regressors (n, nv, 11 nv) of the robot with faults, by Pinocchio."""
     other, shifts, gains = faulty(model, effects)
     q, v, a = np.split(states, 3, axis=1)
     friction = v[:, :, None, None] * np.eye(model.nv)[:, :, None]
@@ -95,10 +95,10 @@ def literal_regressor(model, effects, states):
 
 
 def literal_least_squares(model, truth, tau, states):
-    """Fit bodies and values: values, their standard errors, and the columns there.
+    """Fit bodies and values; return values, their standard errors, and the columns.
 
-    For given values the bodies are found by linear least squares, all joints of equal
-    weight; derivatives by the values are differences.
+    For given values, the bodies follow from linear least squares with equal joint
+    weights; derivatives by the values are central differences.
     """
     start = np.concatenate([e.values for e in truth])
 
@@ -116,28 +116,28 @@ def literal_least_squares(model, truth, tau, states):
         return columns(x) @ bodies(x) - tau.ravel()
 
     exact = dict.fromkeys(("ftol", "xtol", "gtol"), 1e-12)
-    found = optimize.least_squares(residual, start, jac="3-point", **exact)
-    theta, made = bodies(found.x), []
+    solution = optimize.least_squares(residual, start, jac="3-point", **exact)
+    theta, derivatives = bodies(solution.x), []
     for step in 1e-6 * np.eye(start.size):
-        change = columns(found.x + step) @ theta - columns(found.x - step) @ theta
-        made.append(change / 2e-6)
-    J = np.column_stack([columns(found.x), *made])
+        change = columns(solution.x + step) @ theta - columns(solution.x - step) @ theta
+        derivatives.append(change / 2e-6)
+    J = np.column_stack([columns(solution.x), *derivatives])
     size = np.linalg.norm(J, axis=0)
     size = np.where(size > 1e-10 * size.max(), size, np.inf)
     inverse = np.linalg.pinv(J / size, rcond=1e-8) / size[:, None]
     freedom = tau.size - np.linalg.matrix_rank(J / size, tol=1e-7)
-    std = np.sqrt(2 * found.cost / freedom * (inverse**2).sum(axis=1))
-    # Columns of rounding alone are none.
+    std = np.sqrt(2 * solution.cost / freedom * (inverse**2).sum(axis=1))
+    # Columns of rounding errors count as zero.
     J[:, np.isinf(size)] = 0.0
-    return found.x, std[-start.size :], J.reshape(*tau.shape, -1)
+    return solution.x, std[-start.size :], J.reshape(*tau.shape, -1)
 
 
 def with_values(effects, x):
-    out, at = [], 0
+    out, start = [], 0
     for effect in effects:
         width = len(effect.coefficients)
-        out.append(effect.with_values(x[at : at + width]))
-        at += width
+        out.append(effect.with_values(x[start : start + width]))
+        start += width
     return out
 
 
@@ -149,36 +149,36 @@ def with_values(effects, x):
         [JointAxis(1, 0.05, -0.1)],
     ],
 )
-def test_values_are_those_of_nonlinear_least_squares(truth):
+def test_values_match_nonlinear_least_squares(truth):
     states = STATES[::2]
     tau = torques(ARM, truth, states, noise=0.2)
     expected, std, columns = literal_least_squares(ARM, truth, tau, states)
-    given = {
+    settings = {
         "options": FitOptions(standstill=None, joint_weights=None),
         "input_noise": None,
     }
-    robot = fit(ARM, idle(truth), tau, states, **given)
+    robot = fit(ARM, nominal(truth), tau, states, **settings)
     # A value stays within a tenth of its standard error.
     assert np.all(np.abs(values(robot) - expected) < 0.12 * std)
-    # Noise in blocks of time varies by chance, and the deviations with it.
-    assert_allclose(own(robot, robot.theta_std_), std, rtol=0.5)
-    # Without blocks, where there is nothing left to correct, they are the same.
+    # Block-wise noise estimates scatter, and the standard errors with them.
+    assert_allclose(effect_part(robot, robot.theta_std_), std, rtol=0.5)
+    # At convergence and without blocks, the standard errors agree.
     moments = sum_moments([piece_moments(columns, tau, np.ones_like(tau))])
-    found = ModelValues.of(moments, with_values(truth, expected), 33, None)
-    assert_allclose(found.std, std, rtol=1e-4)
-    assert np.all(np.abs(found.step) < 0.02 * std)
-    assert found.converged()
+    estimate = ModelValues.of(moments, with_values(truth, expected), 33, None)
+    assert_allclose(estimate.std, std, rtol=1e-4)
+    assert np.all(np.abs(estimate.step) < 0.02 * std)
+    assert estimate.converged()
 
 
 TRUTH = [BaseTilt(0, 0.07, -0.1), TorqueGain(1, 1.3)]
 NOISY = torques(ARM, TRUTH, noise=0.2)
 
 
-# -- what no recording shows, and what is implausible
+# -- unidentifiable and implausible values
 
 
 @pytest.mark.parametrize(
-    ("used", "seen"),
+    ("effects", "identifiable"),
     [
         ([JointZero(2)], []),
         ([JointZero(0)], []),
@@ -189,38 +189,38 @@ NOISY = torques(ARM, TRUTH, noise=0.2)
     ids=["last joint", "vertical", "all gains", "twice", "one of two"],
 )
 @pytest.mark.filterwarnings("error")
-def test_what_does_not_show_stays_and_has_no_deviation(used, seen):
+def test_unidentifiable_values_keep_their_start(effects, identifiable):
     tau = torques(ARM, [], noise=0.1)
-    robot = fit(ARM, used, tau)
-    hidden = np.delete(np.arange(values(robot).size), seen)
-    start = np.concatenate([e.values for e in used])
+    robot = fit(ARM, effects, tau)
+    hidden = np.delete(np.arange(values(robot).size), identifiable)
+    start = np.concatenate([e.values for e in effects])
     assert_array_equal(values(robot)[hidden], start[hidden])
-    assert np.isnan(own(robot, robot.theta_std_)[hidden]).all()
-    assert not own(robot, robot.identifiable_)[hidden].any()
-    assert np.isfinite(own(robot, robot.theta_std_)[seen]).all()
-    assert own(robot, robot.identifiable_)[seen].all()
-    # The torque is as well known as ever.
-    there = torques(ARM, [], ELSEWHERE)
-    assert np.abs(robot.predict(ELSEWHERE) - there).max() < 0.2
+    assert np.isnan(effect_part(robot, robot.theta_std_)[hidden]).all()
+    assert not effect_part(robot, robot.identifiable_)[hidden].any()
+    assert np.isfinite(effect_part(robot, robot.theta_std_)[identifiable]).all()
+    assert effect_part(robot, robot.identifiable_)[identifiable].all()
+    # Torque predictions stay accurate.
+    expected = torques(ARM, [], ELSEWHERE)
+    assert np.abs(robot.predict(ELSEWHERE) - expected).max() < 0.2
 
 
 @pytest.mark.parametrize("truth", [JointZero(1, 0.6), TorqueGain(1, 4.0)])
-def test_values_that_run_away_stop(truth):
-    robot = fit(ARM, idle([truth]), torques(ARM, [truth], noise=0.1))
+def test_values_stay_within_their_bounds(truth):
+    robot = fit(ARM, nominal([truth]), torques(ARM, [truth], noise=0.1))
     low, high = robot.effects_[0].bounds()
     assert np.all((low < values(robot)) & (values(robot) < high))
 
 
-# -- odd robots
+# -- single joints
 
 
 @pytest.mark.parametrize("effect", [BaseTilt(), JointZero(), JointAxis()])
-def test_of_one_joint_nothing_shows(effect):
-    """What a single body does about its axis, another body does."""
+def test_corrections_of_a_single_joint_are_not_identifiable(effect):
+    """For a single joint, the correction is equivalent to another body."""
     model = arm("Y")
     _, states = motion(1, duration=6.0, dt=DT, seed=1)
     robot = fit(model, [effect], torques(model, [], states, 0.05), states)
-    assert np.isnan(own(robot, robot.theta_std_)).all()
+    assert np.isnan(effect_part(robot, robot.theta_std_)).all()
     assert_array_equal(values(robot), effect.values)
 
 
@@ -234,6 +234,6 @@ def test_of_one_joint_nothing_shows(effect):
         ([JointAxis(1, about_x=np.nan)], "must be a finite number"),
     ],
 )
-def test_what_cannot_be_is_refused(effects, message):
+def test_invalid_effects_are_refused(effects, message):
     with pytest.raises(ValueError, match=message):
         fit(ARM, effects, NOISY)

@@ -1,4 +1,4 @@
-"""One law an effect: its columns are what steps, simulations and files have of it."""
+"""Each effect acts alike in columns, single steps, simulations and saved files."""
 
 import warnings
 
@@ -21,7 +21,7 @@ NV = 3
 
 
 def two_rows(rng, way):
-    """Two states without accelerations, between which no joint turns or rests."""
+    """Return two states without accelerations, reversals or standstill in between."""
     v = way * rng.choice([-1.0, 1.0], size=NV) * rng.uniform(2.0, 4.0, size=NV)
     q = rng.normal(size=NV) + 0.37 * np.outer([0.0, 1.0], v)
     return np.hstack([q, [v, v], np.zeros((2, NV))])
@@ -30,21 +30,21 @@ def two_rows(rng, way):
 @pytest.mark.parametrize("way", [1, -1])
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", LIBRARY)
-def test_columns_are_steps_and_dynamics(name, seed, way):
-    """Accelerations under some torques are those with which columns give them back."""
-    # Not by the place in the library, which a further effect moves.
+def test_columns_match_steps_and_forward_dynamics(name, seed, way):
+    """Forward dynamics are the inverse of the torques from the columns."""
+    # Seeded by the name, which does not depend on the order of the library.
     rng = np.random.default_rng([seed, *name.encode()])
     predictor = random_predictor(rng, NV, [name])
     if not predictor.effects_:
-        return  # Not on a joint that slides.
+        return  # Not applicable to a prismatic joint.
     (effect,) = predictor.effects_
     if isinstance(effect, effects.OfChannel) or effect.files.simulation:
-        # Of the dynamics it is no part.
+        # The effect is not part of the simulation.
         bare = without(predictor, [0])
     else:
         bare = predictor
     X, t = two_rows(rng, way), np.array([0.9, 0.9 + DT])
-    signals = {own: rng.normal(size=2) for own in getattr(effect, "recorded", ())}
+    signals = {name: rng.normal(size=2) for name in getattr(effect, "recorded", ())}
     model, tau = bare.torque_model(), 5.0 * rng.normal(size=NV)
     dynamics = ForwardDynamics(model, recorded(signals, t))
     dynamics.start(X[0, :NV])
@@ -53,21 +53,21 @@ def test_columns_are_steps_and_dynamics(name, seed, way):
     q, v, _ = np.split(X[1], 3)
     a = dynamics.accelerate(q, v, tau / model.gains, np.sign(v), np.zeros(NV, bool))
     X[1, 2 * NV :] = a
-    known = signals if bare is predictor else {}
-    expected = bare.torques(bare.prepare(X, t=t, signals=known))[1]
+    inputs = signals if bare is predictor else {}
+    expected = bare.torques(bare.prepare(X, t=t, signals=inputs))[1]
     np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-9 * np.abs(tau).max())
     if not why_left_out(effect):
         expected = predictor.torques(predictor.prepare(X, t=t, signals=signals))
         stepper = Stepper(predictor.torque_model())
         for k, x in enumerate(X):
-            now = {own: values[k] for own, values in signals.items()}
-            found = stepper.step(*np.split(x, 3), t[k], now)
-            np.testing.assert_allclose(found, expected[k], rtol=1e-10, atol=1e-10)
+            row = {name: values[k] for name, values in signals.items()}
+            torque = stepper.step(*np.split(x, 3), t[k], row)
+            np.testing.assert_allclose(torque, expected[k], rtol=1e-10, atol=1e-10)
 
 
 @pytest.mark.parametrize("name", one_in(3, LIBRARY))
 def test_torques_after_saving(name, simulated, tmp_path):
-    """What a saved robot predicts and steps is what the fitted one predicts."""
+    """A saved robot predicts and steps as the fitted one."""
     (effect,) = effects.resolve(name)
     nv = simulated.q.shape[1]
     n = 600
@@ -85,21 +85,21 @@ def test_torques_after_saving(name, simulated, tmp_path):
         robot.save(path)
         loaded = load_identified(path)
         X = random_motion(np.random.default_rng(0), nv, 60)
-        own = None if signals is None else {"warmth": np.arange(60.0)}
+        warm = None if signals is None else {"warmth": np.arange(60.0)}
         t = simulated.dt * np.arange(60)
-        expected = robot.predict(X, t=t, signals=own)
-        np.testing.assert_array_equal(loaded.predict(X, t=t, signals=own), expected)
+        expected = robot.predict(X, t=t, signals=warm)
+        np.testing.assert_array_equal(loaded.predict(X, t=t, signals=warm), expected)
     if why_left_out(effect):
-        assert [one.name for one in loaded.left_out_] == [name]
+        assert [entry.name for entry in loaded.left_out_] == [name]
         return
     for k, x in enumerate(X):
-        now = None if own is None else {"warmth": own["warmth"][k]}
-        found = loaded.step(*np.split(x, 3), t=t[k], signals=now)
-        np.testing.assert_allclose(found, expected[k], rtol=1e-9, atol=1e-9)
+        row = None if warm is None else {"warmth": warm["warmth"][k]}
+        torque = loaded.step(*np.split(x, 3), t=t[k], signals=row)
+        np.testing.assert_allclose(torque, expected[k], rtol=1e-9, atol=1e-9)
 
 
 def alone(effect, coef):
-    """Two joints with friction and an effect, and its torque in a motion."""
+    """Return two joints without and with an effect, states, and the effect's torque."""
     model = pin.Model()
     for j, joint in enumerate((pin.JointModelRY(), pin.JointModelRZ())):
         model.addJoint(j, joint, pin.SE3.Identity(), f"joint_{j}")
@@ -123,33 +123,33 @@ OF_STATE = [
 
 
 @pytest.mark.parametrize("name", OF_STATE)
-def test_mujoco_has_an_effect_or_is_said_to_lack_it(name, tmp_path):
+def test_mjcf_contains_an_effect_or_reports_its_omission(name, tmp_path):
     pytest.importorskip("mujoco")
     (effect,) = effects.resolve(name)
     coef = 0.2 * (1.0 + np.arange(len(effect.coefficients)))
     bare, robot, X, torque = alone(effect, coef)
     smallest = min_eigenvalue(robot.bodies)
-    found = []
-    for k, one in enumerate((bare, robot)):
-        left = to_mjcf(tmp_path / f"{k}.xml", one, smallest)
-        found.append(drive_torques(tmp_path / f"{k}.xml", X))
-    added = found[1] - found[0]
-    if not left:
+    torques = []
+    for k, model in enumerate((bare, robot)):
+        omitted = to_mjcf(tmp_path / f"{k}.xml", model, smallest)
+        torques.append(drive_torques(tmp_path / f"{k}.xml", X))
+    added = torques[1] - torques[0]
+    if not omitted:
         np.testing.assert_allclose(added, torque, rtol=0, atol=1e-9)
         return
-    assert [(one.name, one.joint) for one in left] == [(name, effect.joint)]
-    # What is there is a part of it: without its coefficient, that of the rest.
+    assert [(entry.name, entry.joint) for entry in omitted] == [(name, effect.joint)]
+    # The file holds only some of the effect's terms.
     parts = {
-        name: column * own
-        for name, column, own in zip(
+        name: column * weight
+        for name, column, weight in zip(
             effect.coefficients,
             effect.columns(Motion(q=X[:, :2], v=X[:, 2:4], a=X[:, 4:])).T,
             coef,
         )
     }
-    there = [parts[name] for _, name in effect.files.places]
+    exported = [parts[name] for _, name in effect.files.places]
     expected = np.zeros_like(torque)
-    expected[:, effect.joint] = sum(there) if there else 0.0
+    expected[:, effect.joint] = sum(exported) if exported else 0.0
     if effect.files.parameter == "coulomb":
         total = effect.in_file(coef).sum()
         expected[:, effect.joint] = total * np.sign(X[:, 2 + effect.joint])

@@ -1,4 +1,4 @@
-"""MuJoCo files of robots whose friction MuJoCo lacks: the rest is fitted again."""
+"""MuJoCo files of robots with unsupported friction: other terms are refitted."""
 
 from dataclasses import replace
 
@@ -30,34 +30,34 @@ def robot():
     return with_sizes(robot, 6.0, 0.15)
 
 
-def away(robot, path):
-    """Root mean squares (nv,) of what torques of a file are off, on new motion."""
+def export_error(robot, path):
+    """Return RMS torque errors (nv,) of a file for a new motion."""
     states, _ = typical_motion(robot.effect_ranges_, 6, 0.013)
     v = np.abs(states[::5, 6:12])
-    some = states[::5][(v > 0.05 * v.max(axis=0)).all(axis=1)]
+    moving = states[::5][(v > 0.05 * v.max(axis=0)).all(axis=1)]
     return np.sqrt(
-        ((drive_torques(path, some) - robot.predict(some)) ** 2).mean(axis=0)
+        ((drive_torques(path, moving) - robot.predict(moving)) ** 2).mean(axis=0)
     )
 
 
-def test_the_file_is_nearer_to_the_robot(robot, tmp_path, monkeypatch):
+def test_refit_reduces_the_error_of_the_file(robot, tmp_path, monkeypatch):
     with pytest.warns(DoubtWarning, match=r"again.xml moves .* \(.*joint_3 \d+ %"):
-        left = robot.to_mjcf(tmp_path / "again.xml")
-    assert {(one.name, one.joint) for one in left} == {
+        omitted = robot.to_mjcf(tmp_path / "again.xml")
+    assert {(x.name, x.joint) for x in omitted} == {
         ("stribeck", 1),
         ("load_friction", 2),
     }
-    assert all("fitted to it" in one.reason for one in left)
-    again = away(robot, tmp_path / "again.xml")
+    assert all("fitted to it" in x.reason for x in omitted)
+    refitted = export_error(robot, tmp_path / "again.xml")
     monkeypatch.setattr(_robot, "refitted", lambda robot, totals: 0.0 * totals)
     with pytest.warns(DoubtWarning):
         robot.to_mjcf(tmp_path / "before.xml")
-    plain = away(robot, tmp_path / "before.xml")
-    assert (again[[1, 2]] < 0.7 * plain[[1, 2]]).all()
-    np.testing.assert_allclose(again[[0, 3, 4, 5]], plain[[0, 3, 4, 5]], atol=1e-9)
+    plain = export_error(robot, tmp_path / "before.xml")
+    assert (refitted[[1, 2]] < 0.7 * plain[[1, 2]]).all()
+    np.testing.assert_allclose(refitted[[0, 3, 4, 5]], plain[[0, 3, 4, 5]], atol=1e-9)
 
 
-def test_terms_of_the_file_change_by_a_factor_of_two_at_most(robot):
+def test_refitted_terms_change_at_most_by_a_factor_of_two(robot):
     totals = _robot.plain_totals(robot.torque_model())
     file = totals + _robot.refitted(robot, totals)
     assert (file[[1, 2]] != totals[[1, 2]]).any()
@@ -65,14 +65,14 @@ def test_terms_of_the_file_change_by_a_factor_of_two_at_most(robot):
     assert (file <= 2 * totals).all()
 
 
-def test_a_robot_that_diverges_is_simulated_with_feedback(robot, tmp_path):
+def test_diverging_robot_is_simulated_with_feedback(robot, tmp_path):
     theta = robot.theta_.copy()
     theta[robot.parameter_names_.index("joint_3:viscous")] = -1000.0
     with pytest.warns(DoubtWarning, match="without feedback"):
         replace(robot, theta_=theta).to_mjcf(tmp_path / "runs_away.xml")
 
 
-def test_a_file_has_the_mean_of_a_drift_and_moves_differently(tmp_path):
+def test_file_has_the_mean_of_a_drift(tmp_path):
     recording = make_robot_recording(duration=6.0, dt=0.01, random_state=2)
     t, path = 0.01 * np.arange(len(recording.tau)), tmp_path / "drifts.xml"
     drift = Drift(1, "offset", 150.0, end=t[-1])
@@ -86,30 +86,30 @@ def test_a_file_has_the_mean_of_a_drift_and_moves_differently(tmp_path):
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_small_torque_that_is_lacking_is_no_warning(robot, tmp_path):
+def test_small_omissions_give_no_warning(robot, tmp_path):
     assert len(with_sizes(robot, 0.02, 0.0).to_mjcf(tmp_path / "near.xml")) == 1
 
 
 @pytest.mark.filterwarnings("ignore:The simulated robot leaves")
-def test_changes_of_the_motion_are_those_of_the_simulation(robot):
-    """Against `simulate` of two identified robots, under the torques of the first."""
+def test_changed_motion_matches_simulations(robot):
+    """Compare with `simulate` of two robots under the torques of the first."""
     plain = with_sizes(robot, 0.0, 0.0)
-    found = changed_motion(robot, robot.torque_model(), plain.torque_model())
+    change = changed_motion(robot, robot.torque_model(), plain.torque_model())
     states, _ = typical_motion(robot.effect_ranges_, 6, robot.dt)
     tau, squares = robot.predict(states), []
     for start in np.linspace(0, len(states) - 100, 6).astype(int):
         start_of = np.split(states[start], 3)[:2]
         rows = slice(start, start + 100)
-        both = [one.simulate(tau[rows], *start_of)[:, :6] for one in (robot, plain)]
-        squares.append(((both[1] - both[0]) ** 2).mean(axis=0))
+        motions = [x.simulate(tau[rows], *start_of)[:, :6] for x in (robot, plain)]
+        squares.append(((motions[1] - motions[0]) ** 2).mean(axis=0))
     expected = np.sqrt(np.mean(squares, axis=0)) / states[:, :6].std(axis=0)
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    np.testing.assert_allclose(change, expected, rtol=1e-9)
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_robot_that_a_file_can_hold_is_written_as_it_is(robot, tmp_path):
+def test_supported_terms_are_not_refitted(robot, tmp_path):
     plain = with_sizes(robot, 0.0, 0.0)
-    found = _robot.refitted(plain, _robot.plain_totals(plain.torque_model()))
-    assert found.shape == (6, len(TERMS))
-    assert not found.any()
+    changes = _robot.refitted(plain, _robot.plain_totals(plain.torque_model()))
+    assert changes.shape == (6, len(TERMS))
+    assert not changes.any()
     assert plain.to_mjcf(tmp_path / "plain.xml") == ()

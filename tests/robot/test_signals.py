@@ -1,4 +1,4 @@
-"""Recorded signals on their way into a fit and a prediction, and what is refused."""
+"""Recorded signals in fits and predictions, and invalid signals."""
 
 import numpy as np
 import pytest
@@ -20,74 +20,74 @@ EFFECT = Signal(joint=JOINT, signal="temperature", of="viscous", reference=30.0)
 GIVEN = {"temperature": WARM}
 
 
-def robot(*effects, **given):
-    given = {"friction": ("viscous", "coulomb"), **given}
-    return RobotIdentifier(ARM.urdf, dt=ARM.dt, effects=effects, **given)
+def robot(*effects, **settings):
+    settings = {"friction": ("viscous", "coulomb"), **settings}
+    return RobotIdentifier(ARM.urdf, dt=ARM.dt, effects=effects, **settings)
 
 
-def fitted(X=ARM.q, *effects, **given):
-    given = {"groups": ARM.groups, **given}
-    return robot(*(effects or (EFFECT,))).fit(X, TAU, **given)
+def fitted(X=ARM.q, *effects, **settings):
+    settings = {"groups": ARM.groups, **settings}
+    return robot(*(effects or (EFFECT,))).fit(X, TAU, **settings)
 
 
-@pytest.fixture(scope="module", name="found")
-def fixture_found():
+@pytest.fixture(scope="module", name="model")
+def fixture_model():
     return fitted(signals=GIVEN)
 
 
 def frame(**columns):
     import pandas
 
-    made = pandas.DataFrame(ARM.q, columns=[f"q_{name}" for name in NAMES])
-    return made.assign(**columns)
+    positions = pandas.DataFrame(ARM.q, columns=[f"q_{name}" for name in NAMES])
+    return positions.assign(**columns)
 
 
-def test_the_coefficient_is_found_per_unit_of_the_signal(found):
-    assert found.parameter_names_[-1] == f"{NAMES[JOINT]}:signal:k"
-    assert found.parameter_units_[-1] == "N m s/rad per unit of temperature"
-    std = found.theta_std_[-1]
+def test_coefficient_per_unit_of_the_signal(model):
+    assert model.parameter_names_[-1] == f"{NAMES[JOINT]}:signal:k"
+    assert model.parameter_units_[-1] == "N m s/rad per unit of temperature"
+    std = model.theta_std_[-1]
     assert std < 0.1
-    assert abs(found.theta_[-1] - SLOPE) < 4 * std
+    assert abs(model.theta_[-1] - SLOPE) < 4 * std
     plain = robot().fit(ARM.q, TAU, groups=ARM.groups)
     args = ARM.q, TAU, ARM.groups
-    with_it = found.residuals(*args, signals=GIVEN).rms()[JOINT]
+    with_it = model.residuals(*args, signals=GIVEN).rms()[JOINT]
     assert with_it < 0.5 * plain.residuals(*args).rms()[JOINT]
 
 
-def test_a_prediction_takes_the_signal_of_its_own_motion(found):
-    states = found.state_estimator_.transform(ARM.q[:400])
+def test_predictions_use_the_given_signals(model):
+    states = model.state_estimator_.transform(ARM.q[:400])
     cold, warm = (
-        found.predict(states, signals={"temperature": np.full(400, degrees)})
+        model.predict(states, signals={"temperature": np.full(400, degrees)})
         for degrees in (20.0, 40.0)
     )
     difference = warm - cold
     assert_array_equal(np.delete(difference, JOINT, axis=1), 0.0)
     speed = states[:, ARM.nv + JOINT]
-    assert_allclose(difference[:, JOINT], 20.0 * found.theta_[-1] * speed, atol=1e-9)
+    assert_allclose(difference[:, JOINT], 20.0 * model.theta_[-1] * speed, atol=1e-9)
 
 
 @pytest.mark.parametrize("call", ["predict", "residuals", "score"])
-def test_one_error_names_the_missing_column(found, call):
+def test_missing_signal_is_named(model, call):
     args = (ARM.q, TAU) if call in {"residuals", "score"} else (ARM.q,)
     with pytest.raises(ValueError, match="signal 'temperature', which an effect needs"):
-        getattr(found, call)(*args)
+        getattr(model, call)(*args)
     with pytest.raises(ValueError, match="signal 'temperature', which an effect needs"):
-        getattr(found, call)(*args, signals={"voltage": WARM})
+        getattr(model, call)(*args, signals={"voltage": WARM})
 
 
-def test_extra_columns_of_a_frame_are_signals(found):
+def test_extra_data_frame_columns_are_signals(model):
     X = frame(temperature=WARM, operator="me", t=TIME)[
         ["operator", *frame().columns[::-1], "temperature", "t"]
     ]
-    again = fitted(X)
-    assert_allclose(again.theta_, found.theta_, rtol=1e-9)
-    assert again.n_features_in_ == ARM.nv
+    other = fitted(X)
+    assert_allclose(other.theta_, model.theta_, rtol=1e-9)
+    assert other.n_features_in_ == ARM.nv
     assert_array_equal(
-        again.predict(X[:300]),
-        found.predict(ARM.q[:300], signals={"temperature": WARM[:300]}),
+        other.predict(X[:300]),
+        model.predict(ARM.q[:300], signals={"temperature": WARM[:300]}),
     )
-    together = fitted(frame(), signals=frame(temperature=WARM)[["temperature"]])
-    assert_array_equal(together.theta_, again.theta_)
+    separate = fitted(frame(), signals=frame(temperature=WARM)[["temperature"]])
+    assert_array_equal(separate.theta_, other.theta_)
 
 
 def bad_signals():
@@ -115,7 +115,7 @@ def bad_signals():
 
 
 @pytest.mark.parametrize("kind", bad_signals())
-def test_what_is_no_condition_of_the_robot_is_refused(kind):
+def test_channels_and_clocks_are_refused_as_signals(kind):
     values, message = bad_signals()[kind]
     with pytest.raises(ValueError, match=message):
         fitted(signals={**GIVEN, "other": values})
@@ -124,7 +124,7 @@ def test_what_is_no_condition_of_the_robot_is_refused(kind):
 
 
 @pytest.mark.parametrize("signals", [WARM, "temperature", [WARM]])
-def test_signals_have_names(signals):
+def test_signals_need_names(signals):
     with pytest.raises(ValueError, match="signals must be a mapping of names"):
         fitted(signals=signals)
     with pytest.raises(ValueError, match="names that are text"):

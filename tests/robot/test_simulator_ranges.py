@@ -1,4 +1,4 @@
-"""Samples and ranges of identified robots, by closed forms and left-out motion."""
+"""Posterior samples and ranges of identified robots."""
 
 import dataclasses
 import json
@@ -15,9 +15,9 @@ from sklearn_vbjfa.physical import min_eigenvalue
 from sklearn_vbjfa.robot import BetweenRecordings, Marginal, Posterior
 from tests.model._mujoco import drive_torques, moving_states
 from tests.model.test_mjcf import assert_same
-from tests.robot._differing import NAMES, URDF, held, recordings, share_of
+from tests.robot._differing import NAMES, URDF, covers, recordings, share_of
 
-# States are drawn one by one.
+# States are drawn independently.
 pytestmark = pytest.mark.filterwarnings("ignore:The rows are not in the order of time")
 
 
@@ -29,7 +29,7 @@ def urdf(tmp_path_factory):
 
 
 def fitted(urdf, seed, n, off, labelled=True, **changes):
-    """Identify a robot from n recordings that differ."""
+    """Identify a robot from n recordings of different parameters."""
     X, y, labels, _ = recordings(urdf, seed, n, off=off, **changes)
     robot = RobotIdentifier(urdf, bodies="fixed")
     return robot.fit(X, y, groups=labels if labelled else None)
@@ -40,7 +40,7 @@ def several(urdf):
     return fitted(urdf, 0, 6, share_of(0.3))
 
 
-# -- one value -------------------------------------------------------------------------
+# -- marginals -------------------------------------------------------------------------
 
 MIXTURES = [
     (2.0, [0.3], [1.0]),
@@ -53,8 +53,8 @@ MIXTURES = [
 
 @pytest.mark.parametrize(("centre", "deviations", "weights"), MIXTURES)
 @pytest.mark.parametrize("lowest", [-np.inf, 0.0])
-def test_a_value_is_as_scipy_has_it(centre, deviations, weights, lowest):
-    found = Marginal(
+def test_marginal_quantiles_match_scipy(centre, deviations, weights, lowest):
+    marginal = Marginal(
         centre=centre,
         deviations=np.array(deviations),
         weights=np.array(weights),
@@ -71,65 +71,65 @@ def test_a_value_is_as_scipy_has_it(centre, deviations, weights, lowest):
         expected = optimize.brentq(
             lambda x, share=share: above(x) - (1 - share), start, 40.0, xtol=1e-14
         )
-        (quantile,) = found.quantiles([share])
+        (quantile,) = marginal.quantiles([share])
         assert quantile == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
-def test_one_recording_has_the_deviations_of_the_fit(urdf):
+def test_ranges_of_one_recording_use_the_standard_errors(urdf):
     robot = fitted(urdf, 3, 1, share_of(0.0), labelled=False, noise=1.0)
-    # without what its stretches differ by
+    # Without the variance between its segments.
     alone = dataclasses.replace(robot.robot_, recording_variance=None)
-    found = alone.ranges(level=0.8)
-    assert found.recordings == 1
+    ranges = alone.ranges(level=0.8)
+    assert ranges.recordings == 1
     for k, name in enumerate(robot.parameter_names_[10:], start=10):
-        one, centre = found[name], robot.theta_unconstrained_[k]
+        row, centre = ranges[name], robot.theta_unconstrained_[k]
         std = robot.theta_std_[k]
         cut = stats.truncnorm(-centre / std, np.inf, centre, std)
         law = stats.norm(centre, std) if name == "hip:offset" else cut
-        np.testing.assert_allclose([one.lower, one.upper], law.ppf([0.1, 0.9]), 1e-9)
-        assert one.within == std
-        assert one.between == 0.0
+        np.testing.assert_allclose([row.lower, row.upper], law.ppf([0.1, 0.9]), 1e-9)
+        assert row.within == std
+        assert row.between == 0.0
 
 
-def test_a_single_recording_is_judged_by_its_stretches(urdf):
-    """Four recordings that differ, told as one, against four that do not."""
+def test_single_recording_is_split_into_segments(urdf):
+    """Compare four differing recordings, as one group, with four equal ones."""
 
     def ranges(share, labelled):
         return fitted(urdf, 4, 4, share_of(share), labelled, noise=0.1).ranges()
 
-    one, several, same = ranges(0.3, False), ranges(0.3, True), ranges(0.0, False)
-    assert (one.recordings, several.recordings, same.recordings) == (1, 4, 1)
+    joined, separate, equal = ranges(0.3, False), ranges(0.3, True), ranges(0.0, False)
+    assert (joined.recordings, separate.recordings, equal.recordings) == (1, 4, 1)
     for name in NAMES:
-        assert one[name].between == pytest.approx(several[name].between, rel=0.3)
-        assert same[name].between < 0.3 * one[name].between
+        assert joined[name].between == pytest.approx(separate[name].between, rel=0.3)
+        assert equal[name].between < 0.3 * joined[name].between
 
 
-# -- from recording to recording -------------------------------------------------------
+# -- variance between recordings -------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_scale_of_a_single_value_is_the_exact_one(seed):
-    """Its posterior is that of y_r ~ N(theta, s^2 + v_r) with theta integrated."""
+def test_scale_posterior_of_a_single_value_is_exact(seed):
+    """The posterior is that of y_r ~ N(theta, s^2 + v_r), with theta integrated."""
     rng = np.random.default_rng(seed)
     power = rng.uniform(20.0, 200.0, 7)
     y = 1.0 + 0.3 * rng.standard_normal(7) + rng.standard_normal(7) / np.sqrt(power)
     theta = power @ y / power.sum()
-    places = np.array([0])
+    indices = np.array([0])
     effects = _RecordingEffects(
         power[:, None, None],
         (power * (y - theta))[:, None],
         np.array([theta]),
         0.0,
-        places,
+        indices,
     )
     weights = effects.solve()[:, 0]
     scales = np.geomspace(1e-4, 2.0, weights.size)
     expected = []
     for s in scales * effects.unit[0]:
-        own = 1.0 / (s**2 + 1.0 / power)
-        left = own @ (y - own @ y / own.sum()) ** 2
+        precision = 1.0 / (s**2 + 1.0 / power)
+        misfit = precision @ (y - precision @ y / precision.sum()) ** 2
         prior = s / (1.0 + (s / (0.2 * effects.unit[0])) ** 2)
-        density = np.sqrt(np.prod(own) / own.sum()) * np.exp(-0.5 * left)
+        density = np.sqrt(np.prod(precision) / precision.sum()) * np.exp(-0.5 * misfit)
         expected.append(density * prior)
     expected = np.array(expected)
     expected[[0, -1]] *= 0.5
@@ -141,30 +141,30 @@ def test_the_scale_of_a_single_value_is_the_exact_one(seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [4, 8, 16])
 @pytest.mark.parametrize("share", [0.1, 0.3])
-def test_left_out_recordings_are_in_their_ranges(n, share, urdf):
+def test_held_out_recordings_are_covered_by_the_ranges(n, share, urdf):
     seeds = range(1000, 1600)
-    done = [held(urdf, seed, n, share_of(share))[0] for seed in seeds]
-    inside = np.mean(done, axis=0)
+    results = [covers(urdf, seed, n, share_of(share))[0] for seed in seeds]
+    inside = np.mean(results, axis=0)
     assert 0.86 <= inside.mean() <= 0.94
-    # of few recordings, what scatters about nothing is in its range less often
+    # With few recordings, values that scatter around zero are covered less often.
     assert (inside > 0.82).all()
 
 
 @pytest.mark.parametrize("n", [2, 8])
-def test_the_fitted_value_is_off_as_the_mean_of_its_recordings(urdf, n):
-    """Deviations of the next recording are s sqrt(1 + 1/n), of n that tell as much."""
+def test_prediction_variance_includes_the_error_of_the_mean(urdf, n):
+    """The next recording deviates by s sqrt(1 + 1/n) if all n are equally precise."""
     robot = fitted(urdf, 5, n, share_of(0.0), noise=1e-3)
-    found = robot.robot_.recording_variance
-    place = robot.parameter_names_.index("hip:viscous")
-    size = found.size[list(found.places).index(place)]
-    assert size / robot.theta_[place] == pytest.approx(np.sqrt(1 + 1 / n), rel=0.01)
+    variance = robot.robot_.recording_variance
+    index = robot.parameter_names_.index("hip:viscous")
+    size = variance.size[list(variance.places).index(index)]
+    assert size / robot.theta_[index] == pytest.approx(np.sqrt(1 + 1 / n), rel=0.01)
 
 
-def test_the_scatter_is_found(urdf):
+def test_variance_between_recordings_is_estimated(urdf):
     off = share_of(0.3)
-    found = fitted(urdf, 2, 30, off).ranges()
-    between = np.array([found[name].between for name in NAMES])
-    # the deviation of a deviation of thirty is 13 %
+    ranges = fitted(urdf, 2, 30, off).ranges()
+    between = np.array([ranges[name].between for name in NAMES])
+    # The standard deviation of 30 values is known to 13 %.
     np.testing.assert_allclose(between, off, rtol=0.4)
 
 
@@ -172,7 +172,7 @@ def test_the_scatter_is_found(urdf):
 
 
 def posterior(centre, covariance, between=None, nonnegative=()):
-    """Posterior of values without bodies."""
+    """Return the posterior of values without bodies."""
     centre = np.array(centre, dtype=float)
     mask = np.zeros(centre.size, dtype=bool)
     mask[list(nonnegative)] = True
@@ -202,40 +202,40 @@ OFF = BetweenRecordings(
     ("centre", "nonnegative"),
     [((5.0, 9.0, 7.0), ()), ((-0.8, 0.3, 0.4), (0, 1)), ((-1.0, -2.0, 9.0), (0, 1, 2))],
 )
-def test_samples_have_the_distributions_of_the_ranges(centre, nonnegative, between):
-    known = posterior(centre, CORRELATED, between, nonnegative)
-    drawn = known.sample(0, range(3000))
-    assert (drawn[:, known.nonnegative] >= 0).all()
+def test_samples_follow_the_marginals(centre, nonnegative, between):
+    joint = posterior(centre, CORRELATED, between, nonnegative)
+    drawn = joint.sample(0, range(3000))
+    assert (drawn[:, joint.nonnegative] >= 0).all()
     for k in nonnegative or range(3):
         shares = np.linspace(0.02, 0.98, 49)
-        found = [(drawn[:, k] <= x).mean() for x in known.marginal(k).quantiles(shares)]
-        # Kolmogorov and Smirnov's difference, at a level of 1e-3
+        found = [(drawn[:, k] <= x).mean() for x in joint.marginal(k).quantiles(shares)]
+        # Kolmogorov-Smirnov statistic at a level of 1e-3
         np.testing.assert_allclose(found, shares, atol=1.95 / np.sqrt(3000))
 
 
-def test_what_is_cut_off_takes_the_others_along():
-    """Samples without anything to cut are normal, and have their covariance."""
-    known = posterior((5.0, 9.0, 7.0), CORRELATED, None, (0, 1, 2))
-    drawn = known.sample(0, range(3000))
+def test_samples_without_truncation_have_the_covariance():
+    """Samples far from zero are normal with the given covariance."""
+    joint = posterior((5.0, 9.0, 7.0), CORRELATED, None, (0, 1, 2))
+    drawn = joint.sample(0, range(3000))
     np.testing.assert_allclose(np.cov(drawn.T), CORRELATED, atol=0.12)
 
 
-def test_far_below_zero_is_drawn_as_well():
-    """Refusing would take 1e16 draws each."""
-    known = posterior([-8.0, 1.0], [[1.0, 0.5], [0.5, 1.0]], None, (0,))
-    drawn = known.sample(0, range(2000))
+def test_samples_from_a_far_truncated_tail():
+    """Rejection sampling would need 1e16 draws for each sample."""
+    joint = posterior([-8.0, 1.0], [[1.0, 0.5], [0.5, 1.0]], None, (0,))
+    drawn = joint.sample(0, range(2000))
     exact = Marginal(centre=-8.0, deviations=np.ones(1), weights=np.ones(1), lowest=0.0)
     shares = np.linspace(0.02, 0.98, 25)
     np.testing.assert_allclose(
         np.quantile(drawn[:, 0], shares), exact.quantiles(shares), atol=0.05
     )
-    # the other one follows: E[y | x] = 1 + 0.5 (x + 8)
-    left = drawn[:, 1] - 1.0 - 0.5 * (drawn[:, 0] + 8.0)
-    assert abs(left.mean()) < 4 * np.sqrt(0.75 / 2000)
-    assert left.std() == pytest.approx(np.sqrt(0.75), rel=0.06)
+    # Conditional mean of the other value: E[y | x] = 1 + 0.5 (x + 8)
+    residual = drawn[:, 1] - 1.0 - 0.5 * (drawn[:, 0] + 8.0)
+    assert abs(residual.mean()) < 4 * np.sqrt(0.75 / 2000)
+    assert residual.std() == pytest.approx(np.sqrt(0.75), rel=0.06)
 
 
-def test_a_row_of_a_seed_is_the_same_one_for_every_number(several):
+def test_samples_of_a_seed_do_not_depend_on_their_number(several):
     many = several.sample(30, random_state=4)
     np.testing.assert_allclose(several.sample(7, random_state=4), many[:7], rtol=1e-9)
     assert not np.allclose(several.sample(7, random_state=5), many[:7])
@@ -244,22 +244,22 @@ def test_a_row_of_a_seed_is_the_same_one_for_every_number(several):
     assert not np.allclose(several.sample(3, random_state=state), first)
     again = several.sample(3, random_state=check_random_state(3))
     np.testing.assert_array_equal(again, first)
-    # Without a seed it is the one of NumPy.
+    # Without a seed, samples differ.
     assert not np.allclose(several.sample(3), several.sample(3))
 
 
 @pytest.mark.parametrize("bodies", ["prior", "free"])
-def test_samples_are_robots(bodies, simulated):
+def test_samples_are_consistent_and_predict_well(bodies, simulated):
     robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, bodies=bodies)
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
     drawn = robot.sample(12, random_state=0)
     nv = len(robot.joint_names_)
     parts = drawn.reshape(12, nv, -1)
     assert min_eigenvalue(parts[:, :, :10].reshape(-1, 10)).min() > 0
-    # viscous, coulomb and rotor inertia; an offset has either sign
+    # Viscous and Coulomb friction, rotor inertia; offsets have either sign.
     assert parts[:, :, [10, 11, 13]].min() >= 0
     assert (parts[:, :, 12] < 0).any()
-    # They are as good as the robot itself, but for how far recordings differ.
+    # Without the variance between recordings, samples predict like the fit.
     within = dataclasses.replace(robot.robot_, recording_variance=None)
     states = robot.state_estimator_.transform(simulated.q, groups=simulated.groups)
     rows = states[::50]
@@ -273,25 +273,25 @@ def test_samples_are_robots(bodies, simulated):
 
 def test_a_saved_robot_has_the_same_ranges(several, tmp_path):
     several.save(tmp_path / "one.json")
-    read = load_identified(tmp_path / "one.json")
-    assert read.ranges(0.8).parameters == several.ranges(0.8).parameters
+    loaded = load_identified(tmp_path / "one.json")
+    assert loaded.ranges(0.8).parameters == several.ranges(0.8).parameters
     np.testing.assert_array_equal(
-        read.sample(4, random_state=0), several.sample(4, random_state=0)
+        loaded.sample(4, random_state=0), several.sample(4, random_state=0)
     )
 
 
-def test_ranges_are_written_by_joint(several, tmp_path):
-    found = several.ranges(level=0.9)
-    found.save(tmp_path / "ranges.json")
+def test_saved_ranges(several, tmp_path):
+    ranges = several.ranges(level=0.9)
+    ranges.save(tmp_path / "ranges.json")
     content = json.loads((tmp_path / "ranges.json").read_text())
     assert (content["format"], content["level"]) == ("sklearn_vbjfa ranges", 0.9)
     assert content["recordings"] == 6
-    # The bodies are those of the description.
-    values = {one["name"]: one for one in content["values"]}
+    # The bodies are fixed.
+    values = {row["name"]: row for row in content["values"]}
     assert list(values) == NAMES
-    armature, one = values["hip:rotor_inertia"], found["hip:rotor_inertia"]
+    armature, row = values["hip:rotor_inertia"], ranges["hip:rotor_inertia"]
     assert (armature["joint"], armature["unit"]) == ("hip", "kg m^2")
-    assert (armature["lower"], armature["upper"]) == (one.lower, one.upper)
+    assert (armature["lower"], armature["upper"]) == (row.lower, row.upper)
     assert armature["lower"] < armature["value"] < armature["upper"]
 
 
@@ -304,26 +304,26 @@ def test_mujoco_computes_the_torques_of_a_sample(simulated, tmp_path):
     assert "Sample 3 of the posterior" in path.read_text()
     assert "random_state=7" in path.read_text()
     drawn = robot.sample(4, random_state=7)[3]
-    one = dataclasses.replace(robot.robot_, theta_=drawn)
+    sample = dataclasses.replace(robot.robot_, theta_=drawn)
     states = moving_states(np.random.default_rng(0), 50, len(robot.joint_names_))
-    assert_same(drive_torques(path, states), one.predict(states), 1e-6)
-    # It is not the identified robot.
-    away = np.abs(robot.predict(states) - one.predict(states)).max()
-    assert away > 1e-3 * np.abs(robot.predict(states)).max()
+    assert_same(drive_torques(path, states), sample.predict(states), 1e-6)
+    # The sample differs from the identified robot.
+    difference = np.abs(robot.predict(states) - sample.predict(states)).max()
+    assert difference > 1e-3 * np.abs(robot.predict(states)).max()
 
 
 # -- bad input -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("level", [0, 1, -0.1, 1.5, np.nan, "90 %", None, True])
-def test_levels_that_are_none(level, several):
+def test_invalid_levels_are_refused(level, several):
     with pytest.raises(ValueError, match="between 0 and 1, such as 0"):
         several.ranges(level)
 
 
-def test_a_regressor_without_a_covariance(urdf):
+def test_ranges_need_a_covariance(urdf):
     X, y, labels, _ = recordings(urdf, 0, 2, off=share_of(0.0))
     robot = RobotIdentifier(urdf, regressor=Ridge()).fit(X, y, groups=labels)
-    for ask in (robot.ranges, lambda: robot.sample(1)):
+    for method in (robot.ranges, lambda: robot.sample(1)):
         with pytest.raises(ValueError, match="its regressor gives none"):
-            ask()
+            method()

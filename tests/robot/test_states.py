@@ -1,4 +1,4 @@
-"""States from positions: exact, without lag, each recording on its own."""
+"""State estimation from positions: exactness, phase, noise, separate recordings."""
 
 import numpy as np
 import pytest
@@ -9,14 +9,14 @@ DT = 0.005
 
 
 def wave(t, frequency, phase=0.3):
-    """Sine with its first two derivatives, (n, 3)."""
+    """Return a sine with its first two derivatives, (n, 3)."""
     w = 2 * np.pi * frequency
     s, c = np.sin(w * t + phase), np.cos(w * t + phase)
     return np.column_stack([s, w * c, -(w**2) * s])
 
 
 def noisy_wave(n, noise, seed=0):
-    """Make slow sines in several joints under white noise."""
+    """Return slow sines of several joints, with white noise and without."""
     t = np.arange(n) * DT
     joints = [wave(t, f, f) for f in np.linspace(0.2, 0.6, len(noise))]
     truth = np.stack(joints, axis=2).reshape(n, -1)  # [q | v | a]
@@ -56,14 +56,14 @@ def test_sines_pass_with_the_stated_gain_and_no_phase(frequency, cutoff):
     np.testing.assert_allclose(
         amplitude / [1, w, w**2], [[gain, 0, -gain], [0, gain, 0]], atol=atol
     )
-    # nothing of the other phase: no lag
+    # No quadrature component, so no lag.
     np.testing.assert_allclose(amplitude[[1, 0, 1], range(3)], 0, atol=1e-9 * w**2)
 
 
 # -- recordings
 
 
-def test_a_jump_between_recordings_leaves_no_trace():
+def test_recordings_are_smoothed_separately():
     q, _ = noisy_wave(1200, np.array([1e-3, 1e-4]))
     groups = np.repeat(["a", "b", "c"], [500, 300, 400])
     jumped = q + np.repeat([0.0, 1e3, -50.0], [500, 300, 400])[:, None]
@@ -74,7 +74,7 @@ def test_a_jump_between_recordings_leaves_no_trace():
         np.testing.assert_array_equal(states[groups == label], alone)
 
 
-# -- what is measured
+# -- measured noise and bandwidth
 
 
 def test_noise_variance():
@@ -90,12 +90,12 @@ def test_bandwidth_is_that_of_the_motion():
     q = wave(t, 0.2)[:, :1] + 1e-4 * np.random.default_rng(1).normal(size=(8000, 1))
     q = np.hstack([q, wave(t, 2.0)[:, :1], np.full((8000, 1), 0.7)])
     estimator = StateEstimator(DT).fit(q)
-    # the taper widens a line by two bins of 1 / 40 Hz
+    # The taper widens a line by two bins of 1 / 40 Hz.
     np.testing.assert_allclose(estimator.bandwidth_[:2], [0.2, 2.0], atol=0.06)
     assert estimator.bandwidth_[2] == 0.0
 
 
-def test_a_joint_that_rests_stays_at_rest():
+def test_resting_joint_has_zero_velocity():
     t = np.arange(300) * DT
     q = np.column_stack([np.sin(t), np.full(300, 0.37)])
     estimator = StateEstimator(DT).fit(q)
@@ -107,7 +107,7 @@ def test_a_joint_that_rests_stays_at_rest():
     )
 
 
-def test_halves_agree_with_the_truth_and_share_no_noise():
+def test_half_sample_estimates_have_independent_noise():
     noise = np.array([1e-3])
     q, truth = noisy_wave(40_000, noise)
     estimator = StateEstimator(DT, cutoff=5.0).fit(q)
@@ -116,23 +116,23 @@ def test_halves_agree_with_the_truth_and_share_no_noise():
     whole = (estimator.transform(q) - truth)[inside]
     for k in range(3):
         first, second = errors[0][:, k], errors[1][:, k]
-        # Some 2 * 5 Hz * 200 s independent values: a deviation of 0.022.
+        # About 2 * 5 Hz * 200 s independent values: a standard error of 0.022.
         assert abs(np.corrcoef(first, second)[0, 1]) < 0.1
-        # half as many samples, twice the variance; 0.1 is three deviations of a ratio
+        # Half the samples double the variance; 0.1 is three standard errors.
         for half in (first, second):
             assert half.var() / whole[:, k].var() == pytest.approx(2.0, rel=0.2)
-    # while the estimate from all samples has its noise in common with each half
+    # The estimate from all samples shares its noise with each half.
     assert np.corrcoef(errors[0][:, 1], whole[:, 1])[0, 1] > 0.5
 
 
-def test_velocity_noise_is_that_of_the_velocities():
+def test_velocity_noise():
     q, truth = noisy_wave(6000, noise=np.array([1e-4, 1e-3]))
     estimator = StateEstimator(DT, cutoff=[20.0, None]).fit(q)
-    wrong = (estimator.transform(q) - truth)[100:-100, 2:4]
-    # Without a cut-off it is that of the ideal derivative, which a spline is not quite.
-    told = estimator.velocity_noise()
-    np.testing.assert_allclose(told[0], wrong[:, 0].std(), rtol=0.1)
-    np.testing.assert_allclose(told[1], 1e-3 * np.pi / np.sqrt(3) / DT, rtol=0.05)
+    error = (estimator.transform(q) - truth)[100:-100, 2:4]
+    # Without a cut-off, the noise is nearly that of the ideal derivative.
+    noise_std = estimator.velocity_noise()
+    np.testing.assert_allclose(noise_std[0], error[:, 0].std(), rtol=0.1)
+    np.testing.assert_allclose(noise_std[1], 1e-3 * np.pi / np.sqrt(3) / DT, rtol=0.05)
 
 
 # -- errors
@@ -162,22 +162,22 @@ def test_refuses_wrong_labels_and_values():
             StateEstimator(DT).fit(q)
 
 
-def shaken(dt=0.001, duration=20.0, period=0.4):
-    """Slow motion sampled at shaken times and interpolated to a grid."""
+def jittered_wave(dt=0.001, duration=20.0, period=0.4):
+    """Return slow motion sampled at jittered times and interpolated to a grid."""
     rng = np.random.default_rng(0)
     t = np.arange(0.0, duration, dt)
-    late = t + 0.3 * dt * rng.normal(size=t.size)
-    read = np.sin(2 * np.pi * period * late)
-    smooth = np.convolve(read, [0.25, 0.5, 0.25], mode="same")
+    jittered = t + 0.3 * dt * rng.normal(size=t.size)
+    samples = np.sin(2 * np.pi * period * jittered)
+    smooth = np.convolve(samples, [0.25, 0.5, 0.25], mode="same")
     return t, smooth + 1e-9 * rng.normal(size=t.size)
 
 
-def test_noise_of_a_colour_is_no_motion():
-    """A decade above all motion, and as flat as noise is."""
-    t, q = shaken()
+def test_coloured_noise_is_not_motion():
+    """The noise is flat and a decade above the motion."""
+    t, q = jittered_wave()
     estimator = StateEstimator(dt=0.001).fit(q[:, None])
     assert estimator.bandwidth_[0] < 1.0
-    # A joint that is shaken at two frequencies is, whatever lies between.
+    # Two spectral lines are motion, whatever lies between.
     quiet = np.sin(2 * np.pi * 0.4 * t) + 1e-9 * np.random.default_rng(1).normal(
         size=t.size
     )

@@ -1,4 +1,4 @@
-"""Statistics piece by piece against those of the whole regressor matrix."""
+"""Moments accumulated in chunks against those of the whole regressor matrix."""
 
 import joblib
 import numpy as np
@@ -19,32 +19,32 @@ MOMENTS = ("n", "n_rows", "yy", "g")
 
 def statistics(robot):
     stats = robot.estimate_.moments
-    joints, found = np.eye(stats.n.size), {x: getattr(stats, x) for x in MOMENTS}
-    found["G"] = np.array([stats.gram(one) for one in joints])
+    joints, moments = np.eye(stats.n.size), {x: getattr(stats, x) for x in MOMENTS}
+    moments["G"] = np.array([stats.gram(row) for row in joints])
     if stats.noise is not None:
-        found["noise"] = np.array([stats.total_noise(one) for one in joints])
-    return found
+        moments["noise"] = np.array([stats.total_noise(row) for row in joints])
+    return moments
 
 
 def assert_same(robot, other, rtol=1e-10):
-    """Statistics and parameters agree, each relative to its own largest entry."""
-    expected, found = statistics(other), statistics(robot)
-    assert found.keys() == expected.keys()
-    for name, values in found.items():
+    """Compare moments and parameters, each relative to its largest entry."""
+    expected, actual = statistics(other), statistics(robot)
+    assert actual.keys() == expected.keys()
+    for name, values in actual.items():
         size = np.abs(expected[name]).max()
         assert_allclose(values, expected[name], rtol=0, atol=rtol * size, err_msg=name)
     for name in ("cutoff_", "noise_floor_", "standstill_", "torque_noise_"):
         values, reference = getattr(robot, name), getattr(other, name)
         size = np.abs(reference).max()
         assert_allclose(values, reference, rtol=0, atol=rtol * size, err_msg=name)
-    # Parameters that the data hardly tell apart may move by more than the torques
-    # that all of them make together, which is what rounding leaves unchanged.
+    # Rounding may move poorly identifiable parameters, but not the torques that all
+    # parameters make together.
     metric = other.estimate_.metric
     for name in ("theta_unconstrained_", "theta_"):
         values, reference = getattr(robot, name), getattr(other, name)
-        apart = values - reference
+        difference = values - reference
         torque = reference @ metric @ reference
-        assert abs(apart @ metric @ apart) <= (10 * rtol) ** 2 * torque, name
+        assert abs(difference @ metric @ difference) <= (10 * rtol) ** 2 * torque, name
         assert_allclose(values, reference, rtol=0, atol=1e-6, err_msg=name)
     free = other.identifiable_
     values, reference = robot.theta_std_[free], other.theta_std_[free]
@@ -52,10 +52,10 @@ def assert_same(robot, other, rtol=1e-10):
 
 
 def matrix_statistics(robot, simulated):
-    """Second moments of one matrix of all equations: nothing in pieces.
+    """Return the moments of one matrix of all equations, not in chunks.
 
-    The matrices come from Pinocchio by way of `RigidBodyFeatures.transform`, the
-    filter is SciPy's.
+    The matrices are from Pinocchio via `RigidBodyFeatures.transform`, the filter is
+    from SciPy.
     """
     nv = 6
     lowpass = robot.robot_.plan.lowpass
@@ -90,7 +90,7 @@ def matrix_statistics(robot, simulated):
     }
 
 
-def test_equal_to_the_whole_matrix(identified, simulated):
+def test_moments_equal_those_of_the_whole_matrix(identified, simulated):
     expected = matrix_statistics(identified, simulated)
     for name, values in statistics(identified).items():
         size = np.abs(expected[name]).max()
@@ -99,9 +99,9 @@ def test_equal_to_the_whole_matrix(identified, simulated):
 
 @settings(max_examples=2, derandomize=True, deadline=None)
 @given(chunk=st.integers(1 << 18, 1 << 22), block=st.integers(1 << 16, 1 << 20))
-def test_any_pieces_and_blocks(simulated, chunk, block):
+def test_chunk_and_block_sizes_do_not_matter(simulated, chunk, block):
     with pytest.MonkeyPatch.context() as patch:
-        # without a low-pass the memory of a block decides on its length
+        # Without a low-pass, the memory limit sets the block length.
         settings = {"cutoff": None, "options": FitOptions(state_cutoff=10.0)}
         expected = identify(simulated, **settings)
         patch.setattr(_equations, "CHUNK_BYTES", chunk)
@@ -110,7 +110,7 @@ def test_any_pieces_and_blocks(simulated, chunk, block):
 
 
 @pytest.mark.parametrize("backend", ["threading", "loky"])
-def test_jobs_give_the_same_bits(simulated, identified, backend):
+def test_parallel_fits_are_bitwise_equal(simulated, identified, backend):
     with joblib.parallel_config(backend=backend, n_jobs=2):
         parallel = identify(simulated)
     for name, values in statistics(parallel).items():
@@ -119,7 +119,7 @@ def test_jobs_give_the_same_bits(simulated, identified, backend):
     assert_array_equal(parallel.noise_floor_, identified.noise_floor_)
 
 
-def test_effects_are_streamed_as_well(monkeypatch, simulated):
+def test_effects_are_accumulated_in_chunks(monkeypatch, simulated):
     settings = {"effects": (Ripple(joint=1),)}
     expected = identify(simulated, **settings)
     monkeypatch.setattr(_equations, "CHUNK_BYTES", 1 << 20)

@@ -29,7 +29,7 @@ from sklearn_vbjfa.diagnosis.search._branches import (
 from sklearn_vbjfa.diagnosis.search._path import slip_joints, tune_shapes
 from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
-from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
+from sklearn_vbjfa.effects import Sudden, TorqueGain, declarable, resolve
 from sklearn_vbjfa.equations._plan import check_effects, check_weight
 from sklearn_vbjfa.equations._repetition import find_repetition
 from sklearn_vbjfa.fit._arguments import check_rows_suffice, checked_arrays
@@ -342,6 +342,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         say("search")
         keywords = {"origin": whole.groups[thinned.rows], **timing}
         result = self._search(thinned.searched(whole), silent, keywords, library)
+        if any(isinstance(e, Sudden) and e.instant in begins for e in result.effects):
+            # A change between recordings would depend on their order.
+            library = [e for e in library if not isinstance(e, Sudden)]
+            result = self._search(thinned.searched(whole), silent, keywords, library)
         say("held-out judgement")
         model, torques = self.baseline_, ()
         if result.effects:

@@ -125,7 +125,7 @@ def _identify(identifier, paths):
     plan = make_plan(identifier, (), lengths, estimator, motion)
     stops = np.cumsum(lengths).tolist()
     parts = [slice(a, b) for a, b in zip([0, *stops], stops)]
-    check_length(parts, plan.lowpass, plan.cutoff)
+    check_length(parts, plan.lowpass, plan.cutoff, range(len(parts)))
     torques = np.concatenate([extent["torques"] for extent in extents])
     ranges = np.stack([motion.lowest, motion.highest])
     check_channels(names, ranges, torques)

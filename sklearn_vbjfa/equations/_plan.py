@@ -29,6 +29,7 @@ from sklearn_vbjfa.recording import (
     check_clock,
     check_cutoff,
     check_dt,
+    listed,
     with_torques_shifted,
 )
 
@@ -553,8 +554,8 @@ def check_channels(names, positions, torques):
         warnings.warn(still.message, DoubtWarning, stacklevel=5)
 
 
-def check_length(parts, lowpass, cutoff):
-    """Reject recordings all shorter than the filter; warn if only some are."""
+def check_length(parts, lowpass, cutoff, names=()):
+    """Reject recordings all shorter than the filter; warn of some if named."""
     need = 2 * lowpass.half + 1
     short = [p for p in parts if p.stop - p.start < need]
     if len(short) == len(parts):
@@ -564,10 +565,10 @@ def check_length(parts, lowpass, cutoff):
             f"stretch to be fitted has {longest}; give a longer recording or a higher "
             "cutoff (None for no low-pass)."
         )
-    if short:
-        rows = ", ".join(str(p.start) for p in short[:5])
+    left_out = [name for name, p in zip(names, parts) if p in short]
+    if left_out:
         warnings.warn(
-            f"{len(short)} of {len(parts)} recordings (from row {rows}) are "
+            f"{len(short)} of {len(parts)} recordings ({listed(left_out)}) are "
             f"shorter than the low-pass filter ({need} samples) and are left out.",
             DoubtWarning,
             stacklevel=5,

@@ -487,7 +487,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         clock = plan.clock(recording)
         if plan.timed and clock is not None:
             plan = replace(plan, time=(float(clock[0]), float(clock[-1])))
-        check_length(parts, plan.lowpass, plan.cutoff)
+        names = () if recording.before else recording.group_names
+        check_length(parts, plan.lowpass, plan.cutoff, names)
         return plan, recording, states
 
     # -- fitted attributes -------------------------------------------------------------

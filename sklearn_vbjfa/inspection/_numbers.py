@@ -113,10 +113,10 @@ MOVING, THROUGHOUT = 0.9, 0.98
 # -- rows ------------------------------------------------------------------------------
 
 # The mean squared step of shuffled rows is twice the variance; 0.7 of that is a
-# correlation of 0.3. If rows of two robots alternate, it is this many times that over
-# two rows. Only joints with this standard deviation count [rad or m], as noise has no
-# order; a joint is at rest if its range is below this many deviations of its noise.
-SHUFFLED, ALTERNATING, LEAST_MOTION, STILL_TRAVEL = 0.7, 2.0, 0.01, 12.0
+# correlation of 0.3. Only joints with this standard deviation count [rad or m], as
+# noise has no order; a joint is at rest if its range is below this many deviations of
+# its noise.
+SHUFFLED, LEAST_MOTION, STILL_TRAVEL = 0.7, 0.01, 12.0
 # Least number of rows in which the order is tested.
 SHORT_RUN = 16
 # A jump is a full turn up to this fraction of a turn.

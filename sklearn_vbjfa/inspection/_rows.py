@@ -13,6 +13,7 @@ from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._likelihood import Bodies
 from sklearn_vbjfa.inspection._sentences import finding, percent
 from sklearn_vbjfa.model import is_prismatic
+from sklearn_vbjfa.recording import rows_alternate
 
 
 class Rows:
@@ -106,18 +107,12 @@ def shuffled_rows(names, q, parts):
     if n < number.SHORT_RUN:
         return []
 
-    def change(k):
-        """Mean squared change (nv,) over k rows, one signal at a time."""
-        sums = [[np.square(y[k:] - y[:-k]).sum() for y in x.T] for x in pieces]
-        return np.sum(sums, axis=0) / n
-
-    square, square_2 = change(1), change(2)
+    squares = [[np.square(np.diff(y)).sum() for y in x.T] for x in pieces]
+    square = np.sum(squares, axis=0)
     variance = sizes @ [[y.var() for y in x.T] for x in pieces] / sizes.sum()
     moving = variance > number.LEAST_MOTION**2
-    smallest = (square[moving] / (2 * variance[moving])).min(initial=np.inf)
-    # If rows of two robots alternate, each resembles the last but one.
-    mixed = moving.any() and (square > number.ALTERNATING * square_2)[moving].all()
-    if not (mixed or number.SHUFFLED <= smallest < np.inf):
+    smallest = (square[moving] / (2 * n * variance[moving])).min(initial=np.inf)
+    if not (number.SHUFFLED <= smallest < np.inf or any(map(rows_alternate, pieces))):
         return []
     every, facts = range(len(names)), {"change": np.sqrt(2 * smallest)}
     return [finding("shuffled_rows", names, every, "error", **facts)]

@@ -63,6 +63,8 @@ def inspect_time_stamps(
     t = np.asarray(t, dtype=float)
     if t.ndim != 1 or t.size < 2:
         raise ValueError(f"t must hold two time stamps or more, got shape {t.shape}.")
+    if positions is not None and rows_alternate(positions):
+        raise ValueError("rows of several robots in turn; write one file for each.")
     _check_increasing(t, where)
     step = np.diff(t)
     period, counts = _estimate_period(step)
@@ -172,6 +174,19 @@ def prediction_errors(t, values):
         predicted = predicted + weight[:, None] * values[rows]
         gain = gain + weight**2
     return (values[2:-2] - predicted) / np.sqrt(gain)[:, None]
+
+
+# Rows alternate if the mean squared step is this many times that over two or three rows
+# on all joints with this standard deviation [rad or m]; fewest rows of the test.
+_ALTERNATING, _LEAST_MOTION, _ENOUGH = 2.0, 0.01, 16
+
+
+def rows_alternate(q):
+    """Whether rows (n, nv) of several robots alternate: each follows an earlier one."""
+    moving = [x for x in q.T if x.size >= _ENOUGH and x.std() > _LEAST_MOTION]
+    sizes = [[np.square(x[k:] - x[:-k]).mean() for x in moving] for k in (1, 2, 3)]
+    step, *others = np.array(sizes)
+    return bool(moving) and any((step > _ALTERNATING * x).all() for x in others)
 
 
 # -- stamps of arrays ------------------------------------------------------------------

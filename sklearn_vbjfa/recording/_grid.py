@@ -157,6 +157,8 @@ _Segment = namedtuple("_Segment", "file name rows stamps")
 def resample_files(files, names) -> dict:
     """Split files at segments and gaps; return the array fields of a `Recording`."""
     # names: names of the files, "" for a single one.
+    if len(files) > 1 or files[0].labels is not None:
+        _check_distinct(files)
     by_file = [list(_segments(file, name)) for file, name in zip(files, names)]
     by_period = sorted(itertools.chain(*by_file), key=lambda x: x.stamps.dt)
     slow, fast = by_period[-1], by_period[0]
@@ -175,6 +177,31 @@ def resample_files(files, names) -> dict:
         squares, sizes = zip(*((log.noise**2, log.t.size) for log in interpolated))
         fields["torque_noise"] = np.sqrt(np.average(squares, axis=0, weights=sizes))
     return fields
+
+
+def _check_distinct(files):
+    """Refuse recordings of which one repeats samples of another."""
+    parts = [(x, p) for x in files for p in contiguous_groups(x.labels, x.t.size)]
+    owner = np.repeat(np.arange(len(parts)), [p.stop - p.start for _, p in parts])
+    row = np.concatenate([np.arange(x.t.size) for x in files])
+    samples = [np.hstack([x.channels["q"], x.channels["tau"]]) for x in files]
+    samples = np.ascontiguousarray(np.concatenate(samples))
+    samples = samples.view(f"V{samples[0].nbytes}").ravel()
+    _, first, inverse = np.unique(samples, return_index=True, return_inverse=True)
+    origin = first[inverse]
+    # Joints at rest repeat samples, but not sequences of them.
+    copies = np.flatnonzero(np.diff(origin, prepend=-1) * (owner[origin] < owner))
+    for run in contiguous_groups(copies - origin[copies], copies.size):
+        if run.stop - run.start >= _MIN_SAMPLES:
+            places = []
+            for first, *_, last in (copies[run], origin[copies[run]]):
+                file = parts[owner[first]][0]
+                ends = file.where(row[first]), file.where(row[last])
+                places.append(f"{file.path}, {' to '.join(ends)}")
+            same = ": the same samples as ".join(places)
+            raise ValueError(
+                f"{same}; delete them in one file, or leave that file out."
+            )
 
 
 def _segments(file, name):

@@ -277,7 +277,9 @@ class Recording:
             )
         kept = sorted({labels[x] for x in names_or_labels})
         selected = take_rows(self, [self.segments[label] for label in kept], kept)
-        return replace(selected, group_names=tuple(names[label] for label in kept))
+        names = tuple(names[label] for label in kept)
+        before = tuple(self.before[label] for label in kept) if self.before else ()
+        return replace(selected, group_names=names, before=before)
 
     def robot_model(self) -> "pin.Model":
         """Nominal model of the robot, with one degree of freedom per joint.

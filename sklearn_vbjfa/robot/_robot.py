@@ -312,7 +312,8 @@ class IdentifiedRobot:
         """Torque residuals on a `Recording`; see `residuals`."""
         # predicts: whether predictions are needed in addition to torques and weights
         lowpass = self.plan.lowpass
-        check_length(recording.segments, lowpass, self.plan.cutoff)
+        names = () if recording.before else recording.group_names
+        check_length(recording.segments, lowpass, self.plan.cutoff, names)
         recording = self._on_clock(recording)
         smoother = self.smoother(recording.inputs, recording.groups)
         states, rest = RecordingStates.of(recording, smoother), self.plan.rest(smoother)

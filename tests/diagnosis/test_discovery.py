@@ -1,6 +1,7 @@
 """EffectDiscovery on small recordings with known missing effects."""
 
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -510,3 +511,12 @@ def test_a_doubtful_channel_raises_a_warning():
     assert [x.kind for x in search.report_.outcome.findings["channels"]] == [
         "gear_factor"
     ]
+
+
+def test_a_recording_shorter_than_the_filter_is_named_once():
+    names = np.where(np.arange(len(GOOD)) < len(GOOD) - 20, "long", "short")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        ARM.discover(GOOD, ["spring"], groups=names)
+    (text,) = {str(x.message) for x in caught if "low-pass" in str(x.message)}
+    assert text.startswith("1 of 2 recordings (short) are shorter")

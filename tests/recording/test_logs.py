@@ -421,12 +421,26 @@ def _of_interleaved_robots(columns):
     return {k: np.column_stack([x, other[k]]).ravel() for k, x in columns.items()}
 
 
+@pytest.mark.parametrize("late", [(0.002,), (0.005,), (0.002, 0.005)])
+def test_rows_of_robots_in_turn_are_refused_with_any_stamps(tmp_path, late):
+    columns = table(n=400)
+    others = [columns | {"t": columns["t"] + x} for x in late]
+    for k, other in enumerate(others):
+        other |= {f"q{j}": 1.0 - 0.4 * k - columns[f"q{j}"] for j in (1, 2)}
+    rows = {
+        k: np.column_stack([x, *(y[k] for y in others)]) for k, x in columns.items()
+    }
+    rows = {name: values.ravel() for name, values in rows.items()}
+    with pytest.raises(ValueError, match="rows of several robots in turn"):
+        read_recording(write(tmp_path / "arm.csv", rows))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (_as_12_bit_codes, "subtract 4096 from those from 2048 on"),
         (_as_scaled_codes, r"subtract 409\.6 from those from 204\.8 on"),
-        (_of_interleaved_robots, "time repeats"),
+        (_of_interleaved_robots, "rows of several robots in turn"),
     ],
 )
 def test_wrapped_codes_and_interleaved_robots_are_refused(tmp_path, change, message):

@@ -97,6 +97,50 @@ def test_signals_missing_in_one_file_are_left_out(runs_folder):
     assert (missing, False) in notes
 
 
+# -- samples that occur twice ----------------------------------------------------------
+
+
+def part_of(columns, start, stop):
+    return {name: column[start:stop] for name, column in columns.items()}
+
+
+def test_samples_of_two_recordings_are_refused(runs_folder):
+    long = noisy(0.01)
+    # Each sample is written twice.
+    held = {name: np.repeat(x, 2) for name, x in long.items()} | {
+        "t": 0.01 * np.arange(4000)
+    }
+    for a, b, lines in (
+        (
+            long,
+            long,
+            "line 2 to line 2001: the same samples as {}, line 2 to line 2001",
+        ),
+        (
+            part_of(long, 0, 1200),
+            part_of(long, 500, 2000),
+            "line 2 to line 701: the same samples as {}, line 502 to line 1201",
+        ),
+        (held, part_of(held, 1000, 4000), "line 2 to line 3000: the same samples as"),
+    ):
+        paths = files(a=a, b=b)
+        line = error_of(paths, f"runs/b.csv, {lines.format('runs/a.csv')}")
+        assert line.endswith("delete them in one file, or leave that file out.")
+    half = part_of(long, 0, 1000)
+    twice = {name: np.r_[x, x] for name, x in half.items()} | {"t": long["t"]}
+    error_of(files(a=segments(twice, "x", "y")), "runs/a.csv, line 1002 to line 2001")
+
+
+def test_recordings_may_rest_at_the_same_place(runs_folder):
+    rest = {name: np.full(200, x[0]) for name, x in noisy(0.01).items()}
+    x = [
+        {k: np.r_[rest[k], column] for k, column in noisy(0.01, seed).items()}
+        | {"t": 0.01 * np.arange(2200)}
+        for seed in (0, 1)
+    ]
+    assert read_recording(files(a=x[0], b=x[1])).n_samples == 4400
+
+
 # -- periods ---------------------------------------------------------------------------
 
 

@@ -13,6 +13,7 @@ _UNKNOWN = "no parameter of it is known from zero"
 # Relative rounding error of a parameter.
 _ROUNDING = 1e-10
 _UNSURE = "its value is not known well enough to correct anything"
+_DIFFERING = "the recordings contradict each other on this joint"
 
 # Share of effects with a warning that are true, in simulated recordings: their noise
 # never follows the likelihood exactly.
@@ -59,7 +60,7 @@ class DiscoveredEffect:
         return not ends or any(low > 0 or high < 0 for low, high in ends)
 
 
-def discovered_effects(search, final, names, prismatic):
+def discovered_effects(search, final, names, prismatic, contradicting):
     """Yield each `DiscoveredEffect`, with the values of the final fit."""
     for finding, effect, estimate in zip(
         search.findings, final.effects, final.effect_estimates
@@ -81,6 +82,8 @@ def discovered_effects(search, final, names, prismatic):
             # The magnitude of a channel effect is a shape parameter.
             size = estimate if isinstance(effect, OfChannel) else estimate.given_shape()
             warning = "" if _is_significant(effect, size, half) else _UNKNOWN
+        if not warning and not contradicting.isdisjoint(effect.acts_on(len(names))):
+            warning = _DIFFERING
         units = effect.parameter_units(prismatic[effect.joint])
         rivals = (_rival_name(rival, effect, names) for rival in finding.rivals)
         yield DiscoveredEffect(

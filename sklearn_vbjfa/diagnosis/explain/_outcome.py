@@ -129,7 +129,9 @@ def make_outcome(loop, search, final, judged, channels, whole):
     if explained.size and explained.all():
         channels = tuple(c for c in channels if c.kind != "other_robot")
     names, errors = identifier.joint_names_, np.where(columns["enough"], after, np.nan)
-    effects = tuple(discovered_effects(search, final, names, prismatic))
+    differing = contradictions(parts, spread, loop.alpha)
+    joints = {x.joint for x in differing}
+    effects = tuple(discovered_effects(search, final, names, prismatic, joints))
     judged_effects = loop.validation_model_.effects_
     parameters = parameter_values(identifier)
     outcome = Outcome(
@@ -153,7 +155,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "unexplained": unexplained(search, names, spread, floor, errors, low),
             "not_identifiable": not_identifiable(search, names),
             "channels": channels,
-            "contradictions": contradictions(parts, spread, loop.alpha),
+            "contradictions": differing,
             "repeated": final.view.repetition.repeated,
             "departures": identifier.mass_deviations_,
             "alike": identifier.alike_,

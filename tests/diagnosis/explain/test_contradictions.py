@@ -92,10 +92,46 @@ def torque_of(recording, body):
     return last_body_regressor(recording.model, states) @ body
 
 
+BALL = np.array([0.6, 0.05, 0.02, 0.12, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02])
+
+
 def test_a_payload_in_one_recording_is_found():
-    ball = np.array([0.6, 0.05, 0.02, 0.12, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02])
-    found = compare(FOUR, second_only(lambda torque, r: torque + torque_of(r, ball)))[1]
+    found = compare(FOUR, second_only(lambda torque, r: torque + torque_of(r, BALL)))[1]
     assert {(x.recording, x.cause) for x in found} == {(1, "payload")}
+
+
+def discovered(torques, names, effects):
+    """Search the recordings called by some names, in their order."""
+    parts = {name: FOUR["abcd".index(name)] for name in names}
+    robot = FOUR[0].robot(friction=("viscous", "coulomb"))
+    groups = np.repeat([*names], [part.t.size for part in parts.values()])
+    X = np.concatenate([part.position for part in parts.values()])
+    y = np.concatenate([torques(name, part) for name, part in parts.items()])
+    loop = EffectDiscovery(robot, effects=effects).fit(X, y, groups=groups)
+    differing = loop.report_.outcome.findings["contradictions"]
+    return loop, {(names[x.recording], x.cause, x.joint) for x in differing}
+
+
+def test_the_order_of_recordings_does_not_decide():
+    def torques(name, part):
+        return part.torque() + (name == "c") * torque_of(part, BALL)
+
+    for names in ("abc", "acb", "cab"):
+        loop, differing = discovered(torques, names, ["payload", "spring"])
+        assert loop.effects_ == ()
+        assert {x[:2] for x in differing} == {("c", "payload")}
+
+
+def test_effects_on_joints_that_differ_between_recordings_are_only_possible():
+    def torques(name, part):
+        return part.torque() + 4.0 * part.q + [0.0, 0.7 * (name == "b")]
+
+    loop, differing = discovered(torques, "abcd", ["spring"])
+    assert differing == {("b", "offset", 1)}
+    assert [(x.name, x.joint) for x in loop.effects_] == [("spring", 0)]
+    (possible,) = loop.possible_
+    assert (possible.name, possible.joint) == ("spring", 1)
+    assert "contradict" in possible.warning
 
 
 def test_a_heavier_last_link_is_reported_as_payload():

@@ -135,6 +135,7 @@ def test_next_steps_have_an_action_or_say_that_none_is_needed(given, said):
         ("gain", 1.2, "A torque of joint 2 that is 1.2 times as large"),
         ("friction", np.nan, "Different friction of joint 2"),
         ("payload", 1.3, "A load of 1.3 kg on the last link"),
+        ("payload", -0.8, "0.8 kg less on the last link"),
         ("model", np.nan, "friction or a load on the last link"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Searches on recordings whose torques are known, for the tests of their parts."""
+"""Searches on simulated recordings, for tests of their parts."""
 
 from dataclasses import dataclass, field
 
@@ -33,7 +33,7 @@ def stribeck(size):
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """A search that has not begun."""
+    """Inputs of a search."""
 
     view: RecordingView
     library: tuple
@@ -46,14 +46,14 @@ class Search:
         return Path(self.view, self.library, self.settings, self.max_effects)
 
     def run(self):
-        """Search, and return what was `SearchResult`."""
+        """Run the search and return its result."""
         return posterior(
             self.view, self.library, self.settings, self.alpha, self.max_effects
         )
 
 
 def view_of(torque, recording=CLEAN, robot=None, groups=None):
-    """Return the recording as a search sees it."""
+    """Return the filtered equations of a recording."""
     robot = recording.robot() if robot is None else robot
     groups = np.zeros(torque.shape[0], int) if groups is None else groups
     robot.fit(recording.position, torque, groups=groups)
@@ -69,11 +69,11 @@ def view_of(torque, recording=CLEAN, robot=None, groups=None):
     return RecordingView(robot, measured)
 
 
-def search(torque, library, recording=CLEAN, robot=None, groups=None, **given):
+def search(torque, library, recording=CLEAN, robot=None, groups=None, **options):
     view = view_of(torque, recording, robot, groups)
-    return Search(view=view, library=effects.resolve(library), **given)
+    return Search(view=view, library=effects.resolve(library), **options)
 
 
 def found(run):
-    """Names and joints of what has a name."""
+    """Return name and joint of each reported effect."""
     return [(f.effect.name, f.effect.joint) for f in run.findings if not f.warning]

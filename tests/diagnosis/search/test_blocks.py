@@ -1,4 +1,4 @@
-"""Blocks of time, the correlation that they must outlast, and the residual's memory."""
+"""Time blocks and the correlation time of residuals."""
 
 import numpy as np
 import pytest
@@ -17,14 +17,14 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
 
 
 def blocks_of(lengths, correlation=0.05, filter_length=0.1, step=0.05):
-    """Blocks of recordings with so many rows."""
+    """Make blocks of recordings with the given numbers of rows."""
     time = np.arange(sum(lengths)) * step
     starts = np.r_[0, np.cumsum(lengths)[:-1]].astype(int)
     return make_blocks(time, starts, correlation, filter_length)
 
 
 def stationary(keep, n, seed=0):
-    """Autoregression of unit variance."""
+    """Simulate a stationary AR(1) process of unit variance."""
     rng = np.random.default_rng(seed)
     steps = np.sqrt(1 - keep**2) * rng.normal(size=n)
     return lfilter([1.0], [1.0, -keep], steps, zi=[keep * rng.normal()])[0]
@@ -38,7 +38,7 @@ def stationary(keep, n, seed=0):
     lengths=st.lists(st.integers(30, 900), min_size=1, max_size=4),
     correlation=st.floats(0.0, 3.0),
 )
-def test_blocks_and_folds_divide_the_rows(lengths, correlation):
+def test_blocks_and_folds_partition_the_rows(lengths, correlation):
     total = sum((n - 1) * 0.05 for n in lengths)
     if total / FEWEST < 0.1:
         return
@@ -53,7 +53,7 @@ def test_blocks_and_folds_divide_the_rows(lengths, correlation):
     assert blocks.length == pytest.approx(total / blocks.n_blocks)
 
 
-def test_long_correlation_makes_fewer_blocks_but_not_too_few():
+def test_long_correlation_reduces_the_number_of_blocks():
     many, some, few = (
         blocks_of([4000], correlation).n_blocks for correlation in (0.01, 0.4, 1e3)
     )
@@ -68,7 +68,7 @@ def test_no_block_is_shorter_than_the_filter():
     assert FEWEST <= blocks.n_blocks <= 15
 
 
-def test_too_short_recordings_are_refused():
+def test_too_short_recordings_are_rejected():
     with pytest.raises(ValueError, match=r"4\.95 s .* 12 blocks"):
         blocks_of([100], filter_length=1.0)
     with pytest.raises(ValueError, match="at least 12 s"):
@@ -80,38 +80,38 @@ def test_too_short_recordings_are_refused():
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.8])
 def test_correlation_time_of_an_autoregression(rho):
-    """Sum of rho^k over both sides: (1 + rho) / (1 - rho) steps."""
+    """Two-sided sum of rho^k: (1 + rho) / (1 - rho) steps."""
     x = stationary(rho, 20000)[:, None]
-    found = correlation_time(x, np.ones_like(x), 0.1, np.array([0]))
-    assert found == pytest.approx(0.1 * (1 + rho) / (1 - rho), rel=0.25)
+    time = correlation_time(x, np.ones_like(x), 0.1, np.array([0]))
+    assert time == pytest.approx(0.1 * (1 + rho) / (1 - rho), rel=0.25)
 
 
-def test_correlation_does_not_reach_across_recordings():
-    """Recordings that begin at other levels than those on which the last ended."""
+def test_correlation_time_ignores_jumps_between_recordings():
+    """The level jumps between consecutive recordings."""
     lengths = np.full(30, 60)
     x = np.concatenate([stationary(0.8, 60, seed) for seed in range(30)])
     starts = np.r_[0, np.cumsum(lengths)[:-1]]
     x = x[:, None]
-    apart = correlation_time(x, np.ones_like(x), 1.0, starts)
-    assert apart == pytest.approx(1.8 / 0.2, rel=0.25)
+    separate = correlation_time(x, np.ones_like(x), 1.0, starts)
+    assert separate == pytest.approx(1.8 / 0.2, rel=0.25)
     jumping = x + np.repeat(np.tile([40.0, -40.0], 15), lengths)[:, None]
-    inside = correlation_time(jumping, np.ones_like(x), 1.0, starts)
+    within = correlation_time(jumping, np.ones_like(x), 1.0, starts)
     across = correlation_time(jumping, np.ones_like(x), 1.0, np.array([0]))
-    assert across < 0.5 * inside
+    assert across < 0.5 * within
 
 
 # -- memory
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.6, 0.95])
-def test_the_memory_is_that_of_the_autoregression(keep):
+def test_memory_time_of_an_autoregression(keep):
     time = memory_time(stationary(keep, 4000), np.ones(4000, bool), [0], 0.1)
-    # Sum of keep^k over both sides.
+    # Two-sided sum of keep^k.
     assert time == pytest.approx(0.1 * (1 + keep) / (1 - keep), rel=0.3)
 
 
-def test_slow_residuals_of_short_recordings_are_not_read_too_short():
-    """Correlated for 10 s in 30 s, and a mean was taken out: half are above 6 s."""
+def test_correlation_time_is_not_underestimated_in_short_recordings():
+    """Correlation time 10 s in 30 s of data without mean: the median is above 6 s."""
 
     def median(seconds):
         times = []
@@ -122,16 +122,16 @@ def test_slow_residuals_of_short_recordings_are_not_read_too_short():
         return np.median(times)
 
     assert median(5.0) > 6.0
-    # Those of a tenth that time are read as such.
+    # A tenth of this correlation time is estimated without bias.
     assert median(0.5) == pytest.approx(1.0, rel=0.25)
 
 
-def test_a_random_walk_is_correlated_for_ever():
+def test_memory_time_of_a_random_walk_is_long():
     x = np.cumsum(np.random.default_rng(1).normal(size=300))
     assert memory_time(x, np.ones(300, bool), [0], 0.1) > 30.0
 
 
-def test_nothing_passes_from_one_recording_to_the_next():
+def test_memory_time_does_not_depend_on_the_order_of_recordings():
     parts = [stationary(0.9, 300, seed) for seed in range(4)]
     starts, times = np.arange(0, 1200, 300), []
     for order in ([0, 1, 2, 3], [2, 0, 3, 1]):
@@ -140,7 +140,7 @@ def test_nothing_passes_from_one_recording_to_the_next():
     assert times[0] == pytest.approx(times[1], rel=1e-9)
 
 
-def test_the_low_pass_is_no_memory():
+def test_memory_time_ignores_the_low_pass_filter():
     rng = np.random.default_rng(0)
     x = np.convolve(rng.normal(size=4003), np.ones(4) / 2, mode="valid")
     assert memory_time(x, np.ones(4000, bool), [0], 0.025, stride=4) < 0.2
@@ -149,6 +149,6 @@ def test_the_low_pass_is_no_memory():
 @pytest.mark.parametrize(
     "phi", [[1.0], [0.0, 1.0], [0.0, -1.0], [1.7, -0.7], [2.0, -1.0]]
 )
-def test_what_forgets_nothing_but_for_rounding_forgets_nothing(phi):
+def test_unit_roots_are_detected_despite_rounding(phi):
     for shrunk in (0.0, 1.2e-16, 1e-15, 1e-12):
         assert np.isinf(_integrated(np.array(phi) * (1.0 - shrunk)))

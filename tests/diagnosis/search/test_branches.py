@@ -1,4 +1,4 @@
-"""Robots of many joints, searched branch by branch: the same robot, put together."""
+"""Separate searches of the branches of a robot, and their combination."""
 
 from dataclasses import replace
 
@@ -29,20 +29,20 @@ def two_arms():
         undeclared={"spring": (5, 4.0)},
         random_state=1,
     )
-    # The arms are alike; what one lacks is looked for without the other.
+    # The arms are identical; do not share parameters between them.
     robot = RobotIdentifier(
         model, dt=recording.dt, friction=("viscous",), options=FitOptions(alike=None)
     )
     return recording, robot.fit(recording.q, recording.tau)
 
 
-def test_the_first_joint_of_each_branch(two_arms):
+def test_first_joint_of_each_branch(two_arms):
     model = two_arms[1].features_.model_
     chains = [{i - 1 for i in s if i > 0} for s in list(model.supports)[1:]]
     assert root_joints(model).tolist() == [min(chain) for chain in chains]
 
 
-def test_the_whole_is_searched_where_it_is_small_or_not_known(two_arms):
+def test_small_robots_and_custom_effects_are_searched_as_a_whole(two_arms):
     recording, robot = two_arms
     library = resolve(["coulomb", "coupling"])
     assert [b.joints for b in branches_of(robot, library, None)] == [
@@ -51,8 +51,8 @@ def test_the_whole_is_searched_where_it_is_small_or_not_known(two_arms):
     ]
     everything = [list(range(8))]
     assert [b.joints for b in branches_of(robot, library, 3)] == everything
-    own = resolve([Cubic()])
-    assert [b.joints for b in branches_of(robot, own, None)] == everything
+    custom = resolve([Cubic()])
+    assert [b.joints for b in branches_of(robot, custom, None)] == everything
     rows = slice(0, 1000)
     small = RobotIdentifier(
         arms(3, ("RY", "RX")), dt=recording.dt, friction=("viscous",)
@@ -60,15 +60,15 @@ def test_the_whole_is_searched_where_it_is_small_or_not_known(two_arms):
     assert [b.joints for b in branches_of(small, library, None)] == [list(range(6))]
 
 
-def test_a_branch_is_the_robot_without_the_others(two_arms):
+def test_a_branch_matches_its_part_of_the_robot(two_arms):
     recording, robot = two_arms
     model = robot.features_.model_
     state = np.random.default_rng(0).normal(size=(3, model.nv))
     whole = pin.rnea(model, model.createData(), *state)
     weighted = replace(recording, weight=np.ones(recording.q.shape))
     for branch in branches_of(robot, resolve("all"), None):
-        own = [row[branch.joints].copy() for row in state]
-        torque = pin.rnea(branch.model, branch.model.createData(), *own)
+        rows = [row[branch.joints].copy() for row in state]
+        torque = pin.rnea(branch.model, branch.model.createData(), *rows)
         np.testing.assert_allclose(torque, whole[branch.joints], atol=1e-9)
         part = branch.recording(weighted)
         np.testing.assert_array_equal(part.q, recording.q[:, branch.joints])
@@ -80,13 +80,13 @@ def test_a_branch_is_the_robot_without_the_others(two_arms):
         np.testing.assert_array_equal(alone.index, view.index)
         np.testing.assert_allclose(alone.target, view.target[branch.joints])
         np.testing.assert_array_equal(alone.precision, view.precision[branch.joints])
-        # the parameters of the others do not matter
-        left = alone.equations.Phi @ alone.robot.theta_unconstrained_
-        both = view.equations.Phi @ robot.theta_unconstrained_
-        np.testing.assert_allclose(left, both[:, branch.joints], atol=1e-9)
+        # Parameters of other branches must have no influence.
+        part_torque = alone.equations.Phi @ alone.robot.theta_unconstrained_
+        torques = view.equations.Phi @ robot.theta_unconstrained_
+        np.testing.assert_allclose(part_torque, torques[:, branch.joints], atol=1e-9)
 
 
-def test_effects_are_numbered_by_the_robot(two_arms):
+def test_effects_of_a_branch_map_to_joints_of_the_robot(two_arms):
     _, second = branches_of(two_arms[1], resolve("all"), None)
     moved = second.on_robot(Coupling(joint=1, other=3, ratio=1.0))
     assert (moved.joint, moved.other, moved.ratio) == (3, 7, 1.0)
@@ -94,7 +94,7 @@ def test_effects_are_numbered_by_the_robot(two_arms):
 
 
 @pytest.mark.slow
-def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
+def test_effects_of_a_branch_are_found(two_arms):
     recording, robot = two_arms
     loop = EffectDiscovery(
         robot,
@@ -108,17 +108,17 @@ def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
         loop.error_after_[others], loop.error_before_[others], rtol=0.05
     )
     assert "spring" in str(loop.report_)
-    # What is hidden is told by the robot's joints as well: the last body of either arm
-    # may be turned instead of its zero.
-    told = [(h.name, h.joint) for h in loop.not_identifiable_]
-    zeros = [joint for name, joint in told if name == "joint_zero"]
+    # Joint numbers of hidden effects are those of the robot. Zeros of the last
+    # joints are equivalent to a rotation of the last body.
+    hidden = [(h.name, h.joint) for h in loop.not_identifiable_]
+    zeros = [joint for name, joint in hidden if name == "joint_zero"]
     assert zeros == [6, 7]
-    for one in loop.not_identifiable_:
-        assert one.joint_name == recording.joint_names[one.joint]
+    for x in loop.not_identifiable_:
+        assert x.joint_name == recording.joint_names[x.joint]
 
 
 @pytest.mark.slow
-def test_signals_are_those_of_all_branches(two_arms):
+def test_signals_are_passed_to_all_branches(two_arms):
     recording, robot = two_arms
     tool = np.floor(recording.t / 3.0) % 2
     tau = recording.tau.copy()
@@ -127,6 +127,6 @@ def test_signals_are_those_of_all_branches(two_arms):
     loop = EffectDiscovery(robot, effects=library)
     loop.fit(recording.q, tau, signals={"tool": tool, "other": np.sin(recording.t)})
     assert ("signal", 3) in {(e.name, e.joint) for e in loop.effects_}
-    (found,) = (e for e in loop.effects_ if e.name == "signal")
-    assert (found.parameters["signal"], found.parameters["of"]) == ("tool", "viscous")
-    assert found.parameters["k"] == pytest.approx(6.0, rel=0.02)
+    (effect,) = (e for e in loop.effects_ if e.name == "signal")
+    assert (effect.parameters["signal"], effect.parameters["of"]) == ("tool", "viscous")
+    assert effect.parameters["k"] == pytest.approx(6.0, rel=0.02)

@@ -1,4 +1,4 @@
-"""A search looks at a recording with the robot as its effects correct it."""
+"""Views of a recording with a corrected robot model."""
 
 import numpy as np
 import pytest
@@ -20,32 +20,32 @@ TILT, ZERO, GAIN = BaseTilt(0, 0.07, -0.04), JointZero(1, 0.05), TorqueGain(1, 1
 LIBRARY = ("base_tilt", "joint_zero", "joint_axis", "torque_gain", "coulomb")
 
 
-def searched(truth, library=LIBRARY, declared=(), **added):
-    """Make a search in the recording of a robot with faults."""
-    recording = with_faults(truth)
+def search_faulty(faults, library=LIBRARY, declared=(), **torques):
+    """Return the search problem of a robot with faults."""
+    recording = with_faults(faults)
     robot = recording.robot(projector=None, input_noise=None, effects=declared)
-    return search(recording.torque(**added), library, recording, robot)
+    return search(recording.torque(**torques), library, recording, robot)
 
 
 @pytest.fixture(scope="module")
 def view():
-    return searched([TILT]).view
+    return search_faulty([TILT]).view
 
 
 # -- the view
 
 
-def test_the_same_corrections_are_the_same_view(view):
-    one = view.corrected([TILT, ZERO])
-    assert one is not view
-    assert view.corrected([ZERO, TILT]) is one
-    assert one.corrected([TILT, ZERO]) is one
-    assert one.corrected([ZERO, Coulomb(0), TILT]) is one
-    assert view.corrected([TILT, JointZero(1, 0.06)]) is not one
-    assert view.corrected([TILT, JointZero(2, 0.05)]) is not one
+def test_corrected_views_are_cached(view):
+    corrected = view.corrected([TILT, ZERO])
+    assert corrected is not view
+    assert view.corrected([ZERO, TILT]) is corrected
+    assert corrected.corrected([TILT, ZERO]) is corrected
+    assert corrected.corrected([ZERO, Coulomb(0), TILT]) is corrected
+    assert view.corrected([TILT, JointZero(1, 0.06)]) is not corrected
+    assert view.corrected([TILT, JointZero(2, 0.05)]) is not corrected
 
 
-def test_rows_blocks_and_weights_stay(view):
+def test_corrections_keep_rows_blocks_and_weights(view):
     other = view.corrected([TILT, ZERO, GAIN])
     assert_array_equal(other.index, view.index)
     assert other.blocks is view.blocks
@@ -58,8 +58,8 @@ def test_rows_blocks_and_weights_stay(view):
 
 
 @pytest.mark.parametrize("effects", [[TILT], [ZERO, GAIN], [TILT, JointAxis(2, 0.1)]])
-def test_equations_are_those_of_an_identifier_with_the_corrected_model(view, effects):
-    """Which has no effects, and knows of the gains by its torques alone."""
+def test_corrected_equations_match_an_identifier(view, effects):
+    """Compare with an identifier without effects whose model is corrected."""
     other = view.corrected(effects)
     robot = PLAIN.robot(projector=None, input_noise=None)
     model = view.robot.features_.corrected(effects).model_
@@ -80,7 +80,7 @@ def test_equations_are_those_of_an_identifier_with_the_corrected_model(view, eff
     assert_array_equal(other.gains, gains)
 
 
-def test_columns_pass_the_channel_as_the_torque_does(view):
+def test_gains_scale_the_columns_of_effects(view):
     other = view.corrected([GAIN])
     motion, cosines = view.motion(None), Cosines(view)
     for effect in (Coulomb(1), Coulomb(0), Offset(1)):
@@ -96,7 +96,7 @@ def test_columns_pass_the_channel_as_the_torque_does(view):
             other.in_equations(effect, motion),
             factor * view.in_equations(effect, motion),
         )
-    # What was made for the one is not taken for the other.
+    # The cache must distinguish the two views.
     assert_allclose(
         view.column_cosines([Coulomb(1)], motion, cosines)[0],
         cosines(view.columns([Coulomb(1)], motion), [1]),
@@ -104,15 +104,15 @@ def test_columns_pass_the_channel_as_the_torque_does(view):
     )
 
 
-def test_what_the_robot_declares_is_corrected_from_the_start():
-    """The identifier found the tilt: the search has nothing to add to it."""
-    now = searched([TILT, ZERO], declared=[BaseTilt()])
-    assert now.view.robot.effects_[0].corrects
-    assert_allclose(now.view.robot.effects_[0].values, TILT.values, atol=0.02)
-    view = now.view.corrected([ZERO])
+def test_declared_corrections_are_applied_before_the_search():
+    """The identifier has estimated the tilt before the search."""
+    problem = search_faulty([TILT, ZERO], declared=[BaseTilt()])
+    assert problem.view.robot.effects_[0].corrects
+    assert_allclose(problem.view.robot.effects_[0].values, TILT.values, atol=0.02)
+    view = problem.view.corrected([ZERO])
     features = view.robot.features_
-    expected = now.view.robot.features_.corrected(
-        [*now.view.robot.effects_, ZERO]
+    expected = problem.view.robot.features_.corrected(
+        [*problem.view.robot.effects_, ZERO]
     ).model_
     for one, other in zip(features.model_.jointPlacements, expected.jointPlacements):
         assert_allclose(one.homogeneous, other.homogeneous)
@@ -122,9 +122,9 @@ def test_what_the_robot_declares_is_corrected_from_the_start():
 # -- models with corrections
 
 
-def placed(now, effects):
-    """Return the view of a search, and its model with given effects."""
-    return now.view, now.path().fit_effects(effects)
+def view_and_fit(problem, effects):
+    """Return the view of a search problem and its fit with given effects."""
+    return problem.view, problem.path().fit_effects(effects)
 
 
 @pytest.mark.parametrize(
@@ -138,23 +138,23 @@ def placed(now, effects):
     ],
     ids=lambda truth: truth[0].name,
 )
-def test_values_are_linearised_until_they_stay(truth):
+def test_corrections_are_iterated_until_convergence(truth):
     (start,) = truth
-    view, fit = placed(searched(truth), [type(start)(joint=start.joint)])
+    view, fit = view_and_fit(search_faulty(truth), [type(start)(joint=start.joint)])
     (member,) = fit.members
-    # What is left to correct is small beside what was corrected.
+    # The remaining correction is small.
     step = fit.coefficients(0)
     assert np.all(np.abs(step) < 0.01 * np.abs(start.values).max() + 1e-3)
     assert_allclose(member.effect.values + step, start.values, atol=0.02)
-    # The model is of the corrected robot.
+    # The fit uses the corrected robot.
     assert fit.problem.view is not view
     assert fit.problem.view.corrected(()) is view
 
 
-def test_a_gain_changes_the_robot_for_what_comes_later():
-    now = searched([GAIN], joint_2=lambda r: 1.2 * np.sign(r.v[:, 1]))
-    _, fit = placed(now, [TorqueGain(1), Coulomb(1)])
+def test_a_gain_applies_to_later_effects():
+    problem = search_faulty([GAIN], joint_2=lambda r: 1.2 * np.sign(r.v[:, 1]))
+    _, fit = view_and_fit(problem, [TorqueGain(1), Coulomb(1)])
     gain, _ = fit.members
     assert gain.effect.gain == pytest.approx(1.2, abs=0.03)
-    # Friction is what the joint has, not what its channel reads.
+    # Friction of the joint, before the gain of the channel.
     assert fit.coefficients(1)[0] == pytest.approx(1.0, abs=0.05)

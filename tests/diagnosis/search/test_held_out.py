@@ -1,4 +1,4 @@
-"""What is left out, against fits that never saw it."""
+"""Cross-validated errors against explicit refits without each fold."""
 
 from dataclasses import replace
 
@@ -17,32 +17,31 @@ EFFECTS = [Spring(0), Coulomb(1), Spring(1)]
 THREE = np.repeat([0, 1, 2], CLEAN.t.size // 3)
 
 
-def made(groups=None):
-    """Fit three effects, of which the last is not there, to one recording or three."""
-    now = search(TORQUE, ["coulomb", "spring"], groups=groups)
-    return now.path().fit_effects(EFFECTS)
+def fit_three(groups=None):
+    """Fit two true effects and a false one to one recording or three."""
+    problem = search(TORQUE, ["coulomb", "spring"], groups=groups)
+    return problem.path().fit_effects(EFFECTS)
 
 
 @pytest.fixture(scope="module", params=[None, THREE], ids=["one", "three"])
 def fitted(request):
-    fit = made(request.param)
+    fit = fit_three(request.param)
     return fit, HeldOut(fit.problem.view).validate(fit)
 
 
-def literal(fit, left_out, members, block_fold=None, studentised=False, counted=1):
+def refits(fit, left_out, members, block_fold=None, studentised=False, counted=1):
     """Squared errors of blocks (n_blocks, nj) of refits without each fold."""
-    # studentised: over what noise and the refit's uncertainty let expect; counted: of
-    # which rows (nv, m), all by default
+    # studentised: divide by the predictive variance; counted: mask of rows (nv, m).
     view = fit.problem.view
     columns = [view.Z]
     precision = [np.zeros(view.Z.shape[2])]
     for i in members:
-        own = fit.members[i]
-        X = np.zeros((view.nv, view.index.size, own.width))
-        (joint,) = own.joints
-        X[joint] = view.columns([own.effect], left_out.data.motion)[0, :, 0]
+        member = fit.members[i]
+        X = np.zeros((view.nv, view.index.size, member.width))
+        (joint,) = member.joints
+        X[joint] = view.columns([member.effect], left_out.data.motion)[0, :, 0]
         columns.append(X)
-        precision.append(1.0 / (own.scale * own.unit) ** 2)
+        precision.append(1.0 / (member.scale * member.unit) ** 2)
     A = np.concatenate(columns, axis=2)
     root = np.sqrt(left_out.weight)[:, None]
     penalty = np.diag(np.sqrt(np.concatenate(precision)))
@@ -62,78 +61,78 @@ def literal(fit, left_out, members, block_fold=None, studentised=False, counted=
             np.r_[values, np.zeros(len(penalty))],
             rcond=None,
         )[0]
-        wrong = np.where(out, view.target - A @ theta, 0.0) ** 2
+        errors = np.where(out, view.target - A @ theta, 0.0) ** 2
         if studentised:
             inverse = np.linalg.pinv(
                 rows.T @ rows + penalty.T @ penalty, hermitian=True
             )
             expected = 1.0 + np.einsum("jmp,pq,jmq->jm", A, inverse, A) * root**2
-            wrong = wrong / expected
-        squares += view.blocks.sums((wrong * counted).T)
+            errors = errors / expected
+        squares += view.blocks.sums((errors * counted).T)
     return squares
 
 
-def test_squares_are_those_of_refits_without_each_fold(fitted):
-    fit, found = fitted
-    assert_allclose(found.squares, literal(fit, found, [0, 1, 2]), rtol=3e-4)
+def test_held_out_squares_match_refits(fitted):
+    fit, cv = fitted
+    assert_allclose(cv.squares, refits(fit, cv, [0, 1, 2]), rtol=3e-4)
 
 
 @pytest.mark.parametrize("i", [0, 1, 2])
-def test_what_an_effect_is_worth_is_what_refits_without_it_lose(fitted, i):
-    fit, found = fitted
-    rest = [k for k in range(3) if k != i]
+def test_gain_of_an_effect_matches_refits(fitted, i):
+    fit, cv = fitted
+    others = [k for k in range(3) if k != i]
     joint = fit.members[i].effect.joint
-    before = literal(fit, found, rest)[:, joint]
-    after = literal(fit, found, [0, 1, 2])[:, joint]
-    expected, worth = CrossValidatedGain.of(before, after), found.gain_of(i)
-    assert worth.gain == pytest.approx(expected.gain, rel=3e-4, abs=1e-6)
-    assert worth.gain_std == pytest.approx(expected.gain_std, rel=1e-3, abs=1e-6)
-    assert worth.n_blocks == expected.n_blocks
-    # The first two are there.
-    assert (worth.gain > 0.5) == (i < 2)
+    before = refits(fit, cv, others)[:, joint]
+    after = refits(fit, cv, [0, 1, 2])[:, joint]
+    expected, gain = CrossValidatedGain.of(before, after), cv.gain_of(i)
+    assert gain.gain == pytest.approx(expected.gain, rel=3e-4, abs=1e-6)
+    assert gain.gain_std == pytest.approx(expected.gain_std, rel=1e-3, abs=1e-6)
+    assert gain.n_blocks == expected.n_blocks
+    # The first two effects are true.
+    assert (gain.gain > 0.5) == (i < 2)
     settings = SearchSettings()
-    told = worth.errors > settings.significance and worth.gain > settings.min_gain
-    assert told == (i < 2)
+    named = gain.errors > settings.significance and gain.gain > settings.min_gain
+    assert named == (i < 2)
 
 
-def test_residuals_are_over_the_deviation_of_their_prediction(fitted):
-    fit, found = fitted
-    squares = fit.problem.view.blocks.sums((found.residual**2).T)
-    expected = literal(fit, found, [0, 1, 2], studentised=True)
+def test_held_out_residuals_are_studentised(fitted):
+    fit, cv = fitted
+    squares = fit.problem.view.blocks.sums((cv.residual**2).T)
+    expected = refits(fit, cv, [0, 1, 2], studentised=True)
     assert_allclose(squares, expected, rtol=1e-3)
-    assert (squares < found.squares).all()
+    assert (squares < cv.squares).all()
 
 
-def test_friction_that_is_held_at_zero_is_so_in_each_fold():
-    fit = made()
+def test_friction_fixed_at_zero_is_fixed_in_each_fold():
+    fit = fit_three()
     free = HeldOut(fit.problem.view).validate(fit).squares
     fit = fit.with_held([[True], [False]])
-    found = HeldOut(fit.problem.view).validate(fit)
-    assert_allclose(found.squares, literal(fit, found, [0, 1, 2]), rtol=1e-3)
-    assert found.squares[:, 0].sum() > 2.0 * free[:, 0].sum()
+    cv = HeldOut(fit.problem.view).validate(fit)
+    assert_allclose(cv.squares, refits(fit, cv, [0, 1, 2]), rtol=1e-3)
+    assert cv.squares[:, 0].sum() > 2.0 * free[:, 0].sum()
 
 
-def test_folds_may_be_given():
-    """Blocks between which the motion is alike, for what is left of the whole."""
-    fit = made()
+def test_folds_can_be_passed():
+    """Pass the folds of the blocks explicitly."""
+    fit = fit_three()
     view = fit.problem.view
-    found = HeldOut(view, view.blocks.fold).validate(fit)
-    assert_allclose(found.squares, literal(fit, found, [0, 1, 2]), rtol=3e-4)
-    assert_array_equal(found.data.fold, view.blocks.fold)
+    cv = HeldOut(view, view.blocks.fold).validate(fit)
+    assert_allclose(cv.squares, refits(fit, cv, [0, 1, 2]), rtol=3e-4)
+    assert_array_equal(cv.data.fold, view.blocks.fold)
 
 
-def test_what_was_fitted_is_not_shrunk_by_the_noise_of_what_lacked_it(fitted):
-    """At a noise floor the model is there between other blocks as well."""
-    fit, found = fitted
+def test_held_out_residual_reaches_the_noise_floor(fitted):
+    """At the noise floor, the residual has the RMS of the noise."""
+    fit, cv = fitted
     view = fit.problem.view
-    found = HeldOut(view, view.blocks.fold).validate(fit)
-    rms = np.sqrt((found.residual**2).sum(axis=1) / view.rows)
-    left = view.filtered(CLEAN.noise).std(axis=0)
-    assert_allclose(rms, left, rtol=0.3)
+    cv = HeldOut(view, view.blocks.fold).validate(fit)
+    rms = np.sqrt((cv.residual**2).sum(axis=1) / view.rows)
+    noise = view.filtered(CLEAN.noise).std(axis=0)
+    assert_allclose(rms, noise, rtol=0.3)
 
 
-def test_what_helps_in_too_few_blocks_is_not_possible_either(monkeypatch):
-    """In the sum of the blocks it saves much; 84 % is less than what is asked for."""
+def test_insignificant_effects_are_not_possible(monkeypatch):
+    """A gain of one standard deviation (84 %) is below the required probability."""
     gain_of = HeldOutFit.gain_of
 
     def unsure(self, i, absent=()):
@@ -146,42 +145,42 @@ def test_what_helps_in_too_few_blocks_is_not_possible_either(monkeypatch):
         assert len(run.effects) == count
 
 
-def test_what_ends_with_a_sign_that_it_cannot_have_is_dropped(monkeypatch):
-    """Beside all others a value may be another one than that which was offered."""
+def test_effects_with_implausible_sign_are_dropped(monkeypatch):
+    """The value in the full model may differ from that of the candidate."""
     monkeypatch.setattr(Coulomb, "plausible", lambda self, coef: True)
     monkeypatch.setattr(Coulomb, "natural", lambda self, coef: False)
     run = search(TORQUE, ["coulomb", "spring"]).run()
     assert [type(effect) for effect in run.effects] == [Spring]
 
 
-def test_three_recordings_are_left_out_as_a_whole():
-    view = made(THREE).problem.view
+def test_three_recordings_are_separate_folds():
+    view = fit_three(THREE).problem.view
     assert_array_equal(fold_of(view), view.origin)
 
 
 @pytest.mark.parametrize("groups", [None, np.repeat([0, 1], CLEAN.t.size // 2)])
-def test_fewer_are_left_out_in_stretches(groups):
-    view = made(groups).problem.view
+def test_one_or_two_recordings_are_split_into_folds(groups):
+    view = fit_three(groups).problem.view
     fold = fold_of(view)
-    # One after the other, of about equal length.
+    # Consecutive and of similar length.
     assert (np.diff(fold) >= 0).all()
     assert np.unique(fold).size == 8
     count = np.bincount(fold)
     assert count.max() < 1.2 * count.min()
-    for own in np.unique(fold):
-        assert np.unique(view.origin[fold == own]).size == 1
+    for k in np.unique(fold):
+        assert np.unique(view.origin[fold == k]).size == 1
 
 
-def test_worth_by_hand():
+def test_cross_validated_gain_by_hand():
     before, after = np.array([4.0, 6.0, 10.0, 5.0]), np.array([3.0, 6.0, 5.0, 6.0])
-    worth = CrossValidatedGain.of(before, after)
+    result = CrossValidatedGain.of(before, after)
     saved = np.array([1.0, 0.0, 5.0, -1.0])
-    assert worth.gain == pytest.approx(5 / 25)
-    assert worth.gain_std == pytest.approx(2 * saved.std() / 25)
+    assert result.gain == pytest.approx(5 / 25)
+    assert result.gain_std == pytest.approx(2 * saved.std() / 25)
     ratio = np.log([4 / 3, 2.0, 5 / 6])
     expected = ratio.mean() / (ratio.std(ddof=1) / np.sqrt(3))
-    assert worth.errors == pytest.approx(expected, rel=1e-4)
-    assert worth.n_blocks == 3
+    assert result.errors == pytest.approx(expected, rel=1e-4)
+    assert result.n_blocks == 3
     nothing = CrossValidatedGain.of(before, before)
     assert (nothing.gain, nothing.errors, nothing.n_blocks) == (0.0, 0.0, 0)
     assert CrossValidatedGain.of(np.zeros(4), np.zeros(4)).gain == 0.0

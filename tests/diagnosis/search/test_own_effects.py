@@ -1,4 +1,4 @@
-"""Effects of one's own, whatever their columns are."""
+"""Custom effects with unusual columns."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ ARM, TORQUE = SPRINGY.parts[0], SPRINGY.torque
 SPRING = [("spring", 0)]
 
 
-def own(kind, columns, width=1):
-    """Make the class of an effect from a function (motion, joint) -> columns."""
+def custom(kind, columns, width=1):
+    """Define an effect class by a function (motion, joint) -> columns."""
 
     class Own(Effect):
         name = kind
@@ -26,8 +26,8 @@ def own(kind, columns, width=1):
     return Own
 
 
-def close(library, torque=TORQUE, **given):
-    return ARM.discover(torque, library, **given)
+def discover(library, torque=TORQUE, **options):
+    return ARM.discover(torque, library, **options)
 
 
 INERT = {
@@ -41,45 +41,45 @@ INERT = {
 
 
 @pytest.mark.slow
-def test_what_the_model_has_already_is_never_named(springy):
-    """Offset, friction, inertia and weight are fitted anyway."""
-    inert = [own(kind, columns) for kind, columns in INERT.items()]
-    loop = close([*inert, "spring"])
+def test_effects_of_the_baseline_are_never_named(springy):
+    """Offset, friction, inertia and gravity are part of the baseline."""
+    inert = [custom(kind, columns) for kind, columns in INERT.items()]
+    loop = discover([*inert, "spring"])
     assert named(loop) == SPRING
     assert loop.possible_ == ()
-    found, known = (one.effects_[0].parameters["k"] for one in (loop, springy))
-    assert found == pytest.approx(known, rel=1e-3)
+    k, expected = (x.effects_[0].parameters["k"] for x in (loop, springy))
+    assert k == pytest.approx(expected, rel=1e-3)
     assert set(INERT) <= {h.name for h in loop.not_identifiable_}
-    assert close(inert).effects_ == ()
+    assert discover(inert).effects_ == ()
 
 
 def test_a_column_of_the_regressor_itself_is_never_named():
-    """One that nobody gave a name, of the second joint's body."""
+    """A column of the body of the second joint."""
     robot = ARM.robot().fit(ARM.position, TORQUE)
 
     def column(motion, joint):
         states = np.hstack([motion.q, motion.v, motion.a])
-        # First moment of mass along x, as the second joint feels it.
+        # First moment of mass along x, in the equation of the joint.
         return robot.features_.matrices(states)[:, joint, 11:12]
 
-    loop = close([own("of_a_body", column), "spring"])
+    loop = discover([custom("of_a_body", column), "spring"])
     assert named(loop) == SPRING
     assert "of_a_body" not in {e.name for e in loop.possible_}
 
 
-def test_a_column_twice_is_that_column():
-    twice = own("twice", lambda m, j: np.repeat(m.q[:, [j]], 2, axis=1), width=2)
-    loop = close([twice])
+def test_a_duplicate_column_is_handled():
+    twice = custom("twice", lambda m, j: np.repeat(m.q[:, [j]], 2, axis=1), width=2)
+    loop = discover([twice])
     assert named(loop) == [("twice", 0)]
     assert sum(loop.effects_[0].parameters.values()) == pytest.approx(4.0, rel=0.05)
 
 
 @pytest.mark.slow
-def test_the_size_of_a_column_does_not_matter():
+def test_evidence_is_independent_of_column_scale():
     odds = []
     for factor in (1.0, 1e6):
-        scaled = own("scaled", lambda m, j, factor=factor: factor * m.q[:, [j]])
-        loop = close([scaled])
+        scaled = custom("scaled", lambda m, j, factor=factor: factor * m.q[:, [j]])
+        loop = discover([scaled])
         assert named(loop) == [("scaled", 0)]
         assert factor * loop.effects_[0].parameters["a"] == pytest.approx(4.0, rel=0.05)
         odds.append(loop.effects_[0].log_odds)
@@ -87,12 +87,12 @@ def test_the_size_of_a_column_does_not_matter():
 
 
 @pytest.mark.parametrize("bad", one_in(3, [np.nan, np.inf, -np.inf]))
-def test_columns_that_are_not_finite_are_refused_by_name(bad):
-    broken = own("broken", lambda m, j: np.where(m.q[:, [j]] > 0.3, bad, 1.0))
+def test_non_finite_columns_are_rejected(bad):
+    broken = custom("broken", lambda m, j: np.where(m.q[:, [j]] > 0.3, bad, 1.0))
     message = r"'broken' on joint_1 has columns that are not finite in \d+ of \d+"
     for library in ([broken], ["spring", broken]):
         with pytest.raises(ValueError, match=message):
-            close(library)
+            discover(library)
 
 
 @pytest.mark.parametrize(
@@ -106,13 +106,13 @@ def test_columns_that_are_not_finite_are_refused_by_name(bad):
     ],
     ids=["flat", "of all joints", "short", "three rows", "scalar"],
 )
-def test_columns_of_another_shape_are_refused_by_name(columns):
+def test_columns_of_wrong_shape_are_rejected(columns):
     message = r"'odd' on joint_1 must have columns of shape \(\d+, 1\).*got \("
     with pytest.raises(ValueError, match=message):
-        close([own("odd", columns)])
+        discover([custom("odd", columns)])
 
 
-def test_a_recording_of_two_seconds_names_nothing_that_is_not_there():
+def test_two_seconds_cause_no_false_positives():
     short = record("ZY", seed=0, duration=2.0)
     loop = short.discover(short.torque(joint_1=lambda r: 4.0 * r.q[:, 0] + 1.0))
     assert set(named(loop)) <= set(SPRING)
@@ -120,8 +120,8 @@ def test_a_recording_of_two_seconds_names_nothing_that_is_not_there():
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_a_joint_that_never_moves_has_nothing():
-    """Its encoder reads one value, or that and noise: the other joint is searched."""
+def test_joints_at_rest_are_not_searched():
+    """A constant or noisy encoder of one joint; only the other one is searched."""
     noise = 2e-5 * np.random.default_rng(0).normal(size=len(ARM.position))
     for reading in (0.0 * noise, noise):
         q = ARM.position.copy()

@@ -1,4 +1,4 @@
-"""The regression in frequency against dense least squares and densities."""
+"""Frequency-domain regression against dense least squares and densities."""
 
 import itertools
 from types import SimpleNamespace
@@ -32,8 +32,8 @@ ZERO = JointZero(1, 0.3)
 SPECTRUM = Spectrum(variance=np.ones((NV, N)), log_prior=-1.5)
 
 
-class Made(Problem):
-    """Equations that are made up, each cosine a band of its own."""
+class Synthetic(Problem):
+    """Random equations; each cosine is one band."""
 
     def __init__(self, Z, y, heard):
         bands = np.arange(N + 1)
@@ -46,9 +46,9 @@ class Made(Problem):
 
 
 def problem(seed=0, loud=1.0):
-    """Equations of three joints, the last of which is not heard, and weights.
+    """Equations of three joints, the last of which is unused, and weights.
 
-    `loud` : how far the columns' sizes, and the weights, are apart.
+    `loud` : ratio of the largest to the smallest column, and of the weights.
     """
     rng = np.random.default_rng(seed)
     Z = rng.normal(size=(NV, N, R)) * np.geomspace(1, loud, R)
@@ -56,11 +56,11 @@ def problem(seed=0, loud=1.0):
     weights = rng.uniform(0.2, 2.0, size=(NV, N)) * np.geomspace(loud, 1, N)
     heard = np.array([True, True, False])
     Z[2] = y[2] = weights[2] = 0.0
-    return Made(Z, y, heard), weights
+    return Synthetic(Z, y, heard), weights
 
 
 def member(effect, joints, k, seed, scale=0.5):
-    """Make an effect with columns of its own, on some joints."""
+    """Make a model member with random columns on some joints."""
     rng = np.random.default_rng(seed)
     values = rng.normal(size=(len(joints), N, 1, k))
     unit, edges = np.linspace(0.5, 2.0, k)[None], np.arange(N + 1)
@@ -80,15 +80,15 @@ def of(members, seed=0, loud=1.0):
 
 
 def dense(fit):
-    """Weighted rows of all joints (A, b), and the prior's precision and mean."""
+    """Weighted rows of all joints (A, b), precision and mean of the prior."""
     blocks = [fit.problem.Z]
     precision, mean = [np.zeros(fit.problem.Z.shape[2])], [np.zeros(R)]
-    for own in fit.members:
-        X = np.zeros((NV, N, own.width))
-        X[list(own.joints)] = own.columns.values[:, :, 0]
+    for member in fit.members:
+        X = np.zeros((NV, N, member.width))
+        X[list(member.joints)] = member.columns.values[:, :, 0]
         blocks.append(X)
-        precision.append(1.0 / (own.scale * own.unit) ** 2)
-        mean.append(-own.applied)
+        precision.append(1.0 / (member.scale * member.unit) ** 2)
+        mean.append(-member.applied)
     root = np.sqrt(fit.base.weights)
     A = (np.concatenate(blocks, axis=2) * root[:, :, None]).reshape(NV * N, -1)
     return A, (fit.problem.y * root).ravel(), np.concatenate(precision), np.hstack(mean)
@@ -99,45 +99,45 @@ def solution(fit):
     A, b, precision, mean = dense(fit)
     rows = np.vstack([A, np.diag(np.sqrt(precision))])
     values = np.r_[b, np.sqrt(precision) * mean]
-    found = np.linalg.lstsq(rows, values, rcond=None)[0]
-    return found, np.linalg.inv(rows.T @ rows)
+    estimate = np.linalg.lstsq(rows, values, rcond=None)[0]
+    return estimate, np.linalg.inv(rows.T @ rows)
 
 
 SUBSETS = [c for k in range(4) for c in itertools.combinations(MEMBERS, k)]
 
 
 @pytest.mark.parametrize("members", SUBSETS, ids=len)
-def test_a_fit_is_least_squares_with_the_prior(members):
+def test_fit_matches_regularised_least_squares(members):
     fit = of(members)
-    found, _ = solution(fit)
-    assert_allclose(fit.theta, found[:R], rtol=1e-6)
+    mean, _ = solution(fit)
+    assert_allclose(fit.theta, mean[:R], rtol=1e-6)
     for i, place in enumerate(fit.slices):
-        own = slice(R + place.start, R + place.stop)
-        assert_allclose(fit.coefficients(i), found[own], rtol=1e-6)
+        columns = slice(R + place.start, R + place.stop)
+        assert_allclose(fit.coefficients(i), mean[columns], rtol=1e-6)
     A, b, *_ = dense(fit)
-    residual = ((b - A @ found) / np.sqrt(fit.base.weights.ravel() + 1e-300))[: 2 * N]
+    residual = ((b - A @ mean) / np.sqrt(fit.base.weights.ravel() + 1e-300))[: 2 * N]
     assert_allclose(fit.residual[:2].ravel(), residual, atol=1e-6)
 
 
-def test_friction_that_would_drive_is_held_at_zero_until_it_would_not():
+def test_negative_friction_is_fixed_at_zero():
     free = of(MEMBERS)
     row = np.array([0.0, 1.0, -2.0, 0.5])
     row *= -np.sign(row @ free.theta)
     free.problem.view.one_sided[1, 0] = row
     held = free.with_valid_signs(3.0)
     assert held.with_valid_signs(3.0) is held
-    # Least squares among coefficients for which it is zero.
+    # Least squares in the subspace where this friction is zero.
     A, b, precision, mean = dense(free)
     basis = np.eye(A.shape[1])[:, 1:]
     basis[:R, : R - 1] = np.linalg.svd(row[None])[2][1:].T
     X = np.vstack([A, np.diag(np.sqrt(precision))]) @ basis
-    found = np.linalg.lstsq(X, np.r_[b, np.sqrt(precision) * mean], rcond=None)[0]
-    assert_allclose(held.theta, (basis @ found)[:R], atol=1e-4)
+    reduced = np.linalg.lstsq(X, np.r_[b, np.sqrt(precision) * mean], rcond=None)[0]
+    assert_allclose(held.theta, (basis @ reduced)[:R], atol=1e-4)
     free.problem.view.one_sided[:] *= -1
     assert_allclose(held.with_valid_signs(3.0).theta, free.theta, rtol=1e-9)
 
 
-def test_friction_is_not_held_for_what_may_be_noise():
+def test_insignificantly_negative_friction_stays_free():
     free = of(MEMBERS)
     row = np.array([0.0, 1.0, -2.0, 0.5])
     errors = row @ free.theta / np.sqrt(row @ solution(free)[1][:R, :R] @ row)
@@ -147,50 +147,50 @@ def test_friction_is_not_held_for_what_may_be_noise():
 
 
 def log_density(fit):
-    """Log density of the torques, as far as the declared columns leave them.
+    """Log density of the torques orthogonal to the declared columns.
 
-    Literal: a dense normal distribution of what is orthogonal to these.
+    Computed with the dense covariance.
     """
     A, b, precision, mean = dense(fit)
     heard = np.repeat(fit.problem.used_joints, N)
     A, b = A[heard], b[heard]
-    left, _, _ = np.linalg.svd(A[:, :R])
-    K = left[:, R:]
+    basis, _, _ = np.linalg.svd(A[:, :R])
+    K = basis[:, R:]
     X = K.T @ A[:, R:]
     covariance = np.eye(K.shape[1]) + X / precision[R:] @ X.T
-    rest = K.T @ b - X @ mean[R:]
-    power = rest @ np.linalg.solve(covariance, rest)
+    residual = K.T @ b - X @ mean[R:]
+    power = residual @ np.linalg.solve(covariance, residual)
     return -0.5 * (power + np.linalg.slogdet(covariance)[1])
 
 
 @pytest.mark.parametrize("loud", [1.0, 1e3])
-def test_log_evidence_is_the_density_of_the_torques(loud):
-    """But for a constant that models with the same weights share."""
+def test_log_evidence_matches_the_dense_density(loud):
+    """Up to a constant that is common to models with the same weights."""
     fits = [of(members, loud=loud) for members in SUBSETS]
-    found = np.array([fit.log_evidence() for fit in fits])
+    logs = np.array([fit.log_evidence() for fit in fits])
     expected = np.array([log_density(fit) for fit in fits])
-    assert_allclose(found - found[0], expected - expected[0], atol=1e-4)
+    assert_allclose(logs - logs[0], expected - expected[0], atol=1e-4)
 
 
-def test_the_evidence_has_the_prior_of_the_spectrum():
-    """Changes of the logarithmic slope between bands are normal, with deviation one."""
+def test_log_evidence_includes_the_prior_of_the_spectrum():
+    """Changes of the log-log slope between bands have a standard normal prior."""
     octave = np.array([0.5, 1.0, 1.5, 2.5, 3.0])
     power = np.random.default_rng(0).gamma(5.0, size=(1, 5)) * np.geomspace(9, 1, 5)
     spectrum = Spectrum.of(power, np.full((1, 5), 10.0), octave, 1.0)
     slopes = np.diff(np.log(spectrum.variance[0])) / np.diff(octave)
     expected = -0.5 * ((0.5 * np.diff(slopes)) ** 2).sum()
     assert expected < -0.01
-    made, weights = problem()
+    equations, weights = problem()
     logs = [
-        Fit(Base(made, weights, one)).log_evidence() for one in (spectrum, SPECTRUM)
+        Fit(Base(equations, weights, s)).log_evidence() for s in (spectrum, SPECTRUM)
     ]
     assert logs[0] - logs[1] == pytest.approx(expected - SPECTRUM.log_prior)
 
 
-def test_columns_of_a_thousand_times_the_weight_make_the_ridge_no_prior():
-    """Rounding of one column is not that of another."""
-    made, weights = problem(loud=1e6)
-    fit = Fit(Base(made, weights))
+def test_the_ridge_is_negligible_for_badly_scaled_columns():
+    """Columns of very different scale must not be regularised by the ridge."""
+    equations, weights = problem(loud=1e6)
+    fit = Fit(Base(equations, weights))
     A, b, *_ = dense(fit)
     size = np.sqrt((A**2).sum(axis=0))
     exact = np.linalg.lstsq(A / size, b, rcond=None)[0] / size
@@ -198,74 +198,74 @@ def test_columns_of_a_thousand_times_the_weight_make_the_ridge_no_prior():
 
 
 @pytest.mark.parametrize("i", range(3))
-def test_a_member_beside_the_others_is_a_group_beside_a_fit_without_it(i):
-    """The third is in the equations already, which its absence must undo."""
+def test_member_groups_match_a_refit_without_the_member(i):
+    """The correction of the third member is already in the equations."""
     fit = of(MEMBERS)
-    own, refit = fit.member_groups[i], fit.without(i).groups(MEMBERS[i].columns)
-    assert_allclose(own.H, refit.H, rtol=1e-6)
-    assert_allclose(own.q, refit.q, rtol=1e-6)
-    assert_allclose(own.evidence(0.1), refit.evidence(0.1), rtol=1e-6)
-    # Least squares with the group, all its value included, is the fit without prior.
+    group, refit = fit.member_groups[i], fit.without(i).groups(MEMBERS[i].columns)
+    assert_allclose(group.H, refit.H, rtol=1e-6)
+    assert_allclose(group.q, refit.q, rtol=1e-6)
+    assert_allclose(group.evidence(0.1), refit.evidence(0.1), rtol=1e-6)
+    # Without prior on the group, its coefficients are those of least squares.
     A, b, precision, mean = dense(fit)
-    place = slice(R + fit.slices[i].start, R + fit.slices[i].stop)
-    precision[place] = 0.0
+    columns = slice(R + fit.slices[i].start, R + fit.slices[i].stop)
+    precision[columns] = 0.0
     rows = np.vstack([A, np.diag(np.sqrt(precision))])
     values = np.r_[b, np.sqrt(precision) * mean]
     free = np.linalg.lstsq(rows, values, rcond=None)[0]
-    expected = free[place] + MEMBERS[i].applied
-    assert_allclose(own.coefficients()[0], expected, rtol=1e-5)
+    expected = free[columns] + MEMBERS[i].applied
+    assert_allclose(group.coefficients()[0], expected, rtol=1e-5)
 
 
-def test_a_fit_without_a_member_is_that_of_the_others():
+def test_removing_a_member_matches_a_refit():
     fit = of(MEMBERS)
     for i in (0, 1):
-        rest = fit.without(i)
-        again = of([m for k, m in enumerate(MEMBERS) if k != i])
-        assert_allclose(rest.theta, again.theta, rtol=1e-9)
-        assert rest.log_evidence() == pytest.approx(again.log_evidence(), abs=1e-6)
+        less = fit.without(i)
+        expected = of([m for k, m in enumerate(MEMBERS) if k != i])
+        assert_allclose(less.theta, expected.theta, rtol=1e-9)
+        assert less.log_evidence() == pytest.approx(expected.log_evidence(), abs=1e-6)
     more = of(MEMBERS[:2]).with_member(MEMBERS[2])
     assert_allclose(more.theta, fit.theta, rtol=1e-9)
 
 
-def test_without_what_corrects_the_robot_its_corrections_are_undone():
+def test_removing_a_correction_restores_the_equations():
     fit = of(MEMBERS)
     made, weights = problem()
     columns = MEMBERS[2].columns.values[:, :, 0, 0]
-    made = Made(made.Z, made.y + 0.3 * columns, made.used_joints)
+    made = Synthetic(made.Z, made.y + 0.3 * columns, made.used_joints)
     expected = Fit(Base(made, weights, SPECTRUM), MEMBERS[:2])
-    rest = fit.without(2)
-    assert_allclose(rest.theta, expected.theta, rtol=1e-8)
-    assert_allclose(rest.residual, expected.residual, atol=1e-8)
-    found = fit.log_evidence() - rest.log_evidence()
-    # The same as of an effect with all of its value still to be found.
-    own = MEMBERS[2].columns
-    whole = Columns([Offset(1)], own.joints, own.values, own.unit, own.edges)
-    whole = whole.member(scale=MEMBERS[2].scale)
-    more = expected.with_member(whole)
+    without = fit.without(2)
+    assert_allclose(without.theta, expected.theta, rtol=1e-8)
+    assert_allclose(without.residual, expected.residual, atol=1e-8)
+    gain = fit.log_evidence() - without.log_evidence()
+    # Same gain as for an effect that is not yet applied to the equations.
+    zero = MEMBERS[2].columns
+    uncorrected = Columns([Offset(1)], zero.joints, zero.values, zero.unit, zero.edges)
+    uncorrected = uncorrected.member(scale=MEMBERS[2].scale)
+    more = expected.with_member(uncorrected)
     assert more.log_evidence() - expected.log_evidence() == pytest.approx(
-        found, abs=1e-6
+        gain, abs=1e-6
     )
     assert_allclose(more.coefficients(2) - 0.3, fit.coefficients(2), rtol=1e-6)
-    # The problem itself stays.
+    # The problem itself is not modified.
     assert_allclose(fit.problem.y, problem()[0].y)
 
 
-def test_integrating_the_scale_is_the_sum_of_fits_with_one():
-    """Evidence of a group over the model without it, at each scale a fit of its own."""
-    own = MEMBERS[0]
-    rest = of(MEMBERS[1:])
+def test_evidence_integrates_over_the_scale():
+    """Integrate the evidence of separate fits over a grid of scales."""
+    group = MEMBERS[0]
+    base = of(MEMBERS[1:])
     scales = np.geomspace(1e-4, 1e2, 200)
     ratio = scales / 0.1
     prior = ratio / (1 + ratio**2)
     logs = [
-        rest.with_member(
-            SelectedEffect(columns=own.columns, scale=scale)
+        base.with_member(
+            SelectedEffect(columns=group.columns, scale=scale)
         ).log_evidence()
         for scale in scales
     ]
-    logs = np.array(logs) - rest.log_evidence()
+    logs = np.array(logs) - base.log_evidence()
     expected = np.log((prior * np.exp(logs)).sum() / prior.sum())
-    assert_allclose(rest.groups(own.columns).evidence(0.1), [expected], atol=0.02)
+    assert_allclose(base.groups(group.columns).evidence(0.1), [expected], atol=0.02)
 
 
 # -- on a recording
@@ -281,10 +281,8 @@ def fitted():
 
 
 @pytest.mark.parametrize("repeats", [1.0, 3.0])
-def test_powers_by_band_leave_the_freedom_that_the_fit_has_not_taken(
-    monkeypatch, fitted, repeats
-):
-    """The trace of the hat matrix, band by band; what repeats is there once."""
+def test_degrees_of_freedom_by_band(monkeypatch, fitted, repeats):
+    """Trace of the hat matrix by band; repetitions do not add degrees of freedom."""
     monkeypatch.setattr(fitted.problem.view, "repeats", repeats)
     power, freedom = fitted.powers()
     made, cosines = fitted.problem, fitted.problem.cosines
@@ -297,28 +295,28 @@ def test_powers_by_band_leave_the_freedom_that_the_fit_has_not_taken(
     for j in range(2):
         own = hat[j * n : (j + 1) * n]
         fill = cosines.fill[j] / repeats
-        left = fill * np.bincount(cosines.band) - np.bincount(cosines.band, own)
-        assert_allclose(freedom[j], np.maximum(left, 0.0), atol=1e-4)
+        rest = fill * np.bincount(cosines.band) - np.bincount(cosines.band, own)
+        assert_allclose(freedom[j], np.maximum(rest, 0.0), atol=1e-4)
         squares = np.bincount(cosines.band, fitted.residual[j] ** 2)
         assert_allclose(power[j], fill * squares, rtol=1e-9)
 
 
 def rows_of(fit, j):
-    """Columns of the members in a joint's equations, (n, p)."""
-    found = np.zeros((fit.problem.y.shape[1], fit.n_coefficients))
-    for place, own in zip(fit.slices, fit.members):
-        if j in own.joints:
-            found[:, place] = own.columns.values[own.joints.index(j), :, 0]
-    return found
+    """Columns of the members in the equations of a joint, (n, p)."""
+    columns = np.zeros((fit.problem.y.shape[1], fit.n_coefficients))
+    for place, member in zip(fit.slices, fit.members):
+        if j in member.joints:
+            columns[:, place] = member.columns.values[member.joints.index(j), :, 0]
+    return columns
 
 
-def leaving(scores):
-    """Return what stands for a fit that leaves some noise."""
+def stub_of(scores):
+    """Return a stub of a fit with the given scores."""
     return SimpleNamespace(scores=scores, n_coefficients=0)
 
 
 def literal_scores(fit, own, coef, noise=None):
-    """Scores by block of a direction beside a fit, and what moments promise."""
+    """Block scores of a direction given a fit, and their expected variance."""
     made, view = fit.problem, fit.problem.view
     nv, n = made.y.shape
     root = np.sqrt(fit.base.weights)
@@ -334,7 +332,7 @@ def literal_scores(fit, own, coef, noise=None):
     rows = np.where(used, made.cosines.rows(left), 0.0)
     if noise is None:
         noise = np.where(used, made.cosines.rows(fit.residual * root), 0.0)
-    # What the direction itself explains of it is no noise.
+    # Remove the part of the noise that the direction explains.
     noise = noise - rows * (rows * noise).sum() / (rows**2).sum()
     product = (rows * noise).sum(axis=0)
     label = view.blocks.label
@@ -342,29 +340,29 @@ def literal_scores(fit, own, coef, noise=None):
     return scores, (rows**2).sum()
 
 
-def test_the_scatter_of_a_score_is_that_of_its_blocks(fitted):
-    """The sandwich over the Hessian, where blocks scatter more than moments say."""
-    own = fitted.problem.columns([Spring(1)])
+def test_overdispersion_is_estimated_from_block_scores(fitted):
+    """Ratio of the sandwich to the Hessian for overdispersed block scores."""
+    group = fitted.problem.columns([Spring(1)])
     coef = np.array([1.0, 0.2])
-    scores, promised = literal_scores(fitted, own.member(), coef)
+    scores, promised = literal_scores(fitted, group.member(), coef)
     plain = scores.var(ddof=1) * scores.size / promised
-    found = fitted.overdispersion(own, 0, coef, fitted)
-    assert found.ratio >= max(1.0, plain) * (1 - 1e-6)
-    # Of white noise there is little more.
-    assert found.ratio < 3.0
-    # Its size does not matter, nor that of the direction.
-    again = fitted.overdispersion(own, 0, 1e3 * coef, fitted)
-    assert again.ratio == pytest.approx(found.ratio, rel=1e-6)
+    result = fitted.overdispersion(group, 0, coef, fitted)
+    assert result.ratio >= max(1.0, plain) * (1 - 1e-6)
+    # White noise has little overdispersion.
+    assert result.ratio < 3.0
+    # The ratio does not depend on the scale of the direction.
+    scaled = fitted.overdispersion(group, 0, 1e3 * coef, fitted)
+    assert scaled.ratio == pytest.approx(result.ratio, rel=1e-6)
     # Ten times the noise has a hundred times the variance.
     loud, louder = (
-        fitted.overdispersion(own, 0, coef, leaving(size * fitted.scores)).ratio
+        fitted.overdispersion(group, 0, coef, stub_of(size * fitted.scores)).ratio
         for size in (10, 100)
     )
     assert louder == pytest.approx(100 * loud, rel=1e-6)
 
 
-def test_an_effect_that_comes_and_goes_is_worth_less(fitted):
-    """A score whose sign changes slowly scatters more than one of white noise."""
+def test_overdispersion_of_intermittent_effects(fitted):
+    """A score with slowly changing sign is overdispersed."""
     own, coef = fitted.problem.columns([Spring(1)]), np.array([1.0, 0.2])
     rows = fitted.scores
     sign = np.sign(np.sin(2 * np.pi * np.arange(rows.shape[1]) / rows.shape[1]))
@@ -374,37 +372,37 @@ def test_an_effect_that_comes_and_goes_is_worth_less(fitted):
     shape[1] = direction
     slow[1] = sign * fitted.problem.cosines.rows(shape)[1]
     slow *= rows.std() / slow[1].std()
-    white = fitted.overdispersion(own, 0, coef, leaving(rows))
-    assert fitted.overdispersion(own, 0, coef, leaving(slow)).ratio > 3.0 * white.ratio
+    white = fitted.overdispersion(own, 0, coef, stub_of(rows))
+    assert fitted.overdispersion(own, 0, coef, stub_of(slow)).ratio > 3.0 * white.ratio
 
 
 @pytest.mark.parametrize(
-    ("effect", "taken"), [(Drift(1), 2), (Payload(1, instant=9.0), 1)], ids=["D", "P"]
+    ("effect", "used"), [(Drift(1), 2), (Payload(1, instant=9.0), 1)], ids=["D", "P"]
 )
-def test_functions_of_time_are_told_by_the_slowest_changes(fitted, effect, taken):
-    """Their mean power, but for those that the effect has taken itself."""
-    own = fitted.problem.columns([effect])
+def test_overdispersion_of_time_effects_uses_low_frequencies(fitted, effect, used):
+    """Mean power of the lowest frequencies, without the degrees of freedom used."""
+    group = fitted.problem.columns([effect])
     coef = np.ones(len(effect.coefficients))
-    shape = np.zeros((2, own.values.shape[1]))
-    shape[list(own.joints)] = own.values[:, :, 0] @ coef
+    shape = np.zeros((2, group.values.shape[1]))
+    shape[list(group.joints)] = group.values[:, :, 0] @ coef
     rows = fitted.problem.cosines.rows(shape * np.sqrt(fitted.base.weights))
-    # A score that changes its sign a few times.
+    # A score with a few sign changes.
     turns = np.cos(1.5 * np.pi * np.arange(rows.shape[1]) / rows.shape[1])
     noise = fitted.scores + 9.0 * rows * turns * fitted.scores.std() / rows.std()
-    found = fitted.overdispersion(own, 0, coef, leaving(noise))
-    scores, promised = literal_scores(fitted, own.member(), coef, noise)
+    result = fitted.overdispersion(group, 0, coef, stub_of(noise))
+    scores, promised = literal_scores(fitted, group.member(), coef, noise)
     order = fitted.problem.view.span_order
     power = dct(scores[order], norm="ortho")[1:] ** 2 * scores.size / promised
     slow = max(power.size // 4, 1)
     usual = max(1.0, power.mean(), power[:slow].mean())
-    assert found.usual == pytest.approx(usual, rel=1e-6)
-    expected = power[:4].sum() / (4 - taken)
+    assert result.usual == pytest.approx(usual, rel=1e-6)
+    expected = power[:4].sum() / (4 - used)
     assert expected > usual
-    assert found.ratio == pytest.approx(expected, rel=1e-6)
-    assert found.freedom == slow - taken
+    assert result.ratio == pytest.approx(expected, rel=1e-6)
+    assert result.freedom == slow - used
 
 
-# -- weights that follow the spectrum as far as the model is right
+# -- weights by a power of the spectrum
 
 
 def coloured(share):
@@ -418,42 +416,42 @@ def coloured(share):
 
 
 @pytest.mark.parametrize("share", [1.0, 0.5, 0.0])
-def test_weights_promise_less_of_slow_scores_than_these_scatter(share):
-    """All of the spectrum promises what there is."""
+def test_score_variance_ratio_of_flattened_weights(share):
+    """With the full spectrum the ratio is one."""
     base, variance = coloured(share)
     rng = np.random.default_rng(3)
     columns = rng.normal(size=(NV, N)) / np.arange(1, N + 1)
     noise = np.sqrt(variance) * rng.normal(size=(20000, NV, N))
     scores = np.einsum("sjn,jn->s", noise, columns * base.weights)
     promised = (columns**2 * base.weights).sum()
-    (found,) = base.score_variance_ratio((columns * np.sqrt(base.weights))[:, :, None])
-    assert found == pytest.approx(np.mean(scores**2) / promised, rel=0.05)
-    assert found == pytest.approx(1.0) if share == 1.0 else found > 2.0
+    (ratio,) = base.score_variance_ratio((columns * np.sqrt(base.weights))[:, :, None])
+    assert ratio == pytest.approx(np.mean(scores**2) / promised, rel=0.05)
+    assert ratio == pytest.approx(1.0) if share == 1.0 else ratio > 2.0
 
 
-def test_right_weights_lead_less_far_from_plain_ones_than_these_scatter():
+def test_chance_limit_bounds_the_change_of_the_estimate():
     base, variance = coloured(1.0)
     made, rng = base.problem, np.random.default_rng(4)
     mean = variance.mean(axis=1, keepdims=True)
     plain = Base(made, np.where(variance > 0, 1.0 / np.maximum(mean, 1e-9), 0.0))
     noise = np.sqrt(variance) * rng.normal(size=(2000, NV, N))
-    made = [made.changed(y=own) for own in noise]
-    thetas = np.array([[Fit(b.on(own)).theta for b in (plain, base)] for own in made])
-    apart = thetas[:, 0] - thetas[:, 1]
-    scatter, away = (
-        ((base.problem.Z @ x.T) ** 2).sum(axis=1)[:2] for x in (thetas[:, 0], apart)
+    made = [made.changed(y=y) for y in noise]
+    thetas = np.array([[Fit(b.on(y)).theta for b in (plain, base)] for y in made])
+    change = thetas[:, 0] - thetas[:, 1]
+    scatter, moved = (
+        ((base.problem.Z @ x.T) ** 2).sum(axis=1)[:2] for x in (thetas[:, 0], change)
     )
     for chance in (0.0, 1.645):
         most = _chance_limit(plain, base.spectrum, chance)[:2]
         expected = scatter.mean(axis=1) + chance * scatter.std(axis=1)
         assert_allclose(most, expected, rtol=0.1)
-    assert (away.mean(axis=1) < scatter.mean(axis=1)).all()
-    assert ((away.T > most).mean(axis=0) < 0.1).all()
+    assert (moved.mean(axis=1) < scatter.mean(axis=1)).all()
+    assert ((moved.T > most).mean(axis=0) < 0.1).all()
 
 
 @pytest.mark.parametrize("late", [0, 8])
-def test_a_model_that_is_wrong_in_fast_motion_is_not_fitted_to_that_alone(late):
-    """Friction that comes late agrees with the model in slow motion only."""
+def test_model_errors_in_fast_motion_flatten_the_weights(late):
+    """Delayed friction agrees with the model in slow motion only."""
     recording = record("Y", seed=0, duration=40.0)
     torque = recording.torque(joint_1=lambda r: 2.0 * np.sign(r.v[:, 0]))
     torque = np.vstack([torque[:late], torque[: torque.shape[0] - late]])
@@ -462,13 +460,13 @@ def test_a_model_that_is_wrong_in_fast_motion_is_not_fitted_to_that_alone(late):
     robot = recording.robot(friction=("viscous", "coulomb"))
     path = search(torque + 0.3 * slow[:, None], [], recording, robot).path()
     plain = path.fit_declared()
-    found = spectrum_of(plain, SearchSettings())
+    chosen = spectrum_of(plain, SearchSettings())
     whole = spectrum_of(plain, SearchSettings(), share=1.0)
-    at = list(robot.parameter_names_).index("joint_1:coulomb")
-    value, by_all = ((path.view.back @ fit.theta)[at] for fit in (found, whole))
+    k = list(robot.parameter_names_).index("joint_1:coulomb")
+    value, by_all = ((path.view.back @ fit.theta)[k] for fit in (chosen, whole))
     if late:
-        assert found.base.share <= 0.5
+        assert chosen.base.share <= 0.5
         assert by_all + 0.6 < value < 2.0
     else:
-        assert found.base.share >= 0.75
+        assert chosen.base.share >= 0.75
         assert value == pytest.approx(2.0, abs=0.05)

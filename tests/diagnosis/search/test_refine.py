@@ -1,4 +1,4 @@
-"""Shape parameters are searched between the points of the grid."""
+"""Refinement of shape parameters between the points of the grid."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ MOTION = search(CLEAN.torque(), ["stribeck"]).view.motion(None)
 GRID = sorted({s["vs"] for s in effects.Stribeck(1).shapes(MOTION)})
 
 
-def test_bounds_are_the_next_points_of_the_grid():
+def test_bounds_are_neighbouring_grid_points():
     inner = ShapePoint.of(effects.Stribeck(1, vs=GRID[2]), MOTION)
     assert inner.at(inner.low).vs == pytest.approx(GRID[1])
     assert inner.at(inner.high).vs == pytest.approx(GRID[3])
@@ -21,26 +21,26 @@ def test_bounds_are_the_next_points_of_the_grid():
     assert last.at(last.high).vs == pytest.approx(GRID[-1])
 
 
-def best(start, evidence, motion):
-    """Search an instant with a known evidence (of one effect) beside a fit."""
+def refine(start, evidence, motion):
+    """Refine an instant with a given evidence function."""
     return refine_instant(
         [start], lambda some: np.array([*map(evidence, some)]), motion
     )
 
 
 @pytest.mark.parametrize("name", ["stribeck", "ripple"])
-def test_the_best_place_between_two_points_is_found(name):
-    """One parameter, and two of which one is an angle's period, beside a fit."""
+def test_shapes_are_refined_between_grid_points(name):
+    """For one parameter, and for two of which one is a period."""
     kind = {"stribeck": effects.Stribeck, "ripple": effects.Ripple}[name]
     (shape, value) = {"stribeck": ("vs", 0.31), "ripple": ("period", 0.23)}[name]
     truth = kind(1, **{shape: value})
-    added = truth.columns(MOTION) @ np.full(len(truth.coefficients), 3.0)
+    extra = truth.columns(MOTION) @ np.full(len(truth.coefficients), 3.0)
     torque = CLEAN.torque()
-    torque[:, 1] += added
+    torque[:, 1] += extra
     path = search(torque, [name]).path()
-    found = path.run().members[0].effect
-    assert getattr(found, shape) == pytest.approx(value, rel=0.01)
-    assert getattr(found, shape) not in [one[shape] for one in found.shapes(MOTION)]
+    effect = path.run().members[0].effect
+    assert getattr(effect, shape) == pytest.approx(value, rel=0.01)
+    assert getattr(effect, shape) not in [s[shape] for s in effect.shapes(MOTION)]
 
 
 def two_recordings():
@@ -50,22 +50,22 @@ def two_recordings():
     return replace(MOTION, t=t, parts=parts, begins=(t[0], t[half] - 0.5))
 
 
-def test_an_instant_is_found_among_several_peaks():
+def test_instant_with_several_local_maxima():
     motion = replace(MOTION, begins=(MOTION.t[0],))
     grid = [s["instant"] for s in effects.Payload(1).shapes(motion)]
     truth = grid[3] + 0.4 * (grid[4] - grid[3])
 
     def evidence(effect):
-        away = abs(effect.instant - truth)
-        return 1e3 * np.exp(-away) + 50 * np.cos(60 * away)
+        distance = abs(effect.instant - truth)
+        return 1e3 * np.exp(-distance) + 50 * np.cos(60 * distance)
 
     start = effects.Payload(1, instant=truth + 0.08)
-    found = best(start, evidence, motion)
-    assert found.instant == pytest.approx(truth, abs=0.05)
-    assert found.instant in motion.t
+    refined = refine(start, evidence, motion)
+    assert refined.instant == pytest.approx(truth, abs=0.05)
+    assert refined.instant in motion.t
 
 
-def test_an_instant_between_two_recordings_is_the_start_of_the_second():
+def test_instant_between_two_recordings():
     motion = two_recordings()
     begin = motion.begins[1]
     start = effects.Payload(1, instant=begin + 2.0)
@@ -73,31 +73,31 @@ def test_an_instant_between_two_recordings_is_the_start_of_the_second():
     def shared(effect):
         return 100.0 * (begin - 5.0 < effect.instant <= begin)
 
-    assert best(start, shared, motion).instant == begin
+    assert refine(start, shared, motion).instant == begin
 
 
-def test_no_instant_is_in_a_recording_of_which_all_rows_are_left_out():
+def test_instants_avoid_held_out_recordings():
     motion = two_recordings()
     last = motion.t[-1]
     motion = replace(motion, begins=(*motion.begins, last + 1.0))
     start = effects.Payload(1, instant=last - 0.5)
-    assert best(start, lambda effect: effect.instant, motion).instant <= last
+    assert refine(start, lambda effect: effect.instant, motion).instant <= last
 
 
-@pytest.mark.parametrize(("worth", "left"), [(4.0, False), (20.0, True)])
-def test_rows_within_a_recording_say_more_than_how_many_there_are(worth, left):
+@pytest.mark.parametrize(("gain", "moves"), [(4.0, False), (20.0, True)])
+def test_instants_within_a_recording_need_more_evidence(gain, moves):
     motion = two_recordings()
     begin = motion.begins[1]
 
     def later(effect):
-        return worth * (effect.instant > begin)
+        return gain * (effect.instant > begin)
 
     start = effects.Payload(1, instant=begin + 2.0)
-    assert (best(start, later, motion).instant > begin) == left
+    assert (refine(start, later, motion).instant > begin) == moves
 
 
-def test_the_instant_of_a_jump_is_found_wherever_it_is():
-    """A narrow peak between two points of the grid, off the best of which it lies."""
+def test_instant_of_a_payload_is_found_between_grid_points():
+    """The peak is narrow and lies between two points of the grid."""
     truth = 9.13
     payload = effects.Payload(1, instant=truth)
     added = payload.columns(MOTION) @ [0.5, 0.02, 0.03, 0.01, 0.0]
@@ -107,7 +107,7 @@ def test_the_instant_of_a_jump_is_found_wherever_it_is():
     assert member.effect.instant == pytest.approx(truth, abs=0.05)
 
 
-def test_another_form_is_taken_where_it_is_more_probable():
+def test_the_more_probable_form_is_selected():
     robot = CLEAN.robot(friction=("viscous", "coulomb"))
     torque = CLEAN.torque(joint_2=stribeck(1.0))
     path = search(torque, ["stribeck"], robot=robot).path()

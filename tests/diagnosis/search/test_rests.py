@@ -1,4 +1,4 @@
-"""Torque of joints at rest, where friction with memory alone knows it."""
+"""Torque of joints at rest, which only friction with memory predicts."""
 
 import sys
 from pathlib import Path
@@ -18,33 +18,33 @@ from tests.effects._arms import arm, inverse_dynamics, stops_sample_by_sample
 REACH, SIZE = 0.02, 1.5  # displacement [rad] and torque [N m] of one stop
 
 
-def stopping(rng, moves=24):
-    """Positions (n, 1) of a joint that moves, comes back a little, and rests."""
+def stop_and_go(rng, moves=24):
+    """Positions (n, 1) of a joint that moves, returns slightly and rests."""
 
-    def way(first, last, seconds):
+    def leg(first, last, seconds):
         s = np.linspace(0, 1, round(seconds / DT))
         return first + (last - first) * (s - np.sin(2 * np.pi * s) / (2 * np.pi))
 
     q = [0.0]
     for goal in rng.uniform(-1, 1, size=moves):
         back = goal - rng.uniform(0, 0.05) * np.sign(goal - q[-1])
-        q += [*way(q[-1], goal, 1.2), *way(goal, back, 0.4), *[back] * round(0.8 / DT)]
+        q += [*leg(q[-1], goal, 1.2), *leg(goal, back, 0.4), *[back] * round(0.8 / DT)]
     return np.array(q)[:, None]
 
 
 @pytest.mark.parametrize("memory", [True, False])
-def test_torque_at_rest_shows_friction_with_memory(memory):
+def test_torque_at_rest_identifies_friction_with_memory(memory):
     rng = np.random.default_rng(3)
-    q = stopping(rng)
+    q = stop_and_go(rng)
     v = np.gradient(q, DT, axis=0)
     states = np.hstack([q, v, np.gradient(v, DT, axis=0)])
     friction = SIZE * stops_sample_by_sample(q[:, 0], REACH)
     if not memory:
-        # Any torque in the band may hold the joint.
+        # Static friction: any torque within the limits.
         still = np.abs(v[:, 0]) < 1e-9
         rest = np.cumsum(np.diff(still, prepend=False) & still)
-        held = rng.uniform(-SIZE, SIZE, rest[-1] + 1)
-        friction = np.where(still, held[rest], SIZE * np.sign(v[:, 0]))
+        static = rng.uniform(-SIZE, SIZE, rest[-1] + 1)
+        friction = np.where(still, static[rest], SIZE * np.sign(v[:, 0]))
     model = arm("Y")
     tau = inverse_dynamics(model, states) + 0.5 * v + friction[:, None]
     tau += 0.05 * rng.normal(size=tau.shape)
@@ -60,11 +60,11 @@ def test_torque_at_rest_shows_friction_with_memory(memory):
         assert not loop.possible_
 
 
-def test_friction_of_a_short_motion_is_no_noise(tmp_path):
-    # Slow residuals that a model takes away must not leave its spectrum without bound.
-    made, rng, joint, q, tau, _ = record("lugre", 99)
+def test_friction_with_memory_in_short_motions(tmp_path):
+    # The spectrum must stay bounded if the model removes the slow residuals.
+    rig, rng, joint, q, tau, _ = record("lugre", 99)
     path, n = tmp_path / "arm.urdf", len(q) // 2
-    path.write_text(made.urdf(made.described(rng)))
+    path.write_text(rig.urdf(rig.described(rng)))
     loop = EffectDiscovery(
         RobotIdentifier(path, dt=STEP), effects=["maxwell_slip"], random_state=0
     )

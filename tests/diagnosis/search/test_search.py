@@ -1,4 +1,4 @@
-"""The search by itself: what it names in recordings whose torques are known."""
+"""Effects that the search reports for simulated recordings."""
 
 import ast
 from pathlib import Path
@@ -18,29 +18,29 @@ from tests.diagnosis.search._searches import (
     spring,
     stribeck,
 )
-from tests.diagnosis.search.test_own_effects import own
+from tests.diagnosis.search.test_own_effects import custom
 from tests.effects._arms import lag_step_by_step
 
 
-def test_a_clean_recording_needs_nothing():
-    nothing = search(CLEAN.torque(), ["coulomb", "spring", "offset"]).run()
-    assert nothing.effects == ()
-    assert nothing.findings == ()
-    assert nothing.needed == pytest.approx(np.log(19.0))
+def test_a_complete_model_needs_no_effects():
+    result = search(CLEAN.torque(), ["coulomb", "spring", "offset"]).run()
+    assert result.effects == ()
+    assert result.findings == ()
+    assert result.needed == pytest.approx(np.log(19.0))
 
 
-def test_what_is_found_is_sure_and_saves_most():
+def test_found_effects_are_probable_and_reduce_the_error():
     torque = CLEAN.torque(joint_2=coulomb(1.0), joint_1=spring(4.0, 1.0))
-    now = search(torque, ["coulomb", "spring", "offset"]).run()
-    assert sorted(found(now)) == [("coulomb", 1), ("spring", 0)]
-    for finding in now.findings:
-        assert finding.evidence.log_odds > now.needed
+    result = search(torque, ["coulomb", "spring", "offset"]).run()
+    assert sorted(found(result)) == [("coulomb", 1), ("spring", 0)]
+    for finding in result.findings:
+        assert finding.evidence.log_odds > result.needed
         assert finding.evidence.probability > 0.95
         assert finding.evidence.gain > 0.5
 
 
-def test_what_has_the_wrong_sign_is_something_else():
-    """Friction that falls towards standstill is no Stribeck friction."""
+def test_stribeck_requires_the_right_sign():
+    """Friction that decreases towards standstill is no Stribeck friction."""
     rising = CLEAN.torque(joint_2=stribeck(0.6))
     falling = CLEAN.torque(joint_2=stribeck(-0.6))
     friction = ("viscous", "coulomb")
@@ -49,7 +49,7 @@ def test_what_has_the_wrong_sign_is_something_else():
         assert found(search(torque, ["stribeck"], robot=robot).run()) == expected
 
 
-def test_a_fall_with_speed_is_no_quadratic_friction_beside_one_that_drives():
+def test_quadratic_friction_is_not_combined_with_negative_viscous_friction():
     def torque(r):
         v = r.v[:, 1]
         return (1.0 + 1.0 / (1.0 + (v / 0.3) ** 2)) * np.sign(v) - 0.45 * v
@@ -59,29 +59,29 @@ def test_a_fall_with_speed_is_no_quadratic_friction_beside_one_that_drives():
     assert not found(now.run())
 
 
-def test_the_plain_effect_comes_before_what_contains_it():
+def test_simple_effects_are_preferred_to_general_ones():
     torque = CLEAN.torque(joint_2=coulomb(1.0))
     now = search(torque, ["stribeck", "maxwell_slip", "asymmetric_friction", "coulomb"])
     assert found(now.run()) == [("coulomb", 1)]
 
 
 def test_a_constant_is_no_spring():
-    now = search(CLEAN.torque(joint_1=spring(0.0, 1.0)), ["spring", "offset"]).run()
-    assert found(now) == [("offset", 0)]
+    result = search(CLEAN.torque(joint_1=spring(0.0, 1.0)), ["spring", "offset"]).run()
+    assert found(result) == [("offset", 0)]
 
 
-def test_what_saves_next_to_nothing_is_not_in_the_model():
-    """However probable it is: a name asks for twice as much."""
+def test_effects_below_min_gain_are_left_out():
+    """An effect below min_gain is left out, whatever its probability."""
     long = record("Y", seed=0, duration=600.0)
-    for worth, expected in ((0.02, 0), (0.001, 1)):
-        settings = SearchSettings(min_gain=worth)
+    for min_gain, expected in ((0.02, 0), (0.001, 1)):
+        settings = SearchSettings(min_gain=min_gain)
         torque = long.torque(joint_1=spring(0.01))
-        now = search(torque, ["spring"], long, settings=settings).run()
-        assert len(now.effects) == expected
+        result = search(torque, ["spring"], long, settings=settings).run()
+        assert len(result.effects) == expected
 
 
-def test_the_best_of_many_shapes_is_not_named_in_noise():
-    """Its best period helps on all rows: averaged over all it is improbable."""
+def test_selection_of_shapes_causes_no_false_positives():
+    """The best period fits the noise; the evidence averages over all periods."""
     noisy = record("Y", seed=1, duration=24.0, noise=0.5)
     assert search(noisy.torque(), ["ripple"], noisy).run().findings == ()
 
@@ -104,7 +104,7 @@ def shifted(torque, seconds):
 
 
 def averaged(torque, seconds):
-    """Mean over a window around each sample."""
+    """Return the moving average around each sample."""
     n = round(seconds / (FAST.t[1] - FAST.t[0])) | 1
     return on_joint_2(torque, lambda x: np.convolve(x, np.ones(n) / n, mode="same"))
 
@@ -114,25 +114,25 @@ def lagged(torque, time_constant):
     return on_joint_2(torque, lambda x: lag_step_by_step(x, dt, time_constant))
 
 
-@pytest.mark.parametrize("late", [0.02, -0.02])
-def test_a_delay_has_a_direction(late):
-    now = search(shifted(FAST.torque(), late), ["delay"], FAST).run()
-    assert found(now) == [("delay", 1)]
-    value = now.effects[0].parameters(now.fit.coefficients(0))["delay"]
-    assert value == pytest.approx(late, rel=0.1)
-    assert now.findings[0].evidence.gain > 0.5
+@pytest.mark.parametrize("delay", [0.02, -0.02])
+def test_delays_and_leads_are_found(delay):
+    result = search(shifted(FAST.torque(), delay), ["delay"], FAST).run()
+    assert found(result) == [("delay", 1)]
+    value = result.effects[0].parameters(result.fit.coefficients(0))["delay"]
+    assert value == pytest.approx(delay, rel=0.1)
+    assert result.findings[0].evidence.gain > 0.5
 
 
-def test_a_smoothed_torque_is_not_late():
+def test_a_smoothed_torque_is_no_delay():
     torque = averaged(FAST.torque(), 0.1)
     assert found(search(torque, ["delay"], FAST).run()) == []
-    now = search(torque, ["delay", "torque_filter"], FAST).run()
-    assert found(now) == [("torque_filter", 1)]
-    assert (now.effects[0].kind, now.effects[0].of) == ("smooth", "torque")
+    result = search(torque, ["delay", "torque_filter"], FAST).run()
+    assert found(result) == [("torque_filter", 1)]
+    assert (result.effects[0].kind, result.effects[0].of) == ("smooth", "torque")
 
 
 @pytest.mark.slow
-def test_a_short_lag_is_one_or_a_delay_and_nothing_else():
+def test_a_short_lag_is_named_delay_or_filter():
     loop = FAST.discover(lagged(FAST.torque(), 0.015), CHANNELS)
     (effect,) = loop.effects_
     assert effect.joint == 1
@@ -145,7 +145,7 @@ def test_a_short_lag_is_one_or_a_delay_and_nothing_else():
     ("smoothed", "kind", "name", "value"),
     [
         (lambda tau: lagged(tau, 0.06), "lag", "time_constant", 0.06),
-        # A mean over 0.3 s leaves half of the power at 0.443 / 0.3 s.
+        # Half-power frequency of a moving average over 0.3 s.
         (lambda tau: averaged(tau, 0.3), "smooth", "cutoff", 0.443 / 0.3),
     ],
     ids=["lag", "mean"],
@@ -159,38 +159,38 @@ def test_a_smoothed_torque_is_a_filter(smoothed, kind, name, value):
     assert effect.parameters[name] == pytest.approx(value, rel=0.1)
 
 
-# -- effects that stand for each other
+# -- equivalent effects
 
-# Slow signals that nothing has.
+# Slow signals unrelated to the robot.
 SIGNAL = np.sin(2 * np.pi * 0.31 * CLEAN.t)
 OTHER = np.sin(2 * np.pi * 0.23 * CLEAN.t + 0.5)
 
 
-def given(kind, signal):
-    """Make an effect whose column is a signal (n,) of the recording."""
-    return own(kind, lambda motion, joint: signal[: motion.q.shape[0], None])
+def signal_effect(kind, signal):
+    """Define an effect whose column is a signal (n,)."""
+    return custom(kind, lambda motion, joint: signal[: motion.q.shape[0], None])
 
 
 def torque_of(signal):
     return CLEAN.torque(joint_1=lambda r: signal[: r.t.size])
 
 
-def test_one_in_place_of_two():
-    """Two that together are the third."""
+def test_one_effect_replaces_two():
+    """The third column is the sum of the other two."""
     library = [
-        given("first", SIGNAL),
-        given("second", OTHER),
-        given("whole", SIGNAL + OTHER),
+        signal_effect("first", SIGNAL),
+        signal_effect("second", OTHER),
+        signal_effect("whole", SIGNAL + OTHER),
     ]
     assert found(search(torque_of(SIGNAL + OTHER), library).run()) == [("whole", 0)]
-    # Where both are needed they are named: any two of the three are the same model.
-    now = search(torque_of(SIGNAL - OTHER), library).run()
-    assert len(found(now)) == 2
+    # If both are needed, two are named; any two of the three are equivalent.
+    result = search(torque_of(SIGNAL - OTHER), library).run()
+    assert len(found(result)) == 2
 
 
 @pytest.mark.parametrize("shares", [(0.12, 0.2), (0.18, 0.14)])
-def test_gear_loss_is_no_wrong_gain_beside_load_friction(shares):
-    """The load by a share is what the direction of power makes of the loss."""
+def test_gear_loss_is_not_named_torque_gain(shares):
+    """Losses that depend on the direction of power resemble a wrong gain."""
 
     def loss(recording):
         load, v = recording.load[:, 1], recording.v[:, 1]
@@ -203,10 +203,10 @@ def test_gear_loss_is_no_wrong_gain_beside_load_friction(shares):
     assert found(run.run()) == [("gear_loss", 1)]
 
 
-def test_no_effect_is_named_in_the_search():
-    """What must be known of an effect is read off its class."""
-    # A signal is also what an effect may need, in plain English; a delay of a channel
-    # a finding of its own; and recordings may differ by an offset or a payload.
+def test_diagnosis_code_contains_no_effect_names():
+    """Properties of effects are attributes of their classes."""
+    # These four words also have other meanings in the package (reasons, channel
+    # findings, contradictions between recordings).
     names = set(effects.available()) - {"signal", "delay", "offset", "payload"}
     for path in Path(_path.__file__).parents[1].rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""The numbers that decide."""
+"""SearchSettings."""
 
 from dataclasses import FrozenInstanceError, asdict, fields, replace
 
@@ -12,8 +12,8 @@ from tests.diagnosis._recordings import SPRINGY
 from tests.diagnosis.report._pages import text_of
 
 
-def close(library=SPRINGY.library, **given):
-    loop = EffectDiscovery(SPRINGY.robot(), effects=library, **given)
+def discover(library=SPRINGY.library, **options):
+    loop = EffectDiscovery(SPRINGY.robot(), effects=library, **options)
     return loop.fit(SPRINGY.position, SPRINGY.torque)
 
 
@@ -22,7 +22,7 @@ NAMES = [field.name for field in fields(SearchSettings)]
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("value", [0, np.nan, np.inf, "1", True])
-def test_values_that_are_none_are_refused(name, value):
+def test_invalid_values_are_rejected(name, value):
     expected = "a positive integer" if name == "most" else "positive"
     with pytest.raises(
         ValueError, match=f"{name} of SearchSettings must be {expected}"
@@ -40,7 +40,7 @@ def test_shares_are_below_one_and_most_is_a_whole_number():
     assert SearchSettings(most=np.int64(3)).most == 3
 
 
-def test_only_by_name_and_not_to_be_changed():
+def test_settings_are_keyword_only_and_immutable():
     with pytest.raises(TypeError):
         SearchSettings(1.0)
     with pytest.raises(FrozenInstanceError):
@@ -51,50 +51,50 @@ def test_only_by_name_and_not_to_be_changed():
 
 def test_invalid_settings_are_rejected():
     with pytest.raises(ValueError, match=r"settings.*SearchSettings"):
-        close(settings={"expected": 1.0})
+        discover(settings={"expected": 1.0})
 
 
-def test_a_clone_keeps_them(springy):
-    own = SearchSettings(expected=0.5)
-    loop = EffectDiscovery(SPRINGY.robot(), settings=own)
-    assert clone(loop).settings == own
-    assert loop.get_params(deep=False)["settings"] == own
+def test_clone_keeps_the_settings(springy):
+    settings = SearchSettings(expected=0.5)
+    loop = EffectDiscovery(SPRINGY.robot(), settings=settings)
+    assert clone(loop).settings == settings
+    assert loop.get_params(deep=False)["settings"] == settings
     assert clone(springy).settings is None
-    # The defaults are those of None.
+    # None means the defaults.
     assert springy.report_.outcome.provenance["settings"]["search"] == asdict(
         SearchSettings()
     )
 
 
-def test_the_report_prints_what_was_applied(springy):
+def test_report_contains_the_settings(springy):
     settings = springy.report_.to_dict()["provenance"]["settings"]
     assert settings["n_candidates"] == 4
     assert settings["search"]["expected"] == 1.0
     assert settings["search"]["min_gain"] == 0.02
-    said = text_of(springy.report_)
-    assert "An effect is reported if its probability is at least 95 % and" in said
-    assert "significantly and by at least 2 %. Of 4 candidates, 1 is expected" in said
+    text = text_of(springy.report_)
+    assert "An effect is reported if its probability is at least 95 % and" in text
+    assert "significantly and by at least 2 %. Of 4 candidates, 1 is expected" in text
 
 
 @pytest.mark.slow
-def test_half_the_expected_effects_are_half_the_odds(springy):
-    half = close(settings=SearchSettings(expected=0.5))
-    (one,), (other,) = springy.effects_, half.effects_
-    assert other.log_odds == pytest.approx(one.log_odds - np.log(2.0), abs=1e-6)
-    assert other.parameters == one.parameters
+def test_prior_odds_are_proportional_to_expected_effects(springy):
+    half = discover(settings=SearchSettings(expected=0.5))
+    (first,), (second,) = springy.effects_, half.effects_
+    assert second.log_odds == pytest.approx(first.log_odds - np.log(2.0), abs=1e-6)
+    assert second.parameters == first.parameters
     assert half.report_.to_dict()["provenance"]["settings"]["search"]["expected"] == 0.5
-    said = text_of(half.report_)
-    assert "candidates, 0.5 is expected a priori" in said
+    text = text_of(half.report_)
+    assert "candidates, 0.5 is expected a priori" in text
 
 
 @pytest.mark.slow
-def test_what_a_name_must_save_and_how_surely(springy):
+def test_min_gain_and_significance_are_required(springy):
     (effect,) = springy.effects_
     for name, value in (
         ("min_gain", 0.5 * (1 + effect.evidence.gain)),
         ("significance", 1.1 * effect.evidence.errors),
     ):
-        loop = close(settings=replace(SearchSettings(), **{name: value}))
+        loop = discover(settings=replace(SearchSettings(), **{name: value}))
         assert loop.effects_ == ()
         (possible,) = loop.possible_
         assert possible.warning not in ("", "undecided")

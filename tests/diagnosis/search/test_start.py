@@ -1,4 +1,4 @@
-"""The same effects from every start: plain friction, order, sample period."""
+"""Results must not depend on the declared friction or the sample period."""
 
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
 STARTS = ((), PLAIN)
 
 
-def lacking():
-    """Friction on both joints, a hump on the second, a spring on the first."""
+def simulated_torque():
+    """Friction on both joints, Stribeck on the second, a spring on the first."""
     return ARM.torque(
         joint_1=lambda r: 0.8 * np.sign(r.v[:, 0]) + 3.0 * r.q[:, 0],
         joint_2=stribeck(1.5),
@@ -23,7 +23,7 @@ def lacking():
 
 @pytest.fixture(scope="module")
 def loops():
-    torque = lacking()
+    torque = simulated_torque()
     return {
         friction: ARM.discover(torque, robot=ARM.robot(friction=friction))
         for friction in STARTS
@@ -33,16 +33,16 @@ def loops():
 # -- starts
 
 
-def test_every_start_finds_the_same(loops):
+def test_result_is_independent_of_declared_friction(loops):
     first, *others = loops.values()
     assert named(first) == [("spring", 0), ("stribeck", 1)]
     for other in others:
         assert named(other) == named(first)
         for name in ("error_plain_", "error_after_", "torque_std_"):
             assert_allclose(getattr(other, name), getattr(first, name), rtol=1e-6)
-        for one, same in zip(first.effects_, other.effects_, strict=True):
-            assert one.parameters == pytest.approx(same.parameters, rel=1e-4)
-            assert one.rivals == same.rivals
+        for effect, match in zip(first.effects_, other.effects_, strict=True):
+            assert effect.parameters == pytest.approx(match.parameters, rel=1e-4)
+            assert effect.rivals == match.rivals
 
 
 def test_plain_terms_are_added_and_not_discovered(loops):
@@ -59,33 +59,33 @@ def test_plain_terms_are_added_and_not_discovered(loops):
     assert (loops[()].error_before_ > 1.5 * loops[()].error_plain_).all()
 
 
-def test_the_three_errors_are_those_of_the_three_models(loops):
-    """Errors of the models on the held-out rows, taken again through `residuals`."""
+def test_errors_match_the_residuals_of_the_models(loops):
+    """Recompute the held-out errors of the models with `residuals`."""
     loop = loops[()]
-    judged = loop.report_.outcome
-    # every row that was not searched, without what is next to the search
-    index = judged.curves["index"]
+    outcome = loop.report_.outcome
+    # Held-out rows without the guard.
+    index = outcome.curves["index"]
     assert index.size > 100
-    torque = lacking()
+    torque = simulated_torque()
     for robot, error in (
         (loop.declared_, loop.error_before_),
         (loop.baseline_, loop.error_plain_),
         (loop.validation_model_, loop.error_after_),
     ):
-        rest = robot.residuals(ARM.position, torque)
-        own = np.isin(rest.index, index)
-        rms = np.sqrt((rest.residual[own] ** 2).mean(axis=0)) / loop.torque_std_
-        # behind another edge of the filter, and standstill counts here
+        residuals = robot.residuals(ARM.position, torque)
+        rows = np.isin(residuals.index, index)
+        rms = np.sqrt((residuals.residual[rows] ** 2).mean(axis=0)) / loop.torque_std_
+        # Other filter edges, and standstill is included here.
         assert_allclose(rms, error, rtol=0.2)
 
 
-# -- what is not the robot's
+# -- errors of the clock
 
 
 @pytest.mark.slow
-def test_a_sample_period_that_is_off_by_two_per_cent_does_not_matter():
-    """Speeds, forces of inertia and the band are off; what the robot has is not."""
-    torque = lacking()
+def test_result_is_robust_to_sample_period_errors():
+    """A wrong sample period scales velocities and accelerations only."""
+    torque = simulated_torque()
     for factor in (0.98, 1.02):
         loop = ARM.discover(torque, robot=ARM.robot(dt=factor * DT))
         assert named(loop) == [("spring", 0), ("stribeck", 1)]

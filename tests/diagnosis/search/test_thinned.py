@@ -1,4 +1,4 @@
-"""What of a long recording the search looks at."""
+"""Subsampling of long recordings in the search."""
 
 import itertools
 from dataclasses import replace
@@ -24,7 +24,7 @@ def moving(n, joints=2):
 
 @pytest.fixture
 def few(monkeypatch):
-    """Let recordings be long from 1500 samples on."""
+    """Subsample recordings of more than 1500 samples."""
     monkeypatch.setattr(_thinned, "_MAX_SAMPLES", 1500)
 
 
@@ -43,41 +43,41 @@ def identifier(recorded):
     )
 
 
-# -- every so many samples
+# -- coarser sampling
 
 
 @pytest.mark.parametrize("every", [2, 5, 10])
-def test_a_coarser_filter_has_the_same_outputs_at_the_same_rows(every):
+def test_coarser_filters_have_the_same_output(every):
     sizes = [700, 726, 727, 728, 1400, 5003]
     edges = np.cumsum([0, *sizes])
     parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     t = 0.001 * np.arange(edges[-1])
     slow = np.sin(2 * np.pi * 1.3 * t) + 0.3 * np.cos(2 * np.pi * 2.9 * t)
-    rows, made = _thinned.coarser_rows(parts, LOWPASS, every)
+    rows, pieces = _thinned.coarser_rows(parts, LOWPASS, every)
     coarser = _thinned.coarser(LOWPASS, every)
-    for part, own in zip(parts, made):
+    for part, cut in zip(parts, pieces):
         n = part.stop - part.start
         expected = part.start + LOWPASS.centres(n)
-        assert_array_equal(rows[own][coarser.centres(own.stop - own.start)], expected)
-        assert rows[own].min(initial=part.start) >= part.start
-        assert rows[own].max(initial=part.start) < part.stop
-        both = LOWPASS(slow[part]), coarser(slow[rows[own]])
-        assert_allclose(*both, atol=2e-3)
+        assert_array_equal(rows[cut][coarser.centres(cut.stop - cut.start)], expected)
+        assert rows[cut].min(initial=part.start) >= part.start
+        assert rows[cut].max(initial=part.start) < part.stop
+        outputs = LOWPASS(slow[part]), coarser(slow[rows[cut]])
+        assert_allclose(*outputs, atol=2e-3)
 
 
-# -- stretches
+# -- segments
 
 
-def test_stretches_do_not_grow_with_the_recording():
+def test_number_of_used_samples_is_bounded():
     counts = []
     for n in (10**6, 4 * 10**6):
         rows, label = _thinned.stretches([slice(0, n)], moving(n), LOWPASS)
         most = _thinned._MAX_SAMPLES * _thinned.stride(LOWPASS)
         assert 0.9 * most < rows.size <= most
         counts.append(label.max())
-        # Each is much longer than the filter that takes its ends.
+        # Each is much longer than the filter.
         assert np.bincount(label).min() > 20 * LOWPASS.half
-        # They lie all over the recording, each in one piece.
+        # They cover the whole recording and are contiguous.
         assert rows[0] < 0.1 * n
         assert rows[-1] > 0.9 * n
         inside = np.diff(label) == 0
@@ -86,14 +86,14 @@ def test_stretches_do_not_grow_with_the_recording():
     assert counts[0] == counts[1]
 
 
-# -- in the loop
+# -- in EffectDiscovery
 
 
-def test_columns_of_fewer_samples_are_nearly_those_of_all(recorded):
+def test_subsampled_columns_are_close_to_full_columns(recorded):
     robot = identifier(recorded).fit(recorded.q, recorded.tau)
-    given = replace(recorded, weight=np.ones(recorded.tau.shape))
-    coarse = RecordingView(robot, given)
-    fine = RecordingView(robot, given, all_samples=True)
+    data = replace(recorded, weight=np.ones(recorded.tau.shape))
+    coarse = RecordingView(robot, data)
+    fine = RecordingView(robot, data, all_samples=True)
     assert coarse.states.shape[0] <= 0.5 * fine.states.shape[0]
     assert_array_equal(coarse.recorded, fine.index)
     assert_array_equal(coarse.clock[coarse.index], fine.clock[fine.index])
@@ -112,25 +112,25 @@ def test_columns_of_fewer_samples_are_nearly_those_of_all(recorded):
 
 
 @pytest.mark.slow
-def test_a_long_recording_has_the_same_name_and_errors_of_all_rows(few, recorded):
+def test_subsampling_keeps_effects_and_errors(few, recorded):
     loop = EffectDiscovery(
         identifier(recorded), effects=["load_friction", "spring"], random_state=0
     )
     thinned = loop.fit(recorded.q, recorded.tau)
     assert [(e.name, e.joint) for e in thinned.effects_] == [("load_friction", 1)]
-    seen = thinned.report_.outcome.provenance["looked_at"]
-    assert 0 < seen < 0.6 * recorded.n_samples
-    said = f"The search used {seen:,} of {recorded.n_samples:,} samples;"
-    assert said in text_of(thinned.report_)
-    assert said in thinned.report_.to_html()
-    # Parameters are those of all rows.
-    whole = identifier(recorded).set_params(effects=[thinned.effects_[0].effect])
-    whole.set_params(cutoff=thinned.identifier_.cutoff_)
+    used = thinned.report_.outcome.provenance["looked_at"]
+    assert 0 < used < 0.6 * recorded.n_samples
+    text = f"The search used {used:,} of {recorded.n_samples:,} samples;"
+    assert text in text_of(thinned.report_)
+    assert text in thinned.report_.to_html()
+    # Parameters are fitted to all rows.
+    full = identifier(recorded).set_params(effects=[thinned.effects_[0].effect])
+    full.set_params(cutoff=thinned.identifier_.cutoff_)
     standstill = thinned.identifier_.standstill_
-    whole.set_params(options=FitOptions(standstill=standstill))
-    whole.fit(recorded.q, recorded.tau)
-    n = [one.estimate_.moments.n for one in (whole, thinned.identifier_)]
+    full.set_params(options=FitOptions(standstill=standstill))
+    full.fit(recorded.q, recorded.tau)
+    n = [x.estimate_.moments.n for x in (full, thinned.identifier_)]
     assert_array_equal(*n)
-    torques = [one.predict(recorded.q) for one in (whole, thinned.identifier_)]
-    apart = np.abs(np.subtract(*torques)).max(axis=0)
-    assert (apart < 1e-3 * torques[0].std(axis=0)).all()
+    torques = [x.predict(recorded.q) for x in (full, thinned.identifier_)]
+    change = np.abs(np.subtract(*torques)).max(axis=0)
+    assert (change < 1e-3 * torques[0].std(axis=0)).all()

@@ -1,4 +1,4 @@
-"""Effects of the geometry that one recording can or cannot tell from each other."""
+"""Geometric effects that are or are not distinguishable in one recording."""
 
 import numpy as np
 import pytest
@@ -14,14 +14,14 @@ VERTICAL, HORIZONTAL = record("ZYX", seed=2), record("YXY", seed=3)
 PARALLEL = record("ZYYX", seed=4)
 
 
-def searched(truth, recording, library=GEOMETRY):
-    recording = with_faults(truth, recording)
+def search_faulty(faults, recording, library=GEOMETRY):
+    recording = with_faults(faults, recording)
     robot = recording.robot(projector=None, input_noise=None)
     return search(recording.torque(), library, recording, robot)
 
 
 def rivals(run):
-    """Names and joints of what would take the place of the only effect."""
+    """Return name and joint of each rival of the only effect."""
     (finding,) = run.findings
     return [(r.name, r.joint) for r in finding.rivals]
 
@@ -29,35 +29,35 @@ def rivals(run):
 @pytest.fixture(scope="module")
 def level():
     """Search a recording without faults."""
-    return searched([], VERTICAL).run()
+    return search_faulty([], VERTICAL).run()
 
 
 @pytest.mark.parametrize("truth", [BaseTilt(0, 0.07, -0.04), JointAxis(0, 0.06, 0.05)])
-def test_a_search_names_the_tilt_and_its_rival(truth):
-    """Of a vertical first joint they are one: the recording cannot say which."""
-    now = searched([truth], VERTICAL).run()
+def test_tilt_and_vertical_axis_error_are_rivals(truth):
+    """For a vertical first joint, tilt and axis error are equivalent."""
+    now = search_faulty([truth], VERTICAL).run()
     assert found(now) == [("base_tilt", 0)]
     assert rivals(now) == [("joint_axis", 0)]
 
 
 @pytest.mark.parametrize("truth", [JointZero(0, 0.06), BaseTilt(0, 0.0, -0.06)])
-def test_the_zero_of_a_horizontal_joint_is_not_told_from_a_tilt(truth):
-    """By a tilt about the joint alone; both are named, in this order or the other."""
-    now = searched([truth], record("YXY", seed=5)).run()
-    told = {*found(now), *rivals(now)}
-    # The axis of the next joint may be as well, where there is one like it.
-    assert {("base_tilt", 0), ("joint_zero", 0)} <= told
+def test_zero_of_a_horizontal_joint_and_tilt_are_rivals(truth):
+    """A tilt about the joint axis equals a zero; either may come first."""
+    now = search_faulty([truth], record("YXY", seed=5)).run()
+    reported = {*found(now), *rivals(now)}
+    # The axis of the next joint may be a rival too.
+    assert {("base_tilt", 0), ("joint_zero", 0)} <= reported
 
 
-def test_a_tilt_about_other_axes_has_no_zero_for_a_rival():
-    now = searched([BaseTilt(0, 0.07, -0.04)], HORIZONTAL).run()
+def test_tilt_about_other_axes_has_no_rival():
+    now = search_faulty([BaseTilt(0, 0.07, -0.04)], HORIZONTAL).run()
     assert found(now) == [("base_tilt", 0)]
     assert rivals(now) == []
 
 
-def test_zeros_of_parallel_joints_are_rivals_or_told_apart():
+def test_zeros_of_parallel_joints():
     truth = JointZero(1, 0.06)
-    now = searched([truth], PARALLEL).run()
+    now = search_faulty([truth], PARALLEL).run()
     ((name, joint),) = found(now)
     assert name == "joint_zero"
     assert joint == truth.joint or ("joint_zero", truth.joint) in rivals(now)
@@ -73,26 +73,26 @@ def test_zeros_of_parallel_joints_are_rivals_or_told_apart():
     ],
     ids=["zero", "axis", "gain", "tilt and zero"],
 )
-def test_a_search_names_what_is_there(truth):
-    now = searched(truth, VERTICAL).run()
+def test_geometric_effects_are_found_with_their_values(truth):
+    now = search_faulty(truth, VERTICAL).run()
     assert sorted(found(now)) == sorted((e.name, e.joint) for e in truth)
     members = {m.effect.key(): i for i, m in enumerate(now.fit.members)}
     for effect in truth:
         i = members[effect.key()]
-        own, step = now.fit.members[i].effect, now.fit.coefficients(i)
-        np.testing.assert_allclose(own.values + step, effect.values, atol=0.02)
+        applied, step = now.fit.members[i].effect, now.fit.coefficients(i)
+        np.testing.assert_allclose(applied.values + step, effect.values, atol=0.02)
 
 
 @pytest.mark.parametrize("effect", [JointZero(0), JointZero(2)])
-def test_what_the_bodies_do_as_well_is_never_offered(level, effect):
-    """The zero of a vertical joint, and of the last one, whose body may be turned."""
+def test_unidentifiable_zeros_are_never_candidates(level, effect):
+    """Zeros of a vertical joint and of the last joint are not identifiable."""
     problem = level.fit.problem
     groups = level.fit.groups(problem.columns(problem.shapes(effect, first=True)))
     evidence = groups.evidence(level.settings.scale)
     assert not evidence.max() > np.log(level.n_candidates) + level.needed
 
 
-def test_an_idle_value_is_chance():
-    """None is named in recordings with nothing missing, whatever their noise."""
+def test_no_geometric_effects_without_faults():
+    """Without faults, no effect is reported for several noise realisations."""
     for seed in range(3):
-        assert searched([], record("ZYX", seed=seed)).run().findings == ()
+        assert search_faulty([], record("ZYX", seed=seed)).run().findings == ()

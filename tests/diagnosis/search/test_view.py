@@ -1,4 +1,4 @@
-"""The recording as the search sees it."""
+"""Filtered and reduced equations of the search."""
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -11,10 +11,10 @@ from tests.diagnosis._recordings import DT
 from tests.diagnosis.search._searches import CLEAN, search
 
 
-def test_columns_pass_the_filter_of_the_torques():
+def test_columns_are_filtered_like_torques():
     torque = CLEAN.torque()
-    now = search(torque, ["coulomb"])
-    view, robot = now.view, now.view.robot
+    problem = search(torque, ["coulomb"])
+    view, robot = problem.view, problem.view.robot
     lowpass = _lowpass.design(DT, robot.cutoff_)
     motion = view.motion(None)
     for effect in (effects.Coulomb(1), effects.Counterbalance(0)):
@@ -29,11 +29,11 @@ def test_columns_pass_the_filter_of_the_torques():
 
 
 def test_whole_robot_effects_have_columns_on_every_joint():
-    now = search(CLEAN.torque(), ["payload"])
+    problem = search(CLEAN.torque(), ["payload"])
     payload = effects.Payload(joint=1, instant=10.0)
-    columns = now.view.columns([payload], now.view.motion(None))
-    assert columns.shape == (2, now.view.index.size, 1, 5)
-    before = CLEAN.t[now.view.index] < 9.0
+    columns = problem.view.columns([payload], problem.view.motion(None))
+    assert columns.shape == (2, problem.view.index.size, 1, 5)
+    before = CLEAN.t[problem.view.index] < 9.0
     assert_array_equal(columns[:, before], 0.0)
     assert np.abs(columns[:, ~before]).max() > 0
 
@@ -68,7 +68,7 @@ def test_reduced_coordinates_give_the_same_torques():
     assert_allclose((root * (Phi @ (back @ u))).T, Z @ u, atol=1e-9)
     assert_array_equal(back[5], 0.0)
     assert_array_equal(known, [False, False, True, True, False, False])
-    # Columns of mean square one, apart from the direction.
+    # The Gram matrix is diagonal.
     G = np.einsum("j,jma,jmb->ab", precision, Z, Z)
     assert_allclose(G, np.diag(np.diagonal(G)), atol=1e-6 * np.diagonal(G).max())
     # Least squares in reduced coordinates is least squares.

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.fit import WIDTH, most_probable
 from sklearn_vbjfa.robot import FitOptions
-from tests.robot.test_drives import ARM, ARMATURE, DT, EXACT, KD, KP, PDDrive, told
+from tests.robot.test_drives import ARM, ARMATURE, DT, EXACT, KD, KP, PDDrive, record
 
 
 def test_the_mode_is_that_of_the_log_normal_density():
@@ -60,7 +60,7 @@ def rotors(model, recording, drive):
 def test_what_torques_do_not_tell_is_near_the_description(factor):
     """Noise that hides a rotor: without the description it would be negative."""
     drive = PDDrive(KP, KD)
-    recording = drive.driven(told(0.008))
+    recording = drive.driven(record(0.008))
     a = recording.states[:, 6:]
     # As if the rotors turned against the joints.
     noise = np.random.default_rng(0).normal(size=a.shape)
@@ -74,7 +74,7 @@ def test_what_torques_do_not_tell_is_near_the_description(factor):
 
 def test_torques_that_tell_a_rotor_are_believed():
     drive = PDDrive(KP, KD)
-    recording = drive.driven(told(0.008))
+    recording = drive.driven(record(0.008))
     found, _ = rotors(described(3 * ARMATURE), recording, drive)
     # That of the first joint is told only together with the inertia about its axis.
     assert_allclose(found[1:], ARMATURE[1:], rtol=1e-3)

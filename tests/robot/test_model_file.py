@@ -1,4 +1,4 @@
-"""Identified robots as files: read back they are the same, and bad files are named."""
+"""Saving and loading of identified robots, and errors for bad files."""
 
 import json
 import os
@@ -31,7 +31,7 @@ DT = 0.01
 
 
 class Stiffening(Effect):
-    """Spring that stiffens, with parameters of all kinds that a file can hold."""
+    """Stiffening spring with parameters of all types that a file can hold."""
 
     name = "stiffening"
     coefficients = ("k3",)
@@ -48,11 +48,11 @@ class Stiffening(Effect):
         return motion.q[:, [self.joint]] ** self.power
 
 
-def fit(recording, signals=None, **given):
-    given = {"friction": ("viscous",), **given}
-    robot = RobotIdentifier(recording.urdf, dt=DT, **given)
-    known = {"groups": recording.groups, "signals": signals}
-    return robot.fit(recording.q, recording.tau, **known)
+def fit(recording, signals=None, **settings):
+    settings = {"friction": ("viscous",), **settings}
+    robot = RobotIdentifier(recording.urdf, dt=DT, **settings)
+    keywords = {"groups": recording.groups, "signals": signals}
+    return robot.fit(recording.q, recording.tau, **keywords)
 
 
 def fitted_plain(recording):
@@ -111,69 +111,69 @@ def saved(identified, tmp_path_factory):
     return path
 
 
-def predicted(robot, X, **given):
-    """Torques, and what was said about them."""
+def predict_noted(robot, X, **options):
+    """Return predicted torques and warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        torque = robot.predict(X, **given)
-    return torque, [str(one.message) for one in caught]
+        torque = robot.predict(X, **options)
+    return torque, [str(warning.message) for warning in caught]
 
 
-def test_the_robot_in_a_file_is_the_fitted_one(fitted, simulated, tmp_path):
-    robot, given = fitted
+def test_loaded_robot_equals_the_fitted_one(fitted, simulated, tmp_path):
+    robot, options = fitted
     path = tmp_path / "robot.json"
     robot.save(path)
-    read = load_identified(path)
-    assert isinstance(read, IdentifiedRobot)
+    loaded = load_identified(path)
+    assert isinstance(loaded, IdentifiedRobot)
     queries = [simulated.states, 1.5 * simulated.states]
     if robot.dt is not None:
         queries.append(simulated.q)
     for X in queries:
         for groups in (None, simulated.groups):
-            known = {"groups": groups} | given
-            expected, said = predicted(robot, X, **known)
-            torque, again = predicted(read, X, **known)
+            keywords = {"groups": groups} | options
+            expected, notes = predict_noted(robot, X, **keywords)
+            torque, other = predict_noted(loaded, X, **keywords)
             np.testing.assert_array_equal(torque, expected)
-            assert again == said
-    again = tmp_path / "again.json"
-    read.save(again)
-    assert again.read_bytes() == path.read_bytes()
+            assert other == notes
+    other = tmp_path / "again.json"
+    loaded.save(other)
+    assert other.read_bytes() == path.read_bytes()
     names = """
         joint_names_ parameter_names_ parameter_units_ theta_ theta_std_ identifiable_
         min_eigenvalues_ noise_floor_ standstill_ cutoff_ dt
     """
     for name in names.split():
-        np.testing.assert_equal(getattr(read, name), getattr(robot, name), name)
-    assert repr(read.effects_) == repr(robot.effects_)
+        np.testing.assert_equal(getattr(loaded, name), getattr(robot, name), name)
+    assert repr(loaded.effects_) == repr(robot.effects_)
     np.testing.assert_equal(
-        [vars(one) for one in read.effect_ranges_],
-        [vars(one) for one in robot.effect_ranges_],
+        [vars(r) for r in loaded.effect_ranges_],
+        [vars(r) for r in robot.effect_ranges_],
     )
     if robot.gains_ is not None:
         for name in ("joint_names", "gain", "std", "reference"):
-            found, expected = (getattr(r.gains_, name) for r in (read, robot))
-            np.testing.assert_array_equal(found, expected)
-        # Not equal as such where something is not known, nan.
-        assert repr(read.gains_.common) == repr(robot.gains_.common)
+            actual, expected = (getattr(r.gains_, name) for r in (loaded, robot))
+            np.testing.assert_array_equal(actual, expected)
+        # Compare texts, as nan is unequal to itself.
+        assert repr(loaded.gains_.common) == repr(robot.gains_.common)
     if (robot.min_eigenvalues_ > 0).all():
         robot.to_urdf(tmp_path / "one.urdf")
-        read.to_urdf(tmp_path / "two.urdf")
+        loaded.to_urdf(tmp_path / "two.urdf")
         written = [(tmp_path / f"{n}.urdf").read_text() for n in ("one", "two")]
         assert written[0] == written[1]
 
 
-def test_an_effect_of_ones_own(simulated, tmp_path):
+def test_custom_effects(simulated, tmp_path):
     effects = [Stiffening(joint=2, power=np.int64(3), label="b", odd=False)]
     robot = fit(simulated, effects=effects)
     path = tmp_path / "robot.json"
     robot.save(path)
     with pytest.raises(ValueError, match=r"effects\[0\]\.name.*effects=\[\.\.\.\]"):
         load_identified(path)
-    read = load_identified(path, effects=[Stiffening])
-    (effect,) = read.effects_
+    loaded = load_identified(path, effects=[Stiffening])
+    (effect,) = loaded.effects_
     assert effect.get_params() == robot.effects_[0].get_params()
     np.testing.assert_array_equal(
-        predicted(read, simulated.q)[0], predicted(robot, simulated.q)[0]
+        predict_noted(loaded, simulated.q)[0], predict_noted(robot, simulated.q)[0]
     )
     robot.effects_[0].set_params(label=object())
     with pytest.raises(ValueError, match="an effect has a parameter that cannot be"):
@@ -181,7 +181,7 @@ def test_an_effect_of_ones_own(simulated, tmp_path):
     assert os.listdir(tmp_path) == ["robot.json"]
 
 
-def test_the_guide_tells_of_all_keys(saved):
+def test_guide_documents_all_keys(saved):
     guide = (Path(__file__).parents[2] / "docs" / "simulation.rst").read_text()
     content = json.loads(saved.read_text())
     for key in [*content, *content["plan"]]:
@@ -192,7 +192,7 @@ def test_the_guide_tells_of_all_keys(saved):
 
 
 def changed(saved, tmp_path, change):
-    """Write another file, its content changed."""
+    """Write a file with changed content."""
     content = json.loads(saved.read_text())
     change(content)
     path = tmp_path / "changed.json"
@@ -219,7 +219,7 @@ def delete(*keys):
 
 
 def nested(depth):
-    """Return lists within lists."""
+    """Return nested lists."""
     value = 0.0
     for _ in range(depth):
         value = [value]
@@ -227,7 +227,7 @@ def nested(depth):
 
 
 def effect(name="ripple", joint=0, **shape):
-    """Describe an effect as a file does."""
+    """Return the entry of an effect in a file."""
     return [{"name": name, "joint": joint, "shape": shape}]
 
 
@@ -275,13 +275,13 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_is_wrong_is_named(case, saved, tmp_path):
+def test_invalid_content_is_named(case, saved, tmp_path):
     change, message = BAD[case]
     path = changed(saved, tmp_path, change)
-    with pytest.raises(ValueError, match=message) as found:
+    with pytest.raises(ValueError, match=message) as caught:
         load_identified(path)
-    assert "changed.json" in str(found.value)
-    assert "\n" not in str(found.value).strip()
+    assert "changed.json" in str(caught.value)
+    assert "\n" not in str(caught.value).strip()
 
 
 @pytest.mark.parametrize(
@@ -297,22 +297,22 @@ def test_what_is_wrong_is_named(case, saved, tmp_path):
         (b"3", "is not an identified robot"),
     ],
 )
-def test_what_is_no_file_of_ours(content, message, tmp_path):
+def test_other_files_are_refused(content, message, tmp_path):
     path = tmp_path / "bad.json"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=message) as found:
+    with pytest.raises(ValueError, match=message) as caught:
         load_identified(path)
-    assert "bad.json" in str(found.value)
+    assert "bad.json" in str(caught.value)
 
 
-def test_no_such_file_and_no_such_folder(identified, tmp_path):
+def test_missing_file_and_missing_folder(identified, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no file .*missing\.json"):
         load_identified(tmp_path / "missing.json")
     with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere"):
         identified.save(tmp_path / "nowhere" / "robot.json")
 
 
-def test_a_file_is_written_as_a_whole(tmp_path, monkeypatch):
+def test_files_are_written_atomically(tmp_path, monkeypatch):
     path = tmp_path / "file.json"
     write_whole(path, "first")
 

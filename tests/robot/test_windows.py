@@ -1,4 +1,4 @@
-"""Windows of a recording: where they begin, their errors, and those that fail."""
+"""Simulated windows of a recording: starts, errors, baselines, bad input."""
 
 from dataclasses import replace
 
@@ -16,13 +16,13 @@ DT = 0.01
 
 @pytest.fixture(scope="module")
 def recording(simulated):
-    """Two motions of the made-up arm, without noise."""
+    """Return two noise-free motions of the simulated arm."""
     return replace(simulated, q=simulated.states[:, :6], tau=simulated.tau_clean)
 
 
 @pytest.fixture(scope="module")
 def robot(recording):
-    """Identify from true states: as good as the truth."""
+    """Identify from true states, nearly exactly."""
     robot = RobotIdentifier(
         recording.urdf, dt=DT, friction=("viscous", "coulomb"), cutoff=None
     )
@@ -30,80 +30,80 @@ def robot(recording):
 
 
 @pytest.fixture(scope="module")
-def found(robot, recording):
+def windows(robot, recording):
     return simulate_windows(
         robot, recording.q, recording.tau, recording.groups, window=0.5
     )
 
 
-def test_windows_follow_one_another_within_recordings(found, recording):
-    rows = found.starts[:, None] + np.arange(51)
+def test_windows_are_consecutive_within_recordings(windows, recording):
+    rows = windows.starts[:, None] + np.arange(51)
     labels = recording.groups[rows]
     assert (labels == labels[:, :1]).all()
-    own = np.diff(found.starts)
+    steps = np.diff(windows.starts)
     same = np.diff(labels[:, 0]) == 0
-    assert (own[same] == 50).all()
+    assert (steps[same] == 50).all()
     for label, part in enumerate(recording.segments):
-        inside = found.starts[labels[:, 0] == label]
-        # Velocities of the very first rows rest on one side only.
-        assert part.start < inside[0] < part.start + 50
-        assert inside[-1] + 2 * 50 >= part.stop - 1
-    np.testing.assert_array_equal(found.positions, recording.q[rows])
-    np.testing.assert_allclose(found.t, DT * rows, atol=1e-12)
+        starts = windows.starts[labels[:, 0] == label]
+        # Velocities of the first rows are one-sided estimates.
+        assert part.start < starts[0] < part.start + 50
+        assert starts[-1] + 2 * 50 >= part.stop - 1
+    np.testing.assert_array_equal(windows.positions, recording.q[rows])
+    np.testing.assert_allclose(windows.t, DT * rows, atol=1e-12)
 
 
 def test_a_window_may_end_in_the_last_row(robot, recording):
-    # Given states are not smoothed, and the windows begin alike in any part.
+    # Given states are not smoothed, so windows start equally in any part.
     def starts(rows):
-        given = recording.states[:rows], recording.tau[:rows]
-        return simulate_windows(robot, *given, window=0.5).starts
+        data = recording.states[:rows], recording.tau[:rows]
+        return simulate_windows(robot, *data, window=0.5).starts
 
     first = starts(400)[0]
     np.testing.assert_array_equal(starts(first + 151), first + np.arange(0, 101, 50))
     np.testing.assert_array_equal(starts(first + 150), first + np.arange(0, 51, 50))
 
 
-def test_a_true_robot_stays_at_the_measured_motion(found):
-    assert not found.failed.any()
-    assert found.failures == {}
-    # Torques go straight between rows, with a jump at every turn; the robot's did not.
-    for rival in (found.rivals["at rest"], found.rivals["constant velocity"]):
-        assert np.median(found.errors) < 0.02 * np.median(rival.errors)
+def test_accurate_robot_follows_the_measured_motion(windows):
+    assert not windows.failed.any()
+    assert windows.failures == {}
+    # Interpolated torques miss the jumps of friction at reversals.
+    for baseline in (windows.rivals["at rest"], windows.rivals["constant velocity"]):
+        assert np.median(windows.errors) < 0.02 * np.median(baseline.errors)
 
 
-def test_errors_are_root_mean_squares_by_hand(found):
-    own = found.simulated[..., :6] - found.positions
-    np.testing.assert_allclose(found.errors, np.sqrt(np.mean(own**2, axis=1)))
+def test_errors_are_root_mean_squares(windows):
+    error = windows.simulated[..., :6] - windows.positions
+    np.testing.assert_allclose(windows.errors, np.sqrt(np.mean(error**2, axis=1)))
 
 
-def test_rivals_stay_and_go_on(found):
-    nv = len(found.joint_names)
-    since = DT * np.arange(51)
-    q0, v0 = np.split(found.start_states, 2, axis=1)
-    stays, goes_on = (
-        found.rivals["at rest"].simulated,
-        found.rivals["constant velocity"].simulated,
+def test_baselines_at_rest_and_at_constant_velocity(windows):
+    nv = len(windows.joint_names)
+    dt = DT * np.arange(51)
+    q0, v0 = np.split(windows.start_states, 2, axis=1)
+    at_rest, moving = (
+        windows.rivals["at rest"].simulated,
+        windows.rivals["constant velocity"].simulated,
     )
-    np.testing.assert_array_equal(stays[..., :nv], np.repeat(q0[:, None], 51, axis=1))
+    np.testing.assert_array_equal(at_rest[..., :nv], np.repeat(q0[:, None], 51, axis=1))
     np.testing.assert_allclose(
-        goes_on[..., :nv], q0[:, None] + since[:, None] * v0[:, None], atol=1e-12
+        moving[..., :nv], q0[:, None] + dt[:, None] * v0[:, None], atol=1e-12
     )
 
 
 def test_clearly_smaller_is_a_test_at_five_per_cent():
     rng = np.random.default_rng(0)
     for n in (4, 40):
-        drawn = rng.normal(size=(n, 4000))
-        rate = clearly_smaller(drawn, np.zeros_like(drawn)).mean()
-        # A little less, as some neighbours are alike by chance.
+        errors = rng.normal(size=(n, 4000))
+        rate = clearly_smaller(errors, np.zeros_like(errors)).mean()
+        # Slightly below 5 % because neighbours correlate by chance.
         assert 0.02 < rate < 0.06
-    # Where neighbours are not alike it is Student's test of pairs.
+    # Without positive correlation it is Student's paired test.
     alternating = np.array([1.0, -0.7, 0.9, -1.1, 1.2, -0.8])
     for shift in np.linspace(-2.0, 2.0, 41):
-        own = alternating + shift
-        p = stats.ttest_1samp(own, 0.0, alternative="less").pvalue
-        assert clearly_smaller(own, np.zeros(6)) == (p < 0.05)
-    # Where they are, it is not taken in by their number.
+        shifted = alternating + shift
+        p = stats.ttest_1samp(shifted, 0.0, alternative="less").pvalue
+        assert clearly_smaller(shifted, np.zeros(6)) == (p < 0.05)
+    # Correlated neighbours do not count as independent.
     slow = np.repeat(rng.normal(size=(20, 2000)), 4, axis=0)
     naive = stats.ttest_1samp(slow, 0.0, alternative="less").pvalue < 0.05
     assert naive.mean() > 0.18
@@ -111,7 +111,7 @@ def test_clearly_smaller_is_a_test_at_five_per_cent():
     assert not clearly_smaller(-np.ones((1, 3)), np.zeros((1, 3))).any()
 
 
-def test_effects_of_time_have_the_clock_of_the_fit(recording):
+def test_time_varying_effects_use_the_clock_of_the_fit(recording):
     robot = RobotIdentifier(
         recording.urdf,
         dt=DT,
@@ -125,9 +125,9 @@ def test_effects_of_time_have_the_clock_of_the_fit(recording):
     tau[:, 1] += drift
     robot.fit(recording.states, tau, groups=recording.groups, t=t)
     late = slice(300, 600)
-    own = recording.q[late], tau[late]
-    right = simulate_windows(robot, *own, t=t[late], window=0.5)
-    wrong = simulate_windows(robot, *own, window=0.5)
+    data = recording.q[late], tau[late]
+    right = simulate_windows(robot, *data, t=t[late], window=0.5)
+    wrong = simulate_windows(robot, *data, window=0.5)
     assert np.median(right.errors[:, 1]) < 0.2 * np.median(wrong.errors[:, 1])
 
 
@@ -144,7 +144,7 @@ def test_effects_of_time_have_the_clock_of_the_fit(recording):
         ({"t": np.zeros(3)}, r"inconsistent numbers of samples: \[3200, 3\]"),
     ],
 )
-def test_what_cannot_be_is_refused(change, message, robot, recording):
-    given = {"X": recording.q, "y": recording.tau, "groups": recording.groups}
+def test_invalid_windows_are_refused(change, message, robot, recording):
+    inputs = {"X": recording.q, "y": recording.tau, "groups": recording.groups}
     with pytest.raises(ValueError, match=message):
-        simulate_windows(robot, **(given | change))
+        simulate_windows(robot, **(inputs | change))

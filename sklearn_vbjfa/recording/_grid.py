@@ -198,10 +198,8 @@ def _check_distinct(files):
                 file = parts[owner[first]][0]
                 ends = file.where(row[first]), file.where(row[last])
                 places.append(f"{file.path}, {' to '.join(ends)}")
-            same = ": the same samples as ".join(places)
-            raise ValueError(
-                f"{same}; delete them in one file, or leave that file out."
-            )
+            at = ": the same samples as ".join(places)
+            raise ValueError(f"{at}; delete them in one file, or leave that file out.")
 
 
 def _segments(file, name):

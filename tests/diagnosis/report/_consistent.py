@@ -1,4 +1,4 @@
-"""What every report must agree on, whatever was found."""
+"""Consistency checks for every report."""
 
 import numpy as np
 
@@ -8,30 +8,30 @@ from tests.diagnosis.report._pages import section_of, text_of
 
 
 def assert_consistent(report):
-    """Odds, intervals, savings, verdict and remedies of a report say the same."""
+    """Check odds, intervals, gains, verdict and remedies against each other."""
     outcome = report.outcome
     effects, possible = (outcome.findings[k] for k in ("effects", "possible"))
     settings = outcome.provenance["settings"]
-    own = settings["search"]
+    search = settings["search"]
     for effect in effects:
-        told = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
-        assert effect.warning == "", told
-        assert effect.probability >= 1 - settings["alpha"] - 1e-12, told
-        assert effect.evidence.errors > own["significance"], told
-        assert effect.evidence.gain > own["min_gain"], told
-        assert _is_known(effect), f"{told}, {effect.intervals}"
+        text = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
+        assert effect.warning == "", text
+        assert effect.probability >= 1 - settings["alpha"] - 1e-12, text
+        assert effect.evidence.errors > search["significance"], text
+        assert effect.evidence.gain > search["min_gain"], text
+        assert _is_known(effect), f"{text}, {effect.intervals}"
     for effect in possible:
-        told = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
-        assert effect.warning, told
-        assert effect.evidence.probability >= own["min_probability"], told
+        text = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
+        assert effect.warning, text
+        assert effect.evidence.probability >= search["min_probability"], text
     for effect in (*effects, *possible):
         _assert_values(effect)
         assert settings["n_candidates"] > 0
     keys = {_key(effect) for effect in (*effects, *possible)}
     assert len(keys) == len(effects) + len(possible)
-    told = set(_facts.remedies(outcome))
-    without = {(e.name, e.joint) for e in possible}
-    assert not told & without, f"to be corrected on a possible: {told & without}"
+    text = set(_facts.remedies(outcome))
+    uncertain = {(e.name, e.joint) for e in possible}
+    assert not text & uncertain, f"to be corrected on a possible: {text & uncertain}"
     _assert_words(report)
 
 
@@ -40,7 +40,7 @@ def _key(effect):
 
 
 def _is_known(effect):
-    """Whether one value is away from the one that does nothing, beyond its interval."""
+    """Whether the interval of one parameter excludes its neutral value."""
     idle, shape = {}, set()
     if effect.effect is not None:
         shape = set(effect.effect.shape())
@@ -48,8 +48,8 @@ def _is_known(effect):
             idle = dict(zip(effect.effect.coefficients, effect.effect.nominal))
     ends = {k: v for k, v in effect.intervals.items() if k not in shape}
     ends = ends or effect.intervals
-    # What has no interval at all says nothing of its value, and with a shape that was
-    # tuned values may be known as products only.
+    # Parameters may have no interval. With a tuned shape, only products of parameters
+    # may be identifiable.
     return (
         not ends
         or bool(shape & effect.intervals.keys())
@@ -61,21 +61,21 @@ def _is_known(effect):
 
 
 def _assert_values(effect):
-    """Intervals are finite, and around values that are told."""
+    """Intervals are finite and contain the reported values."""
     for key, (low, high) in effect.intervals.items():
         assert np.isfinite([low, high]).all(), key
         assert low <= effect.parameters[key] <= high, key
 
 
 def _assert_words(report):
-    """Compare what is printed with what was computed."""
+    """Compare the printed report with the outcome."""
     findings, data = report.outcome.findings, report.to_dict()
     page = text_of(report)
     for key in ("effects", "possible"):
         effects = findings[key]
-        for told, effect in zip(data[key], effects, strict=True):
-            assert told["log_odds"] == effect.log_odds
-            assert told["probability"] == effect.probability
+        for saved, effect in zip(data[key], effects, strict=True):
+            assert saved["log_odds"] == effect.log_odds
+            assert saved["probability"] == effect.probability
     for effect in findings["effects"]:
         odds = words.odds_text(effect.log_odds)
         gain = words.whole_percent(effect.evidence.gain)

@@ -1,4 +1,4 @@
-"""Outcomes of searches that never ran, for reports."""
+"""Synthetic outcomes for reports."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ from sklearn_vbjfa.effects import Effect, resolve
 from sklearn_vbjfa.inspection import ChannelFinding
 
 EVIDENCE = Evidence(log_odds=8.2, gain=0.46, gain_std=0.04, errors=11.0, n_blocks=52)
-# Of probability 80 %, and of one that is sure and chance on other stretches.
+# Probability 80 %, not significant in cross-validation.
 POSSIBLE = Evidence(log_odds=1.386, gain=0.02, gain_std=0.02, errors=1.7, n_blocks=52)
 KINDS = (
     ("load_friction", {"mu": 0.112}, {"mu": ""}, ("maxwell_slip",)),
@@ -66,7 +66,7 @@ def make_effect(i, joint, names):
 
 
 def make_possible(i, joint, names, warning=UNDECIDED, evidence=POSSIBLE):
-    """Make an effect without a name, whose values may all be zero."""
+    """Make a possible effect, whose intervals contain zero."""
     effect = make_effect(i, joint, names)
     wide = {k: (low - high, 2 * high) for k, (low, high) in effect.intervals.items()}
     return dataclasses.replace(
@@ -90,7 +90,7 @@ SETTINGS = {
 
 
 def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
-    """Make an outcome; changes: columns of the errors, parts of the other fields."""
+    """Make an outcome; `changes`: columns of the errors, entries of other fields."""
     names = names or tuple(f"joint{j + 1}" for j in range(nv))
     effects = tuple(make_effect(i, (i + 1) % nv, names) for i in range(n_effects))
     effects = changes.pop("effects", effects)
@@ -108,7 +108,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
     columns |= {k: changes.pop(k) for k in COLUMNS if k in changes}
     intervals = changes.pop("intervals", intervals)
     if not changes.get("added"):
-        # All plain terms were declared.
+        # All baseline friction terms are declared.
         columns["plain"] = columns["before"]
         if "difference" in intervals:
             intervals |= {"added": intervals["difference"]}
@@ -178,8 +178,8 @@ def make_unexplained(j, names):
         Dependence(signal=f"speed of {names[-1]}", share=0.31, p_value=1e-7),
         Dependence(signal="time", share=0.08, p_value=1e-4),
     )
-    known = {"joint": j, "joint_name": names[j], "signals": signals}
-    return Unexplained(rms=0.5, floor=0.25, of_torque=0.043, **known)
+    keywords = {"joint": j, "joint_name": names[j], "signals": signals}
+    return Unexplained(rms=0.5, floor=0.25, of_torque=0.043, **keywords)
 
 
 def make_hidden(names):
@@ -189,17 +189,17 @@ def make_hidden(names):
             ("counterbalance", "excitation", ""),
             ("drift", "signal", "needs time stamps"),
         ):
-            known = {"name": name, "joint": j, "joint_name": joint_name}
-            yield NotIdentifiable(reason=reason, remedy=remedy, **known)
+            keywords = {"name": name, "joint": j, "joint_name": joint_name}
+            yield NotIdentifiable(reason=reason, remedy=remedy, **keywords)
 
 
 def changed(outcome, **changes):
-    """Replace columns of the errors, findings, and entries of the other fields."""
+    """Replace columns of the errors and entries of other fields."""
     errors, fields = list(outcome.errors), {}
     for name in ("findings", "robot", "provenance"):
-        own = changes.pop(name, getattr(outcome, name))
-        new = {k: changes.pop(k) for k in set(own) & set(changes)}
-        fields[name] = own | new
+        old = changes.pop(name, getattr(outcome, name))
+        new = {k: changes.pop(k) for k in set(old) & set(changes)}
+        fields[name] = old | new
     for name in set(changes) & set(COLUMNS):
         values = np.broadcast_to(changes.pop(name), len(errors)).tolist()
         errors = [dataclasses.replace(e, **{name: x}) for e, x in zip(errors, values)]

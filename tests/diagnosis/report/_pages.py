@@ -1,4 +1,4 @@
-"""Pages of outcomes that were never measured, and how they are read."""
+"""Synthetic outcomes with curves, and parsers of report pages."""
 
 import re
 from dataclasses import replace
@@ -16,7 +16,7 @@ FILES = ("report.json", "parameters.csv", "identified.urdf")
 
 
 def made(nv=3, names=None, n_effects=2, **changes):
-    """Make an outcome with all that a page draws."""
+    """Make an outcome with curves, parameters and provenance."""
     outcome = make_outcome(nv=nv, names=names, n_effects=n_effects)
     names, effects = outcome.robot["joints"], outcome.findings["effects"]
     rng = np.random.default_rng(0)
@@ -96,8 +96,8 @@ def make_mass(name, mass, described, source, std=np.inf):
     )
 
 
-def figures(html):
-    return re.findall(r'<figure class="wide"[^>]*>.*?</figure>', html, re.DOTALL)
+def figures(page):
+    return re.findall(r'<figure class="wide"[^>]*>.*?</figure>', page, re.DOTALL)
 
 
 class _Page(HTMLParser):
@@ -125,22 +125,22 @@ def parsed(html):
 
 
 def line_of(report):
-    """Return the text of a terminal in one line."""
+    """Return the terminal text in one line."""
     return " ".join(str(report).split())
 
 
 def text_of(report):
-    """Return what is read on the page of a report, in one line."""
+    """Return the text of the page in one line."""
     html = re.sub(r"<(style|script)\b.*?</\1>", "", report.to_html(), flags=re.DOTALL)
     text = unescape(re.sub("<[^>]*>", " ", html)).replace("±", "+-")
     return " ".join(text.split())
 
 
 def section_of(report, heading):
-    """Return what is read below a heading of a page; empty without it."""
+    """Return the text of a section of the page; empty if it does not exist."""
     html = report.to_html()
-    found = re.search(rf"<h2[^>]*>{heading}</h2>(.*?)(?=<h2|</main>)", html, re.DOTALL)
-    if found is None:
+    part = re.search(rf"<h2[^>]*>{heading}</h2>(.*?)(?=<h2|</main>)", html, re.DOTALL)
+    if part is None:
         return ""
-    text = unescape(re.sub("<[^>]*>", " ", found[1])).replace("±", "+-")
+    text = unescape(re.sub("<[^>]*>", " ", part[1])).replace("±", "+-")
     return " ".join(text.split())

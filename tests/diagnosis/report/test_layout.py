@@ -1,4 +1,4 @@
-"""A browser draws the page without errors and without overflow, if one is installed."""
+"""Rendering of the page in a browser, if one is installed."""
 
 import json
 import re
@@ -11,8 +11,7 @@ from sklearn_vbjfa.diagnosis import Report
 from tests.diagnosis.report._pages import made
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
-# What a page says of itself once it is drawn: the errors of its scripts, what reaches
-# beyond the window, and pictures that are empty.
+# Script that reports script errors, elements beyond the window and empty charts.
 PROBE = """
 <script>
 window.addEventListener("load", async function () {
@@ -47,8 +46,8 @@ window.addEventListener("load", async function () {
 </script>
 </body>
 """
-# A window is at least 500 px wide; what it frames may be narrower. Its answer is passed
-# on by a message, since files may not look into each other.
+# Windows are at least 500 px wide, so that narrower pages need a frame. The result is
+# sent as a message, since local files cannot access each other.
 FRAME = """<!DOCTYPE html>
 <iframe src="report.html" style="width:{width}px;height:900px;border:0"></iframe>
 <script>
@@ -69,14 +68,14 @@ window.addEventListener("error", function (e) { window.failures.push(e.message);
 
 
 def browse(path, *options):
-    """Run a browser without a window on a page; skip where there is none."""
+    """Run a headless browser on a page; skip if none is installed."""
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         pytest.skip(f"none of {', '.join(BROWSERS)} is installed")
-    own = ["--headless=new", "--no-sandbox", "--disable-gpu"]
-    own.append(f"--user-data-dir={path.parent / 'profile'}")
+    flags = ["--headless=new", "--no-sandbox", "--disable-gpu"]
+    flags.append(f"--user-data-dir={path.parent / 'profile'}")
     return subprocess.run(
-        [browser, *own, *options, path.as_uri()],
+        [browser, *flags, *options, path.as_uri()],
         capture_output=True,
         text=True,
         timeout=300,
@@ -85,7 +84,7 @@ def browse(path, *options):
 
 
 def pages():
-    """Pages of a few joints, and of many with long names."""
+    """Render pages with few joints, and with many joints of long names."""
     names = tuple(f"left_arm_shoulder_{'pitch' * 6}_joint_{j}" for j in range(7))
     return {
         "three joints": Report(made(nv=3, n_effects=3)).to_html(),
@@ -101,9 +100,7 @@ def html(request):
 @pytest.mark.slow
 @pytest.mark.parametrize("look", ["light", "dark"])
 @pytest.mark.parametrize("width", [400, 1000, 1600])
-def test_a_browser_draws_the_page_without_errors_or_overflow(
-    html, width, look, tmp_path
-):
+def test_page_renders_without_errors_or_overflow(html, width, look, tmp_path):
     text = html.replace("<head>\n", FAILURES, 1).replace("</body>\n", PROBE, 1)
     (tmp_path / "report.html").write_text(text, encoding="utf-8")
     frame = tmp_path / "frame.html"
@@ -115,11 +112,11 @@ def test_a_browser_draws_the_page_without_errors_or_overflow(
         "--virtual-time-budget=5000",
         "--dump-dom",
     )
-    told = json.loads(re.search(r'<pre id="probe">(.*?)</pre>', run.stdout)[1])
-    assert told["errors"] == []
-    assert told["width"] == width
-    assert told["wide"] == []
-    assert told["named"] == 0, "cells with a name and nothing behind it"
-    assert told["scroll"] <= told["width"]
-    assert told["charts"] == html.count('<div class="chart"')
-    assert told["empty"] == 0
+    probe = json.loads(re.search(r'<pre id="probe">(.*?)</pre>', run.stdout)[1])
+    assert probe["errors"] == []
+    assert probe["width"] == width
+    assert probe["wide"] == []
+    assert probe["named"] == 0, "cells with a name and nothing behind it"
+    assert probe["scroll"] <= probe["width"]
+    assert probe["charts"] == html.count('<div class="chart"')
+    assert probe["empty"] == 0

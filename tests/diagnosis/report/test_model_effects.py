@@ -1,4 +1,4 @@
-"""Effects of the robot model: in degrees, mm and per cent, and what to correct."""
+"""Corrections of the robot model: values with units, and remedies."""
 
 from dataclasses import replace
 
@@ -16,8 +16,8 @@ NAMES = tuple(f"joint_{j + 1}" for j in range(6))
 MISSING = "Effects that were missing"
 
 
-def found(effect, values, half, trials=()):
-    """Make a finding with values in SI units, each known to `half`."""
+def discovered(effect, values, half, trials=()):
+    """Make an effect with values in SI units and intervals of half-width `half`."""
     units = effect.parameter_units()
     return DiscoveredEffect(
         name=effect.name,
@@ -37,24 +37,24 @@ def degrees(*angles):
     return tuple(float(np.deg2rad(angle)) for angle in angles)
 
 
-TILT = found(
+TILT = discovered(
     BaseTilt(),
     dict(zip(("roll", "pitch"), degrees(4.0, 2.0))),
     np.deg2rad(0.02),
     make_trials(0, ("joint_axis",)),
 )
-ZERO = found(
+ZERO = discovered(
     JointZero(2),
     {"zero": np.deg2rad(4.04)},
     np.deg2rad(0.06),
     make_trials(4, ("joint_axis",)),
 )
-AXIS = found(
+AXIS = discovered(
     JointAxis(3),
     dict(zip(("about_x", "about_y"), degrees(3.0, -0.5))),
     np.deg2rad(0.1),
 )
-GAIN = found(TorqueGain(1), {"gain": 1.148}, 0.002)
+GAIN = discovered(TorqueGain(1), {"gain": 1.148}, 0.002)
 VALUES = {
     "base_tilt": {
         "roll": 4.0,
@@ -79,7 +79,7 @@ VALUES = {
 
 
 def correction(effect):
-    """Correction of the robot that an effect asks for."""
+    """Correction of the robot that belongs to an effect."""
     return Correction(
         name=effect.name,
         joint=effect.joint,
@@ -89,15 +89,15 @@ def correction(effect):
 
 
 def report_of(*effects, **changes):
-    """Report of a robot with these effects and no other."""
-    given = {
+    """Report of a robot with these effects only."""
+    defaults = {
         "effects": effects,
         "corrections": tuple(map(correction, effects)),
         "names": NAMES,
         "not_identifiable": (),
         "channels": (),
     }
-    return Report(make_outcome(**(given | changes)))
+    return Report(make_outcome(**(defaults | changes)))
 
 
 @pytest.mark.parametrize(
@@ -116,35 +116,35 @@ def test_effects_have_values_and_remedies(effect, values, remedy):
         assert value in line_of(report)
         assert value in text_of(report)
     assert remedy in section_of(report, "Next steps")
-    # One that was declared is to be corrected as well, and is not missing.
+    # A declared effect also has a remedy, but is not listed as missing.
     declared = report_of(effects=(), corrections=report.outcome.robot["corrections"])
     assert remedy in section_of(declared, "Next steps")
     assert section_of(declared, MISSING) == ""
-    # One that is only possible is not corrected.
-    known = {"effects": (), "possible": (replace(effect, warning="undecided"),)}
-    assert remedy not in text_of(report_of(effect, **known))
+    # A possible effect has no remedy.
+    changes = {"effects": (), "possible": (replace(effect, warning="undecided"),)}
+    assert remedy not in text_of(report_of(effect, **changes))
 
 
 @pytest.mark.parametrize("declared", [ZERO, AXIS, GAIN, TILT])
-def test_nothing_is_to_be_corrected_that_may_be_nothing(declared):
-    """Of declared effects: those that are found have values away from nothing."""
+def test_insignificant_corrections_are_not_suggested(declared):
+    """Declared effects have a remedy only if their interval excludes zero."""
     joint = "" if declared is TILT else f"{NAMES[declared.joint]}:"
 
-    def shown(reach):
+    def text(half):
         values = tuple(
             Fact(
                 kind="parameter",
                 name=f"{joint}{declared.name}:{name}",
                 joint=declared.joint,
                 value=value,
-                interval=(value - reach, value + reach),
+                interval=(value - half, value + half),
             )
             for name, value in declared.parameters.items()
         )
         return str(report_of(declared, effects=(), facts=values))
 
-    assert "To correct: " in shown(0.001)
-    assert "To correct: " not in shown(1.0)
+    assert "To correct: " in text(0.001)
+    assert "To correct: " not in text(1.0)
     assert "To correct: " not in str(Report(make_outcome()))
 
 
@@ -154,15 +154,15 @@ def test_a_tilt_belongs_to_no_joint():
     assert "tilted base on joint" not in text_of(report).lower()
 
 
-def test_rivals_of_other_joints_are_named_with_them():
+def test_rivals_are_named_with_their_joints():
     text = text_of(report_of(ZERO))
     assert "turned joint axis on joint 5" in text
     for effect in (JointZero, JointAxis):
         assert f"{effect.record} (joint 3)" in text
 
 
-def test_values_below_and_of_sliders():
-    low = found(TorqueGain(1), {"gain": 0.93}, 0.004)
+def test_gains_below_one_and_prismatic_zeros():
+    low = discovered(TorqueGain(1), {"gain": 0.93}, 0.004)
     assert "7.0 +- 0.4 % too little" in str(report_of(low))
     slide = replace(ZERO, parameters={"zero": 0.0123}, units={"zero": "m"})
     slide = replace(slide, intervals={"zero": (0.0118, 0.0128)})
@@ -171,22 +171,22 @@ def test_values_below_and_of_sliders():
 
 def test_values_in_both_units():
     report = report_of(TILT, ZERO, AXIS, GAIN)
-    shown = section_of(report, "Next steps")
-    assert "roll 4.00 +- 0.02 degrees" in shown
-    assert "roll = 0.0698 +- 0.0003 rad" in shown
+    steps = section_of(report, "Next steps")
+    assert "roll 4.00 +- 0.02 degrees" in steps
+    assert "roll = 0.0698 +- 0.0003 rad" in steps
     data = report.to_dict()
     tilt = data["effects"][0]
     assert tilt["parameters"]["roll"] == np.deg2rad(4.0)
     assert tilt["scope"] == "robot"
     listed = data["robot"]["corrections"]
-    tilt, zero, axis, gain = (one["values"] for one in listed)
+    tilt, zero, axis, gain = (x["values"] for x in listed)
     assert tilt["lean_degrees"] == [-4.0, -1.995, 0.14]
     assert zero["subtract"] == ZERO.parameters["zero"]
     assert axis["new_rpy"] == [0.05, 1.5, 0.1]
     assert gain["gain"] == 1.148
 
 
-# -- what is hidden
+# -- effects that are not identifiable
 
 
 def hidden(name, joints, reason, remedy=""):
@@ -199,7 +199,7 @@ def hidden(name, joints, reason, remedy=""):
 
 
 @pytest.mark.parametrize(
-    ("given", "facts"),
+    ("effects", "facts"),
     [
         (hidden("joint_zero", (0, 5), "span"), ("zero on joints 1 and 6",)),
         (
@@ -210,9 +210,9 @@ def hidden(name, joints, reason, remedy=""):
         (hidden("torque_gain", range(6), "excitation", "x"), ("on all joints",)),
     ],
 )
-def test_what_is_hidden_is_named(given, facts):
-    shown = section_of(
-        report_of(not_identifiable=given), "Not identifiable from this recording"
+def test_hidden_effects_are_listed(effects, facts):
+    text = section_of(
+        report_of(not_identifiable=effects), "Not identifiable from this recording"
     )
     for fact in facts:
-        assert fact in shown
+        assert fact in text

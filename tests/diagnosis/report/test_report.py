@@ -1,4 +1,4 @@
-"""Reports: status, headline, terminal text and dictionary of made-up outcomes."""
+"""Status, headline, terminal text and dictionary of synthetic outcomes."""
 
 import json
 from dataclasses import replace
@@ -79,12 +79,12 @@ def test_status(status):
         assert good or "the residual is" not in text
 
 
-def test_what_is_no_change_of_status():
-    # An interval that reaches below the floor is no sign of more.
+def test_insignificant_differences_keep_the_status():
+    # An interval that includes the noise floor is not significant.
     unsure = {"after": np.array([0.8 * FLOOR, 3.0 * FLOOR])}
     double = {"before": 3 * FLOOR, "after": 2 * FLOOR}
     assert Report(make_outcome(**double, intervals=unsure)).status == "complete"
-    # A refit moves the errors of all joints a little, and paired blocks notice.
+    # A refit changes all errors slightly, and paired blocks make that significant.
     before = make_outcome(n_effects=1).column("before")
     sure = {"difference": np.array([0.005, 0.015])[:, None] * before}
     report = Report(make_outcome(n_effects=1, after=1.01 * before, intervals=sure))
@@ -114,7 +114,7 @@ def test_each_joint_has_a_verdict():
     kinds = ["floor", "failed", "few", "unsearched"]
     assert [v.status for v in report.joints] == kinds
     assert "0.31 s" in report.joints[2].text
-    # A joint that is judged by a handful of rows is not part of the mean.
+    # Joints with too few samples are not part of the mean.
     mean = words.percent(after[[0, 1, 3]].mean())
     assert f"data {mean}" in report.verdict
 
@@ -130,7 +130,7 @@ def test_a_faulty_channel_comes_first():
         assert page.index(message) < page.index("Error of each joint")
 
 
-def test_plain_terms_have_an_error_of_their_own():
+def test_error_of_the_baseline_is_reported():
     outcome = make_outcome(nv=2, n_effects=1)
     plain = np.sqrt(outcome.column("before") * outcome.column("after"))
     added = ("offset", "rotor_inertia")
@@ -145,7 +145,7 @@ def test_plain_terms_have_an_error_of_their_own():
     assert "four plain" not in text_of(Report(outcome))
 
 
-# -- a terminal
+# -- terminal text
 
 
 def test_text_fits_a_terminal(outcome):
@@ -158,7 +158,7 @@ def test_text_fits_a_terminal(outcome):
     assert len(repr(report)) < 100
 
 
-def test_a_terminal_has_room_for_few_effects_and_the_page_for_all_joints():
+def test_terminal_text_is_truncated_and_the_page_is_complete():
     effects = tuple(make_effect(i, i % 6, NAMES) for i in range(12))
     few, many = (
         str(Report(make_outcome(effects=effects[:count]))).splitlines()
@@ -176,13 +176,13 @@ def test_a_terminal_has_room_for_few_effects_and_the_page_for_all_joints():
         assert verdict.text in text_of(report)
 
 
-def test_an_effect_of_unknown_size_is_told():
+def test_effects_of_undetermined_form_are_marked():
     (effect,) = make_outcome(nv=3, n_effects=1).findings["effects"]
-    known = {"parameters": {"A": 0.8}, "units": {"A": "N m"}, "name": "ripple"}
-    for low, told in ((0.2, False), (-0.2, True)):
-        one = replace(effect, **known, intervals={"A": (low, 1.4)})
+    keywords = {"parameters": {"A": 0.8}, "units": {"A": "N m"}, "name": "ripple"}
+    for low, expected in ((0.2, False), (-0.2, True)):
+        one = replace(effect, **keywords, intervals={"A": (low, 1.4)})
         text = line_of(Report(make_outcome(effects=(one,))))
-        assert ("its form is not determined" in text) == told
+        assert ("its form is not determined" in text) == expected
 
 
 def test_a_wrong_gain_of_a_control_law_forbids_its_use():
@@ -194,10 +194,10 @@ def test_a_wrong_gain_of_a_control_law_forbids_its_use():
         assert ("gains of the drive need correction" in line_of(report)) == wrong
 
 
-@pytest.mark.parametrize("shown", [line_of, text_of])
-def test_an_effect_has_value_gain_odds_and_rivals(shown):
-    text = shown(Report(make_outcome(nv=3, n_effects=1)))
-    for said in (
+@pytest.mark.parametrize("render", [line_of, text_of])
+def test_an_effect_has_value_gain_odds_and_rivals(render):
+    text = render(Report(make_outcome(nv=3, n_effects=1)))
+    for fact in (
         "load-dependent friction",
         "joint 2",
         "mu = 0.112 +- 0.011",
@@ -205,24 +205,24 @@ def test_an_effect_has_value_gain_odds_and_rivals(shown):
         "3600 : 1",
         "friction with memory",
     ):
-        assert said in text
+        assert fact in text
 
 
 def test_rows_of_the_error_table():
     outcome = make_outcome(nv=3, n_effects=0)
     after = outcome.column("after") * np.array([1.0, 3.0, 0.3])
     report = Report(changed(outcome, after=after))
-    # The largest error comes first, on the page as well.
+    # Rows are sorted by error, also on the page.
     first = [x[:7] for x in str(report).splitlines() if x.startswith("joint ")]
     assert first == ["joint 2", "joint 1", "joint 3"]
     table = section_of(report, "Error of each joint on held-out data")
     assert table.index("joint 2") < table.index("joint 1") < table.index("joint 3")
-    # In N m as well.
+    # Also in N m.
     size = f"{outcome.errors[0].after * outcome.errors[0].spread:.2g}"
     assert size in line_of(report)
 
 
-# -- effects that are only possible
+# -- possible effects
 
 
 @pytest.fixture(name="open_question")
@@ -235,15 +235,15 @@ def fixture_open_question():
     return make_outcome(n_effects=1, possible=possible)
 
 
-def test_possible_effects_have_a_reason_and_no_name(open_question):
+def test_possible_effects_have_a_reason(open_question):
     report = Report(open_question)
     without = Report(changed(open_question, possible=()))
     assert report.headline == without.headline
     assert report.status == without.status
     assert "torque ripple on joint 4 (undecided)" in str(report)
-    shown = section_of(report, "Possible effects")
-    for said in ("undecided", SMALL, "joint 4", "joint 5"):
-        assert said in shown
+    text = section_of(report, "Possible effects")
+    for fact in ("undecided", SMALL, "joint 4", "joint 5"):
+        assert fact in text
     data = report.to_dict()
     assert [e["warning"] for e in data["effects"]] == [""]
     assert [e["warning"] for e in data["possible"]] == ["undecided", SMALL]
@@ -252,21 +252,21 @@ def test_possible_effects_have_a_reason_and_no_name(open_question):
     assert section_of(without, "Possible effects") == ""
 
 
-def test_with_possible_effects_nothing_is_not_said_to_be_missing():
+def test_possible_effects_prevent_the_verdict_nothing_is_missing():
     outcome = make_outcome(n_effects=0, possible=(make_possible(2, 3, NAMES),))
     after = outcome.column("after")
     report = Report(changed(outcome, before=3 * after, plain=3 * after))
     assert report.status == "nothing"
     assert "othing is missing" not in report.headline
     assert "torque ripple on joint 4" in report.headline
-    # The errors are those of the models with and without it.
+    # Errors of the models with and without the effect.
     for error in (after, 3 * after):
         assert words.percent(error.mean()) in report.verdict
     worse = Report(changed(outcome, before=0.5 * after, intervals={}))
     assert worse.status == "worse"
 
 
-# -- effects of one's own
+# -- custom effects
 
 
 class Gasket(Effect):
@@ -285,22 +285,22 @@ class Hose(Effect):
     record = "the same motion without the hose pack"
 
 
-@pytest.mark.parametrize("shown", [line_of, text_of])
-def test_an_effect_of_ones_own_is_called_by_the_label_of_its_class(shown):
+@pytest.mark.parametrize("render", [line_of, text_of])
+def test_custom_effects_are_named_by_their_label(render):
     trials = make_trials(0, (Hose.name,))
-    found = replace(make_effect(0, 0, NAMES), name=Gasket.name, trials=trials)
+    match = replace(make_effect(0, 0, NAMES), name=Gasket.name, trials=trials)
     hidden = NotIdentifiable(
         name=Hose.name, joint=2, joint_name=NAMES[2], reason="excitation", remedy="?"
     )
     outcome = make_outcome(
         nv=6,
-        effects=(found,),
+        effects=(match,),
         not_identifiable=(hidden,),
         library={effect.name: effect for effect in (Gasket(), Hose())},
     )
-    text = shown(Report(outcome))
-    for said in (Gasket.label, Hose.label, f"{Gasket.record} (joint 1)"):
-        assert said in text
+    text = render(Report(outcome))
+    for label in (Gasket.label, Hose.label, f"{Gasket.record} (joint 1)"):
+        assert label in text
     assert "own gasket" not in text
     assert "own hose" not in text
 
@@ -308,19 +308,19 @@ def test_an_effect_of_ones_own_is_called_by_the_label_of_its_class(shown):
 # -- the dictionary
 
 
-def test_the_dictionary_is_json(outcome):
+def test_dictionary_is_valid_json(outcome):
     data = Report(outcome).to_dict()
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     assert "curves" not in data
     assert "library" not in data["robot"]
     assert len(data["effects"]) == len(outcome.findings["effects"])
-    assert [one["name"] for one in data["errors"]] == list(outcome.robot["joints"])
-    for j, one in enumerate(data["errors"]):
-        assert one["before"] == outcome.errors[j].before
-        assert one["intervals"]["after"][1] == pytest.approx(1.1 * one["after"])
+    assert [row["name"] for row in data["errors"]] == list(outcome.robot["joints"])
+    for j, row in enumerate(data["errors"]):
+        assert row["before"] == outcome.errors[j].before
+        assert row["intervals"]["after"][1] == pytest.approx(1.1 * row["after"])
 
 
-def test_the_dictionary_has_the_effect_and_no_nan():
+def test_dictionary_replaces_nan_by_none():
     effect = replace(make_effect(0, 0, ("a",)), effect=Coulomb(joint=0))
     values = {"floor": np.array([np.nan]), "effects": (effect,)}
     data = Report(make_outcome(nv=1, **values)).to_dict()
@@ -343,7 +343,7 @@ def test_the_dictionary_has_the_effect_and_no_nan():
         (np.nan, (0.0, 1.0), "s", "? s"),
     ],
 )
-def test_values_are_rounded_to_what_the_interval_means(value, interval, unit, expected):
+def test_values_are_rounded_by_their_interval(value, interval, unit, expected):
     assert words.with_error(value, interval, unit) == expected
 
 
@@ -358,14 +358,14 @@ def test_values_are_rounded_to_what_the_interval_means(value, interval, unit, ex
         ("", "joint 2"),
     ],
 )
-def test_joints_are_counted_from_one_or_named(name, expected):
+def test_joint_labels(name, expected):
     assert words.joint_label(("first", name), 1) == expected
 
 
-# -- sentences that must not say too much
+# -- wording
 
 
-def test_without_a_search_nothing_is_said_of_what_is_missing():
+def test_headline_without_a_search():
     for status in ({}, {"unexplained": (1,)}):
         outcome = make_outcome(n_effects=0, channels=(), **status)
         settings = outcome.provenance["settings"] | {"effects": ()}
@@ -374,5 +374,5 @@ def test_without_a_search_nothing_is_said_of_what_is_missing():
         assert "missing" not in headline
 
 
-def test_what_an_effect_saves_has_its_interval_of_90_percent():
+def test_gain_has_a_90_percent_interval():
     assert "46 % (39 to 53 %)" in text_of(Report(make_outcome()))

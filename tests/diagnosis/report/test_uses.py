@@ -1,4 +1,4 @@
-"""What a result can be used for agrees with the verdicts on the joints."""
+"""Allowed uses of a result, consistent with the verdicts on the joints."""
 
 from dataclasses import replace
 
@@ -12,28 +12,28 @@ from tests.diagnosis.report._pages import line_of, make_mass
 from tests.diagnosis.report.test_report import STATUS
 
 
-def of(report):
-    return {one.name: one.allowed for one in report.uses}
+def allowed_uses(report):
+    return {use.name: use.allowed for use in report.uses}
 
 
-def test_at_the_noise_floor_torques_can_be_used_for_everything():
+def test_all_uses_are_allowed_at_the_noise_floor():
     report = Report(make_outcome(channels=()))
-    assert set(of(report).values()) == {True}
+    assert set(allowed_uses(report).values()) == {True}
     printed = str(report)
     assert "Use for: feedforward, simulation, collision detection." in printed
     assert "Do not use for" not in printed
 
 
 def test_a_mujoco_file_that_moves_differently_qualifies_the_simulation():
-    outcome, said = make_outcome(channels=()), "identified.xml moves (joint2 4 %)"
-    known = outcome.provenance | {"export": (said,)}
-    report = Report(changed(outcome, provenance=known))
+    outcome, warning = make_outcome(channels=()), "identified.xml moves (joint2 4 %)"
+    provenance = outcome.provenance | {"export": (warning,)}
+    report = Report(changed(outcome, provenance=provenance))
     assert "(identified.json; the MuJoCo file is an approx" in line_of(report)
     assert report.uses[1].allowed
-    assert report.to_dict()["warnings"] == [said]
+    assert report.to_dict()["warnings"] == [warning]
 
 
-def test_an_effect_that_simulations_leave_out_qualifies_them():
+def test_effects_without_simulation_qualify_the_simulation():
     outcome = make_outcome(channels=(), n_effects=1)
     (effect,) = outcome.findings["effects"]
     report = Report(changed(outcome, effects=(replace(effect, name="elastic"),)))
@@ -50,64 +50,64 @@ def test_motion_in_one_direction_qualifies_the_uses():
         )
     ]
     report = Report(make_outcome(channels=(), motion=motion))
-    assert all(of(report).values())
+    assert all(allowed_uses(report).values())
     assert "(joint 2: one direction of motion only)" in line_of(report)
 
 
-def test_a_residual_above_the_noise_forbids_collision_detection_alone():
-    known = {"unexplained": (2,), "threshold": [2.5] * 6, "floor": [0.2] * 6}
-    report = Report(make_outcome(channels=(), **known))
-    assert [*of(report).values()] == [True, True, False]
-    said = "joint 3: residual above the noise floor, 99.9 % of residuals below 2.5 N m"
-    assert report.to_dict()["uses"][2]["reason"] == said
+def test_residual_above_the_noise_forbids_collision_detection():
+    changes = {"unexplained": (2,), "threshold": [2.5] * 6, "floor": [0.2] * 6}
+    report = Report(make_outcome(channels=(), **changes))
+    assert [*allowed_uses(report).values()] == [True, True, False]
+    note = "joint 3: residual above the noise floor, 99.9 % of residuals below 2.5 N m"
+    assert report.to_dict()["uses"][2]["reason"] == note
     ends = {"after": [[0.1] * 6, [0.9] * 6], "difference": [[-1] * 6, [0] * 6]}
-    known = {"intervals": ends, "floor": [0.2] * 6}
-    report = Report(make_outcome(channels=(), after=np.full(6, 0.4), **known))
+    changes = {"intervals": ends, "floor": [0.2] * 6}
+    report = Report(make_outcome(channels=(), after=np.full(6, 0.4), **changes))
     assert report.joints[2].text == "2.0 times the floor (not significant)"
-    assert all(of(report).values())
+    assert all(allowed_uses(report).values())
 
 
-def test_a_joint_that_got_worse_forbids_feedforward():
+def test_an_increased_error_forbids_feedforward():
     after = make_outcome().column("before")
     after[1] *= 3.0
     report = Report(make_outcome(channels=(), after=after, intervals={}))
     assert report.joints[1].status == "worse"
-    assert not of(report)["feedforward"]
+    assert not allowed_uses(report)["feedforward"]
     assert "held-out error rose" in report.uses[0].reason
 
 
-def test_a_rise_within_chance_stands_beside_the_uses():
-    given = make_outcome(channels=())
-    one = given.errors[1]
+def test_an_insignificant_increase_is_noted_with_the_uses():
+    outcome = make_outcome(channels=())
+    error = outcome.errors[1]
     ends = {"difference": (-0.1, 0.2), "added": (-0.1, 0.2)}
-    one = replace(one, after=1.2 * one.before, intervals=one.intervals | ends)
-    errors = (given.errors[0], one, *given.errors[2:])
-    report = Report(replace(given, errors=errors))
+    error = replace(error, after=1.2 * error.before, intervals=error.intervals | ends)
+    errors = (outcome.errors[0], error, *outcome.errors[2:])
+    report = Report(replace(outcome, errors=errors))
     assert report.joints[1].status != "worse"
     assert report.uses[0].allowed
-    said = "collision detection (joint 2: held-out error rose, within chance)."
-    assert said in line_of(report)
-    known = given.provenance | {"export": ("identified.xml moves",)}
-    report = Report(replace(given, errors=errors, provenance=known))
+    text = "collision detection (joint 2: held-out error rose, within chance)."
+    assert text in line_of(report)
+    provenance = outcome.provenance | {"export": ("identified.xml moves",)}
+    report = Report(replace(outcome, errors=errors, provenance=provenance))
     assert "within chance; identified.json" in report.uses[1].reason
 
 
-def test_a_large_error_stands_beside_the_uses():
+def test_a_large_error_is_noted_with_the_uses():
     for after in (0.4, 0.6):
-        given = make_outcome(unexplained=(2,), channels=(), after=np.full(6, after))
-        use, *_ = Report(given).uses
+        outcome = make_outcome(unexplained=(2,), channels=(), after=np.full(6, after))
+        use, *_ = Report(outcome).uses
         assert use.allowed
         assert ("error above half of the torque" in use.reason) == (after > 0.5)
 
 
-def test_a_joint_with_an_effect_may_not_rise_at_all_in_silence():
-    given = make_outcome(channels=(), n_effects=1)
-    (effect,) = given.findings["effects"]
+def test_any_increase_on_a_joint_with_an_effect_is_noted():
+    outcome = make_outcome(channels=(), n_effects=1)
+    (effect,) = outcome.findings["effects"]
     for joint in (effect.joint, effect.joint + 1):
-        errors = list(given.errors)
-        one = errors[joint]
-        errors[joint] = replace(one, after=1.03 * one.before, floor=0.5 * one.before)
-        reason = Report(replace(given, errors=tuple(errors))).uses[0].reason
+        errors = list(outcome.errors)
+        row = errors[joint]
+        errors[joint] = replace(row, after=1.03 * row.before, floor=0.5 * row.before)
+        reason = Report(replace(outcome, errors=tuple(errors))).uses[0].reason
         assert ("error rose" in reason) == (joint == effect.joint)
 
 
@@ -116,27 +116,27 @@ def test_a_faulty_channel_forbids_every_use():
     report = Report(make_outcome(channels=(wrong,)))
     assert "The log contradicts this: Wrong unit." in report.to_html()
     assert report.status == "faulty"
-    assert set(of(report).values()) == {False}
+    assert set(allowed_uses(report).values()) == {False}
 
 
 @pytest.mark.parametrize("status", STATUS)
-def test_a_use_of_the_torques_is_forbidden_with_a_warning(status):
+def test_forbidden_uses_have_a_warning(status):
     report = Report(make_outcome(**({"channels": ()} | STATUS[status])))
-    forbidden = not all(of(report)[x] for x in ("feedforward", "simulation"))
+    forbidden = not all(allowed_uses(report)[x] for x in ("feedforward", "simulation"))
     assert forbidden <= bool(report.warnings)
 
 
-def test_masses_are_split_by_what_the_motion_determines():
-    known = enumerate(("yes", "yes", "in combination", "no"), 1)
-    masses = tuple(make_mass(f"link{k}", 1.0, 1.0, x, 0.1) for k, x in known)
+def test_masses_are_split_by_identifiability():
+    sources = enumerate(("yes", "yes", "in combination", "no"), 1)
+    masses = tuple(make_mass(f"link{k}", 1.0, 1.0, x, 0.1) for k, x in sources)
     report = Report(make_outcome(channels=(), facts=masses))
-    assert of(report)["link masses of link1 and link2"]
-    assert not of(report)["link masses of link3 and link4"]
+    assert allowed_uses(report)["link masses of link1 and link2"]
+    assert not allowed_uses(report)["link masses of link3 and link4"]
     assert report.to_dict()["uses"][-1]["allowed"] is False
     assert "(only 2 of 4 are individually identifiable)" in report.to_html()
 
 
-def test_a_mass_far_from_the_description_beside_an_effect_is_a_warning():
+def test_an_implausible_mass_next_to_a_spring_is_a_warning():
     (effect,) = make_outcome(n_effects=1).findings["effects"]
     warned = ("spring", 87.0, "no")
     others = ("spring", 20.0, "no"), ("spring", 87.0, "yes"), ("stribeck", 87.0, "no")
@@ -144,13 +144,13 @@ def test_a_mass_far_from_the_description_beside_an_effect_is_a_warning():
         effects = (replace(effect, name=name, joint=0),)
         facts = (make_mass("link1", mass, 8.0, source),)
         report = Report(make_outcome(channels=(), effects=effects, facts=facts))
-        said = any("87 kg" in line for line in report.warnings)
-        assert said == ((name, mass, source) == warned)
+        found = any("87 kg" in line for line in report.warnings)
+        assert found == ((name, mass, source) == warned)
 
 
 def test_uses_do_not_depend_on_the_size_of_errors():
     small = make_outcome(channels=())
     more = {k: 3.0 * small.column(k) for k in ("before", "after", "floor")}
     large = make_outcome(channels=(), intervals={}, **more)
-    assert of(Report(small)) == of(Report(large))
+    assert allowed_uses(Report(small)) == allowed_uses(Report(large))
     assert np.isfinite(large.column("floor")).all()

@@ -1,4 +1,4 @@
-"""Torques of currents and voltages, and signs of currents logged as sizes."""
+"""Drives with measured currents and voltages, and signs of unsigned currents."""
 
 from dataclasses import replace
 
@@ -17,60 +17,60 @@ ARM = make_robot_recording(duration=20.0, dt=0.01, random_state=3)
 
 
 def identify(y, drive=None, **settings):
-    """Fit the arm to what its drives were told."""
+    """Fit the arm to its drive channels."""
     robot = RobotIdentifier(ARM.urdf, dt=ARM.dt, drive=drive, **settings)
     return robot.fit(ARM.q, y)
 
 
-def test_sizes_count_with_their_mean_sign():
+def test_expected_sign_of_unsigned_torques():
     rng = np.random.default_rng(0)
     truth = 3.0 * rng.normal(size=(400, 2))
-    sizes = np.abs(truth + 0.5 * rng.normal(size=truth.shape))
-    found = expected(sizes, truth)
-    variance = ((sizes - np.abs(truth)) ** 2).mean(axis=0)
-    # The mean over both signs of a normal distribution, written out.
-    up, down = (np.exp(-0.5 * (s * sizes - truth) ** 2 / variance) for s in (1, -1))
-    assert_allclose(found, sizes * (up - down) / (up + down), rtol=1e-9)
-    assert_array_equal(expected(sizes, -truth), -found)
-    # What is exact has its sign.
+    size = np.abs(truth + 0.5 * rng.normal(size=truth.shape))
+    signed = expected(size, truth)
+    variance = ((size - np.abs(truth)) ** 2).mean(axis=0)
+    # Mean over both signs under a normal distribution.
+    up, down = (np.exp(-0.5 * (s * size - truth) ** 2 / variance) for s in (1, -1))
+    assert_allclose(signed, size * (up - down) / (up + down), rtol=1e-9)
+    assert_array_equal(expected(size, -truth), -signed)
+    # Exact magnitudes get the sign of the prediction.
     assert_array_equal(expected(np.abs(truth), truth), truth)
 
 
-def test_signs_explain_a_torque_of_gravity_and_friction():
-    """Where neither gravity nor the motion has the sign of the torque."""
+def test_signs_are_recovered_for_gravity_and_friction():
+    """The sign of the torque is neither that of gravity nor that of the velocity."""
     t = np.arange(0.0, 20.0, 0.01)
     q, v = 1.2 * np.sin(t), 1.2 * np.cos(t)
-    one = np.ones_like(t)
-    columns = np.column_stack([np.sin(q), np.sign(v), v, -q, one])
+    ones = np.ones_like(t)
+    columns = np.column_stack([np.sin(q), np.sign(v), v, -q, ones])
     for friction in (0.05, 0.5, 1.0, 5.0):
         torque = columns @ [1.0, friction, 0.1, 0.2, 0.1]
         coef = most_explaining(columns, np.abs(torque))
-        found = np.sign(columns @ coef)
-        assert abs((found * np.sign(torque)).mean()) == 1.0
+        signs = np.sign(columns @ coef)
+        assert abs((signs * np.sign(torque)).mean()) == 1.0
 
 
 @pytest.mark.parametrize(
     "constant", [0.5, pytest.param("unknown", marks=pytest.mark.slow)]
 )
-def test_an_unsigned_current_is_identified_as_one_with_its_sign(constant):
-    one = identify(ARM.tau, CurrentDrive(constant))
-    other = identify(np.abs(ARM.tau), CurrentDrive(constant, signed=False))
-    exact, found = one.predict(ARM.q), other.predict(ARM.q)
-    left = (found - exact).std(axis=0) / exact.std(axis=0)
-    assert left.max() < 0.03
+def test_unsigned_current_gives_the_fit_of_a_signed_one(constant):
+    signed = identify(ARM.tau, CurrentDrive(constant))
+    unsigned = identify(np.abs(ARM.tau), CurrentDrive(constant, signed=False))
+    exact, estimate = signed.predict(ARM.q), unsigned.predict(ARM.q)
+    error = (estimate - exact).std(axis=0) / exact.std(axis=0)
+    assert error.max() < 0.03
     if constant != "unknown":
         assert_allclose(exact, 0.5 * identify(ARM.tau).predict(ARM.q), rtol=1e-6)
     else:
-        assert other.gains_ is not None
+        assert unsigned.gains_ is not None
 
 
-def test_a_duty_cycle_is_multiplied_by_the_supply():
+def test_duty_cycle_is_multiplied_by_the_supply():
     duty = ARM.tau / 24.0
     recording = take_arrays(ARM.q, duty, dt=ARM.dt, joint_names=ARM.joint_names)
     measured = replace(recording, signals={"supply": np.full(len(duty), 24.0)})
-    given = VoltageDrive(supply=24.0).driven(recording)
-    for one in (VoltageDrive().driven(measured), given):
-        assert_allclose(one.tau, ARM.tau, rtol=1e-9)
+    constant = VoltageDrive(supply=24.0).driven(recording)
+    for driven in (VoltageDrive().driven(measured), constant):
+        assert_allclose(driven.tau, ARM.tau, rtol=1e-9)
 
 
 BAD = {
@@ -85,7 +85,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_named(case):
+def test_invalid_current_drives_are_refused(case):
     drive, y, message = BAD[case]
     with pytest.raises(ValueError, match=message):
         identify(y, drive)

@@ -1,6 +1,6 @@
-"""Motion of the arm with two links, by SciPy's solvers and laws written literally.
+"""Motion of the two-link arm by SciPy's solvers and literal friction laws.
 
-Nothing of the simulator is used: the rigid bodies are those of `Arm` in closed form,
+Independent of the simulator: rigid-body dynamics are those of `Arm` in closed form,
 and times at which joints stop or break loose are events of `solve_ivp`.
 """
 
@@ -17,11 +17,11 @@ NONE = np.zeros(2)
 
 @dataclass
 class Law:
-    """Torques that the drives of the arm must produce beside its bodies'.
+    """Torques of the arm's drives in addition to those of the rigid bodies.
 
-    smooth : (q, v, t) -> (2,); dry : (v, t) -> (2,), sizes of dry friction; mu :
-    friction over the load (2,); inertia : (2, 2); turned : (joint, q), called where a
-    joint turns.
+    smooth : (q, v, t) -> (2,); dry : (v, t) -> (2,), levels of dry friction; mu :
+    load-dependent friction coefficients (2,); inertia : (2, 2); turned : (joint, q),
+    called at reversals of a joint.
     """
 
     smooth: object = lambda q, v, t: NONE
@@ -34,7 +34,7 @@ class Law:
 
 
 def accelerations(law, torque, q, v, t, way, stuck):
-    """Accelerations, friction that joints need, and what they have, (2,) each."""
+    """Return accelerations, required friction and its limits, (2,) each."""
     arm = Arm()
     M, h = arm.mass(q), arm.bias(q, v)
     dry, smooth = law.dry(v, t), law.smooth(q, v, t)
@@ -53,7 +53,7 @@ def accelerations(law, torque, q, v, t, way, stuck):
 
 
 def rests(law, torque, y, t, way):
-    """Modes of joints at rest, by trying all of them: way and stuck, (2,) each."""
+    """Find directions and sticking of joints at rest by enumeration, (2,) each."""
     q, v = y[:2], y[2:]
     still = np.array(law.sticks) & (v == 0)
     choices = [(-1.0, 0.0, 1.0) if s else (w,) for s, w in zip(still, way)]
@@ -68,7 +68,7 @@ def rests(law, torque, y, t, way):
 
 
 def follow(law, torque, q0, v0, t):
-    """States (n, 6), [q | v | a], at times t."""
+    """Return the states [q | v | a] (n, 6) at times t."""
     y = np.array([*q0, *v0], dtype=float)
     way, stuck = rests(law, torque, y, t[0], np.sign(v0))
     at, out, row = t[0], np.empty((len(t), 6)), 0
@@ -107,10 +107,10 @@ def follow(law, torque, q0, v0, t):
         )
         assert found.success, found.message
         end = found.t[-1]
-        for moment in wanted[wanted < end]:
-            here = found.sol(moment)
-            here[2:4][stuck] = 0.0
-            out[row] = [*here[:4], *rhs(moment, here)[2:4]]
+        for sample in wanted[wanted < end]:
+            state = found.sol(sample)
+            state[2:4][stuck] = 0.0
+            out[row] = [*state[:4], *rhs(sample, state)[2:4]]
             row += 1
         y, at = found.y[:, -1].copy(), end
         y[2:4][stuck] = 0.0

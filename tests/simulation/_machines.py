@@ -1,4 +1,4 @@
-"""Machines whose motion is known, as `TorqueModel`s."""
+"""Machines with known dynamics, as `TorqueModel`s."""
 
 import numpy as np
 import pinocchio as pin
@@ -16,7 +16,7 @@ def machine(model, bodies, friction=None, effects=(), **other):
     effects : pairs of an effect and its coefficients.
     """
     friction = {} if friction is None else friction
-    columns = [np.broadcast_to(own, model.nv) for own in friction.values()]
+    columns = [np.broadcast_to(values, model.nv) for values in friction.values()]
     other = {"gains": np.ones(model.nv), "dt": 0.01} | other
     return TorqueModel(
         model=model,
@@ -30,27 +30,27 @@ def machine(model, bodies, friction=None, effects=(), **other):
 
 
 def point(mass, centre=(0.0, 0.0, 0.0), inertia=0.0):
-    """Ten inertial parameters of a point mass, with an inertia of its own."""
-    own = inertia * np.array([0, 0, 0, 0, 1, 0, 1, 0, 0, 1])
-    return parameters_of(np.array([centre]), [mass]) + own
+    """Return the ten inertial parameters of a point mass with a rotational inertia."""
+    rotational = inertia * np.array([0, 0, 0, 0, 1, 0, 1, 0, 0, 1])
+    return parameters_of(np.array([centre]), [mass]) + rotational
 
 
 def slider(mass=2.0, friction=None, effects=(), **other):
-    """Mass on a horizontal rail."""
+    """Return a mass on a horizontal rail."""
     model = pin.Model()
     model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "rail")
     return machine(model, [point(mass)], friction, effects, **other)
 
 
 def wheel(inertia=0.5, friction=None, effects=(), **other):
-    """Balanced wheel about a vertical axis."""
+    """Return a balanced wheel about a vertical axis."""
     model = pin.Model()
     model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "wheel")
     return machine(model, [point(1.0, inertia=inertia)], friction, effects, **other)
 
 
 def pendulum(mass=1.5, length=0.4, inertia=0.02, friction=None, effects=(), **other):
-    """Pendulum that hangs down at q = 0."""
+    """Return a pendulum that hangs down at q = 0."""
     model = pin.Model()
     model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "pendulum")
     body = point(mass, (0.0, 0.0, -length), inertia)
@@ -58,7 +58,7 @@ def pendulum(mass=1.5, length=0.4, inertia=0.02, friction=None, effects=(), **ot
 
 
 class Arm:
-    """Two links in a vertical plane, with its dynamics in closed form.
+    """Two links in a vertical plane, with dynamics in closed form.
 
     Both joints turn about y; at q = 0 the arm hangs down. Angles are relative.
     """
@@ -69,7 +69,7 @@ class Arm:
     inertias = (0.05, 0.02)
 
     def model(self, gravity=GRAVITY):
-        """Geometry, by Pinocchio."""
+        """Return the Pinocchio model."""
         out = pin.Model()
         out.gravity.linear = np.array([0.0, 0.0, -gravity])
         out.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "shoulder")
@@ -78,7 +78,7 @@ class Arm:
         return out
 
     def robot(self, friction=None, effects=(), gravity=GRAVITY, **other):
-        """`TorqueModel` of the arm."""
+        """Return the `TorqueModel` of the arm."""
         bodies = [
             point(m, (0.0, 0.0, -c), i)
             for m, c, i in zip(self.masses, self.centres, self.inertias)
@@ -86,7 +86,7 @@ class Arm:
         return machine(self.model(gravity), bodies, friction, effects, **other)
 
     def mass(self, q, payload=0.0):
-        """Inertia matrix; the payload is a point mass at the end of the arm."""
+        """Return the inertia matrix with a point mass at the end of the arm."""
         (m1, m2), (c1, c2), (I1, I2) = self.masses, self.centres, self.inertias
         l1, l2 = self.lengths
         moment = m2 * c2 + payload * l2
@@ -96,7 +96,7 @@ class Arm:
         return np.array([[near + far + 2 * cross, far + cross], [far + cross, far]])
 
     def bias(self, q, v, payload=0.0, gravity=GRAVITY):
-        """Centrifugal, Coriolis and gravity torques."""
+        """Return centrifugal, Coriolis and gravity torques."""
         (m1, m2), (c1, c2) = self.masses, self.centres
         l1, l2 = self.lengths
         moment = m2 * c2 + payload * l2
@@ -109,6 +109,6 @@ class Arm:
 
 
 def random_machine(rng, n_joints, friction=None, effects=(), **other):
-    """Tree of random bodies on revolute and prismatic joints of any direction."""
+    """Return a tree of random bodies on revolute and prismatic joints."""
     model, bodies = random_tree(rng, n_joints)
     return machine(model, bodies, friction, effects, **other)

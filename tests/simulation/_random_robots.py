@@ -1,4 +1,4 @@
-"""Identified robots that nobody identified: random bodies, effects and motions."""
+"""Random `IdentifiedRobot`s: bodies, effects and motions."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ FRICTION = ("viscous", "coulomb", "offset", "rotor_inertia")
 
 
 def random_shape(effect, rng, nv, length):
-    """Shape parameters of an effect of the library, as a fit could have them."""
+    """Return plausible shape parameters of an effect of the library."""
     others = [j for j in range(nv) if j != effect.joint]
     values = {
         "falling": (float(rng.choice([0.02, 0.05, 0.3])),),
@@ -51,12 +51,12 @@ def random_shape(effect, rng, nv, length):
         values["ratio"] = float(rng.choice([0.0, 1.0, -1.0, 0.6]))
     else:
         values["of"] = str(rng.choice(["torque", "position"]))
-    own = effect.get_params(deep=False)
-    return {name: values[name] for name in own if name in values}
+    parameters = effect.get_params(deep=False)
+    return {name: values[name] for name in parameters if name in values}
 
 
 def random_effect(name, rng, nv, prismatic, length):
-    """Effect of the library on a random joint; None where the robot has no place."""
+    """Return an effect on a random joint, or None if it does not apply."""
     (effect,) = resolve([name])
     joint = int(rng.integers(nv))
     if name == "payload":
@@ -74,7 +74,7 @@ def random_effect(name, rng, nv, prismatic, length):
 
 
 def random_predictor(rng, nv, names, *, since=0.0, length=200, gravity=None):
-    """`IdentifiedRobot` of a random tree with effects of given names."""
+    """Return the `IdentifiedRobot` of a random tree with the named effects."""
     kinds = rng.choice([*ALIGNED, *OBLIQUE], size=nv)
     model = build(rng, kinds, gravity=gravity)
     features = RigidBodyFeatures(model, FRICTION).load()
@@ -114,7 +114,7 @@ def random_predictor(rng, nv, names, *, since=0.0, length=200, gravity=None):
 
 
 def random_motion(rng, nv, length=200):
-    """States (length, 3 nv) that reverse, and stand still for a while."""
+    """Return states (length, 3 nv) with reversals and a standstill."""
     t = DT * np.arange(length)
     frequency = rng.uniform(1, 8, size=nv)
     phase = rng.uniform(0, 6, size=nv)
@@ -133,7 +133,7 @@ def random_motion(rng, nv, length=200):
 
 
 def with_effects(predictor, effects, coef, load=()):
-    """Return the same predictor with effects more, and their coefficients."""
+    """Return the predictor with further effects and their coefficients."""
     return replace(
         predictor,
         plan=replace(predictor.plan, effects=(*predictor.effects_, *effects)),
@@ -143,7 +143,7 @@ def with_effects(predictor, effects, coef, load=()):
 
 
 def without(predictor, left_out):
-    """Return the same predictor without effects at some places."""
+    """Return the predictor without the effects at some indices."""
     effects, at = [], predictor.features_.n_parameters_
     theta, load = [predictor.theta_[:at]], [predictor.load_parameters[:at]]
     begin = begin_load = at

@@ -1,4 +1,4 @@
-"""What `predict` says of simulated states is the torque that drove them."""
+"""Predicted torques of simulated states equal the driving torques."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ from tests.simulation._machines import random_machine, wheel
 
 
 def some_effects(rng, nv):
-    """Effects of random kinds and sizes on random joints."""
+    """Return random effects on random joints."""
     j = int(rng.integers(nv))
     effects = [
         (Stribeck(j, 0.2, int(rng.integers(1, 3))), [0.5]),
@@ -49,7 +49,7 @@ def some_effects(rng, nv):
 
 
 def inverse(robot, states, t):
-    """Torques of simulated states by bodies, declared friction and columns."""
+    """Return torques of states from bodies, declared friction and effect columns."""
     q, v, a = np.split(states, 3, axis=1)
     load = rigid(robot.model, robot.bodies, states)
     declared = dict(zip(robot.friction_names, robot.friction.T))
@@ -70,7 +70,7 @@ def test_inverse_dynamics_of_simulated_states(seed, nv):
     tau = 5 * np.sin(np.outer(t, rng.uniform(5, 20, nv)) + rng.uniform(0, 6, nv))
     states = simulate(robot, tau, rng.normal(size=nv), rng.normal(size=nv))
     v = states[:, nv : 2 * nv]
-    # Where a joint turned between two rows its memory turned there, not in a row.
+    # After a reversal between two rows, the memory reversed there and not in a row.
     moves = (np.abs(v) > 1e-2).all(axis=1)
     turned = np.abs(np.diff(np.sign(v), axis=0)).sum(axis=1) > 0
     moves[np.argmax(turned) + 1 if turned.any() else len(t) :] = False
@@ -79,8 +79,8 @@ def test_inverse_dynamics_of_simulated_states(seed, nv):
     np.testing.assert_allclose(tau[moves], expected, rtol=0, atol=1e-9 * size)
 
 
-def measured(effect, coef, x, t):
-    """Read torques x (n,) by a channel."""
+def filtered(effect, coef, x, t):
+    """Return torques x (n,) as measured by a channel."""
     rest = np.zeros((x.size, 1))
     motion = Motion(q=rest, v=rest, a=rest, t=t, load=x[:, None], torque=x[:, None])
     return x + effect.columns(motion) @ coef
@@ -96,15 +96,15 @@ def measured(effect, coef, x, t):
         TorqueFilter(0, "lag", "position", 0.004),
     ],
 )
-def test_channels_are_taken_back(effect):
-    """What is left is of third order in the filter, (2 pi f T)^3, or of sampling."""
+def test_channel_filters_are_inverted(effect):
+    """Errors are of third order in the filter, (2 pi f T)^3, or due to sampling."""
     t, gain = 0.001 * np.arange(2000), 1.3
     x = 2.0 * np.sin(2 * np.pi * 2.0 * t) + 1.0
     size = effect.delay if isinstance(effect, Delay) else effect.time_constant
-    read = gain * measured(effect, np.array([size]), x, t)
+    measured = gain * filtered(effect, np.array([size]), x, t)
     robot = wheel(effects=[(effect, [size])], gains=np.array([gain]), dt=0.001)
-    back = robot.true_torques(read[:, None], t)[:, 0]
+    restored = robot.true_torques(measured[:, None], t)[:, 0]
     inner = slice(100, -100)
     order = 2 * (2 * np.pi * 2.0 * 0.004) ** 3
-    assert np.abs(back - x)[inner].max() < 2 * order
-    assert np.abs(read / gain - x)[inner].max() > 2 * order
+    assert np.abs(restored - x)[inner].max() < 2 * order
+    assert np.abs(measured / gain - x)[inner].max() > 2 * order

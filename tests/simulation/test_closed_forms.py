@@ -1,4 +1,4 @@
-"""Motions whose solutions are known."""
+"""Motions with analytic solutions."""
 
 import numpy as np
 import pinocchio as pin
@@ -12,7 +12,7 @@ from tests.model._trees import random_placement
 from tests.simulation._machines import machine, slider, wheel
 
 
-def nothing(n, nv=1):
+def zeros(n, nv=1):
     return np.zeros((n, nv))
 
 
@@ -20,7 +20,7 @@ def nothing(n, nv=1):
 @pytest.mark.parametrize("way", [-1, 1])
 def test_mass_with_coulomb_friction_stops(dt, way):
     mass, Fc, v0 = 2.0, 3.0, 1.5 * way
-    states = simulate(slider(mass, {"coulomb": Fc}, dt=dt), nothing(40), [0.2], [v0])
+    states = simulate(slider(mass, {"coulomb": Fc}, dt=dt), zeros(40), [0.2], [v0])
     t = np.minimum(dt * np.arange(40), mass * abs(v0) / Fc)
     q = 0.2 + v0 * t - way * 0.5 * Fc / mass * t**2
     np.testing.assert_allclose(states[:, 0], q, rtol=0, atol=1e-12)
@@ -29,14 +29,14 @@ def test_mass_with_coulomb_friction_stops(dt, way):
     assert (states[rests, 1:] == 0).all()
 
 
-def test_spring_with_coulomb_friction_turns_nearer_by_twice_the_band():
+def test_spring_with_coulomb_friction_loses_amplitude_linearly():
     mass, Fc, k, q0, dt = 2.0, 3.0, 200.0, 0.5, 0.001
     robot = slider(mass, {"coulomb": Fc}, [(Spring(), [k, 0.0])], dt=dt)
     half = np.pi * np.sqrt(mass / k)
     band = Fc / k
     turns = int(np.ceil((q0 / band - 1) / 2))
     t = dt * np.arange(int((turns + 0.5) * half / dt))
-    states = simulate(robot, nothing(t.size), [q0])
+    states = simulate(robot, zeros(t.size), [q0])
     number = np.minimum((t / half).astype(int), turns)
     way = (-1.0) ** number
     size = np.where(number < turns, q0 - band - 2 * band * number, 0.0)
@@ -64,14 +64,14 @@ def test_breaks_loose_under_a_ramp(dt, way):
 def test_viscous_decay(rate):
     t = 0.01 * np.arange(101)
     robot = wheel(0.5, {"viscous": 0.5 * rate})
-    states = simulate(robot, nothing(t.size), [0.0], [1.0])
+    states = simulate(robot, zeros(t.size), [0.0], [1.0])
     np.testing.assert_allclose(states[:, 1], np.exp(-rate * t), atol=1e-7)
     gone = -np.expm1(-rate * t) / rate
     np.testing.assert_allclose(states[:, 0], gone, atol=1e-7 / rate)
 
 
 def chain(rng, n_joints, kinds=("RX", "RY", "RZ")):
-    """Robot whose joints follow one another, of moderate size."""
+    """Return a serial chain of moderate size."""
     model, bodies = pin.Model(), []
     for j in range(n_joints):
         joint = getattr(pin, f"JointModel{rng.choice(kinds)}")()
@@ -83,7 +83,7 @@ def chain(rng, n_joints, kinds=("RX", "RY", "RZ")):
 
 
 def energies(robot, states):
-    """Kinetic and potential energy (n,) by Pinocchio."""
+    """Return kinetic and potential energy (n,) by Pinocchio."""
     model = with_bodies(robot.model, robot.bodies)
     data, nv = model.createData(), robot.n_joints
     kinetic = [
@@ -96,12 +96,12 @@ def energies(robot, states):
 @pytest.mark.parametrize(
     ("n_joints", "dt"), [*[(n, 0.01) for n in range(1, 8)], (2, 0.001), (6, 0.001)]
 )
-def test_energy_over_ten_seconds_without_friction(n_joints, dt):
+def test_energy_is_conserved_without_friction(n_joints, dt):
     rng = np.random.default_rng(n_joints)
     model, bodies = chain(rng, n_joints)
     robot = machine(model, bodies, dt=dt)
     start = rng.normal(size=(2, n_joints))
-    states = simulate(robot, nothing(int(10 / dt) + 1, n_joints), *start)
+    states = simulate(robot, zeros(int(10 / dt) + 1, n_joints), *start)
     kinetic, potential = energies(robot, states)
     total = kinetic + potential
     assert np.abs(total - total[0]).max() < 1e-6 * kinetic.max()

@@ -1,4 +1,4 @@
-"""Beyond range and margin a torque stays as at their end, or follows its law."""
+"""Outside range and margin, torques are clamped or follow their law."""
 
 from dataclasses import replace
 
@@ -27,8 +27,8 @@ DEPENDENT = [
 ]
 
 
-class Held(Cubic):
-    """Its torque is held beyond the range of its positions."""
+class ClampedCubic(Cubic):
+    """Effect that is clamped outside the range of its positions."""
 
     depends = ("position",)
 
@@ -44,20 +44,20 @@ def range_of(effect, position=(-0.2, 0.25), speed=(0.05, 0.7), load=(-1.5, 2.0))
     )
 
 
-def widened(low, high, share):
-    """Return the ends of a range widened on both sides by a share of its width."""
+def widen(low, high, share):
+    """Return the ends of a range, widened on both sides by a share of its width."""
     margin = share * (high - low) + 1e-9 * max(abs(low), abs(high))
     return low - margin, high + margin
 
 
-def held(predictor, **ends):
-    """Return the same predictor, its effects held, all signs taken as they are."""
+def clamped(predictor, **ends):
+    """Return the predictor with clamped effects and no standstill."""
     nv = predictor.features_.n_joints_
     unknown = range_of(Spring(), *3 * [(np.nan, np.nan)])
-    own = (range_of(effect, **ends) for effect in predictor.effects_)
+    effect_ranges = (range_of(effect, **ends) for effect in predictor.effects_)
     declared = nv * len(predictor.features_.friction_) * [unknown]
     plan = replace(predictor.plan, standstill=np.full(nv, -1.0))
-    return replace(predictor, plan=plan, effect_ranges_=(*declared, *own))
+    return replace(predictor, plan=plan, effect_ranges_=(*declared, *effect_ranges))
 
 
 def torques(predictor, X):
@@ -65,7 +65,7 @@ def torques(predictor, X):
 
 
 def load_of(predictor, X):
-    """Torques of the bodies that load the joints, by Pinocchio."""
+    """Return the rigid-body torques that load the joints, by Pinocchio."""
     bodies = predictor.bodies(
         predictor.load_parameters[: predictor.features_.n_parameters_]
     )
@@ -74,11 +74,11 @@ def load_of(predictor, X):
     return rigid(model, bodies[:, :10].copy(), X)
 
 
-# Margin as a share of the width, and torques by the signal that is held, its ends, and
-# the sign of the velocity. Speeds have both directions, and twice the width.
+# Margin as a share of the width, and the torque as a function of the clamped signal,
+# its ends, and the sign of the velocity. Speeds have both signs and twice the width.
 LAWS = [
     (Spring(1), [3.0, 0.4], 0.2, lambda x, ends, s: 3.0 * np.clip(x, *ends) + 0.4),
-    (Held(1), [3.0], 0.2, lambda x, ends, s: 3.0 * np.clip(x, *ends) ** 3),
+    (ClampedCubic(1), [3.0], 0.2, lambda x, ends, s: 3.0 * np.clip(x, *ends) ** 3),
     (
         ViscousQuadratic(1),
         [0.8],
@@ -89,14 +89,14 @@ LAWS = [
         LoadFriction(1),
         [0.1],
         0.2,
-        # That end of the load that is farther out, both ways.
+        # The larger absolute end of the load counts for both signs.
         lambda x, ends, s: 0.1 * s * np.minimum(abs(x), np.abs(ends).max()),
     ),
 ]
 
 
 @pytest.mark.parametrize(("effect", "coef", "share", "law"), LAWS)
-def test_a_prediction_is_the_torque_at_the_end(effect, coef, share, law):
+def test_predictions_are_clamped_outside_the_range(effect, coef, share, law):
     rng = np.random.default_rng(4)
     bare, of_load = random_predictor(rng, 3, []), "load" in effect.needs
     free = with_effects(bare, (effect,), coef, () if of_load else coef)
@@ -106,61 +106,61 @@ def test_a_prediction_is_the_torque_at_the_end(effect, coef, share, law):
     values = {"position": X[:, 1], "speed": X[:, 4], "load": load}[quantity]
     own = abs(values) if quantity == "speed" else values
     ends = np.quantile(own, [0.45, 0.6])
-    own = held(free, **{quantity: tuple(ends)})
-    ends = widened(*ends, share)
+    own = clamped(free, **{quantity: tuple(ends)})
+    ends = widen(*ends, share)
     bare = replace(own, theta_=np.r_[own.theta_[: -len(coef)], np.zeros(len(coef))])
-    alone = torques(own, X) - torques(bare, X)
+    added = torques(own, X) - torques(bare, X)
     expected = law(values, ends, np.sign(X[:, 4]))
-    assert_allclose(alone[:, 1], expected, rtol=0, atol=1e-11)
-    assert_array_equal(alone[:, [0, 2]], 0.0)
+    assert_allclose(added[:, 1], expected, rtol=0, atol=1e-11)
+    assert_array_equal(added[:, [0, 2]], 0.0)
     low, high = own.effect_ranges_[-1].ends(quantity)
     inside = (values >= low) & (values <= high)
     assert 10 < inside.sum() < len(X) - 10
-    unheld = torques(replace(own, effect_ranges_=()), X)
-    assert_array_equal(torques(own, X)[inside], unheld[inside])
-    assert np.abs(torques(own, X) - unheld)[~inside].max() > 1e-3
+    unclamped = torques(replace(own, effect_ranges_=()), X)
+    assert_array_equal(torques(own, X)[inside], unclamped[inside])
+    assert np.abs(torques(own, X) - unclamped)[~inside].max() > 1e-3
 
 
-def stepped(predictor, X):
+def step_torques(predictor, X):
     stepper = Stepper(predictor.torque_model())
     return np.array([stepper.step(*row.reshape(3, -1)) for row in X])
 
 
 @pytest.mark.parametrize("name", DEPENDENT)
 @pytest.mark.parametrize("seed", range(3))
-def test_states_one_by_one_have_the_torques_of_all(name, seed):
+def test_single_steps_equal_batch_torques(name, seed):
     rng = np.random.default_rng(seed)
-    predictor = held(random_predictor(rng, 3, [name, "load_friction"]))
+    predictor = clamped(random_predictor(rng, 3, [name, "load_friction"]))
     X = random_motion(rng, 3)
-    assert_allclose(stepped(predictor, X), torques(predictor, X), atol=1e-11)
+    assert_allclose(step_torques(predictor, X), torques(predictor, X), atol=1e-11)
 
 
 # -- closed forms of the motion
 
 
 @pytest.mark.parametrize("k", [50.0, 2e4])
-@pytest.mark.parametrize(("long", "error"), [(0.01, 1e-6), (1.2, 3e-5)])
-def test_beyond_its_end_a_spring_is_a_constant_force(k, long, error):
-    # Steps between rows are explicit, or so long that they are implicit; the bend at
-    # the end is no event, and costs the step across it some of its order.
+@pytest.mark.parametrize(("relative_step", "error"), [(0.01, 1e-6), (1.2, 3e-5)])
+def test_clamped_spring_is_a_constant_force(k, relative_step, error):
+    # Steps between rows are explicit, or implicit if long; the kink at the end is no
+    # event and reduces the order of the step across it.
     mass, v0 = 2.0, 1.5
     rate = np.sqrt(k / mass)
-    end, dt = 0.5 * v0 / rate, long / rate
+    end, dt = 0.5 * v0 / rate, relative_step / rate
     fitted = end / (1.4 + 1e-9)
-    assert widened(-fitted, fitted, 0.2) == pytest.approx((-end, end), rel=1e-15)
-    own = (range_of(Spring(), position=(-fitted, fitted)),)
-    robot = slider(mass, effects=[(Spring(), [k, 0.0])], ranges=own, dt=dt)
+    assert widen(-fitted, fitted, 0.2) == pytest.approx((-end, end), rel=1e-15)
+    ranges = (range_of(Spring(), position=(-fitted, fitted)),)
+    robot = slider(mass, effects=[(Spring(), [k, 0.0])], ranges=ranges, dt=dt)
     t = np.arange(0.0, 2.5 / rate, dt)
-    found = simulate(robot, np.zeros((t.size, 1)), [0.0], [v0])
-    leaves = np.arcsin(end * rate / v0) / rate
-    left = np.sqrt(v0**2 - (rate * end) ** 2)
-    later = t - leaves
+    states = simulate(robot, np.zeros((t.size, 1)), [0.0], [v0])
+    end_time = np.arcsin(end * rate / v0) / rate
+    end_speed = np.sqrt(v0**2 - (rate * end) ** 2)
+    later = t - end_time
     q = np.where(
         later < 0,
         v0 / rate * np.sin(rate * t),
-        end + left * later - 0.5 * k * end / mass * later**2,
+        end + end_speed * later - 0.5 * k * end / mass * later**2,
     )
     assert (later < 0).any()
     assert (later > 0).sum() > 1
-    assert_allclose(found[:, 0], q, rtol=0, atol=error * q.max())
-    assert_allclose(found[later > 0, 2], -k * end / mass, rtol=1e-12)
+    assert_allclose(states[:, 0], q, rtol=0, atol=error * q.max())
+    assert_allclose(states[later > 0, 2], -k * end / mass, rtol=1e-12)

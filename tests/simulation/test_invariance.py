@@ -1,4 +1,4 @@
-"""What must not change a motion: twins, order, scale, time, the sample period."""
+"""Invariance of motions to scale, and the number of steps."""
 
 import numpy as np
 import pytest
@@ -13,21 +13,21 @@ START = [0.4, -0.6], [1.0, -2.0]
 
 
 @pytest.mark.parametrize("factor", [1e-4, 1e4])
-def test_scale_of_masses_and_torques(factor):
-    """A robot and its torques in another unit of mass."""
+def test_motion_is_invariant_to_the_unit_of_mass(factor):
+    """Compare with the robot and its torques in another unit of mass."""
     robot = Arm().robot(FRICTION)
     scaled = machine(
         robot.model,
         factor * robot.bodies,
-        {name: factor * np.array(own) for name, own in FRICTION.items()},
+        {name: factor * np.array(values) for name, values in FRICTION.items()},
     )
-    one = simulate(robot, TAU, *START)
-    other = simulate(scaled, factor * TAU, *START)
-    np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-8)
+    states = simulate(robot, TAU, *START)
+    scaled_states = simulate(scaled, factor * TAU, *START)
+    np.testing.assert_allclose(states[:, :4], scaled_states[:, :4], rtol=0, atol=1e-8)
 
 
 def steps_per_row(robot, tau, q0, v0=None, rows=100):
-    """Mean number of steps in a sample period."""
+    """Return the mean number of steps per sample period."""
     dynamics = _dynamics.ForwardDynamics(robot)
     tau = np.asarray(tau, dtype=float)
     v0 = np.zeros(len(q0)) if v0 is None else np.array(v0)
@@ -37,8 +37,8 @@ def steps_per_row(robot, tau, q0, v0=None, rows=100):
     return motion.steps / rows
 
 
-def test_steps_stay_few_where_friction_is_steep():
-    """Each limit is far below what stability of explicit steps would ask for."""
+def test_few_steps_with_steep_friction():
+    """Each limit is far below what explicit steps would need for stability."""
     light = Arm().robot({"viscous": [10.0, 1e4]})
     assert steps_per_row(light, [0.0, 0.0], [0.4, -0.6]) < 30
     dry = Arm().robot({"coulomb": [9.0, 9.0]})

@@ -1,4 +1,4 @@
-"""Every effect on an arm with two links, against laws written out and SciPy."""
+"""Effects on a two-link arm, against literal friction laws and SciPy's solver."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ VISCOUS = np.array([0.3, 0.1])
 
 
 def torque(t):
-    """Straight between samples, whatever their period."""
+    """Return torques that are linear in time."""
     return np.array([2.0 - 6.0 * t, 1.0 + 2.0 * t])
 
 
@@ -33,25 +33,25 @@ def compare(effects, law, friction=None, exact=5e-6):
     friction = {"viscous": VISCOUS} if friction is None else friction
     robot = Arm().robot(friction, effects, dt=DT)
     tau = np.array([torque(t) for t in T]) * robot.gains
-    found = simulate(robot, tau, Q0, V0, T)
+    states = simulate(robot, tau, Q0, V0, T)
     expected = follow(law, torque, Q0, V0, T)
-    np.testing.assert_allclose(found[:, :4], expected[:, :4], rtol=0, atol=exact)
+    np.testing.assert_allclose(states[:, :4], expected[:, :4], rtol=0, atol=exact)
     size = np.abs(expected[:, 4:]).max()
-    wrong = np.abs(found[:, 4:] - expected[:, 4:]).max(axis=1) > 100 * exact * size
-    # In a row at which a joint stops or breaks loose acceleration has two values.
-    assert wrong.sum() <= 2
-    return found
+    mismatch = np.abs(states[:, 4:] - expected[:, 4:]).max(axis=1) > 100 * exact * size
+    # The acceleration is discontinuous where a joint stops or breaks loose.
+    assert mismatch.sum() <= 2
+    return states
 
 
-def beside(torque):
-    """Torque of a law, (q, v, t) -> (2,), beside viscous friction."""
+def with_viscous(torque):
+    """Return a torque law (q, v, t) -> (2,) with viscous friction added."""
     return lambda q, v, t: VISCOUS * v + np.array(torque(q, v, t))
 
 
 def turns(states):
-    """Count how often each joint changes its way."""
+    """Count the reversals of each joint."""
     v = states[:, 2:4]
-    return [(np.diff(np.sign(own[own != 0])) != 0).sum() for own in v.T]
+    return [(np.diff(np.sign(x[x != 0])) != 0).sum() for x in v.T]
 
 
 def test_maxwell_slip():
@@ -66,7 +66,7 @@ def test_maxwell_slip():
             last[0], z[0] = q[0], moved(q[0])
 
     law = Law(
-        smooth=beside(lambda q, v, t: (F @ moved(q[0]), 0.0)),
+        smooth=with_viscous(lambda q, v, t: (F @ moved(q[0]), 0.0)),
         watched=(True, False),
         turned=turned,
     )
@@ -74,10 +74,10 @@ def test_maxwell_slip():
     assert turns(found)[0] >= 1
 
 
-def test_everything_at_once():
+def test_all_effects_together():
     Fc, Fs, vs, mu = np.array([1.0, 0.4]), 0.8, 0.3, 0.1
     law = Law(
-        smooth=beside(
+        smooth=with_viscous(
             lambda q, v, t: (
                 5.0 * q[0] - 1.0 + 0.2 * abs(v[0]),
                 0.3 * np.cos(20.0 * q[1]) + 0.1 * v[0] + 0.5 * np.exp(-t / 0.5),

@@ -12,8 +12,8 @@ from tests.simulation._machines import random_machine
 
 
 def all_solutions(M, push, Fc):
-    """Accelerations from rest by every combination of modes that is consistent."""
-    found = []
+    """Return accelerations from rest of every consistent combination of modes."""
+    solutions = []
     for modes in itertools.product((-1, 0, 1), repeat=len(push)):
         modes = np.array(modes)
         free = np.flatnonzero(modes)
@@ -24,12 +24,12 @@ def all_solutions(M, push, Fc):
         friction = push - M @ a
         held = np.abs(friction) <= Fc * (1 + 1e-9)
         if ((a * modes > 0) | ((modes == 0) & held)).all():
-            found.append(a)
-    return found
+            solutions.append(a)
+    return solutions
 
 
 @pytest.mark.parametrize("n_joints", [2, 3, 4])
-def test_which_joints_break_loose_is_the_only_consistent_answer(n_joints):
+def test_breakaway_is_the_unique_consistent_solution(n_joints):
     several = 0
     for seed in range(100):
         rng = np.random.default_rng([n_joints, seed])
@@ -43,15 +43,15 @@ def test_which_joints_break_loose_is_the_only_consistent_answer(n_joints):
             [pin.rnea(model, data, q, none, e) - bias for e in np.eye(n_joints)]
         )
         (expected,) = all_solutions(M, tau - bias, Fc)
-        found = simulate(robot, tau[None], q)[0, 2 * n_joints :]
+        a = simulate(robot, tau[None], q)[0, 2 * n_joints :]
         size = 1 + np.abs(expected).max()
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * size)
-        assert ((found == 0) == (expected == 0)).all()
+        np.testing.assert_allclose(a, expected, rtol=0, atol=1e-9 * size)
+        assert ((a == 0) == (expected == 0)).all()
         several += 0 < (expected == 0).sum() < n_joints
     assert several > 20
 
 
-def test_joints_at_rest_never_tremble():
+def test_joints_at_rest_do_not_chatter():
     for seed in range(6):
         rng = np.random.default_rng(seed)
         robot = random_machine(rng, 3, {"viscous": 2.0, "coulomb": 8.0})
@@ -63,7 +63,7 @@ def test_joints_at_rest_never_tremble():
         assert (a[rests & np.roll(rests, 1, 0) & np.roll(rests, -1, 0)] == 0).all()
         both = rests[1:] & rests[:-1] & (a[1:] == 0) & (a[:-1] == 0)
         assert (q[1:][both] == q[:-1][both]).all()
-        # The way changes no more often than the torque does.
-        for own, push in zip(v.T, tau.T):
-            turns = (np.diff(np.sign(own[own != 0])) != 0).sum()
+        # Velocities reverse at most as often as the torques.
+        for x, push in zip(v.T, tau.T):
+            turns = (np.diff(np.sign(x[x != 0])) != 0).sum()
             assert turns <= 4 * (np.diff(np.sign(push)) != 0).sum() + 4

@@ -1,4 +1,4 @@
-"""Torques state by state are those of the whole recording."""
+"""Torques computed step by step equal those of the whole recording."""
 
 import numpy as np
 import pytest
@@ -19,42 +19,42 @@ from tests.simulation._random_robots import (
 LIBRARY = effects.available()
 
 
-def asked(predictor, X, t=None, signals=None):
-    """Torques of all rows at once."""
-    used = {n for one in predictor.effects_ for n in getattr(one, "recorded", ())}
-    own = {name: x for name, x in (signals or {}).items() if name in used}
-    return predictor.torques(predictor.prepare(X, t=t, signals=own))
+def batch_torques(predictor, X, t=None, signals=None):
+    """Return the torques of all rows at once."""
+    used = {n for e in predictor.effects_ for n in getattr(e, "recorded", ())}
+    used_signals = {name: x for name, x in (signals or {}).items() if name in used}
+    return predictor.torques(predictor.prepare(X, t=t, signals=used_signals))
 
 
-def stepped(stepper, X, t=None, signals=None):
-    """Torques row by row."""
+def step_torques(stepper, X, t=None, signals=None):
+    """Return the torques row by row."""
     nv = X.shape[1] // 3
-    found = []
+    torques = []
     for k, x in enumerate(X):
-        own = {name: values[k] for name, values in (signals or {}).items()}
-        when = None if t is None else t[k]
-        found.append(stepper.step(x[:nv], x[nv : 2 * nv], x[2 * nv :], when, own))
-    return np.array(found)
+        row = {name: values[k] for name, values in (signals or {}).items()}
+        time = None if t is None else t[k]
+        torques.append(stepper.step(x[:nv], x[nv : 2 * nv], x[2 * nv :], time, row))
+    return np.array(torques)
 
 
 def check(predictor, X, t=None, signals=None):
-    """Compare both, without what only the whole recording can have."""
+    """Compare both without effects that need future samples."""
     stepper = Stepper(predictor.torque_model())
     future = [
         k
         for k, effect in enumerate(predictor.effects_)
         if effect.name in ("delay", "torque_filter", "elastic", "jerk")
     ]
-    told = [(one.name, one.joint) for one in stepper.left_out_]
-    assert told == [
+    omitted = [(x.name, x.joint) for x in stepper.left_out_]
+    assert omitted == [
         (predictor.effects_[k].name, predictor.effects_[k].joint) for k in future
     ]
-    expected = asked(without(predictor, future), X, t, signals)
-    found = stepped(stepper, X, t, signals)
-    spread = expected.std(axis=0).max()
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * spread)
+    expected = batch_torques(without(predictor, future), X, t, signals)
+    actual = step_torques(stepper, X, t, signals)
+    size = expected.std(axis=0).max()
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-12 * size)
     stepper.reset()
-    np.testing.assert_array_equal(stepped(stepper, X, t, signals), found)
+    np.testing.assert_array_equal(step_torques(stepper, X, t, signals), actual)
 
 
 @settings(max_examples=40, deadline=None)
@@ -75,7 +75,7 @@ def test_random_robots_with_random_effects(seed, nv, names, timed):
     check(predictor, X, t, signals)
 
 
-def test_reset_begins_a_recording():
+def test_reset_starts_a_recording():
     rng = np.random.default_rng(2)
     predictor = random_predictor(rng, 2, ["maxwell_slip", "backlash"])
     X = random_motion(rng, 2, 120)
@@ -84,16 +84,16 @@ def test_reset_begins_a_recording():
     expected = predictor.torques(predictor.prepare(X, groups, t))
     stepper = Stepper(predictor.torque_model())
     assert stepper.left_out_ == ()
-    first = stepped(stepper, X[:50], t[:50])
+    first = step_torques(stepper, X[:50], t[:50])
     stepper.reset()
-    second = stepped(stepper, X[50:], t[50:])
+    second = step_torques(stepper, X[50:], t[50:])
     np.testing.assert_allclose(
         np.vstack([first, second]), expected, atol=1e-12 * expected.std()
     )
 
 
 class Summed(Stateful):
-    """Effect of one's own with a memory: the distance travelled."""
+    """Custom effect with a memory: the distance travelled."""
 
     name = "summed"
     coefficients = ("s",)
@@ -108,7 +108,7 @@ class Summed(Stateful):
 
 
 class Remembering(Summed):
-    """The same, state by state as well."""
+    """The same effect with a law for single steps."""
 
     columns = Summed.columns
 
@@ -124,28 +124,28 @@ class Remembering(Summed):
         return torque
 
 
-def with_effect(rng, own):
-    """Return a predictor with an effect of one's own, beside a hysteresis."""
+def with_effect(rng, effect):
+    """Return a predictor with a custom effect and a hysteresis."""
     predictor = random_predictor(rng, 3, ["maxwell_slip"])
-    return with_effects(predictor, (own,), *rng.normal(size=(2, 1)))
+    return with_effects(predictor, (effect,), *rng.normal(size=(2, 1)))
 
 
-def test_effects_of_ones_own():
+def test_custom_effect_with_a_step_law():
     rng = np.random.default_rng(3)
     predictor = with_effect(rng, Remembering(joint=2))
     check(predictor, random_motion(rng, 3))
 
 
-def test_a_memory_that_cannot_be_stepped_is_left_out():
+def test_custom_effect_without_a_step_law_is_left_out():
     rng = np.random.default_rng(4)
     predictor = with_effect(rng, Summed(joint=1))
     stepper = Stepper(predictor.torque_model())
-    (left,) = stepper.left_out_
-    assert (left.name, left.joint) == ("summed", 1)
-    assert "law" in left.reason
+    (omitted,) = stepper.left_out_
+    assert (omitted.name, omitted.joint) == ("summed", 1)
+    assert "law" in omitted.reason
     X = random_motion(rng, 3)
-    expected = asked(without(predictor, [1]), X)
-    np.testing.assert_allclose(stepped(stepper, X), expected, atol=1e-11)
+    expected = batch_torques(without(predictor, [1]), X)
+    np.testing.assert_allclose(step_torques(stepper, X), expected, atol=1e-11)
 
 
 # -- bad input -------------------------------------------------------------------------
@@ -157,7 +157,7 @@ def stepper():
     return Stepper(random_predictor(np.random.default_rng(0), 2, names).torque_model())
 
 
-def test_bad_states_are_named(stepper):
+def test_invalid_states_are_named(stepper):
     fine, warm = np.zeros(2), {"warmth": 0.0}
     stepper.step(fine, fine, fine, signals=warm)
     with pytest.raises(ValueError, match=r"shape \(2,\); got \(2,\), \(3,\)"):
@@ -166,11 +166,11 @@ def test_bad_states_are_named(stepper):
         stepper.step(fine, fine, [0.0, np.nan], signals=warm)
     with pytest.raises(ValueError, match=r"q=\[inf, 0.0\]"):
         stepper.step([np.inf, 0.0], fine, fine, signals=warm)
-    # Large, and finite.
+    # Large but finite values are accepted.
     stepper.step([1e308, 1e308], fine, fine, signals=warm)
 
 
-def test_time_goes_on(stepper):
+def test_time_must_increase(stepper):
     fine, warm = np.zeros(2), {"warmth": 0.0}
     stepper.step(fine, fine, fine, 1.0, warm)
     for t in (1.0, 0.5, np.nan):

@@ -357,10 +357,8 @@ def _match_sites(precision, product, sites):
     """Match the mean and covariance of scale mixtures by sites."""
     # precision (n, k, k), product (n, k): marginals with the present sites. Returns the
     # sites and the largest change of a mean, in deviations.
-    site_precision, site_product = (
-        np.array([getattr(site, name) for site in sites])
-        for name in ("precision", "right")
-    )
+    site_precision = np.array([site.precision for site in sites])
+    site_product = np.array([site.right for site in sites])
     value, vectors = np.linalg.eigh(precision - site_precision)
     Vt = np.swapaxes(vectors, 1, 2)
     value = np.maximum(value, 0.0)
@@ -436,11 +434,9 @@ def around(description, A, b):
             _, problem, sites = departure
             scale, (mean, root) = 1.0, problem.solve(sites)
     precision = problem.precision(sites)
-    joint = root @ root.T
     centre = problem.centre
-    cross = np.outer(joint[:-1, -1], centre)
-    covariance = joint[:-1, :-1] + cross + cross.T
-    covariance = covariance + joint[-1, -1] * np.outer(centre, centre)
+    parameter_root = root[:-1] + np.outer(centre, root[-1])
+    covariance = parameter_root @ parameter_root.T
     # Marginalise the prior over the common size.
     size_direction = precision @ centre
     share = centre @ size_direction + DESCRIBED**-2

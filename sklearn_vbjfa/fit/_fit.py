@@ -40,6 +40,7 @@ from sklearn_vbjfa.fit._estimate import (
     identifiable,
     plain_estimate,
     project,
+    uninflated_covariance,
 )
 from sklearn_vbjfa.fit._gains import (
     common_gain,
@@ -51,7 +52,7 @@ from sklearn_vbjfa.fit._output_error import refine
 from sklearn_vbjfa.fit._pooling import pool_joint_values, with_positive_rotors
 from sklearn_vbjfa.recording import Recording, check_delay, take_rows
 from sklearn_vbjfa.robot._channels import ChannelGains
-from sklearn_vbjfa.robot._posterior import known_parameters
+from sklearn_vbjfa.robot._posterior import body_indices, known_parameters
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 
 
@@ -231,6 +232,7 @@ class Recipe:
             result = pool_joint_values(result, self.alike, robot)
         if self.description is not None:
             result = with_positive_rotors(result, robot)
+        result = _with_load_uncertainty(result, robot)
         excluded = excluded_columns(robot.features_, robot.effects_)
         result = _zero_excluded(result, excluded)
         say("consistent bodies")
@@ -259,6 +261,27 @@ def _zero_entries(robot, moments):
     zeros = unexcited_entries(moments, robot.features_.n_parameters_)
     zeros[:, excluded_columns(robot.features_, robot.effects_)] = True
     return zeros
+
+
+def _with_load_uncertainty(result, robot):
+    """Add the uncertainty of the load to that of coefficients which multiply it."""
+    # To first order, a relative error of the load is minus that of the coefficient.
+    if result.covariance is None or not needs_load(robot.effects_):
+        return result
+    C, ratio = uninflated_covariance(result)
+    theta, slope, nv = result.theta, np.eye(len(C)), robot.features_.n_joints_
+    at = body_indices(robot)[:nv].ravel()
+    load = slope[:, at] @ theta[at]
+    products = result.moments.products(load)
+    for effect, places in effect_indices(robot.effects_, robot.features_.n_parameters_):
+        row = products[effect.acts_on(nv)].sum(axis=0)
+        if effect.needs == ("load",) and row @ load > 0:
+            relative = row[at] / (row @ load)
+            slope[np.ix_(places, at)] = -np.outer(theta[places], relative)
+    std = np.sqrt(np.diagonal((slope * ratio) @ C @ (slope * ratio).T))
+    std = np.where(np.isfinite(result.std), std, result.std)
+    C = np.where(np.isfinite(result.covariance), slope @ C @ slope.T, np.inf)
+    return replace(result, std=std, covariance=C)
 
 
 def _zero_excluded(result, excluded):

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.effects import LoadFriction
 from sklearn_vbjfa.equations import BlockAssignment
 from sklearn_vbjfa.robot import FitOptions
 from tests._quick import one_in
@@ -143,3 +144,25 @@ def test_ninety_per_cent_hold_the_truth_where_a_motion_repeats(period):
     # ten parameters of thirty robots, of which some go together
     assert np.size(inside) == 300
     assert 0.8 < np.mean(inside) < 0.97
+
+
+def test_load_friction_is_as_uncertain_as_the_load():
+    """The description alone tells a mass beside an offset and a rotor inertia."""
+    import pinocchio as pin
+
+    _, states = motion(1, duration=40.0, dt=DT, seed=1)
+    _, v, a = states.T
+    # A fifth of the force of a mass of 2 kg, which is described as 2.3 kg.
+    load, rng = 2.0 * (9.81 + a), np.random.default_rng(0)
+    tau = load + 0.5 * a + v + (3.0 + 0.2 * np.abs(load)) * np.sign(v)
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
+    model.appendBodyToJoint(joint, pin.Inertia.FromSphere(2.3, 0.1), pin.SE3.Identity())
+    friction = ("viscous", "coulomb", "offset", "rotor_inertia")
+    tau = (tau + 0.05 * rng.normal(size=v.size))[:, None]
+    robot = fitted(model, states, tau, friction=friction, effects=[LoadFriction(0)])
+    mass, mu, std = robot.theta_[0], robot.theta_[-1], robot.theta_std_
+    assert mu * mass == pytest.approx(0.4, rel=0.05)
+    assert std[-1] / mu > 0.9 * std[0] / mass
+    assert abs(mu - 0.2) < NINETY * std[-1]
+    assert robot.robot_.covariance[0, -1] < 0

@@ -1,4 +1,4 @@
-"""Noise of torque channels, on residuals of known noise."""
+"""Estimated noise of torque channels from residuals of known noise."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def coloured(rho, rng, n=N):
     return x[2000:] * np.sqrt(1 - rho**2)
 
 
-def sensor(rng, n=N):
+def sensor_noise(rng, n=N):
     b, a = signal.butter(2, 2 * 20.0 * DT)
     return signal.lfilter(b, a, rng.normal(size=(n + 2000, 2)), axis=0)[2000:]
 
@@ -41,12 +41,12 @@ NOISES = {
     "white": lambda rng, n=N: rng.normal(size=(n, 2)),
     "AR(0.5)": lambda rng, n=N: coloured(0.5, rng, n),
     "AR(0.8)": lambda rng, n=N: coloured(0.8, rng, n),
-    "sensor": sensor,
+    "sensor": sensor_noise,
     "held": held,
 }
 
 
-def told(residual, torque=None, states=STATES, dt=DT, cutoff=CUTOFF):
+def noise_of(residual, torque=None, states=STATES, dt=DT, cutoff=CUTOFF):
     torque = residual if torque is None else torque
     return filtered_noise(
         [noise_facts(residual, torque, states, dt, cutoff)], dt, cutoff
@@ -60,76 +60,76 @@ def truth(noise):
 
 
 @pytest.mark.parametrize("noise", NOISES)
-def test_the_colour_of_the_noise_is_followed(noise):
-    found = told(NOISES[noise](np.random.default_rng(0)))
-    np.testing.assert_allclose(found, truth(noise), rtol=0.15)
+def test_coloured_noise_is_estimated(noise):
+    estimate = noise_of(NOISES[noise](np.random.default_rng(0)))
+    np.testing.assert_allclose(estimate, truth(noise), rtol=0.15)
 
 
 @pytest.mark.parametrize("noise", ["white", "AR(0.5)", "sensor"])
-def test_friction_that_the_model_lacks_is_no_noise(noise):
+def test_unmodelled_friction_is_not_noise(noise):
     rng = np.random.default_rng(1)
-    clean = told(NOISES[noise](rng))
-    jumps = told(NOISES[noise](rng) + 5 * np.sign(V))
+    clean = noise_of(NOISES[noise](rng))
+    jumps = noise_of(NOISES[noise](rng) + 5 * np.sign(V))
     np.testing.assert_allclose(jumps, clean, rtol=0.2)
 
 
-def test_what_a_model_lacks_is_never_noise_above_the_residual():
-    """Slow errors of the model: the white noise above them is told, or nothing."""
+def test_slow_model_errors_are_not_noise():
+    """With slow model errors, the white noise or nothing is estimated."""
     rng = np.random.default_rng(2)
     noise = NOISES["white"](rng)
-    found = told(noise + 3 * np.sin(8 * Q) * (1 + 0.3 * V))
-    known = np.isfinite(found)
-    np.testing.assert_allclose(found[known], truth("white"), rtol=0.25)
+    estimate = noise_of(noise + 3 * np.sin(8 * Q) * (1 + 0.3 * V))
+    finite = np.isfinite(estimate)
+    np.testing.assert_allclose(estimate[finite], truth("white"), rtol=0.25)
 
 
-def test_a_step_adds_the_noise_of_rounding():
+def test_quantisation_noise_is_included():
     rng = np.random.default_rng(3)
     noise = rng.normal(size=(N, 2))
     slow = 20 * Q
     rounded = 2.0 * np.round((slow + noise) / 2.0)
-    found = told(rounded - slow, rounded)
+    estimate = noise_of(rounded - slow, rounded)
     expected = truth("white") * np.sqrt(1 + 2.0**2 / 12)
-    np.testing.assert_allclose(found, expected, rtol=0.15)
+    np.testing.assert_allclose(estimate, expected, rtol=0.15)
 
 
-def test_noise_that_goes_on_rising_below_is_not_made_up():
-    """A random walk has no level at the frequencies of the motion."""
+def test_random_walk_noise_is_not_underestimated():
+    """A random walk has no finite level at the frequencies of the motion."""
     rng = np.random.default_rng(4)
     walk = np.cumsum(rng.normal(size=(N, 2)), axis=0)
     walk -= walk.mean(axis=0)
     white = np.diff(walk, axis=0).std() * truth("white")
-    found = told(walk)
-    assert np.all(np.isnan(found) | (found > 3 * white))
+    estimate = noise_of(walk)
+    assert np.all(np.isnan(estimate) | (estimate > 3 * white))
 
 
-def test_noise_is_no_more_than_the_fit_leaves():
-    """Friction of joints that stick hides how the noise continues into the band."""
+def test_noise_does_not_exceed_the_residual():
+    """Stick-slip friction hides the noise within the band."""
     noise = NOISES["white"](np.random.default_rng(6))
     facts = noise_facts(noise, noise, STATES, DT, CUTOFF)
     steps = np.linspace(1.0, 1.3, facts.scales.shape[1]) ** 2
     facts = replace(facts, scales=steps * facts.scales, gap=50 * facts.gap)
     white = truth("white")
-    # nan: of a joint without rows that count.
-    for left in (np.inf, 10 * white, np.nan):
-        assert np.isnan(filtered_noise([facts], DT, CUTOFF, left)).all()
-    for left in (1.02 * white, 1.2 * white):
-        found = filtered_noise([facts], DT, CUTOFF, left)
-        np.testing.assert_allclose(found, white, rtol=0.2)
-        assert (found <= left).all()
-    # What is left is itself uncertain; few strides are seen at low rates.
+    # nan stands for a joint without weighted rows.
+    for residual in (np.inf, 10 * white, np.nan):
+        assert np.isnan(filtered_noise([facts], DT, CUTOFF, residual)).all()
+    for residual in (1.02 * white, 1.2 * white):
+        estimate = filtered_noise([facts], DT, CUTOFF, residual)
+        np.testing.assert_allclose(estimate, white, rtol=0.2)
+        assert (estimate <= residual).all()
+    # The residual is uncertain, and low rates allow few strides.
     few = np.where(np.arange(steps.size) < 3, facts.scales / steps, np.nan)
     facts = replace(facts, scales=few)
     assert np.isfinite(filtered_noise([facts], DT, CUTOFF, 0.85 * white)).all()
 
 
-def test_nothing_above_the_band_tells_nothing():
+def test_noise_is_unknown_without_a_stopband():
     noise = np.random.default_rng(5).normal(size=(N, 2))
-    assert np.isnan(told(noise, cutoff=60.0)).all()
+    assert np.isnan(noise_of(noise, cutoff=60.0)).all()
     assert not _torque_noise.stopband_exists(None, 1.0)
     assert not _torque_noise.stopband_exists(DT, np.inf)
 
 
 @pytest.mark.parametrize("count", [1, 3, 10])
-def test_rows_for_which_a_torque_is_held(count):
+def test_held_rows(count):
     x = np.repeat(np.random.default_rng(9).normal(size=2000), count)
     assert held_rows(x) == count

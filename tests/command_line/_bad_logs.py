@@ -38,8 +38,6 @@ def text(header, *columns, sep=","):
     return "\n".join(lines) + "\n"
 
 
-# -- values ----------------------------------------------------------------------------
-
 # Each returns the changed columns; joints are counted from one.
 
 
@@ -94,8 +92,6 @@ def warming(arm, joint):
     tau[:, joint - 1] += 6 * (1 - np.exp(-arm.t / 8))
     return {"tau": tau}
 
-
-# -- files -----------------------------------------------------------------------------
 
 # Each writes a file and returns its path, or the path and that of the robot.
 

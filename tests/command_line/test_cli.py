@@ -58,36 +58,33 @@ def test_readme_shows_what_is_printed(closed):
         assert float(ours[0]) == pytest.approx(float(theirs[0]), rel=0.1, abs=0.2)
 
 
-def test_without_pinocchio_one_line_says_what_is_missing(capsys, monkeypatch):
+def test_without_pinocchio_one_line_says_what_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "pinocchio", None)
-    assert main([]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    (line,) = captured.err.splitlines()
+    code, out, err = run([])
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
     assert "Pinocchio" in line
     assert "pip install" in line
 
 
 @pytest.mark.parametrize("argv", [["--nope"], ["nope"], ["identify", "--urdf"]])
-def test_wrong_arguments_end_with_two(capsys, argv):
-    assert main(argv) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    (line,) = captured.err.splitlines()
+def test_wrong_arguments_end_with_two(argv):
+    code, out, err = run(argv)
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
     assert line.startswith("sklearn-vbjfa")
 
 
-def test_effects_are_listed(capsys):
-    assert main(["datasets"]) == 0
-    out = capsys.readouterr().out
+def test_effects_are_listed():
+    code, out, _ = run(["datasets"])
+    assert code == 0
     assert re.search(r"fetch_kuka_kr300 +two trajectories of a KUKA", out)
-    assert main(["effects"]) == 0
-    captured = capsys.readouterr()
-    lines = captured.out.splitlines()
+    code, out, err = run(["effects"])
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
     assert lines[0].split()[:2] == ["name", "effect"]
     # descriptions go on in further lines, names do not
     assert [x.split()[0] for x in lines[2:] if x[0] != " "] == list(effects.available())
-    assert captured.err == ""
 
 
 def test_version(capsys):

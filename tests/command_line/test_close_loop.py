@@ -22,7 +22,6 @@ from tests.hostile._case import LINK, URDF
 FILES = ["identified.json", "identified.urdf", "identified.xml"]
 FILES += ["parameters.csv", "report.html", "report.json"]
 
-
 refusal = functools.partial(refused, "identify")
 
 
@@ -45,7 +44,6 @@ def test_files_are_written(urdf, recording, tmp_path, monkeypatch, capsys):
     assert lines[0] == "Recording 'swing': 3000 samples, 2 joints, dt = 0.005 s"
     assert lines[1].startswith("Spring on joint 1 (shoulder) was missing")
     assert lines[-1].startswith("written: ")
-
     folder = tmp_path / "swing-report"
     assert sorted(path.name for path in folder.iterdir()) == FILES
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
@@ -148,9 +146,6 @@ def test_alike_joints_are_rows_of_the_parameters(tmp_path, monkeypatch):
         assert float(row["value"]) == pytest.approx(np.mean(own))
 
 
-# -- gains -----------------------------------------------------------------------------
-
-
 def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, capsys):
     path = tmp_path / "bare.urdf"
     path.write_text(re.sub(r"<inertial>.*?</inertial>", "", URDF, flags=re.DOTALL))
@@ -208,8 +203,6 @@ def test_other_gains_and_masses_are_refused(good, urdf, options, message, capsys
     assert message in refusal(capsys, good, "--urdf", urdf, *options)
 
 
-# -- joints ----------------------------------------------------------------------------
-
 # A gripper, one finger of which follows the other, and a wheel.
 HAND = """
 <link name="left"><inertial><mass value="0.2"/>
@@ -258,9 +251,6 @@ def test_joints_that_cannot_be(joints, message, good, with_hand, capsys):
     assert re.search(message, line), line
 
 
-# -- refusals: the file ----------------------------------------------------------------
-
-
 def test_a_wrong_sign_offers_the_gains_that_turn_it(
     urdf, recording, tmp_path, monkeypatch, capsys
 ):
@@ -276,9 +266,6 @@ def test_a_wrong_sign_offers_the_gains_that_turn_it(
     # What is offered works, and so do factors of which the first is negative.
     whole = write_csv("whole.csv", recording, tau=-recording.tau)
     assert main(["inspect", whole, "--urdf", str(urdf), "--gain=-1,-1"]) == 0
-
-
-# -- refusals: the robot ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -306,9 +293,6 @@ def test_faults_of_a_robot(change, message, good, tmp_path, capfd):
     assert re.search(message, line), line
 
 
-# -- refusals: the options -------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -328,9 +312,6 @@ def test_options_that_cannot_be(options, message, good, urdf, capsys):
     line = refusal(capsys, good, "--urdf", urdf, *options.split())
     assert re.search(message, line), line
     assert [path.name for path in good.parent.iterdir()] == ["arm.csv"]
-
-
-# -- signals
 
 
 FRICTION, SLOPE = 3.0, -0.06

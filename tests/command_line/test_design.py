@@ -89,9 +89,6 @@ def here(tmp_path, monkeypatch):
 refusal = functools.partial(refused, "design")
 
 
-# -- a run -----------------------------------------------------------------------------
-
-
 def test_the_file_is_a_motion_within_its_limits(designed):
     out, _, _ = designed
     found = pd.read_csv(out)
@@ -181,9 +178,6 @@ def test_the_first_step_is_what_was_not_checked_and_none_where_it_was(
     assert captured.err == ""
     assert "Next:\n  1. Run motion.csv" in captured.out
     assert "SELF-COLLISION" not in captured.out
-
-
-# -- bad input -------------------------------------------------------------------------
 
 
 def test_a_robot_is_needed(here, capsys):

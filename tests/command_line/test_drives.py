@@ -131,8 +131,6 @@ def test_commands_that_positions_do_not_follow_are_refused(fault, run, told):
         assert code == 0, err
 
 
-# -- currents and voltages -------------------------------------------------------------
-
 CONSTANTS = {"shoulder": 4.0, "elbow": 2.5}
 
 
@@ -166,8 +164,6 @@ def test_currents_are_a_drive(command, signed, run, told, currents):
         sizes = [currents[f"current_{x}"].std() * CONSTANTS[x] for x in CONSTANTS]
         assert spread == pytest.approx(sizes, rel=0.2)
 
-
-# -- bad input -------------------------------------------------------------------------
 
 REFUSED = {
     "no drive": (

@@ -13,7 +13,7 @@ from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa._cli._parser import EXIT_CODES
 from tests.command_line import _running
-from tests.hostile._case import DT, LINK, URDF, N, cells, columns
+from tests.hostile._case import DT, LINK, URDF, N, columns, csv_text
 
 COMMANDS = ("identify", "inspect")
 WRIST = {"name": "tip", "joint": "wrist", "parent": "lower", "origin": 0.3}
@@ -29,8 +29,7 @@ def run(capsys, command, *argv):
 
 
 def write(table, name="arm.csv"):
-    text = "\n".join(",".join(row) for row in cells(table)) + "\n"
-    Path(name).write_text(text, encoding="utf-8")
+    Path(name).write_text(csv_text(table), encoding="utf-8")
     return name
 
 
@@ -105,10 +104,7 @@ RECORDINGS = {
         lambda x: without(x, slice(700, 800)),
         {"": (3, r"1 gap\(s\) of 5 periods or more")},
     ),
-    "missing rows that are interpolated": (
-        lambda x: without(x, [700, 900]),
-        {"": (0, "")},
-    ),
+    "interpolated rows": (lambda x: without(x, [700, 900]), {"": (0, "")}),
     "no columns of a joint": (
         by_joint,
         {"": (3, r"no columns of joint\(s\) wrist: held at zero")},
@@ -133,8 +129,6 @@ RECORDINGS = {
         {"": (2, "no positions")},
     ),
 }
-
-
 # One command of each recording is quick.
 CASES = [
     pytest.param(kind, command, marks=[] if (i + k) % 2 == 0 else pytest.mark.slow)

@@ -34,9 +34,6 @@ def refused(monkeypatch, tmp_path):
     return let
 
 
-# -- commands that would work ----------------------------------------------------------
-
-
 @pytest.mark.parametrize("given", [["--out", "full"], ["--out=full"]])
 def test_the_command_that_would_work_replaces_the_option(
     given, tmp_path, capsys, monkeypatch
@@ -72,9 +69,6 @@ def test_options_in_a_command(options, command, refused, capsys):
     argv = ["inspect", "a b.csv", "--urdf", "arm.urdf", "--preset=ur", "--gain", "8"]
     assert main(argv) == 2
     assert capsys.readouterr().err == f"sklearn-vbjfa: no --join{command}\n"
-
-
-# -- being stopped ---------------------------------------------------------------------
 
 
 def test_a_reader_may_close_the_output():

@@ -39,8 +39,7 @@ ROBOT = """<mujoco model="arm">
 <actuator><motor joint="shoulder"/><motor joint="elbow"/></actuator>{after}</mujoco>
 """
 PLAIN = ROBOT.format(hand="", more="", after="")
-BALL = """<body name="ball"><freejoint name="loose"/>
-<geom size="0.1"/></body>"""
+BALL = '<body name="ball"><freejoint name="loose"/><geom size="0.1"/></body>'
 
 
 @pytest.fixture

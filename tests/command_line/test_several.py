@@ -75,9 +75,6 @@ def refusal(capsys, command, *argv):
     return line
 
 
-# -- several recordings ----------------------------------------------------------------
-
-
 def test_the_report_is_of_all_recordings(closed):
     folder, code, out = closed
     folder = folder / "runs-report"
@@ -102,13 +99,8 @@ def test_they_are_as_good_as_segments_of_one_file(here, closed, capsys):
     whole = np.column_stack([np.vstack(tables), labels])
     np.savetxt("one.csv", whole, delimiter=",", header=head, comments="", fmt="%.10g")
     assert run(capsys, "identify", "one.csv")[0] == 0
-    several, one = (
-        json.loads(path.read_text(encoding="utf-8"))
-        for path in (
-            closed[0] / "runs-report/report.json",
-            Path("one-report/report.json"),
-        )
-    )
+    paths = closed[0] / "runs-report/report.json", Path("one-report/report.json")
+    several, one = (json.loads(x.read_text(encoding="utf-8")) for x in paths)
     differ = {key for key in one if one[key] != several[key]}
     assert differ == {"provenance"}
     assert one["provenance"]["file"] == "one.csv"
@@ -143,15 +135,9 @@ def test_what_a_command_does_not_take_is_refused(argv, words, here, capsys):
     assert words in capsys.readouterr().err
 
 
-# -- folders ---------------------------------------------------------------------------
-
-
 def test_the_folder_of_the_recordings_is_not_written_to(here, capsys):
     line = refusal(capsys, "identify", *RUNS, "--out", "runs")
     assert "runs holds a.csv, b.csv, c.csv" in line
-
-
-# -- bad input -------------------------------------------------------------------------
 
 
 def test_a_bad_file_is_refused_by_its_name(here, capsys):

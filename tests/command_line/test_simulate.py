@@ -126,9 +126,6 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
     assert all(row["at_rest"] for row in failed)
 
 
-# -- refusals --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("argv", "message"),
     [

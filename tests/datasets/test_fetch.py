@@ -141,9 +141,6 @@ def test_absent_set_is_refused_in_one_line(dataset, tmp_path):
     assert "\n" not in str(info.value)
 
 
-# -- downloads -------------------------------------------------------------------------
-
-
 @pytest.fixture
 def serve(monkeypatch):
     """Serve bytes by their paths in place of the public server; list the requests."""
@@ -207,9 +204,6 @@ def test_what_was_not_published_is_refused(serve, tmp_path):
         datasets.fetch_emps(data_home=tmp_path)
     assert "\n" not in str(info.value)
     assert not [x for x in tmp_path.rglob("*") if x.is_file()]
-
-
-# -- single sets -----------------------------------------------------------------------
 
 
 def test_go2_is_told_what_the_law_of_its_motors_says(fetch, converted):

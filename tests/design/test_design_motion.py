@@ -129,9 +129,6 @@ def test_it_is_worth_more_than_random_motions(path, motion):
     assert motion.condition_number < motion.start_condition_number
 
 
-# -- effects to be parted --------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def parted(tmp_path_factory):
     folder = tmp_path_factory.mktemp("parted")
@@ -154,9 +151,6 @@ def test_effects_by_hand_are_shown_or_told_invisible(parted):
     assert ("spring", 0) in shown
     assert motion.within_limits
     assert all(np.isfinite(one.least) and one.least > 0 for one in motion.shows)
-
-
-# -- by what anyone can see of a motion ------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -77,9 +77,6 @@ def assert_same(found, expected):
         assert_allclose(values, reference, rtol=0, atol=1e-10 * size, err_msg=name)
 
 
-# -- recordings
-
-
 @pytest.mark.parametrize(
     "settings",
     [
@@ -126,9 +123,6 @@ def test_a_worker_that_dies_changes_nothing(
     # the nanny has put another process in its place, at another address
     cluster.wait_for_workers(2, timeout=600)
     assert set(cluster.scheduler_info()["workers"]) != workers
-
-
-# -- refusals
 
 
 @pytest.mark.parametrize(

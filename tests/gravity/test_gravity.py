@@ -56,6 +56,17 @@ def errors(model, world):
     return gravity(model, OTHERS) - gravity(world.true, OTHERS)
 
 
+def exported(correction, folder):
+    """Write the corrected description and load it."""
+    correction.identifier.to_urdf(folder / "out.urdf")
+    return pin.buildModelFromUrdf(str(folder / "out.urdf"))
+
+
+def assert_corrected(after, world):
+    before = errors(world.before, world)
+    assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((before**2).mean())
+
+
 def test_samples_are_the_poses_with_the_side_they_were_reached_from(world):
     features = RigidBodyFeatures(world.described, friction=()).load()
     states, tau, _ = static_samples(world.recording, features)
@@ -73,19 +84,16 @@ def test_samples_are_the_poses_with_the_side_they_were_reached_from(world):
 def test_gravity_of_the_exported_description_is_that_of_the_robot(
     world, found, tmp_path
 ):
-    found.identifier.to_urdf(tmp_path / "out.urdf")
-    after = errors(pin.buildModelFromUrdf(str(tmp_path / "out.urdf")), world)
-    before = errors(world.before, world)
-    assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((before**2).mean())
+    after = errors(exported(found, tmp_path), world)
+    assert_corrected(after, world)
     inside = np.abs(after)[:, 1:] <= 2 * found.interval_at(OTHERS)[:, 1:]
     assert inside.mean() > 0.9
 
 
 def test_inertias_about_centres_of_mass_stay_as_described(world, found, tmp_path):
-    found.identifier.to_urdf(tmp_path / "out.urdf")
+    after = exported(found, tmp_path)
     text = (tmp_path / "out.urdf").read_text()
     assert "Inertias from the description: link1, link2, link3." in text
-    after = pin.buildModelFromUrdf(str(tmp_path / "out.urdf"))
     for one, described in zip(after.inertias[1:], world.before.inertias[1:]):
         np.testing.assert_allclose(one.inertia, described.inertia, atol=1e-9)
     assert abs(after.inertias[3].mass / world.before.inertias[3].mass - 1) > 0.1
@@ -165,10 +173,7 @@ def test_slow_motion_with_viscous_friction_and_rotors(world, tmp_path):
     # The rotor of a joint with a vertical axis is no mass of its link.
     named = [x for one in found.identifier.mass_deviations_ for x in one.bodies]
     assert "joint1" not in named
-    found.identifier.to_urdf(tmp_path / "out.urdf")
-    after = errors(pin.buildModelFromUrdf(str(tmp_path / "out.urdf")), world)
-    before = errors(world.before, world)
-    assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((before**2).mean())
+    assert_corrected(errors(exported(found, tmp_path), world), world)
 
 
 def test_poses_after_a_fit_narrow_its_intervals(world, found):
@@ -187,20 +192,20 @@ def test_poses_after_a_fit_narrow_its_intervals(world, found):
     assert more.interval.max() < 0.7 * few.interval.max()
 
 
-def test_one_pose_is_refused(world):
-    q = visit(np.repeat(POSES[:1], 3, axis=0))
+FAST = np.sin(6.0 * np.arange(0, 10, 0.01)[:, None] + np.arange(3))
+
+
+@pytest.mark.parametrize(
+    ("q", "message"),
+    [
+        (visit(np.repeat(POSES[:1], 3, axis=0)), "poses are the same"),
+        (FAST, "fewer than 5 poses or windows of slow motion"),
+    ],
+    ids=["one pose", "fast motion"],
+)
+def test_motions_without_several_poses_are_refused(world, q, message):
     recording = record(world.true, q, FRICTION, np.random.default_rng(5))
-    with pytest.raises(ValueError, match="poses are the same"):
-        correct_gravity(recording, world.described)
-
-
-def test_fast_motion_alone_is_refused(world):
-    t = np.arange(0, 10, 0.01)[:, None]
-    q = np.sin(6.0 * t + np.arange(3))
-    recording = record(world.true, q, FRICTION, np.random.default_rng(6))
-    with pytest.raises(
-        ValueError, match="fewer than 5 poses or windows of slow motion"
-    ):
+    with pytest.raises(ValueError, match=message):
         correct_gravity(recording, world.described)
 
 

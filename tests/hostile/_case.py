@@ -90,10 +90,15 @@ def cells(table):
     return rows
 
 
+def csv_text(table):
+    """Return columns as CSV."""
+    return "\n".join(",".join(row) for row in cells(table)) + "\n"
+
+
 @cache
 def clean_text():
     """Return the recording without fault as CSV."""
-    return "\n".join(",".join(row) for row in cells(columns())) + "\n"
+    return csv_text(columns())
 
 
 def clean_lines():
@@ -104,28 +109,3 @@ def clean_lines():
 def argv(source="arm.csv", *options):
     """Return the arguments for a recording; later options replace earlier ones."""
     return [source, *OPTIONS, *options]
-
-
-def text_case(name, change, expect="either", message=""):
-    """Return a case of a file whose text or bytes are ``change(rng)``."""
-
-    def build(folder, rng):
-        content = change(rng)
-        if isinstance(content, str):
-            content = content.encode()
-        (folder / "arm.csv").write_bytes(content)
-        return argv()
-
-    return Case(name=name, build=build, expect=expect, message=message)
-
-
-def table_case(name, change, expect="either", message=""):
-    """Return a case of columns ``change(columns, rng)``, written as CSV."""
-
-    def build(folder, rng):
-        table = change(columns(), rng)
-        text = "\n".join(",".join(row) for row in cells(table)) + "\n"
-        (folder / "arm.csv").write_text(text, encoding="utf-8")
-        return argv()
-
-    return Case(name=name, build=build, expect=expect, message=message)

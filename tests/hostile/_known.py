@@ -1,7 +1,6 @@
 """Cases whose result is known: read as without fault, read, or refused in words."""
 
 import zipfile
-from dataclasses import replace
 
 import numpy as np
 
@@ -12,8 +11,8 @@ from tests.hostile._case import (
     argv,
     clean_lines,
     clean_text,
-    table_case,
-    text_case,
+    columns,
+    csv_text,
 )
 from tests.hostile._mutations import FILES, matrices, npz
 
@@ -53,7 +52,6 @@ TEXTS = {
     "long comment": (_commented("x" * 3_000_000), "same"),
     "escape codes": (lambda rng: "\x1b[31mt,q1,tau1\n1,2,3\n", "refused"),
 }
-
 
 TABLES = {
     "torques without signs": (
@@ -167,23 +165,39 @@ def _wide(n):
     return build
 
 
-def _array_case(name, changes, expect, message=""):
+def _text(change):
+    """Write text or bytes `change(rng)`."""
+
+    def build(folder, rng):
+        content = change(rng)
+        content = content.encode() if isinstance(content, str) else content
+        (folder / "arm.csv").write_bytes(content)
+        return argv()
+
+    return build
+
+
+def _table(change):
+    return _text(lambda rng: csv_text(change(columns(), rng)))
+
+
+def _arrays(changes):
     def build(folder, rng):
         arrays = matrices()
         arrays |= {key: change(arrays[key]) for key, change in changes.items()}
         (folder / "arm.npz").write_bytes(npz(arrays))
         return argv("arm.npz")
 
-    return Case(name=name, build=build, expect=expect, message=message)
+    return build
 
 
-def _robot_case(name, text, expect, message=""):
+def _robot(text):
     def build(folder, rng):
         (folder / "arm.urdf").write_text(text(), encoding="utf-8")
         (folder / "arm.csv").write_text(clean_text())
         return argv()
 
-    return Case(name=name, build=build, expect=expect, message=message)
+    return build
 
 
 def _whole(name):
@@ -198,15 +212,16 @@ def cases():
     """Return all cases."""
     found = [_whole(name) for name in FILES if name != "arm.urdf"]
     tables = (
-        ("text", TEXTS, text_case),
-        ("table", TABLES, table_case),
-        ("npz", ARRAYS, _array_case),
-        ("robot", ROBOTS, _robot_case),
+        ("text", TEXTS, _text),
+        ("table", TABLES, _table),
+        ("npz", ARRAYS, _arrays),
+        ("robot", ROBOTS, _robot),
     )
-    for kind, known, case in tables:
-        for name, (change, *rest) in known.items():
-            one = case(f"{kind}: {name}", change, *rest)
-            found.append(replace(one, slow=name not in QUICK))
+    for kind, known, builder in tables:
+        for name, (change, expect, *message) in known.items():
+            given = {"expect": expect, "message": "".join(message)}
+            given |= {"build": builder(change), "slow": name not in QUICK}
+            found.append(Case(name=f"{kind}: {name}", **given))
     large = {
         "npz: bomb of 400 MB": (_bomb(400 << 20), "refused"),
         "text: 2,000 columns": (_wide(2000), "read"),

@@ -174,9 +174,6 @@ def test_hostile_input(case, runner, clean, tmp_path):
         assert re.search(case.message, "\n".join([outcome.err, *noted])), told
 
 
-# -- files and folders that change during a run ----------------------------------------
-
-
 def _grows(folder):
     with (folder / "arm.csv").open("a") as file:
         file.write("1,2,3\n")

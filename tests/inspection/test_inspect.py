@@ -17,24 +17,9 @@ from tests._quick import one_in
 # three joints of TIAGo take some forty values.
 TRUE_FINDINGS = {
     "franka_panda": {("delay", tuple(range(7)))},
-    "tiago": {
-        ("coarse_torque", (5,)),
-        ("coarse_torque", (6,)),
-        ("coarse_torque", (7,)),
-    },
+    "tiago": {("coarse_torque", (j,)) for j in (5, 6, 7)},
 }
-MEASURED = (
-    "bam_xl330",
-    "dfki_double_pendulum",
-    "emps",
-    "franka_panda",
-    "kuka_kr300",
-    "kuka_lbr_med7",
-    "staubli_tx40",
-    "tflex_1dof",
-    "tiago",
-    "ur5",
-)
+MEASURED = sorted(set(datasets.SETS) - {"unitree_go2"})
 
 
 @pytest.fixture(scope="module")
@@ -67,9 +52,6 @@ def only(findings, kind, joints, severity):
     assert found(findings) == {(kind, joints)}, findings
     assert findings[0].severity == severity
     return findings[0].message
-
-
-# -- nothing is found where nothing is -------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -124,9 +106,6 @@ def test_nothing_wrong_is_found_in_measured_recordings(measured_data_home, name)
             gains=None if torques else "unknown",
         )
     assert all(finding.severity == "note" for finding in findings)
-
-
-# -- what is wrong is found, and nothing else ------------------------------------------
 
 
 def test_a_sign_that_does_not_show_is_that_of_all_the_others(arm):
@@ -248,9 +227,6 @@ def test_channels_without_information(arm):
     assert ("still_joint", (5,)) in found(findings)
 
 
-# -- bad input -------------------------------------------------------------------------
-
-
 def test_bad_input_is_refused(arm):
     recording, model = arm
     q, tau = recording.q, recording.tau
@@ -294,9 +270,6 @@ def test_torques_of_few_values_are_coarse(arm):
     findings = inspect(arm, tau=tau)
     assert {f.severity for f in findings} == {"warning"}
     assert sum(f.kind == "coarse_torque" for f in findings) == 6
-
-
-# -- loggers, units, order, direction, zero and sample period --------------------------
 
 
 def grave(findings, kind):

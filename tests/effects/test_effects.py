@@ -573,7 +573,7 @@ def test_drift_over_a_recording_has_zero_mean_and_unit_decrease(constant):
     assert np.trapezoid(column, t) == pytest.approx(0.0, abs=1e-7)
     curve = np.exp(-t / constant) if constant < 1 else -t
     assert abs(np.corrcoef(column, curve)[0, 1]) == pytest.approx(1.0)
-    with pytest.raises(ValueError, match="before its end"):
+    with pytest.raises(ValueError, match="below end"):
         effects.Drift(begin=1.0, end=1.0).fit(np.zeros((1, 3)))
 
 

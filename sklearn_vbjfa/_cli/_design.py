@@ -115,7 +115,7 @@ def _identified(arguments, data, folder):
         if arguments.acceleration is arguments.torque is None:
             raise ValueError(
                 "torque gains are relative, so the torque limits of the description do "
-                "not apply; give --acceleration, or --torque in units of the channels."
+                "not apply; give --acceleration, or --torque as readings over gains."
             )
         model = model.copy()
         model.effortLimit = np.full(model.nv, np.inf)

@@ -118,6 +118,8 @@ def _limits(robot, recording):
     speed, torque = (
         np.quantile(np.abs(x), 0.99, axis=0) for x in (steps, recording.tau)
     )
+    # A design limits torques, not the readings of their channels.
+    torque = torque / np.abs(robot.features_.gains_)
     effort = known_limits(model.effortLimit)
     placeholder = (effort < torque) | (gains is not None and not gains.absolute)
     effort = np.where(placeholder, np.inf, effort)

@@ -100,7 +100,8 @@ class KnownRobot:
             effects=tuple(effects),
             coefficients=tuple(coefficients),
             joint_names=robot.joint_names_,
-            torque_noise=np.where(np.isfinite(noise), noise, residual),
+            torque_noise=np.where(np.isfinite(noise), noise, residual)
+            / np.abs(full.gains_),
             cutoff=float(robot.cutoff_),
             encoder_noise=np.where(np.isnan(encoder), 0.0, encoder),
             description=robot.source,

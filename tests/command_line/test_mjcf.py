@@ -121,9 +121,15 @@ def test_held_joints_of_mjcf(write, table, capsys):
 
 def test_limits_that_the_recording_exceeds_are_placeholders():
     model = SimpleNamespace(velocityLimit=np.ones(2), effortLimit=np.array([500, 5.0]))
-    robot = SimpleNamespace(features_=SimpleNamespace(nominal_=model), gains_=None)
+    features = SimpleNamespace(nominal_=model, gains_=np.ones(2))
+    robot = SimpleNamespace(features_=features, gains_=None)
     recorded = SimpleNamespace(q=np.zeros((9, 2)), tau=np.full((9, 2), 90.0), dt=0.1)
     assert list(_limits(robot, recorded)) == ["--torque", "500,90"]
+    # A reading is a gain times the torque, which `design` limits.
+    features.gains_ = np.array([2.0, 0.5])
+    for absolute, limits in ((True, "500,180"), (False, "45,180")):
+        robot.gains_ = SimpleNamespace(absolute=absolute)
+        assert list(_limits(robot, recorded)) == ["--torque", limits]
 
 
 def test_a_robot_without_limits_and_with_columns_of_its_own(write, recording, capsys):

@@ -1,6 +1,8 @@
 """What a report leaves open becomes what the motion decides."""
 
 import json
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,6 +79,13 @@ def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
     loud.fit(*swung(path, [0.5, 0.8], 800))
     noise = posed(loud).noise
     assert (noise[1] / noise[0]) ** 2 == pytest.approx(16.0, rel=0.2)
+    # The noise of a reading, which is a gain times the torque.
+    readings, features = posed(loud).robot.torque_noise, copy(loud.features_)
+    features.gains_ = np.array([2.0, 0.5])
+    channels = replace(loud.robot_, features_=features)
+    np.testing.assert_allclose(
+        posed(channels).robot.torque_noise, readings / features.gains_
+    )
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         RMS of the held-out torque residual over `torque_std_`, of the declared model,
         with the four friction terms, and with the effects; `report_` has intervals.
     torque_std_ : ndarray of shape (nv,)
-        Standard deviation of the filtered torque of each joint in motion [N m or N].
+        Standard deviation of the filtered torque of each joint in motion [unit of y].
     unexplained_ : tuple of Unexplained
         Joints with a residual above the noise floor, its share of the torque, and the
         signals on which it depends.
@@ -264,7 +264,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             setattr(self, f"{name}_", outcome.findings[name])
         for name in ("before", "plain", "after"):
             setattr(self, f"error_{name}_", outcome.column(name))
-        self.torque_std_ = outcome.column("spread")
         self.report_ = Report(outcome)
         return self
 
@@ -356,6 +355,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.validation_model_ = model.extended_by(torques)
         del part  # a copy of most rows
         judged = held_out_errors(self, result, split, thinned, whole)
+        self.torque_std_ = judged["columns"]["spread"]
         say("final model")
         rows, pieces = stretches(whole.segments, split.moving, lowpass)
         sample = take_rows(whole, rows, pieces)
@@ -435,11 +435,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             Bounds of the 90 % prediction interval.
         """
         predicted = self.predict(X, groups, t, signals)
-        robot, scale = self.identifier_, self.torque_std_
+        robot, gains = self.identifier_, self.identifier_.features_.gains_
         X, _ = positions_and_signals(X, self.joint_names_)
         states = np.asarray(robot.robot_.states(X, groups))
         speeds = np.abs(np.split(states, 3, axis=1)[1])
         moving = (speeds > np.maximum(robot.standstill_, 0.0)).astype(float)
-        motion = motion_statistics(robot, states, predicted, moving, scale)
+        torques = predicted / gains, moving, self.torque_std_ / np.abs(gains)
+        motion = motion_statistics(robot, states, *torques)
         error, low, high = self._expectation.of(motion)[:, :-1]
         return error, np.stack([low, high])

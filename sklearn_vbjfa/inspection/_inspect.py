@@ -273,7 +273,8 @@ def inspect_channels(
         rows, parts = subsample(parts, log.every)
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
-    reading = Reading(model, names, q, tau, dt, parts, usable, drive, named, feedback)
+    settings = drive, named, feedback, gains
+    reading = Reading(model, names, q, tau, dt, parts, usable, *settings)
     recordings = recording_names(groups, [part.start for part in all_parts])
     is_long = [part.stop - part.start >= number.MIN_SAMPLES for part in all_parts]
     recordings = list(itertools.compress(recordings, is_long))
@@ -392,7 +393,7 @@ def _unverified(reading):
     elif reading.bodies.weightless:
         reason = "weightless"
     elif not reading.commanded and _is_scale_ambiguous(reading.robot):
-        reason = "size"
+        reason = "size" if reading.gains is None else ""
     elif not reading.named and _is_order_ambiguous(reading):
         reason = "order"
     arguments = reading.names, reading.every, "note"

@@ -228,6 +228,7 @@ class Reading:
     drive: object = None  # drive that generated the torques; None if measured
     named: bool = False  # whether columns carry the joints' names
     feedback: np.ndarray | None = None  # as in `Recording`
+    gains: object = None  # as in `RobotIdentifier`; None: torques have a known size
     alone: bool = False  # whether it is one of several recordings
 
     def __post_init__(self):

@@ -51,8 +51,22 @@ def discover(recording, masses, effects, declared=(PAYLOAD,)):
     return loop.fit(X, y)
 
 
-def test_effects_are_found_with_unknown_gains(recording):
-    loop = discover(recording, {"payload": MASS}, ["spring", "torque_gain", "offset"])
+@pytest.fixture(scope="module")
+def absolute(recording):
+    effects = ["spring", "torque_gain", "offset"]
+    return discover(recording, {"payload": MASS}, effects)
+
+
+def column(loop, name):
+    return [row[name] for row in loop.report_.to_dict()["errors"]]
+
+
+def expected_errors(loop):
+    return [x.value for x in loop.report_.outcome.facts_of("next recording")]
+
+
+def test_effects_are_found_with_unknown_gains(absolute):
+    loop = absolute
     (effect,) = loop.effects_
     assert (effect.name, effect.joint) == ("spring", 1)
     # In N m/rad: parameters of the completed model.
@@ -62,6 +76,12 @@ def test_effects_are_found_with_unknown_gains(recording):
     assert_allclose(loop.identifier_.gains_.gain, GAINS, rtol=0.03)
     assert np.all(loop.error_after_ < 0.02)
     assert loop.report_.outcome.robot["gains"] is loop.identifier_.gains_
+    # The report is in N m, attributes are in the units of the channels.
+    assert column(loop, "unit") == NV * ["N m"]
+    assert_allclose(column(loop, "spread"), loop.torque_std_ / GAINS, rtol=0.03)
+    joints = [curve.joint for curve in loop.report_.outcome.curves["torques"]]
+    drawn = [np.nanstd(x.measured) for x in loop.report_.outcome.curves["torques"]]
+    assert_allclose(drawn, np.take(column(loop, "spread"), joints), rtol=0.5)
 
 
 @pytest.mark.slow
@@ -82,7 +102,7 @@ def test_a_discovered_payload_fixes_the_common_gain(recording):
     assert "follows from the payload of 1.5 kg" in text_of(loop.report_)
 
 
-def test_reference_channel_is_kept_and_gains_are_not_searched(recording):
+def test_reference_channel_is_kept_and_gains_are_not_searched(recording, absolute):
     loop = discover(recording, None, ["spring", "torque_gain"])
     references = {
         robot.gains_.references
@@ -97,6 +117,11 @@ def test_reference_channel_is_kept_and_gains_are_not_searched(recording):
     assert_allclose(effect.parameters["k"], STIFFNESS * GAINS[first], rtol=0.05)
     low, high = effect.intervals["k"]
     assert high - low < 0.1 * effect.parameters["k"]
+    assert column(loop, "unit") == NV * ["channel units"]
+    assert_allclose(column(loop, "spread"), loop.torque_std_, rtol=1e-12)
+    assert_allclose(expected_errors(loop), expected_errors(absolute), rtol=0.2)
+    X, motion = recording[1], loop.expected_error(recording[1])[0]
+    assert_allclose(motion, absolute.expected_error(X)[0], rtol=0.2)
 
 
 @pytest.mark.parametrize(

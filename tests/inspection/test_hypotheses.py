@@ -407,6 +407,13 @@ def test_torques_far_beyond_the_limits_of_axes_that_show_no_mass():
     assert "torque_unit" in {x.kind for x in inspect_channels(model, q, tau, dt)}
 
 
+def test_the_size_of_torques_is_verified_unless_gains_are_identified():
+    model = chain(("lift", "PZ", 0), ("turn", "RZ", 1))
+    (finding,) = inspect_channels(model, *simulated(model))
+    assert "size of the torques cannot be verified" in finding.message
+    assert inspect_channels(model, *simulated(model), gains="unknown") == ()
+
+
 def test_the_order_of_branches_that_are_alike_is_assumed():
     arms = (("right", "RY", 0), ("right_2", "RX", 1))
     model = chain(*arms, ("left", "RY", 0), ("left_2", "RX", 3))

@@ -98,12 +98,12 @@ class Unexplained:
     signals: tuple[Dependence, ...] = ()  # that it depends on, the strongest first
 
 
-def unexplained(search, names, spread, floors, errors, least):
+def unexplained(search, names, sizes, errors, least):
     """Return joints whose residual exceeds the noise floor, with its dependences."""
-    # search: its result; spread, floors (nv,): standard deviation of the
-    # torque and noise floor [N m or N]; errors, least (nv,): held-out error and the
-    # lower end of its interval, over the spread; nan where unknown.
-    view, listed = search.view, []
+    # search: its result; sizes (3, nv): standard deviation and noise floor of the
+    # readings, and their gains; errors, least (nv,): held-out error and the lower end
+    # of its interval, over the deviation; nan where unknown.
+    view, listed, (spread, floors, gains) = search.view, [], sizes
     signals = motion_signals(search.motion, names)
     filtered = {key: view.filtered(x[:, None])[:, 0] for key, x in signals.items()}
     weights, residuals = view.equations.weight, _residuals(search)
@@ -124,8 +124,8 @@ def unexplained(search, names, spread, floors, errors, least):
             Unexplained(
                 joint=j,
                 joint_name=names[j],
-                rms=rms,
-                floor=floor,
+                rms=rms / gains[j].item(),
+                floor=floor / gains[j].item(),
                 of_torque=float(np.sqrt(max(error**2 - low**2, 0.0))),
                 signals=depends_on,
             )

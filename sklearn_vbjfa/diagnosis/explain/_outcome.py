@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import platform
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -29,6 +29,8 @@ from sklearn_vbjfa.robot._posterior import body_indices
 
 # Position or velocity limits above this count as unlimited.
 _UNLIMITED = 1e3
+# Attributes of curves that are readings of torque channels.
+_READINGS = {"measured", "before", "after", "predicted", "residual"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +39,8 @@ class JointErrors:
 
     joint: int  # from zero
     name: str
-    unit: str  # of the torque, "N m" or "N"
+    unit: str  # of the torque, "N m" or "N"; of the channel if its gain is relative
+    position_unit: str = "rad"  # or "m"
     # RMS error of the declared model, with four friction terms, and completed
     before: float
     plain: float
@@ -46,8 +49,8 @@ class JointErrors:
     # ends of the 90 % intervals over the next 50 s of the same motion: of the error
     # "after", and of after minus before ("difference") and after minus plain ("added")
     intervals: dict
-    spread: float = math.nan  # standard deviation of the torque in motion [N m or N]
-    # 99.9 % quantile of the absolute residual "after" [N m or N]
+    spread: float = math.nan  # standard deviation of the torque in motion [unit]
+    # 99.9 % quantile of the absolute residual "after" [unit]
     threshold: float = math.nan
     seconds: float = math.nan  # held-out time in which the joint moves [s]
     enough: bool = True  # whether that suffices for a verdict
@@ -119,8 +122,9 @@ def make_outcome(loop, search, final, judged, channels, whole):
     if parts is not None:
         left_out, alone = parts.left_out(spread), parts.alone(spread)
     states, weight = final.view.states[final.view.index], final.view.equations.weight
-    predicted = final.predicted(identifier.theta_)
-    motion = motion_statistics(identifier, states, predicted, weight, spread)
+    predicted = final.predicted(identifier.theta_) / final.view.gains
+    gains = np.abs(identifier.features_.gains_)
+    motion = motion_statistics(identifier, states, predicted, weight, spread / gains)
     timed = any(isinstance(effect, OfTime) for effect in identifier.effects_)
     data = columns["floor"], scatter, left_out, alone, motion, timed
     expectation = ExpectedError(after, *data)
@@ -134,12 +138,22 @@ def make_outcome(loop, search, final, judged, channels, whole):
     effects = tuple(discovered_effects(search, final, names, prismatic, joints))
     judged_effects = loop.validation_model_.effects_
     parameters = parameter_values(identifier)
+    units, curves = np.where(prismatic, "N", "N m").tolist(), judged["curves"]
+    if identifier.gains_ is not None and not identifier.gains_.absolute:
+        gains, recorded = np.ones(spread.size), whole.torque_units
+        units = ["channel units" if x in ("N m", "N", "") else x for x in recorded]
+    columns |= {"spread": spread / gains, "threshold": columns["threshold"] / gains}
+    for curve in (*curves["residuals"], *curves["torques"]):
+        for name in _READINGS & vars(curve).keys():
+            vars(curve)[name] /= gains[curve.joint]
+    sizes = spread, floor, gains
     outcome = Outcome(
         errors=tuple(
             JointErrors(
                 joint=j,
                 name=name,
-                unit="N" if prismatic[j] else "N m",
+                unit=units[j],
+                position_unit="m" if prismatic[j] else "rad",
                 intervals={
                     key: tuple(ends[:, j].tolist())
                     for key, ends in judged["intervals"].items()
@@ -152,7 +166,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
             "effects": tuple(e for e in effects if not e.warning),
             "possible": tuple(e for e in effects if e.warning),
             "unnamed": tuple(e for e in judged_effects if isinstance(e, UnnamedTorque)),
-            "unexplained": unexplained(search, names, spread, floor, errors, low),
+            "unexplained": unexplained(search, names, sizes, errors, low),
             "not_identifiable": not_identifiable(search, names),
             "channels": channels,
             "contradictions": differing,
@@ -166,7 +180,7 @@ def make_outcome(loop, search, final, judged, channels, whole):
             *_expected(expectation, names),
         ),
         robot=_robot(loop, search, identifier, whole),
-        curves=judged["curves"],
+        curves=curves,
         provenance={
             "recordings": tuple(map(str, whole.group_names)),
             "samples": int(whole.n_samples),
@@ -245,9 +259,8 @@ def parameter_values(robot):
         bodies = nominal_parameters(features.nominal_), nominal_followers(features)
         nominal[body_indices(robot)] = np.vstack(bodies)
     # nan if the standard deviation is not finite
-    half = HALF_WIDTH * np.where(
-        np.isfinite(robot.theta_std_), robot.theta_std_, np.nan
-    )
+    std = np.where(np.isfinite(robot.theta_std_), robot.theta_std_, np.nan)
+    half = HALF_WIDTH * std
     ends = np.column_stack([robot.theta_ - half, robot.theta_ + half]).tolist()
     return tuple(
         Fact(
@@ -283,8 +296,7 @@ def _masses(robot, parameters):
     nominal = nominal_parameters(model)[:, 0].tolist()
     rows = zip(body_names(model), body_indices(robot)[:, 0], nominal)
     for name, at, described in rows:
-        about = {"kind": "mass", "name": name, "described": described}
-        yield dataclasses.replace(parameters[at], **about)
+        yield replace(parameters[at], kind="mass", name=name, described=described)
 
 
 def _expected(expectation, names):

@@ -75,7 +75,7 @@ def remedies(outcome):
 
 def range_text(outcome, joint, quantity, pair):
     """Format a range with its unit, "-1.2 to 1.3 rad"."""
-    unit = _UNITS[quantity][int(outcome.errors[joint].unit == "N")]
+    unit = _UNITS[quantity][int(outcome.errors[joint].position_unit == "m")]
     width = max(map(abs, pair))
     low, high = (words.number(0.0 if abs(x) < _ZERO * width else x) for x in pair)
     if quantity == "speed" and pair[0] < _SLOW * pair[1]:

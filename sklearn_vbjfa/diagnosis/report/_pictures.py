@@ -99,7 +99,7 @@ def torques(outcome, curves):
         kind: np.where(curves.counts, curves.measured - upper[kind], np.nan)
         for kind in ("line-before", "line-after")
     }
-    quantity, charts, notes = "torque" if joint.unit == "N m" else "force", [], []
+    quantity, charts, notes = "force" if joint.unit == "N" else "torque", [], []
     time = "held-out time, its stretches joined [s]"
     for name, lines in ((quantity, upper), ("residual", lower)):
         values, label = list(lines.values()), f"{name} [{joint.unit}]"

@@ -119,6 +119,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
             joint=j,
             name=names[j],
             unit=units[j],
+            position_unit="m" if units[j] == "N" else "rad",
             intervals=NO_ENDS | {k: tuple(x[j]) for k, x in ends.items()},
             **{k: np.asarray(x)[j].item() for k, x in columns.items()},
         )

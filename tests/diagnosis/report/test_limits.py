@@ -224,6 +224,8 @@ def test_relative_gains_are_reported():
     contains(text_of(hidden), "joint 3 not identifiable")
     contains(line_of(hidden), "in units of that channel; not identifiable: joint 3")
     assert Report(make_outcome()).to_dict()["robot"]["gains"] is None
+    readings = gains_of(units=3 * ("A",))
+    assert "after [90 %] A noise" in " ".join(str(readings).split())
 
 
 def test_a_known_mass_fixes_the_common_gain():

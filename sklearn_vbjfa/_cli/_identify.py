@@ -115,11 +115,9 @@ def _limits(robot, recording):
     model, gains = robot.features_.nominal_, robot.gains_
     steps = np.abs(np.diff(recording.q, axis=0)) / recording.dt
     # Jumps between recordings are few, and above the quantile.
-    speed, torque = (
-        np.quantile(np.abs(x), 0.99, axis=0) for x in (steps, recording.tau)
-    )
     # A design limits torques, not the readings of their channels.
-    torque = torque / np.abs(robot.features_.gains_)
+    signals = steps, recording.tau / robot.features_.gains_
+    speed, torque = (np.quantile(np.abs(x), 0.99, axis=0) for x in signals)
     effort = known_limits(model.effortLimit)
     placeholder = (effort < torque) | (gains is not None and not gains.absolute)
     effort = np.where(placeholder, np.inf, effort)

@@ -19,9 +19,6 @@ from sklearn_vbjfa.recording import common_folder, expand
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
-# -- recordings ------------------------------------------------------------------------
-
-
 def load(arguments, folder, *, assumed=None):
     """Return a recording, its robot description, and the joints that are held."""
     # folder: for derived descriptions; assumed: gains of the torque channels by
@@ -140,9 +137,6 @@ def read(arguments, urdf, joints, gains):
     return recording
 
 
-# -- robots ----------------------------------------------------------------------------
-
-
 def robot(arguments, joints, folder):
     """Check a description; return one with other joints fixed, and their names."""
     if arguments.urdf is None:
@@ -168,9 +162,6 @@ def _reduced(urdf, moving, folder, base=None):
     # Each repeated reduction gets another file name.
     reduced = folder / (f"held-{urdf.name}" if urdf.parent == folder else urdf.name)
     return reduced, tuple(write_reduced(urdf, reduced, moving, base))
-
-
-# -- output ----------------------------------------------------------------------------
 
 
 def output_folder(arguments, what):

@@ -94,9 +94,6 @@ def _notes(caught):
     return tuple(dict.fromkeys(texts))
 
 
-# -- files -----------------------------------------------------------------------------
-
-
 def _write(result, arguments, notes):
     """Write all files completely, or none; return lines to print."""
     folder = result.folder
@@ -136,9 +133,6 @@ def _reserve(folder):
         shutil.rmtree(part)
         if is_new and not any(folder.iterdir()):
             folder.rmdir()
-
-
-# -- text ------------------------------------------------------------------------------
 
 
 def render_template(template, **values):

@@ -25,8 +25,6 @@ from sklearn_vbjfa.inspection._torques import other_robot
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import listed_joints
 
-# -- order, direction and coupling -----------------------------------------------------
-
 
 def orders(reading, what):
     """Return the best order of some channels, by exchanges from the best start."""
@@ -131,8 +129,6 @@ def _fit_shared_torques(reading, change, j, i):
     return robot.fit(columns=torques, deviation=number.WIDE)
 
 
-# -- commands -------------------------------------------------------------------------
-
 # Units of commands of angles, with their symbols and factors to that of the positions.
 _UNITS = ("", "", 1.0), ("degrees", "deg", np.pi / 180), ("turns", "rev", 2 * np.pi)
 
@@ -196,9 +192,6 @@ def _unexplained(reading, factors):
     return (error**2).mean(axis=1) / variance
 
 
-# -- zeros -----------------------------------------------------------------------------
-
-
 def zeros(reading, few):
     """Return the best zeros of all joints, or corrections of few of them."""
     # Zeros that do not affect the torques, such as of vertical axes, are kept.
@@ -241,9 +234,6 @@ def zeros(reading, few):
         return best
     far = reading.robot.surpasses(best.log_odds)
     return replace(best, clear=far and not other_robot(reading.apply(best.change)))
-
-
-# -- units -----------------------------------------------------------------------------
 
 
 def _limits(model):
@@ -391,9 +381,6 @@ def encoder_counts(reading):
     texts = angles if revolute[j] else ("metres", "millimetres or encoder counts", "m")
     facts |= dict(zip(("units", "guess", "unit"), texts))
     return Proposal(joints=tuple(joints), log_odds=np.inf, facts=facts)
-
-
-# -- sample period ---------------------------------------------------------------------
 
 
 def _too_fast(model):

@@ -10,8 +10,6 @@ from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._reading import Change, Proposal
 from sklearn_vbjfa.inspection._sentences import percent
 
-# -- weight ----------------------------------------------------------------------------
-
 
 def weightless(reading):
     """Return joints whose torques do not contain the weight of the links."""
@@ -154,9 +152,6 @@ def _loaded(robot, weight):
     return [int(j) for j in robot.joints if heavy[j] > 0.1 * heavy.max()]
 
 
-# -- lag -------------------------------------------------------------------------------
-
-
 def torque_lag(reading):
     """Return a lag or a low-pass that is common to all torques."""
     robot_before, n_whole, after = _robot_in_motion(reading, reading), 0, reading
@@ -239,9 +234,6 @@ def _lowpass(robot, samples):
     torques, slope = robot.signals.tau, robot.signals.slope
     unfiltered = [torques + part * samples * slope for part in number.CONSTANTS]
     return max(robot.fit(tau=y).evidence for y in unfiltered) - robot.baseline.evidence
-
-
-# -- contact ---------------------------------------------------------------------------
 
 
 def external_force(reading):

@@ -27,8 +27,6 @@ _UNITS = {
     "gf cm": 9.80665e-5,
 }
 
-# -- signs -----------------------------------------------------------------------------
-
 
 def signs(reading):
     """Return the torques whose signs are wrong: one, some, or all."""
@@ -83,9 +81,6 @@ def _sign_odds(robot, j):
     """Return the log odds of the other sign of one torque, in a separate fit."""
     tau = robot.signals.tau
     return robot.fit(tau=-tau, joints=[j]).evidence - robot.fit(joints=[j]).evidence
-
-
-# -- size ------------------------------------------------------------------------------
 
 
 def torque_factors(robot, common):
@@ -238,9 +233,6 @@ def mixed_torques(reading):
     return judge(reading, change, variants=2 * reading.nv, facts=facts)
 
 
-# -- torques that were not measured ----------------------------------------------------
-
-
 def silent_torque(reading):
     """Return a torque that does not follow the motion that should load it."""
     robot = reading.robot
@@ -286,9 +278,6 @@ def computed_torque(reading):
     return Proposal(joints=reading.every, log_odds=np.inf, facts=facts)
 
 
-# -- motion in place of torques --------------------------------------------------------
-
-
 def motion_as_torque(reading):
     """Return torques that are positions, velocities or accelerations."""
     if reading.signals is None:
@@ -310,9 +299,6 @@ def motion_as_torque(reading):
             facts = {"what": what, "factor": factor, "share": percent(max(unexplained))}
             return Proposal(joints=reading.every, log_odds=np.inf, facts=facts)
     return None
-
-
-# -- torques without signs -------------------------------------------------------------
 
 
 def unsigned(reading):

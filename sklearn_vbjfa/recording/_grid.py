@@ -39,9 +39,6 @@ class Log:
     noise: np.ndarray | None = None  # std of torque noise (nv,), if interpolated
 
 
-# -- interpolation ---------------------------------------------------------------------
-
-
 def interpolate(t, channels, dt: float):
     """Interpolate channels (n, ...) from times t (n,) [s] on multiples of dt."""
     # Positions "q" are interpolated by a cubic spline, commands by a zero-order hold,
@@ -64,9 +61,6 @@ def interpolate(t, channels, dt: float):
             rows = np.column_stack([np.interp(query, t, x) for x in rows.T])
         resampled[key] = rows.reshape(query.size, *values.shape[1:])
     return grid, resampled
-
-
-# -- recordings without gaps -----------------------------------------------------------
 
 
 def _split(log, dt, starts=()):
@@ -130,9 +124,6 @@ def join(logs, *, dt: float, resample=True) -> dict:
         gaps = [np.flatnonzero(np.diff(x.t) > _LOG_GAP_PERIODS * dt) for x in logs]
         logs = [log for x, gap in zip(logs, gaps) for log in _split(x, dt, gap + 1)]
     return _to_fields(logs, dt)
-
-
-# -- files of a user -------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -310,9 +310,6 @@ def _assign_columns(table, options, robot):
     return fitted or named
 
 
-# -- by names --------------------------------------------------------------------------
-
-
 def assign_by_name(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
     """Assign columns to channels by their names, without units."""
     # drive: control law whose channels replace the torques, or None.
@@ -377,9 +374,6 @@ def channel_unit(table: Table, role: Role) -> Unit | None:
     return unit
 
 
-# -- by patterns -----------------------------------------------------------------------
-
-
 def match_pattern(pattern: str, table: Table, kind: str) -> list[Role]:
     """Return the roles of columns that match a pattern."""
     # {i} matches a number, {joint} and * any text. A name matches with or without its
@@ -442,9 +436,6 @@ def _apply_mapping(table: Table, mapping: dict, named: Layout) -> Layout:
     # Columns without names are not used as signals.
     others = frozenset(table.frame) if table.nameless else named.no_signals
     return replace(named, roles=tuple(roles), no_signals=others, certain=True)
-
-
-# -- by a preset -----------------------------------------------------------------------
 
 
 def _match_preset(table: Table, options, robot, named):

@@ -103,9 +103,6 @@ def _read_bytes(path, stream):
     return content.getvalue()
 
 
-# -- folders ---------------------------------------------------------------------------
-
-
 def expand(path):
     """Return a path with ~ expanded and a leading file:// removed."""
     path = Path(str(path).removeprefix("file://"))

@@ -30,9 +30,6 @@ _MAX_DEPTH = 8
 _CHANNEL = re.compile(r"t|segment|(q|tau|v|a)([_.\[(]?\d+[\])]?)?", re.IGNORECASE)
 
 
-# -- arrays and records as tables ------------------------------------------------------
-
-
 def table_of(path, columns, **fields) -> Table:
     """Build a table from columns by name, or from a matrix without column names."""
     frame = imported(path, "pandas").DataFrame(columns)
@@ -190,9 +187,6 @@ def _text_array(values):
     return array.astype(str) if texts else array
 
 
-# -- JSON ------------------------------------------------------------------------------
-
-
 def read_json(path, content) -> Table:
     """Read a list of records or rows, JSON lines, or an object of named arrays."""
     with parsing(path, "JSON file", "write it again."):
@@ -259,8 +253,6 @@ def _max_length(record):
     return max((len(x) for x in record.values() if isinstance(x, list)), default=0)
 
 
-# -- Parquet and Feather ---------------------------------------------------------------
-
 PARQUET = (".parquet", ".pq", ".feather", ".arrow")
 INFO = "meta/info.json"
 
@@ -305,8 +297,6 @@ def _lerobot_features(file):
                 return json.loads(path.read_text(encoding="utf-8"))["features"]
     return {}
 
-
-# -- bags ------------------------------------------------------------------------------
 
 BAGS = (".bag", ".db3", ".mcap")
 _TYPE = "sensor_msgs/msg/JointState"

@@ -119,9 +119,6 @@ def _read_lines(path, content, notes=()):
     return _convert_columns(table, comma=separator != ",")
 
 
-# -- names -----------------------------------------------------------------------------
-
-
 def _parse_header(path, lines):
     """Return column names, number of lines before the data, separator and notes."""
     # Columns without names are numbered from "1". The separator None is white space.
@@ -258,9 +255,6 @@ def _row_fault(line, names, separator):
     return f"has {len(cells)} cells, the header names {len(names)} columns; {remedy}"
 
 
-# -- columns ---------------------------------------------------------------------------
-
-
 def _convert_columns(table, comma):
     """Convert the cells of a table to numbers or text, and split columns of lists."""
     path, frame, notes = table.path, table.frame, table.notes
@@ -325,9 +319,6 @@ def _split_lists(table, name, values):
             "many numbers; correct or remove those rows."
         ) from error
     return [(f"{name}_{k}", x) for k, x in enumerate(matrix.T)]
-
-
-# -- spreadsheets ----------------------------------------------------------------------
 
 
 def read_sheet(path) -> Table:

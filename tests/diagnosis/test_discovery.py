@@ -95,7 +95,7 @@ def torque_and_truth(name):
 @pytest.mark.parametrize(
     ("name", "rivals"),
     [
-        ("spring", ["coulomb", "offset", "ripple"]),
+        ("spring", ["coulomb", "offset", "ripple", "backlash"]),
         ("ripple", ["offset", "spring", "coulomb"]),
         pytest.param("stribeck", ["coulomb", "spring"], marks=pytest.mark.slow),
         pytest.param("maxwell_slip", ["coulomb", "stribeck"], marks=pytest.mark.slow),
@@ -117,6 +117,7 @@ def test_an_effect_is_found_with_joint_and_parameters(name, rivals):
     assert loop.error_after_[joint] < 0.5 * loop.error_before_[joint]
     assert {e.joint for e in loop.effects_} == {joint}
     assert len(loop.effects_) == 1
+    assert effect.rivals == ()
 
 
 def test_two_effects_on_two_joints():

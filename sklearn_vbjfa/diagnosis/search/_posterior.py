@@ -164,7 +164,7 @@ def search(view, library, settings, alpha, max_effects=None):
             c.effect
             for c in path.candidates.rivals(fit, i)
             if c.effect.key() != member.effect.key()
-            and _can_replace(path, c, fit, i, log_odds[i] - settings.rivals)
+            and _can_replace(path, c, fit, i, log_odds[i])
         )
         warning = _warning(fit, member, evidence, needed, path)
         warning = warning or ("" if i in large else SMALL)
@@ -185,9 +185,14 @@ def search(view, library, settings, alpha, max_effects=None):
     )
 
 
-def _can_replace(path, candidate, fit, i, threshold):
+def _can_replace(path, candidate, fit, i, log_odds):
     """Check if a rival is as probable in place of a member, without its torque."""
-    geometry = [isinstance(x.effect, InModel) for x in (fit.members[i], candidate)]
+    member, effect = fit.members[i].effect, candidate.effect
+    geometry = [isinstance(x, InModel) for x in (member, effect)]
+    # A rival that equals the member in a limit of its shape must be more probable.
+    same_size = len(effect.coefficients) == len(member.coefficients)
+    equal = same_size and member.name in effect.contains
+    threshold = log_odds - (0.0 if equal else path.settings.rivals)
     if geometry == [False, True] and candidate.order > threshold:
         # Geometric columns are derivatives of a torque that includes the member's.
         reduced, family = relinearise(fit.without(i)), candidate.family

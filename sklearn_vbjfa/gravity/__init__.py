@@ -62,6 +62,7 @@ def correct_gravity(recording, model):
         - ``poses_enough``: further poses after which no interval exceeds the noise of
           one pose; None if 100 are not enough;
         - ``friction_known`` (nv,): joints that moved in both directions, see Notes;
+        - ``friction`` (nv,): dry friction; if unknown, the offset or the noise;
         - ``payload``: mass of a payload at the last link and its standard deviation
           [kg], if it explains the torques as well as the corrected links; or None.
 
@@ -92,9 +93,8 @@ def correct_gravity(recording, model):
     with warnings.catch_warnings():  # of few rows, and without a filter
         warnings.simplefilter("ignore", UserWarning)
         for train, test in KFold(_FOLDS).split(tau):
-            for item, fit in zip(
-                squares, _fit_both([x[train] for x in samples], model)
-            ):
+            fits = _fit_both([x[train] for x in samples], model)
+            for item, fit in zip(squares, fits):
                 item[test] = (tau[test] - fit.predict(states[test])) ** 2
         _, robot = _fit_both(samples, model)
     with np.errstate(invalid="ignore"):
@@ -107,6 +107,8 @@ def correct_gravity(recording, model):
     noise = np.maximum(robot.output_noise_, 1e-9 * gravity.max())
     stds = [std for _, std in islice(_best_poses(rows, covariance, noise), _LIMIT + 1)]
     half_width = HALF_WIDTH * np.array(stds)
+    known = np.split(states, 3, axis=1)[1].any(axis=0)
+    coulomb, offset = np.abs(robot.theta_.reshape(-1, per_joint)[:, -2:]).T
     sufficient = np.flatnonzero((half_width <= noise).all(axis=1)).tolist()
 
     def interval_at(q):
@@ -123,7 +125,8 @@ def correct_gravity(recording, model):
         interval=half_width[0] * loaded,
         interval_at=interval_at,
         poses_enough=next(iter(sufficient), None),
-        friction_known=np.split(states, 3, axis=1)[1].any(axis=0),
+        friction_known=known,
+        friction=np.where(known, coulomb, np.maximum(offset, robot.output_noise_)),
         payload=_payload(robot, bodies),
     )
 

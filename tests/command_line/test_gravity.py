@@ -29,7 +29,10 @@ def test_poses_are_designed_and_a_log_of_them_corrects_the_description(
     table = pd.read_csv("poses.csv")
     poses = table.loc[table["hold"] > 0, ["q_joint1", "q_joint2", "q_joint3"]]
     assert len(poses) == 40
-    log = record(true, visit(poses.to_numpy()[::8]), np.ones(3), RNG)
+    log = record(true, visit(poses.to_numpy()[::8]), np.array([1.0, 1.0, 4.0]), RNG)
+    # The third joint rests at a part of its friction.
+    stuck = np.repeat(RNG.normal(0.0, 2.0, len(log.q) // 100 + 1), 100)
+    log.tau[:, 2] += stuck[: len(log.q)]
     columns = {"t": np.arange(len(log.q)) * DT}
     columns |= {f"q{k + 1}": x for k, x in enumerate(log.q.T)}
     columns |= {f"tau{k + 1}": x for k, x in enumerate(log.tau.T)}
@@ -39,11 +42,13 @@ def test_poses_are_designed_and_a_log_of_them_corrects_the_description(
     printed = capsys.readouterr().out
     assert re.search("joint1 .* no gravity torque", printed)
     assert "Use for: gravity compensation." in printed
+    assert "Not checked: joint3 (gravity torque below" in printed
     report = json.loads(Path("out/report.json").read_text())
     words = report["command"].split()[3:]
     assert main([*words, "-o", "next.csv"]) == 0
     count = len(pd.read_csv("next.csv"))
     more = report["poses_enough"]
+    assert ("The poses are enough" in printed) == ("next pose" not in printed)
     assert count == 4 * (20 if more is None else max(more, 1))
     joints = report["joints"]
     assert joints[1]["error corrected"] < joints[1]["error described"]

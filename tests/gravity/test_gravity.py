@@ -105,6 +105,7 @@ def test_held_out_errors_tell_the_improvement(found):
     ratio = found.error_after[gravity_joints] / found.error_before[gravity_joints]
     assert (ratio < 0.3).all()
     assert found.friction_known.all()
+    assert found.friction == pytest.approx(FRICTION, rel=0.1)
     assert found.payload is None
 
 
@@ -158,6 +159,7 @@ def test_one_joint_with_a_counterbalance_is_not_refused(world):
     tau[:, 1] -= 1.3 * gravity(world.true, world.recording.q)[:, 1]
     found = correct_gravity(replace(world.recording, tau=tau), world.described)
     assert found.error_after[2] < 0.5 * found.error_before[2]
+    assert found.error_after[1] > found.gravity[1] > found.friction[1]
 
 
 def test_slow_motion_with_viscous_friction_and_rotors(world, tmp_path):

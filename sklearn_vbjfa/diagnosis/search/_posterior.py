@@ -187,11 +187,10 @@ def search(view, library, settings, alpha, max_effects=None):
 
 def _can_replace(path, candidate, fit, i, log_odds):
     """Check if a rival is as probable in place of a member, without its torque."""
-    member, effect = fit.members[i].effect, candidate.effect
-    geometry = [isinstance(x, InModel) for x in (member, effect)]
+    member, other = fit.members[i].effect, candidate.effect
+    geometry = [isinstance(x, InModel) for x in (member, other)]
     # A rival that equals the member in a limit of its shape must be more probable.
-    same_size = len(effect.coefficients) == len(member.coefficients)
-    equal = same_size and member.name in effect.contains
+    equal = member.name in other.contains and other.coefficients == member.coefficients
     threshold = log_odds - (0.0 if equal else path.settings.rivals)
     if geometry == [False, True] and candidate.order > threshold:
         # Geometric columns are derivatives of a torque that includes the member's.

@@ -304,14 +304,10 @@ class Candidates:
 
     def _equivalent_geometry(self, base, candidates, member):
         """Return geometric effects that explain as much as a member."""
-        candidates = [
-            self.discounted(base, c)
-            for c in candidates
-            if isinstance(c.effect, InModel)
-        ]
+        geometric = (c for c in candidates if isinstance(c.effect, InModel))
         gains = {
             c: 0.5 * c.family.groups(base).gain()[c.best]
-            for c in candidates
+            for c in (self.discounted(base, x) for x in geometric)
             if c is not None
         }
         same = [g for c, g in gains.items() if c.effect.key() == member.effect.key()]

@@ -37,7 +37,7 @@ SENTENCES = {
     "wrapped_position": "The position of {who} is wrapped: it jumps by {turn} {count} "
     "time(s), first to row {row}. Unwrap each recording for itself (numpy.unwrap).",
     "still_joint": "{who} never moves: its position stays within {range:.3g} of "
-    "{mean:.4g}, which is its noise. Lock it in the model, or record a motion of it.",
+    "{mean:.4g}, which is its noise. Name the others in --joints, or record it moving.",
     "still_joint:all": "No joint moves: positions vary by {range:.3g} at most, within "
     "their noise. Check the position columns.",
     "repeated_rows": "{count} rows ({share}) equal the row before them in every "
@@ -161,7 +161,8 @@ SENTENCES = {
     "friction: a model was logged, not a measurement. Log the torques of the motors.",
     "base_orientation": "By the torques, gravity pulls along ({pull}) of the base "
     "frame, {angle:.0f} degrees from the description: the base is mounted otherwise, "
-    "as on a wall or a ceiling. Turn it in the description.",
+    "as on a wall or a ceiling. Turn it in the description (a free base: by "
+    "--base-orientation).",
     "delay": "All torques are {size:.3g} ± {error:.2g} ms {late} against the positions "
     "({evidence}): two clocks, or a delay of the torques. The search shifts them by "
     "this lag.",

@@ -36,8 +36,7 @@ from sklearn_vbjfa.recording import check_dt
 
 # Range of the number of harmonics.
 _FEWEST, _MOST = 5, 25
-# Highest frequency of the motion over the frequency at which speed and acceleration
-# reach their limits together.
+# Highest frequency over that where speed and acceleration reach their limits together.
 _SPREAD = 2.0
 # Highest frequency times the sample period, for a low-pass at five times the bandwidth.
 _PER_SAMPLE = 0.06
@@ -242,8 +241,7 @@ def _reference(limits, highest, rng):
 
 def _split(robot, asked):
     """Split effects into effects of the model and further candidates."""
-    # An effect of a report is a candidate again, with its shape in the model: the next
-    # recording has to confirm it.
+    # Effects of a report are candidates again, with their shapes, to be confirmed.
     in_model = {(effect.name, effect.joint): effect for effect in robot.effects}
     doubted = {(x.effect.name, x.effect.joint) for x in asked if x.doubted}
     members = [
@@ -447,8 +445,7 @@ def _margins(problem, states, t):
 
 def _condition_number(problem, states):
     """Condition number of the model's columns, rows scaled by their noise."""
-    # Columns are scaled by their sizes at random states within the limits, the same for
-    # all motions.
+    # Scaled by the columns' sizes at random states within the limits, for all motions.
     n = problem.model.n_model
     scale = problem.questions.scale[:n]
     M = problem.information(states, 1.0)[:n, :n] * np.outer(scale, scale)
@@ -554,8 +551,7 @@ def open_effects(data, names):
             f"{', '.join(names)}. Give the robot that the report was made with."
         )
     completed = (*data["effects"], *data.get("possible", ()))
-    # Weights and shapes by effect and joint; identified effects come first, with their
-    # identified shapes.
+    # Weights and shapes by effect and joint, identified effects first, with shapes.
     doubted = {(x["name"], x["joint"]): x.get("parameters") for x in completed}
     trials = [trial for x in completed for trial in x.get("trials", ())]
     shapes = {(x["name"], x["joint"]): x["shape"] for x in trials} | doubted

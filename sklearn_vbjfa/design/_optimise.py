@@ -135,8 +135,7 @@ def _decisions(S, questions):
 
 def _value_of(evidence):
     """Value of evidence, -log(1 + DECIDED / evidence) / 2, and its derivative."""
-    # The value saturates above the evidence that decides; below it, doubling any
-    # evidence has the same value.
+    # Saturates above the evidence that decides; below, doubling adds a constant.
     e = evidence + _HOPELESS * DECIDED
     return -0.5 * np.log1p(DECIDED / e), 0.5 * DECIDED / (e * (e + DECIDED))
 
@@ -177,8 +176,7 @@ class DesignProblem:
 
     def weights(self, states, step):
         """Weights of rows (n, nv), and their derivatives by the velocities."""
-        # A fit leaves out equations of a joint at rest, where dry friction is
-        # indeterminate.
+        # A fit omits equations at rest, where dry friction is indeterminate.
         v = np.split(states, 3, axis=1)[1]
         slow = self.still**2
         moving = v**2 / (v**2 + slow)

@@ -136,6 +136,5 @@ def _label(name):
 
 
 def _newtons(motion, value, joint):
-    """Write a torque or force with its unit."""
     slides = motion.slides[joint]
     return f"{words.number(value, 2)} {'N' if slides else 'N m'}"

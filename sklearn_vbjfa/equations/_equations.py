@@ -277,9 +277,8 @@ def regressor_rows(
     recording, states, plan, features, *, theta=None, rest=None, cache=None
 ):
     """Return the `RegressorRows` of each segment, with the columns of all effects."""
-    # states: of each segment, arrays (n, 3 nv) or `SplineStates`; theta: parameters for
-    # load and torque; rest: velocity signs at rest; cache: columns of effects that need
-    # no load, filled here.
+    # states: of each segment, (n, 3 nv) or `SplineStates`; theta: for load and torque;
+    # rest: velocity signs at rest; cache: columns of effects without load, filled here.
     if not plan.effects:
         return [RegressorRows(features, X, rest=rest) for X in states]
     # Effects need all recordings together (time, largest speeds). In Fortran order the

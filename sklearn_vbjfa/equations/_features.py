@@ -351,9 +351,8 @@ _FEW_VALUES = 3
 
 def parameter_names_of(names, nv):
     """Derive the names of the p parameters from those of the nv * p columns."""
-    # Columns are named like "tau_joint_1/joint_2:m", with any prefix, such as that of
-    # `ColumnTransformer`. None if no column is one of `RigidBodyFeatures`, ValueError
-    # if only some are.
+    # Columns are named like "tau_joint_1/joint_2:m", with any prefix, as of
+    # `ColumnTransformer`. None if none is of `RigidBodyFeatures`, ValueError if mixed.
     names = [] if names is None else [str(name) for name in names]
     if not any(re.search("(^|__)tau_.+/.+:", name) for name in names):
         return None

@@ -11,8 +11,7 @@ from sklearn_vbjfa._core._linear_systems import block_variance, branches
 from sklearn_vbjfa._core._moments import Scatter
 from sklearn_vbjfa.equations._ranges import SignalRanges, sum_ranges
 
-# Number of blocks over all recordings of a fit, and fewest rows per block, which are
-# 2.5 periods of the cut-off.
+# Number of blocks of a fit, and fewest rows per block: 2.5 periods of the cut-off.
 _BLOCKS = 40
 _FEWEST_ROWS = 10
 # Stretches of a single recording that are compared as separate recordings.
@@ -236,8 +235,7 @@ class JointMoments:
 
     def split_residual(self, theta):
         """Split residuals into input noise and remainder, standard deviations (nv,)."""
-        # The first is the input noise propagated by the parameters. The second is nan
-        # for a joint without rows.
+        # The first is propagated by the parameters. The second is nan without rows.
         n = np.where(self.n > 0, self.n, np.nan)
         propagated = np.zeros(n.size)
         if self.noise is not None:

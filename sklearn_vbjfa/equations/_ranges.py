@@ -181,9 +181,8 @@ def _violation(effect, quantity, values, holds):
 
 def effect_ranges(friction, effects, motion, load=None):
     """Return an `EffectRange` for each joint's declared friction, then each effect."""
-    # friction: names of the declared columns; effects: tuple of Effect; motion:
-    # `SignalRanges` of positions, speeds and directions; load: that of the loads, or
-    # None.
+    # friction: declared columns; effects: tuple of Effect; motion: `SignalRanges` of
+    # positions, speeds and directions; load: that of the loads, or None.
     positions, speeds, directions = motion.pairs()
     nv = len(positions)
     loads = nv * [_UNKNOWN] if load is None else load.pairs()[0]

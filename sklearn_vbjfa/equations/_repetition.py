@@ -9,8 +9,7 @@ _STEP, _MAX_ROWS = 0.04, 20_000
 # Velocities repeat if they differ by less than the first share of their power, after a
 # difference above the second one: a slow motion resembles itself a little later.
 _TOLERANCE, _DIFFERENT = 0.03, 0.5
-# The period is the smallest lag whose difference is below this multiple of the least
-# one, or below this value.
+# Period: smallest lag with a difference below this times the least one, or this value.
 _RATIO, _FLOOR = 3.0, 1e-3
 # A joint moves if its speed exceeds this share of that of the fastest joint.
 _MOVES = 0.02
@@ -29,8 +28,7 @@ class Repetition:
     delay: np.ndarray  # (r,): time within its motion at which a recording begins [s]
     # (m,): periods of the motions [s], infinite for one that is not periodic
     period: np.ndarray
-    # repeated motions: duration ("seconds"), number of repetitions ("count"), and
-    # "recordings", from zero
+    # repetitions: duration ("seconds"), number ("count"), "recordings" (from zero)
     repeated: tuple[dict, ...]
 
     def __bool__(self):

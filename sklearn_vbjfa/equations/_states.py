@@ -300,8 +300,7 @@ class SplineStates:
     def __getitem__(self, rows):
         """States [q | v | a] of a slice of rows, (n, 3 * nv)."""
         start, stop, step = rows.indices(self.shape[0])
-        # The samples of a signal are contiguous, as they are evaluated and as the
-        # regressors read them.
+        # The samples of a signal are contiguous, as they are evaluated and read.
         columns = np.empty((3, len(self._splines), stop - start))
         for order, signals in enumerate(columns):
             self._evaluate(start, stop, order, signals)

@@ -37,9 +37,8 @@ _MODEL_ERROR = 0.05
 # displacements, as shares of the joint's range.
 _REVERSAL_TIME = 0.1
 _DISPLACEMENTS = (0.003, 0.03)
-# Largest standard deviation of the log level that is reported; the same from the
-# spectrum above the band alone, if the cost of white noise exceeds the least cost by at
-# most the third.
+# Largest reported standard deviation of the log level; the same from the spectrum above
+# the band alone, if the cost of white noise exceeds the least by at most the third.
 _MAX_STD, _MAX_STD_WHITE, _WHITE_COST = 0.15, 0.25, 4.0
 # Largest mean squared misfit of the residual in the gap to the noise spectrum, and of
 # the spectrum above the band to the closest one of the family.

@@ -26,9 +26,8 @@ _N_PROBES = 32
 class TorqueDerivatives:
     """Derivatives of torques with respect to joint placements and gravity."""
 
-    # q, v, a (n, nv); inertial (nv, 10); nominal: model before corrections, if any were
-    # made, with the gravity `nominal_gravity` (3,). axes (nv, 3): directions of the
-    # joints in their own frames.
+    # q, v, a (n, nv); inertial (nv, 10); nominal: model before any corrections, with
+    # gravity `nominal_gravity` (3,); axes (nv, 3): of the joints in their own frames.
 
     def __init__(self, model, q, v, a, inertial, nominal=None):
         self._model, self._nominal = model, model if nominal is None else nominal
@@ -114,8 +113,7 @@ class TorqueDerivatives:
 
 def _combine(torques, weights):
     """Return the weighted sum of torques (n, nv), with rounding errors set to zero."""
-    # A regression with scaled columns would use the rounding errors of a constant
-    # torque.
+    # A regression with scaled columns would use rounding errors of constant torques.
     total = sum(weight * torque for weight, torque in zip(weights, torques))
     largest = np.max([np.abs(torque).max(axis=0) for torque in torques], axis=0)
     largest = largest * np.abs(weights).max()
@@ -146,8 +144,7 @@ class CorrectedModel:
 
     def turn(self, joint, rotation):
         """Rotate the placement of a joint, with all bodies it carries, by a matrix."""
-        # The matrix is in the nominal frame: an earlier correction of the zero is
-        # rotated as well.
+        # In the nominal frame: an earlier correction of the zero is rotated as well.
         placement = self.model.jointPlacements[joint + 1]
         nominal = self._nominal.jointPlacements[joint + 1]
         in_parent = nominal.rotation @ rotation @ nominal.rotation.T
@@ -212,8 +209,7 @@ class TreeRegressor:
 
     def single_state(self):
         """Return Pinocchio's function of (q, v, a), each (nv,), to (nv, nv, 10)."""
-        # Each call overwrites the result of the previous one; the function is not
-        # thread-safe.
+        # Not thread-safe: each call overwrites the result of the previous one.
         compute = import_pinocchio().computeJointTorqueRegressor
         model, data = self._model, self._model.createData()
         shape = self.nv, self.nv, 10
@@ -221,8 +217,7 @@ class TreeRegressor:
 
     def __call__(self, q, v, a):
         """Compute regressors (n, nv, nv, 10), torques of joints by body parameters."""
-        # q, v, a (n, nv). Parameters are m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz,
-        # Izz.
+        # q, v, a (n, nv); parameters m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
         out = np.zeros((len(q), self.support.size))
         indices = np.arange(self.support.size).reshape(self.support.shape)
         indices = np.where(self.support, indices, -1)
@@ -231,15 +226,13 @@ class TreeRegressor:
 
     def entries(self, states, indices, out):
         """Compute single entries of the regressor matrices of states (n, 3 nv)."""
-        # indices (nv, nv, 10): column of `out` (n, n_columns) for each torque, body and
-        # parameter, -1 for none, which it must be outside the support. Other columns
-        # are not changed.
+        # indices (nv, nv, 10): columns of `out` by torque, body, parameter; -1 if none,
+        # required outside the support. Other columns of `out` (n, n_columns) are kept.
         fill_rows(states, self._tree, indices, out)
 
     def torques(self, q, v, a, inertial):
         """Compute inverse dynamics (n, nv), without friction and rotors."""
-        # inertial (nv, 10): in the order of the regressor's columns; need not be
-        # physically consistent.
+        # inertial (nv, 10): ordered as the columns; need not be physically consistent.
         return torques_of(self._tree, np.hstack([q, v, a]), inertial)
 
 

@@ -36,9 +36,8 @@ from sklearn_vbjfa.model._urdf import (
     write_tree,
 )
 
-# Smallest pseudo-inertia eigenvalue of a body, in units of its own mass and length,
-# without a warning. (Identified and projected bodies lie between this and the limit of
-# solid bodies.)
+# Least pseudo-inertia eigenvalue without warning, in units of a body's mass and length.
+# (Identified and projected bodies lie between this and the limit of solid bodies.)
 _CONSISTENT = 1e-12
 # Masses and levers of the double pendulum's links.
 _M1, _R1 = 0.5593806151425046, 0.3
@@ -133,8 +132,7 @@ def load_reduced(path, moving, base_orientation=None):
 
 def movable_joints(path):
     """Names of the joints that are neither fixed nor follow others, in file order."""
-    # Followers are listed if they cannot be folded, see `load_model`; the free joint of
-    # a fixed base is not.
+    # With followers that cannot be folded (`load_model`), without a base's free joint.
     path = Path(path)
     robot, _ = hold_base(_read(parse_description(path), path), None)
     folded = foldable(robot.carriers, robot.links, robot.label)
@@ -185,7 +183,6 @@ def load_text(text, path):
 
 
 def _is_mjcf(tree, path):
-    """Whether a description is MJCF and not URDF, from its root element."""
     tag = tree.getroot().tag
     if tag not in ("robot", "mujoco"):
         raise ValueError(
@@ -285,9 +282,8 @@ def build_model(name, urdf, joint_names):
     return model
 
 
-# Serial chains: joint, type, distance below the previous joint [m], and its link: mass
-# [kg], distance of the centre of mass below the joint [m], and moment of inertia about
-# the centre [kg m^2].
+# Serial chains: joint, type, distance below the previous joint [m]; mass [kg], centre
+# of mass below the joint [m], and moment of inertia about the centre [kg m^2].
 _CHAINS = {
     # A load on a horizontal axis.
     "bam_xl330": [("servo", "RY", 0.0, 0.49, 0.1, 0.0)],

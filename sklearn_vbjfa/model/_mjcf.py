@@ -73,8 +73,7 @@ class JointDynamics:
 class Servo:
     """Position servos instead of torque motors."""
 
-    # (nv,): gains, and torque limits, infinite for none; joints with kp = 0 have torque
-    # motors
+    # (nv,): gains (kp = 0 for torque motors), and torque limits, infinite for none
     kp: np.ndarray
     kd: np.ndarray
     torque_limits: np.ndarray
@@ -211,7 +210,6 @@ class _Tree:
                 ElementTree.SubElement(fixed, "joint", end)
 
     def _add_body(self, carrier, j):
-        """Add the body that a joint moves, and the joint; return its element."""
         dynamics, placement = self._dynamics, self._model.jointPlacements[j + 1]
         body = _body(carrier, self._body_names[j], placement, self._bodies[j])
         joint = ElementTree.SubElement(

@@ -226,7 +226,6 @@ def _names(model):
 
 
 def _fill_names(names, defaults):
-    """Replace empty names by unique ones."""
     taken, filled = set(names), []
     for name, default in zip(names, defaults):
         while not name and default in taken:

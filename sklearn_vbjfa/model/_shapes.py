@@ -76,7 +76,6 @@ def load_shapes(path, model):
 
 
 def _links_with_shapes(tree, path):
-    """Return the link name of each collision shape; refuse a robot without shapes."""
     links = [
         link.get("name")
         for link in tree.getroot().findall("link")
@@ -111,8 +110,7 @@ def _mesh_file(name, folders):
     match = _IN_PACKAGE.fullmatch(name)
     if match:
         package, inner = match.groups()
-        # The package is in one of the folders, or is one of them; its folder may have
-        # been renamed.
+        # The package is in or is one of the folders, which may have been renamed.
         candidates = [folder / package / inner for folder in folders]
         candidates += [folder / inner for folder in folders]
     else:

@@ -26,8 +26,7 @@ _SOLID = 1e-6
 _LONGEST = 50.0
 # Position limits beyond this mean none; range of a prismatic joint without limit [m].
 _NO_LIMIT, _SLIDE = 1e6, 1.0
-# Radius of the ball that is the least extension of a body, over the largest distance
-# between joints.
+# Radius of the ball of least extension, over the largest distance between joints.
 _BALL = 0.1
 # Sine of the tilt below which a base is described as level.
 _LEVEL = 1e-6
@@ -103,8 +102,7 @@ def joint_origin(model, joint):
 
 def nominal_parameters(model):
     """Inertial parameters (nv, 10) of a model, about the joint frames."""
-    # Pinocchio's order: m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg, kg m, kg
-    # m^2].
+    # Pinocchio: m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg, kg m, kg m^2].
     return np.array([body.toDynamicParameters() for body in model.inertias[1:]])
 
 
@@ -536,8 +534,7 @@ class Folded:
 
     model: object  # remaining joints and their bodies
     followers: tuple  # `FollowingBody` of each follower
-    # `model` with the followers' bodies fixed at their poses with leaders at zero, so
-    # that no mass is missing
+    # `model` with the followers' bodies fixed, leaders at zero, so no mass is missing
     still: object
     full: object  # model in which followers are separate joints
     links: dict

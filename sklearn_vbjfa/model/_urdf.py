@@ -155,8 +155,7 @@ def _followers(root, label):
 
 def _build(root, label):
     """Build a Pinocchio model with the joints in the order of the file."""
-    # Shapes and friction are not used; without them the parser cannot report errors in
-    # them.
+    # Shapes and friction are removed, so that the parser reports no errors in them.
     for parent in root.findall("link") + root.findall("joint"):
         for tag in ("visual", "collision", "dynamics", "mimic"):
             for element in parent.findall(tag):
@@ -216,7 +215,6 @@ def _parser_messages(messages):
 
 
 def _parents_first(names, carriers):
-    """Return names in the order of the file, parents before children."""
     ordered = []
     for name in names:
         chain = []
@@ -476,7 +474,6 @@ def text_of_tree(model, followers=None):
 
 
 def _link_names(model):
-    """Return unique names of the base and of the bodies."""
     bodies = body_names(model)
     if len(set(bodies)) < len(bodies):
         bodies = tuple(f"{name}_link" for name in joint_names(model))
@@ -487,7 +484,6 @@ def _link_names(model):
 
 
 def _add_inertial(link, mass, com, inertia):
-    """Write the inertia of a body, about its centre of mass."""
     inertial = ElementTree.SubElement(link, "inertial")
     _add(inertial, "origin", xyz=com, rpy=np.zeros(3))
     _add(inertial, "mass", value=mass)
@@ -496,12 +492,10 @@ def _add_inertial(link, mass, com, inertia):
 
 
 def _rpy(rotation):
-    """Return roll, pitch and yaw of a rotation matrix."""
     return import_pinocchio().rpy.matrixToRpy(rotation)
 
 
 def _add(parent, tag, **attributes):
-    """Add an element with numeric attributes."""
     element = ElementTree.SubElement(parent, tag)
     for name, values in attributes.items():
         element.set(

@@ -102,8 +102,7 @@ class Programme:
 
         Returns it, in their variables, and a function that completes its vector.
         """
-        # Unconstrained variables are eliminated by a triangular factor in which they
-        # come first.
+        # A triangular factor eliminates unconstrained variables, which come first.
         chosen, kept = self.body_columns[bodies], self.nonnegative[columns]
         left = np.union1d(chosen, kept)
         rest = np.setdiff1d(np.arange(self.n_features), left)

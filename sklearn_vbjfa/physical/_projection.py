@@ -341,8 +341,7 @@ class Projection:
         units[bodies] = parameter_units(self.mass_scale, self.length_scale)
         outside = np.ones(theta.size, dtype=bool)
         outside[bodies] = False
-        # For columns outside the bodies choose the unit in which their metric equals
-        # the largest of the bodies.
+        # Units outside the bodies give the columns the largest metric of the bodies.
         largest = (diagonal * units**2)[~outside].max(initial=0.0)
         seen = outside & (diagonal > 0)
         units[seen] = np.sqrt((largest if largest > 0 else 1.0) / diagonal[seen])

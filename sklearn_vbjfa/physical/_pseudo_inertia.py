@@ -149,8 +149,7 @@ def body_scales(phi):
     # of zeros takes the mean mass of the others.
     phi = np.asarray(phi, dtype=float)
     rows = phi.reshape(np.prod(phi.shape[:-2], dtype=int), *phi.shape[-2:])
-    # Frobenius norm: the off-diagonal entries count twice, so that turning the frame
-    # changes nothing.
+    # Frobenius norm, invariant to rotation: off-diagonal entries count twice.
     weight = np.where(_INERTIA_ROW == _INERTIA_COLUMN, 1.0, 2.0)
     mass = np.sqrt(np.mean(rows[..., 0] ** 2, axis=0))
     first = np.sqrt(np.mean(np.sum(rows[..., 1:4] ** 2, axis=-1), axis=0))

@@ -25,8 +25,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
 from sklearn_vbjfa.physical._programme import PrimalDual, raised
 
-# Certified gaps, relative to the squared distance: the target, and the largest that is
-# accepted.
+# Certified gaps over the squared distance: the target, and the largest accepted.
 GAP_TARGET = 1e-9
 _GAP_LIMIT = 1e-4
 # Largest number of iterations of clarabel, and of steps of one refinement.
@@ -51,9 +50,8 @@ class CertifiedVector:
 
 def solve(programme):
     """Solve a programme by adding violated constraints until none is left."""
-    # ProjectionError if no solution has a certified gap below the limit. With fewer
-    # constraints the least distance is no larger; if its vector meets all of them, it
-    # is the solution.
+    # ProjectionError if no certified gap is below the limit. Fewer constraints give no
+    # larger distance: if their solution meets all constraints, it is the solution.
     vector = programme.point + solve_triangular(programme.root, programme.shift)
     solution = CertifiedVector(vector=vector, gap=0.0, status="nothing to do")
     broken = programme.broken(vector)
@@ -148,8 +146,7 @@ def solve_conic(programme):
         settings,
     ).solve()
 
-    # These are multipliers of the distance; those of half its square are larger by the
-    # factor of the distance.
+    # Multipliers of half the squared distance are those of the distance times it.
     length = scale * max(solution.x[-1], 0.0)
     z = length * np.array(solution.z[n + 1 :])
     stacked = z[: n_bodies * len(row)].reshape(n_bodies, len(row)) / weight
@@ -361,8 +358,7 @@ class _Equations:
         change = (step[bodies] @ self._flat).reshape(shape)
         dual_step = target * self._inverse - at.duals - second_bodies
         dual_step = dual_step - _symmetric(self._inverse @ change @ at.duals)
-        # Balance the gradient exactly: the inverse of a slack matrix near the boundary
-        # has too few digits.
+        # Exact balance: inverses of slack matrices near the boundary lose digits.
         gradient = programme.root.T @ (self._residual + programme.root @ step)
         reached = (at.duals + dual_step).reshape(n_bodies, self._flat.shape[1])
         lacking = gradient[bodies] - reached @ self._flat.T

@@ -18,8 +18,7 @@ class ChannelGains:
 
     joint_names: tuple[str, ...]
     # (nv,): reading of each channel over the torque: relative to the reference channel,
-    # or [recorded unit / (N m or N)] if a known mass determines it. 1 (relative) if it
-    # is not identifiable
+    # or [recorded unit / (N m or N)] if a known mass sets it; 1 if not identifiable
     gain: np.ndarray
     # (nv,): 0 for a reference, nan if the gain is not identifiable
     std: np.ndarray

@@ -118,7 +118,6 @@ def _floats(values):
 
 
 def _axis_name(direction):
-    """Name an axis of a frame (3,)."""
     k = int(np.argmax(np.abs(direction)))
     if direction[k] > 1.0 - _ALONG:
         return f"{'xyz'[k]} axis"

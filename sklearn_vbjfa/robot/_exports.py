@@ -34,8 +34,7 @@ def plain_totals(robot):
 
 def to_mjcf(path, robot, min_eigenvalues, notes=(), servo=None, added=None):
     """Write a `TorqueModel` as MJCF; return what is left out, `LeftOut` each."""
-    # notes: further comments in the file; servo: of position-controlled motors; added:
-    # see `refitted`.
+    # notes: more comments; servo: of position-controlled motors; added: see `refitted`.
     check_possible(robot.model, min_eigenvalues, "an MJCF file")
     account = _Account(robot, added)
     dynamics = _mjcf_dynamics(account, servo)
@@ -195,8 +194,7 @@ def _mjcf_dynamics(account, servo=None):
     damping, frictionloss, armature = (
         account.passive(name) for name in ("viscous", "coulomb", "rotor_inertia")
     )
-    # Constant torque, stiffness about position zero, and encoder reading at the zero of
-    # the description.
+    # Constant torque, stiffness about zero, and encoder reading at the described zero.
     constant, (spring, ref) = account.total("offset"), np.zeros((2, nv))
     joints = {"constant": constant, "spring": spring, "ref": ref}
     for effect, coef in account.uses:
@@ -375,8 +373,7 @@ def warn_of_motion(robot, added, file_name):
 def changed_motion(robot, model, other):
     """Return the RMS change (nv,) of simulated positions, over their deviation."""
     # model, other: `TorqueModel`, both driven by the torques of the first in a typical
-    # motion; infinite if the other one diverges. Raises `SimulationError` if the first
-    # one diverges.
+    # motion; infinite if the other diverges, `SimulationError` if the first diverges.
     nv, dt = model.n_joints, robot.plan.dt
     states, moves = typical_motion(robot.effect_ranges_, nv, dt)
     length, t = min(max(round(_SECONDS / dt), _LEAST), _ROWS), robot.clock(None, _ROWS)

@@ -32,12 +32,10 @@ _HALVINGS = 70
 class BetweenRecordings:
     """Scatter of the parameters from one recording to another."""
 
-    # recordings, or groups of them if there are many; one for stretches of a single
-    # recording
+    # recordings, or groups if there are many; one for stretches of a single recording
     count: int
     places: np.ndarray  # (k,): parameters that at least two of them determine
-    # (k,): deviation of the value in the next recording from the fitted value, for a
-    # scale of one
+    # (k,): deviation of the next recording's value from the fitted one, at scale one
     size: np.ndarray
     weights: np.ndarray  # (m, k): probabilities of the scales
     scales: np.ndarray  # (m,), in equal steps of their logarithm
@@ -288,8 +286,7 @@ def covariance_inverse(covariance):
 
 # -- which parameters are measured -----------------------------------------------------
 
-# A mass is known if its deviation, including the change by the projection, is below
-# this share of it.
+# A mass is known if its deviation, with the change by projection, is below this share.
 _KNOWN = 0.5
 # Standard deviations within which a value agrees with the description.
 _NEAR = 2.0

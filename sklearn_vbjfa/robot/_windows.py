@@ -212,8 +212,7 @@ joint_6
 
 
 def follow_windows(robot, drive, recording, t=None, *, window=1.0, signals=None):
-    # drive: `PDDrive`, whose channels are in the recording. For other parameters see
-    # `simulate_windows`.
+    # drive: `PDDrive` with recorded channels. Other parameters: see `simulate_windows`.
     robot = robot.robot_
     X, signals = robot.checked(recording.inputs, signals)
     channels = {**recording.signals, **(signals or {})}

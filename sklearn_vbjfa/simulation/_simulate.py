@@ -29,9 +29,8 @@ def recorded(signals, t):
 
 def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
     """Simulate a robot under measured torques; return states (n, 3 nv)."""
-    # tau (n, nv): channel readings; q0, v0 (nv,): initial state; t (n,): times of the
-    # rows [s] on the clock of the fit, by default every `dt` of the robot; signals: by
-    # name.
+    # tau (n, nv): channel readings; q0, v0 (nv,): initial state; t (n,): times [s] on
+    # the clock of the fit, by default every `dt` of the robot; signals: by name.
     zeros = np.zeros(robot.n_joints)
     q0 = _checked(robot, "q0", q0, zeros.shape)
     v0 = _checked(robot, "v0", zeros if v0 is None else v0, zeros.shape)
@@ -67,9 +66,8 @@ def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
 
 def _run(robot, dynamics, torques, q0, v0, t, updates=None):
     """Integrate a motion row by row; return states (n, 3 nv)."""
-    # torques: (row, q, v) -> torques at the start and end of an interval: a sample
-    # period, over which they change linearly, or an update period of a controller, over
-    # which they are held.
+    # torques: (row, q, v) -> torques at the ends of an interval: linear over a sample
+    # period, held over an update period of a controller.
     n, nv, count = t.size, q0.size, updates or 1
     states = np.empty((n, 3, nv))
     with np.errstate(all="ignore"):
@@ -153,7 +151,6 @@ def _checked(robot, name, values, shape):
 
 
 def _times(robot, t, n):
-    """Return the times of the rows, (n,)."""
     start = 0.0 if robot.since is None else robot.since
     if t is None:
         if robot.dt is None:

@@ -311,8 +311,6 @@ _product = float.__mul__
 
 
 class _JointFriction:
-    """Declared friction of all joints."""
-
     def __init__(self, names, coefficients, signs):
         terms = "viscous", "coulomb", "offset", "rotor_inertia"
         table = dict(zip(names, np.asarray(coefficients, dtype=float).T.tolist()))

@@ -1,6 +1,6 @@
-"""A corpus of recordings with wrong channels: all are answered, grave ones gravely.
+"""Many generated robots and recordings, with and without faulty channels.
 
-Small robots and short recordings; the same on measured robots where these are there.
+The same faults are put into measured recordings if these are available.
 """
 
 import numpy as np
@@ -17,20 +17,20 @@ CASES = 4
 MEASURED = ("staubli_tx40", "ur5", "franka_panda")
 
 
-def of(x, j, values):
-    """Return a copy of channels (n, nv) of which one has other values."""
-    x = x.copy()
-    x[:, j] = values
-    return x
+def of(channels, j, values):
+    """Return a copy of channels (n, nv) with one column replaced."""
+    channels = channels.copy()
+    channels[:, j] = values
+    return channels
 
 
 def held(x, k):
-    """Every k-th row, k times."""
+    """Repeat every k-th row k times."""
     return x[k * (np.arange(len(x)) // k)]
 
 
 def frozen(q, tau, dt, j, rng):
-    """One row written for 0.3 s, or a twentieth of the recording, three times."""
+    """Repeat one row for 0.3 s (at most 5 % of the recording), in three places."""
     q, tau = q.copy(), tau.copy()
     n = max(8, min(round(0.3 / dt), len(q) // 20))
     for share in (0.25, 0.5, 0.7):
@@ -40,13 +40,13 @@ def frozen(q, tau, dt, j, rng):
 
 
 def wrapped(q, tau, dt, j, rng):
-    """One position wrapped, at an angle that the motion passes."""
+    """Wrap one position at an angle within the motion."""
     x = q[:, j]
     return of(q, j, np.where(x > np.median(x), x - 2 * np.pi, x)), tau, dt
 
 
 def rolled(q, tau, dt, j, rng, positions=True):
-    """Joints, or torques, counted from another one."""
+    """Shift the columns of joints, or of torques only, cyclically."""
     shift = int(rng.integers(1, q.shape[1]))
     tau = np.roll(tau, shift, axis=1)
     return (np.roll(q, shift, axis=1) if positions else q), tau, dt
@@ -63,9 +63,8 @@ def shuffled(q, tau, dt, j, rng):
     return q[order], tau[order], dt
 
 
-# What the samples show by themselves needs no luck with the motion: the kinds of
-# findings that name it, and a function of positions, torques, sample period, the joint
-# and a generator.
+# Faults visible without the robot description: expected kinds of findings, and a
+# function of positions, torques, sample period, joint and generator.
 SAMPLES = {
     "wrapped angle": ("wrapped_position", wrapped),
     "frozen logger": ("repeated_rows", frozen),
@@ -86,7 +85,7 @@ SAMPLES = {
     "rows of two robots": ("shuffled_rows", lambda q, tau, dt, j, rng: (
         np.hstack([q, q[::-1]]).reshape(-1, q.shape[1]), np.repeat(tau, 2, 0), dt)),
 }  # fmt: skip
-# What the description has to show, which it can in half of the cases.
+# Faults found by comparison with the description, at least in half of the cases.
 ORDER = "swapped_joints swapped_positions swapped_torques"
 DESCRIBED = {
     "motor side": ("gear_factor", lambda q, tau, dt, j, rng: (
@@ -100,7 +99,7 @@ DESCRIBED = {
         q[:, ::-1].copy(), tau[:, ::-1].copy(), dt)),
     "cyclic order": (ORDER, rolled),
     "torques in cyclic order": (ORDER, lambda *args: rolled(*args, positions=False)),
-    # The zero of a first joint is a turn of the base as well.
+    # A zero offset of the first joint is equivalent to a rotated base.
     "quarter turn": ("position_zero base_orientation", lambda q, tau, dt, j, rng: (
         of(q, j, q[:, j] + rng.choice([-1, 1]) * np.pi / 2), tau, dt)),
     "dt off by ten": ("wrong_dt", lambda q, tau, dt, j, rng: (
@@ -111,22 +110,22 @@ OF_ANGLES = ("wrapped angle", "degrees", "counts of one", "counts of all")
 
 
 def chain(rng, axes):
-    """Chain of links that lie along the way from joint to joint, as in an arm."""
+    """Build an arm whose links extend from joint to joint."""
     import pinocchio as pin
 
     model = pin.Model()
     for j, axis in enumerate(axes):
         joint = getattr(pin, f"JointModel{axis}")()
         shift = np.array([0.0, 0.0, 0.3]) + 0.05 * rng.normal(size=3)
-        number = model.addJoint(j, joint, pin.SE3(np.eye(3), shift), f"joint_{j}")
+        joint_id = model.addJoint(j, joint, pin.SE3(np.eye(3), shift), f"joint_{j}")
         link = pin.Inertia.FromBox(4.0 / (1 + j), 0.08, 0.1, 0.3)
-        centre = pin.SE3(np.eye(3), np.array([0.02, 0.03, 0.15]))
-        model.appendBodyToJoint(number, link, centre)
+        placement = pin.SE3(np.eye(3), np.array([0.02, 0.03, 0.15]))
+        model.appendBodyToJoint(joint_id, link, placement)
     return model
 
 
 def robot(seed):
-    """Make one of several small robots and a sound recording of it."""
+    """Generate a small robot and a recording of it without faults."""
     rng = np.random.default_rng([seed, 12])
     if seed % 2:
         axes = [("RY", "RX", "RY"), ("RZ", "RY", "RX", "RY")][seed % 4 // 2]
@@ -146,7 +145,7 @@ def robot(seed):
 
 
 def put(name, log, seed):
-    """Put a fault into a log (model, q, tau, dt); None if the robot cannot have it."""
+    """Put a fault into a log (model, q, tau, dt); None if it does not apply."""
     model, *channels = log
     rng, turns = np.random.default_rng([seed, 13]), np.flatnonzero(~is_prismatic(model))
     if name in OF_ANGLES and turns.size < model.nv:
@@ -155,7 +154,7 @@ def put(name, log, seed):
 
 
 def graves(model, q, tau, dt, groups=None):
-    """Return the kinds of findings that are more than warnings; all are well formed."""
+    """Check the form of the findings; return kinds of those that are not notes."""
     findings = inspect_channels(model, q, tau, dt, groups)
     order = ["error", "warning", "note"]
     ranks = [order.index(finding.severity) for finding in findings]
@@ -169,27 +168,27 @@ def graves(model, q, tau, dt, groups=None):
 
 
 @pytest.mark.parametrize("name", one_in(5, FAULTS))
-def test_every_fault_is_noticed(name):
+def test_each_fault_is_reported_for_generated_robots(name):
     kinds = set(FAULTS[name][0].split())
     logs = [put(name, robot(seed), seed) for seed in range(CASES)]
-    found = [graves(*log) for log in logs if log is not None]
-    named = sum(bool(kinds & one) for one in found)
+    kinds_by_log = [graves(*log) for log in logs if log is not None]
+    n_correct = sum(bool(kinds & x) for x in kinds_by_log)
     if name in SAMPLES:
-        assert found
-        assert all(found)
-        assert named >= len(found) - 1
+        assert kinds_by_log
+        assert all(kinds_by_log)
+        assert n_correct >= len(kinds_by_log) - 1
     else:
-        # The zeros of some joints do not matter.
-        assert named >= (1 if name == "quarter turn" else CASES / 2)
+        # Zeros of some joints are not observable.
+        assert n_correct >= (1 if name == "quarter turn" else CASES / 2)
 
 
 @pytest.mark.parametrize("seed", one_in(3, range(15)))
-def test_sound_recordings_have_none(seed):
+def test_generated_recordings_without_fault_have_no_findings(seed):
     assert not graves(*robot(100 + seed))
 
 
 @pytest.mark.parametrize("seed", one_in(3, range(30)))
-def test_two_faults_at_once(seed):
+def test_two_faults_of_one_recording_are_reported(seed):
     log = robot(200 + seed)
     names = np.random.default_rng([seed, 14]).choice(list(FAULTS), 2, replace=False)
     for name in names:
@@ -202,8 +201,7 @@ def test_two_faults_at_once(seed):
 @pytest.mark.parametrize(
     ("name", "seed"), checkered(["frozen logger", "positions held"], range(3))
 )
-def test_faults_of_one_recording_of_two(name, seed):
-    """What is wrong in one of several recordings is wrong."""
+def test_a_fault_in_one_of_two_recordings_is_reported(name, seed):
     model, q, tau, dt = robot(401 + seed)
     _, wrong_q, wrong_tau, _ = put(name, (model, q, tau, dt), seed)
     q, tau = np.vstack([q, wrong_q]), np.vstack([tau, wrong_tau])
@@ -214,11 +212,11 @@ def test_faults_of_one_recording_of_two(name, seed):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:The robot description")
 @pytest.mark.parametrize("name", MEASURED)
-def test_faults_of_measured_robots(measured_data_home, name):
+def test_faults_in_measured_recordings_are_reported(measured_data_home, name):
     recording = getattr(datasets, f"fetch_{name}")(
         data_home=measured_data_home, download_if_missing=False
     )
-    # Seconds of motion, whatever the rate.
+    # At least 4 s of motion.
     count = max(4000, round(4.0 / recording.dt))
     rows = np.flatnonzero(recording.groups == 0)[:count]
     log = recording.robot_model(), recording.q[rows], recording.tau[rows], recording.dt

@@ -1,4 +1,4 @@
-"""A fit that contradicts the description says what is wrong with its log."""
+"""Warnings of fits of logs that contradict the robot description."""
 
 import re
 import warnings
@@ -10,7 +10,7 @@ from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
 from sklearn_vbjfa.model import DoubtWarning
 from tests.effects._arms import inverse_dynamics
-from tests.inspection.test_many_joints import arms, recorded
+from tests.inspection.test_many_joints import arms, record_motion
 
 
 @pytest.fixture(scope="module")
@@ -18,8 +18,8 @@ def recording():
     return load_demo_recording().select(0)
 
 
-def told(recording, q, tau, **settings):
-    """Return what a fit warns of."""
+def warned(recording, q, tau, **settings):
+    """Return the messages of the warnings of a fit."""
     robot = RobotIdentifier(recording.urdf, dt=recording.dt, **settings)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -27,51 +27,51 @@ def told(recording, q, tau, **settings):
     return [str(x.message) for x in caught if issubclass(x.category, DoubtWarning)]
 
 
-def test_a_fit_of_a_sound_log_warns_of_nothing(recording):
-    assert told(recording, recording.q, recording.tau) == []
+def test_fitting_a_correct_log_gives_no_warning(recording):
+    assert warned(recording, recording.q, recording.tau) == []
 
 
-def test_a_fit_warns_of_a_wrong_sign_and_of_another_unit(recording):
+def test_fit_warns_of_wrong_torque_sign_and_unit(recording):
     tau = recording.tau.copy()
     tau[:, 1] *= -1
-    (message,) = told(recording, recording.q, tau)
+    (message,) = warned(recording, recording.q, tau)
     assert "joint_2 has the wrong sign" in message
-    (message,) = told(recording, recording.q, -recording.tau)
+    (message,) = warned(recording, recording.q, -recording.tau)
     assert "The torque of all joints has the wrong sign" in message
-    (message,) = told(recording, recording.q, 10.2 * recording.tau)
+    (message,) = warned(recording, recording.q, 10.2 * recording.tau)
     assert "All torques together" in message
-    # Which scale torques have is nobody's business if gains are to be identified.
+    # The torque scale is not checked if gains or all masses are identified.
     for settings in ({"gains": "unknown"}, {"bodies": "free"}):
-        assert told(recording, recording.q, 10.2 * recording.tau, **settings) == []
+        assert warned(recording, recording.q, 10.2 * recording.tau, **settings) == []
 
 
 @pytest.mark.parametrize(
-    ("factor", "size", "said"),
+    ("factor", "amplitude", "pattern"),
     [
         (180 / np.pi, 1.0, 'look like degrees.* columns="q=q{i} .deg."'),
         (180 / np.pi, 0.2, "look like degrees"),
         (100.0, 1.0, r"joint_2 (99|100|101)\S* ± .*gear ratios"),
     ],
 )
-def test_units_of_positions_come_before_the_size_of_torques(factor, size, said):
+def test_units_of_positions_come_before_the_size_of_torques(factor, amplitude, pattern):
     model, dt = arms(1), 0.01
-    q = recorded(model).q
-    q = q.mean(axis=0) + size * (q - q.mean(axis=0))
+    q = record_motion(model).q
+    q = q.mean(axis=0) + amplitude * (q - q.mean(axis=0))
     v = np.gradient(q, dt, axis=0)
     tau = inverse_dynamics(model, np.hstack([q, v, np.gradient(v, dt, axis=0)]))
     noise = 0.05 * np.random.default_rng(0).normal(size=q.shape)
     robot = RobotIdentifier(model, dt=dt)
     with pytest.warns(DoubtWarning, match="positions of all joints") as caught:
         robot.fit(factor * q, tau + 0.5 * np.sign(v) + 0.3 * v + noise)
-    assert re.search(said, str(caught[0].message))
+    assert re.search(pattern, str(caught[0].message))
     assert "--" not in str(caught[0].message)
 
 
-def test_a_fit_warns_of_rows_without_torques_and_of_a_stuck_encoder(recording):
+def test_fit_warns_of_rows_without_torques_and_of_a_stuck_encoder(recording):
     q, tau = recording.q.copy(), recording.tau.copy()
     tau[::3] = 0.0
-    (message,) = told(recording, recording.q, tau)
+    (message,) = warned(recording, recording.q, tau)
     assert "All torques are zero in 1334 rows" in message
     q[len(q) // 2 :, 1] = q[len(q) // 2, 1]
-    messages = told(recording, q, recording.tau)
+    messages = warned(recording, q, recording.tau)
     assert any("encoder was stuck" in x for x in messages)

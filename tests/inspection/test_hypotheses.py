@@ -1,4 +1,4 @@
-"""What was done to a whole log is named, with its strength; sound logs stay silent."""
+"""Faults of whole logs: kind and size; no findings in logs without faults."""
 
 import re
 
@@ -14,7 +14,7 @@ from tests.effects._arms import arm, inverse_dynamics, motion
 
 @pytest.fixture(scope="module")
 def log():
-    """One recording of the demonstration arm, its model and the weight it carries."""
+    """One recording of the demonstration arm, its model and gravity torques."""
     recording = load_demo_recording().select(0)
     model = recording.robot_model()
     data = model.createData()
@@ -22,79 +22,79 @@ def log():
     return recording, model, np.array(weight)
 
 
-def grave(log, q=None, tau=None, model=None):
-    """Kinds of findings that are more than warnings, and the first message."""
+def faults_of(log, q=None, tau=None, model=None):
+    """Return the kinds of the findings that are not notes, and all findings."""
     recording, described, _ = log
-    found = inspect_channels(
+    findings = inspect_channels(
         described if model is None else model,
         recording.q if q is None else q,
         recording.tau if tau is None else tau,
         recording.dt,
     )
-    return [x.kind for x in found if x.severity != "note"], found
+    return [x.kind for x in findings if x.severity != "note"], findings
 
 
-def where(x, rows, joints, values):
-    """Return a copy of channels (n, nv) of which some have other values."""
-    x = x.copy()
-    x[rows, joints] = values
-    return x
+def replaced(channels, rows, joints, values):
+    """Return a copy of channels (n, nv) with some values replaced."""
+    channels = channels.copy()
+    channels[rows, joints] = values
+    return channels
 
 
 EVERY, HALF = slice(None), slice(2000, None)
-# Kinds of the findings, joints of the first one if they are not all, and a function of
-# positions, torques and the weight in them to positions and torques.
-DONE = {
+# Expected kinds, joints of the first finding (None: not checked), and a function of
+# positions, torques and gravity torques that returns positions and torques.
+FAULTS = {
     "turns": ("position_turns", None, lambda q, y, w: (q / (2 * np.pi), y)),
     "degrees": ("position_degrees", (4,), lambda q, y, w: (
-        where(q, EVERY, 4, np.rad2deg(q[:, 4])), y)),
+        replaced(q, EVERY, 4, np.rad2deg(q[:, 4])), y)),
     "mirrored": ("position_sign", (3,), lambda q, y, w: (
-        where(q, EVERY, 3, -q[:, 3]), y)),
+        replaced(q, EVERY, 3, -q[:, 3]), y)),
     "robot mirrored": ("flipped_joint", None, lambda q, y, w: (-q, -y)),
     "frozen": ("stuck_position", (3,), lambda q, y, w: (
-        where(q, HALF, 3, q[2000, 3]), y)),
+        replaced(q, HALF, 3, q[2000, 3]), y)),
     "copied": ("copied_position copied_torque", (0, 1), lambda q, y, w: (
-        where(q, EVERY, 1, q[:, 0]), where(y, EVERY, 1, y[:, 0]))),
+        replaced(q, EVERY, 1, q[:, 0]), replaced(y, EVERY, 1, y[:, 0]))),
     "weightless": ("no_gravity", (1, 2), lambda q, y, w: (q, y - w)),
     "some weightless": ("no_gravity", (1, 2), lambda q, y, w: (
         q, y - w * [0, 1, 1, 0, 0, 0])),
     "one weightless": ("no_gravity", (1,), lambda q, y, w: (
         q, y - w * [0, 1, 0, 0, 0, 0])),
     "mixed": ("mixed_torques", (2,), lambda q, y, w: (
-        q, where(y, EVERY, 2, y[:, 2] + 0.5 * y[:, 1]))),
+        q, replaced(y, EVERY, 2, y[:, 2] + 0.5 * y[:, 1]))),
     "positions": ("motion_as_torque", None, lambda q, y, w: (q, q)),
     "noisy velocities, another unit": ("motion_as_torque", None, lambda q, y, w: (
         q, np.random.default_rng(0).normal(50 * np.gradient(q, 0.005, axis=0), 1.0))),
     "accelerations": ("motion_as_torque", None, lambda q, y, w: (
         q, np.gradient(np.gradient(q, 0.005, axis=0), 0.005, axis=0))),
     "noise": ("silent_torque", (4,), lambda q, y, w: (
-        q, where(y, EVERY, 4, np.random.default_rng(0).normal(0, 0.05, len(y))))),
+        q, replaced(y, EVERY, 4, np.random.default_rng(0).normal(0, 0.05, len(y))))),
     "never written": ("constant_torque", None, lambda q, y, w: (q, 1e-310 * y)),
     "outliers": ("torque_outliers", (2,), lambda q, y, w: (
-        q, where(y, slice(None, None, 50), 2, y[::50, 2] + 20 * y[:, 2].std()))),
+        q, replaced(y, slice(None, None, 50), 2, y[::50, 2] + 20 * y[:, 2].std()))),
     "before the log": ("empty_rows", None, lambda q, y, w: (
-        where(q, slice(100), EVERY, 0.0), where(y, slice(100), EVERY, 0.0))),
+        replaced(q, slice(100), EVERY, 0.0), replaced(y, slice(100), EVERY, 0.0))),
     "drives off": ("empty_rows", None, lambda q, y, w: (
-        where(q, HALF, EVERY, q[2000]), where(y, HALF, EVERY, 1e-3 * y[HALF]))),
+        replaced(q, HALF, EVERY, q[2000]), replaced(y, HALF, EVERY, 1e-3 * y[HALF]))),
     "two sources": ("empty_rows", None, lambda q, y, w: (
-        q, where(y, slice(None, None, 3), EVERY, 0.0))),
+        q, replaced(y, slice(None, None, 3), EVERY, 0.0))),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", DONE)
-def test_one_thing_done_to_a_log_is_what_is_found(log, name):
-    expected, joints, function = DONE[name]
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_single_fault_is_the_only_finding(log, name):
+    expected, joints, function = FAULTS[name]
     recording, _, weight = log
     q, tau = function(recording.q, recording.tau, weight)
-    kinds, found = grave(log, q=q, tau=tau)
+    kinds, findings = faults_of(log, q=q, tau=tau)
     assert kinds == expected.split()
     if joints is not None:
-        assert found[0].joints == joints
+        assert findings[0].joints == joints
 
 
 @pytest.mark.parametrize("factor", one_in(2, [10.197, 8.8507, 1e-3, 4.0, 0.2]))
-def test_a_factor_of_all_torques_has_an_interval_that_holds_it(log, factor):
-    kinds, found = grave(log, tau=factor * log[0].tau)
+def test_interval_of_a_common_torque_factor_contains_it(log, factor):
+    kinds, found = faults_of(log, tau=factor * log[0].tau)
     assert kinds == ["torque_unit"]
     low, high = (
         float(x) for x in found[0].message.split("(")[1].split(")")[0].split(" to ")
@@ -102,50 +102,50 @@ def test_a_factor_of_all_torques_has_an_interval_that_holds_it(log, factor):
     assert low < factor < high
 
 
-def test_noise_that_is_correlated_for_long_is_no_wrong_sign():
-    made = make_robot_recording(
+def test_slow_torque_noise_is_no_wrong_sign():
+    log = make_robot_recording(
         duration=60.0, dt=0.01, frequency=0.9, torque_noise=0.0, random_state=4
     )
-    walk = np.random.default_rng(4).normal(size=made.tau.shape).cumsum(axis=0)
-    tau = made.tau + 0.05 * walk / walk.std(axis=0) * made.tau.std(axis=0)
-    found = inspect_channels(made.robot_model(), made.q, tau, made.dt)
-    assert [x.kind for x in found if x.severity != "note"] == []
+    walk = np.random.default_rng(4).normal(size=log.tau.shape).cumsum(axis=0)
+    tau = log.tau + 0.05 * walk / walk.std(axis=0) * log.tau.std(axis=0)
+    findings = inspect_channels(log.robot_model(), log.q, tau, log.dt)
+    assert [x.kind for x in findings if x.severity != "note"] == []
 
 
-def test_a_factor_that_the_motion_does_not_show_is_not_claimed():
+def test_no_torque_unit_is_reported_without_enough_excitation():
     model = chain(("first", "RY", 0), ("second", "RY", 1))
-    made = make_robot_recording(
+    log = make_robot_recording(
         model, duration=12.0, dt=0.01, frequency=0.4, random_state=8
     )
-    found = inspect_channels(model, np.rad2deg(made.q), made.tau, made.dt)
-    assert "torque_unit" not in {x.kind for x in found}
+    findings = inspect_channels(model, np.rad2deg(log.q), log.tau, log.dt)
+    assert "torque_unit" not in {x.kind for x in findings}
 
 
-def four(axes, seed, offset, done=lambda k, q, tau: (q, tau)):
-    """Find what is the matter with four recordings, each changed by a function."""
-    rng, described, true = np.random.default_rng(seed), arm(axes), arm(axes)
-    for i in range(1, true.njoints):
-        body = true.inertias[i]
+def findings_of_four(axes, seed, offset, change=lambda k, q, tau: (q, tau)):
+    """Return the findings of four recordings, each changed by a function."""
+    rng, described, actual = np.random.default_rng(seed), arm(axes), arm(axes)
+    for i in range(1, actual.njoints):
+        body = actual.inertias[i]
         mass = body.mass * np.exp(0.25 * rng.normal())
         lever = body.lever + 0.04 * rng.normal(size=3)
-        true.inertias[i] = pin.Inertia(mass, lever, body.inertia)
-    made, nv = [], true.nv
+        actual.inertias[i] = pin.Inertia(mass, lever, body.inertia)
+    logs, nv = [], actual.nv
     for k in range(4):
         _, states = motion(nv, duration=25.0, dt=0.02, seed=10 * seed + k, size=1.0)
         states[:, :nv] += rng.uniform(-1, 1, nv)
-        load = inverse_dynamics(true, states)
+        load = inverse_dynamics(actual, states)
         noise = offset * rng.normal(size=nv) + 0.02 * rng.normal(size=load.shape)
         noise += 0.15 * np.sign(states[:, nv : 2 * nv])
-        made.append(done(k, states[:, :nv], load + load.std(axis=0) * noise))
-    groups = np.repeat(range(4), [len(q) for q, _ in made])
-    q, tau = map(np.concatenate, zip(*made))
-    found = inspect_channels(described, q, tau, 0.02, groups=groups)
-    return [one for one in found if one.severity != "note"]
+        logs.append(change(k, states[:, :nv], load + load.std(axis=0) * noise))
+    groups = np.repeat(range(4), [len(q) for q, _ in logs])
+    q, tau = map(np.concatenate, zip(*logs))
+    findings = inspect_channels(described, q, tau, 0.02, groups=groups)
+    return [x for x in findings if x.severity != "note"]
 
 
 @pytest.mark.parametrize("seed", [1, 4])
-def test_offsets_that_differ_between_recordings_are_no_fault(seed):
-    assert four("ZY", seed, offset=0.5) == []
+def test_torque_offsets_may_differ_between_recordings(seed):
+    assert findings_of_four("ZY", seed, offset=0.5) == []
 
 
 @pytest.mark.parametrize(
@@ -158,25 +158,25 @@ def test_offsets_that_differ_between_recordings_are_no_fault(seed):
         ("delay", lambda q, tau: (q, np.roll(tau, 5, axis=0))),
     ],
 )
-def test_a_fault_of_one_recording_names_it(kind, change):
-    done = lambda k, *log: change(*log) if k == 3 else log  # noqa: E731
-    (found,) = four("ZYY", 3, 0.05, done)
-    assert (found.kind, found.message[:18]) == (kind, "Recording 4 alone:")
-    assert found.remedy == {}
-    # What all are late by a fit corrects, but not this.
-    assert found.severity != "note"
+def test_a_fault_of_one_recording_names_the_recording(kind, change):
+    change_last = lambda k, *log: change(*log) if k == 3 else log  # noqa: E731
+    (finding,) = findings_of_four("ZYY", 3, 0.05, change_last)
+    assert (finding.kind, finding.message[:18]) == (kind, "Recording 4 alone:")
+    assert finding.remedy == {}
+    # A fit corrects a common delay, but not that of one recording.
+    assert finding.severity != "note"
 
 
 def test_a_counterbalance_of_a_single_joint_is_no_wrong_sign():
     model, made, weight, _ = built(["RY"], seed=0)
-    kinds, _ = grave((made, model, weight), tau=made.tau - 20 * weight)
+    kinds, _ = faults_of((made, model, weight), tau=made.tau - 20 * weight)
     assert kinds == []
-    kinds, _ = grave((made, model, weight), tau=-made.tau)
+    kinds, _ = faults_of((made, model, weight), tau=-made.tau)
     assert kinds == ["torque_sign"]
 
 
-def test_torques_of_the_weight_alone(log):
-    kinds, _ = grave(log, tau=log[2])
+def test_gravity_torques_alone_are_reported(log):
+    kinds, _ = faults_of(log, tau=log[2])
     assert "gravity_only" in kinds
     assert "wrong_dt" not in kinds
 
@@ -192,7 +192,7 @@ def test_a_base_in_another_orientation(log, down):
     turned.gravity.linear = 9.81 * np.array(down, dtype=float)
     data = turned.createData()
     other = [pin.computeGeneralizedGravity(turned, data, q).copy() for q in recording.q]
-    kinds, found = grave(log, tau=recording.tau - weight + np.array(other))
+    kinds, found = faults_of(log, tau=recording.tau - weight + np.array(other))
     assert kinds == ["base_orientation"]
     shown = found[0].message.split("(")[1].split(")")[0]
     assert [float(x) for x in shown.split(", ")] == pytest.approx(down, abs=0.1)
@@ -204,52 +204,52 @@ SEVEN = ("RZ", "RY", "RZ", "RY", "RZ", "RY", "RZ")
 
 
 def built(axes, gravity=(0.0, 0.0, -9.81), *, seed=2, perturbation=0.1):
-    """Return a robot, its recording, its weight, and torques under other gravity."""
+    """Return robot, recording, gravity torques, and torques under other gravity."""
     model = chain(*((f"joint_{j + 1}", kind, j) for j, kind in enumerate(axes)))
-    made = make_robot_recording(
+    log = make_robot_recording(
         model, duration=15.0, dt=0.01, perturbation=perturbation, random_state=seed
     )
-    data, turned = model.createData(), model.copy()
-    turned.gravity.linear = np.array(gravity)
-    weight, other = (
-        np.array([pin.computeGeneralizedGravity(one, data, q).copy() for q in made.q])
-        for one in (model, turned)
+    data, tilted = model.createData(), model.copy()
+    tilted.gravity.linear = np.array(gravity)
+    weight, rotated = (
+        np.array([pin.computeGeneralizedGravity(x, data, q).copy() for q in log.q])
+        for x in (model, tilted)
     )
-    return model, made, weight, made.tau - weight + other
+    return model, log, weight, log.tau - weight + rotated
 
 
-def test_slides_show_whether_gravity_is_missing_or_turned():
-    # An offset of a slide explains a constant force as well.
+def test_prismatic_joints_show_missing_or_rotated_gravity():
+    # A constant force of a prismatic joint may also be an offset.
     model, made, weight, _ = built(GANTRY)
-    kinds, _ = grave((made, model, weight), tau=made.tau - weight)
+    kinds, _ = faults_of((made, model, weight), tau=made.tau - weight)
     assert kinds == ["no_gravity"]
     *made, tau = built(GANTRY, (6.0, 5.0, -6.0))
-    kinds, _ = grave((made[1], model, weight), tau=tau)
+    kinds, _ = faults_of((made[1], model, weight), tau=tau)
     assert kinds == ["base_orientation"]
 
 
 @pytest.mark.parametrize("gravity", [(-7.8, 6.0, 0.1), (9.81, 0.0, 0.0)])
-def test_a_base_on_its_side_is_turned_although_a_slide_holds_no_weight(gravity):
+def test_base_orientation_with_an_unloaded_prismatic_joint(gravity):
     model, made, weight, tau = built(SCARA, gravity)
-    kinds, _ = grave((made, model, weight), tau=tau)
+    kinds, _ = faults_of((made, model, weight), tau=tau)
     assert kinds == ["base_orientation"]
 
 
 @pytest.mark.parametrize("axes", [PALLETISER, SEVEN])
-def test_torques_without_weight_are_not_of_another_period(axes):
+def test_missing_gravity_is_not_reported_as_wrong_sample_period(axes):
     model, made, weight, _ = built(axes, seed=3, perturbation=0.3)
-    kinds, _ = grave((made, model, weight), tau=made.tau - weight)
+    kinds, _ = faults_of((made, model, weight), tau=made.tau - weight)
     assert kinds == ["no_gravity"]
 
 
-def test_positions_of_a_slide_and_of_a_turn_are_exchanged():
+def test_swapped_positions_of_prismatic_and_revolute_joints():
     model, made, weight, _ = built(GANTRY)
-    kinds, found = grave((made, model, weight), q=made.q[:, [0, 3, 2, 1]])
+    kinds, found = faults_of((made, model, weight), q=made.q[:, [0, 3, 2, 1]])
     assert kinds == ["swapped_positions"]
     assert found[0].joints == (1, 3)
 
 
-def test_a_force_that_is_constant_but_for_rounding_is_not_coarse():
+def test_a_force_constant_up_to_rounding_is_not_coarse():
     model, made, weight, _ = built(GANTRY)
     found = inspect_channels(model, made.q, weight, made.dt)
     assert {one.kind for one in found} <= {"constant_torque", "unverified"}
@@ -258,12 +258,12 @@ def test_a_force_that_is_constant_but_for_rounding_is_not_coarse():
 
 def test_encoders_that_were_zeroed_at_power_up(log):
     q = log[0].q
-    kinds, found = grave(log, q=q - q[0])
+    kinds, found = faults_of(log, q=q - q[0])
     assert kinds == ["position_zeros"]
-    told = dict(
+    offsets = dict(
         x.split() for x in found[0].message.split("[rad]: ")[1][:-1].split(", ")
     )
-    assert float(told["joint_4"]) == pytest.approx(q[0, 3], abs=0.1)
+    assert float(offsets["joint_4"]) == pytest.approx(q[0, 3], abs=0.1)
 
 
 @pytest.mark.parametrize("seconds", one_in(2, [0.05, 0.01, -0.02]))
@@ -279,33 +279,33 @@ def test_a_lag_of_all_torques(log, seconds):
     assert ("late" if seconds > 0 else "early") in words
 
 
-def test_an_encoder_that_is_dead_from_a_pause_on(log):
-    """Its joint stands when it dies, and moves on: noise that is missing shows it."""
+def test_an_encoder_that_fails_at_standstill(log):
+    """It fails while its joint is at rest; the missing noise shows it."""
     q = log[0].q.copy()
     step = np.abs(np.diff(q[:, 3]))
     stop = 1000 + int(np.argmin(np.convolve(step[1000:3000], np.ones(20), "valid")))
     q[stop:, 3] = q[stop, 3]
-    kinds, found = grave(log, q=q)
+    kinds, found = faults_of(log, q=q)
     assert "stuck_position" in kinds
     assert found[0].joints == (3,)
 
 
 @pytest.mark.parametrize(("factor", "shift"), [(-2.5, 3.0), (1.0, 0.0)])
-def test_a_torque_that_is_another_one_times_a_factor(log, factor, shift):
+def test_a_torque_column_that_is_a_scaled_copy(log, factor, shift):
     tau = log[0].tau.copy()
     tau[:, 4] = factor * tau[:, 1] + shift
-    kinds, found = grave(log, tau=tau)
+    kinds, found = faults_of(log, tau=tau)
     assert kinds[0] == "copied_torque"
     assert found[0].joints == (1, 4)
 
 
 @pytest.mark.parametrize("torques", [False, True])
 def test_coupled_axes(log, torques):
-    """The third encoder turns with the second joint, and its motor loads that one."""
+    """The third encoder measures the sum of two joints; its motor acts on both."""
     q, tau = log[0].q.copy(), log[0].tau.copy()
     q[:, 2] += q[:, 1]
     tau[:, 1] -= torques * tau[:, 2]
-    kinds, found = grave(log, q=q, tau=tau)
+    kinds, found = faults_of(log, q=q, tau=tau)
     assert kinds == ["coupled_position"]
     assert found[0].joints == (2,)
     assert "that of joint_3 - that of joint_2" in found[0].message
@@ -313,7 +313,7 @@ def test_coupled_axes(log, torques):
 
 
 @pytest.mark.parametrize("factor", one_in(2, [0.5, 2.0]))
-def test_a_sample_period_of_half_or_twice(log, factor):
+def test_half_or_double_sample_period(log, factor):
     recording, model, _ = log
     signals = recording.q, recording.tau, factor * recording.dt
     (finding,) = inspect_channels(model, *signals)
@@ -321,9 +321,9 @@ def test_a_sample_period_of_half_or_twice(log, factor):
     assert dict(finding.remedy)["dt"] == pytest.approx(recording.dt)
 
 
-def test_torques_as_shares_of_what_each_motor_has(log):
+def test_torques_in_percent_of_rated_torque(log):
     rated = np.array([200, 200, 120, 60, 40, 20.0])
-    kinds, found = grave(log, tau=100 * log[0].tau / rated)
+    kinds, found = faults_of(log, tau=100 * log[0].tau / rated)
     assert kinds == ["torque_factors"]
     assert 'gains="unknown"' in found[0].message
 
@@ -332,7 +332,7 @@ def test_torques_as_shares_of_what_each_motor_has(log):
 @pytest.mark.parametrize("factor", [0.1, 8.85, 100.0])
 def test_the_torque_of_one_joint_in_another_unit(log, joint, factor):
     units = np.where(np.arange(6) == joint, factor, 1.0)
-    kinds, found = grave(log, tau=log[0].tau * units)
+    kinds, found = faults_of(log, tau=log[0].tau * units)
     assert (kinds, found[0].joints) == (["gear_factor"], (joint,))
     ratio = float(found[0].message.split("about ")[1].split()[0])
     assert ratio * factor == pytest.approx(1, abs=0.15)
@@ -340,8 +340,8 @@ def test_the_torque_of_one_joint_in_another_unit(log, joint, factor):
 
 def assert_contact(kinds, found, times=(6.0, 9.0)):
     assert kinds == ["external_force"]
-    told = found[0].message.split("From ")[1].split(" s after")[0].split(" to ")
-    assert [float(x) for x in told] == pytest.approx(times, abs=0.5)
+    interval = found[0].message.split("From ")[1].split(" s after")[0].split(" to ")
+    assert [float(x) for x in interval] == pytest.approx(times, abs=0.5)
 
 
 @pytest.mark.parametrize(("rows", "times"), [(4000, (6.0, 9.0)), (2000, (2.0, 5.0))])
@@ -350,15 +350,15 @@ def test_a_contact_is_named_with_its_time(log, rows, times):
     begin, end = (round(t / recording.dt) for t in times)
     tau = recording.tau[:rows].copy()
     tau[begin:end] += 1.5 * tau.std(axis=0)
-    assert_contact(*grave(log, q=recording.q[:rows], tau=tau), times)
-    # What stays is a payload.
+    assert_contact(*faults_of(log, q=recording.q[:rows], tau=tau), times)
+    # A permanent change is a payload.
     tau[end:] = tau[end:] + 1.5 * recording.tau[:rows].std(axis=0)
-    assert "external_force" not in grave(log, q=recording.q[:rows], tau=tau)[0]
+    assert "external_force" not in faults_of(log, q=recording.q[:rows], tau=tau)[0]
 
 
 @pytest.mark.slow
 def test_a_force_on_a_link_is_named_with_its_time(log):
-    """Its torques vary with the pose and are those of the Jacobian."""
+    """The contact torques follow from the Jacobian and vary with the pose."""
     recording, model, _ = log
     rows = slice(*(round(t / recording.dt) for t in (6.0, 9.0)))
     data, tau = model.createData(), recording.tau.copy()
@@ -367,7 +367,7 @@ def test_a_force_on_a_link_is_named_with_its_time(log):
         frame = pin.LOCAL_WORLD_ALIGNED
         jacobian = pin.getJointJacobian(model, data, model.nv, frame)
         tau[row] += 40.0 * jacobian[2]
-    assert_contact(*grave(log, tau=tau))
+    assert_contact(*faults_of(log, tau=tau))
 
 
 def test_torques_of_the_description(log):
@@ -375,20 +375,20 @@ def test_torques_of_the_description(log):
     v = np.gradient(recording.q, recording.dt, axis=0)
     states = np.hstack([recording.q, v, np.gradient(v, recording.dt, axis=0)])
     tau = inverse_dynamics(model, states)
-    assert grave(log, tau=tau)[0] == ["computed_torque"]
+    assert faults_of(log, tau=tau)[0] == ["computed_torque"]
 
 
 def chain(*joints):
-    """Return a robot of joints, each a name, a type and the joint before it."""
+    """Build a robot of joints, each given by name, type and parent."""
     model = pin.Model()
     for name, kind, parent in joints:
-        place = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.1]) * parent)
-        number = model.addJoint(
-            parent, getattr(pin, f"JointModel{kind}")(), place, name
+        placement = pin.SE3(np.eye(3), np.array([0.4, 0.0, 0.1]) * parent)
+        joint_id = model.addJoint(
+            parent, getattr(pin, f"JointModel{kind}")(), placement, name
         )
         body = pin.Inertia.FromBox(2.0, 0.1, 0.1, 0.1)
         centre = pin.SE3(np.eye(3), np.array([0.2, 0.02, 0.05]))
-        model.appendBodyToJoint(number, body, centre)
+        model.appendBodyToJoint(joint_id, body, centre)
     return model
 
 
@@ -397,7 +397,7 @@ def simulated(model):
     return made.q, made.tau, made.dt
 
 
-def test_torques_far_beyond_the_limits_of_axes_that_show_no_mass():
+def test_torque_unit_from_effort_limits_without_gravity():
     model = chain(("x", "PX", 0), ("y", "PY", 1))
     model.effortLimit = np.array([300.0, 200.0])
     q, tau, dt = simulated(model)
@@ -414,7 +414,7 @@ def test_the_size_of_torques_is_verified_unless_gains_are_identified():
     assert inspect_channels(model, *simulated(model), gains="unknown") == ()
 
 
-def test_the_order_of_branches_that_are_alike_is_assumed():
+def test_order_of_identical_branches_is_unverified():
     arms = (("right", "RY", 0), ("right_2", "RX", 1))
     model = chain(*arms, ("left", "RY", 0), ("left_2", "RX", 3))
     (finding,) = inspect_channels(model, *simulated(model))
@@ -423,14 +423,14 @@ def test_the_order_of_branches_that_are_alike_is_assumed():
     assert inspect_channels(model, *simulated(model), named=True) == ()
 
 
-def test_a_robot_without_load_by_gravity_cannot_be_verified():
+def test_a_robot_without_gravity_load_is_unverified():
     model = chain(("joint_0", "RZ", 0), ("joint_1", "RZ", 1))
     (finding,) = inspect_channels(model, *simulated(model))
     assert (finding.kind, finding.severity) == ("unverified", "note")
     assert "cannot be verified, nor the zeros" in finding.message
 
 
-def test_a_body_without_mass_hides_no_fault():
+def test_faults_are_found_with_a_massless_body():
     model = chain(("x", "RX", 0), ("y", "RY", 1), ("z", "RX", 2))
     model.inertias[1] = pin.Inertia.FromSphere(1e-6, 0.01)
     q, tau, dt = simulated(model)
@@ -447,7 +447,7 @@ def test_two_clocks_of_different_speed(log):
     recording = log[0]
     t = recording.dt * np.arange(recording.n_samples)
     late = [np.interp(0.997 * t, t, x) for x in recording.tau.T]
-    kinds, found = grave(log, tau=np.transpose(late))
+    kinds, found = faults_of(log, tau=np.transpose(late))
     assert kinds == ["delay"]
     assert "fast" in found[0].message
     assert found[0].value == pytest.approx(0.003, rel=0.3)
@@ -456,14 +456,14 @@ def test_two_clocks_of_different_speed(log):
 def test_two_zeros_are_off(log):
     q = log[0].q.copy()
     q[:, [1, 4]] += np.pi / 2
-    kinds, found = grave(log, q=q)
+    kinds, found = faults_of(log, q=q)
     assert set(kinds) == {"position_zero"}
     assert {j for one in found if one.severity != "note" for j in one.joints} == {1, 4}
 
 
 def test_gear_ratios_near_the_factor_of_degrees(log):
     ratios = np.array([50.0, 55.0, 60.0, 65.0, 60.0, 50.0])
-    kinds, found = grave(log, q=ratios * log[0].q)
+    kinds, found = faults_of(log, q=ratios * log[0].q)
     assert kinds == ["position_unit"]
     each = re.findall(r"joint_(\d) ([\d.e+]+) ± ([\d.]+)", found[0].message)
     assert len(each) >= 4
@@ -472,31 +472,31 @@ def test_gear_ratios_near_the_factor_of_degrees(log):
 
 
 @pytest.mark.parametrize("power", [0, -1])
-def test_a_wrong_gear_of_one_joint(log, power):
+def test_wrong_gear_ratio_of_one_joint(log, power):
     ratio = np.array([1, 1, 1.5, 1, 1, 1])
-    kinds, found = grave(log, q=ratio * log[0].q, tau=ratio**power * log[0].tau)
+    kinds, found = faults_of(log, q=ratio * log[0].q, tau=ratio**power * log[0].tau)
     assert kinds == ["position_unit"]
     assert found[0].joints == (2,)
     assert "joint_3 1.5 ± " in found[0].message
     assert ("multiply the torque" in found[0].message) == bool(power)
 
 
-def test_a_wrong_gear_where_drives_hide_the_bodies():
-    # All torques agree with the description but for a few per cent.
+def test_wrong_gear_ratio_with_dominant_drive_torques():
+    # All torques agree with the description within a few per cent.
     size = {"viscous": 5.0, "coulomb": 6.0, "rotor_inertia": 2.0}
     friction = {name: np.full(6, x) for name, x in size.items()}
-    given = {"perturbation": 0, "torque_noise": 0.01, "friction": friction}
-    made = make_robot_recording(duration=20, **given, random_state=1)
-    wrist = made.q * [1, 1, 1, 1, 2, 1]
-    kinds, found = grave((made, made.robot_model(), None), q=wrist)
+    settings = {"perturbation": 0, "torque_noise": 0.01, "friction": friction}
+    recording = make_robot_recording(duration=20, **settings, random_state=1)
+    wrist = recording.q * [1, 1, 1, 1, 2, 1]
+    kinds, found = faults_of((recording, recording.robot_model(), None), q=wrist)
     assert kinds == ["position_unit"]
     assert found[0].joints == (4,)
 
 
-def test_rows_that_hold_no_readings(log):
+def test_rows_of_zeros(log):
     q, tau = log[0].q.copy(), log[0].tau.copy()
     q[1000:1100], tau[1000:1100] = 0.0, 0.0
-    kinds, found = grave(log, q=q, tau=tau)
+    kinds, found = faults_of(log, q=q, tau=tau)
     assert kinds == ["empty_rows"]
     assert "100 rows" in found[0].message
     assert "row 1000" in found[0].message

@@ -1,4 +1,4 @@
-"""Channels that cannot be what they are called: found where they are, only there."""
+"""Findings of faulty channels: kinds, joints, severities; no false findings."""
 
 import re
 
@@ -13,8 +13,8 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa.inspection import ChannelFinding, inspect_channels, inspect_recording
 from tests._quick import one_in
 
-# What the notes on the measured sets say of their channels: the currents of the last
-# three joints of TIAGo take some forty values.
+# Documented properties of the measured sets: the currents of the last three joints of
+# TIAGo take about forty values.
 TRUE_FINDINGS = {
     "franka_panda": {("delay", tuple(range(7)))},
     "tiago": {("coarse_torque", (j,)) for j in (5, 6, 7)},
@@ -24,7 +24,7 @@ MEASURED = sorted(set(datasets.SETS) - {"unitree_go2"})
 
 @pytest.fixture(scope="module")
 def arm():
-    """Simulate the made-up arm."""
+    """Simulate an arm with known parameters."""
     recording = make_robot_recording(random_state=3, duration=16.0)
     return recording, recording.robot_model()
 
@@ -55,7 +55,7 @@ def only(findings, kind, joints, severity):
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_nothing_is_found_in_sound_recordings(seed):
+def test_simulated_recordings_have_no_findings(seed):
     recording = make_robot_recording(random_state=seed, n_recordings=2, duration=10.0)
     model = recording.robot_model()
     for groups in (recording.groups, None)[: 1 + (seed == 0)]:
@@ -79,7 +79,7 @@ def test_nothing_is_found_in_sound_recordings(seed):
     ],
     ids=str,
 )
-def test_nothing_is_found_in_any_of_many_sound_recordings(seed, options):
+def test_many_simulated_recordings_have_no_findings(seed, options):
     recording = make_robot_recording(random_state=seed, **options)
     findings = inspect_channels(
         recording.robot_model(), recording.q, recording.tau, recording.dt
@@ -88,13 +88,13 @@ def test_nothing_is_found_in_any_of_many_sound_recordings(seed, options):
 
 
 @pytest.mark.parametrize("name", one_in(20, MEASURED))
-def test_nothing_wrong_is_found_in_measured_recordings(measured_data_home, name):
+def test_measured_recordings_have_only_true_findings(measured_data_home, name):
     recording = getattr(datasets, f"fetch_{name}")(
         data_home=measured_data_home, download_if_missing=False
     )
     findings = inspect_recording(recording)
-    told = found(one for one in findings if one.kind != "unverified")
-    assert told == TRUE_FINDINGS.get(name, set())
+    reported = found(x for x in findings if x.kind != "unverified")
+    assert reported == TRUE_FINDINGS.get(name, set())
     half, torques = recording.n_samples // 2, set(recording.torque_units) <= {"N m"}
     for rows in (slice(None, half), slice(half, None)):
         findings += inspect_channels(
@@ -108,13 +108,13 @@ def test_nothing_wrong_is_found_in_measured_recordings(measured_data_home, name)
     assert all(finding.severity == "note" for finding in findings)
 
 
-def test_a_sign_that_does_not_show_is_that_of_all_the_others(arm):
+def test_an_unobservable_torque_sign_follows_the_others(arm):
     q, tau = arm[0].q.copy(), -arm[0].tau
-    # The last joint has no friction and moves nothing: its sign cannot show.
+    # The torque of the last joint is noise, so that its sign is not observable.
     tau[:, 5] = np.random.default_rng(0).normal(size=len(tau))
     message = only(inspect(arm, q=q, tau=tau), "torque_sign", tuple(range(6)), "error")
     assert "so is the sign of joint_6" in message
-    # One torque that is right says that not all are turned.
+    # One correct sign shows that not all are wrong.
     tau[:, 1] *= -1
     assert not {1, 5} & {j for f in inspect(arm, q=q, tau=tau) for j in f.joints}
 
@@ -126,14 +126,14 @@ def test_clipped_torque(arm):
     share = np.mean(np.abs(arm[0].tau[:, 1]) >= limit)
     assert share > 0.02
     message = only(inspect(arm, tau=tau), "clipped_torque", (1,), "warning")
-    told = re.search(f"clipped at \\+-{limit:.4g}: (.*) % of its samples", message)
-    # Those of short runs are not counted.
-    assert 0.8 * share < 0.01 * float(told[1]) < 1.01 * share
+    match = re.search(f"clipped at \\+-{limit:.4g}: (.*) % of its samples", message)
+    # Short runs are not counted.
+    assert 0.8 * share < 0.01 * float(match[1]) < 1.01 * share
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.5, 1.0])
 def test_the_peak_of_a_coarse_torque_is_not_clipped(arm, phase):
-    # Of a sine that ends between two steps or on one.
+    # The peak of a sine lies between two steps or on one.
     tau, rows = arm[0].tau.copy(), np.arange(len(arm[0].tau))
     whole = (15 + phase) * np.sin(0.01 * rows)
     tau[:, 1] = 0.3 * np.round(whole)
@@ -142,26 +142,26 @@ def test_the_peak_of_a_coarse_torque_is_not_clipped(arm, phase):
     assert "clipped_torque" in {one.kind for one in inspect(arm, tau=tau)}
 
 
-def test_torques_that_drop_to_zero_are_no_friction(arm):
+def test_torque_dropouts_to_zero(arm):
     tau = arm[0].tau.copy()
     rows = np.concatenate([np.arange(k, k + 30) for k in range(200, 3000, 400)])
     tau[rows, 3] = 0.0
     message = only(inspect(arm, tau=tau), "torque_dropouts", (3,), "warning")
     assert "up to 0.15 s" in message
     times = int(message.split(" time(s)")[0].split()[-1])
-    # Some begin or end where the torque is near zero by itself.
+    # Some dropouts begin or end where the torque is near zero.
     assert 4 <= times <= 7
 
 
-def test_torques_that_stay_at_a_value_are_no_friction(arm):
+def test_torque_dropouts_at_a_constant_value(arm):
     tau = arm[0].tau.copy()
     tau[1500:2300, 3] = tau[1500, 3]
     message = only(inspect(arm, tau=tau), "torque_dropouts", (3,), "warning")
     assert f"stays at {tau[1500, 3]:.4g} " in message
-    # With the pauses between.
+    # Including pauses.
     assert "1 time(s) while the robot moves (" in message
     assert "up to 4 s" in message
-    # A joint may well have one torque where it is at rest, such as with its brake on.
+    # The torque may be constant at rest, such as with the brake on.
     q = arm[0].q.copy()
     q[1500:2300, 3] = q[1500, 3]
     q[2300:, 3] += q[1500, 3] - q[2300, 3]
@@ -170,12 +170,12 @@ def test_torques_that_stay_at_a_value_are_no_friction(arm):
 
 
 def test_a_torque_at_rest_that_arrives_late_is_no_dropout():
-    one = make_robot_recording(random_state=3, duration=4.0, dt=4e-4)
+    recording = make_robot_recording(random_state=3, duration=4.0, dt=4e-4)
     rest, late = np.zeros(1000, dtype=int), np.zeros(150, dtype=int)
-    q = one.q[np.r_[rest, : one.n_samples]]
-    tau = one.tau[np.r_[rest, late, : one.n_samples - late.size]]
-    found = inspect_channels(one.robot_model(), q, tau, one.dt)
-    assert "torque_dropouts" not in {one.kind for one in found}
+    q = recording.q[np.r_[rest, : recording.n_samples]]
+    tau = recording.tau[np.r_[rest, late, : recording.n_samples - late.size]]
+    findings = inspect_channels(recording.robot_model(), q, tau, recording.dt)
+    assert "torque_dropouts" not in {recording.kind for recording in findings}
 
 
 def test_frozen_positions(arm):
@@ -196,13 +196,13 @@ def test_repeated_rows(arm):
     assert message.startswith("60 rows")
 
 
-def test_samples_without_weight_are_no_faults(arm):
+def test_samples_of_zero_weight_are_ignored(arm):
     recording, model = arm
     tau, weight = recording.tau.copy(), np.ones(recording.tau.shape)
     tau[300:420], weight[300:420] = tau[300], 0.0
-    given = recording.q, tau, recording.dt
-    assert inspect_channels(model, *given)
-    assert not inspect_channels(model, *given, weight=weight)
+    signals = recording.q, tau, recording.dt
+    assert inspect_channels(model, *signals)
+    assert not inspect_channels(model, *signals, weight=weight)
 
 
 def test_spikes(arm):
@@ -215,7 +215,7 @@ def test_channels_without_information(arm):
     q, tau = arm[0].q.copy(), arm[0].tau.copy()
     tau[:, 4] = 1.5
     only(inspect(arm, tau=tau), "constant_torque", (4,), "error")
-    # Of several it is said once.
+    # Several joints share one finding.
     tau[:, 2] = -0.0
     (finding,) = inspect(arm, tau=tau)
     assert finding.joints == (2, 4)
@@ -239,7 +239,7 @@ def test_bad_input_is_refused(arm):
 
 
 @pytest.mark.parametrize("n", [5, 63, 64, 100])
-def test_short_recordings_tell_nothing(arm, n):
+def test_short_recordings_have_no_findings(arm, n):
     recording, model = arm
     findings = inspect_channels(model, recording.q[:n], recording.tau[:n], recording.dt)
     assert findings == ()
@@ -272,13 +272,13 @@ def test_torques_of_few_values_are_coarse(arm):
     assert sum(f.kind == "coarse_torque" for f in findings) == 6
 
 
-def grave(findings, kind):
+def findings_of_kind(findings, kind):
     """Joints and severities of the findings of one kind."""
     return [(f.joints, f.severity) for f in findings if f.kind == kind]
 
 
-def with_a_pause(x):
-    """Slow a motion down to a pause, and go on."""
+def add_pause(x):
+    """Insert a pause with smooth deceleration and acceleration."""
     stop = 1200
     ramp = np.cumsum(0.5 * (1 + np.cos(np.linspace(0, np.pi, 200))))
     back = np.cumsum(0.5 * (1 - np.cos(np.linspace(0, np.pi, 200))))
@@ -289,27 +289,27 @@ def with_a_pause(x):
 
 
 def test_a_robot_that_pauses_is_not_frozen(arm):
-    """Without noise all rows of a pause are equal; the motion runs out before it."""
+    """Without noise all rows of a pause are equal; the motion decelerates before it."""
     recording, model = arm
-    slow, tau = map(with_a_pause, (recording.states[:, :6], recording.tau_clean))
+    slow, tau = map(add_pause, (recording.states[:, :6], recording.tau_clean))
     findings = inspect_channels(model, slow, tau, recording.dt)
-    assert not grave(findings, "repeated_rows")
+    assert not findings_of_kind(findings, "repeated_rows")
 
 
 @pytest.mark.parametrize("noise", [0.0, 2e-5])
 def test_a_joint_that_pauses_alone_is_not_stuck(arm, noise):
-    """Its encoder, with a resolution or with noise, is as it was."""
+    """The encoder works, with a resolution or with noise."""
     recording, model = arm
-    q = with_a_pause(recording.states[:, :6])
+    q = add_pause(recording.states[:, :6])
     n, rng = len(q), np.random.default_rng(0)
     q[: len(recording.q), [0, 1, 2, 4, 5]] = recording.states[:n, [0, 1, 2, 4, 5]]
     q = q[: len(recording.q)] + noise * rng.normal(size=(len(q), 6))[: len(recording.q)]
     q = q if noise else np.round(q, 5)
     findings = inspect_channels(model, q, recording.tau[: len(q)], recording.dt)
-    assert not grave(findings, "stuck_position")
+    assert not findings_of_kind(findings, "stuck_position")
 
 
-def test_a_torque_is_coarse_by_its_step_against_its_spread():
+def test_coarse_torque_depends_on_step_relative_to_standard_deviation():
     recording = make_robot_recording(
         random_state=3, duration=6.0, dt=0.001, torque_noise=0.001
     )
@@ -318,14 +318,14 @@ def test_a_torque_is_coarse_by_its_step_against_its_spread():
         tau = recording.tau.copy()
         step = share * tau[:, 1].std()
         tau[:, 1] = step * np.round(tau[:, 1] / step)
-        # As most steps are zero, it is not their number that counts.
+        # The share of zero differences does not matter.
         assert np.mean(np.diff(tau[:, 1]) == 0) > 0.5
         findings = inspect_channels(model, recording.q, tau, recording.dt)
         assert [x.severity for x in findings if x.kind == "coarse_torque"] == found
 
 
 def test_encoder_counts_of_a_joint_without_limits():
-    """Whole numbers are counts, whatever the joint may do."""
+    """Whole numbers are counts even without position limits."""
     import pinocchio as pin
 
     model = pin.Model()
@@ -340,11 +340,11 @@ def test_encoder_counts_of_a_joint_without_limits():
     sound = inspect_channels(model, turning[:, None], tau[:, None], 0.01)
     assert not {f.severity for f in sound} & {"error", "warning"}
     counts = np.round(turning * 4096 / (2 * np.pi))
-    found_ = inspect_channels(model, counts[:, None], tau[:, None], 0.01)
-    assert grave(found_, "position_counts") == [((0,), "error")]
+    findings = inspect_channels(model, counts[:, None], tau[:, None], 0.01)
+    assert findings_of_kind(findings, "position_counts") == [((0,), "error")]
 
 
-def test_the_zero_of_a_vertical_axis_is_no_ones_business(arm):
+def test_zero_of_a_vertical_first_axis_is_not_reported(arm):
     q = arm[0].q.copy()
     q[:, 0] += np.pi / 2
     assert inspect(arm, q=q) == ()

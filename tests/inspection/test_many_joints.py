@@ -1,4 +1,4 @@
-"""Robots of many joints: what is examined of all exchanges, and no fit made twice."""
+"""Inspection of robots with many joints: swapped channels."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from tests._quick import checkered
 from tests.model._robots import arms
 
 
-def recorded(model, seed=0):
+def record_motion(model, seed=0):
     return make_robot_recording(
         model, duration=12.0, dt=0.01, torque_noise=0.02, random_state=seed
     )
@@ -18,13 +18,13 @@ def recorded(model, seed=0):
 @pytest.fixture(scope="module")
 def two_arms():
     model = arms(2)
-    return model, recorded(model)
+    return model, record_motion(model)
 
 
 @pytest.mark.parametrize(
     ("pair", "kind"), checkered([(1, 6), (4, 6)], ["torques", "positions", "joints"])
 )
-def test_exchanged_channels_of_many_joints_are_found(two_arms, pair, kind):
+def test_swapped_channels_of_twelve_joints(two_arms, pair, kind):
     model, recording = two_arms
     order = np.arange(model.nv)
     order[list(pair)] = order[list(pair[::-1])]
@@ -36,6 +36,6 @@ def test_exchanged_channels_of_many_joints_are_found(two_arms, pair, kind):
     assert errors == [(f"swapped_{kind}", pair)]
 
 
-def test_nothing_is_found_in_many_sound_joints(two_arms):
+def test_two_arms_without_fault_have_no_findings(two_arms):
     model, recording = two_arms
     assert inspect_channels(model, recording.q, recording.tau, recording.dt) == ()

@@ -1,4 +1,4 @@
-"""What a motion shows: counted by hand, and for motions of which it is known."""
+"""Summary of motions: reversals, ranges, speeds, identifiable effects."""
 
 import numpy as np
 import pinocchio
@@ -18,7 +18,7 @@ def urdf(tmp_path_factory):
 
 
 def recording(urdf, q, dt=0.01):
-    """Return a recording of these positions, with the torques of the description."""
+    """Return a recording of positions and their inverse dynamics."""
     v = np.gradient(q, dt, axis=0)
     states = np.hstack([q, v, np.gradient(v, dt, axis=0)])
     tau = inverse_dynamics(pinocchio.buildModelFromUrdf(urdf), states)
@@ -54,7 +54,7 @@ def test_reversals_ranges_and_speeds_of_a_sine(urdf):
     assert hidden.endswith("(range of 22.9 degrees, at least 60 needed)")
 
 
-def test_one_way_one_speed_and_rest(urdf):
+def test_constant_velocity_and_standstill_hide_friction(urdf):
     q = np.column_stack([0.7 * T, np.zeros_like(T)])
     turning, still = motion_of(recording(urdf, q))
     assert turning.reversals == 0
@@ -66,6 +66,6 @@ def test_one_way_one_speed_and_rest(urdf):
     assert still.resting == 1.0
 
 
-def test_a_recording_that_is_too_short_shows_nothing(urdf):
+def test_motion_of_a_short_recording_is_empty(urdf):
     q = np.column_stack([np.sin(T), np.cos(T)])[:12]
     assert motion_of(recording(urdf, q)) == ()

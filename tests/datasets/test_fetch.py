@@ -198,7 +198,7 @@ def test_download_to_recording(dataset, measured_data_home, serve, fetch, tmp_pa
     assert sorted(requests) == sorted(answers)
 
 
-def test_what_was_not_published_is_refused(serve, tmp_path):
+def test_downloads_with_a_wrong_checksum_are_refused(serve, tmp_path):
     serve({unquote(address): b"edited" for address, _ in remote_files("emps").values()})
     with pytest.raises(OSError, match="Cannot download") as info:
         datasets.fetch_emps(data_home=tmp_path)
@@ -206,7 +206,7 @@ def test_what_was_not_published_is_refused(serve, tmp_path):
     assert not [x for x in tmp_path.rglob("*") if x.is_file()]
 
 
-def test_go2_is_told_what_the_law_of_its_motors_says(fetch, converted):
+def test_go2_torques_follow_from_its_control_law(fetch, converted):
     go2 = fetch("unitree_go2")
     assert go2.group_names == tuple(f"run_{k}" for k in range(10))
     for label in (0, 9):

@@ -1,4 +1,4 @@
-"""Distances between links: closed forms, gradients, and which pairs are looked at."""
+"""Distances between links: closed forms, gradients, and pairs of links."""
 
 import numpy as np
 import pinocchio as pin
@@ -12,9 +12,9 @@ from tests.model._shaped import BALL, CUBE, arm, joint, link, two_bars, write
 
 
 def clearance_of(path, **kwargs):
-    found, reason = Clearance.of(path, load_model(path), **kwargs)
+    clearance, reason = Clearance.of(path, load_model(path), **kwargs)
     assert reason == ""
-    return found
+    return clearance
 
 
 def arm_with_mesh(folder, **kwargs):
@@ -36,7 +36,7 @@ def test_balls_have_the_distance_of_their_centres(tmp_path):
     slope = -0.5 * 0.4 * np.sin(q[:, 1]) / apart
     np.testing.assert_allclose(gradient[:, 0, 1], slope, atol=1e-12)
     np.testing.assert_allclose(gradient[:, 0, 0], 0, atol=1e-12)
-    # In penetration as well as apart.
+    # Both in penetration and apart.
     assert (distance < 0).sum() > 20
     assert (distance > 0).sum() > 20
 
@@ -54,11 +54,11 @@ def test_distances_are_those_of_pinocchio(tmp_path):
         pin.computeDistances(model, data, geometry, placed, q[row])
         expected = {}
         for pair, result in zip(geometry.collisionPairs, placed.distanceResults):
-            both = links[pair.first], links[pair.second]
-            expected.setdefault(both, []).append(result.min_distance)
-        for both in set(clearance.pairs):
-            here = [found[row, i] for i, x in enumerate(clearance.pairs) if x == both]
-            assert sorted(here) == pytest.approx(sorted(expected[both]), abs=1e-5)
+            names = links[pair.first], links[pair.second]
+            expected.setdefault(names, []).append(result.min_distance)
+        for names in set(clearance.pairs):
+            here = [found[row, i] for i, x in enumerate(clearance.pairs) if x == names]
+            assert sorted(here) == pytest.approx(sorted(expected[names]), abs=1e-5)
 
 
 def test_gradients_are_those_of_finite_differences(tmp_path):
@@ -80,16 +80,16 @@ def test_gradients_are_those_of_finite_differences(tmp_path):
     assert apart.sum() > 300
     assert inside.sum() > 15
     assert error[apart].max() < 1e-3
-    # Depths of cylinders are known to a micrometre, and their normals to its root.
+    # Depths of cylinders are accurate to 1 um, their normals to its square root.
     assert np.quantile(error[inside], 0.9) < 2e-3
     assert error[inside].max() < 0.1
-    # The sign: coming out means a growing distance.
+    # Distance increases out of penetration.
     size = np.abs(gradient[inside]).max(axis=1)
     agree = np.einsum("ij,ij->i", change[inside], gradient[inside])
     assert (agree[size > 0.05] > 0).all()
 
 
-def test_links_next_to_each_other_are_not_looked_at(tmp_path):
+def test_neighbouring_links_are_not_checked(tmp_path):
     clearance = clearance_of(arm(tmp_path))
     order = ["base", "one", "two", "three", "four", "five", "hand"]
     expected = {
@@ -99,7 +99,7 @@ def test_links_next_to_each_other_are_not_looked_at(tmp_path):
 
 
 def wrist(folder, *, radius):
-    """Three axes through one point: the first and the third body overlap there."""
+    """Write a wrist of three intersecting axes; first and third body overlap."""
     return write(
         folder,
         link("base", (BALL.format(0.05), "0 0 -0.5", "0 0 0")),
@@ -120,14 +120,14 @@ def test_links_drawn_into_each_other_are_ignored(tmp_path):
 
 def test_without_shapes_there_is_a_reason(tmp_path):
     model = load_model(two_bars(tmp_path))
-    found, reason = Clearance.of(model, model)
-    assert found is None
+    clearance, reason = Clearance.of(model, model)
+    assert clearance is None
     assert "path of its URDF" in reason
     path = write(tmp_path, link("a"), link("b"), joint("j", "a", "b"))
-    found, reason = Clearance.of(path, load_model(path))
-    assert found is None
+    clearance, reason = Clearance.of(path, load_model(path))
+    assert clearance is None
     assert "no collision geometry" in reason
     path = arm(tmp_path, mesh="package://arm/hand.stl")
-    found, reason = Clearance.of(path, load_model(path))
-    assert found is None
+    clearance, reason = Clearance.of(path, load_model(path))
+    assert clearance is None
     assert "'package://arm/hand.stl' of link 'hand'" in reason

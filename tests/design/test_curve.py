@@ -1,4 +1,4 @@
-"""Fourier series: closed forms, derivatives, and standing still at both ends."""
+"""Fourier series: closed forms, derivatives, rest at both ends."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def parts(curve, z, t):
     return np.split(curve.states(z, curve.basis(t)), 3, axis=1)
 
 
-def test_it_is_the_series_of_its_own_coefficients():
+def test_states_match_the_fourier_series():
     curve, z = drawn()
     t = np.linspace(0, PERIOD, 400, endpoint=False)
     q, v, a = parts(curve, z, t)
@@ -35,7 +35,7 @@ def test_it_is_the_series_of_its_own_coefficients():
     np.testing.assert_allclose(a, second, atol=1e-10)
 
 
-def test_it_stands_still_where_it_begins_and_ends_and_repeats():
+def test_curve_is_periodic_and_at_rest_at_its_ends():
     curve, z = drawn()
     q, v, a = parts(curve, z, np.array([0.0, PERIOD, 5 * PERIOD]))
     np.testing.assert_allclose(v, 0, atol=1e-11)
@@ -47,14 +47,14 @@ def test_it_stands_still_where_it_begins_and_ends_and_repeats():
         np.testing.assert_allclose(later, now, atol=1e-10)
 
 
-def test_gradients_are_pulled_back():
+def test_pulled_back_gradients_match_the_linear_map():
     curve, z = drawn()
     basis = curve.basis(np.linspace(0, PERIOD, 20))
     by = np.random.default_rng(1).normal(size=(20, 9))
-    told = curve.pulled_back(by, basis)
+    gradient = curve.pulled_back(by, basis)
     for j in range(3):
         for k in range(curve.size):
             step = np.zeros_like(z)
             step[j, k] = 1.0
             change = curve.states(z + step, basis) - curve.states(z, basis)
-            assert told[j, k] == pytest.approx((by * change).sum())
+            assert gradient[j, k] == pytest.approx((by * change).sum())

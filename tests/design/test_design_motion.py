@@ -1,4 +1,4 @@
-"""Whole designs: limits, what they are worth, and what they promise, by other means."""
+"""Designed motions: independent checks of limits, information and accuracy."""
 
 import math
 
@@ -34,7 +34,7 @@ def motion(path):
 
 
 def literal_margins(model, limits, states):
-    """Smallest distances over the limits, by Pinocchio's inverse dynamics."""
+    """Return relative distances to the limits, by Pinocchio's inverse dynamics."""
     q, v, a = np.split(states, 3, axis=1)
     tau = inverse_dynamics(model, states)
     low, high = limits.position.T
@@ -47,19 +47,19 @@ def literal_margins(model, limits, states):
     }
 
 
-def test_margins_are_kept_between_the_samples(path, motion):
-    # Continuous joints have one position in the URDF: the model here has as well.
+def test_limits_hold_between_the_samples(path, motion):
+    # The model has one position per continuous joint.
     problem, _ = problem_of(path)
     fine = np.linspace(0, SHORT["duration"], 5_000)
-    found = literal_margins(
+    margins = literal_margins(
         problem.model.features.model_, motion.limits, motion.states(fine)
     )
     assert motion.within_limits
-    for name, values in found.items():
+    for name, values in margins.items():
         assert values.min() > 0.0195, name
         np.testing.assert_allclose(motion.margins[name], values, atol=3e-3)
-    # Some limit is used.
-    assert min(values.min() for values in found.values()) < 0.06
+    # Some limit is nearly reached.
+    assert min(values.min() for values in margins.values()) < 0.06
 
 
 def test_columns_are_samples_of_one_motion(path, motion):
@@ -96,7 +96,7 @@ def random_feasible(limits, model, duration, rng):
 
 
 def literal_information(model, states, dt, limits):
-    """Information per joint's torque limit on base parameters and friction."""
+    """Return the information on bodies and friction, scaled by torque limits."""
     data = model.createData()
     blocks = []
     for row in states:
@@ -108,37 +108,37 @@ def literal_information(model, states, dt, limits):
     return dt * X.T @ X
 
 
-def test_it_is_worth_more_than_random_motions(path, motion):
+def test_designed_motion_has_more_information_than_random_motions(path, motion):
     problem, _ = problem_of(path)
     model, limits = problem.model.features.model_, motion.limits
     rng = np.random.default_rng(0)
     fine = np.linspace(0, motion.duration, 150)
-    own = literal_information(model, motion.states(fine), 0.02, limits)
+    designed = literal_information(model, motion.states(fine), 0.02, limits)
     n = 10 * model.nv
     drawn = [random_feasible(limits, model, motion.duration, rng) for _ in range(40)]
     random = [literal_information(model, states, 0.02, limits) for _, states in drawn]
-    # Base columns: those of the model, known by their number in the description.
+    # Base columns of the model and friction.
     kept = np.r_[problem.model.base, n : n + 2 * model.nv]
 
-    def judged(M):
+    def log_det(M):
         M = M[np.ix_(kept, kept)]
         return 0.5 * np.linalg.slogdet(M)[1]
 
-    best = max(judged(M) for M in random)
-    assert judged(own) > best + 3.0
+    best = max(log_det(M) for M in random)
+    assert log_det(designed) > best + 3.0
     assert motion.condition_number < motion.start_condition_number
 
 
 @pytest.fixture(scope="module")
-def parted(tmp_path_factory):
+def with_effects(tmp_path_factory):
     folder = tmp_path_factory.mktemp("parted")
     path = chain(folder, ("revolute", "revolute"), effort=40.0, seed=3)
     asked = ("load_friction", "spring", "rotor_inertia")
     return path, design_motion(path, effects=asked, **SHORT)
 
 
-def test_effects_by_hand_are_shown_or_told_invisible(parted):
-    _, motion = parted
+def test_given_effects_are_shown_or_reported_as_invisible(with_effects):
+    _, motion = with_effects
     shown = {(one.name, one.joint) for one in motion.shows}
     hidden = {(one.name, one.joint) for one in motion.invisible}
     assert shown | hidden == {
@@ -146,7 +146,7 @@ def test_effects_by_hand_are_shown_or_told_invisible(parted):
         for name in ("load_friction", "spring", "rotor_inertia")
         for joint in (0, 1)
     }
-    # The first joint's rotor acts on the torques as the inertia of its link does.
+    # The rotor inertia of the first joint is equivalent to inertia of its link.
     assert ("rotor_inertia", 0) in hidden
     assert ("spring", 0) in shown
     assert motion.within_limits
@@ -157,10 +157,10 @@ def test_effects_by_hand_are_shown_or_told_invisible(parted):
     ("reach", "velocity", "acceleration", "duration"),
     [(0.3, 0.5, 2.0, 4.0), (1.5, 2.0, 20.0, 1.5)],
 )
-def test_two_per_cent_are_left_to_all_limits(
+def test_margin_of_two_per_cent_to_all_limits(
     tmp_path, reach, velocity, acceleration, duration
 ):
-    # Motions of few harmonics, which reach furthest between the samples.
+    # Motions of few harmonics.
     path = chain(tmp_path, ("revolute",), effort=60.0)
     limits = MotionLimits([[-reach, reach]], [velocity], [acceleration], [60.0])
     motion = design_motion(
@@ -168,8 +168,8 @@ def test_two_per_cent_are_left_to_all_limits(
     )
     model = pin.buildModelFromUrdf(str(path))
     fine = np.linspace(0, duration, 3_000)
-    found = literal_margins(model, limits, motion.states(fine))
-    assert all(values.min() > 0.02 - 1e-4 for values in found.values())
+    margins = literal_margins(model, limits, motion.states(fine))
+    assert all(values.min() > 0.02 - 1e-4 for values in margins.values())
 
 
 def pendulum_rows(path, states, still):
@@ -184,7 +184,7 @@ def pendulum_rows(path, states, still):
     return np.column_stack([bodies, v, signs])
 
 
-def test_what_a_motion_promises_is_what_least_squares_gives(tmp_path):
+def test_predicted_accuracy_matches_least_squares(tmp_path):
     path = chain(tmp_path, ("revolute",), effort=60.0)
     velocity, acceleration, dt = 2.0, 8.0, 0.005
     motion = design_motion(
@@ -196,7 +196,7 @@ def test_what_a_motion_promises_is_what_least_squares_gives(tmp_path):
     t = np.arange(0, motion.duration, dt)
     states = motion.states(t)
     v, still = states[:, 1], 0.02 * velocity
-    # A joint that stands counts for nothing, and the band has independent samples.
+    # Rows at rest have no weight; independent samples follow from the bandwidth.
     weight = v**2 / (v**2 + still**2) * 2 * motion.band * dt / motion.noise[0] ** 2
     root = np.sqrt(weight)[:, None]
     rows = root * pendulum_rows(path, states, still)
@@ -204,7 +204,7 @@ def test_what_a_motion_promises_is_what_least_squares_gives(tmp_path):
     seen = np.flatnonzero(np.abs(rows).max(axis=0) > 1e-9)
     assert seen.size == 5
     rows = rows[:, seen]
-    # All that the limits allow, alike.
+    # Uniform distribution within the limits.
     rng, fastest = np.random.default_rng(0), 3.0 * np.pi * motion.curve.highest
     fastest = min(velocity, fastest)
     quickest = min(acceleration, 2 * np.pi * motion.curve.highest * fastest)
@@ -213,17 +213,17 @@ def test_what_a_motion_promises_is_what_least_squares_gives(tmp_path):
     values = np.linalg.eigvalsh(rows.T @ rows / np.outer(usual, usual))
     condition = np.sqrt(values[-1] / values[0])
     assert motion.condition_number == pytest.approx(condition, rel=0.1)
-    # F v |v|: what the rest leaves of the least torque that is told from it is worth
-    # the difference of log likelihoods of 25.
+    # F v |v|: the residual of the least distinguishable torque corresponds to a
+    # difference of log likelihoods of 25.
     (shown,) = motion.shows
     assert shown.rival == ""
     F = shown.least / (fastest**2 / np.sqrt(5))
     y = F * root[:, 0] * v * np.abs(v)
-    left = y - rows @ np.linalg.lstsq(rows, y, rcond=None)[0]
-    assert left @ left == pytest.approx(50.0, rel=0.15)
+    residual = y - rows @ np.linalg.lstsq(rows, y, rcond=None)[0]
+    assert residual @ residual == pytest.approx(50.0, rel=0.15)
 
 
-def test_noise_of_the_equations_is_that_of_torques_and_encoders(tmp_path):
+def test_equation_noise_follows_from_torque_and_encoder_noise(tmp_path):
     # White noise of the positions, twice differentiated, up to three times the highest
     # frequency: 2 dt s^2 (2 pi)^4 B^5 / 5, through the inertia of the joint.
     path, dt = chain(tmp_path, ("revolute",), effort=60.0), 0.01
@@ -235,13 +235,13 @@ def test_noise_of_the_equations_is_that_of_torques_and_encoders(tmp_path):
         robot = RobotIdentifier(
             path, dt=dt, options=FitOptions(torque_noise=torque)
         ).fit(q, tau)
-        task = posed(robot, limits=limits_of(1), duration=3.0, dt=dt)
-        highest = task.curve.highest
+        problem = posed(robot, limits=limits_of(1), duration=3.0, dt=dt)
+        highest = problem.curve.highest
         band = 3.0 * highest
         accelerations = 2 * dt * encoder**2 * (2 * np.pi) ** 4 * band**5 / 5
-        # What passed the band of that fit, in the band of the next.
-        own = task.robot.band(highest, dt)
-        read = robot.torque_noise_**2 * own / robot.cutoff_
+        # Noise power is proportional to the bandwidth.
+        cutoff = problem.robot.band(highest, dt)
+        read = robot.torque_noise_**2 * cutoff / robot.cutoff_
         expected = np.sqrt(read + inertia**2 * accelerations)
-        assert task.noise == pytest.approx(expected, rel=close)
-        assert not 0.9 < own / robot.cutoff_ < 1.1
+        assert problem.noise == pytest.approx(expected, rel=close)
+        assert not 0.9 < cutoff / robot.cutoff_ < 1.1

@@ -104,14 +104,14 @@ def test_gradient_of_the_whole_lagrangian(designed):
     assert gradient_error(problem, z) < 1e-5
 
 
-def test_gradient_with_effects_to_part(path):
+def test_gradient_with_candidate_effects(path):
     problem, z = problem_of(path, effects=SMOOTH)
     assert len(problem.questions.effects) == 3 * len(SMOOTH)
     assert gradient_error(problem, z) < 1e-4
 
 
 @pytest.mark.slow
-def test_gradient_with_effects_that_remember(path):
+def test_gradient_with_stateful_effects(path):
     problem, z = problem_of(path, effects=("maxwell_slip", "spring"))
     assert any(isinstance(one.effect, Stateful) for one in problem.model.effects)
     assert gradient_error(problem, z) < 0.05

@@ -1,4 +1,4 @@
-"""Motions that cannot be are refused with a number, and the number does."""
+"""Limits of designs; error messages name sufficient values."""
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ def path(tmp_path_factory):
 
 
 def limits(**changed):
-    given = {"position": RANGE, "velocity": [2.0, 2.0], "torque": [60.0, 60.0]}
-    return MotionLimits(**given | changed)
+    values = {"position": RANGE, "velocity": [2.0, 2.0], "torque": [60.0, 60.0]}
+    return MotionLimits(**values | changed)
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def limits(**changed):
         ({"torque": [3.0, np.inf]}, "Joint 2 needs a limit of acceleration or of"),
     ],
 )
-def test_limits_that_leave_no_room(changed, message):
+def test_invalid_limits_are_refused(changed, message):
     with pytest.raises(ValueError, match=message):
         limits(**changed)
 
@@ -44,20 +44,20 @@ def test_limits_that_leave_no_room(changed, message):
 def test_limits_are_those_of_the_description(tmp_path):
     path = chain(tmp_path, ("revolute", "continuous"), effort=7.0, velocity=3.0)
     for model in (path, load_model(path)):
-        found = MotionLimits.of(model)
-        np.testing.assert_allclose(found.position, [[-1.5, 1.5], [-np.pi, np.pi]])
-        np.testing.assert_allclose(found.velocity, 3.0)
-        np.testing.assert_allclose(found.torque, 7.0)
-        assert np.isinf(found.acceleration).all()
+        described = MotionLimits.of(model)
+        np.testing.assert_allclose(described.position, [[-1.5, 1.5], [-np.pi, np.pi]])
+        np.testing.assert_allclose(described.velocity, 3.0)
+        np.testing.assert_allclose(described.torque, 7.0)
+        assert np.isinf(described.acceleration).all()
 
 
 @pytest.mark.parametrize(
-    ("lacking", "said"),
+    ("lacking", "message"),
     [({"effort": 0.0}, "no torque limit of"), ({"velocity": 0.0}, "no velocity limit")],
 )
-def test_a_description_without_limits_is_refused(lacking, said, tmp_path):
+def test_a_description_without_limits_is_refused(lacking, message, tmp_path):
     bare = chain(tmp_path, ("revolute", "revolute"), **lacking)
-    with pytest.raises(ValueError, match=f"{said}.* chain_1, chain_2. Give limits="):
+    with pytest.raises(ValueError, match=f"{message}.* chain_1, chain_2. Give limits="):
         design_motion(bare, duration=4.0, dt=0.02)
 
 
@@ -66,22 +66,22 @@ def number_after(text, words):
     return float(text.split(words)[1].split()[0].rstrip(".,"))
 
 
-def test_a_duration_too_short_gets_one_that_does(path):
+def test_message_names_a_sufficient_duration(path):
     slow = limits(velocity=[2.0, 0.1])
     with pytest.raises(ValueError, match="too short for chain_2") as refused:
         problem_of(path, duration=4.0, limits=slow)
-    told = number_after(str(refused.value), "Give a duration of ")
-    problem, z = problem_of(path, duration=told, limits=slow)
+    value = number_after(str(refused.value), "Give a duration of ")
+    problem, z = problem_of(path, duration=value, limits=slow)
     v = problem.curve.states(z, problem.curve.basis(problem.times()))[:, 2:4]
     assert np.all(np.abs(v) <= slow.velocity)
 
 
-def test_a_weak_drive_gets_a_torque_that_does(path):
+def test_message_names_a_sufficient_torque_limit(path):
     weak = limits(torque=[60.0, 1e-3])
     with pytest.raises(ValueError, match="chain_2 needs") as refused:
         posed(path, limits=weak)
-    told = number_after(str(refused.value), "a torque limit of ")
-    posed(path, limits=limits(torque=[60.0, told]))
+    value = number_after(str(refused.value), "a torque limit of ")
+    posed(path, limits=limits(torque=[60.0, value]))
 
 
 def test_limits_of_another_robot(path):

@@ -1,4 +1,4 @@
-"""What a report leaves open becomes what the motion decides."""
+"""Motions designed from reports."""
 
 import json
 from copy import copy
@@ -23,27 +23,27 @@ def path(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def loop(path):
-    """Search in a recording of a robot with a spring on its second joint."""
+    """Search effects of a robot with a spring on its second joint."""
     q, tau = swung(path, [0.31, 0.43], 1500, third=0.4)
     tau[:, 1] += STIFFNESS * (q[:, 1] - 0.2)
     rng = np.random.default_rng(0)
     tau += 0.05 * rng.normal(size=tau.shape)
     robot = RobotIdentifier(path, dt=DT, friction=("viscous",))
-    found = EffectDiscovery(
+    discovery = EffectDiscovery(
         robot, effects=("spring", "coulomb", "offset"), random_state=0
     )
-    return found.fit(q + 1e-5 * rng.normal(size=q.shape), tau)
+    return discovery.fit(q + 1e-5 * rng.normal(size=q.shape), tau)
 
 
 def moving_states():
-    """States (50, 6) with velocities whose sign the encoder's noise cannot change."""
+    """Draw states (50, 6) with velocities well above the encoder noise."""
     rng = np.random.default_rng(0)
     states = rng.uniform(-1, 1, size=(50, 6))
     states[:, 2:4] += 0.3 * np.sign(states[:, 2:4])
     return states
 
 
-def asked_of(problem):
+def weights_of(problem):
     effects = problem.model.effects[problem.model.n_members :]
     return {
         (one.effect.name, one.effect.joint): weight
@@ -51,25 +51,25 @@ def asked_of(problem):
     }
 
 
-def test_all_kinds_of_reports_ask_the_same(loop, tmp_path):
+def test_all_forms_of_a_report_give_the_same_questions(loop, tmp_path):
     assert [(e.name, e.joint) for e in loop.effects_] == [("spring", 1)]
     data = loop.report_.to_dict()
     (tmp_path / "report.json").write_text(json.dumps(data), encoding="utf-8")
     kinds = (loop, loop.report_, data, tmp_path, str(tmp_path / "report.json"))
-    asked = [asked_of(posed(loop.identifier_, report=kind)) for kind in kinds]
+    asked = [weights_of(posed(loop.identifier_, report=kind)) for kind in kinds]
     assert all(one == asked[0] for one in asked)
-    # What was found is to be confirmed, and counts more than what nobody named.
+    # The discovered effect has the largest weight.
     weights = [weight for weight in asked[0].values() if weight > 0]
     assert asked[0]["spring", 1] == max(weights) > min(weights)
 
 
-def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
+def test_design_uses_torques_and_noise_of_the_identified_robot(loop, path):
     problem = posed(loop.identifier_)
     states = moving_states()
     expected = loop.identifier_.predict(states)
-    found = problem.torques(problem.model(states))
-    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
-    # Louder joints count less, as their variance.
+    torques = problem.torques(problem.model(states))
+    np.testing.assert_allclose(torques, expected, atol=1e-6 * np.abs(expected).max())
+    # Noise of the design follows the torque noise of each joint.
     loud = RobotIdentifier(
         path,
         dt=DT,
@@ -96,12 +96,12 @@ def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
         (("base_tilt",), "No motion is designed for 'base_tilt'"),
     ],
 )
-def test_effects_that_cannot_be_asked_for(path, effects, message):
+def test_invalid_effects_of_a_design_are_refused(path, effects, message):
     with pytest.raises(ValueError, match=message):
         posed(path, effects=effects)
 
 
-def test_reports_that_are_none(path, tmp_path, loop):
+def test_invalid_reports_are_refused(path, tmp_path, loop):
     with pytest.raises(TypeError, match="got int"):
         posed(path, report=5)
     with pytest.raises(FileNotFoundError, match="No report at"):
@@ -118,12 +118,12 @@ def test_reports_that_are_none(path, tmp_path, loop):
 
 
 @pytest.mark.slow
-def test_a_report_bends_the_motion_and_tells_what_it_shows(loop):
+def test_motion_for_a_report_shows_its_effect(loop):
     motion = design_motion(
         loop.identifier_, report=loop, duration=3.0, dt=0.02, random_state=0
     )
     assert motion.within_limits
-    told = {(one.name, one.joint): one for one in motion.shows}
-    assert told["spring", 1].joint_name == "chain_2"
-    # Twelve newton metres per radian are plain to see.
-    assert 0 < told["spring", 1].least < 0.2 * STIFFNESS
+    shown = {(one.name, one.joint): one for one in motion.shows}
+    assert shown["spring", 1].joint_name == "chain_2"
+    # The stiffness is clearly detectable.
+    assert 0 < shown["spring", 1].least < 0.2 * STIFFNESS

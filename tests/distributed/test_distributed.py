@@ -1,4 +1,4 @@
-"""Fits on a cluster of processes, one of which dies, against fits in memory."""
+"""Fits on a cluster of processes against fits in memory."""
 
 import os
 import signal
@@ -19,7 +19,7 @@ from tests.robot import test_streaming
 
 @pytest.fixture(scope="module")
 def cluster():
-    """Two processes of one thread; started once, since that takes seconds."""
+    """Start two processes of one thread, once, since this takes seconds."""
     with (
         distributed.LocalCluster(
             processes=True, n_workers=2, threads_per_worker=1, dashboard_address=None
@@ -37,14 +37,14 @@ def recording():
 
 
 def save(recording, folder):
-    """One file a recording, but the last two in one."""
+    """Write one file per recording; the last two recordings share one file."""
     for k in range(3):
-        own = recording.groups == k if k < 2 else recording.groups >= 2
-        more = {"segment": recording.groups[own]} if k == 2 else {}
+        rows = recording.groups == k if k < 2 else recording.groups >= 2
+        more = {"segment": recording.groups[rows]} if k == 2 else {}
         np.savez(
             folder / f"{k}.npz",
-            q=recording.q[own],
-            tau=recording.tau[own],
+            q=recording.q[rows],
+            tau=recording.tau[rows],
             dt=recording.dt,
             **more,
         )
@@ -73,7 +73,7 @@ def assert_same(found, expected):
     for name in ("theta_unconstrained_", "theta_"):
         values, reference = getattr(found, name), getattr(expected, name)
         size = np.abs(reference).max()
-        # rounding, three digits of it in parameters that the data hardly tell apart
+        # Rounding errors, amplified by poor conditioning.
         assert_allclose(values, reference, rtol=0, atol=1e-10 * size, err_msg=name)
 
 
@@ -85,7 +85,7 @@ def assert_same(found, expected):
         {"cutoff": None, "input_noise": None, "options": FitOptions(standstill=None)},
     ],
 )
-def test_files_are_the_recordings_in_memory(recording, folder, settings):
+def test_fit_from_files_equals_fit_in_memory(recording, folder, settings):
     found = fit_recordings(robot(recording, **settings), folder)
     expected = in_memory(recording, **settings)
     assert_same(found, expected)
@@ -97,7 +97,7 @@ def test_files_are_the_recordings_in_memory(recording, folder, settings):
 
 
 def dying(function, marker):
-    """Let the process that is first to finish a task die before it can tell."""
+    """Kill the first process that finishes a task before it returns the result."""
 
     def run(*arguments, **named):
         result = function(*arguments, **named)
@@ -111,7 +111,7 @@ def dying(function, marker):
     return run
 
 
-def test_a_worker_that_dies_changes_nothing(
+def test_killed_worker_does_not_change_the_fit(
     monkeypatch, cluster, recording, folder, tmp_path_factory
 ):
     marker = tmp_path_factory.mktemp("killed") / "marker"
@@ -120,7 +120,7 @@ def test_a_worker_that_dies_changes_nothing(
     found = fit_recordings(robot(recording), folder)
     assert marker.exists()
     assert_same(found, in_memory(recording))
-    # the nanny has put another process in its place, at another address
+    # The nanny has replaced the killed process.
     cluster.wait_for_workers(2, timeout=600)
     assert set(cluster.scheduler_info()["workers"]) != workers
 
@@ -132,9 +132,7 @@ def test_a_worker_that_dies_changes_nothing(
         ({"dt": 0.02}, r"npz: its dt is 0\.01 s but dt = 0\.02 s"),
     ],
 )
-def test_settings_that_sums_cannot_answer_are_refused(
-    recording, folder, settings, message
-):
+def test_settings_that_need_all_rows_are_refused(recording, folder, settings, message):
     with pytest.raises(ValueError, match=message):
         fit_recordings(robot(recording).set_params(**settings), folder)
 
@@ -161,7 +159,7 @@ def test_a_bad_file_is_named(recording, folder, add, as_model):
     add(recording, folder / "1b.npz")
     identifier = robot(recording)
     if as_model:
-        # Workers know the joints of such a model alone.
+        # Workers use the joints of the model.
         identifier.set_params(model=recording.robot_model())
     with pytest.raises(ValueError, match=r"1b\.npz"):
         fit_recordings(identifier, folder)

@@ -99,7 +99,7 @@ def test_inertias_about_centres_of_mass_stay_as_described(world, found, tmp_path
     assert abs(after.inertias[3].mass / world.before.inertias[3].mass - 1) > 0.1
 
 
-def test_held_out_errors_tell_the_improvement(found):
+def test_held_out_errors_decrease(found):
     gravity_joints = found.gravity > 0
     assert gravity_joints.tolist() == [False, True, True]
     ratio = found.error_after[gravity_joints] / found.error_before[gravity_joints]

@@ -1,4 +1,4 @@
-"""What the cases share: a case, a robot, and a recording without fault."""
+"""Test case, robot, and a valid recording."""
 
 import tempfile
 import zlib
@@ -13,7 +13,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 
 SEED = 20261124
 DT = 0.005
-N = 1600  # rows without fault
+N = 1600  # rows of the valid recording
 
 LINK = """
 <link name="{name}"><inertial><origin xyz="{centre} 0 0"/><mass value="{mass}"/>
@@ -38,11 +38,11 @@ OPTIONS = ("--urdf", "arm.urdf", "--effects", "spring", "--out", "out")
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One input, written when it is run.
+    """An input and its expected result.
 
-    ``build(folder, rng)`` writes files into a folder, which has ``arm.urdf``, and
-    returns the arguments. ``expect``: ``"refused"`` in one line; ``"read"``, with the
-    ``"same"`` verdict as without the fault; or ``"either"``.
+    ``build(folder, rng)`` writes files into a folder that contains ``arm.urdf`` and
+    returns the arguments. ``expect``: ``"refused"`` in one line, ``"read"``,
+    ``"same"``: read with the verdict of the valid recording, or ``"either"``.
     """
 
     name: str
@@ -52,13 +52,13 @@ class Case:
     slow: bool = False
 
     def rng(self):
-        """Return the generator of this case, whatever the others draw."""
+        """Return a generator that depends on the name only."""
         return np.random.default_rng([SEED, zlib.crc32(self.name.encode())])
 
 
 @cache
 def recording():
-    """Simulate two joints; a spring is not declared."""
+    """Simulate two joints and a spring that the model lacks."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "arm.urdf"
         path.write_text(URDF)
@@ -73,14 +73,14 @@ def recording():
 
 
 def columns():
-    """Columns t, q1, q2, tau1, tau2 without fault."""
+    """Return the valid columns t, q1, q2, tau1, tau2."""
     made = recording()
     motion = {f"q{j + 1}": made.q[:, j] for j in range(2)}
     return {"t": made.t} | motion | {f"tau{j + 1}": made.tau[:, j] for j in range(2)}
 
 
 def cells(table):
-    """Header and cells as text, a list of rows."""
+    """Return header and formatted cells as a list of rows."""
     rows = [list(table)]
     texts = [
         [x if isinstance(x, str) else f"{x:.9g}" for x in column]
@@ -97,12 +97,12 @@ def csv_text(table):
 
 @cache
 def clean_text():
-    """Return the recording without fault as CSV."""
+    """Return the valid recording as CSV."""
     return csv_text(columns())
 
 
 def clean_lines():
-    """Return its lines, the header first."""
+    """Return the lines of the valid CSV file."""
     return clean_text().splitlines()
 
 

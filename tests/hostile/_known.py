@@ -1,4 +1,4 @@
-"""Cases whose result is known: read as without fault, read, or refused in words."""
+"""Cases with a known result."""
 
 import zipfile
 
@@ -33,10 +33,10 @@ def _commented(comment, encoding="utf-8"):
 
 def _replaced(*pairs):
     def text(rng):
-        found = clean_text()
+        content = clean_text()
         for old, new in pairs:
-            found = found.replace(old, new)
-        return found
+            content = content.replace(old, new)
+        return content
 
     return text
 
@@ -121,7 +121,7 @@ QUICK |= {"billion laughs", "external entity", "heavy mass", "name with HTML"}
 
 
 def _bomb(n_bytes):
-    """Write an archive that is a thousandth of the zeros that it holds."""
+    """Write an archive of zeros compressed by a factor of 1000."""
 
     def build(folder, rng):
         shape = (n_bytes // 16, 2)
@@ -217,11 +217,11 @@ def cases():
         ("npz", ARRAYS, _arrays),
         ("robot", ROBOTS, _robot),
     )
-    for kind, known, builder in tables:
-        for name, (change, expect, *message) in known.items():
-            given = {"expect": expect, "message": "".join(message)}
-            given |= {"build": builder(change), "slow": name not in QUICK}
-            found.append(Case(name=f"{kind}: {name}", **given))
+    for kind, changes, builder in tables:
+        for name, (change, expect, *message) in changes.items():
+            fields = {"expect": expect, "message": "".join(message)}
+            fields |= {"build": builder(change), "slow": name not in QUICK}
+            found.append(Case(name=f"{kind}: {name}", **fields))
     large = {
         "npz: bomb of 400 MB": (_bomb(400 << 20), "refused"),
         "text: 2,000 columns": (_wide(2000), "read"),

@@ -1,4 +1,4 @@
-"""Cases by mutation: files, descriptions, columns, time stamps and options."""
+"""Random mutations of files, descriptions, columns, time stamps and options."""
 
 import gzip
 import io
@@ -11,15 +11,15 @@ import numpy as np
 
 from tests.hostile._case import DT, URDF, Case, argv, cells, clean_text, columns
 
-# Words in place of a cell, of an attribute, or of the value of an option.
+# Replacements of cells, of attributes, or of values of options.
 WORDS = ("nan", "inf", "-1", "0", "1e400", "1e300", "1e-300", "", "x", "1,5", "१२")
 WORDS += ("9" * 400, "#DIV/0!", "0x1F", "=A1", "\u200b", '"', "-", "../../a", "<b>")
 
-# -- files without fault ---------------------------------------------------------------
+# -- valid files ---------------------------------------------------------------------
 
 
 def matrices():
-    """Return t (n,), q (n, 2) and tau (n, 2) of the recording without fault."""
+    """Return t (n,), q (n, 2) and tau (n, 2) of the valid recording."""
     table = columns()
     q = np.column_stack([table["q1"], table["q2"]])
     return {
@@ -373,7 +373,7 @@ def _typed(option):
 
 
 def cases():
-    """Return all cases; the first of each kind are in the quick sample."""
+    """Return all cases; the first ones of each kind are in the quick sample."""
     found = []
 
     def add(name, build, count, quick):
@@ -382,7 +382,7 @@ def cases():
 
     for i, name in enumerate(FILES):
         for j, mutate in enumerate(BYTES):
-            # Each mutation, and each file, is in the sample.
+            # The sample contains each mutation and each file.
             quick = int((i + 3 * j) % 8 == 0)
             add(f"{name}{mutate.__name__}", _file(name, mutate), 5, quick)
     kinds = ((TEXT, _of_text, "arm.csv"), (XML, _of_xml, "arm.urdf"))

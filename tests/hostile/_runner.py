@@ -1,7 +1,7 @@
-"""Run the command line in processes of their own, with bounded memory and time.
+"""Run the command line in separate processes with limited memory and time.
 
-A process is started once, imports what a run needs and forks for every case: a crash, a
-hang or a full memory ends that fork and no more.
+A server process imports the package once and forks for each case, so that a crash, a
+hang or an exhausted memory ends that fork only.
 """
 
 import contextlib
@@ -15,25 +15,25 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-# Guards against what never ends. Of the processor, as a busy machine is no hang; the
+# Limit of processor time [s], which does not depend on the load of the machine; the
 # slowest input needs 23 s.
 SECONDS = 120
-# What waits uses no processor: it is ended after this time on the wall [s].
+# Limit of elapsed time [s]: waiting processes use no processor time.
 _PATIENCE = 900
 MEMORY = 2 << 30  # bytes
-# The address space holds more than the memory in use; beyond it an allocation fails.
+# The address space exceeds the memory in use; allocations beyond the limit fail.
 _ADDRESS_SPACE = 3 << 30
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of a run."""
+    """Result of a run."""
 
     code: int  # negative for a signal
     out: str
     err: str
-    seconds: float  # of the processor
-    memory: int  # the largest in use [bytes]
+    seconds: float  # processor time
+    memory: int  # peak [bytes]
 
 
 class Runner:
@@ -54,7 +54,7 @@ class Runner:
         self._process.wait()
 
     def run(self, argv, folder):
-        """Run the command line in a folder; its outcome."""
+        """Run the command line in a folder; return the outcome."""
         task = {"argv": [str(x) for x in argv], "folder": str(folder)}
         print(json.dumps(task), file=self._process.stdin, flush=True)
         return Outcome(**json.loads(self._process.stdout.readline()))
@@ -84,7 +84,7 @@ def _serve():
 
 
 def _warm_up(task):
-    """Run the first task here, so that what it imports need not be in each fork."""
+    """Run the first task in the server, so that forks inherit its imports."""
     from sklearn_vbjfa._cli import main
 
     os.chdir(task["folder"])
@@ -99,7 +99,7 @@ def _warm_up(task):
 
 
 def _run(argv, folder, out, err):
-    """Become the run; never returns."""
+    """Run the command line in this fork; never return."""
     from sklearn_vbjfa._cli import main
 
     code = 70
@@ -110,7 +110,7 @@ def _run(argv, folder, out, err):
         sys.stdin = open(os.devnull, encoding="utf-8")
         resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        # No handler of Python's: what hangs inside of a library is ended as well.
+        # Default handlers also end a hang inside of a library.
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.signal(signal.SIGXCPU, signal.SIG_DFL)
         resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))

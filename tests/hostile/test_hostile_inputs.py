@@ -1,4 +1,4 @@
-"""No input ends in a traceback, a crash, a hang, a full memory or half a report."""
+"""No input causes a traceback, crash, hang, memory exhaustion or partial report."""
 
 import contextlib
 import json
@@ -20,21 +20,21 @@ from tests.hostile._case import URDF, argv, clean_text
 from tests.hostile._runner import MEMORY, SECONDS, Runner
 
 CASES = [*_known.cases(), *_mutations.cases()]
-# Most cases of the quick sample.
-MOST = 66
+# Maximum number of cases in the quick sample.
+MAX_QUICK = 66
 FILES = {"parameters.csv", "report.html", "report.json"}
 FILES |= {"identified.json", "identified.urdf", "identified.xml"}
-# Longer lines are read by nobody.
-LONGEST = 1200
+# Maximum length of a message.
+MAX_LENGTH = 1200
 
 
 @pytest.fixture(scope="module")
 def runner(tmp_path_factory):
     folder = tmp_path_factory.mktemp("first")
-    with Runner() as found:
-        # The first run is without fault: what it loads, the others have.
-        run(found, _clean_recording, folder)
-        yield found
+    with Runner() as server:
+        # The first run is valid; the other runs inherit its imports.
+        run(server, _clean_recording, folder)
+        yield server
 
 
 def _clean_recording(folder):
@@ -43,42 +43,42 @@ def _clean_recording(folder):
 
 
 def run(runner, build, folder, command="close-loop"):
-    """Write the input and run the command line on it; arguments and outcome."""
+    """Write the input and run the command line; return arguments and outcome."""
     (folder / "arm.urdf").write_text(URDF)
     arguments = build(folder)
     return arguments, runner.run([command, *arguments], folder)
 
 
 def verdict(report):
-    """Return what a report says is missing beyond doubt, and of each joint's rest.
+    """Return the effects of probability above 99 % and the status of each joint.
 
-    At a probability of 95 % one file in twenty has an effect that is none.
+    At 95 %, one file in twenty has a false effect.
     """
     content = json.loads(Path(report).read_text(encoding="utf-8"))
-    sure = [x for x in content["effects"] if x["probability"] > 0.99]
-    effects = sorted((x["name"], x["joint"]) for x in sure)
+    certain = [x for x in content["effects"] if x["probability"] > 0.99]
+    effects = sorted((x["name"], x["joint"]) for x in certain)
     return effects, [joint["status"] for joint in content["errors"]]
 
 
 @pytest.fixture(scope="module")
 def clean(runner, tmp_path_factory):
-    """Verdict on the recording without fault."""
+    """Return the verdict on the valid recording."""
     folder = tmp_path_factory.mktemp("clean")
     _, outcome = run(runner, _clean_recording, folder)
     assert outcome.code == 0, outcome.err
-    found = verdict(folder / "out" / "report.json")
-    assert found == ([("spring", 0)], ["floor", "floor"])
-    return found
+    result = verdict(folder / "out" / "report.json")
+    assert result == ([("spring", 0)], ["floor", "floor"])
+    return result
 
 
 def folder_of(arguments, folder):
-    """Return the folder for the report."""
-    given = " ".join(arguments).replace("--out ", "--out=").split("--out=")[-1]
-    return folder / (given.split(" ")[0] or "arm-report")
+    """Return the folder of the report."""
+    command = " ".join(arguments).replace("--out ", "--out=").split("--out=")[-1]
+    return folder / (command.split(" ")[0] or "arm-report")
 
 
 def check_refusal(outcome):
-    """One line says what is wrong; its text."""
+    """Check that there is one line of error; return it."""
     lines = [
         x for x in outcome.err.splitlines() if not x.startswith(("note: ", "warning: "))
     ]
@@ -86,20 +86,20 @@ def check_refusal(outcome):
         lines = lines[-1:]
     assert len(lines) == 1, outcome.err[-3000:]
     assert lines[0].startswith("sklearn-vbjfa"), lines
-    assert len(lines[0]) < LONGEST, lines[0][:300]
+    assert len(lines[0]) < MAX_LENGTH, lines[0][:300]
     return lines[0]
 
 
 def check_code(outcome):
-    """Ask for a refusal, or a result whose last line names a doubt if there is one."""
-    told = outcome.err[-2000:]
-    assert outcome.code in (0, 2, 3), f"{outcome.code}: {told}"
+    """Check the exit code; with code 3, the last line must be a warning."""
+    message = outcome.err[-2000:]
+    assert outcome.code in (0, 2, 3), f"{outcome.code}: {message}"
     last = "".join(outcome.err.splitlines()[-1:])
-    assert last.startswith("warning: ") == (outcome.code == 3), told
+    assert last.startswith("warning: ") == (outcome.code == 3), message
 
 
 def check_report(out):
-    """All files are there and whole."""
+    """Check that all files exist and are complete."""
     assert FILES <= {path.name for path in out.iterdir()}
     assert verdict(out / "report.json")
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -110,19 +110,19 @@ def check_report(out):
 
 
 def params(cases):
-    """Return cases as parameters, those out of the quick sample marked as slow."""
+    """Return parameters; cases outside the quick sample are marked as slow."""
     return [
         pytest.param(case, id=case.name, marks=[pytest.mark.slow] * case.slow)
         for case in cases
     ]
 
 
-def test_the_quick_sample_is_small_and_has_every_kind():
+def test_quick_sample_is_small_and_contains_each_kind():
     names = [case.name for case in CASES]
     assert len(set(names)) == len(names) >= 400
     quick = [case for case in CASES if not case.slow]
-    assert len(quick) <= MOST
-    # A name ends with the number of the case of its kind.
+    assert len(quick) <= MAX_QUICK
+    # Names are those of the mutation and a number.
     of_bytes = (*_mutations.BYTES, *_mutations.TEXT, *_mutations.XML)
     for mutate in (*of_bytes, *_mutations.COLUMNS, *_mutations.STAMPS):
         assert any(f"{mutate.__name__} " in case.name for case in quick), mutate
@@ -136,7 +136,7 @@ def test_hostile_input(case, runner, clean, tmp_path):
     def build(folder):
         arguments = case.build(folder, case.rng())
         if case.expect == "either" and "--effects" not in case.name:
-            # What is read or refused here is the file.
+            # The search is not tested here.
             arguments += ["--effects", "none"]
         before.update((p, p.is_file()) for p in folder.rglob("*"))
         return arguments
@@ -144,34 +144,34 @@ def test_hostile_input(case, runner, clean, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         arguments, outcome = run(runner, build, tmp_path)
-    told = outcome.err[-2000:]
-    assert "Traceback" not in outcome.err, told
+    message = outcome.err[-2000:]
+    assert "Traceback" not in outcome.err, message
     check_code(outcome)
     assert outcome.seconds < SECONDS
     assert outcome.memory < MEMORY
     if outcome.code == 2:
-        assert case.expect in ("refused", "either"), told
+        assert case.expect in ("refused", "either"), message
         line = check_refusal(outcome)
         assert re.search(case.message, line), line
-        made = {p for p in tmp_path.rglob("*") if p not in before}
-        assert {path.name for path in made} <= {".stdout", ".stderr"}
+        new_files = {p for p in tmp_path.rglob("*") if p not in before}
+        assert {path.name for path in new_files} <= {".stdout", ".stderr"}
         return
     assert case.expect in ("read", "same", "either"), outcome.out[:1000]
     out = folder_of(arguments, tmp_path)
     check_report(out)
     for line in outcome.err.splitlines():
-        assert line.startswith(("note: ", "warning: ")), told
-        assert len(line) < LONGEST, line[:300]
+        assert line.startswith(("note: ", "warning: ")), message
+        assert len(line) < MAX_LENGTH, line[:300]
     if case.expect == "same":
-        assert verdict(out / "report.json") == clean, outcome.out + told
+        assert verdict(out / "report.json") == clean, outcome.out + message
     if case.message:
-        # The page has the notes.
+        # Notes are in the report.
         report = json.loads((out / "report.json").read_text(encoding="utf-8"))
         warned = report["provenance"]["warnings"]
-        # What descriptions have no place for is no note on the file.
+        # Exclude warnings of the exported descriptions.
         noted = [f"note: {x}" for x in warned if not x.startswith("identified.")]
         noted += [x["message"] for x in report["channels"]]
-        assert re.search(case.message, "\n".join([outcome.err, *noted])), told
+        assert re.search(case.message, "\n".join([outcome.err, *noted])), message
 
 
 def _grows(folder):
@@ -211,7 +211,7 @@ CHANGES += [_report_appears]
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_what_changes_during_a_run_ends_in_one_line_or_whole_files(
+def test_files_that_change_during_a_run_give_an_error_or_a_complete_report(
     change, runner, tmp_path
 ):
     ended = threading.Event()

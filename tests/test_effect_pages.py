@@ -27,9 +27,6 @@ def page(name):
     return (DOCS / "effects" / f"{name}.rst").read_text(encoding="utf-8")
 
 
-# -- the pages ---------------------------------------------------------------------
-
-
 def test_every_effect_has_a_page_and_every_page_an_effect():
     pages = {path.stem for path in (DOCS / "effects").glob("*.rst")}
     assert pages == set(NAMES) == set(USES)
@@ -96,9 +93,6 @@ def test_published_values_match_the_table(name):
     published = re.search(rf"^{label} \[{unit}\]\s+(\S+)", table, flags=re.M)[1]
     shown = re.search(rf"^(-?[\d.]+) {unit} on the linear drive", page(name), re.M)[1]
     assert float(shown) == round(float(published), len(shown.partition(".")[2]))
-
-
-# -- content generated when the documentation is built ------------------------------
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -44,9 +44,6 @@ def fixture_states():
     return np.random.default_rng(0).normal(size=(40, 6))
 
 
-# -- frames ---------------------------------------------------------------------------
-
-
 def transformers():
     model = arm("YY")
     return {
@@ -107,9 +104,6 @@ def test_state_feature_names_are_checked(states):
     assert named.get_feature_names_out()[-1] == "a_b"
     with pytest.raises(ValueError, match="not equal to feature_names_in_"):
         named.get_feature_names_out(["a", "c"])
-
-
-# -- tags, text, notebooks, copies ----------------------------------------------------
 
 
 def estimators():

@@ -152,9 +152,6 @@ def test_expected_error_for_unusual_sets_of_recordings(lengths, same, joint):
     assert 0.95 * low <= error.mean() <= high
 
 
-# -- faulty channels come first
-
-
 def test_a_wrong_torque_unit_comes_first(two_motions):
     assert_complete(two_motions)
     report = TWO_MOTIONS.search(TWO_MOTIONS.torque * [1.0, 1e-3]).report_

@@ -49,9 +49,6 @@ def fixture_pair():
     return discover(heated(CYCLES), {"temperature": CYCLES, "kp": gain})
 
 
-# -- named signals
-
-
 def test_temperature_dependent_friction_is_found(warm):
     assert named(warm) == [("signal", 0)]
     effect = signal_effect(warm)
@@ -118,9 +115,6 @@ def test_the_varying_friction_term_is_named():
     assert "(viscous, gripper)" in text_of(loop.report_)
 
 
-# -- rivals
-
-
 def test_proportional_signals_are_rivals(pair):
     assert named(pair) == [("signal", 0)]
     effect = signal_effect(pair)
@@ -133,9 +127,6 @@ def test_proportional_signals_are_rivals(pair):
     assert slope < 0
     for text in (" ".join(str(pair.report_).split()), text_of(pair.report_)):
         assert re.search(rf"indistinguishable from\b.*\b{other}\b", text, re.DOTALL)
-
-
-# -- prediction and report
 
 
 def test_a_prediction_needs_the_signal(warm):
@@ -162,9 +153,6 @@ def test_report_lists_the_signals(pair, warm):
     assert "(coulomb, temperature)" in text
     assert "N m per unit of temperature" in text
     assert not [row for row in outcome["not_identifiable"] if row["name"] == "signal"]
-
-
-# -- library
 
 
 def test_an_effect_can_be_restricted_to_one_signal():

@@ -26,9 +26,6 @@ def warming():
     return discover(lambda s: 2.0 * np.exp(-s / 0.5))
 
 
-# -- drifts
-
-
 @pytest.mark.parametrize("share", one_in(2, [0.3, 0.8]))
 def test_slow_drifts_are_found(share):
     loop = discover(lambda s: np.exp(-s / share))
@@ -50,9 +47,6 @@ def test_fast_drifts_cause_no_other_effects(share):
 def test_periodic_changes_are_no_drift(periods, phase):
     loop = discover(lambda s: 0.5 * np.cos(2 * np.pi * (periods * s + phase)))
     assert loop.effects_ == ()
-
-
-# -- the time after the recording
 
 
 def test_prediction_after_the_recording(warming):

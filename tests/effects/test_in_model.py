@@ -23,9 +23,6 @@ from tests.effects._faults import measured
 STEP = 1e-5
 
 
-# -- columns
-
-
 def columns(model, states, effects, effect):
     """Columns of one of several effects, in what the channels read."""
     robot = CorrectedModel(model)

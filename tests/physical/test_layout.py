@@ -29,9 +29,6 @@ def test_wrong_layouts_are_refused(n_features, names):
         layout(n_features, names)
 
 
-# -- by the names of the columns
-
-
 def named(*joints):
     """Names of the columns of joints, each given with its extra columns."""
     names = []

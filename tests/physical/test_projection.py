@@ -34,9 +34,6 @@ def inconsistent_robot(rng, n_bodies, n_extra=1, noise=0.5):
     return theta + noise * rng.normal(size=theta.size) * (np.abs(theta) + 0.2)
 
 
-# -- closed form
-
-
 def test_closed_form_of_the_flat_body():
     result = project(FLAT, np.diag([1.0] * 9 + [4.0]))
     expected = FLAT.copy()
@@ -62,9 +59,6 @@ def test_free_columns_keep_their_sign():
     result = project(theta, body_starts=[0, 13], nonnegative=kept)
     np.testing.assert_allclose(result[[11, 24]], -2.0, rtol=1e-6)
     assert (result[kept] >= 0).all()
-
-
-# -- against an independent solver
 
 
 def pull_of_the_anchor(A, rank, weight=1e-8):
@@ -120,9 +114,6 @@ def test_objective_is_the_optimum_of_an_independent_solver(
     assert reached <= optimum * (1 + 1e-9 + 1e-7)
 
 
-# -- invariances
-
-
 @properties
 @given(seeds, constraints)
 def test_consistent_vector_comes_back_bit_for_bit(seed, constraint):
@@ -137,9 +128,6 @@ def test_consistent_vector_comes_back_bit_for_bit(seed, constraint):
     np.testing.assert_array_equal(result, theta)
 
 
-# -- directions that the metric does not see
-
-
 def test_rounding_of_a_singular_regression_is_dropped_with_a_warning():
     rng = np.random.default_rng(6)
     theta = inconsistent_robot(rng, 3)
@@ -152,9 +140,6 @@ def test_rounding_of_a_singular_regression_is_dropped_with_a_warning():
     assert np.abs(result).max() < 1e2
     # The spoiled vector itself is only known to 1e9 times the machine precision.
     np.testing.assert_allclose(A @ result, A @ clean, rtol=0, atol=1e-3)
-
-
-# -- failures
 
 
 def test_unfinished_solve_raises_and_returns_nothing(monkeypatch):

@@ -49,9 +49,6 @@ def assert_same(recording, arm, rows=slice(None)):
     np.testing.assert_allclose(recording.tau, arm.tau[rows], rtol=1e-6, atol=1e-6)
 
 
-# -- unnamed columns -------------------------------------------------------------------
-
-
 def test_unnamed_columns_need_a_mapping_by_position(arm, tmp_path):
     matrix = matrix_of(arm, ("q", "v", "a", "tau", "warm"))
     path = save_txt(tmp_path / "log.txt", matrix)
@@ -94,9 +91,6 @@ def test_every_format_may_lack_column_names(ending, arm, tmp_path):
     assert "has no names of columns" in error_of(path, arm).reason
     recording, _ = read(path, arm, columns="t=1,q=2-7,tau=8-13")
     assert_same(recording, arm)
-
-
-# -- JSON ------------------------------------------------------------------------------
 
 
 def messages(arm):
@@ -180,9 +174,6 @@ def test_a_truncated_last_json_line_is_skipped(arm, tmp_path):
     assert_cut(tmp_path / "log.jsonl", text[:-30], arm)
 
 
-# -- text that is truncated or out of order --------------------------------------------
-
-
 @pytest.fixture
 def text(arm):
     names = ["t", *(f"{x}{k + 1}" for x in ("q", "tau") for k in range(DOF))]
@@ -202,9 +193,6 @@ def test_concatenated_recordings_are_refused(arm, text, tmp_path):
     ]
     path.write_text("\n".join([text[0], *text[1], *second]) + "\n")
     assert "time runs backwards" in str(error_of(path, arm))
-
-
-# -- MATLAB ----------------------------------------------------------------------------
 
 
 def element(kind, content):

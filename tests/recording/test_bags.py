@@ -145,9 +145,6 @@ def test_velocities_are_read_if_in_every_message(tmp_path):
     assert recording.v is None
 
 
-# -- robots ----------------------------------------------------------------------------
-
-
 def test_sensor_joints_are_skipped_and_unrecorded_joints_held(tmp_path, arm):
     """A sensor's joint is not in the model; the last two joints are held at zero."""
     joints = ("tilt_sensor", *arm.joint_names[3::-1])
@@ -160,9 +157,6 @@ def test_sensor_joints_are_skipped_and_unrecorded_joints_held(tmp_path, arm):
     np.testing.assert_array_equal(recording.tau, arm.tau[:, :4])
     assert "joint(s) tilt_sensor of /joint_states left out" in notes
     assert "no columns of joint(s) joint_5, joint_6: held at zero" in notes
-
-
-# -- what is refused -------------------------------------------------------------------
 
 
 def test_bag_without_joint_states_is_refused(tmp_path):

@@ -71,9 +71,6 @@ def test_unknown_column_names_are_refused(simulated):
         identify(simulated, simulated.q, y)
 
 
-# -- rows ------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def logs():
     """Return a small arm and two concatenated recordings of it."""

@@ -38,9 +38,6 @@ def table_lines(separator=","):
     ]
 
 
-# -- lines above the column names ------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "titles",
     [
@@ -79,9 +76,6 @@ def test_row_of_units_below_the_header(tmp_path):
     assert any("converted from deg, mNm" in x for x in notes)
 
 
-# -- an index, no header ---------------------------------------------------------------
-
-
 def test_index_column_of_a_data_frame(tmp_path):
     path = tmp_path / "arm.csv"
     header, *lines = table_lines()
@@ -111,9 +105,6 @@ def test_joint_names_must_not_change_between_rows(arm, tmp_path):
         read(path)
 
 
-# -- units -----------------------------------------------------------------------------
-
-
 def test_units_may_differ_between_joints(tmp_path, urdf):
     columns = table()
     renamed = {
@@ -130,9 +121,6 @@ def test_units_may_differ_between_joints(tmp_path, urdf):
     recording, _ = read(path, urdf=urdf, **caught.value.options)
     assert_table(recording)
     assert recording.torque_units == ("N m", "N")
-
-
-# -- arrays ----------------------------------------------------------------------------
 
 
 def test_per_mille_is_a_tenth_of_per_cent(tmp_path):

@@ -54,9 +54,6 @@ def error_of(paths, message, **options):
     return line
 
 
-# -- names and signals -----------------------------------------------------------------
-
-
 def test_recordings_are_named_after_their_files(runs_folder):
     tables = {"slow": motion(0.1), "fast": motion(0.2)}
     paths = files(**tables)
@@ -95,9 +92,6 @@ def test_signals_missing_in_one_file_are_left_out(runs_folder):
     np.testing.assert_array_equal(recording.signals["warm"], np.r_[n, 5 * n])
     missing = "column(s) volt, state, load are not in all files and are left out."
     assert (missing, False) in notes
-
-
-# -- samples that occur twice ----------------------------------------------------------
 
 
 def part_of(columns, start, stop):
@@ -141,9 +135,6 @@ def test_recordings_may_rest_at_the_same_place(runs_folder):
     assert read_recording(files(a=x[0], b=x[1])).n_samples == 4400
 
 
-# -- periods ---------------------------------------------------------------------------
-
-
 def noisy(dt, seed=0, n=2000):
     """Return the columns of two joints with a torque noise of 0.1."""
     t, rng = dt * np.arange(n), np.random.default_rng(seed)
@@ -183,9 +174,6 @@ def test_different_periods_are_refused(runs_folder):
     paths = files(a=noisy(0.01), b=noisy(0.01005), c=noisy(0.005))
     line = error_of(paths, "runs/c.csv has a sample period of 0.005 s")
     assert "runs/b.csv one of 0.01005 s: resample" in line
-
-
-# -- mismatches ------------------------------------------------------------------------
 
 
 def without(columns, *names):

@@ -103,9 +103,6 @@ def test_clocks_are_rejected(values):
     assert fault(np.asarray(values, dtype=float), MEASURED).startswith("is a clock")
 
 
-# -- requested and offered signals
-
-
 class Uses(OfSignals):
     """An effect that varies with some signals."""
 
@@ -141,9 +138,6 @@ def test_offered_signals_are_used_or_reported():
         scan_signals(None, offered, MEASURED, (Uses("torque"),))
     with pytest.raises(ValueError, match="'warm', which is a column of X as well"):
         scan_signals({"warm": WARM}, offered, MEASURED, ())
-
-
-# -- data frames and files
 
 
 def test_data_frame_columns_are_split_into_positions_and_signals():

@@ -74,9 +74,6 @@ def recording(model):
     return recorded(model, drives(model))
 
 
-# -- closed forms ----------------------------------------------------------------------
-
-
 def test_two_values_are_as_near_as_the_integral_over_their_scatter_has_them():
     y, S = np.array([1.2, 0.8]), np.diag([0.02, 0.03])
     problem = _pooling._AlikeProblem(y, S, (np.arange(2),))
@@ -94,9 +91,6 @@ def test_two_values_are_as_near_as_the_integral_over_their_scatter_has_them():
     assert along @ mean == pytest.approx(first, rel=2e-3)
     variance = second / total - first**2
     assert along @ covariance @ along == pytest.approx(variance, rel=5e-3)
-
-
-# -- robots ----------------------------------------------------------------------------
 
 
 def test_a_drive_that_is_another_one_keeps_its_value(model):
@@ -131,9 +125,6 @@ def test_the_posterior_has_what_is_shared(model, recording):
     assert np.all(robot.theta_std_ <= (1 + 1e-9) * free.theta_std_)
 
 
-# -- which joints ----------------------------------------------------------------------
-
-
 def groups_of(model, alike="auto", **settings):
     robot = RobotIdentifier(
         model, dt=DT, options=FitOptions(alike=alike), **settings
@@ -164,9 +155,6 @@ def test_sharing_may_be_left_out_and_nothing_else_is_taken():
     assert groups_of(a_quadruped(), None) == {}
     with pytest.raises(ValueError, match="alike must be 'auto' or None; got 'hip'"):
         groups_of(a_quadruped(), "hip")
-
-
-# -- calibration -----------------------------------------------------------------------
 
 
 def values(rng, n=4, noise=0.1, factor=1.0):

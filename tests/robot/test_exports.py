@@ -103,9 +103,6 @@ def test_what_a_file_lacks_on_several_joints_changes_its_motion():
     assert without_place(effects.Elastic(), np.ones(1)) == [0.0]
 
 
-# -- whole identifications -------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def robot(moved):
     """Identify a robot with effects of the model, and with others."""

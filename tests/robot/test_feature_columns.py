@@ -11,9 +11,6 @@ from sklearn_vbjfa import JointTorqueRegressor, RigidBodyFeatures
 FRICTION = ("viscous", "coulomb", "offset")
 
 
-# -- names
-
-
 @pytest.fixture(scope="module", name="features")
 def fixture_features(simulated):
     return RigidBodyFeatures(simulated.urdf, friction=FRICTION).fit(simulated.states)

@@ -40,9 +40,6 @@ def relative(gains, estimate):
     return gains / gains[estimate.reference]
 
 
-# -- the estimate
-
-
 def test_gains_match_nonlinear_least_squares():
     tau = torques()
     options = FitOptions(standstill=None, joint_weights=None)
@@ -107,9 +104,6 @@ def test_reference_joint_option():
     assert_allclose(robot.gains_.gain, GAINS / GAINS[3], rtol=0.03)
 
 
-# -- unidentifiable gains
-
-
 def two_trees():
     """Return a chain of two joints and a separate joint."""
     model = arm("YY")
@@ -136,9 +130,6 @@ def test_gain_of_a_separate_joint_is_not_identifiable(noise):
     assert_allclose(estimate.gain[:2], gains[:2] / gains[reference], rtol=0.03)
     index = robot.parameter_names_.index("lone:torque_gain:gain")
     assert not robot.identifiable_[index]
-
-
-# -- predictions and errors
 
 
 def test_predictions_are_in_units_of_the_channels():

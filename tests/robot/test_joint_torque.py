@@ -38,9 +38,6 @@ def rng():
     return np.random.default_rng(20)
 
 
-# -- least squares and weights
-
-
 def test_is_weighted_least_squares(rng):
     Phi, tau, _ = joint_equations(rng, noise=NOISE)
     given = np.array([3.0, 0.2, 1.5])
@@ -72,9 +69,6 @@ def test_automatic_weights_are_iterated_to_their_fixed_point(rng):
     plain = fitted(Phi, tau, joint_weights=None)
     error = [np.linalg.norm((m.theta_ - theta) / theta) for m in (model, plain)]
     assert error[0] < 0.2 * error[1]
-
-
-# -- regressors
 
 
 @pytest.mark.parametrize(
@@ -172,9 +166,6 @@ def test_projector_gets_the_metric_of_the_fit(rng):
     )
     with pytest.raises(AssertionError):  # it had something to do
         np.testing.assert_allclose(model.theta_, model.theta_unconstrained_, rtol=1e-3)
-
-
-# -- shapes and errors
 
 
 def test_one_output_keeps_one_dimension(rng):

@@ -82,9 +82,6 @@ def test_values_are_exact_without_noise(case):
     assert_allclose(robot.predict(ELSEWHERE), tau, atol=1e-6 * np.abs(tau).max())
 
 
-# -- noise
-
-
 def literal_regressor(model, effects, states):
     """Return regressors (n, nv, 11 nv) of the robot with faults, by Pinocchio."""
     other, shifts, gains = faulty(model, effects)
@@ -174,9 +171,6 @@ TRUTH = [BaseTilt(0, 0.07, -0.1), TorqueGain(1, 1.3)]
 NOISY = torques(ARM, TRUTH, noise=0.2)
 
 
-# -- unidentifiable and implausible values
-
-
 @pytest.mark.parametrize(
     ("effects", "identifiable"),
     [
@@ -209,9 +203,6 @@ def test_values_stay_within_their_bounds(truth):
     robot = fit(ARM, nominal([truth]), torques(ARM, [truth], noise=0.1))
     low, high = robot.effects_[0].bounds()
     assert np.all((low < values(robot)) & (values(robot) < high))
-
-
-# -- single joints
 
 
 @pytest.mark.parametrize("effect", [BaseTilt(), JointZero(), JointAxis()])

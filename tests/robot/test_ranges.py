@@ -47,9 +47,6 @@ def ends(values):
     return values.min(), values.max()
 
 
-# -- fitted ranges
-
-
 def test_ranges_cover_the_fitted_rows():
     weight = np.ones(TORQUE.shape)
     weight[500:, 1] = 0.0
@@ -63,9 +60,6 @@ def test_ranges_cover_the_fitted_rows():
         assert_allclose(r.position, ends(Q[rows, r.joint]), rtol=1e-12)
         assert_allclose(r.speed, ends(np.abs(V[rows, r.joint])), rtol=1e-12)
         assert_allclose(r.load, ends(LOAD[rows, r.joint]), rtol=1e-6)
-
-
-# -- warnings of predictions
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +81,6 @@ def test_one_warning_names_joint_and_range(fitted):
     for j in range(3):
         assert f"joint_{j + 1}: speeds to" in message
     assert "coulomb" not in message
-
-
-# -- torques outside the ranges
 
 
 def clamped_spring(q):

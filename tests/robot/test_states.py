@@ -25,9 +25,6 @@ def noisy_wave(n, noise, seed=0):
     return q, truth
 
 
-# -- exactness
-
-
 def test_interpolation_keeps_samples_and_quintics():
     t = np.arange(400) * DT
     polynomial = np.polynomial.Polynomial([1, -2, 3, 1, -1, 0.5])
@@ -60,9 +57,6 @@ def test_sines_pass_with_the_stated_gain_and_no_phase(frequency, cutoff):
     np.testing.assert_allclose(amplitude[[1, 0, 1], range(3)], 0, atol=1e-9 * w**2)
 
 
-# -- recordings
-
-
 def test_recordings_are_smoothed_separately():
     q, _ = noisy_wave(1200, np.array([1e-3, 1e-4]))
     groups = np.repeat(["a", "b", "c"], [500, 300, 400])
@@ -72,9 +66,6 @@ def test_recordings_are_smoothed_separately():
     for label in "abc":
         alone = estimator.transform(jumped[groups == label])
         np.testing.assert_array_equal(states[groups == label], alone)
-
-
-# -- measured noise and bandwidth
 
 
 def test_noise_variance():
@@ -133,9 +124,6 @@ def test_velocity_noise():
     noise_std = estimator.velocity_noise()
     np.testing.assert_allclose(noise_std[0], error[:, 0].std(), rtol=0.1)
     np.testing.assert_allclose(noise_std[1], 1e-3 * np.pi / np.sqrt(3) / DT, rtol=0.05)
-
-
-# -- errors
 
 
 @pytest.mark.parametrize(

@@ -135,9 +135,6 @@ def test_single_steps_equal_batch_torques(name, seed):
     assert_allclose(step_torques(predictor, X), torques(predictor, X), atol=1e-11)
 
 
-# -- closed forms of the motion
-
-
 @pytest.mark.parametrize("k", [50.0, 2e4])
 @pytest.mark.parametrize(("relative_step", "error"), [(0.01, 1e-6), (1.2, 3e-5)])
 def test_clamped_spring_is_a_constant_force(k, relative_step, error):

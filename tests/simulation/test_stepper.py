@@ -148,9 +148,6 @@ def test_custom_effect_without_a_step_law_is_left_out():
     np.testing.assert_allclose(step_torques(stepper, X), expected, atol=1e-11)
 
 
-# -- bad input -------------------------------------------------------------------------
-
-
 @pytest.fixture
 def stepper():
     names = ["drift", "signal"]

@@ -24,9 +24,6 @@ def contains(text, *facts):
         assert fact in text, text
 
 
-# -- masses
-
-
 def test_masses_with_their_identifiability():
     text = section(
         "Masses",
@@ -77,9 +74,6 @@ def test_values_of_joints_with_shared_drives():
     contains(text, "hip rotor inertia 0.0105 +- 0.0003 kg m² 4 % 3")
     contains(text, "hip my own effect 0.0105")
     assert section("Joints with the same drive") == ""
-
-
-# -- recordings
 
 
 def test_excitation_and_suggested_motion():
@@ -198,9 +192,6 @@ def test_one_effect_on_two_joints_is_named_once():
     effects = effect, replace(effect, joint=2, joint_name=outcome.robot["joints"][2])
     report = Report(changed(outcome, effects=effects))
     assert " on joints 2 and 3 was missing" in report.headline
-
-
-# -- unknown gains
 
 
 def gains_of(reference=(1, 1, 1), common=None, first=0.5, **changes):

@@ -186,9 +186,6 @@ def test_values_in_both_units():
     assert gain["gain"] == 1.148
 
 
-# -- effects that are not identifiable
-
-
 def hidden(name, joints, reason, remedy=""):
     return tuple(
         NotIdentifiable(

@@ -33,9 +33,6 @@ def html(outcome):
     return Report(outcome).to_html()
 
 
-# -- document
-
-
 @pytest.mark.parametrize("drawn", [True, False])
 def test_page_is_valid_and_loads_nothing(drawn):
     page = Report(made() if drawn else make_outcome()).to_html()
@@ -119,9 +116,6 @@ def read(part):
     return re.sub("<[^>]*>", "\n", labels).strip()
 
 
-# -- figures
-
-
 def test_figures_of_torques_and_residuals(outcome, html, monkeypatch):
     charts = figures(html)
     assert len(charts) == 3 + 3
@@ -196,9 +190,6 @@ def test_effects_link_to_their_documentation(monkeypatch):
     assert documentation_of("ripple") == address
     assert documentation_of("my_own_effect") == ""
     assert f'<a href="{address}">' in Report(made(n_effects=3)).to_html()
-
-
-# -- tables
 
 
 def test_page_shows_the_provenance(html):

@@ -44,9 +44,6 @@ def names(loop):
     return [e.name for e in loop.effects_]
 
 
-# -- similar effects
-
-
 def test_a_counterbalance_is_not_named_spring():
     loop = discover(
         lambda r: 3.0 * np.sin(2 * r.q[:, 0] + 0.8), ["spring", "counterbalance"]
@@ -73,9 +70,6 @@ def test_effects_are_replaced_after_a_better_one_is_added():
         ["viscous_quadratic", "spring", "ripple"],
     )
     assert sorted(names(loop)) == ["ripple", "spring"]
-
-
-# -- temporary effects
 
 
 def test_temporary_ripple_is_not_named():
@@ -106,9 +100,6 @@ def test_a_temporary_spring_is_not_named():
     assert named(loop) == [("viscous_quadratic", 1)]
 
 
-# -- odds
-
-
 @pytest.mark.slow
 def test_alpha_is_the_required_error_probability():
     """The probability of the effect lies between the two levels."""
@@ -129,9 +120,6 @@ def test_alpha_is_the_required_error_probability():
     assert possible.warning
     # The completed model is the same.
     assert (sure.error_after_ == unsure.error_after_).all()
-
-
-# -- unexplained torque
 
 
 def test_unexplained_power_matches_the_vibration():

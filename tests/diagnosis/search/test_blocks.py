@@ -30,9 +30,6 @@ def stationary(keep, n, seed=0):
     return lfilter([1.0], [1.0, -keep], steps, zi=[keep * rng.normal()])[0]
 
 
-# -- blocks
-
-
 @settings(deadline=None, max_examples=100)
 @given(
     lengths=st.lists(st.integers(30, 900), min_size=1, max_size=4),
@@ -75,9 +72,6 @@ def test_too_short_recordings_are_rejected():
         blocks_of([100], filter_length=1.0)
 
 
-# -- correlation
-
-
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.8])
 def test_correlation_time_of_an_autoregression(rho):
     """Two-sided sum of rho^k: (1 + rho) / (1 - rho) steps."""
@@ -98,9 +92,6 @@ def test_correlation_time_ignores_jumps_between_recordings():
     within = correlation_time(jumping, np.ones_like(x), 1.0, starts)
     across = correlation_time(jumping, np.ones_like(x), 1.0, np.array([0]))
     assert across < 0.5 * within
-
-
-# -- memory
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.6, 0.95])

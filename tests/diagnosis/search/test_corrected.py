@@ -32,9 +32,6 @@ def view():
     return search_faulty([TILT]).view
 
 
-# -- the view
-
-
 def test_corrected_views_are_cached(view):
     corrected = view.corrected([TILT, ZERO])
     assert corrected is not view
@@ -117,9 +114,6 @@ def test_declared_corrections_are_applied_before_the_search():
     for one, other in zip(features.model_.jointPlacements, expected.jointPlacements):
         assert_allclose(one.homogeneous, other.homogeneous)
     assert_allclose(features.model_.gravity.linear, expected.gravity.linear)
-
-
-# -- models with corrections
 
 
 def view_and_fit(problem, effects):

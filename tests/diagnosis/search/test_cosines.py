@@ -25,9 +25,6 @@ def view(m=200, starts=(0,), missing=(), cutoff=np.inf, nv=2):
     )
 
 
-# -- cosines
-
-
 @pytest.mark.parametrize("starts", [(0,), (0, 80), (0, 1, 120)])
 def test_cosines_are_orthonormal_and_invertible(starts):
     cosines = Cosines(view(starts=starts))
@@ -74,9 +71,6 @@ def test_bands_are_half_octaves():
     assert (np.diff(cosines.octave) > 0).all()
     top = frequency[cosines.band == cosines.octave.size - 2]
     assert top.max() / top.min() == pytest.approx(np.sqrt(2), rel=0.01)
-
-
-# -- spectrum
 
 
 def estimate_spectrum(x, smoothness=1.0):

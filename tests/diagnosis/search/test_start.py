@@ -30,9 +30,6 @@ def loops():
     }
 
 
-# -- starts
-
-
 def test_result_is_independent_of_declared_friction(loops):
     first, *others = loops.values()
     assert named(first) == [("spring", 0), ("stribeck", 1)]
@@ -77,9 +74,6 @@ def test_errors_match_the_residuals_of_the_models(loops):
         rms = np.sqrt((residuals.residual[rows] ** 2).mean(axis=0)) / loop.torque_std_
         # Other filter edges, and standstill is included here.
         assert_allclose(rms, error, rtol=0.2)
-
-
-# -- errors of the clock
 
 
 @pytest.mark.slow

@@ -43,9 +43,6 @@ def identifier(recorded):
     )
 
 
-# -- coarser sampling
-
-
 @pytest.mark.parametrize("every", [2, 5, 10])
 def test_coarser_filters_have_the_same_output(every):
     sizes = [700, 726, 727, 728, 1400, 5003]
@@ -65,9 +62,6 @@ def test_coarser_filters_have_the_same_output(every):
         assert_allclose(*outputs, atol=2e-3)
 
 
-# -- segments
-
-
 def test_number_of_used_samples_is_bounded():
     counts = []
     for n in (10**6, 4 * 10**6):
@@ -84,9 +78,6 @@ def test_number_of_used_samples_is_bounded():
         assert (np.diff(rows)[inside] == 1).all()
         assert (np.diff(rows) >= 1).all()
     assert counts[0] == counts[1]
-
-
-# -- in EffectDiscovery
 
 
 def test_subsampled_columns_are_close_to_full_columns(recorded):

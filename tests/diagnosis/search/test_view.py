@@ -48,9 +48,6 @@ def test_filter_and_blocks_respect_recordings():
     assert view.blocks.label[first] == view.blocks.label[first - 1] + 1
 
 
-# -- reduction
-
-
 def test_reduced_coordinates_give_the_same_torques():
     rng = np.random.default_rng(0)
     m, precision = 240, np.array([1.0, 7.0])

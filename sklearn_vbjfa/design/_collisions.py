@@ -39,8 +39,7 @@ class Clearance:
         self._pin, self._coal = import_pinocchio(), import_coal()
         self._model, self._data, self._geometry = model, model.createData(), geometry
         self._placed = geometry.createData()
-        shapes = geometry.geometryObjects
-        boxes = [shape.geometry.aabb_local for shape in shapes]
+        boxes = [shape.geometry.aabb_local for shape in geometry.geometryObjects]
         ends = np.array([[box.min_, box.max_] for box in boxes])
         halves = 0.5 * (ends[:, 1] - ends[:, 0])
         self._middles, self._radii = ends.mean(axis=1), np.linalg.norm(halves, axis=1)

@@ -136,5 +136,4 @@ def _label(name):
 
 
 def _newtons(motion, value, joint):
-    slides = motion.slides[joint]
-    return f"{words.number(value, 2)} {'N' if slides else 'N m'}"
+    return f"{words.number(value, 2)} {'N' if motion.slides[joint] else 'N m'}"

@@ -203,8 +203,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         per_joint = len(INERTIAL_NAMES) + len(self.friction_)
         self.n_parameters_ = self.n_joints_ * per_joint
         names, units = [], []
-        kinds = is_prismatic(self.model_)
-        for name, prismatic in zip(joint_names(self.model_), kinds):
+        for name, prismatic in zip(joint_names(self.model_), is_prismatic(self.model_)):
             columns = INERTIAL_NAMES + self.friction_
             names += [f"{name}:{column}" for column in columns]
             units += ["kg"] + 3 * ["kg m"] + 6 * ["kg m^2"]
@@ -441,5 +440,4 @@ def following_joints(effects, coefficients, names):
 
 def nominal_followers(features):
     """Inertial parameters of the followers in the description, (n, 10)."""
-    bodies = [body.parameters for body in features.followers_]
-    return np.reshape(bodies, (-1, 10))
+    return np.reshape([body.parameters for body in features.followers_], (-1, 10))

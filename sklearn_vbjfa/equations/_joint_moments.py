@@ -340,9 +340,8 @@ class MomentSums:
         """Add entries (n, n_entries) of rows from the piece's row `first` on."""
         # Rows without weight are set to zero. difference: of the regressors from the
         # two halves of the samples; a quarter of its square is the noise of their mean.
-        stop = first + rows.shape[0]
         for i, (start, end) in enumerate(zip(self._starts.tolist(), self._ends)):
-            span = slice(max(start, first), min(end, stop))
+            span = slice(max(start, first), min(end, first + rows.shape[0]))
             if span.start < span.stop:
                 local = slice(span.start - first, span.stop - first)
                 noise = None if difference is None else difference[local]

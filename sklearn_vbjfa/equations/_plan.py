@@ -618,8 +618,7 @@ def check_drive(settings):
             "drive must be a PDDrive, CurrentDrive, VoltageDrive or None; got "
             f"{drive!r}. Torques need no drive."
         )
-    gains = settings.gains
-    if gains is not None and drive.gains is None:
+    if settings.gains is not None and drive.gains is None:
         raise ValueError(
             "drive has gains, and cannot be combined with gains: leave gains=None."
         )

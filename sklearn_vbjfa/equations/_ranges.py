@@ -158,8 +158,7 @@ def outside(ranges, signals, held):
 
 def _violation(effect, quantity, values, holds):
     """Return the `OutsideRange` of one effect and signal (n,), None if it is inside."""
-    excess = effect.excess(quantity, values)
-    far = values[excess > effect.margin(quantity)]
+    far = values[effect.excess(quantity, values) > effect.margin(quantity)]
     outliers = int(_OUTLIERS * values.size)
     if not far.size > _OUTLIERS * values.size:
         return None

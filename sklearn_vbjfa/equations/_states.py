@@ -343,8 +343,7 @@ class RecordingStates:
 
 def fit_states(dt, cutoff, X, groups):
     """Fit a state estimator for identification, with slightly raised cut-offs."""
-    estimator = StateEstimator(dt, cutoff=cutoff)
-    return raise_cutoffs(estimator.fit(X, groups=groups))
+    return raise_cutoffs(StateEstimator(dt, cutoff=cutoff).fit(X, groups=groups))
 
 
 def choose_states(dt, cutoff, longest, moving, spectra):

@@ -181,8 +181,7 @@ def _gap_power(x, dt, cutoff):
     if x.size < 3 * length:
         return power
     taper = np.hanning(length + 2)[1:-1]
-    frequency = np.fft.rfftfreq(length, dt) / cutoff
-    borders = np.searchsorted(frequency, _GAP)
+    borders = np.searchsorted(np.fft.rfftfreq(length, dt) / cutoff, _GAP)
     windows = np.lib.stride_tricks.sliding_window_view(x, length)[:: length // 2]
     windows = (windows - windows.mean(axis=1, keepdims=True)) * taper
     spectra = np.abs(np.fft.rfft(windows, axis=1)) ** 2 / (taper @ taper)

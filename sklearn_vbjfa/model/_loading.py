@@ -111,8 +111,7 @@ def load_folded(model, base_orientation=None):
         path = Path(model)
         return _build(parse_description(path), path, base=base_orientation)
     if isinstance(model, pin.Model):
-        label = f"The model {model.name!r}"
-        description = Description(model=model.copy(), label=label)
+        description = Description(model=model.copy(), label=f"The model {model.name!r}")
         robot, messages = hold_base(description, base_orientation)
         _warn(messages, model.name, stacklevel=4)
         return Folded.without_followers(check_joints(robot.model))

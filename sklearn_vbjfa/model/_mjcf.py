@@ -187,11 +187,10 @@ class _Tree:
             )
 
     def add_equalities(self, parent):
-        ref = self._dynamics.ref
         for follower in self._followers:
             # In MuJoCo both positions are relative to those in the file.
             link, leader = follower.link, self._names[follower.link.joint]
-            shift = link.offset + link.rate * ref[link.joint]
+            shift = link.offset + link.rate * self._dynamics.ref[link.joint]
             ElementTree.SubElement(
                 parent,
                 "joint",

@@ -154,14 +154,12 @@ def _tree(mujoco, model, names, motors):
                 names["joint"][j],
                 *_limits(model, j, motors),
             )
-            dof = tree.idx_vs[joint]
-            tree.armature[dof] = model.dof_armature[model.jnt_dofadr[j]]
+            tree.armature[tree.idx_vs[joint]] = model.dof_armature[model.jnt_dofadr[j]]
             frame = tree.addJointFrame(joint, frame)
             placement = pin.SE3(np.eye(3), model.jnt_pos[j]).inverse()
         com = _placement(model.body_ipos[k], model.body_iquat[k])
         moments = com.rotation @ np.diag(model.body_inertia[k]) @ com.rotation.T
-        mass = float(model.body_mass[k])
-        inertia = pin.Inertia(mass, com.translation, moments)
+        inertia = pin.Inertia(float(model.body_mass[k]), com.translation, moments)
         if inertia.mass > 0 or inertia.inertia.any():
             tree.appendBodyToJoint(joint, inertia, placement)
         tree.addBodyFrame(names["body"][k], joint, placement, frame)

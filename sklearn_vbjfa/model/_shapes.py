@@ -173,13 +173,12 @@ def _hull(coal, points, mesh):
 
 def _neighbours(tree, links):
     """Return a function: whether links i, j are of one body or adjacent bodies."""
-    joints = tree.getroot().findall("joint")
     parents = {
         joint.find("child").get("link"): (
             joint.find("parent").get("link"),
             joint.get("type") == "fixed",
         )
-        for joint in joints
+        for joint in tree.getroot().findall("joint")
     }
 
     def body(link):

@@ -393,8 +393,7 @@ def write_urdf(text, target, model, parameters, note="", turned=None, followers=
             fixed_children.setdefault(parent, []).append(
                 joint.find("child").get("link")
             )
-    rows = [*zip(names, parameters), *followers.items()]
-    for name, row in rows:
+    for name, row in [*zip(names, parameters), *followers.items()]:
         joint = joints[name]
         child = joint.find("child").get("link")
         # The inertia includes that of all links that are fixed to this one.

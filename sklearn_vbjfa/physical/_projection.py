@@ -295,8 +295,7 @@ class Projection:
         """Project one vector (n_features,)."""
         theta = self.metric.without_rounding(theta)
         bodies, kept = self.bodies, self.nonnegative
-        enough = self._eigenvalues(theta) >= self.margin
-        if np.all(enough) and np.all(theta[kept] >= 0):
+        if np.all(self._eigenvalues(theta) >= self.margin) and np.all(theta[kept] >= 0):
             return theta.copy()
         units, scaled_root = self._scale(theta)
         # One common factor brings bodies far from their scales back near one.

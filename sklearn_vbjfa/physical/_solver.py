@@ -259,10 +259,9 @@ def _inside(programme, start):
     largest = max(duals.max(initial=0.0), multipliers.max(initial=0.0), tiny)
     lift = min(target / largest, _LARGEST_LIFT)
     vector = programme.lift(start.vector, programme.margin + lift)
-    slack = programme.slack(vector)
     return PrimalDual(
         vector=vector,
-        duals=duals + target * _symmetric(np.linalg.inv(slack)),
+        duals=duals + target * _symmetric(np.linalg.inv(programme.slack(vector))),
         multipliers=multipliers + target / vector[kept],
     )
 

@@ -380,8 +380,7 @@ def changed_motion(robot, model, other):
     # A drift is compared within the log.
     _, end = robot.plan.time or (0.0, np.inf)
     n = max(length, np.searchsorted(t, end))
-    count = min(_WINDOWS, n // length)
-    starts = np.linspace(0, n - length, count).astype(int)
+    starts = np.linspace(0, n - length, min(_WINDOWS, n // length)).astype(int)
     tau = robot.torques(robot.prepare(states))
     changes, spread = [], states[:, :nv].std(axis=0)
     for rows in (slice(start, start + length) for start in starts):

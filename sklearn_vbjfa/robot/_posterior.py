@@ -168,8 +168,7 @@ class Posterior:
         """Draw parameters (n, p): rows with these numbers in the sequence of a seed."""
         # Each row has a separate generator and does not depend on the others.
         rngs = [np.random.default_rng([seed, int(k)]) for k in numbers]
-        p = self.theta.size
-        x = np.array([rng.standard_normal(p) for rng in rngs])
+        x = np.array([rng.standard_normal(self.theta.size) for rng in rngs])
         # With the symmetric root of the correlations, units do not change a draw.
         value, axes, size = _spectrum(self.covariance)
         drawn = self.centre + x @ ((axes * np.sqrt(value)) @ axes.T * size)

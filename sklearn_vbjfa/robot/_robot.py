@@ -305,8 +305,7 @@ class IdentifiedRobot:
         check_widths(self.joint_names_, X, y)
         clock = self.clock(t, X.shape[0])
         weight = check_weight(sample_weight, y.shape)
-        recording = self.recording(X, y, groups, weight, clock, signals)
-        return self.residuals_of(recording)
+        return self.residuals_of(self.recording(X, y, groups, weight, clock, signals))
 
     def residuals_of(self, recording, predicts=True):
         """Torque residuals on a `Recording`; see `residuals`."""

@@ -349,8 +349,7 @@ class _Rigid:
         state = self._state
         state[0], state[1], state[2] = q, v, a
         index = sum(row.t >= instant for instant in self._instants)
-        flat = state.reshape(1, -1)
-        self._compute(flat, self._tree, self._bodies[index], self._out)
+        self._compute(state.reshape(1, -1), self._tree, self._bodies[index], self._out)
         return self._out[0].tolist()
 
 

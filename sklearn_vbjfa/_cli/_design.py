@@ -67,8 +67,7 @@ def design(arguments, folder):
 
 
 def _motion(arguments, robot, report):
-    names = robot.known.joint_names
-    say(f"designing {arguments.duration:g} s for {len(names)} joints")
+    say(f"designing {arguments.duration:g} s for {len(robot.known.joint_names)} joints")
     motion = design_motion(
         robot.known,
         duration=arguments.duration,

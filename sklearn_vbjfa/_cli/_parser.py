@@ -38,7 +38,6 @@ def names(text):
 
 
 def drive(text):
-    """Return a motor control law."""
     from sklearn_vbjfa.recording import parse_drive
 
     try:
@@ -91,7 +90,6 @@ class _Parser(argparse.ArgumentParser):
     """Parser that raises exceptions for errors."""
 
     def error(self, message):
-        """Refuse the command line."""
         match = re.search(r"argument COMMAND: invalid choice: '([^']*)'", message)
         if match:
             message = (

@@ -32,8 +32,6 @@ _MAX_AGE = 3600.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Result:
-    """Result of a command."""
-
     text: str  # to print
     doubts: tuple | list = ()  # warnings that forbid a use
     data: dict | str | None = None  # for --json: a report, or the name of its file

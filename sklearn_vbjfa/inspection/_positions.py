@@ -278,8 +278,7 @@ def units(reading):
         if match is None:
             continue
         j = max(match.joints, key=lambda k: np.ptp(q[:, k]))
-        remedy = unit_remedy(reading, "q", symbol, match.joints)
-        facts = {"unit": unit, "given": remedy}
+        facts = {"unit": unit, "given": unit_remedy(reading, "q", symbol, match.joints)}
         facts |= {"name": reading.names[j], "low": q[:, j].min(), "high": q[:, j].max()}
         matches.append(replace(match, log_odds=match.log_odds + extra, facts=facts))
     best = most_probable(matches)
@@ -433,9 +432,8 @@ def periods(reading):
         return None
     # A period changes inertial torques relative to the weight. Alternatives with the
     # same effect are a scaled weight, the weight alone, or springs.
-    weight = robot.weight[:, :, None]
     rivals = (
-        robot.fit(columns=weight, deviation=1.0),
+        robot.fit(columns=robot.weight[:, :, None], deviation=1.0),
         robot.fit(robot.regressor - robot.under_gravity(np.zeros(3))),
     )
     best_rival = max(fit.evidence for fit in rivals) - robot.baseline.evidence

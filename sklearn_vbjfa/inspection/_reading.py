@@ -31,7 +31,6 @@ class Change:
 
     @property
     def changes_motion(self):
-        """Whether it changes the motion."""
         other = self.positions is not None or self.period != 1.0
         return other or bool(np.any(self.offset))
 

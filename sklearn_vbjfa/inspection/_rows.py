@@ -177,14 +177,12 @@ def at_rest(names, q, parts):
 
 
 def _nothing_moves(names, q):
-    """Return the finding that every joint is at rest."""
     x = q[:, np.argmax(np.ptp(q, axis=0))]
     facts = {"range": np.ptp(x), "mean": x.mean()}
     return finding("still_joint:all", names, range(len(names)), "error", **facts)
 
 
 def _check_rest(log):
-    """Report joints that never move."""
     if log.still.all():
         log.findings.append(_nothing_moves(log.names, log.q))
         return
@@ -338,7 +336,6 @@ def _check_constant(log):
 
 
 def _check_torques(log):
-    """Find torques that are coarse, lost or clipped."""
     for j in np.flatnonzero(~log.still & log.usable.any(axis=0)):
         x = log.tau[:, j]
         if _check_coarse(log, j, x):
@@ -451,7 +448,6 @@ def _find_clipped(log, j, x, moving):
 
 
 def _check_positions(log):
-    """Find positions that are stuck or jump."""
     stands = _find_standstill(log) if log.every == 1 else None
     for j in np.flatnonzero(~log.still):
         if stands is not None:

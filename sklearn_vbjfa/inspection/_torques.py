@@ -166,8 +166,7 @@ def separate_scales(reading):
         factors = np.where(shown, factors, np.exp(logs.mean()))
         change = Change(torques=np.diag(1 / factors))
         each = [f"{reading.names[j]} {factors[j]:.2g}" for j in np.flatnonzero(shown)]
-        facts = {"each": ", ".join(each)}
-        args = {"joints": reading.every, "facts": facts}
+        args = {"joints": reading.every, "facts": {"each": ", ".join(each)}}
         proposals.append(judge(reading, change, number.CLEAR * reading.nv, **args))
     return most_probable(proposals)
 
@@ -245,18 +244,15 @@ def silent_torque(reading):
         typical = min(np.median(sizes[others]), 1.0) if others else 1.0
         is_small = sizes[j] < number.SILENT * typical and error > number.UNRELATED
         if is_small and j not in follows:
-            facts = {"size": sizes[j]}
-            return Proposal(joints=(int(j),), log_odds=np.inf, facts=facts)
+            return Proposal(joints=(int(j),), log_odds=np.inf, facts={"size": sizes[j]})
     return None
 
 
 def other_robot(reading):
     """Return torques that are unrelated to, or far smaller than, the described ones."""
     robot = reading.robot
-    size, left = (
-        np.nanmedian(robot.sizes[robot.joints]),
-        np.exp(0.5 * robot.baseline.loss),
-    )
+    size = np.nanmedian(robot.sizes[robot.joints])
+    left = np.exp(0.5 * robot.baseline.loss)
     is_small = size < 1 / number.SCALE and np.median(left) > number.UNEXPLAINED
     if not is_small and (left > number.UNFOLLOWED).sum() < max(2, left.size / 3):
         return None
@@ -332,8 +328,7 @@ def signed_columns(states, rigid):
     """Return the regressors of each torque up to its sign, nv arrays (n, 5)."""
     # Torques (n, nv) of rigid bodies, dry and viscous friction, inertia, and an offset.
     v, a = np.split(states, 3, axis=1)[1:]
-    columns = rigid, np.sign(v), v, a, np.ones_like(v)
-    return np.stack(columns, axis=-1).swapaxes(0, 1)
+    return np.stack([rigid, np.sign(v), v, a, np.ones_like(v)], axis=-1).swapaxes(0, 1)
 
 
 def most_explaining(columns, sizes):

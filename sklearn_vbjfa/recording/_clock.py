@@ -401,11 +401,8 @@ def nanoseconds(table, column):
             return None
         text = values.astype(str).str.replace(",", ".")
         if text.str.fullmatch(r"\d{1,2}:\d\d:\d\d(\.\d*)?").all():
-            times = (
-                pandas.to_timedelta(text).to_numpy().astype("m8[ns]").astype("int64")
-            )
-            days = np.cumsum(np.diff(times, prepend=times[0]) < -_DAY // 2)
-            return times + _DAY * days
+            t = pandas.to_timedelta(text).to_numpy().astype("m8[ns]").astype("int64")
+            return t + _DAY * np.cumsum(np.diff(t, prepend=t[0]) < -_DAY // 2)
         values = pandas.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
     if values.isna().any():
         return None

@@ -180,8 +180,7 @@ class Recording:
         _check("groups", self.groups, (n_samples,))
         labels = self.groups[[part.start for part in self.segments]]
         names = [*dict.fromkeys(self.group_names)]
-        is_int = self.groups.dtype.kind in "iu"
-        valid = len(names) == len(self.group_names) and is_int
+        valid = len(names) == len(self.group_names) and self.groups.dtype.kind in "iu"
         if not valid or labels.tolist() != [*range(len(names))]:
             raise ValueError(
                 "groups must hold the integers from 0 on in contiguous blocks, one for "

@@ -188,7 +188,6 @@ def _cells(line):
 
 
 def _is_number(cell: str) -> bool:
-    """Return whether a cell is a number as loggers write them."""
     return _NUMBER.fullmatch(cell) is not None
 
 

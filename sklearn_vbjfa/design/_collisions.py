@@ -23,7 +23,8 @@ _SAMPLES = 200
 # for faces that are drawn flush.
 _FLUSH = 0.01
 # Duality gap [m^2] of the nearest points. With coal's default, normals of round shapes
-# are wrong by its square root. Penetrating cylinders keep the default: less fails.
+# are wrong by its square root. Penetrating cylinders keep the default, since the search
+# fails for a smaller one.
 _GAP = 1e-10
 
 

@@ -241,7 +241,8 @@ def _reference(limits, highest, rng):
 
 def _split(robot, asked):
     """Split effects into effects of the model and further candidates."""
-    # Effects of a report are candidates again, with their shapes, to be confirmed.
+    # An effect of a report is a candidate again, with its shape in the model: the next
+    # recording has to confirm it.
     in_model = {(effect.name, effect.joint): effect for effect in robot.effects}
     doubted = {(x.effect.name, x.effect.joint) for x in asked if x.doubted}
     members = [

@@ -6,6 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR, NO_INFORMATION
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.effects import TorqueGain
 
 # A refit changes the errors of all joints; increases below this factor are tolerated.
 _WORSE = 1.05
@@ -193,7 +194,7 @@ def _uses(outcome, status, joints):
     hidden = {e.joint for e in effects if library[e.name].files.simulation}
     hidden = sorted(hidden.union(outcome.robot["unsimulated"]))
     # Without a torque sensor, a wrong gain is an error of the control law itself.
-    gains = [x.joint for x in effects if x.name == "torque_gain" and not x.warning]
+    gains = [x.joint for x in effects if x.name == TorqueGain.name and not x.warning]
     wrong = {"gain": gains} if gains and outcome.robot["drive"] else {}
     uses = []
     for name, forbidden in (

@@ -73,19 +73,18 @@ def _integrated(phi):
     return float(1.0 / (gain**2 * cov[0])) if cov[0] > 0 else np.inf
 
 
-def interpolated(x, used, starts):
-    """Interpolate the unused rows of x (m, ...) linearly in each part."""
-    out = x.copy()
+def interpolation(used, starts):
+    """Return the used rows (m,) around each row, and its position between them."""
+    low, high, share = np.arange(used.size), np.arange(used.size), np.zeros(used.size)
     for a, b in itertools.pairwise([*starts, used.size]):
         rows = a + np.flatnonzero(used[a:b])
         # Without used rows a part remains as it is.
         if 0 < rows.size < b - a:
             position = np.interp(np.arange(a, b), rows, np.arange(rows.size))
-            low = rows[np.floor(position).astype(int)]
-            high = rows[np.ceil(position).astype(int)]
-            share = (position % 1.0).reshape(-1, *(1,) * (x.ndim - 1))
-            out[a:b] = (1.0 - share) * x[low] + share * x[high]
-    return out
+            low[a:b] = rows[np.floor(position).astype(int)]
+            high[a:b] = rows[np.ceil(position).astype(int)]
+            share[a:b] = position % 1.0
+    return low, high, share
 
 
 # An autoregression with a root this close to the unit circle is a random walk.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, special
 
-from sklearn_vbjfa.diagnosis.search._blocks import interpolated
+from sklearn_vbjfa.diagnosis.search._blocks import interpolation
 
 # Frequency bands per octave, and the minimum number of cosines in a band.
 _PER_OCTAVE, _FEWEST = 2, 2
@@ -26,8 +26,9 @@ class Cosines:
     def __init__(self, view):
         m = view.index.size
         self._parts = list(itertools.pairwise([*view.starts, m]))
-        self._used, self._starts = view.root.T > 0, view.starts
-        self.fill = self._used.mean(axis=1)
+        used = view.root > 0
+        self.fill = used.mean(axis=0)
+        self._interpolations = [interpolation(rows, view.starts) for rows in used.T]
         frequency = np.empty(m)
         for a, b in self._parts:
             frequency[a:b] = np.arange(b - a) / (2.0 * (b - a) * view.step)
@@ -41,8 +42,12 @@ class Cosines:
 
     def __call__(self, rows, joints):
         """Transform rows (nj, m, ...) of some joints to cosines (nj, n, ...)."""
-        pairs = zip(rows, self._used[list(joints)])
-        whole = np.array([interpolated(x, used, self._starts) for x, used in pairs])
+        whole = rows.copy()
+        for x, j in zip(whole, joints):
+            if self.fill[j] < 1:
+                low, high, share = self._interpolations[j]
+                share = share.reshape(-1, *(1,) * (x.ndim - 1))
+                x[:] = (1.0 - share) * x[low] + share * x[high]
         for a, b in self._parts:
             whole[:, a:b] = fft.dct(whole[:, a:b], axis=1, norm="ortho")
         return whole[:, self._kept]

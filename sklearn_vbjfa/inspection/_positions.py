@@ -129,7 +129,7 @@ def _fit_shared_torques(reading, change, j, i):
     return robot.fit(columns=torques, deviation=number.WIDE)
 
 
-# Units of commands of angles, with their symbols and factors to that of the positions.
+# Units of angles, with their symbols and factors to that of the positions.
 _UNITS = ("", "", 1.0), ("degrees", "deg", np.pi / 180), ("turns", "rev", 2 * np.pi)
 
 
@@ -137,14 +137,14 @@ def misread_commands(reading):
     """Return commands of another unit, order or direction than the positions."""
     if reading.feedback is None or reading.signals is None:
         return None
-    joints, own = np.array(reading.every), np.eye(reading.nv, dtype=bool)
+    joints, diagonal = np.array(reading.every), np.eye(reading.nv, dtype=bool)
     factors = np.array([np.where(reading.slides, 1.0, x) for *_, x in _UNITS])
     factors = np.vstack([factors, -factors])
     loss = np.log(np.maximum(_unexplained(reading, factors), number.LEAST_NOISE))
     changes = (factors < 0) + 1.0 * (np.abs(factors) != 1)
-    cost = loss + number.CLEAR_OF_JOINT * (changes[:, :, None] + ~own)
+    cost = loss + number.CLEAR_OF_JOINT * (changes[:, :, None] + ~diagonal)
     # Robots may not follow: changed commands must also be far better than none.
-    cost[0][own] = np.minimum(cost[0][own], 0.0)
+    cost[0][diagonal] = np.minimum(cost[0][diagonal], 0.0)
     _, order = scipy.optimize.linear_sum_assignment(cost.min(axis=0))
     best = cost.argmin(axis=0)[joints, order]
     tracking = loss[:, joints, joints]
@@ -260,12 +260,12 @@ def units(reading):
     beyond = _excess(model, q) * revolute
     far = (beyond > number.FAR_BEYOND) & _limits(model)[2]
     many = np.count_nonzero(beyond > 0.1) > 0.5 * np.count_nonzero(revolute)
-    degrees = "degrees", "deg", np.pi / 180
+    _, degrees, turns = _UNITS
     options = [(revolute, *degrees)] if reading.poor else []
     if far.any() or many:
         options = [(x, *degrees) for x in (revolute, far) if x.any()]
     elif not beyond.any() and (_speeds(reading) < _too_fast(model)).all():
-        options.append((revolute, "turns", "rev", 2 * np.pi))
+        options.append((revolute, *turns))
     # Positions far beyond a limit, or beyond those of most joints, are evidence, too.
     extra = 2 * number.DECISIVE * (far.any() or many)
     required, matches = -np.inf if far.any() else clear_of_all(reading), []

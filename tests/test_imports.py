@@ -173,7 +173,7 @@ def private_attributes(tree):
         for node in ast.walk(tree)
         if isinstance(node, ast.Attribute)
         and isinstance(node.ctx, ast.Store)
-        and ast.unparse(node.value) in {"self", "made"}
+        and ast.unparse(node.value) == "self"
     }
     return [
         ast.unparse(node)

@@ -340,11 +340,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             thinned = replace(split, rows=split.rows[chosen], pieces=pieces)
         say("search")
         keywords = {"origin": whole.groups[thinned.rows], **timing}
-        result = self._search(thinned.searched(whole), silent, keywords, library)
+        searched = thinned.searched(whole)
+        result = self._search(searched, silent, keywords, library)
         if any(isinstance(e, Sudden) and e.instant in begins for e in result.effects):
             # A change between recordings would depend on their order.
             library = [e for e in library if not isinstance(e, Sudden)]
-            result = self._search(thinned.searched(whole), silent, keywords, library)
+            result = self._search(searched, silent, keywords, library)
         say("held-out judgement")
         model, torques = self.baseline_, ()
         if result.effects:

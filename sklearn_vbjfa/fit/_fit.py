@@ -270,8 +270,8 @@ def _with_load_uncertainty(result, robot):
         return result
     C, ratio = uninflated_covariance(result)
     theta, slope, nv = result.theta, np.eye(len(C)), robot.features_.n_joints_
-    at = body_indices(robot)[:nv].ravel()
-    load = slope[:, at] @ theta[at]
+    at, load = body_indices(robot)[:nv].ravel(), np.zeros(len(C))
+    load[at] = theta[at]
     products = result.moments.products(load)
     for effect, places in effect_indices(robot.effects_, robot.features_.n_parameters_):
         row = products[effect.acts_on(nv)].sum(axis=0)

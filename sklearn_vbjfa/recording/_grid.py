@@ -185,9 +185,9 @@ def _check_distinct(files):
     for run in contiguous_groups(copies - origin[copies], copies.size):
         if run.stop - run.start >= _MIN_SAMPLES:
             places = []
-            for first, *_, last in (copies[run], origin[copies[run]]):
-                file = parts[owner[first]][0]
-                ends = file.where(row[first]), file.where(row[last])
+            for begin, *_, end in (copies[run], origin[copies[run]]):
+                file = parts[owner[begin]][0]
+                ends = file.where(row[begin]), file.where(row[end])
                 places.append(f"{file.path}, {' to '.join(ends)}")
             at = ": the same samples as ".join(places)
             raise ValueError(f"{at}; delete them in one file, or leave that file out.")

@@ -142,16 +142,16 @@ class InstrumentalVariables(LinearRegressor):
         else:
             basis = orthonormal_basis(factor[:, n_features + 1 :])
             projected, target = basis.T @ inputs, basis.T @ output
-        found = scaled_lstsq(projected, target)
+        solution = scaled_lstsq(projected, target)
 
         scale = columns.scale[n_features] / columns.scale[:n_features]
-        self._set_coefficients(found.coef * scale, columns.mean)
-        self.rank_ = found.rank
-        residual = output - inputs @ found.coef
-        dof = total - found.rank - bool(self.fit_intercept)
+        self._set_coefficients(solution.coef * scale, columns.mean)
+        self.rank_ = solution.rank
+        residual = output - inputs @ solution.coef
+        dof = total - solution.rank - bool(self.fit_intercept)
         if dof > 0:
-            std = np.sqrt(residual @ residual / dof * np.diag(found.inverse)) * scale
-            self.coef_std_ = np.where(found.identified, std, np.inf)
+            std = np.sqrt(residual @ residual / dof * np.diag(solution.inverse)) * scale
+            self.coef_std_ = np.where(solution.identified, std, np.inf)
         else:
             self.coef_std_ = np.full(n_features, np.nan)
         return self

@@ -344,30 +344,30 @@ _WAYS = ("forward motion", "backward motion")
 _PLURALS = {"position": "positions", "speed": "speeds", "load": "loads"}
 
 
-def outside_text(found, names, prismatic):
-    """Say what lies outside the ranges of a fit; `found` are `OutsideRange`."""
-    said = []
-    for one in found:
-        share = round(100 * one.share, 0 if one.share > 0.02 else 1)
-        rows = f"({', '.join(one.names)}; {share:g} % of the rows)"
-        if one.quantity == "direction":
-            way, other = _WAYS if one.reached > 0 else _WAYS[::-1]
-            said.append(f"{names[one.joint]}: {way}, fitted on {other} only {rows}")
+def outside_text(ranges, names, prismatic):
+    """Describe the signals outside the ranges of a fit, `OutsideRange` each."""
+    texts = []
+    for out in ranges:
+        share = round(100 * out.share, 0 if out.share > 0.02 else 1)
+        rows = f"({', '.join(out.names)}; {share:g} % of the rows)"
+        if out.quantity == "direction":
+            way, other = _WAYS if out.reached > 0 else _WAYS[::-1]
+            texts.append(f"{names[out.joint]}: {way}, fitted on {other} only {rows}")
             continue
-        unit = _UNITS[one.quantity][int(prismatic[one.joint])]
-        low, high = one.fitted
-        said.append(
-            f"{names[one.joint]}: {_PLURALS[one.quantity]} to {one.reached:.3g} {unit},"
+        unit = _UNITS[out.quantity][int(prismatic[out.joint])]
+        low, high = out.fitted
+        texts.append(
+            f"{names[out.joint]}: {_PLURALS[out.quantity]} to {out.reached:.3g} {unit},"
             f" fitted on {low:.3g} to {high:.3g} {unit} {rows}"
         )
-    return ". ".join(filter(None, ["; ".join(said), _held_text(found)]))
+    return ". ".join(filter(None, ["; ".join(texts), _held_text(ranges)]))
 
 
-def _held_text(found):
+def _held_text(ranges):
     """Name the effects that are held and those that are extrapolated."""
-    found = [one for one in found if one.quantity != "direction"]
-    held = [name for one in found for name in one.held]
-    others = [name for one in found for name in one.names if name not in one.held]
+    ranges = [x for x in ranges if x.quantity != "direction"]
+    held = [name for x in ranges for name in x.held]
+    others = [name for x in ranges for name in x.names if name not in x.held]
     texts = {"Held constant beyond the margin": held, "Extrapolated": others}
     return ". ".join(
         f"{what}: {', '.join(dict.fromkeys(names))}"

@@ -16,7 +16,7 @@ _GAP = 2.5
 def residual_curves(after, dt, joints):
     """Return scatter plot and autocorrelation of held-out residuals, by joint."""
     # after: residuals of the completed model. Each namespace has joint, from zero;
-    # predicted torque and residual (k,) [N m or N]; lags (l,) [s] and correlation (l,);
+    # predicted reading and residual (k,) [unit of y]; lags (l,) [s], correlation (l,);
     # chance, the 90 % bound of the latter for white noise.
     index = after.index - after.index[0]
     step = int(np.median(np.diff(index))) if index.size > 1 else 1
@@ -47,8 +47,8 @@ def residual_curves(after, dt, joints):
 def torque_curves(before, after, clock, joints):
     """Return measured and predicted torques over held-out time, by joint."""
     # before, after: residuals of the declared and the completed model. Each namespace
-    # has joint, from zero; seconds (k,); the filtered measured torque and predictions
-    # before and after (k,) [N m or N], nan in gaps; counts (k,): rows with positive
+    # has joint, from zero; seconds (k,); the filtered readings and their predictions
+    # before and after (k,) [unit of y], nan in gaps; counts (k,): rows with positive
     # weight. Held-out stretches are concatenated, with one nan row between them.
     steps = np.diff(clock[before.index])
     step = float(np.median(steps)) if steps.size else 1.0

@@ -123,25 +123,26 @@ class FinalFit:
         for i, (a, b) in enumerate(itertools.pairwise(edges)):
             # Degrees of freedom of columns that are not excited are nan.
             freedom = np.fmin.reduce(variance.freedom[a:b], initial=np.inf)
-            own = slice(at, at := at + coefs[i].size)
+            block = slice(at, at := at + coefs[i].size)
             estimate = EffectEstimate(
                 coef=coefs[i],
                 shape=shapes[i],
                 covariance=covariance[a:b, a:b],
                 freedom=float(freedom),
-                of_prior=of_prior[own, own],
+                of_prior=of_prior[block, block],
             )
             estimates.append(replace(estimate, forms=self._forms(i, estimate)))
         return estimates
 
     def _prior_covariance(self):
         """Return the covariance (p, p) due to the prior, see `EffectEstimate`."""
-        found, lost = self.identifier.estimate_, np.isinf(self.identifier.theta_std_)
-        covariance = np.zeros((lost.size, lost.size))
-        if found.bodies is not None:
-            C = np.nan_to_num(found.covariance, posinf=0.0)
-            covariance = C @ found.bodies.prior @ C
-        covariance[lost, lost] = np.nan
+        estimate = self.identifier.estimate_
+        undetermined = np.isinf(self.identifier.theta_std_)
+        covariance = np.zeros(2 * undetermined.shape)
+        if estimate.bodies is not None:
+            C = np.nan_to_num(estimate.covariance, posinf=0.0)
+            covariance = C @ estimate.bodies.prior @ C
+        covariance[undetermined, undetermined] = np.nan
         return covariance
 
     def _derivative(self, effect, name, coef):

@@ -398,9 +398,22 @@ def _matvec(matrices, vectors):
 def _single_departure(description, A, b, factor):
     """Find the body that most probably differs by a factor, all others as described."""
     # Returns the log evidence, the problem and its sites. In the evidence, a Cauchy
-    # prior of the log factor replaces the prior of the body's scale.
-    n, candidates = len(description.names), []
-    for k in range(n):
+    # prior of the log factor replaces the prior of the body's scale. Candidates are
+    # chosen in closed form, with scales and common size as described.
+    n, usual = len(description.names), Site.of_scale(DESCRIBED)
+    problem = _BodyProblem(description, A, b, fixed_size=True)
+    precision, product = problem.marginals([usual] * n)
+    scaled = usual.precision / factor**2
+    change = (factor - 1.0) * _matvec(description.root, description.centre)
+    evidence = -0.5 * np.einsum("ki,ij,kj->k", change, scaled, change)
+    for P, q, sign in (
+        (precision, product, -1.0),
+        (precision - usual.precision + scaled, product + change @ scaled, 1.0),
+    ):
+        explained = np.einsum("ki,ki->k", q, _matvec(np.linalg.inv(P), q))
+        evidence += 0.5 * sign * (explained - np.linalg.slogdet(P)[1])
+    candidates = []
+    for k in np.flatnonzero(evidence >= evidence.max() - RIVALS):
         factors = np.where(np.arange(n) == k, factor, 1.0)
         problem = _BodyProblem(description.scaled(factors), A, b)
         sites = problem.sites()

@@ -83,7 +83,7 @@ TABLE = (
     # -- positions and time
     Hypothesis("position_unit", "error", positions.units, "turns"),
     Hypothesis("position_unit:gear", "warning", positions.gear_factor, "turns",
-               surpasses="invented"),
+               surpasses="invented springs"),
     Hypothesis("position_zeros", "error", partial(positions.zeros, few=False),
                "zeroed"),
     Hypothesis("swapped_torques", "error", partial(positions.orders, what="torques"),

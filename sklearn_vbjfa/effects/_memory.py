@@ -25,7 +25,7 @@ from sklearn_vbjfa.effects._motion import Arrays
 _WIDTHS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
 # Displacements of a bank, besides zero, as shares of the joint's range: their number,
 # and the smallest and the largest one.
-_COUNT, _SMALLEST, _LARGEST = 14, 3e-5, 0.25
+_COUNT, _SMALLEST, _LARGEST = 13, 3e-5, 0.125
 # Stribeck speeds of a bank to try, as shares of the joint's largest speed.
 _SPEEDS = (0.04, 0.08, 0.16, 0.32)
 # Banks of elements, with symbols and units of their sizes.
@@ -328,7 +328,7 @@ class MaxwellSlip(Shaped, Converted, Bank):
         return True
 
     def shapes(self, motion):
-        """Banks of displacements up to a quarter of the range."""
+        """Banks of displacements up to an eighth of the range."""
         reach, fast = motion.range(self.joint), motion.speed(self.joint)
         bank = tuple(reach * np.geomspace(_SMALLEST, _LARGEST, _COUNT))
         if not (reach > 0 and fast > 0):

@@ -28,6 +28,8 @@ from sklearn_vbjfa.effects._channels import model_torque
 _ROUNDING = 1e-9
 # Step of central differences of rotations.
 _STEP = 1e-5
+# Maximum factor of one correction of a gain without limit.
+_MAX_FACTOR = 5.0
 
 
 def cross_axes(direction):
@@ -300,8 +302,8 @@ class TorqueGain(InModel):
     ----------
     gain : float, default=1.0
         Present value; 1.15 for a channel that reads 15 % too much.
-    limit : float, default=2.5
-        Gains between 1 / limit and limit count as plausible.
+    limit : float or None, default=2.5
+        Gains between 1 / limit and limit count as plausible; None: all positive gains.
     """
 
     name = "torque_gain"
@@ -329,7 +331,9 @@ class TorqueGain(InModel):
         return {"gain": self.gain}
 
     def bounds(self):
-        return np.array([1 / self.limit]), np.array([self.limit])
+        # Without a limit, they limit one correction only.
+        middle, limit = (1.0, self.limit) if self.limit else (self.gain, _MAX_FACTOR)
+        return np.array([middle / limit]), np.array([middle * limit])
 
     def correct(self, robot):
         robot.read(self.joint, self.gain)

@@ -650,10 +650,8 @@ class ModelValues:
 def _at_bounds(effect):
     """Return which values are at their lower and upper bounds, two arrays (k,)."""
     low, high = effect.bounds()
-    # The range of a gain is wider above 1 than below.
-    below, above = effect.nominal - low, high - effect.nominal
-    margin = 2 * _BOUND_MARGIN
-    return effect.values < low + margin * below, effect.values > high - margin * above
+    margin = _BOUND_MARGIN * (high - low)
+    return effect.values < low + margin, effect.values > high - margin
 
 
 def _bounded_step(effect, step):

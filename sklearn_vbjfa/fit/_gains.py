@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
+from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import Payload, TorqueGain
@@ -17,8 +18,6 @@ from sklearn_vbjfa.fit._estimate import IDENTIFIABLE, NULL_SHARE, noise_weights
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.robot._channels import HALF_WIDTH, LIMIT, CommonGain
 
-# Maximum ratio of two gains.
-_MAX_RATIO = LIMIT**2
 # Standard deviation of the logarithm of an unknown gain.
 _UNKNOWN_STD = np.log(1e4)
 # Maximum number and size of Gauss-Newton steps, and of halvings in the line search.
@@ -61,10 +60,7 @@ def relative_gains(moments, references=()):
         variances[np.ix_(used, used)] = _ratio_variances(optimum)
         strength[used] = optimum.size
     reference = _assign_references(variances, strength, references)
-    gains = np.exp(logs - logs[reference])
-    return RelativeGains(
-        gains=np.clip(gains, 1.01 / _MAX_RATIO, 0.99 * _MAX_RATIO), reference=reference
-    )
+    return RelativeGains(gains=np.exp(logs - logs[reference]), reference=reference)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,12 +105,14 @@ class _Likelihood:
 
 def _maximise_likelihood(moments, used):
     """Return the log gains (nv,) of maximum likelihood, and the `_Likelihood` there."""
-    # A weak prior sets gains that are not identifiable to the mean of the others.
+    # A weak prior sets gains that are not identifiable to the mean of the others. Both
+    # begin at channels of equal size: a start with other units may not converge.
     logs, k = np.zeros(moments.n.size), used.size
+    logs[used] = start = 0.5 * np.log(moments.yy[used] / moments.n[used])
     prior = (np.eye(k) - 1.0 / max(k, 1)) / np.log(LIMIT) ** 2
     best = _Likelihood.at(moments, logs, used)
     for _ in range(_MAX_STEPS if k else 0):
-        x = logs[used]
+        x = logs[used] - start
         cost = best.cost + 0.5 * x @ prior @ x
         # The likelihood is invariant to a common factor: take the minimum-norm step.
         step = linalg.pinvh(best.information + prior) @ (best.score - prior @ x)
@@ -123,7 +121,7 @@ def _maximise_likelihood(moments, used):
         for halving in range(_MAX_HALVINGS):
             trial = x + 0.5**halving * step
             trial_logs = logs.copy()
-            trial_logs[used] = trial
+            trial_logs[used] = start + trial
             new = _Likelihood.at(moments, trial_logs, used)
             gain = cost - new.cost - 0.5 * trial @ prior @ trial
             if gain > 0:
@@ -176,14 +174,16 @@ def _assign_references(variances, strength, references):
 def declared_gains(effects, nv):
     """Return effects with a gain of 1 on every channel; added gains come first."""
     used = {e.joint for e in effects if isinstance(e, TorqueGain)}
-    added = [TorqueGain(joint=j, limit=_MAX_RATIO) for j in range(nv) if j not in used]
-    return (*added, *with_gains(effects, np.ones(nv)))
+    added = [TorqueGain(joint=j) for j in range(nv) if j not in used]
+    return with_gains((*added, *effects), np.ones(nv))
 
 
 def with_gains(effects, gains):
-    """Return the effects with these gains (nv,) of the channels."""
+    """Return the effects with these gains (nv,) of the channels, without limits."""
     return tuple(
-        e.with_values([gains[e.joint]]) if isinstance(e, TorqueGain) else e
+        clone(e).set_params(gain=float(gains[e.joint]), limit=None)
+        if isinstance(e, TorqueGain)
+        else e
         for e in effects
     )
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-# Gains are plausible within this factor of the gains of the other channels, and known
-# if their 90 % interval is narrower than this factor.
+# Usual factor between gains if the channels are scaled to equal size. A gain is known
+# if its 90 % interval is narrower than this factor.
 LIMIT = 5.0
 # Half width of a 90 % interval in standard deviations.
 HALF_WIDTH = 1.645

@@ -91,11 +91,14 @@ def test_gains_start_at_the_maximum_likelihood():
     assert_allclose(np.exp(logs - logs[2]), gains, rtol=1e-3)
 
 
-def test_gains_are_equivariant_to_units():
-    tau, scale = torques(), np.array([3.0, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("scale", [(3.0, 0.5, 1.0, 2.0), (1e-3, 5.0, 1.0, 1e6)])
+def test_gains_are_equivariant_to_units(scale):
+    tau, scale = torques(), np.array(scale)
     estimate, scaled = fit(tau).gains_, fit(tau * scale).gains_
     assert_array_equal(estimate.reference, scaled.reference)
-    assert_allclose(scaled.gain, estimate.gain * relative(scale, estimate), rtol=1e-4)
+    expected = estimate.gain * relative(scale, estimate)
+    assert_allclose(scaled.gain, expected, rtol=1e-5)
+    assert_allclose(scaled.std / scaled.gain, estimate.std / estimate.gain, rtol=1e-3)
 
 
 def test_reference_joint_option():

@@ -502,17 +502,17 @@ def fix_bodies(description, A, b):
 
 
 def described_bodies(settings):
-    """Return the `BodyPrior` for the settings of an identifier; None if free."""
+    """Return the `BodyPrior` of an identifier; None if its bodies are free."""
     bodies, features = settings.bodies, settings.features_
     if not isinstance(bodies, str) or bodies not in OPTIONS:
         raise ValueError(
             f"bodies must be one of {', '.join(map(repr, OPTIONS))}; got {bodies!r}."
         )
     prior = None
-    if bodies != "free" and settings.used_gains is None and settings.regressor is None:
+    if bodies != "free" and settings.regressor is None:
         per_joint = features.n_parameters_ // features.n_joints_
         prior = BodyPrior.of(features.model_, per_joint, features.followers_)
-    if bodies == "fixed" and prior is None:
+    if bodies == "fixed" and (prior is None or settings.used_gains is not None):
         raise ValueError(
             "bodies='fixed' cannot be combined with unknown gains, a regressor, or a "
             "description in which no body has mass and extension; use 'prior' or "

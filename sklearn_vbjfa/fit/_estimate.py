@@ -242,6 +242,17 @@ def apply_description(result, description, bodies="prior"):
     )
 
 
+def size_of_bodies(result, description, gains):
+    """Return the common size of bodies that were fitted without the description."""
+    if description is None or gains is None or not gains.absolute:
+        return 1.0
+    weight = result.joint_weights.copy()
+    weight[list(gains.hidden)] = 0.0
+    total, noise = result.moments.total(weight), inflated_noise(result)
+    metric = denoised(total, result.moments.total_noise(weight))
+    return around(description, metric / noise, total.S_xy / noise).common_size
+
+
 def uninflated_covariance(result):
     """Return the covariance, zero if infinite, and inflation factors (p,) of std."""
     C = np.where(np.isfinite(result.covariance), result.covariance, 0.0)

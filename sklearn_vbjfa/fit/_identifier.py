@@ -35,6 +35,7 @@ from sklearn_vbjfa.fit._arguments import (
     recording_of_arguments,
 )
 from sklearn_vbjfa.fit._bodies import described_bodies
+from sklearn_vbjfa.fit._estimate import size_of_bodies
 from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, suggests_lag
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.fit._pooling import alike_joints, between_recordings
@@ -373,7 +374,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             joint_weights=options.joint_weights,
             projector=self.projector,
             bodies=self.bodies,
-            description=self._description,
+            description=self._description if self.used_gains is None else None,
             gains=self._channel_gains,
             masses=self._masses,
             alike=self._shared_drives,
@@ -504,7 +505,11 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.from_description_ = result.from_description
         self._bodies = bodies = result.bodies
         self.mass_deviations_ = () if bodies is None else bodies.departures
-        self.common_size_ = 1.0 if bodies is None else bodies.common_size
+        if bodies is None:
+            gains = fit.robot.gains_
+            self.common_size_ = size_of_bodies(result, self._description, gains)
+        else:
+            self.common_size_ = bodies.common_size
         self.alike_ = tuple(x.at(self.theta_) for x in result.alike)
         return self
 

@@ -39,11 +39,11 @@ def recorded(model=ARM, gains=GAINS, payload=MASS, noise=0.01, seed=0, states=ST
     return exact + noise * exact.std(axis=0) * white
 
 
-def fit(tau, masses, model=ARM, effects=None, states=STATES, **options):
+def fit(tau, masses, model=ARM, effects=None, states=STATES, bodies="free"):
     if effects is None:
         effects = [Payload(joint=model.nv - 1, instant=PICKED, centre=tuple(CENTRE))]
-    options = FitOptions(standstill=None, known_masses=masses, **options)
-    given = {**EXACT, "gains": "unknown", "options": options}
+    options = FitOptions(standstill=None, known_masses=masses)
+    given = {**EXACT, "gains": "unknown", "options": options, "bodies": bodies}
     return RobotIdentifier(model, dt=DT, effects=effects, **given).fit(states, tau)
 
 
@@ -68,6 +68,13 @@ def test_a_known_payload_makes_gains_absolute():
     relative = fit(tau, None)
     assert_allclose(relative.theta_[dm] / MASS, found.common.factor, rtol=1e-9)
     assert_allclose(relative.gains_.gain * found.common.factor, found.gain, rtol=1e-9)
+
+
+def test_wrong_known_mass_scales_all_bodies():
+    for factor in (1.0, 2.0):
+        robot = fit(recorded(), {"payload": factor * MASS}, bodies="prior")
+        assert_allclose(robot.common_size_, factor, rtol=0.05)
+    assert fit(recorded(), None, bodies="prior").common_size_ == 1.0
 
 
 def test_a_mass_that_turns_does_not():

@@ -92,8 +92,8 @@ class Report:
         ]
         contradictions = [say("contradiction")] if findings["contradictions"] else []
         kinds = ("gains_unknown", "gains_hidden", "masses_unused")
-        kinds = kinds if robot["gains"] else ("bodies_apart", "far_masses")
-        values = filter(None, map(say, kinds))
+        kinds = kinds if robot["gains"] else ("far_masses",)
+        values = filter(None, map(say, ("bodies_apart", *kinds)))
         uninformative = [c.message for c in channels if c.severity == "warning"]
         export = self.outcome.provenance.get("export", ())
         return (*contradictions, *faults, *joints, *values, *uninformative, *export)

@@ -223,6 +223,9 @@ def test_a_known_mass_fixes_the_common_gain():
     common = CommonGain(factor=8.0, std=0.08, masses={"payload": 1.5})
     text = text_of(gains_of(common=common))
     contains(text, "payload of 1.5 kg", "1.6 %", "0.500 +- 0.016 per N m")
+    assert "as heavy as described" not in text
+    report = gains_of(common=common, common_size=4.0)
+    contains(report.warnings[0], "4 times as heavy as described: check the payload of")
 
 
 def test_a_known_mass_without_effect_is_reported():

@@ -342,7 +342,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         keywords = {"origin": whole.groups[thinned.rows], **timing}
         searched = thinned.searched(whole)
         result = self._search(searched, silent, keywords, library)
-        if any(isinstance(e, Sudden) and e.instant in begins for e in result.effects):
+        sudden = [e for e in result.effects if isinstance(e, Sudden)]
+        if any(t in begins for e in sudden for t, _ in e.changes):
             # A change between recordings would depend on their order.
             library = [e for e in library if not isinstance(e, Sudden)]
             result = self._search(searched, silent, keywords, library)

@@ -479,10 +479,18 @@ class OfTime(Effect):
 
 
 class Sudden(Shaped, OfTime):
-    """An effect that begins at the shape parameter `instant`, without interval."""
+    """An effect from the shape parameter `instant` to `until`, without interval."""
 
-    shape_units = (("instant", TIME),)
-    tuned = ("instant",)
+    # until: None if it is permanent
+
+    shape_units = (("instant", TIME), ("until", TIME))
+    tuned = ("instant", "until")
+
+    @property
+    def changes(self):
+        """Times [s] at which it begins and ends, with the signs of the change."""
+        changes = (self.instant, 1.0), (self.until, -1.0)
+        return [(t, sign) for t, sign in changes if t is not None]
 
 
 class OfSignals(Effect):

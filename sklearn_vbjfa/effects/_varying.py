@@ -1,5 +1,6 @@
 """Effects that vary with time or with a recorded signal."""
 
+import itertools
 import math
 
 import numpy as np
@@ -22,7 +23,7 @@ _VARIED = {"coulomb": TORQUE, "offset": TORQUE, "viscous": VISCOSITY}
 # Time constants to try, as shares of the recording's length.
 _CONSTANTS = (0.1, 0.2, 0.4, 0.8, 3.0, 30.0)
 # Number of instants to try.
-_INSTANTS = 24
+_INSTANTS, _INTERVALS = 20, 4
 # Largest distance of a payload's centre of mass from the last body's frame [m].
 _FARTHEST = 1.0
 
@@ -205,8 +206,8 @@ class Signal(Varied, OfSignals):
 class Payload(Sudden, OnAllJoints):
     """The last body's mass and first moments change at an instant.
 
-    tau = Phi_n(q, v, a) (dm, dmcx, dmcy, dmcz, dI) for t >= instant, with the columns
-    of the last body's regressor: something was picked up, put down or lost. It is
+    tau = Phi_n(q, v, a) (dm, dmcx, dmcy, dmcz, dI) for instant <= t < until, with the
+    columns of the last body's regressor: something was picked up or put down. It is
     modelled as a ball at its centre of mass c = dmc / dm, whose inertia in the body's
     frame is dm (c'c 1 - c c') + d 1: the first part follows from mass and moments, to
     first order around `centre`; d, about the centre, is a coefficient. Source: Khalil,
@@ -215,7 +216,9 @@ class Payload(Sudden, OnAllJoints):
     Parameters
     ----------
     instant : float, default=0.0
-        Time of the change [s], which is permanent.
+        Time of the change [s].
+    until : float, default=None
+        Time at which the body is as before again [s]; None for never.
     centre : tuple of three floats, default=(0.0, 0.0, 0.0)
         Centre of mass [m] in the last body's frame around which the inertia is
         linearised.
@@ -225,7 +228,7 @@ class Payload(Sudden, OnAllJoints):
     label = "change of payload"
     formula = (
         r"\Phi_n(q, v, a)\,\Delta\pi(dm, dmc_x, dmc_y, dmc_z, d) \quad"
-        r" \text{for}\ t \ge \mathrm{instant}"
+        r" \text{for}\ \mathrm{instant} \le t < \mathrm{until}"
     )
     coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
@@ -233,14 +236,15 @@ class Payload(Sudden, OnAllJoints):
     record = "motion against gravity with and without payload"
     files = InFiles.nowhere("a change at an instant; the file has the robot before it")
 
-    def __init__(self, joint=0, instant=0.0, centre=(0.0, 0.0, 0.0)):
+    def __init__(self, joint=0, instant=0.0, until=None, centre=(0.0, 0.0, 0.0)):
         super().__init__(joint)
         self.instant = instant
+        self.until = until
         self.centre = centre
 
     def shape(self):
-        """Return the instant; the centre is only the point of linearisation."""
-        return {"instant": self.instant}
+        """Return the times; the centre is only the point of linearisation."""
+        return dict(zip(("instant", "until"), (t for t, _ in self.changes)))
 
     def applies(self, motion):
         if self.joint != motion.n_joints - 1:
@@ -248,16 +252,17 @@ class Payload(Sudden, OnAllJoints):
         return super().applies(motion)
 
     def columns(self, motion):
-        after = motion.t >= self.instant
+        carried = sum(sign * (motion.t >= t) for t, sign in self.changes)
         columns = motion.last_body() @ _jacobian(np.asarray(self.centre, dtype=float))
-        return columns * after[:, None, None]
+        return columns * carried[:, None, None]
 
     def inertial(self, coef):
         """Return the changes (10,) of the last body's inertial parameters."""
         return _jacobian(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
 
     def simulated(self, table, *coef):
-        table.payloads.append((float(self.instant), self.inertial(coef)))
+        change = self.inertial(coef)
+        table.payloads += [(float(t), sign * change) for t, sign in self.changes]
         return True
 
     def linearised_at(self, coef):
@@ -267,17 +272,19 @@ class Payload(Sudden, OnAllJoints):
         # A centre farther out means that mass and moments are hardly determined.
         if not np.linalg.norm(centre) <= _FARTHEST:
             return self
-        return Payload(self.joint, self.instant, tuple(map(float, centre)))
+        return Payload(self.joint, self.instant, self.until, tuple(map(float, centre)))
 
     def shapes(self, motion):
-        """Instants that cover the recording."""
+        """Instants that cover the recording, and intervals between some of these."""
         t, starts = motion.t, motion.later
         grid = np.linspace(t[0], t[-1], _INSTANTS + 2)[1:-1]
         # All instants between two recordings are equivalent to the second one's start.
         starting_rows = np.searchsorted(t, starts)
         between = np.isin(np.searchsorted(t, grid), starting_rows)
         instants = np.unique(np.concatenate([grid[~between], starts]))
-        return [{"instant": float(s)} for s in instants]
+        pairs = itertools.combinations(grid[1::_INTERVALS].tolist(), 2)
+        intervals = [{"instant": begin, "until": end} for begin, end in pairs]
+        return [{"instant": float(s)} for s in instants] + intervals
 
 
 def _jacobian(c):

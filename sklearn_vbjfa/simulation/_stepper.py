@@ -335,13 +335,13 @@ class _Rigid:
         self._compute = torques
         self._tree, nv = describe(model.model), model.n_joints
         self._state, self._out = np.empty((3, nv)), np.empty((1, nv))
-        self._instants = sorted({x[0].instant for x in payloads})
+        self._instants = sorted({t for x in payloads for t, _ in x[0].changes})
         self._bodies = []
         for instant in [-math.inf, *self._instants]:
             carried = np.array(bodies, dtype=float)
             for effect, *coefs, _ in payloads:
-                if effect.instant <= instant:
-                    carried[-1] += effect.inertial(coefs[which])
+                for t, sign in effect.changes:
+                    carried[-1] += sign * (t <= instant) * effect.inertial(coefs[which])
             self._bodies.append(carried)
 
     def __call__(self, q, v, a, row):

@@ -95,7 +95,7 @@ def split_of(loop, q, tau, groups):
     split = split_in_time(loop.identifier, whole, loop.test_size)
     effects = loop.validation_model_.effects_
     shaped = [e for e in effects if isinstance(e, Shaped)]
-    instants = [e.instant for e in shaped if isinstance(e, Sudden)]
+    instants = [t for e in shaped if isinstance(e, Sudden) for t, _ in e.changes]
     guard = round(loop.report_.outcome.provenance["settings"]["guard_seconds"] / dt)
     split = split.without(whole.t, instants).with_guard(guard)
     parts = (split.searched(whole), split.held_out(whole))

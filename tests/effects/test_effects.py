@@ -368,6 +368,11 @@ def test_payload_columns_are_the_torque_of_the_added_body():
     columns = effect.columns(signals())
     coef = np.r_[delta[:4], 0.0]
     assert_allclose(columns @ coef, added * (T >= 2.5)[:, None], atol=1e-9)
+    effect.until = 3.5
+    carried = (T >= 2.5) & (T < 3.5)
+    assert_allclose(
+        effect.columns(signals()) @ coef, added * carried[:, None], atol=1e-9
+    )
 
 
 def test_payload_is_a_sphere_around_its_centre_of_mass():

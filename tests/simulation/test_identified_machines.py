@@ -142,18 +142,18 @@ def test_payload_acts_from_its_instant_on(tmp_path):
     arm, instant, mass = Arm(), 3.0, 0.5
     states, t = swing(nv=2)
     q, v, a = np.split(states, 3, axis=1)
-    payload = np.where(t >= instant, mass, 0.0)
+    payload = np.where((t >= instant) & (t < 4.0), mass, 0.0)
     tau = np.array(
         [arm.mass(x, m) @ z + arm.bias(x, y, m) for x, y, z, m in zip(q, v, a, payload)]
     )
-    robot = identified(arm.model(), states, tau, effects=[Payload(1, instant)])
-    for start in (instant - DT, instant):
+    robot = identified(arm.model(), states, tau, effects=[Payload(1, instant, 4.0)])
+    for start in (instant - DT, instant, 4.0 - DT, 4.0):
         k = round(start / DT)
         row = slice(k, k + 1)
         actual = robot.simulate(tau[row], q[k], v[k], t[row])
         np.testing.assert_allclose(actual[0, 4:], a[k], rtol=1e-6)
     robot.save(tmp_path / "arm.json")
     stepper = load_identified(tmp_path / "arm.json")
-    for k in range(298, 303):
+    for k in (*range(298, 303), *range(398, 403)):
         actual = stepper.step(q[k], v[k], a[k], t[k])
         np.testing.assert_allclose(actual, tau[k], atol=1e-5)

@@ -33,7 +33,8 @@ def held_out_errors(loop, search, split, thinned, whole):
     completed, view, dt = loop.validation_model_, search.view, declared.dt
     # The correlation time may be infinite.
     guard = int(min(memory_seconds(search) / whole.dt, whole.n_samples))
-    instants = [e.instant for e in search.effects if isinstance(e, Sudden)]
+    sudden = (e for e in search.effects if isinstance(e, Sudden))
+    instants = [t for effect in sudden for t, _ in effect.changes]
     guarded = split.without(whole.t, instants).with_guard(guard)
     used, n_rows = view.root.any(axis=0), len(view.states)
 

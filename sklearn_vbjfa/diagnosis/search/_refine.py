@@ -19,8 +19,9 @@ _DERIVATIVE, _COARSE = 0.01, 0.1
 # Instants of a jump per refinement, within this share of the grid spacing on both
 # sides.
 _INSTANTS, _AROUND = 9, 0.1
-# Number of instants of a jump that are refined.
-_JUMPS = 3
+# Number of instants of a jump that are compared; how often each of its two times is
+# located given the other.
+_JUMPS, _EXCHANGES = 5, 2
 # A gap is longer than so many sampling times.
 _GAP = 1.5
 # Prior standard deviation of a step over the grid spacing: practically flat.
@@ -225,23 +226,42 @@ def bank(fit, effect, scale):
 
 
 def jump(fit, effect, scale, near=False):
-    """Return a jump with its most probable instant, if `near` without refinement."""
+    """Return a jump with its most probable times, if `near` without refinement."""
 
     def evidence(effects):
         return fit.groups(fit.problem.columns(effects)).evidence(scale)
 
-    effects = [effect, *_instants(fit, effect, scale)]
+    permanent, motion = clone(effect).set_params(until=None), fit.problem.motion
+    effects = [effect, *_instants(fit, permanent, scale)]
+    best = effects[int(np.argmax(evidence(effects)))]
+    # It may have ended, or begun, at another instant: each is located given the other.
+    time, penalty = best.instant, np.log(len(effect.shapes(motion)))
+    for _ in range(_EXCHANGES):
+        columns = fit.problem.columns([clone(permanent).set_params(instant=time)])
+        size = fit.groups(columns).best_scale(scale)[0]
+        given = fit.with_member(columns.member(scale=float(size)))
+        others = [x.instant for x in _instants(given, permanent, scale, apart=time)]
+        pairs = [sorted((time, other)) for other in others]
+        pulses = [clone(effect).set_params(instant=a, until=b) for a, b in pairs]
+        place = int(np.argmax(evidence(pulses)))
+        time = others[place]
+        effects.append(pulses[place])
+    values = evidence(effects) - penalty * np.array([bool(e.until) for e in effects])
+    best = effects[int(np.argmax(values))]
     if near:
-        return effects[int(np.argmax(evidence(effects)))]
-    return refine_instant(effects, evidence, fit.problem.motion)
+        return best
+    if best.until is None:
+        return refine_instant(effects, evidence, motion)
+    best = refine_instant([best], evidence, motion)
+    return refine_instant([best], evidence, motion, "until")
 
 
-def _instants(fit, effect, scale):
-    """Return a jump at the most probable instants of all rows, list."""
+def _instants(fit, effect, scale, apart=np.inf):
+    """Return a jump at the most probable instants of all rows `apart` from one."""
     # Products of its columns with the residual are cumulative sums over the rows after
     # the jump; their Gram matrix is interpolated between the instants of the grid.
     view, motion = fit.problem.view, fit.problem.motion
-    shapes = [e for e in fit.problem.shapes(effect) if e.key() == effect.key()]
+    shapes = [e for e in fit.problem.shapes(effect) if e.until is None]
     shapes.sort(key=lambda e: e.instant)
     grid = np.array([e.instant for e in shapes])
     groups = fit.groups(fit.problem.columns(shapes))
@@ -259,36 +279,39 @@ def _instants(fit, effect, scale):
     near = np.round(position).astype(int)
     fields = {"own": groups.own[near], "unit": groups.unit[near]}
     evidence = replace(groups, H=H, q=after, **fields).evidence(scale)
-    best_effects, separation = [], np.diff(grid).max(initial=0.0) / 4
+    spacing, best_effects = np.diff(grid).max(initial=0.0), []
+    # Outside the grid the Gram matrix cannot be interpolated.
+    unknown = (t < grid[0]) | (t > grid[-1]) | (np.abs(t - apart) < spacing)
+    evidence = np.where(unknown, -np.inf, evidence)
     for _ in range(_JUMPS):
         best = int(np.argmax(evidence))
         best_effects.append(clone(effect).set_params(instant=float(t[best])))
-        evidence = np.where(np.abs(t - t[best]) < separation, -np.inf, evidence)
+        evidence = np.where(np.abs(t - t[best]) < spacing, -np.inf, evidence)
     return best_effects
 
 
-def refine_instant(effects, evidence, motion):
-    """Refine the instant of a jump around the best of several effects."""
+def refine_instant(effects, evidence, motion, name="instant"):
+    """Refine the instant of a jump, or its end, around the best of several effects."""
     values = evidence(effects)
     estimate, best_value = effects[int(np.argmax(values))], float(values.max())
     grid = np.unique([shape["instant"] for shape in estimate.shapes(motion)])
-    gaps, value = _gaps(motion), estimate.instant
+    gaps, value = _gaps(motion), getattr(estimate, name)
     if grid.size > 1:
         step = _AROUND * np.diff(grid).max()
         low, high = value - step, value + step
         for _ in range(2):
             trials = np.linspace(low, high, _INSTANTS)
             instants = _representative_instants(motion, gaps, trials)
-            tried = [clone(estimate).set_params(instant=float(s)) for s in instants]
+            tried = [clone(estimate).set_params(**{name: float(s)}) for s in instants]
             values = evidence(tried)
             best = int(np.argmax(values))
             low, high = trials[max(best - 1, 0)], trials[min(best + 1, _INSTANTS - 1)]
         if values[best] > best_value:
             estimate, best_value = tried[best], float(values[best])
     # Prefer an adjacent gap unless the evidence exceeds its prior advantage [nats].
-    index = np.searchsorted([s for _, s, _ in gaps], estimate.instant)
+    index = np.searchsorted([s for _, s, _ in gaps], getattr(estimate, name))
     adjacent = gaps[max(index - 1, 0) : index + 1]
-    others = [clone(estimate).set_params(instant=float(s)) for _, s, _ in adjacent]
+    others = [clone(estimate).set_params(**{name: float(s)}) for _, s, _ in adjacent]
     if others:
         for other, (_, _, width), x in zip(others, adjacent, evidence(others)):
             if best_value - x < np.log(width):

@@ -84,10 +84,15 @@ def test_payloads_are_found_with_their_instant(begin):
     assert loop.effects_[0].parameters["instant"] == pytest.approx(begin, abs=0.2)
 
 
-@pytest.mark.parametrize("begin", one_in(2, [14.0, 9.0]))
-def test_temporary_payloads_are_not_named(begin):
-    middle = 0.5 * (begin + SEARCHED)
-    assert names(discover(lambda r: load(r, begin, middle), ["payload"])) == []
+@pytest.mark.parametrize("times", one_in(2, [(5.0, 11.5), (14.0, 16.0)]))
+def test_payloads_that_are_put_down_again_are_found(times):
+    begin, end = times
+    loop = discover(lambda r: 3.0 * load(r, begin, end), ["payload"])
+    assert names(loop) == ["payload"]
+    found = loop.effects_[0].parameters
+    assert found["instant"] == pytest.approx(begin, abs=0.2)
+    assert found["until"] == pytest.approx(end, abs=0.2)
+    assert loop.error_after_[0] < 0.01
 
 
 @pytest.mark.slow

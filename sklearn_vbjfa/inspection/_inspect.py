@@ -81,7 +81,8 @@ TABLE = (
     Hypothesis("motion_as_torque", "error", torques.motion_as_torque, when="first"),
     Hypothesis("unsigned_torque", "error", torques.unsigned, when="first"),
     # -- positions and time
-    Hypothesis("position_unit", "error", positions.units, "turns"),
+    Hypothesis("position_unit", "error", positions.units, "turns",
+               surpasses="invented"),
     Hypothesis("position_unit:gear", "warning", positions.gear_factor, "turns",
                surpasses="invented springs"),
     Hypothesis("position_zeros", "error", partial(positions.zeros, few=False),

@@ -154,18 +154,21 @@ class DescribedRobot:
     @functools.cached_property
     def invented(self):
         """Log odds of inaccurate (invented) inertias against the described ones."""
-        return self._prior_odds(number.INVENTED)
+        # A link without mass may be a body that the description lacks.
+        missing = self.bodies.parameters[::10] <= 0
+        return self._prior_odds(missing, number.INVENTED)
 
     @functools.cached_property
     def loaded(self):
         """Log odds of invented inertias, or of a load, against the described ones."""
-        spread = self.bodies.prior_std.reshape(-1, 10)
-        ratio = np.where(self.bodies.leaf[:, None], spread.max(axis=0), spread) / spread
-        return max(self.invented, self._prior_odds(ratio.ravel()))
+        return max(self.invented, self._prior_odds(self.bodies.leaf, 1.0))
 
-    def _prior_odds(self, spread):
+    def _prior_odds(self, unknown, factor):
         """Return the log odds, at least zero, of a wider prior of the bodies."""
-        return max(0.0, self.fit(spread=spread).evidence - self.baseline.evidence)
+        # That of some (nv,) is as wide as the widest, that of others by a factor wider.
+        spread = self.bodies.prior_std.reshape(-1, 10)
+        ratio = np.where(unknown[:, None], spread.max(axis=0) / spread, factor).ravel()
+        return max(0.0, self.fit(spread=ratio).evidence - self.baseline.evidence)
 
     def spring_evidence(self, joints, turns=False):
         """Return the evidence for springs and, with turns, for counterbalances."""

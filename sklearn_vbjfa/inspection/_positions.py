@@ -125,7 +125,8 @@ def _fit_shared_torques(reading, change, j, i):
         columns = *axis, robot.described[:, joint], robot.signals.tau[:, other]
         size = np.sqrt((robot.signals.tau[:, joint] ** 2).mean())
         for k, x in enumerate(columns, start=first):
-            torques[:, joint, k] = size * x / np.sqrt((x**2).mean())
+            # A link without mass has no described torque.
+            torques[:, joint, k] = size * x / (np.sqrt((x**2).mean()) or 1.0)
     return robot.fit(columns=torques, deviation=number.WIDE)
 
 

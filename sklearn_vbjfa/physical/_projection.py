@@ -269,8 +269,9 @@ class Projection:
         if metric is not None:
             metric = check_metric(metric, n_features)
             rows = np.array([metric.visible_part(row)[0] for row in rows])
-        # The anchor is usually a plausible robot.
-        source = rows if anchor is None else anchor[None]
+        # The anchor is usually a plausible robot, but in the unit of a body that has
+        # next to no mass there, the pull would outweigh the metric.
+        source = rows if anchor is None else np.vstack([rows, anchor])
         mass_scale, length_scale = body_scales(source[:, bodies])
         if metric is None:
             # Parameters of a body in units of its scales, others in units of their

@@ -443,6 +443,14 @@ def test_faults_are_found_with_a_massless_body():
     assert "no body of the description has mass" in finding.message
 
 
+@pytest.mark.parametrize("axes", [("PX", "RZ"), ("RX", "RY", "RX")])
+def test_a_missing_body_is_no_fault(axes):
+    model = chain(*((f"{k}", axis, k) for k, axis in enumerate(axes)))
+    log = simulated(model)
+    model.inertias[len(axes)] = pin.Inertia.Zero()
+    assert not [x for x in inspect_channels(model, *log) if x.severity != "note"]
+
+
 def test_two_clocks_of_different_speed(log):
     recording = log[0]
     t = recording.dt * np.arange(recording.n_samples)

@@ -167,6 +167,13 @@ def test_a_body_without_mass_is_given_none(way):
     assert way != "prior" or robot.theta_std_[0] > 0.1
 
 
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_body_that_the_description_lacks_is_identified(recording, joint):
+    robot = fitted(scaled(a_robot(), 0.0, joint), recording, bodies="free")
+    change = robot.theta_.reshape(3, -1)[:, 10:] - [0.5, 0.8, 0.3, 0.05]
+    assert (np.abs(change) < 3 * robot.theta_std_.reshape(3, -1)[:, 10:]).all()
+
+
 def test_a_description_without_masses_leaves_the_bodies_free(recording):
     prior = fitted(scaled(a_robot(), 0.0), recording)
     free = fitted(scaled(a_robot(), 0.0), recording, bodies="free")

@@ -196,7 +196,7 @@ class Problem:
     def _key(self, effects):
         """Return a cache key of columns: all that they depend on except the load."""
         joints = effects[0].acts_on(self.view.nv)
-        uses = ((type(e), e.joint, *sorted(e.shape().items())) for e in effects)
+        uses = ((type(e), *sorted(e.get_params(deep=False).items())) for e in effects)
         return *self.view.gains[joints], *self.torque[joints], *uses
 
     def shapes(self, effect, first=False):

@@ -376,6 +376,14 @@ def test_overdispersion_of_intermittent_effects(fitted):
     assert fitted.overdispersion(own, 0, coef, stub_of(slow)).ratio > 3.0 * white.ratio
 
 
+def test_columns_of_a_payload_depend_on_its_centre(fitted):
+    centres = [(0.0, 0.0, 0.0), (0.1, 0.2, 0.3)]
+    first, second = (
+        fitted.problem.columns([Payload(1, instant=9.0, centre=x)]) for x in centres
+    )
+    assert np.abs(first.values - second.values).max() > 0
+
+
 @pytest.mark.parametrize(
     ("effect", "used"), [(Drift(1), 2), (Payload(1, instant=9.0), 1)], ids=["D", "P"]
 )

@@ -33,6 +33,7 @@ from sklearn_vbjfa.effects import Sudden, TorqueGain, declarable, resolve
 from sklearn_vbjfa.equations._plan import check_effects, check_weight
 from sklearn_vbjfa.equations._repetition import find_repetition
 from sklearn_vbjfa.fit._arguments import check_rows_suffice, checked_arrays
+from sklearn_vbjfa.fit._gains import PAYLOAD
 from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.fit._signs import signed
 from sklearn_vbjfa.inspection import common_lag, refusal
@@ -343,8 +344,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         searched = thinned.searched(whole)
         result = self._search(searched, silent, keywords, library)
         sudden = [e for e in result.effects if isinstance(e, Sudden)]
-        if any(t in begins for e in sudden for t, _ in e.changes):
-            # A change between recordings would depend on their order.
+        masses = self.identifier.fit_options.known_masses or ()
+        changes = [t for e in sudden for t, _ in e.changes]
+        if PAYLOAD not in masses and any(t in begins for t in changes):
+            # A change between recordings would depend on their order. A payload of
+            # known mass is expected, and its sign is not used.
             library = [e for e in library if not isinstance(e, Sudden)]
             result = self._search(searched, silent, keywords, library)
         say("held-out judgement")

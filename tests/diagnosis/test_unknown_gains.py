@@ -36,7 +36,7 @@ def recording():
 PAYLOAD = Payload(joint=NV - 1, instant=PICKED, centre=tuple(CENTRE))
 
 
-def discover(recording, masses, effects, declared=(PAYLOAD,)):
+def discover(recording, masses, effects, declared=(PAYLOAD,), groups=None):
     model, X, y = recording
     robot = RobotIdentifier(
         model,
@@ -48,7 +48,7 @@ def discover(recording, masses, effects, declared=(PAYLOAD,)):
         friction=("viscous",),
     )
     loop = EffectDiscovery(robot, effects=effects, random_state=0)
-    return loop.fit(X, y)
+    return loop.fit(X, y, groups)
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +100,16 @@ def test_a_discovered_payload_fixes_the_common_gain(recording):
     low, high = by_name["spring"].intervals["k"]
     assert low - (high - low) < STIFFNESS < high + (high - low)
     assert "follows from the payload of 1.5 kg" in text_of(loop.report_)
+
+
+def test_a_known_payload_may_change_between_recordings(recording):
+    groups = np.arange(len(recording[2])) * DT >= PICKED
+    effects = ["payload", "spring"]
+    loop = discover(recording, {"payload": MASS}, effects, (), groups)
+    assert_allclose(loop.identifier_.gains_.gain, GAINS, rtol=0.03)
+    assert loop.report_.outcome.findings["contradictions"] == ()
+    # Without the mass, the change is a difference between recordings.
+    assert discover(recording, None, effects, (), groups).effects_ == ()
 
 
 def test_reference_channel_is_kept_and_gains_are_not_searched(recording, absolute):

@@ -10,7 +10,8 @@ from scipy import integrate
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.fit import DESCRIBED, BodyPrior, around, little_learned
 from sklearn_vbjfa.model import DoubtWarning
-from tests.effects._arms import inverse_dynamics, motion
+from tests.effects._arms import arm, inverse_dynamics, motion
+from tests.robot import EXACT
 
 TERMS = ("viscous", "coulomb", "offset", "rotor_inertia")
 DT = 0.01
@@ -172,6 +173,17 @@ def test_a_body_that_the_description_lacks_is_identified(recording, joint):
     robot = fitted(scaled(a_robot(), 0.0, joint), recording, bodies="free")
     change = robot.theta_.reshape(3, -1)[:, 10:] - [0.5, 0.8, 0.3, 0.05]
     assert (np.abs(change) < 3 * robot.theta_std_.reshape(3, -1)[:, 10:]).all()
+
+
+def test_projection_with_axes_that_are_parallel_within_rounding():
+    model, (_, states) = arm("YY"), motion(2, duration=8.0, dt=DT, seed=1, top=0.6)
+    for placement in model.jointPlacements:
+        placement.rotation = pin.exp3(1e-9 * np.array([1.0, -1.0, 1.0]))
+    tau = inverse_dynamics(model, states)
+    tau += 0.01 * tau.std(axis=0) * np.random.default_rng(0).normal(size=tau.shape)
+    settings = {**EXACT, "projector": "default", "bodies": "free"}
+    robot = RobotIdentifier(model, dt=DT, **settings).fit(states, tau)
+    assert (robot.residuals(states, tau).normalised_error() < 0.02).all()
 
 
 def test_a_description_without_masses_leaves_the_bodies_free(recording):

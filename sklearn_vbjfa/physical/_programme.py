@@ -27,8 +27,8 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
 _RESOLUTION = 1e-7
 # Weight of the pull to the anchor, relative to the largest diagonal entry of the metric
 # in scaled units. Consistency couples the null space of the metric with its complement:
-# a weaker pull lowers the distance slightly, at masses further from the anchor's.
-_ANCHOR_WEIGHT = 1e-8
+# a pull must cost little in units of the noise, whose largest entries are about 1e9.
+_ANCHOR_WEIGHT = 1e-10
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -121,8 +121,6 @@ def _guessed_layout(n_features):
 # Largest ratio of the part of a vector in the metric's null space to the other part
 # before it counts as rounding; for a plausible robot both are of the same order.
 _HIDDEN_LIMIT = 100.0
-# Minimum unit of mass of a body, relative to the mean of all bodies.
-_MIN_SHARE = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,12 +269,13 @@ class Projection:
         if metric is not None:
             metric = check_metric(metric, n_features)
             rows = np.array([metric.visible_part(row)[0] for row in rows])
-        # The anchor is usually a plausible robot, but in the unit of a body that has
-        # next to no mass there, the pull would outweigh the metric.
+        # The anchor is usually a plausible robot. A light body of it may be far heavier
+        # in truth: in its unit, the pull would outweigh the metric.
         source = rows if anchor is None else anchor[None]
         mass_scale, length_scale = body_scales(source[:, bodies])
-        least = _MIN_SHARE * mass_scale.sum() / max(mass_scale.size, 1)
-        mass_scale = np.maximum(mass_scale, least)
+        if anchor is not None:
+            mean = mass_scale.sum() / max(mass_scale.size, 1)
+            mass_scale = np.maximum(mass_scale, mean)
         if metric is None:
             # Parameters of a body in units of its scales, others in units of their
             # root mean square, 1 for zeros.

@@ -61,7 +61,7 @@ def test_free_columns_keep_their_sign():
     assert (result[kept] >= 0).all()
 
 
-def pull_of_the_anchor(A, rank, weight=1e-8):
+def pull_of_the_anchor(A, rank, weight=1e-10):
     """Matrix of the pull on what a metric of given rank does not see; None is all.
 
     Written down from the documentation, for bodies in units of their own.

@@ -16,9 +16,9 @@ STEP_SHARES = (1.0, 0.5, 0.25)
 # Finite-difference step over the distance of the neighbouring grid points: of smooth
 # columns, and of columns that change in single rows.
 _DERIVATIVE, _COARSE = 0.01, 0.1
-# Instants of a jump per refinement, within this share of the grid spacing on both
+# Instants of a jump per refinement, first within this share of the grid spacing on both
 # sides.
-_INSTANTS, _AROUND = 9, 0.1
+_INSTANTS, _AROUND = 9, 0.5
 # Number of instants of a jump that are compared; how often each of its two times is
 # located given the other.
 _JUMPS, _EXCHANGES = 5, 2
@@ -299,7 +299,7 @@ def refine_instant(effects, evidence, motion, name="instant"):
     if grid.size > 1:
         step = _AROUND * np.diff(grid).max()
         low, high = value - step, value + step
-        for _ in range(2):
+        for _ in range(3):
             trials = np.linspace(low, high, _INSTANTS)
             instants = _representative_instants(motion, gaps, trials)
             tried = [clone(estimate).set_params(**{name: float(s)}) for s in instants]

@@ -33,8 +33,6 @@ def one_blas_thread():
         _held.release()
 
 
-# -- progress --------------------------------------------------------------------------
-
 # The progress line, if any. Other threads have no line: their caller shows progress.
 _LINE = contextvars.ContextVar("sklearn_vbjfa_line", default=None)
 

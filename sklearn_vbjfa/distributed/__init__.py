@@ -171,9 +171,6 @@ def _paths(source):
     return paths
 
 
-# -- one file, on a worker -------------------------------------------------------------
-
-
 def _read(path, *, dt, urdf, names):
     recording = read_recording(path, dt=dt, urdf=urdf)
     try:

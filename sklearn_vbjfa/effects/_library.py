@@ -106,8 +106,6 @@ def _resolve_one(effect):
     )
 
 
-# -- declared effects: one column for each joint --------------------------------------
-
 _DECLARED = {
     e.name: e for e in resolve(["viscous", "coulomb", "offset", "rotor_inertia"])
 }

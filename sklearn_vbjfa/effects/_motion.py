@@ -154,9 +154,6 @@ class Motion:
         return out
 
 
-# -- functions and signals of laws ---------------------------------------------------
-
-
 class Arrays:
     """Mathematical functions of arrays (n,) for `Effect.law`."""
 

@@ -210,8 +210,6 @@ def check_gains(gains, joint_names):
         )
 
 
-# -- common gain from known masses -----------------------------------------------------
-
 PAYLOAD = "payload"
 
 

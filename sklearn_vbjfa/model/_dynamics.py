@@ -168,9 +168,6 @@ class CorrectedModel:
         self.gains[joint] *= gain
 
 
-# -- regressors ------------------------------------------------------------------------
-
-
 def rounding_entries(power):
     """Return which entries (nv, nv, k) of the regressors are rounding errors."""
     # power: mean or summed squares by torque, body, parameter (k >= 10). If a torque

@@ -138,9 +138,6 @@ def check_sample_weight(sample_weight, X):
     return weight
 
 
-# -- input noise as the user gives it --------------------------------------------------
-
-
 def resolve_input_noise(input_noise, n_features):
     """Validate the user's input noise; return None, a fraction, (d,) or (d, d)."""
     if input_noise is None:

@@ -57,8 +57,6 @@ class ForwardDynamics:
         self._remembers = bool(terms.has_memory.any())
         self.start(np.zeros(self.n_joints))
 
-    # -- changes with time and with past motion ----------------------------------------
-
     def start(self, q):
         """Begin a motion at positions q (nv,), with the memory of a joint at rest."""
         self._table = table = self.terms.table(q)
@@ -79,8 +77,6 @@ class ForwardDynamics:
         """Update the memory to a state q, v (nv,), reached without a reversal."""
         if self._remembers:
             self.compiled.remember(*self._term_arrays, q, v)
-
-    # -- accelerations -----------------------------------------------------------------
 
     def _set(self, values, mass):
         self.values, self.solution, self.mass = values, StateSolution(*values), mass

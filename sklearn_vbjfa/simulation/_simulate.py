@@ -125,9 +125,6 @@ def _diverged(robot, motion, time, row, joint, updates):
     )
 
 
-# -- checks of the input ---------------------------------------------------------------
-
-
 def _checked(robot, name, values, shape):
     """Return validated values of all joints, in one or many rows."""
     values = np.array(values, dtype=float)

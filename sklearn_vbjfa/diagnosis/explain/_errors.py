@@ -103,9 +103,6 @@ def held_out_errors(loop, search, split, thinned, whole):
     }
 
 
-# -- intervals -------------------------------------------------------------------------
-
-
 def error_intervals(held_out, searched, spread, step):
     """Return 90 % intervals (2, nv) of the next motion's error and its change."""
     # held_out, searched: pairs of residuals, before and after. An error is a mean over

@@ -93,8 +93,6 @@ class FinalFit:
         pairs = zip(self._columns, self._effect_coefs(theta))
         return sum((columns @ coef for columns, coef in pairs), declared)
 
-    # -- estimates of the effects ------------------------------------------------------
-
     @functools.cached_property
     def effect_estimates(self):
         """Estimates of the effects, a list of `EffectEstimate`."""

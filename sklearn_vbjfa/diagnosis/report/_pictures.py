@@ -81,9 +81,6 @@ class Plot:
         return f"Cut off: values to {' and '.join(texts)}." if texts else ""
 
 
-# -- the figures of an outcome ---------------------------------------------------------
-
-
 def torques(outcome, curves):
     """Draw measured and predicted torque over time, and both residuals below."""
     joint, seconds = outcome.errors[curves.joint], curves.seconds
@@ -144,9 +141,6 @@ def residuals(outcome, curves):
             ("floor", "white noise, 90 %"),
         ),
     )
-
-
-# -- axes -------------------------------------------------------------------------
 
 
 def ticks(low, high):

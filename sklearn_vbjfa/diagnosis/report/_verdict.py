@@ -172,9 +172,6 @@ def _mean_errors(outcome):
     }
 
 
-# -- uses ------------------------------------------------------------------------------
-
-
 def _uses(outcome, status, joints):
     """Decide on the uses of an outcome, a tuple of `Use`; reasons are codes."""
     overall = "faulty" if status == "faulty" else ""

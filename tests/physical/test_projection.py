@@ -128,16 +128,16 @@ def test_consistent_vector_comes_back_bit_for_bit(seed, constraint):
     np.testing.assert_array_equal(result, theta)
 
 
-@pytest.mark.parametrize("seed", [1, 3, 7])
+@pytest.mark.parametrize("seed", [1, 3, 10])
 def test_a_nearly_massless_anchor_does_not_outweigh_the_metric(seed):
     rng = np.random.default_rng(seed)
     theta, anchor = inconsistent_robot(rng, 3), robot(rng, 3)
-    A, distances = metric(rng, theta.size, 1e3, 20), []
+    A, distances = metric(rng, theta.size, 1e7, 20), []
     for factor in (1.0, 1e-3):
         anchor[11:21] *= factor
         change = project(theta, A, anchor=anchor) - theta
         distances.append(change @ A @ change)
-    assert distances[1] == pytest.approx(distances[0], rel=1e-3, abs=1e-6)
+    assert distances[1] == pytest.approx(distances[0], rel=1e-3)
 
 
 def test_rounding_of_a_singular_regression_is_dropped_with_a_warning():

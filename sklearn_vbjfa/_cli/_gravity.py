@@ -7,7 +7,7 @@ import numpy as np
 
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import _input
-from sklearn_vbjfa._cli._parser import shell_line
+from sklearn_vbjfa._cli._parser import Refused, option_of, shell_line
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Result, render_template
 from sklearn_vbjfa.model import joint_names, load_model
@@ -19,6 +19,11 @@ def correct(arguments, folder):
 
     from sklearn_vbjfa.gravity import correct_gravity
 
+    unused = {"friction", "bodies", "known_mass", "effects", "no_search", "ranges"}
+    unused |= {"gain"} if arguments.gain == "unknown" else set()
+    if unused := dict.fromkeys(sorted(unused & set(arguments.typed))):
+        names = ", ".join(map(option_of, unused))
+        raise Refused(f"--for gravity finds only masses; leave out {names}", **unused)
     out = _input.output_folder(arguments, "report")
     recording, urdf, _ = _input.load(arguments, folder)
     with _input.naming_input(arguments, urdf, arguments.joints, arguments.gain):
@@ -28,9 +33,9 @@ def correct(arguments, folder):
     words += [] if enough is None else ["--poses", str(max(enough, 1))]
     loaded = result.gravity > 0
     failed = loaded & (result.error_after >= result.gravity)
-    # Friction holds a joint whose gravity torque is smaller.
+    # Friction, if known, holds a joint whose gravity torque is smaller.
     held = np.maximum(result.gravity_before, result.gravity) < result.friction
-    unchecked = failed & held & (failed < loaded).any()
+    unchecked = failed & held & result.friction_known & (failed < loaded).any()
     failed &= ~unchecked
     friction = np.where(result.friction_known, "known", "assumed (one direction)")
     joints = pd.DataFrame(
@@ -55,7 +60,7 @@ def correct(arguments, folder):
         "poses_enough": enough,
         "command": shell_line("design", *words),
     }
-    doubts = []
+    doubts = [x.message for x in result.findings if x.severity == "warning"]
     if not np.nansum(result.error_after**2) < np.nansum(result.error_before**2):
         doubts.append("held-out samples do not improve: use the description")
     if failed.any():

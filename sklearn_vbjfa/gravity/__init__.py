@@ -14,8 +14,9 @@ from sklearn_vbjfa.equations import RigidBodyFeatures
 from sklearn_vbjfa.fit import FitOptions, RobotIdentifier
 from sklearn_vbjfa.fit._bodies import DESCRIBED, BodyPrior
 from sklearn_vbjfa.fit._estimate import apply_description
-from sklearn_vbjfa.inspection import inspect_recording
-from sklearn_vbjfa.model import import_pinocchio, nominal_parameters, position_range
+from sklearn_vbjfa.inspection import Signals, inspect_as, refusal
+from sklearn_vbjfa.model import DoubtWarning, import_pinocchio, nominal_parameters
+from sklearn_vbjfa.model._trees import position_range
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
@@ -64,12 +65,13 @@ def correct_gravity(recording, model):
         - ``friction_known`` (nv,): joints that moved in both directions, see Notes;
         - ``friction`` (nv,): dry friction; if unknown, the offset or the noise;
         - ``payload``: mass of a payload at the last link and its standard deviation
-          [kg], if it explains the torques as well as the corrected links; or None.
+          [kg], if it explains the torques as well as the corrected links; or None;
+        - ``findings``: faults of the channels, as of `inspect_recording`.
 
     Raises
     ------
     ValueError
-        If poses, weight in the torques, or masses in the description are missing.
+        If poses or masses in the description are missing, or a channel is wrong.
 
     Notes
     -----
@@ -85,10 +87,11 @@ def correct_gravity(recording, model):
     """
     features, q, rows, described = _described_robot(model)
     states, tau, weight = samples = static_samples(recording, features)
-    for item in inspect_recording(recording, model):
-        # A single joint of several without gravity torque probably has a spring.
-        if item.kind == "no_gravity" and not len(item.joints) == 1 < features.n_joints_:
-            raise ValueError(item.message)
+    sign, row = np.sign(np.split(states, 3, axis=1)[1]), np.arange(len(tau))
+    poses = states, sign, tau, 0.0 * tau, 1.0 * weight, 1.0 * weight, row, 0 * row
+    findings = inspect_as(recording, model, poses=Signals(*poses, few=_MIN_SAMPLES))
+    if fault := refusal(findings, recording.torque_units):
+        raise fault
     squares = np.zeros((2, *tau.shape))
     with warnings.catch_warnings():  # of few rows, and without a filter
         warnings.simplefilter("ignore", UserWarning)
@@ -104,6 +107,10 @@ def correct_gravity(recording, model):
     _restore_inertias(robot, bodies)
     covariance, gravity = _covariance(robot), _rms(robot.robot_.gravity(q))
     loaded = gravity > 1e-6 * gravity.max()
+    # Joints without gravity torque need not move.
+    findings = [x for x in findings if x.kind != "still_joint" or loaded[x.joints[0]]]
+    for text in (x.message for x in findings if x.severity == "warning"):
+        warnings.warn(text, DoubtWarning, stacklevel=2)
     noise = np.maximum(robot.output_noise_, 1e-9 * gravity.max())
     stds = [std for _, std in islice(_best_poses(rows, covariance, noise), _LIMIT + 1)]
     half_width = HALF_WIDTH * np.array(stds)
@@ -128,6 +135,7 @@ def correct_gravity(recording, model):
         friction_known=known,
         friction=np.where(known, coulomb, np.maximum(offset, robot.output_noise_)),
         payload=_payload(robot, bodies),
+        findings=findings,
     )
 
 

@@ -15,7 +15,7 @@ _MODULES = {
     ),
     "_motion": ("JointMotion", "motion_of", "one_speed"),
     "_rows": ("at_rest", "disorder"),
-    "_reading": ("Reading",),
+    "_reading": ("Reading", "Signals"),
     "_sentences": ("finding",),
     "_torques": ("most_explaining", "signed_columns"),
 }

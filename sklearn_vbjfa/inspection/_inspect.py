@@ -114,10 +114,10 @@ TABLE = (
     Hypothesis("silent_torque", "error", torques.silent_torque, "measured"),
     # -- scene
     Hypothesis("no_gravity", "error", scene.weightless, "weighs"),
-    Hypothesis("gravity_only", "error", scene.gravity_only, "weighs"),
+    Hypothesis("gravity_only", "error", scene.gravity_only, "weighs moves"),
     Hypothesis("base_orientation", "error", scene.base_orientation, "weighs"),
-    Hypothesis("external_force", "warning", scene.external_force, "measured", "poor"),
-    Hypothesis("delay", "note", scene.torque_lag, "measured", "last"),
+    Hypothesis("external_force", "warning", scene.external_force, "moves", "poor"),
+    Hypothesis("delay", "note", scene.torque_lag, "moves", "last"),
     Hypothesis("torque_unit", "warning", torques.beyond_limits, "measured", "last"),
     Hypothesis("other_robot", "warning", torques.other_robot, "measured poor",
                "nothing else"),
@@ -236,13 +236,14 @@ def inspect_channels(
     named=False,
     weight=None,
     feedback=None,
+    poses=None,
 ):
     """Inspect channels that are given as arrays; see `inspect_recording`."""
     # q, tau (n_samples, nv): as in `Recording`; tau may be a motor quantity.
     # drive, gains, bodies: as in `RobotIdentifier`. For commands, only the order of
     # magnitude is tested; if gains are identified, no scale of a torque is a fault; if
     # bodies are free, no common scale is. named: whether channels carry the joints'
-    # names; weight (n_samples, nv): zero for samples to ignore.
+    # names; weight (n_samples, nv): zero for samples to ignore; poses: static samples.
     model, dt = load_folded(model).still, check_dt(dt)
     # Column-major order, since channels are processed one by one.
     q, tau = (np.asarray(x, dtype=float, order="F") for x in (q, tau))
@@ -252,9 +253,11 @@ def inspect_channels(
             f"q and tau must both have shape (n_samples, {model.nv}), one column for "
             f"each of {', '.join(names)}; got {q.shape} and {tau.shape}."
         )
+    single = poses is not None and len(poses.row) == len(q)
+    groups = None if single else groups
     all_parts = contiguous_groups(groups, len(q))
-    shuffled = shuffled_rows(names, q, all_parts)
-    rows, parts = long_parts(len(q), groups)
+    shuffled = [] if single else shuffled_rows(names, q, all_parts)
+    rows, parts = long_parts(len(q), groups, 1 if single else number.MIN_SAMPLES)
     if shuffled or not parts:
         return findings_in_order(shuffled)
     if len(rows) < len(q):
@@ -263,9 +266,9 @@ def inspect_channels(
     if weight is not None:
         log.usable &= weight[rows] > 0
         log.counted &= log.usable.any(axis=1)
-    for check in CHECKS:
+    for check in () if single else CHECKS:
         check(log)
-    log.usable[:, log.still] = False
+    log.usable[:, log.still & (not single)] = False
     if "copied_position" in {x.kind for x in log.findings}:
         return findings_in_order(log.findings)
     q, tau, usable = log.q, log.tau, log.usable
@@ -275,7 +278,7 @@ def inspect_channels(
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
     settings = drive, named, feedback, gains
-    reading = Reading(model, names, q, tau, dt, parts, usable, *settings)
+    reading = Reading(model, names, q, tau, dt, parts, usable, *settings, poses=poses)
     recordings = recording_names(groups, [part.start for part in all_parts])
     is_long = [part.stop - part.start >= number.MIN_SAMPLES for part in all_parts]
     recordings = list(itertools.compress(recordings, is_long))

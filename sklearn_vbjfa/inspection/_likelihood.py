@@ -110,7 +110,7 @@ class DescribedRobot:
         size = signals.tau.var(axis=0)
         varies = size > number.LEAST_VARIANCE * size.max(initial=0.0)
         least = number.ROWS_PER_PARAMETER * np.array([x.size for x in bodies.used])
-        least = np.minimum(least, number.ENOUGH_ROWS)
+        least = np.minimum(least, min(number.ENOUGH_ROWS, 2 * signals.few))
         enough = np.array([rows.size for rows in self.rows]) >= least
         self.joints = np.flatnonzero(signals.informative() & varies & enough)
         self.regressor = bodies.regressor(signals.states) if X is None else X

@@ -6,6 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._reading import filter_signals, long_parts
+from sklearn_vbjfa.inspection._rows import still_joints
 from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
 
 
@@ -39,10 +40,10 @@ def motion_of(recording, model=None):
     if signals is None:
         return ()
     v = signals.states[:, model.nv : 2 * model.nv]
-    slides, motions = is_prismatic(model), []
+    slides, still, motions = is_prismatic(model), still_joints(q, parts), []
     for j, name in enumerate(joint_names(model)):
         low, high = q[:, j].min(), q[:, j].max()
-        moving = (signals.weight[:, j] > 0) & (low < high)
+        moving = (signals.weight[:, j] > 0) & ~still[j]
         speeds = v[moving, j]
         reversals = int((speeds[1:] * speeds[:-1] < 0).sum())
         shows, hides = _visible(speeds, reversals, high - low, slides[j])

@@ -28,14 +28,14 @@ SHIFTS = 3
 ANGLES = np.radians([-120, -80, -40, 40, 80, 120, 180])
 STEP_OF_ZERO, SLOPE = 0.5, 1e-4
 # Positions begin at zero within this share of their range. Least change of a zero that
-# is reported [rad], and that of few joints.
-AT_ZERO, LEAST_ZERO, FAR_ZERO = 1e-3, 0.05, 0.3
+# is reported [rad], and that of few joints, in a motion and from poses.
+AT_ZERO, LEAST_ZERO, FAR_ZERO, POSED_ZERO = 1e-3, 0.05, 0.3, 0.15
 # Signs of torques are tested below this relative error. A sign is rejected if friction
 # has negative power by this many standard errors.
 WORST, SIGMAS = 0.3, 5.0
 # Least common factor of all torques that is reported; that of a single torque, which
-# may be large since a geared rotor may exceed its link; and that of commands.
-SCALE, SINGLE, COMMANDED = 2.5, 20.0, 10.0
+# may be large since a geared rotor may exceed its link, and from poses; of commands.
+SCALE, SINGLE, POSED_SCALE, COMMANDED = 2.5, 20.0, 1.6, 10.0
 # Torques are in another unit if, in the median over joints, they exceed the limits of
 # the description this many times. Limits above the second value are placeholders.
 BEYOND_LIMITS, NO_LIMIT = 5.0, 1e6

@@ -215,7 +215,8 @@ def zeros(reading, few):
     offset, errors = refined(climb(reading, moves, step=step), rotary)
     if few:
         # Smaller corrections may be an effect, a different link, or not identifiable.
-        shown = rotary[np.abs(offset[rotary]) > np.maximum(number.FAR_ZERO, 3 * errors)]
+        least = number.POSED_ZERO if reading.poses else number.FAR_ZERO
+        shown = rotary[np.abs(offset[rotary]) > np.maximum(least, 3 * errors)]
         offset = np.where(np.isin(reading.every, shown), offset, 0.0)
         offset, _ = refined(Change(offset=offset), shown)
     offset = np.where(reading.slides, 0.0, (offset + np.pi) % (2 * np.pi) - np.pi)
@@ -393,7 +394,7 @@ def _too_fast(model):
 
 def _speeds(reading):
     """Return the 99.5 % quantile of each joint's speed, ndarray of shape (nv,)."""
-    width, q = number.SPEED_SAMPLES, reading.q
+    width, q = min(number.SPEED_SAMPLES, len(reading.q) - 1), reading.q
     travel = [np.abs(q[p][width:] - q[p][:-width]) for p in reading.parts]
     return np.quantile(np.concatenate(travel), 0.995, axis=0) / (width * reading.dt)
 
@@ -405,7 +406,7 @@ def implausible_speed(reading):
     is_slow = number.TOO_FAST * speed[j] < number.TOO_SLOW * limit[j]
     if speed[j] > limit[j]:
         kind, severity = "wrong_dt:fast", "error"
-    elif is_slow and dt >= number.LONG_PERIOD:
+    elif is_slow and not reading.poses and dt >= number.LONG_PERIOD:
         kind, severity = "wrong_dt:slow", "warning"  # it may be intentional
     else:
         return []

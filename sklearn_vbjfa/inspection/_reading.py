@@ -99,7 +99,7 @@ def times(nv, value, joints=None):
 # -- signals ---------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Signals:
     """Channels of a log, filtered and decimated."""
 
@@ -111,23 +111,25 @@ class Signals:
     throughout: np.ndarray  # (n, nv): 1 if so in the whole filter window, else 0
     row: np.ndarray  # (n,): row of the log at the centre of the filter
     recording: np.ndarray  # (n,): index of the recording
+    few: int = number.FEWEST_ROWS  # least number of rows of a joint
 
     def informative(self):
         """Return which joints have enough moving rows, ndarray (nv,) of bool."""
-        return self.weight.sum(axis=0) >= number.FEWEST_ROWS
+        return self.weight.sum(axis=0) >= self.few
 
     def subsample(self, n_rows):
         """Return every k-th row, about `n_rows` in all."""
         return self.select_rows(slice(None, None, max(1, len(self.row) // n_rows)))
 
     def select_rows(self, rows):
-        return Signals(**{x.name: getattr(self, x.name)[rows] for x in fields(self)})
+        arrays = (getattr(self, x.name)[rows] for x in fields(self)[:-1])
+        return Signals(*arrays, self.few)
 
 
-def long_parts(n, groups):
+def long_parts(n, groups, least=number.MIN_SAMPLES):
     """Rows of the recordings that are long enough, and the slice of each in them."""
     parts = contiguous_groups(groups, n)
-    return subsample([x for x in parts if x.stop - x.start >= number.MIN_SAMPLES], 1)
+    return subsample([x for x in parts if x.stop - x.start >= least], 1)
 
 
 def subsample(parts, k):
@@ -229,6 +231,7 @@ class Reading:
     feedback: np.ndarray | None = None  # as in `Recording`
     gains: object = None  # as in `RobotIdentifier`; None: torques have a known size
     alone: bool = False  # whether it is one of several recordings
+    poses: Signals | None = None  # poses and slow motion, in place of filtered rows
 
     def __post_init__(self):
         self.nv, self.every = self.model.nv, tuple(range(self.model.nv))
@@ -236,11 +239,13 @@ class Reading:
         # Whether the torques are computed from position commands.
         self.commanded = self.drive is not None and self.drive.uses_positions
         self.measured, self.turns = not self.commanded, not self.slides.all()
+        self.moves = self.measured and self.poses is None
 
     @functools.cached_property
     def signals(self):
         """Filtered signals; None if the log is too short."""
-        signals = filter_signals(self.q, self.tau, self.dt, self.parts, self.usable)
+        channels = self.q, self.tau, self.dt, self.parts, self.usable
+        signals = self.poses or filter_signals(*channels)
         n_rows = number.MOST_ENTRIES // (10 * self.nv**2)
         n_rows = int(np.clip(n_rows, number.LEAST_ROWS, number.MOST_ROWS))
         return None if signals is None else signals.subsample(n_rows)
@@ -332,7 +337,8 @@ class Reading:
             model = under_gravity(model, change.gravity)
         if change.lag:
             tau, usable = _shift_torques(tau, change.lag, self.parts, usable)
-        return replace(self, model=model, q=q, tau=tau, dt=dt, usable=usable)
+        after = replace(self, model=model, q=q, tau=tau, dt=dt, usable=usable)
+        return replace(after, poses=self.poses and change.signals(self.poses))
 
 
 def _loss(robot, signals, joints, tau):

@@ -123,8 +123,7 @@ SENTENCES = {
     "torque_unit": "All torques together are {factor:.3g} ({low:.2g} to {high:.2g}) "
     "times what the described masses require: they are motor currents or in another "
     "unit than N m{inside}, or the described masses are wrong. Give the factor to N m "
-    "(gains={gain:.3g}, times those given before){unknown}; if they are N m, use "
-    'bodies="free".',
+    "(gains={gain:.3g}, times those given before){unknown}; if they are N m, {free}.",
     "torque_unit:limits": "The torques of {who} reach {most:.3g} times the limits of "
     "the description, in the median: they are in another unit than N m or N, or the "
     "limits are wrong. Give the factors to N m (gains), or correct the limits.",

@@ -124,7 +124,8 @@ def common_scale(reading):
     units, robot = _matching_units(factor, error), reading.robot
     facts = {"factor": factor, "low": low, "high": high, "gain": 1 / factor}
     facts["inside"] = f" ({units} would be inside)" if units else ""
-    facts["unknown"] = ', or gains="unknown"' if reading.nv > 1 else ""
+    facts["unknown"] = ', or gains="unknown"' * (reading.nv > 1 and not reading.poses)
+    facts["free"] = "correct the description" if reading.poses else 'use bodies="free"'
     return Proposal(
         change=Change(torques=times(reading.nv, 1 / factor)),
         joints=reading.every,
@@ -151,7 +152,8 @@ def separate_scales(reading):
     without_each = [np.delete(logs, k) for k in range(logs.size)]
     medians = np.array([np.median(x) if x.size else 0.0 for x in without_each])
     off, single = logs - medians, np.log(number.SINGLE)
-    limits = np.where(shown[joints], 2 * np.log(number.SCALE), single)
+    least = number.POSED_SCALE if reading.poses else number.SCALE**2
+    limits = np.where(shown[joints], np.log(least), single)
     is_off = (off < -limits) | (off > limits) & positive[joints]
     required = np.where(np.abs(off) > single, -np.inf, number.CLEAR_OF_JOINT)
     outliers = list(zip(joints[is_off].tolist(), required[is_off]))
@@ -276,7 +278,7 @@ def computed_torque(reading):
 
 def motion_as_torque(reading):
     """Return torques that are positions, velocities or accelerations."""
-    if reading.signals is None:
+    if reading.signals is None or reading.poses:
         return None
     robot, nv, tau = reading.robot, reading.nv, reading.signals.tau
     for k, what in enumerate(("positions", "velocities", "accelerations")):

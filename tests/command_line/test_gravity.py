@@ -38,6 +38,13 @@ def test_poses_are_designed_and_a_log_of_them_corrects_the_description(
     columns |= {f"tau{k + 1}": x for k, x in enumerate(log.tau.T)}
     pd.DataFrame(columns).to_csv("log.csv", index=False)
     words = ["identify", "log.csv", "--urdf", "described.urdf", "--for", "gravity"]
+    for option in (["--gain", "unknown"], ["--bodies", "free"], ["--no-search"]):
+        assert main([*words, *option]) == 2
+        assert f"leave out {option[0]};" in capsys.readouterr().err
+    assert main([*words, "--gain", "10,10,10", "-o", "wrong"]) == 3
+    printed = capsys.readouterr().out
+    assert "Do not use for: gravity compensation (All torques together" in printed
+    assert "The poses are enough" not in printed
     assert main([*words, "-o", "out"]) == 0
     printed = capsys.readouterr().out
     assert re.search("joint1 .* no gravity torque", printed)

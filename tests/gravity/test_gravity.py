@@ -15,7 +15,7 @@ from _posed_arms import NOISE, STEP, Arm, gravity, pin, record, visit
 from sklearn_vbjfa import RigidBodyFeatures
 from sklearn_vbjfa.design import Clearance
 from sklearn_vbjfa.gravity import correct_gravity, gravity_poses, static_samples
-from sklearn_vbjfa.model import load_model
+from sklearn_vbjfa.model import DoubtWarning, load_model
 from tests.model._shaped import arm
 
 FRICTION = np.array([0.3, 1.2, 0.8])
@@ -107,6 +107,7 @@ def test_held_out_errors_decrease(found):
     assert found.friction_known.all()
     assert found.friction == pytest.approx(FRICTION, rel=0.1)
     assert found.payload is None
+    assert not found.findings
 
 
 def test_a_payload_that_the_description_lacks(world, tmp_path):
@@ -143,6 +144,24 @@ def test_poses_from_one_side_leave_friction_unknown(world):
     assert left < np.sqrt((found.error_before**2).mean())
 
 
+@pytest.mark.parametrize("factors", [[10.0, 10.0, 10.0], [1.0, 2.0, 1.0]])
+def test_factors_of_the_torques_are_warnings(world, factors):
+    wrong = replace(world.recording, tau=world.recording.tau * factors)
+    with pytest.warns(DoubtWarning, match="times what the described masses require"):
+        correct_gravity(wrong, world.described)
+
+
+def test_single_poses_show_a_sign_and_a_tilted_base(world):
+    q, tilted = OTHERS[:24], world.true.copy()
+    tilted.gravity.linear = 9.81 * np.array([0.0, -0.5, -np.sqrt(0.75)])
+    one_row = {"q": q, "groups": np.zeros(24, dtype=int), "dt": 5.0, "t": None}
+    torques = -gravity(world.true, q), gravity(tilted, q)
+    for tau, message in zip(torques, ("wrong sign", "30 degrees from the descr")):
+        poses = replace(world.recording, tau=tau, **one_row)
+        with pytest.raises(ValueError, match=message):
+            correct_gravity(poses, world.described)
+
+
 @pytest.mark.parametrize("masses", [[1.0, 1.0, 1.0], [1.0, 1.0, 1.4]])
 def test_torques_without_weight_are_refused(world, tmp_path, masses):
     # A controller takes off the described weight.
@@ -157,7 +176,8 @@ def test_torques_without_weight_are_refused(world, tmp_path, masses):
 def test_one_joint_with_a_counterbalance_is_not_refused(world):
     tau = world.recording.tau.copy()
     tau[:, 1] -= 1.3 * gravity(world.true, world.recording.q)[:, 1]
-    found = correct_gravity(replace(world.recording, tau=tau), world.described)
+    with pytest.warns(DoubtWarning, match="joint2 contain no weight"):
+        found = correct_gravity(replace(world.recording, tau=tau), world.described)
     assert found.error_after[2] < 0.5 * found.error_before[2]
     assert found.error_after[1] > found.gravity[1] > found.friction[1]
 

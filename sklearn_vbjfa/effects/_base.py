@@ -27,7 +27,7 @@ _BODIES = "the rigid-body dynamics"
 _NEEDS = {
     "time": ("t", "time stamps"),
     "bodies": ("rigid", _BODIES),
-    "last_body": ("last_body", _BODIES),
+    "end_bodies": ("end_bodies", _BODIES),
     "geometry": ("derivatives", _BODIES),
     "load": ("load", "the load, the torque of the rigid bodies"),
     "command": ("command", "the commands of a drive, or recorded torques"),

@@ -99,8 +99,8 @@ class Motion:
     parts: tuple = ()  # slices of the recordings; effects are reset between them
     prismatic: np.ndarray | None = None  # (nv,), bool
     rigid: Callable | None = None  # (q, v, a) -> torques (n, nv) of the rigid bodies
-    # () -> regressor of the last body's inertial parameters, (n, nv, 10)
-    last_body: Callable | None = None
+    # joint at the end of a branch -> regressor of its body, () -> (n, nv, 10)
+    end_bodies: Mapping | None = None
     # of the rigid-body torques by the geometry, `TorqueDerivatives`; see `InModel`
     derivatives: object | None = None
     bandwidth: float = np.inf  # highest frequency of the fit [Hz]

@@ -204,10 +204,10 @@ class Signal(Varied, OfSignals):
 
 
 class Payload(Sudden, OnAllJoints):
-    """The last body's mass and first moments change at an instant.
+    """Mass and first moments of the last body of a branch change at an instant.
 
     tau = Phi_n(q, v, a) (dm, dmcx, dmcy, dmcz, dI) for instant <= t < until, with the
-    columns of the last body's regressor: something was picked up or put down. It is
+    columns of that body's regressor: something was picked up or put down. It is
     modelled as a ball at its centre of mass c = dmc / dm, whose inertia in the body's
     frame is dm (c'c 1 - c c') + d 1: the first part follows from mass and moments, to
     first order around `centre`; d, about the centre, is a coefficient. Source: Khalil,
@@ -220,7 +220,7 @@ class Payload(Sudden, OnAllJoints):
     until : float, default=None
         Time at which the body is as before again [s]; None for never.
     centre : tuple of three floats, default=(0.0, 0.0, 0.0)
-        Centre of mass [m] in the last body's frame around which the inertia is
+        Centre of mass [m] in the body's frame around which the inertia is
         linearised.
     """
 
@@ -232,7 +232,7 @@ class Payload(Sudden, OnAllJoints):
     )
     coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
-    needs = ("last_body", "time")
+    needs = ("end_bodies", "time")
     record = "motion against gravity with and without payload"
     files = InFiles.nowhere("a change at an instant; the file has the robot before it")
 
@@ -247,22 +247,26 @@ class Payload(Sudden, OnAllJoints):
         return dict(zip(("instant", "until"), (t for t, _ in self.changes)))
 
     def applies(self, motion):
-        if self.joint != motion.n_joints - 1:
-            return "only the last body carries a payload"
-        return super().applies(motion)
+        missing = super().applies(motion)
+        if missing or self.joint in motion.end_bodies:
+            return missing
+        return "only the last body of a branch carries a payload"
 
     def columns(self, motion):
         carried = sum(sign * (motion.t >= t) for t, sign in self.changes)
-        columns = motion.last_body() @ _jacobian(np.asarray(self.centre, dtype=float))
+        columns = motion.end_bodies[self.joint]()
+        columns = columns @ _jacobian(np.asarray(self.centre, dtype=float))
         return columns * carried[:, None, None]
 
     def inertial(self, coef):
-        """Return the changes (10,) of the last body's inertial parameters."""
+        """Return the changes (10,) of the body's inertial parameters."""
         return _jacobian(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
 
     def simulated(self, table, *coef):
         change = self.inertial(coef)
-        table.payloads += [(float(t), sign * change) for t, sign in self.changes]
+        table.payloads += [
+            (float(t), self.joint, sign * change) for t, sign in self.changes
+        ]
         return True
 
     def linearised_at(self, coef):

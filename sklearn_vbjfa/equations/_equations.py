@@ -111,7 +111,10 @@ def make_motion(
         parts=tuple(parts),
         prismatic=np.asarray(is_prismatic(features.model_), dtype=bool),
         rigid=rigid,
-        last_body=functools.cache(lambda: features.last_body(states)),
+        end_bodies={
+            j: functools.cache(functools.partial(features.body, states, j))
+            for j in features.end_joints
+        },
         derivatives=derivatives,
         bandwidth=float(bandwidth),
         rest=rest,

@@ -24,7 +24,7 @@ from sklearn_vbjfa.model import (
     joint_names,
     load_folded,
 )
-from sklearn_vbjfa.model._dynamics import last_body_columns
+from sklearn_vbjfa.model._dynamics import body_columns
 from sklearn_vbjfa.model._mjcf import FollowingJoint
 from sklearn_vbjfa.model._trees import ChainJoint, Tree
 from sklearn_vbjfa.physical import INERTIAL_NAMES
@@ -83,7 +83,7 @@ class Follower(OnAllJoints):
         states = [rate * x[:, joints] for x in (motion.q, motion.v, motion.a)]
         states[0] += offset
         out = np.zeros((motion.q.shape[0], motion.n_joints, len(INERTIAL_NAMES)))
-        for joint, factor, body in zip(joints, rate, last_body_columns(tree, *states)):
+        for joint, factor, body in zip(joints, rate, body_columns(tree, *states)):
             out[:, joint] += factor * body
         return out
 
@@ -297,11 +297,18 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         out[:, self.declared_indices_.ravel()] = declared.reshape(len(out), -1)
         return out
 
-    def last_body(self, X):
-        """Columns of the last body, (n, nv, 10), of states (n, 3 nv)."""
+    @property
+    def end_joints(self):
+        """Joints at the end of a branch, list of int."""
+        return sorted(
+            {*range(self.n_joints_)} - {*describe(self.model_).parents.tolist()}
+        )
+
+    def body(self, X, joint):
+        """Columns of the body of a joint, (n, nv, 10), of states (n, 3 nv)."""
         tree, states = describe(self.model_), np.split(X, 3, axis=1)
-        columns = np.stack(last_body_columns(tree, *states), axis=1)
-        return columns * self._regressor.support[:, -1]
+        columns = np.stack(body_columns(tree, *states, joint), axis=1)
+        return columns * self._regressor.support[:, joint]
 
     def torques(self, q, v, a, inertial):
         """Rigid-body torques (n, nv) of bodies (nv, 10), without friction."""

@@ -256,11 +256,11 @@ def fill_rows(states, tree, indices, out):
     _kernel().fill(states, tree, indices, out)
 
 
-def last_body_columns(tree, q, v, a):
-    """Return the last body's columns (n, 10) in the torque of each joint of a tree."""
+def body_columns(tree, q, v, a, body=-1):
+    """Return a body's columns (n, 10) in the torque of each joint of a tree."""
     nv = tree.parents.size
     indices = np.full((nv, nv, 10), -1)
-    indices[:, -1] = np.arange(10 * nv).reshape(nv, 10)
+    indices[:, body] = np.arange(10 * nv).reshape(nv, 10)
     out = np.zeros((len(q), 10 * nv))
     fill_rows(np.hstack([q, v, a]), tree, indices, out)
     return np.split(out, nv, axis=1)

@@ -36,9 +36,9 @@ class ForwardDynamics:
         self.terms = terms = TermTable(robot)
         self.n_joints = robot.n_joints
         bodies_by_time = [(-np.inf, robot.bodies)]
-        for instant, change in terms.payloads:
+        for instant, joint, change in terms.payloads:
             bodies = bodies_by_time[-1][1].copy()
-            bodies[-1] += change
+            bodies[joint] += change
             bodies_by_time.append((instant, bodies))
         self._tree = concatenate_trees([describe(robot.model), *terms.trees])
         self._timed_bodies = []

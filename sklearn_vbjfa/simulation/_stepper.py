@@ -341,7 +341,9 @@ class _Rigid:
             carried = np.array(bodies, dtype=float)
             for effect, *coefs, _ in payloads:
                 for t, sign in effect.changes:
-                    carried[-1] += sign * (t <= instant) * effect.inertial(coefs[which])
+                    carried[effect.joint] += (
+                        sign * (t <= instant) * effect.inertial(coefs[which])
+                    )
             self._bodies.append(carried)
 
     def __call__(self, q, v, a, row):
@@ -376,7 +378,6 @@ class _RowLaw:
             torque=None if row.torque is None else np.array([row.torque]),
             prismatic=self._prismatic,
             rigid=self._rigid,
-            last_body=lambda: self._tree(q, v, a)[:, :, -1],
             rest=self._model.rest,
             since=self._model.since,
             signals={name: np.array([x]) for name, x in row.signals.items()},

@@ -67,7 +67,7 @@ class TermTable:
 
     # viscous, constant, dry, load_dry, armature (nv,): coefficients outside the table,
     # load_dry per load; inertia, coupling (nv, nv): see `TermArrays`; payloads:
-    # instants [s], and changes of the last body's parameters (10,); trees, following:
+    # instants [s], joints, changes of their bodies' parameters (10,); trees, following:
     # joints and bodies that follow others; since: first time of the fit [s]; left_out:
     # effects that are not simulated, with reasons.
 

@@ -55,7 +55,7 @@ def signals(prismatic=(False, False), scale=1.0, **changed):
             "load": LOAD,
             "prismatic": np.array(prismatic),
             "rigid": lambda q, v, a: inverse_dynamics(model, np.hstack([q, v, a])),
-            "last_body": lambda: last_body_regressor(model, X),
+            "end_bodies": {1: lambda: last_body_regressor(model, X)},
             "derivatives": Derivatives(model, X),
             "bandwidth": 5.0,
             "signals": RECORDED,

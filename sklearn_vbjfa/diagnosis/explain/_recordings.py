@@ -309,11 +309,11 @@ class _Deviations:
 
     def _cause(self, joints, unit):
         """Choose the cause of highest evidence (Schwarz); return values by joints."""
-        parts, trials, model = self._parts, [], self._parts.features.model_
+        parts, trials = self._parts, []
         for name, chosen in _CAUSES.items():
             trials.append((name, {j: self._columns[j][:, chosen] for j in joints}))
         # A payload on the last body of a branch acts on several joints.
-        for body in np.setdiff1d(np.arange(parts.nv), np.subtract(model.parents, 1)):
+        for body in parts.features.end_joints:
             indices = parts.features.n_parameters_ // parts.nv * body + np.arange(10)
             load = [np.equal.outer(np.r_[x, [-1] * 3], indices) for x in parts.columns]
             trials.append(("payload", dict(enumerate(map(np.float64, load)))))

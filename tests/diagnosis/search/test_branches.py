@@ -36,6 +36,17 @@ def two_arms():
     return recording, robot.fit(recording.q, recording.tau)
 
 
+def test_payload_at_the_end_of_a_branch(two_arms):
+    recording, robot = two_arms
+    added = robot.features_.body(recording.states, 6)[:, :, :4] @ [0.8, 0.0, 0.02, 0.08]
+    tau = recording.tau + added * (recording.t >= 12.0)[:, None]
+    loop = EffectDiscovery(robot, effects=["payload"], random_state=0)
+    (effect,) = loop.fit(recording.q, tau).effects_
+    assert effect.joint == 6
+    assert effect.parameters["dm"] == pytest.approx(0.8, rel=0.05)
+    assert effect.parameters["instant"] == pytest.approx(12.0, abs=0.1)
+
+
 def test_first_joint_of_each_branch(two_arms):
     model = two_arms[1].features_.model_
     chains = [{i - 1 for i in s if i > 0} for s in list(model.supports)[1:]]

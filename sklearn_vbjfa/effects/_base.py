@@ -142,8 +142,6 @@ class Effect(TransformerMixin, BaseEstimator):
     def __init__(self, joint=0):
         self.joint = joint
 
-    # -- defined by subclasses ----------------------------------------------------
-
     def law(self, maths):
         """Return the columns as a function of a state, or None if there is none.
 
@@ -257,8 +255,6 @@ class Effect(TransformerMixin, BaseEstimator):
         chosen = [value for value in shape.values() if isinstance(value, str) and value]
         label = cls.label or cls.name.replace("_", " ")
         return f"{label} ({', '.join(chosen)})" if chosen else label
-
-    # -- derived ------------------------------------------------------------------
 
     @classmethod
     @functools.cache
@@ -479,9 +475,7 @@ class OfTime(Effect):
 
 
 class Sudden(Shaped, OfTime):
-    """An effect from the shape parameter `instant` to `until`, without interval."""
-
-    # until: None if it is permanent
+    """An effect from `instant` to `until` (None: permanent), without intervals."""
 
     shape_units = (("instant", TIME), ("until", TIME))
     tuned = ("instant", "until")

@@ -12,8 +12,7 @@ from sklearn_vbjfa.effects._base import TIME, Converted, InFiles, Shaped, Statef
 _DELAYS = (0.001, 0.002, 0.004, 0.008, 0.016, 0.03)
 # Time constants to try, in units of 1 / (2 pi cut-off of the low-pass).
 _CONSTANTS = (0.2, 0.6, 1.8, 5.4)
-# Smallest time constant of a filter that is identifiable from samples, in sample
-# periods.
+# Smallest time constant of a filter that samples identify, in sample periods.
 _SMALLEST = 0.5
 # Largest bandwidth of the motion, as a share of the sample rate.
 _BANDWIDTH = 0.1

@@ -18,8 +18,7 @@ from sklearn_vbjfa.effects._base import (
 )
 from sklearn_vbjfa.effects._position import Spring
 
-# Ratios of the joint's own velocity in w to try: none, sum and difference, and others;
-# and ratios of springs.
+# Ratios of the joint's velocity in w to try: none, sum, difference; ratios of springs.
 _PLAIN, _RATIOS = (0.0, 1.0, -1.0), (0.5, 0.7, 1.4, 2.0)
 _RATIOS_OF_SPRINGS = (0.25, 0.5, 1.0, 2.0, 4.0)
 # Smallest speed at which simulations smooth the sign of w [rad/s or m/s].

@@ -81,8 +81,7 @@ class InModel(Effect):
     limit : float
         Values farther than this from the nominal ones are implausible.
     of_bodies : bool
-        Whether errors of the described bodies could imitate it, so that its values are
-        fitted with free bodies.
+        Whether errors of the bodies imitate it: its values are fitted with free bodies.
     precedence : int
         Of effects with equal columns, the one with the lowest precedence is reported.
     """

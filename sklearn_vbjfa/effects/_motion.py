@@ -72,8 +72,7 @@ def _mean_sign(v, width, noise):
         inside = np.abs(v) < width
         return np.divide(v, width, out=np.sign(v), where=inside)
     normal_mean = erf(v / (np.sqrt(2) * noise))
-    # An interval much narrower than the noise has no effect, and the difference of its
-    # ends would be a rounding error.
+    # For an interval much narrower than the noise, the difference is a rounding error.
     wide = width > _NARROW * noise
     w = np.where(wide, width, 1.0)
     interval_mean = (_mean_abs(v + w, noise) - _mean_abs(v - w, noise)) / (2 * w)

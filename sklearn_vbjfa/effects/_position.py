@@ -221,8 +221,7 @@ class Ripple(Shaped, Converted):
             return []
         revolute = not motion.prismatic[self.joint]
         longest, shortest = self._period_limits(reach, revolute)
-        # In the slowest fifth of the motion, the ripple must have a frequency below the
-        # low-pass.
+        # In the slowest fifth of the motion, its frequency must be below the low-pass.
         speed = np.abs(motion.v[:, self.joint])
         slow = np.quantile(speed[speed > 0.02 * motion.speed(self.joint)], 0.2)
         shortest = max(shortest, slow / motion.bandwidth)

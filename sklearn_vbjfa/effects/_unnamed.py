@@ -9,8 +9,7 @@ from sklearn_vbjfa.effects._friction import Stribeck, ViscousQuadratic
 from sklearn_vbjfa.effects._memory import MaxwellSlip
 from sklearn_vbjfa.effects._position import Ripple, Spring
 
-# Stribeck speeds as shares of the joint's largest speed, displacements and periods as
-# shares of its range.
+# Stribeck speeds over the largest speed; displacements and periods over the range.
 _SPEEDS = (0.05, 0.15, 0.4)
 _LOADED, _SLIPS = (1e-4, 0.01, 0.1), (0.001, 0.006, 0.035, 0.2)
 _PERIODS = (2.0, 1.0, 0.5)
@@ -31,8 +30,7 @@ class UnnamedTorque(Shaped, Stateful):
     weights : tuple of float, default=()
         Weights w_k of the terms, in the order of `parts`.
     reach, fast : float, default=1.0
-        Range [rad or m] and largest speed [rad/s or m/s] of the joint, which scale the
-        terms.
+        Range [rad or m] and largest speed [rad/s or m/s] of the joint.
     """
 
     name = "unnamed_torque"

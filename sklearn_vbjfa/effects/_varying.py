@@ -22,9 +22,9 @@ from sklearn_vbjfa.effects._motion import Floats, State
 _VARIED = {"coulomb": TORQUE, "offset": TORQUE, "viscous": VISCOSITY}
 # Time constants to try, as shares of the recording's length.
 _CONSTANTS = (0.1, 0.2, 0.4, 0.8, 3.0, 30.0)
-# Number of instants to try.
+# Number of instants to try; intervals begin and end at every fourth one.
 _INSTANTS, _INTERVALS = 20, 4
-# Largest distance of a payload's centre of mass from the last body's frame [m].
+# Largest distance of a payload's centre of mass from the body's frame [m].
 _FARTHEST = 1.0
 
 
@@ -140,8 +140,7 @@ class Signal(Varied, OfSignals):
     of : {"coulomb", "offset", "viscous"}, default="coulomb"
         What varies.
     reference : float, default=0.0
-        Value of the signal, in its own unit, around which it varies. A search uses the
-        mean over the recording.
+        Value of the signal, in its unit, around which it varies; its mean in a search.
     """
 
     name = "signal"
@@ -220,15 +219,14 @@ class Payload(Sudden, OnAllJoints):
     until : float, default=None
         Time at which the body is as before again [s]; None for never.
     centre : tuple of three floats, default=(0.0, 0.0, 0.0)
-        Centre of mass [m] in the body's frame around which the inertia is
-        linearised.
+        Centre of mass [m] in the body's frame where the inertia is linearised.
     """
 
     name = "payload"
     label = "change of payload"
     formula = (
         r"\Phi_n(q, v, a)\,\Delta\pi(dm, dmc_x, dmc_y, dmc_z, d) \quad"
-        r" \text{for}\ \mathrm{instant} \le t < \mathrm{until}"
+        r" \text{for}\ \mathrm{until} > t \ge \mathrm{instant}"
     )
     coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
@@ -247,10 +245,9 @@ class Payload(Sudden, OnAllJoints):
         return dict(zip(("instant", "until"), (t for t, _ in self.changes)))
 
     def applies(self, motion):
-        missing = super().applies(motion)
-        if missing or self.joint in motion.end_bodies:
-            return missing
-        return "only the last body of a branch carries a payload"
+        ends = motion.end_bodies or (self.joint,)
+        wrong = "" if self.joint in ends else "only the last body of a branch has one"
+        return super().applies(motion) or wrong
 
     def columns(self, motion):
         carried = sum(sign * (motion.t >= t) for t, sign in self.changes)
@@ -263,10 +260,8 @@ class Payload(Sudden, OnAllJoints):
         return _jacobian(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
 
     def simulated(self, table, *coef):
-        change = self.inertial(coef)
-        table.payloads += [
-            (float(t), self.joint, sign * change) for t, sign in self.changes
-        ]
+        for t, sign in self.changes:
+            table.payloads.append((float(t), self.joint, sign * self.inertial(coef)))
         return True
 
     def linearised_at(self, coef):
@@ -283,8 +278,7 @@ class Payload(Sudden, OnAllJoints):
         t, starts = motion.t, motion.later
         grid = np.linspace(t[0], t[-1], _INSTANTS + 2)[1:-1]
         # All instants between two recordings are equivalent to the second one's start.
-        starting_rows = np.searchsorted(t, starts)
-        between = np.isin(np.searchsorted(t, grid), starting_rows)
+        between = np.isin(np.searchsorted(t, grid), np.searchsorted(t, starts))
         instants = np.unique(np.concatenate([grid[~between], starts]))
         pairs = itertools.combinations(grid[1::_INTERVALS].tolist(), 2)
         intervals = [{"instant": begin, "until": end} for begin, end in pairs]

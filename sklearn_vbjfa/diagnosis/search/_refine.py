@@ -246,14 +246,11 @@ def jump(fit, effect, scale, near=False):
         place = int(np.argmax(evidence(pulses)))
         time = others[place]
         effects.append(pulses[place])
-    values = evidence(effects) - penalty * np.array([bool(e.until) for e in effects])
-    best = effects[int(np.argmax(values))]
-    if near:
-        return best
-    if best.until is None:
-        return refine_instant(effects, evidence, motion)
-    best = refine_instant([best], evidence, motion)
-    return refine_instant([best], evidence, motion, "until")
+    ends = np.array([e.until is not None for e in effects])
+    best = effects[int(np.argmax(evidence(effects) - penalty * ends))]
+    for name in () if near else best.shape():
+        best = refine_instant(best, evidence, motion, name)
+    return best
 
 
 def _instants(fit, effect, scale, apart=np.inf):
@@ -290,10 +287,9 @@ def _instants(fit, effect, scale, apart=np.inf):
     return best_effects
 
 
-def refine_instant(effects, evidence, motion, name="instant"):
-    """Refine the instant of a jump, or its end, around the best of several effects."""
-    values = evidence(effects)
-    estimate, best_value = effects[int(np.argmax(values))], float(values.max())
+def refine_instant(estimate, evidence, motion, name="instant"):
+    """Refine the instant of a jump, or its end."""
+    best_value = float(evidence([estimate])[0])
     grid = np.unique([shape["instant"] for shape in estimate.shapes(motion)])
     gaps, value = _gaps(motion), getattr(estimate, name)
     if grid.size > 1:

@@ -23,9 +23,7 @@ def test_bounds_are_neighbouring_grid_points():
 
 def refine(start, evidence, motion):
     """Refine an instant with a given evidence function."""
-    return refine_instant(
-        [start], lambda some: np.array([*map(evidence, some)]), motion
-    )
+    return refine_instant(start, lambda some: np.array([*map(evidence, some)]), motion)
 
 
 @pytest.mark.parametrize("name", ["stribeck", "ripple"])

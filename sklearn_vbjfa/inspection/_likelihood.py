@@ -197,8 +197,8 @@ class DescribedRobot:
     @property
     def sizes(self):
         """Standard deviation of each torque over that of the described one, (nv,)."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return self.signals.tau.std(axis=0) / self.described.std(axis=0)
+        described = self.described.std(axis=0)
+        return self.signals.tau.std(axis=0) / np.where(described > 0, described, np.nan)
 
     def fit(
         self,

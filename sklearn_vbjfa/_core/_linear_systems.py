@@ -192,9 +192,9 @@ def _eigen(A):
     """Eigenvalues, ascending, and vectors of a symmetric matrix (p, p)."""
     label = np.zeros(A.shape[0], dtype=int)
     if label.size >= _LARGE:
-        label = csgraph.connected_components(sparse.csr_array(A != 0), directed=False)[
-            1
-        ]
+        # Dense input would be validated as a masked array, which takes longer.
+        links = sparse.csr_array(A != 0)
+        label = csgraph.connected_components(links, directed=False)[1]
     rows = [np.flatnonzero(label == k) for k in range(label.max(initial=0) + 1)]
     pairs = [linalg.eigh(A[np.ix_(block, block)]) for block in rows]
     values, vectors = np.concatenate([w for w, _ in pairs]), np.empty(A.shape)

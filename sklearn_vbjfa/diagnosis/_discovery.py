@@ -343,12 +343,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         keywords = {"origin": whole.groups[thinned.rows], **timing}
         searched = thinned.searched(whole)
         result = self._search(searched, silent, keywords, library)
-        sudden = [e for e in result.effects if isinstance(e, Sudden)]
         masses = self.identifier.fit_options.known_masses or ()
-        changes = [t for e in sudden for t, _ in e.changes]
-        if PAYLOAD not in masses and any(t in begins for t in changes):
-            # A change between recordings would depend on their order. A payload of
-            # known mass is expected, and its sign is not used.
+        if PAYLOAD not in masses and set(result.changes) & set(begins):
+            # A change between recordings would depend on their order, except for that
+            # of a known mass, whose sign is not used.
             library = [e for e in library if not isinstance(e, Sudden)]
             result = self._search(searched, silent, keywords, library)
         say("held-out judgement")

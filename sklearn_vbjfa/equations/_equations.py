@@ -25,7 +25,12 @@ from sklearn_vbjfa.equations._joint_moments import (
 from sklearn_vbjfa.equations._plan import effect_indices, in_parallel
 from sklearn_vbjfa.equations._ranges import SignalRanges, clipped_motions
 from sklearn_vbjfa.equations._repetition import find_repetition
-from sklearn_vbjfa.model import TorqueDerivatives, is_prismatic, rounding_entries
+from sklearn_vbjfa.model import (
+    TorqueDerivatives,
+    end_joints,
+    is_prismatic,
+    rounding_entries,
+)
 
 # Periods of the state cut-off at each end in which the smoother is one-sided.
 _EDGE_PERIODS = 1.0
@@ -113,7 +118,7 @@ def make_motion(
         rigid=rigid,
         end_bodies={
             j: functools.cache(functools.partial(features.body, states, j))
-            for j in features.end_joints
+            for j in end_joints(features.model_)
         },
         derivatives=derivatives,
         bandwidth=float(bandwidth),

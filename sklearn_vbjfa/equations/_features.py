@@ -297,13 +297,6 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         out[:, self.declared_indices_.ravel()] = declared.reshape(len(out), -1)
         return out
 
-    @property
-    def end_joints(self):
-        """Joints at the end of a branch, list of int."""
-        return sorted(
-            {*range(self.n_joints_)} - {*describe(self.model_).parents.tolist()}
-        )
-
     def body(self, X, joint):
         """Columns of the body of a joint, (n, nv, 10), of states (n, 3 nv)."""
         tree, states = describe(self.model_), np.split(X, 3, axis=1)

@@ -15,8 +15,12 @@ from sklearn_vbjfa.fit import FitOptions, RobotIdentifier
 from sklearn_vbjfa.fit._bodies import DESCRIBED, BodyPrior
 from sklearn_vbjfa.fit._estimate import apply_description
 from sklearn_vbjfa.inspection import Signals, inspect_as, refusal
-from sklearn_vbjfa.model import DoubtWarning, import_pinocchio, nominal_parameters
-from sklearn_vbjfa.model._trees import position_range
+from sklearn_vbjfa.model import (
+    DoubtWarning,
+    import_pinocchio,
+    nominal_parameters,
+    position_range,
+)
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
 

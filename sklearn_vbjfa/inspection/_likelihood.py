@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.model import TreeRegressor, nominal_parameters
+from sklearn_vbjfa.model import TreeRegressor, end_joints, nominal_parameters
 
 
 def under_gravity(model, gravity):
@@ -33,7 +33,7 @@ class Bodies:
         support = np.any([x.support for x in self._parts], axis=0)
         self.used = [np.flatnonzero(row) for row in support.reshape(self.nv, -1)]
         # Leaves of the tree, which may carry a load.
-        self.leaf = ~np.isin(np.arange(1, self.nv + 1), list(model.parents))
+        self.leaf = np.isin(np.arange(self.nv), end_joints(model))
         # Whether no body has mass, so that torques cannot be compared.
         self.massless = bool(nominal[:, 0].max() <= 0)
 

@@ -25,6 +25,7 @@ _MODULES = {
     "_trees": (
         "body_names",
         "describe",
+        "end_joints",
         "import_pinocchio",
         "in_order",
         "is_prismatic",

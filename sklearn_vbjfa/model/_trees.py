@@ -55,6 +55,11 @@ def joint_names(model):
     return tuple(model.names)[1:]
 
 
+def end_joints(model):
+    """Joints at the end of a branch, list of int."""
+    return np.setdiff1d(np.arange(model.nv), np.subtract(model.parents, 1)).tolist()
+
+
 def body_names(model):
     """Names of the bodies that the joints move, in Pinocchio's order."""
     # Of links that are fixed to each other, the link next to the joint; the joint's

@@ -9,7 +9,6 @@ from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.diagnosis.explain._curves import residual_curves, torque_curves
 from sklearn_vbjfa.diagnosis.explain._gaps import memory_seconds
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
-from sklearn_vbjfa.effects import Sudden
 from sklearn_vbjfa.equations._equations import torque_spread
 
 # Duration of the motion for which errors are predicted [s].
@@ -33,9 +32,7 @@ def held_out_errors(loop, search, split, thinned, whole):
     completed, view, dt = loop.validation_model_, search.view, declared.dt
     # The correlation time may be infinite.
     guard = int(min(memory_seconds(search) / whole.dt, whole.n_samples))
-    sudden = (e for e in search.effects if isinstance(e, Sudden))
-    instants = [t for effect in sudden for t, _ in effect.changes]
-    guarded = split.without(whole.t, instants).with_guard(guard)
+    guarded = split.without(whole.t, search.changes).with_guard(guard)
     used, n_rows = view.root.any(axis=0), len(view.states)
 
     def residuals(part, rows):

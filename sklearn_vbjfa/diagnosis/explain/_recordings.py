@@ -9,6 +9,7 @@ from scipy import stats
 
 from sklearn_vbjfa._core._linear_systems import or_one, scaled_eigen
 from sklearn_vbjfa.effects import Coulomb, Offset, Viscous
+from sklearn_vbjfa.model import end_joints
 
 # Parts of a recording, between which the variation of a single robot is estimated.
 _PARTS = 3
@@ -313,7 +314,7 @@ class _Deviations:
         for name, chosen in _CAUSES.items():
             trials.append((name, {j: self._columns[j][:, chosen] for j in joints}))
         # A payload on the last body of a branch acts on several joints.
-        for body in parts.features.end_joints:
+        for body in end_joints(parts.features.model_):
             indices = parts.features.n_parameters_ // parts.nv * body + np.arange(10)
             load = [np.equal.outer(np.r_[x, [-1] * 3], indices) for x in parts.columns]
             trials.append(("payload", dict(enumerate(map(np.float64, load)))))

@@ -15,7 +15,7 @@ from sklearn_vbjfa.diagnosis.search._path import (
 )
 from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
-from sklearn_vbjfa.effects import Bank, Effect, InModel, Motion, OfChannel
+from sklearn_vbjfa.effects import Bank, Effect, InModel, Motion, OfChannel, Sudden
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,6 +133,12 @@ class SearchResult:
     def effects(self):
         """Effects of the most probable model, in the order of the findings."""
         return tuple(finding.effect for finding in self.findings)
+
+    @property
+    def changes(self):
+        """Times [s] at which effects of the model begin or end, list of float."""
+        sudden = (e for e in self.effects if isinstance(e, Sudden))
+        return [t for effect in sudden for t, _ in effect.changes]
 
 
 # Why a probable effect is not reported; `explain` has reasons from its values.

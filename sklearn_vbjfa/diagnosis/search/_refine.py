@@ -231,39 +231,44 @@ def jump(fit, effect, scale, near=False):
     def evidence(effects):
         return fit.groups(fit.problem.columns(effects)).evidence(scale)
 
-    permanent, motion = clone(effect).set_params(until=None), fit.problem.motion
-    effects = [effect, *_instants(fit, permanent, scale)]
-    best = effects[int(np.argmax(evidence(effects)))]
+    view, motion = fit.problem.view, fit.problem.motion
+    permanent = clone(effect).set_params(until=None)
+    started = clone(effect).set_params(instant=-np.inf, until=None)
+    rows = view.columns([started], motion)[:, :, 0]
+    effects = [effect, *_instants(fit, permanent, rows, scale)]
+    values = evidence(effects)
     # It may have ended, or begun, at another instant: each is located given the other.
-    time, penalty = best.instant, np.log(len(effect.shapes(motion)))
+    time = effects[int(np.argmax(values))].instant
+    penalty = np.log(len(effect.shapes(motion)))
+    values[0] -= penalty * (effect.until is not None)
     for _ in range(_EXCHANGES):
         columns = fit.problem.columns([clone(permanent).set_params(instant=time)])
         size = fit.groups(columns).best_scale(scale)[0]
         given = fit.with_member(columns.member(scale=float(size)))
-        others = [x.instant for x in _instants(given, permanent, scale, apart=time)]
-        pairs = [sorted((time, other)) for other in others]
+        others = _instants(given, permanent, rows, scale, apart=time)
+        pairs = [sorted((time, other.instant)) for other in others]
         pulses = [clone(effect).set_params(instant=a, until=b) for a, b in pairs]
-        place = int(np.argmax(evidence(pulses)))
-        time = others[place]
+        gains = evidence(pulses)
+        place = int(np.argmax(gains))
+        time = others[place].instant
         effects.append(pulses[place])
-    ends = np.array([e.until is not None for e in effects])
-    best = effects[int(np.argmax(evidence(effects) - penalty * ends))]
+        values = np.append(values, gains[place] - penalty)
+    best = effects[int(np.argmax(values))]
     for name in () if near else best.shape():
         best = refine_instant(best, evidence, motion, name)
     return best
 
 
-def _instants(fit, effect, scale, apart=np.inf):
+def _instants(fit, effect, columns, scale, apart=np.inf):
     """Return a jump at the most probable instants of all rows `apart` from one."""
-    # Products of its columns with the residual are cumulative sums over the rows after
-    # the jump; their Gram matrix is interpolated between the instants of the grid.
+    # columns (nj, m, k): of a jump before all rows. Products with the residual are
+    # cumulative sums over the rows after the jump; the Gram matrix is interpolated
+    # between the instants of the grid.
     view, motion = fit.problem.view, fit.problem.motion
     shapes = [e for e in fit.problem.shapes(effect) if e.until is None]
     shapes.sort(key=lambda e: e.instant)
     grid = np.array([e.instant for e in shapes])
     groups = fit.groups(fit.problem.columns(shapes))
-    started = clone(effect).set_params(instant=-np.inf)
-    columns = view.columns([started], motion)[:, :, 0]
     residual = fit.weighted_rows[effect.acts_on(view.nv)]
     products = np.einsum("jmk,jm->mk", columns, residual)
     after = np.cumsum(products[::-1], axis=0)[::-1]

@@ -1,7 +1,7 @@
 """False alarms and power of closing the loop where the residual is no white noise.
 
 Run ``python tests/benchmarks/bench_false_alarms.py [--joints 1 6] [--trials N]
-[--seed S] [--out FILE ...] [--write]``.
+[--effects N] [--seed S] [--out FILE ...] [--write]``.
 One joint (40 s at 50 Hz, viscous friction declared and there) or a serial arm of six
 (60 s at 100 Hz, all four plain terms declared and there, residuals of one kind on all
 joints, each joint its own), the declared model right, and a torque residual that is
@@ -475,10 +475,12 @@ def main(argv=None):
         "--residuals", nargs="+", choices=RESIDUALS, default=list(RESIDUALS)
     )
     arguments.add_argument("--trials", type=int, default=200, help="of each cell")
+    arguments.add_argument("--effects", type=int, help="of them also with an effect")
     arguments.add_argument("--seed", type=int, default=2000, help="seed of the first")
     arguments = arguments.parse_args(argv)
     joints, residuals = arguments.joints, arguments.residuals
     trials = arguments.trials
+    effects = trials if arguments.effects is None else arguments.effects
     if arguments.quick:
         joints, residuals, trials = [1], residuals[:2], 1
     # Seed by seed, so that a study cut short is balanced.
@@ -488,6 +490,7 @@ def main(argv=None):
         for kind in residuals
         for nv in joints
         for which in ("null", "power")
+        if which == "null" or seed < arguments.seed + effects
     ]
     ledger = run_study(run, tasks, KEYS, out=arguments.out, jobs=arguments.jobs)
     publish("false_alarms", report(ledger.results), arguments, commits=ledger.commits())

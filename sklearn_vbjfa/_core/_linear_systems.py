@@ -17,8 +17,6 @@ from scipy.sparse import csgraph
 CONSTANT_COLUMN = 32 * float(np.finfo(float).eps)
 # Rounding of a zero eigenvalue, as a share of the largest one, per row.
 ROUNDING = 4 * float(np.finfo(float).eps)
-# Matrices of at least this many rows are split into their connected components.
-_LARGE = 100
 
 
 def is_constant(spread, mean):
@@ -179,25 +177,42 @@ def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
     return ScaledEigen(scale=scale, values=values, vectors=vectors, known=known)
 
 
+def solve_spd(A, b, least=1.0):
+    """Solve A x = b with eigenvalues of A >= `least`; x, inverse, log determinant."""
+    root, failed = linalg.lapack.dpotrf(A, lower=True)
+    if failed:
+        # Some entries may be so large that rounding exceeds the smallest eigenvalue.
+        values, vectors = np.linalg.eigh(A)
+        values = np.maximum(values, max(least, 1e-13 * values[-1]))
+        inverse = (vectors / values) @ vectors.T
+        return inverse @ b, inverse, np.log(values).sum()
+    inverse, _ = linalg.lapack.dpotri(root, lower=True)
+    inverse += np.tril(inverse, -1).T
+    x = linalg.cho_solve((root, True), b)
+    return x, inverse, 2.0 * np.log(np.diagonal(root)).sum()
+
+
 def branches(support):
     """Return the connected components of a table (n, p), bool: (rows, columns)."""
     used = np.flatnonzero(support.any(axis=1))
     entries = support[used].astype(int)
-    count, label = csgraph.connected_components(entries @ entries.T, directed=False)
-    rows = [used[label == k] for k in range(count)]
+    rows = [used[part] for part in components(entries @ entries.T)]
     return [(some, np.flatnonzero(support[some].any(axis=0))) for some in rows]
+
+
+def components(links):
+    """Return the indices of the connected components of a matrix (p, p), a list."""
+    # Dense input would be validated as a masked array, which takes longer.
+    links = sparse.csr_array(links != 0)
+    count, label = csgraph.connected_components(links, directed=False)
+    return [np.flatnonzero(label == k) for k in range(count)]
 
 
 def _eigen(A):
     """Eigenvalues, ascending, and vectors of a symmetric matrix (p, p)."""
-    label = np.zeros(A.shape[0], dtype=int)
-    if label.size >= _LARGE:
-        # Dense input would be validated as a masked array, which takes longer.
-        links = sparse.csr_array(A != 0)
-        label = csgraph.connected_components(links, directed=False)[1]
-    rows = [np.flatnonzero(label == k) for k in range(label.max(initial=0) + 1)]
+    rows, vectors = components(A) or [np.arange(0)], np.empty(A.shape)
     pairs = [linalg.eigh(A[np.ix_(block, block)]) for block in rows]
-    values, vectors = np.concatenate([w for w, _ in pairs]), np.empty(A.shape)
+    values = np.concatenate([w for w, _ in pairs])
     vectors[np.concatenate(rows)] = linalg.block_diag(*(V for _, V in pairs))
     order = np.argsort(values, kind="stable")
     return values[order], vectors[:, order]

@@ -1,5 +1,6 @@
 """Prior of the bodies around their description, with a scale for each body."""
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,7 +8,7 @@ from scipy import linalg
 from scipy.special import softmax
 
 from sklearn_vbjfa._core._groups import Groups
-from sklearn_vbjfa._core._linear_systems import scaled_eigen
+from sklearn_vbjfa._core._linear_systems import components, scaled_eigen, solve_spd
 from sklearn_vbjfa.model import joint_names, nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import pseudo_inertia
 
@@ -181,20 +182,6 @@ class Site:
         return cls(np.eye(size) / scale**2, np.zeros(size), scale)
 
 
-def _size_equation(description, A, b):
-    """Return the normal equation H size = q of the common size of all bodies."""
-    # Other parameters are eliminated. H is 0 if the size is not identifiable.
-    centre = description.vector(b.size)
-    free = np.ones(b.size, dtype=bool)
-    free[description.places] = False
-    cross = A[free] @ centre
-    eigen = scaled_eigen(A[np.ix_(free, free)], _RANK_TOLERANCE)
-    total = centre @ A @ centre
-    H = total - cross @ eigen.solve(cross)
-    q = centre @ b - cross @ eigen.solve(b[free])
-    return H if H > _RANK_TOLERANCE * total else 0.0, q
-
-
 @dataclass(frozen=True, eq=False)
 class _BodyProblem:
     """Normal equations A theta = b in units of the noise, with a description."""
@@ -219,6 +206,30 @@ class _BodyProblem:
     def centre(self):
         """The description among all parameters, (p,)."""
         return self.description.vector(self.b.size)
+
+    @functools.cached_property
+    def _whitened(self):
+        """Equations H z = q of the bodies' changes alone, description, branches."""
+        # In coordinates (10 n,) in which the prior is isotropic; other parameters are
+        # eliminated. Branches: indices of bodies whose equations are coupled, a list.
+        root, A = linalg.block_diag(*self.description.root), self.A
+        places, free = self.description.places.ravel(), np.ones(self.b.size, dtype=bool)
+        free[places] = False
+        system = np.column_stack([A[:, places], self.b - A @ self.centre])
+        eigen = scaled_eigen(A[np.ix_(free, free)], _RANK_TOLERANCE)
+        system = system[places] - A[np.ix_(places, free)] @ eigen.solve(system[free])
+        system = linalg.solve_triangular(root, system, trans=1)
+        H = linalg.solve_triangular(root, system[:, :-1].T, trans=1)
+        n = len(self.description.names)
+        branches = components(H.reshape(n, 10, n, 10).any(axis=(1, 3)))
+        return H, system[:, -1], root @ self.description.centre.ravel(), branches
+
+    def size_equation(self):
+        """Return the normal equation H size = q of the common size of all bodies."""
+        # Other parameters are eliminated. H is 0 if the size is not identifiable.
+        H, q, centre, _ = self._whitened
+        total, size = self.centre @ self.A @ self.centre, centre @ H @ centre
+        return size if size > _RANK_TOLERANCE * total else 0.0, centre @ q + size
 
     def solve(self, sites):
         """Return mean and covariance root of the change from the description."""
@@ -245,11 +256,25 @@ class _BodyProblem:
 
     def marginals(self, sites):
         """Return marginal precisions (n, 10, 10) of bodies, and products with means."""
-        whitening, (mean, root) = self.description.root, self.solve(sites)
-        whitened = whitening @ root[self.description.places]
-        precision = floored_inverse(whitened @ whitened.transpose(0, 2, 1))
-        mean = whitening @ mean[self.description.places][:, :, None]
-        return precision, (precision @ mean)[:, :, 0]
+        H, q, centre, branches = self._whitened
+        product = H @ centre
+        right = np.column_stack([q + np.ravel([x.right for x in sites]), product])
+        solution, covariance = np.empty(right.shape), np.empty((len(sites), 10, 10))
+        for part in branches:
+            rows = (10 * part[:, None] + np.arange(10)).ravel()
+            prior = linalg.block_diag(*(sites[k].precision for k in part))
+            system, least = H[np.ix_(rows, rows)] + prior, _MIN_PRECISION / DESCRIBED**2
+            solution[rows], inverse, _ = solve_spd(system, right[rows], least)
+            at, inverse = np.arange(part.size), inverse.reshape(part.size, 10, -1, 10)
+            covariance[part] = inverse[at, :, at]
+        mean, response = solution.T
+        if not self.fixed_size:
+            precision = (centre - response) @ product + DESCRIBED**-2
+            mean -= response * (centre @ q - product @ mean) / precision
+            response = response.reshape(-1, 10, 1)
+            covariance += response @ response.transpose(0, 2, 1) / precision
+        precision = floored_inverse(covariance)
+        return precision, _matvec(precision, mean.reshape(-1, 10))
 
     def log_evidence(self, sites):
         """Return the log evidence at the scales of sites, up to a constant."""
@@ -429,7 +454,7 @@ def around(description, A, b):
     # If description and torques have different units, their ratio may be thousands. The
     # description is first scaled by least squares, in which one well excited body may
     # dominate, then rescaled while the posterior common size contradicts it.
-    H, q = _size_equation(description, A, b)
+    H, q = _BodyProblem(description, A, b).size_equation()
     scale = q / H if H > 0 and q > 0 else 1.0
     for _ in range(_MAX_RESCALINGS):
         problem = _BodyProblem(description.scaled(scale), A, b)
@@ -488,7 +513,7 @@ def fix_bodies(description, A, b):
     covariance = np.zeros((p, p))
     covariance[np.ix_(free, free)] = eigen.inverse()
     undetermined = np.flatnonzero(free)[np.diagonal(A)[free] <= 0]
-    H, q = _size_equation(description, A, b)
+    H, q = _BodyProblem(description, A, b).size_equation()
     size = (q / H, np.sqrt(H) / q) if q > 0 < H else (1, np.inf)
     covariance[undetermined, undetermined] = np.inf
     return BodyPosterior(

@@ -238,7 +238,10 @@ class Recipe:
         say("consistent bodies")
         result = project(result, self.projector, robot.features_, robot.effects_)
         result = _zero_excluded(result, excluded)
-        return RobotFit.of(robot, result, self._identifiable(result), segments)
+        # Which parameters the equations determine individually.
+        free = self.bodies != "fixed" or ~result.from_description
+        determined = identifiable(result.metric, free)
+        return RobotFit.of(robot, result, determined, segments)
 
     def fit_data(self, robot, source):
         """Fit a robot to its recording, in parallel if second moments suffice."""
@@ -249,11 +252,6 @@ class Recipe:
             else:
                 rows = [equations(pieces, robot.plan.lowpass)]
         return self.fit_moments(robot, source.moments(pieces, robot.plan), rows, pieces)
-
-    def _identifiable(self, result):
-        """Return which parameters (p,) the equations determine individually."""
-        free = self.bodies != "fixed" or ~result.from_description
-        return identifiable(result.metric, free)
 
 
 def _zero_entries(robot, moments):

@@ -7,6 +7,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 import scipy
 
+from sklearn_vbjfa._core._linear_systems import solve_spd
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.model import TreeRegressor, end_joints, nominal_parameters
 
@@ -350,7 +351,7 @@ def _solve(joints, prior, m):
         for x, block, M, variance in zip(positions, blocks, moments, noise):
             A[block] += M[:-1, :-1] / variance
             b[x] += M[:-1, -1] / variance
-        theta, covariance, log_det = _solve_spd(A, b)
+        theta, covariance, log_det = solve_spd(A, b)
         coefficients = [np.r_[theta[x], -1.0] for x in positions]
         squares = np.array([x @ M @ x for x, M in zip(coefficients, moments)])
         traces = [np.sum(covariance[x] * M[:-1, :-1]) for x, M in zip(blocks, moments)]
@@ -379,18 +380,3 @@ def _solve(joints, prior, m):
         errors=errors,
         power=np.array(power),
     )
-
-
-def _solve_spd(A, b):
-    """Solve A x = b with eigenvalues of A >= 1; x, inverse and log determinant of A."""
-    root, failed = scipy.linalg.lapack.dpotrf(A, lower=True)
-    if failed:
-        # In wrong units, columns may be so large that rounding exceeds the prior.
-        values, vectors = np.linalg.eigh(A)
-        values = np.maximum(values, max(1.0, 1e-13 * values[-1]))
-        inverse = (vectors / values) @ vectors.T
-        return inverse @ b, inverse, np.log(values).sum()
-    inverse, _ = scipy.linalg.lapack.dpotri(root, lower=True)
-    inverse += np.tril(inverse, -1).T
-    x = scipy.linalg.cho_solve((root, True), b)
-    return x, inverse, 2.0 * np.log(np.diagonal(root)).sum()

@@ -367,19 +367,19 @@ class RecordingView:
         """Compute columns of an effect, with checks for custom effects."""
         columns = np.asarray(effect.columns(motion))
         n, k = motion.q.shape[0], len(effect.coefficients)
-        name = f"Effect {effect.name!r} on {self.robot.joint_names_[effect.joint]}"
         expected = (n, self.nv, k) if isinstance(effect, OnAllJoints) else (n, k)
+        problem = ""
         if columns.shape != expected:
-            raise ValueError(
-                f"{name} must have columns of shape {expected}, a row "
-                "for each sample and a column for each coefficient; got "
-                f"{columns.shape}."
+            problem = (
+                f"must have columns of shape {expected}, a row for each sample and a "
+                f"column for each coefficient; got {columns.shape}."
             )
-        if not np.isfinite(columns).all():
+        elif not np.isfinite(columns).all():
             rows = int((~np.isfinite(columns.reshape(n, -1))).any(axis=1).sum())
-            raise ValueError(
-                f"{name} has columns that are not finite in {rows} of {n} samples."
-            )
+            problem = f"has columns that are not finite in {rows} of {n} samples."
+        if problem:
+            joint = self.robot.joint_names_[effect.joint]
+            raise ValueError(f"Effect {effect.name!r} on {joint} {problem}")
         return columns
 
     def in_equations(self, effect, motion):

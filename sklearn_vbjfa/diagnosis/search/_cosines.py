@@ -19,46 +19,53 @@ class Cosines:
 
     # The cosines of stationary residuals are nearly independent, with the spectrum as
     # variance (P. Whittle, Arkiv for Matematik 2, 1953, doi 10.1007/BF02590998). Rows
-    # without weight are interpolated linearly. band (n,): band of each cosine; edges
+    # without weight are interpolated linearly; such rows are also appended to parts
+    # whose length has large prime factors. band (n,): band of each cosine; edges
     # (n_bands + 1,): bounds of the bands; octave (n_bands,): log2 of their frequencies;
     # fill (nv,): share of the rows with weight.
 
     def __init__(self, view):
-        m = view.index.size
-        self._parts = list(itertools.pairwise([*view.starts, m]))
-        used = view.root > 0
-        self.fill = used.mean(axis=0)
-        self._interpolations = [interpolation(rows, view.starts) for rows in used.T]
-        frequency = np.empty(m)
-        for a, b in self._parts:
-            frequency[a:b] = np.arange(b - a) / (2.0 * (b - a) * view.step)
+        parts = list(itertools.pairwise([*view.starts, view.index.size]))
+        lengths = [fft.next_fast_len(int(b - a)) for a, b in parts]
+        starts = np.cumsum([0, *lengths])
+        self._parts = list(itertools.pairwise(starts))
+        pairs = zip(parts, lengths)
+        row = [a + np.minimum(np.arange(n), b - a - 1) for (a, b), n in pairs]
+        row = np.concatenate(row)
+        appended = np.diff(row, prepend=-1) == 0
+        used = (view.root[row] > 0) & ~appended[:, None]
+        self.fill, self._rows = used.mean(axis=0), np.flatnonzero(~appended)
+        between = [interpolation(x, starts[:-1]) for x in used.T]
+        self._interpolations = [(row[a], row[b], share) for a, b, share in between]
+        frequency = [np.arange(n) / (2.0 * n * view.step) for n in lengths]
+        frequency = np.concatenate(frequency)
         cutoff = view.robot.cutoff_
         kept = np.flatnonzero(frequency <= (cutoff if np.isfinite(cutoff) else np.inf))
-        longest = max(b - a for a, b in self._parts) * view.step
-        band, self.octave = _bands(frequency[kept], 0.5 / longest)
+        band, self.octave = _bands(frequency[kept], 0.5 / (max(lengths) * view.step))
         order = np.argsort(band, kind="stable")
-        self.band, self._kept, self._n_rows = band[order], kept[order], m
+        self.band, self._kept = band[order], kept[order]
         self.edges = np.searchsorted(self.band, np.arange(self.octave.size + 1))
 
     def __call__(self, rows, joints):
         """Transform rows (nj, m, ...) of some joints to cosines (nj, n, ...)."""
-        whole = rows.copy()
-        for x, j in zip(whole, joints):
-            if self.fill[j] < 1:
-                low, high, share = self._interpolations[j]
-                share = share.reshape(-1, *(1,) * (x.ndim - 1))
-                x[:] = (1.0 - share) * x[low] + share * x[high]
+        whole = np.empty((len(rows), self._parts[-1][1], *rows.shape[2:]))
+        for x, out, j in zip(rows, whole, joints):
+            low, high, share = self._interpolations[j]
+            np.take(x, low, axis=0, out=out)
+            at = np.flatnonzero(share)
+            share = share[at].reshape(-1, *(1,) * (x.ndim - 1))
+            out[at] += share * (x[high[at]] - x[low[at]])
         for a, b in self._parts:
             whole[:, a:b] = fft.dct(whole[:, a:b], axis=1, norm="ortho")
         return whole[:, self._kept]
 
     def rows(self, cosines):
         """Transform cosines (nj, n, ...) back to rows (nj, m, ...)."""
-        whole = np.zeros((cosines.shape[0], self._n_rows, *cosines.shape[2:]))
+        whole = np.zeros((cosines.shape[0], self._parts[-1][1], *cosines.shape[2:]))
         whole[:, self._kept] = cosines
         for a, b in self._parts:
             whole[:, a:b] = fft.idct(whole[:, a:b], axis=1, norm="ortho")
-        return whole
+        return whole[:, self._rows]
 
 
 def _bands(frequency, lowest):

@@ -25,13 +25,24 @@ def view(m=200, starts=(0,), missing=(), cutoff=np.inf, nv=2):
     )
 
 
-@pytest.mark.parametrize("starts", [(0,), (0, 80), (0, 1, 120)])
+@pytest.mark.parametrize("starts", [(0,), (0, 80), (0, 1, 101)])
 def test_cosines_are_orthonormal_and_invertible(starts):
     cosines = Cosines(view(starts=starts))
     basis = cosines(np.eye(200)[None], [0])[0]
     assert_allclose(basis @ basis.T, np.eye(200), atol=1e-12)
     x = np.random.default_rng(0).normal(size=(2, 200, 3))
     assert_allclose(cosines.rows(cosines(x, [0, 1])), x, atol=1e-12)
+
+
+def test_lengths_with_large_prime_factors_are_extended():
+    cosines = Cosines(view(m=199 + 97, starts=(0, 199)))
+    assert_allclose(cosines.fill, (199 + 97) / (200 + 98))
+    x = np.random.default_rng(0).normal(size=(2, 199 + 97, 3))
+    assert_allclose(cosines.rows(cosines(x, [0, 1])), x, atol=1e-12)
+    # The last value is repeated.
+    held = cosines(np.ones((1, 199 + 97)), [0])[0]
+    assert_allclose(np.sort(held)[-2:], np.sqrt([98, 200]))
+    assert_allclose(np.sort(held)[:-2], 0.0, atol=1e-12)
 
 
 def test_frequencies_above_the_cutoff_are_omitted():

@@ -84,32 +84,19 @@ class Columns:
         return SelectedEffect(columns=columns, scale=scale)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class SelectedEffect:
     """An effect of the model (a member), with one shape."""
 
+    # joints on which it acts; unit (k,): coefficients for which each column is as large
+    # as the joint torque; width: number k of columns
     columns: Columns
     scale: float = 1.0  # prior standard deviation of its coefficients over `unit`
 
-    @property
-    def effect(self):
-        """Effect with its shape."""
-        return self.columns.effects[0]
-
-    @property
-    def joints(self):
-        """Joints on which it acts, tuple of int."""
-        return self.columns.joints
-
-    @property
-    def unit(self):
-        """Coefficients for which each column is as large as the joint torque, (k,)."""
-        return self.columns.unit[0]
-
-    @property
-    def width(self):
-        """Number of columns."""
-        return self.unit.size
+    def __post_init__(self):
+        columns = self.columns
+        self.effect, self.joints = columns.effects[0], columns.joints
+        self.unit, self.width = columns.unit[0], columns.unit[0].size
 
     @functools.cached_property
     def applied(self):

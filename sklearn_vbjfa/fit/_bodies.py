@@ -27,8 +27,10 @@ SCALES, _MIN_PRECISION = np.geomspace(1e-4, 1.0, 81), 1e-4
 _SIZE_DEVIATIONS = 3.0
 # Beyond this factor a different unit is more probable than one body that differs.
 _MAX_BODY_FACTOR = 20.0
-# Mass that replaces zero, as between two joints, relative to the mean mass.
-_MASSLESS = 1e-3
+# Mass that replaces zero, as between two joints, relative to the mean mass; a missing
+# body is such a frame or a link: prior deviation in mean masses, over the scale, and
+# factor of the second moments of its ball, whose radius becomes 0.8 of a link's length.
+_MASSLESS, _MISSING_MASS, _MISSING_EXTENT = 1e-3, 1.0 / DESCRIBED, 10.0
 # Maximum number of passes, and change of a mean, in deviations, at convergence.
 _MAX_PASSES, _MAX_CHANGE = 100, 1e-3
 # Maximum rescalings of the description by the common size, and relative change of that
@@ -97,8 +99,8 @@ class BodyPrior:
     @classmethod
     def of(cls, model, per_joint, followers=()):
         """Build the prior from a model; None if no body has mass and extension."""
-        # Massless bodies have a prior near zero on the scale of a mean body; those with
-        # mass but no extension are free. followers: `FollowingBody`, which come last.
+        # Massless bodies have a wide prior around almost none; those with mass but no
+        # extension are free. followers: `FollowingBody`, which come last.
         names, starts = joint_names(model), per_joint * np.arange(model.nv)
         names = [*names, *(body.name for body in followers)]
         starts = np.r_[starts, per_joint * model.nv + 10 * np.arange(len(followers))]
@@ -108,20 +110,22 @@ class BodyPrior:
         if not solid.any():
             return None
         centre = force_solid(model, bodies)
-        bodies = np.where(massless[:, None], centre / _MASSLESS, centre)
-        solid = np.flatnonzero(solid | massless)
+        bodies = np.where(massless[:, None], centre * _MISSING_MASS / _MASSLESS, centre)
+        bodies[massless, 4:] *= _MISSING_EXTENT
         directions = pseudo_inertia(np.eye(10))
         roots = []
-        for body in bodies[solid]:
+        for body in bodies:
             relative = np.linalg.solve(_thickened(pseudo_inertia(body)), directions)
             metric = np.einsum("iab,jba->ij", relative, relative)
             roots.append(linalg.cholesky(0.5 * (metric + metric.T)))
-        return cls(
-            names=tuple(names[k] for k in solid),
-            places=starts[solid, None] + np.arange(10),
-            centre=centre[solid],
-            root=np.array(roots),
-        )
+        places, root = starts[:, None] + np.arange(10), np.array(roots)
+        bodies = cls(names=tuple(names), places=places, centre=centre, root=root)
+        return bodies.part(solid | massless)
+
+    def part(self, chosen):
+        """Select bodies by a mask (n,)."""
+        values = {x: getattr(self, x)[chosen] for x in ("places", "centre", "root")}
+        return replace(self, names=tuple(np.array(self.names)[chosen]), **values)
 
     def vector(self, p):
         """Return the description among all parameters (p,), zero elsewhere."""
@@ -485,10 +489,8 @@ def around(description, A, b):
     prior_std[description.places] = problem.description.deviation(sites)
     common, common_std = scale * (1.0 + mean[-1]), scale * np.linalg.norm(root[-1])
     # Search for departures at the described size, unless the unit differs.
-    if abs(common - 1.0) < _SIZE_DEVIATIONS * common_std:
-        tested = _BodyProblem(description, A, b, fixed_size=True)
-    else:
-        tested = problem
+    same_unit = abs(common - 1.0) < _SIZE_DEVIATIONS * common_std
+    tested = _BodyProblem(description, A, b, fixed_size=True) if same_unit else problem
     return BodyPosterior(
         theta=centre + (mean[:-1] + mean[-1] * centre),
         covariance=covariance,
@@ -505,8 +507,7 @@ def fix_bodies(description, A, b):
     """Estimate all other parameters with the bodies fixed to the description."""
     # Parameters and result as for `around`.
     p = b.size
-    free = np.ones(p, dtype=bool)
-    free[description.places] = False
+    free = ~np.isin(np.arange(p), description.places)
     theta = description.vector(p)
     eigen = scaled_eigen(A[np.ix_(free, free)], _RANK_TOLERANCE)
     theta[free] = eigen.solve((b - A @ theta)[free])

@@ -304,9 +304,8 @@ def _payload(robot, bodies):
     # All bodies but the last are fixed to the description.
     fit, model = robot.estimate_, robot.features_.nominal_
     mass = robot.parameter_names_.index(f"{robot.joint_names_[-1]}:m")
-    kept = bodies.places[:, 0] != mass
-    others = replace(bodies, places=bodies.places[kept], centre=bodies.centre[kept])
-    loaded = apply_description(fit, others, "fixed")
+    loaded = bodies.part(bodies.places[:, 0] != mass)
+    loaded = apply_description(fit, loaded, "fixed")
     excess, std = loaded.theta[mass] - model.inertias[model.nv].mass, loaded.std[mass]
     squares = (fit.moments.residual_squares(x.theta) for x in (loaded, fit))
     with_it, without = (fit.joint_weights @ x for x in squares)

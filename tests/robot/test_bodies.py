@@ -109,6 +109,14 @@ def test_a_body_that_weighs_ten_times_as_much_is_said_and_the_others_do_not_suff
     np.testing.assert_allclose(*rotors, rtol=0.05, atol=0.01)
 
 
+def test_a_link_without_inertia_in_the_description_has_a_body(recording):
+    missing = a_robot()
+    missing.inertias[2] = pin.Inertia.Zero()
+    mass = bodies(fitted(missing, recording))[:, 0]
+    assert mass[2] == pytest.approx(1.0, abs=0.1)
+    assert mass[1] > 0.5
+
+
 @pytest.mark.parametrize("factor", [0.6, 1.5])
 def test_a_last_body_that_differs_is_not_another_unit(recording, factor):
     q, tau = recording

@@ -244,13 +244,13 @@ def inspect_channels(
     # magnitude is tested; if gains are identified, no scale of a torque is a fault; if
     # bodies are free, no common scale is. named: whether channels carry the joints'
     # names; weight (n_samples, nv): zero for samples to ignore; poses: static samples.
-    model, dt = load_folded(model).still, check_dt(dt)
+    robot, dt = load_folded(model), check_dt(dt)
     # Column-major order, since channels are processed one by one.
     q, tau = (np.asarray(x, dtype=float, order="F") for x in (q, tau))
-    names = joint_names(model)
-    if q.shape != tau.shape or q.shape[1:] != (model.nv,):
+    names = joint_names(robot.model)
+    if q.shape != tau.shape or q.shape[1:] != (len(names),):
         raise ValueError(
-            f"q and tau must both have shape (n_samples, {model.nv}), one column for "
+            f"q and tau must both have shape (n_samples, {len(names)}), one column for "
             f"each of {', '.join(names)}; got {q.shape} and {tau.shape}."
         )
     single = poses is not None and len(poses.row) == len(q)
@@ -262,7 +262,7 @@ def inspect_channels(
         return findings_in_order(shuffled)
     if len(rows) < len(q):
         q, tau = q[rows], tau[rows]
-    log = Rows(model, names, q, tau, dt, parts, rows)
+    log = Rows(robot, names, q, tau, dt, parts, rows)
     if weight is not None:
         log.usable &= weight[rows] > 0
         log.counted &= log.usable.any(axis=1)
@@ -278,7 +278,7 @@ def inspect_channels(
         q, tau, usable = q[rows], tau[rows], usable[rows]
     dt *= log.every
     settings = drive, named, feedback, gains
-    reading = Reading(model, names, q, tau, dt, parts, usable, *settings, poses=poses)
+    reading = Reading(robot, names, q, tau, dt, parts, usable, *settings, poses=poses)
     recordings = recording_names(groups, [part.start for part in all_parts])
     is_long = [part.stop - part.start >= number.MIN_SAMPLES for part in all_parts]
     recordings = list(itertools.compress(recordings, is_long))

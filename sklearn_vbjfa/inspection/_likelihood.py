@@ -20,10 +20,12 @@ def under_gravity(model, gravity):
 
 
 class Bodies:
-    """Bodies of a robot description; their regressors of motion and of gravity."""
+    """Bodies of a described robot, `Folded`; regressors of motion and of gravity."""
 
-    def __init__(self, model):
-        self.nv = model.nv
+    def __init__(self, robot):
+        # Joints that follow others have bodies, but no channels.
+        model, (self._rates, self._offsets) = robot.full, robot.motion
+        self.nv = robot.model.nv
         self.gravity = np.array(model.gravity.linear) / 9.81
         nominal = nominal_parameters(model)
         self.parameters, self.prior_std = nominal.ravel(), _prior_std(nominal)
@@ -32,9 +34,10 @@ class Bodies:
         self._parts = [TreeRegressor(under_gravity(model, x)) for x in pulls]
         # Indices of the inertial parameters that act on each joint.
         support = np.any([x.support for x in self._parts], axis=0)
-        self.used = [np.flatnonzero(row) for row in support.reshape(self.nv, -1)]
+        support = (self._rates != 0).T @ support.reshape(model.nv, -1)
+        self.used = [np.flatnonzero(row) for row in support]
         # Leaves of the tree, which may carry a load.
-        self.leaf = np.isin(np.arange(self.nv), end_joints(model))
+        self.leaf = np.isin(np.arange(model.nv), end_joints(model))
         # Whether no body has mass, so that torques cannot be compared.
         self.massless = bool(nominal[:, 0].max() <= 0)
 
@@ -48,29 +51,34 @@ class Bodies:
 
     def regressor(self, states):
         """Regressors (n, nv, 10 nv) under the gravity of the description."""
-        return _regressors(self._regressor, states)
+        return self._regressors(self._regressor, states)
 
     def parts(self, states):
         """Regressors without gravity, and at rest under 1 g along each axis."""
         still = states.copy()
         still[:, self.nv :] = 0.0
-        motion, *pulls = self._parts
-        return _regressors(motion, states), [_regressors(x, still) for x in pulls]
+        motion, *pulls = map(self._regressors, self._parts, [states, *3 * [still]])
+        return motion, pulls
 
     def described(self, states):
         """Torques (n, nv) of the described bodies: inertial ones, and the weight."""
         still = states.copy()
         still[:, self.nv :] = 0.0
         whole, weight = (
-            self._regressor.torques(*np.split(x, 3, axis=1), self.parameters)
+            self._regressor.torques(*self._motion(x), self.parameters) @ self._rates
             for x in (states, still)
         )
         return whole - weight, weight
 
+    def _motion(self, states):
+        """Return position, velocity and acceleration (n, n_bodies) of all joints."""
+        q, v, a = (x @ self._rates.T for x in np.split(states, 3, axis=1))
+        return q + self._offsets, v, a
 
-def _regressors(regressor, states):
-    q, v, a = map(np.ascontiguousarray, np.split(states, 3, axis=1))
-    return regressor(q, v, a).reshape(*q.shape, -1)
+    def _regressors(self, regressor, states):
+        q, v, a = self._motion(states)
+        X = regressor(q, v, a).reshape(*q.shape, -1)
+        return X if X.shape[1] == self.nv else self._rates.T @ X
 
 
 def _prior_std(bodies):

@@ -219,7 +219,7 @@ def _cutoffs(q, dt, parts):
 class Reading:
     """A log under one interpretation, its filtered signals and its described robot."""
 
-    model: object
+    folded: object  # `Folded`
     names: tuple
     q: np.ndarray
     tau: np.ndarray
@@ -234,8 +234,8 @@ class Reading:
     poses: Signals | None = None  # poses and slow motion, in place of filtered rows
 
     def __post_init__(self):
-        self.nv, self.every = self.model.nv, tuple(range(self.model.nv))
-        self.slides = is_prismatic(self.model)
+        self.model, self.nv = self.folded.model, self.folded.model.nv
+        self.slides, self.every = is_prismatic(self.model), tuple(range(self.nv))
         # Whether the torques are computed from position commands.
         self.commanded = self.drive is not None and self.drive.uses_positions
         self.measured, self.turns = not self.commanded, not self.slides.all()
@@ -252,7 +252,7 @@ class Reading:
 
     @functools.cached_property
     def bodies(self):
-        return Bodies(self.model)
+        return Bodies(self.folded)
 
     @functools.cached_property
     def robot(self):
@@ -332,12 +332,12 @@ class Reading:
         """Return the log after a change; its signals are filtered again."""
         q = _map(self.q, change.positions) + change.offset
         tau, usable = _map(self.tau, change.torques), change.map_usable(self.usable)
-        dt, model = self.dt * change.period, self.model
+        dt, robot = self.dt * change.period, self.folded
         if change.gravity is not None:
-            model = under_gravity(model, change.gravity)
+            robot = replace(robot, full=under_gravity(robot.full, change.gravity))
         if change.lag:
             tau, usable = _shift_torques(tau, change.lag, self.parts, usable)
-        after = replace(self, model=model, q=q, tau=tau, dt=dt, usable=usable)
+        after = replace(self, folded=robot, q=q, tau=tau, dt=dt, usable=usable)
         return replace(after, poses=self.poses and change.signals(self.poses))
 
 

@@ -23,8 +23,8 @@ class Rows:
     # by the first checks; parts: slices of the recordings, which hold all rows; rows
     # (n,): row numbers for messages.
 
-    def __init__(self, model, names, q, tau, dt, parts, rows):
-        self.model, self.revolute = model, ~is_prismatic(model)
+    def __init__(self, robot, names, q, tau, dt, parts, rows):
+        self.robot, self.revolute = robot, ~is_prismatic(robot.model)
         self.names, self.q, self.tau, self.dt = names, q, tau, dt
         self.parts, self.rows = parts, rows
         self.findings = []
@@ -264,7 +264,7 @@ def _find_switched_off(log):
     if not runs:
         return []
     still = np.pad(log.q[[a for a, _ in runs]], ((0, 0), (0, 2 * log.q.shape[1])))
-    weight = np.abs(Bodies(log.model).described(still)[1])
+    weight = np.abs(Bodies(log.robot).described(still)[1])
     loaded = [runs[k] for k in np.flatnonzero((weight > number.OFF_LOAD * size).any(1))]
     ends = [k for a, b in loaded for k in (a, b + 1)]
     ends = [k for k in ends if log.together(k - 1, k) and log.moving[k]]

@@ -15,7 +15,6 @@ from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.model._mjcf_reading import read_mjcf
 from sklearn_vbjfa.model._trees import (
     Description,
-    Folded,
     check_joints,
     fold,
     foldable,
@@ -114,7 +113,7 @@ def load_folded(model, base_orientation=None):
         description = Description(model=model.copy(), label=f"The model {model.name!r}")
         robot, messages = hold_base(description, base_orientation)
         _warn(messages, model.name, stacklevel=4)
-        return Folded.without_followers(check_joints(robot.model))
+        return fold(check_joints(robot.model), {})
     raise TypeError(
         "model must be the path of a URDF or MJCF file or a pinocchio.Model, got "
         f"{type(model).__name__}."

@@ -505,8 +505,8 @@ class Link:
     """How a joint follows another: position = multiplier * leader + offset."""
 
     leader: str  # name of the followed joint, which may follow another one
-    multiplier: float
-    offset: float  # [rad or m]
+    multiplier: float = 1.0
+    offset: float = 0.0  # [rad or m]
 
 
 class ChainJoint(NamedTuple):
@@ -545,10 +545,13 @@ class Folded:
     links: dict
     text: str | None = None  # of the URDF that it was read from
 
-    @classmethod
-    def without_followers(cls, model):
-        """Return a robot that has no followers."""
-        return cls(model=model, followers=(), still=model, full=model, links={})
+    @property
+    def motion(self):
+        """Rates (n, nv) and offsets (n,) of the positions of all joints of `full`."""
+        links = [self.links.get(x, Link(leader=x)) for x in joint_names(self.full)]
+        leads = np.array([[x.leader] for x in links]) == joint_names(self.model)
+        offsets = np.array([x.offset for x in links])
+        return leads * np.array([[x.multiplier] for x in links]), offsets
 
 
 def foldable(carriers, links, label):
@@ -619,56 +622,46 @@ def _carrier(carriers, name, joints):
 def fold(full, links):
     """Remove `foldable` followers from the joints of a robot."""
     if not links:
-        return Folded.without_followers(full)
-    pin = import_pinocchio()
-    names = list(full.names)
-    remaining = [name for name in names[1:] if name not in links]
-    massless = full.copy()
-    for name in links:
-        massless.inertias[names.index(name)] = pin.Inertia.Zero()
-    positions = np.zeros(full.nq)
+        return Folded(model=full, followers=(), still=full, full=full, links={})
+    pin, numbers = import_pinocchio(), {name: i for i, name in enumerate(full.names)}
+    links = {name: links[name] for name in full.names if name in links}
+    massless, positions = full.copy(), np.zeros(full.nq)
     for name, link in links.items():
-        positions[full.joints[names.index(name)].idx_q] = link.offset
-    locked = [names.index(name) for name in links]
+        massless.inertias[numbers[name]] = pin.Inertia.Zero()
+        positions[full.joints[numbers[name]].idx_q] = link.offset
+    locked = [numbers[name] for name in links]
     model, still = (
         pin.buildReducedModel(x, locked, positions) for x in (massless, full)
     )
     model.name = still.name = full.name
+    remaining, steps, tree = joint_names(model), [None], describe(full)
     for name, link in links.items():
-        rotor = link.multiplier**2 * full.armature[names.index(name) - 1]
+        rotor = link.multiplier**2 * full.armature[numbers[name] - 1]
         for x in (model, still):
             x.armature[remaining.index(link.leader)] += rotor
-    steps, tree = {}, describe(full)
-    for i, name in enumerate(names[1:], 1):
-        link = links.get(name, Link(leader=name, multiplier=1.0, offset=0.0))
-        placement = full.jointPlacements[i]
-        steps[i] = ChainJoint(
+    for i, name in enumerate(joint_names(full)):
+        link, placement = (
+            links.get(name, Link(leader=name)),
+            full.jointPlacements[i + 1],
+        )
+        step = ChainJoint(
             joint=remaining.index(link.leader),
             rate=link.multiplier,
             offset=link.offset,
-            slides=not tree.turns[i - 1],
+            slides=not tree.turns[i],
             place=tuple(placement.translation.tolist()),
             frame=tuple(placement.rotation.ravel().tolist()),
-            axis=tuple(tree.axes[i - 1].tolist()),
+            axis=tuple(tree.axes[i].tolist()),
         )
-    followers = []
-    for name in names[1:]:
-        if name not in links:
-            continue
-        i, chain = names.index(name), []
-        parameters = full.inertias[i].toDynamicParameters()
-        while i > 0:
-            chain.insert(0, steps[i])
-            i = int(full.parents[i])
-        followers.append(
-            FollowingBody(
-                name=name,
-                leader=remaining.index(links[name].leader),
-                chain=tuple(chain),
-                gravity=tuple(full.gravity.linear.tolist()),
-                parameters=parameters,
-            )
+        steps.append(step)
+    followers = tuple(
+        FollowingBody(
+            name=name,
+            leader=remaining.index(link.leader),
+            chain=tuple(steps[k] for k in full.supports[numbers[name]].tolist()[1:]),
+            gravity=tuple(full.gravity.linear.tolist()),
+            parameters=full.inertias[numbers[name]].toDynamicParameters(),
         )
-    return Folded(
-        model=model, followers=tuple(followers), still=still, full=full, links=links
+        for name, link in links.items()
     )
+    return Folded(model=model, followers=followers, still=still, full=full, links=links)

@@ -252,12 +252,12 @@ def run(task):
 def shown(model, sound, wrong):
     """Log odds of the sound log against the one that was made of it."""
     from sklearn_vbjfa.inspection import Reading
-    from sklearn_vbjfa.model import joint_names
+    from sklearn_vbjfa.model import joint_names, load_folded
 
     scores = []
     for q, tau, dt in (sound, wrong):
         whole = [slice(0, len(q))], np.ones(q.shape, dtype=bool)
-        reading = Reading(model, joint_names(model), q, tau, dt, *whole)
+        reading = Reading(load_folded(model), joint_names(model), q, tau, dt, *whole)
         if reading.is_uninformative():
             return np.inf
         scores.append(reading.robot.baseline.evidence)

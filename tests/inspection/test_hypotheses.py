@@ -10,6 +10,7 @@ from sklearn_vbjfa.datasets import load_demo_recording, make_robot_recording
 from sklearn_vbjfa.inspection import inspect_channels
 from tests._quick import one_in
 from tests.effects._arms import arm, inverse_dynamics, motion
+from tests.model.test_followers import joint, link
 
 
 @pytest.fixture(scope="module")
@@ -508,3 +509,20 @@ def test_rows_of_zeros(log):
     assert kinds == ["empty_rows"]
     assert "100 rows" in found[0].message
     assert "row 1000" in found[0].message
+
+
+def test_a_follower_loads_the_chain_of_its_leader(tmp_path):
+    path, rates = tmp_path / "arm.urdf", np.array([[1, 0], [0, 1], [0, 1.5]])
+    parts = [link(name, mass) for name, mass in (("a", 2.0), ("b", 3.0), ("c", 3.0))]
+    mimic = 'joint="j2" multiplier="1.5" offset="0.2"'
+    parts += joint("j1", "base", "a", axis="0 0 1"), joint("j2", "a", "b")
+    parts += [joint("j3", "b", "c", mimic=mimic)]
+    path.write_text(f'<robot name="r"><link name="base"/>{"".join(parts)}</robot>')
+    _, states = motion(2, duration=15.0, dt=0.01, seed=0, size=1.0)
+    full = np.hstack([x @ rates.T for x in np.split(states, 3, axis=1)])
+    full[:, 2] += 0.2
+    tau = inverse_dynamics(pin.buildModelFromUrdf(str(path)), full) @ rates
+    tau += 0.01 * tau.std(axis=0) * np.random.default_rng(0).normal(size=tau.shape)
+    tau += 0.05 * tau.std(axis=0) * np.sign(states[:, 2:4])
+    findings = inspect_channels(str(path), states[:, :2], tau, 0.01)
+    assert [x.kind for x in findings if x.severity != "note"] == []
